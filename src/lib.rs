@@ -1,0 +1,4 @@
+//! crumple
+pub mod random;
+pub mod scenario;
+pub mod sim;

@@ -1,0 +1,168 @@
+//! The paper's three scenarios and the distribution it trains on.
+//!
+//! Fixed numbers are from the section "Design of scenarios", distributions from "Implementation", paragraph "Scenario
+//! Parameters". The paper writes `N(36, 0.5)` without saying whether the second number is a variance or a standard
+//! deviation; it is taken as a standard deviation throughout. It does not give the number of middle vehicles of scenario 3;
+//! ours is three.
+
+use rand::RngExt;
+use rand_distr::{Distribution, Normal};
+
+use super::{
+    AebSettings, Brake, ControllerSpec, Driver, Environment, InvalidField, LeadProfile, SCENARIO_VERSION, Scenario,
+    ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+};
+use crate::random::{self, Purpose};
+
+/// The paper's time step, in seconds.
+pub(super) const STEP_S: f64 = 0.01;
+/// 1500 steps.
+const DURATION_S: f64 = 15.0;
+/// 90 km/h.
+const SPEED_MPS: f64 = 25.0;
+/// Bumper to bumper, in metres.
+const GAP_M: f64 = 16.0;
+/// The leader brakes from step 100 on.
+const ONSET_S: f64 = 1.0;
+/// Deceleration of the leader, in m/s².
+const LEAD_BRAKE_MPS2: f64 = 3.0;
+/// Middle vehicles of scenario 3.
+const MIDDLE_VEHICLES: usize = 3;
+
+/// Name and one-line description of every built-in scenario.
+#[must_use]
+pub fn built_in_names() -> [(&'static str, &'static str); 3] {
+    [
+        ("paper-1", "emergency brake, heavy follower (paper, scenario 1)"),
+        ("paper-2", "emergency brake, light follower (paper, scenario 2)"),
+        ("paper-3", "emergency brake, three middle vehicles, heavy follower (paper, scenario 3)"),
+    ]
+}
+
+/// The built-in scenario of that name.
+#[must_use]
+pub fn built_in(name: &str) -> Option<Scenario> {
+    use VehicleClass::{Heavy, Light};
+    let (middle, last) = match name {
+        "paper-1" => (1, Heavy),
+        "paper-2" => (1, Light),
+        "paper-3" => (MIDDLE_VEHICLES, Heavy),
+        _ => return None,
+    };
+    let about = built_in_names().into_iter().find(|(known, _)| *known == name)?.1;
+    let spacing_m = GAP_M + Light.length_m();
+    let mut vehicles = vec![VehicleSpec::new(
+        Light,
+        spacing_m * (middle + 1) as f64,
+        SPEED_MPS,
+        Driver::Profile(LeadProfile::Brake(Brake { onset_s: ONSET_S, rate_mps2: LEAD_BRAKE_MPS2 })),
+    )];
+    for index in (1..=middle).rev() {
+        vehicles.push(VehicleSpec::new(Light, spacing_m * index as f64, SPEED_MPS, Driver::UnderTest));
+    }
+    vehicles.push(VehicleSpec::new(last, 0.0, SPEED_MPS, baseline()));
+    Scenario::new(spec(name.to_owned(), about.to_owned(), 0, vehicles)).ok()
+}
+
+fn spec(name: String, about: String, seed: u64, vehicles: Vec<VehicleSpec>) -> ScenarioSpec {
+    ScenarioSpec {
+        version: SCENARIO_VERSION,
+        name,
+        about,
+        duration_s: DURATION_S,
+        step_s: STEP_S,
+        seed,
+        environment: Environment::default(),
+        sensors: Sensors::default(),
+        vehicles,
+    }
+}
+
+fn baseline() -> Driver {
+    Driver::Controller(ControllerSpec::Baseline(AebSettings::default()))
+}
+
+/// The distribution the paper trains on: scenario 1 or 2 with random start, lead braking and noise.
+///
+/// Positions N(36, 0.5), N(18, 0.5), N(0, 0.5) m; lead deceleration N(3, 0.2) m/s²; onset U(1, 1.5) s; acceleration
+/// noise N(0, 0.01) m/s² each step on leader and follower. "The deceleration of the following vehicles is also normally
+/// distributed": about its class value, with the leader's 0.2 m/s², since the paper gives no other number. The follower
+/// is heavy or light with equal probability.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PaperDistribution {
+    /// Decides every draw.
+    pub seed: u64,
+}
+
+impl PaperDistribution {
+    /// The `index`-th draw. The same seed and index give the same scenario, in any order.
+    ///
+    /// # Errors
+    /// None in practice: a normal number would have to fall 15 standard deviations from its mean.
+    pub fn draw(&self, index: u64) -> Result<Scenario, InvalidField> {
+        let mut stream = random::stream(self.seed, Purpose::ScenarioDraw, index);
+        let follower = if stream.random::<bool>() { VehicleClass::Heavy } else { VehicleClass::Light };
+        let mut normal = |mean: f64, deviation: f64| match Normal::new(mean, deviation) {
+            Ok(distribution) => distribution.sample(&mut stream),
+            Err(_) => mean,
+        };
+        let positions_m = [normal(36.0, 0.5), normal(18.0, 0.5), normal(0.0, 0.5)];
+        let rate_mps2 = normal(LEAD_BRAKE_MPS2, 0.2);
+        let follower_brake_mps2 = normal(follower.max_brake_mps2(), 0.2);
+        let onset_s = stream.random_range(1.0..1.5);
+        let brake = Driver::Profile(LeadProfile::Brake(Brake { onset_s, rate_mps2 }));
+        let mut vehicles = vec![
+            VehicleSpec::new(VehicleClass::Light, positions_m[0], SPEED_MPS, brake),
+            VehicleSpec::new(VehicleClass::Light, positions_m[1], SPEED_MPS, Driver::UnderTest),
+            VehicleSpec::new(follower, positions_m[2], SPEED_MPS, baseline()),
+        ];
+        vehicles[0].acceleration_noise_mps2 = 0.01;
+        vehicles[2].acceleration_noise_mps2 = 0.01;
+        vehicles[2].max_brake_mps2 = Some(follower_brake_mps2);
+        let name = format!("paper-draw-{}-{index}", self.seed);
+        let about = "A draw from the paper's training distribution.".to_owned();
+        Scenario::new(spec(name, about, random::derived_seed(self.seed, index), vehicles))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn built_in_scenarios_are_the_papers() {
+        let names: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
+        for name in names {
+            let scenario = built_in(name).expect("every listed scenario is valid");
+            assert_eq!(scenario.steps(), 1500);
+            for index in 1..scenario.vehicles().len() {
+                assert_eq!(scenario.initial_gap_m(index), Some(16.0));
+            }
+        }
+        let positions =
+            |name: &str| built_in(name).unwrap().vehicles().iter().map(|v| v.position_m).collect::<Vec<_>>();
+        assert_eq!(positions("paper-1"), [36.0, 18.0, 0.0]);
+        assert_eq!(positions("paper-3"), [72.0, 54.0, 36.0, 18.0, 0.0]);
+        assert!(built_in("paper-4").is_none());
+    }
+
+    #[test]
+    fn draws_have_the_papers_moments() {
+        let draws: Vec<_> = (0..4000).map(|i| PaperDistribution { seed: 3 }.draw(i).expect("valid")).collect();
+        let moments = |of: &dyn Fn(&Scenario) -> f64| {
+            let n = draws.len() as f64;
+            let mean = draws.iter().map(of).sum::<f64>() / n;
+            let variance = draws.iter().map(|d| (of(d) - mean).powi(2)).sum::<f64>() / n;
+            (mean, variance.sqrt())
+        };
+        let (mean, deviation) = moments(&|d| d.vehicles()[0].position_m);
+        assert!((mean - 36.0).abs() < 0.04 && (deviation - 0.5).abs() < 0.03, "{mean} {deviation}");
+        let (mean, deviation) = moments(&|d| match &d.vehicles()[0].driver {
+            Driver::Profile(LeadProfile::Brake(brake)) => brake.rate_mps2,
+            other => panic!("leader drives by {other:?}"),
+        });
+        assert!((mean - 3.0).abs() < 0.016 && (deviation - 0.2).abs() < 0.012, "{mean} {deviation}");
+        let (heavy, _) = moments(&|d| f64::from(d.vehicles()[2].class == VehicleClass::Heavy));
+        assert!((heavy - 0.5).abs() < 0.04, "{heavy}");
+    }
+}

@@ -1,0 +1,369 @@
+//! The one place that says which scenarios are valid.
+
+use std::fmt;
+
+use super::{ControllerSpec, Driver, LeadProfile, SCENARIO_VERSION, ScenarioSpec, VehicleSpec};
+
+/// A field that makes a scenario invalid: where it is and what is wrong with it.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{field}: {problem}")]
+pub struct InvalidField {
+    /// Path of the field in the file, such as `vehicles[1].position_m`.
+    pub field: String,
+    /// What is wrong.
+    pub problem: Problem,
+}
+
+/// What can be wrong with a field.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Problem {
+    /// The file is of another format version.
+    #[error("version {found} is not supported: this release reads version {SCENARIO_VERSION}")]
+    Version {
+        /// What the file says.
+        found: u32,
+    },
+    /// Not a number, or infinite.
+    #[error("must be a finite number, found {found}")]
+    NotFinite {
+        /// What the file says.
+        found: f64,
+    },
+    /// Outside its range.
+    #[error("must be {range}, found {found}")]
+    OutOfRange {
+        /// The range it must be in.
+        range: Range,
+        /// What the file says.
+        found: f64,
+    },
+    /// An empty text or list, or one too long.
+    #[error("must have {least} to {most} {what}, found {found}")]
+    Length {
+        /// Fewest allowed.
+        least: usize,
+        /// Most allowed.
+        most: usize,
+        /// What is counted.
+        what: &'static str,
+        /// How many there are.
+        found: usize,
+    },
+    /// Times of a profile that do not increase.
+    #[error("must increase, but {found} follows {before}")]
+    NotIncreasing {
+        /// The earlier entry.
+        before: f64,
+        /// The entry that is not later.
+        found: f64,
+    },
+    /// Two lists that must be of one length are not.
+    #[error("must have as many entries as {other} ({expected}), found {found}")]
+    LengthMismatch {
+        /// The other list.
+        other: &'static str,
+        /// Its length.
+        expected: usize,
+        /// The length found.
+        found: usize,
+    },
+    /// A vehicle that starts inside or ahead of the one before it.
+    #[error("overlaps vehicle {ahead}: its rear bumper is at {rear_bumper_m} m, and this front bumper at {found} m")]
+    Overlap {
+        /// Index of the vehicle ahead.
+        ahead: usize,
+        /// Where its rear bumper is, in metres.
+        rear_bumper_m: f64,
+        /// Where the front bumper is, in metres.
+        found: f64,
+    },
+    /// A profile that asks for more braking than the vehicle has.
+    #[error("asks for {found} m/s² from a vehicle that can brake at {limit} m/s² at most: raise its max_brake_mps2")]
+    BrakeBeyondLimit {
+        /// The limit of the vehicle, in m/s².
+        limit: f64,
+        /// What the profile asks for, in m/s².
+        found: f64,
+    },
+    /// A duration that is not a whole number of steps.
+    #[error("must be a whole number of steps of {step_s} s, found {found} s")]
+    NotWholeSteps {
+        /// The step, in seconds.
+        step_s: f64,
+        /// The duration found, in seconds.
+        found: f64,
+    },
+    /// More steps than can be simulated in memory.
+    #[error("asks for {found} vehicle-steps, and at most {limit} are allowed")]
+    TooLong {
+        /// The limit.
+        limit: usize,
+        /// Steps times vehicles.
+        found: usize,
+    },
+    /// A seed that a TOML file cannot hold, since its integers are signed.
+    #[error("must be at most {limit}, found {found}", limit = i64::MAX)]
+    Seed {
+        /// What the file says.
+        found: u64,
+    },
+}
+
+/// A closed interval, or one open at its lower end.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Range {
+    /// Lower end.
+    pub min: f64,
+    /// Upper end.
+    pub max: f64,
+    /// Whether the lower end itself is excluded.
+    pub above_min: bool,
+}
+
+impl fmt::Display for Range {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { min, max, above_min } = self;
+        if *above_min { write!(out, "above {min} and at most {max}") } else { write!(out, "from {min} to {max}") }
+    }
+}
+
+const fn from(min: f64, max: f64) -> Range {
+    Range { min, max, above_min: false }
+}
+
+const fn above(min: f64, max: f64) -> Range {
+    Range { min, max, above_min: true }
+}
+
+/// Steps times vehicles beyond which a scenario is refused: 20 million, a trace of half a gigabyte.
+const MOST_VEHICLE_STEPS: usize = 20_000_000;
+
+/// Checks a spec and returns its number of steps.
+pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
+    let root = Place(String::new());
+    if spec.version != SCENARIO_VERSION {
+        return root.at("version").wrong(Problem::Version { found: spec.version });
+    }
+    root.at("name").length(spec.name.chars().count(), 1, 200, "characters")?;
+    root.at("step_s").number(spec.step_s, from(1e-4, 1.0))?;
+    root.at("duration_s").number(spec.duration_s, above(0.0, 1e5))?;
+    if i64::try_from(spec.seed).is_err() {
+        return root.at("seed").wrong(Problem::Seed { found: spec.seed });
+    }
+    let steps = whole_steps(spec)?;
+    let environment = root.at("environment");
+    environment.at("friction").number(spec.environment.friction, from(0.01, 1.0))?;
+    let sensors = root.at("sensors");
+    sensors.at("position_noise_m").number(spec.sensors.position_noise_m, from(0.0, 10.0))?;
+    sensors.at("gap_noise_m").number(spec.sensors.gap_noise_m, from(0.0, 10.0))?;
+    sensors.at("dropout").number(spec.sensors.dropout, from(0.0, 1.0))?;
+    root.at("vehicles").length(spec.vehicles.len(), 2, 1000, "vehicles")?;
+    let found = steps.saturating_mul(spec.vehicles.len());
+    if found > MOST_VEHICLE_STEPS {
+        return root.at("duration_s").wrong(Problem::TooLong { limit: MOST_VEHICLE_STEPS, found });
+    }
+    for (index, vehicle) in spec.vehicles.iter().enumerate() {
+        check_vehicle(&root.at(&format!("vehicles[{index}]")), vehicle)?;
+    }
+    for (index, pair) in spec.vehicles.windows(2).enumerate() {
+        if let [ahead, behind] = pair {
+            let rear_bumper_m = ahead.position_m - ahead.length_m();
+            if behind.position_m >= rear_bumper_m {
+                return root.at(&format!("vehicles[{}].position_m", index + 1)).wrong(Problem::Overlap {
+                    ahead: index,
+                    rear_bumper_m,
+                    found: behind.position_m,
+                });
+            }
+        }
+    }
+    Ok(steps)
+}
+
+fn whole_steps(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
+    let steps = (spec.duration_s / spec.step_s).round();
+    // A tenth of a millionth of a step is far above rounding and far below intent.
+    if steps < 1.0 || (steps * spec.step_s - spec.duration_s).abs() > 1e-7 * spec.step_s.max(spec.duration_s) {
+        let problem = Problem::NotWholeSteps { step_s: spec.step_s, found: spec.duration_s };
+        return Place(String::new()).at("duration_s").wrong(problem);
+    }
+    Ok(steps as usize)
+}
+
+fn check_vehicle(place: &Place, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
+    place.at("position_m").number(vehicle.position_m, from(-1e6, 1e6))?;
+    place.at("speed_mps").number(vehicle.speed_mps, from(0.0, 100.0))?;
+    place.at("length_m").optional(vehicle.length_m, from(0.1, 100.0))?;
+    place.at("mass_kg").optional(vehicle.mass_kg, from(1.0, 1e6))?;
+    place.at("max_brake_mps2").optional(vehicle.max_brake_mps2, from(0.1, 30.0))?;
+    place.at("max_accel_mps2").optional(vehicle.max_accel_mps2, from(0.0, 30.0))?;
+    place.at("acceleration_noise_mps2").number(vehicle.acceleration_noise_mps2, from(0.0, 10.0))?;
+    place.at("reaction_delay_s").number(vehicle.reaction_delay_s, from(0.0, 10.0))?;
+    place.at("actuator_lag_s").number(vehicle.actuator_lag_s, from(0.0, 10.0))?;
+    place.at("actuator_delay_s").number(vehicle.actuator_delay_s, from(0.0, 10.0))?;
+    place.at("jerk_limit_mps3").optional(vehicle.jerk_limit_mps3, from(0.1, 1e4))?;
+    let driver = place.at("driver").at(vehicle.driver.name());
+    match &vehicle.driver {
+        Driver::UnderTest => Ok(()),
+        Driver::Profile(profile) => {
+            check_profile(&driver, profile)?;
+            let (limit, found) = (vehicle.max_brake_mps2(), profile.hardest_brake_mps2());
+            if found > limit { driver.wrong(Problem::BrakeBeyondLimit { limit, found }) } else { Ok(()) }
+        }
+        Driver::Controller(controller) => check_controller(&driver, controller),
+    }
+}
+
+const TIME_S: Range = from(0.0, 1e5);
+const RATE_MPS2: Range = from(0.0, 30.0);
+const SPEED_MPS: Range = from(0.0, 100.0);
+
+fn check_profile(place: &Place, profile: &LeadProfile) -> Result<(), InvalidField> {
+    match profile {
+        LeadProfile::ConstantSpeed => Ok(()),
+        LeadProfile::Brake(brake) => {
+            place.at("onset_s").number(brake.onset_s, TIME_S)?;
+            place.at("rate_mps2").number(brake.rate_mps2, RATE_MPS2)
+        }
+        LeadProfile::RampBrake(ramp) => {
+            place.at("onset_s").number(ramp.onset_s, TIME_S)?;
+            place.at("rate_mps2").number(ramp.rate_mps2, RATE_MPS2)?;
+            place.at("ramp_s").number(ramp.ramp_s, from(0.0, 100.0))?;
+            place.at("release_s").number(ramp.release_s, from(0.0, 100.0))
+        }
+        LeadProfile::BrakeToSpeed(brake) => {
+            place.at("onset_s").number(brake.onset_s, TIME_S)?;
+            place.at("rate_mps2").number(brake.rate_mps2, RATE_MPS2)?;
+            place.at("final_speed_mps").number(brake.final_speed_mps, SPEED_MPS)
+        }
+        LeadProfile::Pieces(pieces) => {
+            place.series(("from_s", &pieces.from_s), ("accel_mps2", &pieces.accel_mps2), from(-30.0, 30.0))
+        }
+        LeadProfile::Recorded(recorded) => {
+            place.series(("time_s", &recorded.time_s), ("speed_mps", &recorded.speed_mps), SPEED_MPS)
+        }
+    }
+}
+
+fn check_controller(place: &Place, controller: &ControllerSpec) -> Result<(), InvalidField> {
+    let ttc_s = from(0.0, 100.0);
+    match controller {
+        ControllerSpec::MatchLeader => Ok(()),
+        ControllerSpec::Baseline(aeb) | ControllerSpec::BaselineUnlatched(aeb) => {
+            place.at("ttc_s").number(aeb.ttc_s, ttc_s)
+        }
+        ControllerSpec::ConstantBrake(brake) => {
+            place.at("rate_mps2").number(brake.rate_mps2, RATE_MPS2)?;
+            place.at("trigger_mps2").number(brake.trigger_mps2, RATE_MPS2)?;
+            place.at("delay_s").number(brake.delay_s, from(0.0, 10.0))
+        }
+        ControllerSpec::Idm(idm) => {
+            place.at("desired_speed_mps").number(idm.desired_speed_mps, from(0.1, 100.0))?;
+            place.at("time_headway_s").number(idm.time_headway_s, from(0.0, 10.0))?;
+            place.at("standstill_gap_m").number(idm.standstill_gap_m, from(0.0, 100.0))?;
+            place.at("accel_mps2").number(idm.accel_mps2, from(0.01, 30.0))?;
+            place.at("comfortable_brake_mps2").number(idm.comfortable_brake_mps2, from(0.01, 30.0))
+        }
+        ControllerSpec::AccAeb(acc) => {
+            place.at("time_headway_s").number(acc.time_headway_s, from(0.0, 10.0))?;
+            place.at("standstill_gap_m").number(acc.standstill_gap_m, from(0.0, 100.0))?;
+            place.at("gap_gain_per_s2").number(acc.gap_gain_per_s2, from(0.0, 10.0))?;
+            place.at("speed_gain_per_s").number(acc.speed_gain_per_s, from(0.0, 10.0))?;
+            place.at("comfort_brake_mps2").number(acc.comfort_brake_mps2, RATE_MPS2)?;
+            place.at("comfort_accel_mps2").number(acc.comfort_accel_mps2, RATE_MPS2)?;
+            place.at("ttc_s").number(acc.ttc_s, ttc_s)
+        }
+    }
+}
+
+/// A place in the file, from which its fields are checked.
+struct Place(String);
+
+impl Place {
+    fn at(&self, field: &str) -> Self {
+        if self.0.is_empty() { Self(field.to_owned()) } else { Self(format!("{}.{field}", self.0)) }
+    }
+
+    fn wrong<T>(&self, problem: Problem) -> Result<T, InvalidField> {
+        Err(InvalidField { field: self.0.clone(), problem })
+    }
+
+    fn number(&self, found: f64, range: Range) -> Result<(), InvalidField> {
+        if !found.is_finite() {
+            return self.wrong(Problem::NotFinite { found });
+        }
+        let too_low = if range.above_min { found <= range.min } else { found < range.min };
+        if too_low || found > range.max { self.wrong(Problem::OutOfRange { range, found }) } else { Ok(()) }
+    }
+
+    fn optional(&self, found: Option<f64>, range: Range) -> Result<(), InvalidField> {
+        found.map_or(Ok(()), |found| self.number(found, range))
+    }
+
+    fn length(&self, found: usize, least: usize, most: usize, what: &'static str) -> Result<(), InvalidField> {
+        if (least..=most).contains(&found) { Ok(()) } else { self.wrong(Problem::Length { least, most, what, found }) }
+    }
+
+    /// Two lists of one length: increasing times, and values in a range.
+    fn series(
+        &self,
+        (times_name, times): (&'static str, &[f64]),
+        (values_name, values): (&str, &[f64]),
+        range: Range,
+    ) -> Result<(), InvalidField> {
+        self.at(times_name).length(times.len(), 1, 1_000_000, "entries")?;
+        if values.len() != times.len() {
+            let (expected, found) = (times.len(), values.len());
+            return self.at(values_name).wrong(Problem::LengthMismatch { other: times_name, expected, found });
+        }
+        for (index, (&time, &value)) in times.iter().zip(values).enumerate() {
+            self.at(&format!("{times_name}[{index}]")).number(time, TIME_S)?;
+            self.at(&format!("{values_name}[{index}]")).number(value, range)?;
+        }
+        for (index, pair) in times.windows(2).enumerate() {
+            if let [before, found] = *pair
+                && found <= before
+            {
+                let place = self.at(&format!("{times_name}[{}]", index + 1));
+                return place.wrong(Problem::NotIncreasing { before, found });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Scenario, built_in};
+
+    fn field_of(change: impl FnOnce(&mut super::ScenarioSpec)) -> String {
+        let paper_1 = built_in("paper-1").expect("built in");
+        paper_1.edited(change).expect_err("must be refused").field
+    }
+
+    #[test]
+    fn each_kind_of_nonsense_names_its_field() {
+        assert_eq!(field_of(|s| s.version = 7), "version");
+        assert_eq!(field_of(|s| s.name.clear()), "name");
+        assert_eq!(field_of(|s| s.duration_s = 0.0), "duration_s");
+        assert_eq!(field_of(|s| s.duration_s = 1.005), "duration_s");
+        assert_eq!(field_of(|s| s.duration_s = 99_999.0), "duration_s");
+        assert_eq!(field_of(|s| s.step_s = f64::NAN), "step_s");
+        assert_eq!(field_of(|s| s.seed = u64::MAX), "seed");
+        assert_eq!(field_of(|s| s.environment.friction = 0.0), "environment.friction");
+        assert_eq!(field_of(|s| s.sensors.dropout = 1.5), "sensors.dropout");
+        assert_eq!(field_of(|s| s.vehicles.truncate(1)), "vehicles");
+        assert_eq!(field_of(|s| s.vehicles[1].position_m = 35.0), "vehicles[1].position_m");
+        assert_eq!(field_of(|s| s.vehicles[2].length_m = Some(-2.0)), "vehicles[2].length_m");
+        assert_eq!(field_of(|s| s.vehicles[0].speed_mps = f64::INFINITY), "vehicles[0].speed_mps");
+        assert_eq!(field_of(|s| s.vehicles[0].max_brake_mps2 = Some(2.0)), "vehicles[0].driver.brake");
+    }
+
+    #[test]
+    fn a_scenario_within_rounding_of_whole_steps_is_accepted() {
+        let paper_1 = built_in("paper-1").expect("built in");
+        let third = paper_1.edited(|s| s.duration_s = 0.1 + 0.2).expect("0.30000000000000004 s is 30 steps");
+        assert_eq!(Scenario::steps(&third), 30);
+    }
+}
