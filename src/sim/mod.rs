@@ -1,7 +1,19 @@
-//! How it happens: exact motion, contact by root finding, and the engines.
+//! How it happens: exact motion, contact by root finding, and two engines with one meaning.
 
+mod actuator;
+mod lockstep;
+mod motion;
 mod outcome;
+mod platoon;
+mod recorder;
+mod run;
+mod scalar;
 mod trace;
 
+pub use lockstep::simulate_batch;
+pub use motion::{Motion, closest_gap_m, first_contact};
 pub use outcome::{AfterContact, Contact, Impact, Outcome, Simulated, VehicleSummary};
+pub use recorder::Keep;
+pub use run::{Run, RunError, RunOptions, UnderTest};
+pub use scalar::simulate;
 pub use trace::{Pair, Trace, Track};

@@ -1,0 +1,96 @@
+//! The paper's baseline ADAS (algorithm 2) and its unlatched variant.
+
+use super::{Controller, Ego};
+use crate::estimate::{Neighbour, Observation};
+use crate::scenario::AebSettings;
+
+/// Hold speed; once time to collision with the vehicle ahead falls below a threshold, brake at the vehicle's own maximum
+/// to standstill.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Baseline {
+    aeb: Aeb,
+    braking: bool,
+}
+
+impl Baseline {
+    /// The baseline for a vehicle.
+    #[must_use]
+    pub fn new(settings: &AebSettings, ego: &Ego) -> Self {
+        Self { aeb: Aeb::new(settings.ttc_s, ego), braking: false }
+    }
+}
+
+impl Controller for Baseline {
+    #[inline]
+    fn act(&mut self, seen: &Observation) -> f64 {
+        self.braking |= self.aeb.demands_braking(seen);
+        if self.braking { -self.aeb.max_brake_mps2 } else { 0.0 }
+    }
+}
+
+/// The baseline without memory: full braking only while time to collision is below the threshold.
+///
+/// It chatters around the threshold, and in the paper's scenarios that happens to spare the vehicle behind.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BaselineUnlatched {
+    aeb: Aeb,
+}
+
+impl BaselineUnlatched {
+    /// The unlatched baseline for a vehicle.
+    #[must_use]
+    pub fn new(settings: &AebSettings, ego: &Ego) -> Self {
+        Self { aeb: Aeb::new(settings.ttc_s, ego) }
+    }
+}
+
+impl Controller for BaselineUnlatched {
+    #[inline]
+    fn act(&mut self, seen: &Observation) -> f64 {
+        if self.aeb.demands_braking(seen) { -self.aeb.max_brake_mps2 } else { 0.0 }
+    }
+}
+
+/// The trigger and strength of an automatic emergency brake.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Aeb {
+    ttc_s: f64,
+    pub(super) max_brake_mps2: f64,
+}
+
+impl Aeb {
+    pub(super) fn new(ttc_s: f64, ego: &Ego) -> Self {
+        Self { ttc_s, max_brake_mps2: ego.max_brake_mps2 }
+    }
+
+    /// Whether time to collision is below the threshold.
+    ///
+    /// Written as gap - θ (v - v_ahead) < 0: for a gap that is not negative this is exactly TTC < θ, it is linear in the
+    /// state, and it needs no special case for a vehicle that is not closing in.
+    #[inline]
+    pub(super) fn demands_braking(&self, seen: &Observation) -> bool {
+        seen.ahead
+            .is_some_and(|Neighbour { gap_m, speed_mps, .. }| gap_m - self.ttc_s * (seen.speed_mps - speed_mps) < 0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{EGO, behind};
+    use super::*;
+
+    #[test]
+    fn brakes_just_below_the_threshold_and_for_good() {
+        let mut baseline = Baseline::new(&AebSettings::default(), &EGO);
+        assert_eq!(baseline.act(&behind(20.0, 14.0, 10.0, 0.0)), 0.0, "TTC is exactly 1.4 s");
+        assert_eq!(baseline.act(&behind(20.0, 13.99, 10.0, 0.0)), -7.5);
+        assert_eq!(baseline.act(&behind(5.0, 50.0, 10.0, 0.0)), -7.5, "latched");
+    }
+
+    #[test]
+    fn the_unlatched_variant_lets_go() {
+        let mut baseline = BaselineUnlatched::new(&AebSettings::default(), &EGO);
+        assert_eq!(baseline.act(&behind(20.0, 13.99, 10.0, 0.0)), -7.5);
+        assert_eq!(baseline.act(&behind(5.0, 50.0, 10.0, 0.0)), 0.0);
+    }
+}

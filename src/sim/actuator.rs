@@ -1,0 +1,143 @@
+//! From the acceleration a driver commands to the one the vehicle has.
+
+use std::collections::VecDeque;
+
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::random::{self, Purpose, Stream};
+use crate::scenario::Scenario;
+
+/// A vehicle's limits, delays and lag, all counted in the scenario's own steps so that they do not depend on how finely
+/// motion is integrated.
+#[derive(Debug, Clone)]
+pub(super) struct Actuator {
+    pub(super) max_brake_mps2: f64,
+    pub(super) max_accel_mps2: f64,
+    /// None for a vehicle that responds at once and fully.
+    sluggish: Option<Box<Sluggish>>,
+}
+
+#[derive(Debug, Clone)]
+struct Sluggish {
+    /// Commands on their way, oldest first.
+    pending: VecDeque<f64>,
+    /// Share of the way to the command covered in a step: 1 - exp(-step / lag).
+    share: f64,
+    /// Largest change of acceleration in a step, in m/s²; infinite without a jerk limit.
+    max_change_mps2: f64,
+    response_mps2: f64,
+}
+
+impl Actuator {
+    /// The actuator of vehicle `index`.
+    ///
+    /// Reaction delay and actuator delay add up: every built-in driver answers what it sees in the same way at any time,
+    /// so seeing late and acting late are one thing.
+    pub(super) fn new(scenario: &Scenario, index: usize) -> Self {
+        let vehicle = &scenario.vehicles()[index];
+        let step_s = scenario.spec().step_s;
+        let delay_steps = ((vehicle.reaction_delay_s + vehicle.actuator_delay_s) / step_s).round() as usize;
+        let lag_s = vehicle.actuator_lag_s;
+        let is_sluggish = delay_steps > 0 || lag_s > 0.0 || vehicle.jerk_limit_mps3.is_some();
+        let sluggish = is_sluggish.then(|| {
+            Box::new(Sluggish {
+                pending: VecDeque::from(vec![0.0; delay_steps]),
+                share: if lag_s > 0.0 { -(-step_s / lag_s).exp_m1() } else { 1.0 },
+                max_change_mps2: vehicle.jerk_limit_mps3.map_or(f64::INFINITY, |jerk| jerk * step_s),
+                response_mps2: 0.0,
+            })
+        });
+        Self { max_brake_mps2: scenario.usable_brake_mps2(index), max_accel_mps2: vehicle.max_accel_mps2(), sluggish }
+    }
+
+    pub(super) fn is_immediate(&self) -> bool {
+        self.sluggish.is_none()
+    }
+
+    /// The acceleration over the next step, in m/s².
+    #[inline]
+    pub(super) fn respond(&mut self, command_mps2: f64) -> f64 {
+        match &mut self.sluggish {
+            None => within(command_mps2, self.max_brake_mps2, self.max_accel_mps2),
+            Some(sluggish) => {
+                sluggish.pending.push_back(command_mps2);
+                let due_mps2 = sluggish.pending.pop_front().unwrap_or(command_mps2);
+                let wanted = within(due_mps2, self.max_brake_mps2, self.max_accel_mps2);
+                let change = sluggish.share * (wanted - sluggish.response_mps2);
+                sluggish.response_mps2 += change.clamp(-sluggish.max_change_mps2, sluggish.max_change_mps2);
+                sluggish.response_mps2
+            }
+        }
+    }
+}
+
+/// A command cut to what the vehicle can do; NaN counts as 0.
+#[inline]
+pub(super) fn within(command_mps2: f64, max_brake_mps2: f64, max_accel_mps2: f64) -> f64 {
+    if command_mps2.is_nan() { 0.0 } else { command_mps2.max(-max_brake_mps2).min(max_accel_mps2) }
+}
+
+/// A vehicle that stands and does not want to move is held by its brakes: nothing, noise included, moves it.
+#[inline]
+pub(super) fn unless_at_rest(acceleration_mps2: f64, noise_mps2: f64, speed_mps: f64) -> f64 {
+    if speed_mps == 0.0 && acceleration_mps2 <= 0.0 { 0.0 } else { acceleration_mps2 + noise_mps2 }
+}
+
+/// Normal noise on a vehicle's acceleration.
+#[derive(Debug, Clone)]
+pub(super) struct Disturbance {
+    stream: Stream,
+    deviation_mps2: f64,
+}
+
+impl Disturbance {
+    /// The noise of vehicle `index`; none if it has none.
+    pub(super) fn new(scenario: &Scenario, index: usize) -> Option<Self> {
+        let deviation_mps2 = scenario.vehicles()[index].acceleration_noise_mps2;
+        (deviation_mps2 > 0.0).then(|| Self {
+            stream: random::stream(scenario.spec().seed, Purpose::AccelerationNoise, index as u64),
+            deviation_mps2,
+        })
+    }
+
+    #[inline]
+    pub(super) fn next_mps2(&mut self) -> f64 {
+        let normal: f64 = StandardNormal.sample(&mut self.stream);
+        self.deviation_mps2 * normal
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::{VehicleSpec, built_in};
+
+    fn actuator(change: impl FnOnce(&mut VehicleSpec)) -> Actuator {
+        let scenario = built_in("paper-1").unwrap().edited(|spec| change(&mut spec.vehicles[1])).unwrap();
+        Actuator::new(&scenario, 1)
+    }
+
+    #[test]
+    fn commands_are_cut_to_the_limits_and_nan_is_nothing() {
+        let mut actuator = actuator(|_| {});
+        let responses = [-20.0, 20.0, f64::NAN, f64::NEG_INFINITY].map(|command| actuator.respond(command));
+        assert_eq!(responses, [-7.5, 3.0, 0.0, -7.5]);
+    }
+
+    #[test]
+    fn delays_add_up() {
+        let mut actuator = actuator(|v| (v.reaction_delay_s, v.actuator_delay_s) = (0.02, 0.01));
+        let responses = [-1.0, -2.0, -3.0, -4.0, -5.0].map(|command| actuator.respond(command));
+        assert_eq!(responses, [0.0, 0.0, 0.0, -1.0, -2.0]);
+    }
+
+    #[test]
+    fn lag_covers_63_percent_in_one_time_constant_and_jerk_is_limited() {
+        let mut lagging = actuator(|v| v.actuator_lag_s = 0.2);
+        let after = (0..20).map(|_| lagging.respond(-5.0)).last().unwrap();
+        assert!((after + 5.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-12, "{after}");
+        let mut limited = actuator(|v| v.jerk_limit_mps3 = Some(10.0));
+        let after = (0..5).map(|_| limited.respond(-5.0)).last().unwrap();
+        assert!((after + 0.5).abs() < 1e-12, "{after}");
+    }
+}

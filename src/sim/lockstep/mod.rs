@@ -1,0 +1,60 @@
+//! The engine to wait for: many runs in lockstep, on all cores.
+//!
+//! Runs of one shape (as many vehicles, the same steps, the same kinds of drivers) are packed into blocks. A block keeps each
+//! quantity of each vehicle as one array over its runs, so that a step is a handful of tight loops. Runs never influence
+//! each other, so results depend neither on the packing nor on the number of threads.
+
+mod block;
+mod pilots;
+
+use std::cmp::Ordering;
+
+use rayon::prelude::*;
+
+use self::block::Block;
+use super::{Keep, Run, Simulated, UnderTest};
+
+/// Runs in a block: enough to fill vector registers and hide latencies, few enough to stay in the first-level cache.
+const BLOCK_RUNS: usize = 64;
+
+/// Runs all of `runs` and hands each result to `reduce`, with the index of its run, as soon as it is there.
+///
+/// Returns what `reduce` returned, in the order of `runs`. Only the results under way are in memory at any time, so
+/// `reduce` can turn traces into something smaller.
+pub fn simulate_batch<R: Send>(runs: &[Run<'_>], keep: Keep, reduce: impl Fn(usize, Simulated) -> R + Sync) -> Vec<R> {
+    let mut order: Vec<usize> = (0..runs.len()).collect();
+    order.sort_by(|&a, &b| compare_shapes(&runs[a], &runs[b]).then(a.cmp(&b)));
+    let blocks: Vec<&[usize]> = order
+        .chunk_by(|&a, &b| compare_shapes(&runs[a], &runs[b]) == Ordering::Equal)
+        .flat_map(|alike| alike.chunks(BLOCK_RUNS))
+        .collect();
+    let mut results: Vec<(usize, R)> = blocks
+        .into_par_iter()
+        .flat_map_iter(|members| {
+            let mut done = Vec::with_capacity(members.len());
+            Block::new(runs, members, keep).run(|index, simulated| done.push((index, reduce(index, simulated))));
+            done
+        })
+        .collect();
+    results.sort_unstable_by_key(|(index, _)| *index);
+    results.into_iter().map(|(_, result)| result).collect()
+}
+
+/// Orders runs so that equal ones can share a block.
+fn compare_shapes(a: &Run<'_>, b: &Run<'_>) -> Ordering {
+    shape(a).cmp(&shape(b)).then_with(|| {
+        let (a, b) = (a.scenario().vehicles(), b.scenario().vehicles());
+        a.iter().map(|v| v.driver.name()).cmp(b.iter().map(|v| v.driver.name()))
+    })
+}
+
+/// What runs of one block must have in common, apart from the kinds of drivers.
+fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
+    let under_test = match &run.options().controller {
+        UnderTest::BuiltIn(spec) => spec.name(),
+        UnderTest::Custom(_) => "custom",
+    };
+    let spec = run.scenario().spec();
+    let steps = (spec.step_s.to_bits(), run.dt_s().to_bits());
+    (spec.vehicles.len(), steps.0, steps.1, under_test, run.options().estimator.name())
+}

@@ -1,0 +1,195 @@
+//! Exact motion under an acceleration that is held over a step, and where two vehicles meet inside one.
+//!
+//! x += v dt + a dt²/2 and v += a dt, unless v would become negative: then the vehicle stops inside the step, having
+//! covered v²/(2|a|), and stays at rest. No vehicle reverses.
+
+/// One vehicle's motion at the start of a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Motion {
+    /// Front bumper, in metres.
+    pub position_m: f64,
+    /// Speed in m/s, not negative.
+    pub speed_mps: f64,
+    /// Acceleration held over the step, in m/s².
+    pub acceleration_mps2: f64,
+}
+
+impl Motion {
+    /// The same vehicle `dt_s` seconds later.
+    #[must_use]
+    #[inline]
+    pub fn after(self, dt_s: f64) -> Self {
+        let (position_m, speed_mps) = advance(self.position_m, self.speed_mps, self.acceleration_mps2, dt_s);
+        Self { position_m, speed_mps, ..self }
+    }
+
+    /// When the vehicle comes to rest, in seconds from now; infinite if it does not.
+    #[must_use]
+    pub fn stops_after_s(self) -> f64 {
+        if self.acceleration_mps2 < 0.0 { self.speed_mps / -self.acceleration_mps2 } else { f64::INFINITY }
+    }
+}
+
+/// Position and speed after `dt`.
+#[inline]
+pub(super) fn advance(x: f64, v: f64, a: f64, dt: f64) -> (f64, f64) {
+    let v_end = v + a * dt;
+    if v_end < 0.0 { (x + v * v / (-2.0 * a), 0.0) } else { (x + v * dt + 0.5 * a * dt * dt, v_end) }
+}
+
+/// Whether a step needs [`first_contact`] and [`closest_gap_m`]: the vehicles could touch in it, or are closest inside it.
+///
+/// The vehicle ahead never reverses, so the gap shrinks by at most what the one behind covers at its higher end speed.
+#[inline]
+pub(super) fn needs_care(gap_m: f64, rear_mps: [f64; 2], closing_mps: [f64; 2], dt: f64) -> bool {
+    (gap_m - rear_mps[0].max(rear_mps[1]) * dt <= 0.0) | ((closing_mps[0] > 0.0) & (closing_mps[1] < 0.0))
+}
+
+/// The first instant in `[0, dt_s]` at which the gap between two vehicles is zero or less; none if there is none.
+///
+/// Both motions are quadratic until a vehicle stops, so the gap is piecewise quadratic with at most three pieces.
+#[must_use]
+pub fn first_contact(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
+    let gap_of = |front: Motion, rear: Motion| front.position_m - front_length_m - rear.position_m;
+    if gap_of(front, rear) <= 0.0 {
+        return Some(0.0);
+    }
+    for [from_s, to_s] in pieces(front, rear, dt_s) {
+        let (f, r) = (front.after(from_s), rear.after(from_s));
+        let relative_mps2 = held(f) - held(r);
+        let root_s = first_root(gap_of(f, r), f.speed_mps - r.speed_mps, relative_mps2);
+        if let Some(root_s) = root_s.filter(|root_s| from_s + root_s <= to_s) {
+            return Some((from_s + root_s).min(dt_s));
+        }
+        if gap_of(front.after(to_s), rear.after(to_s)) <= 0.0 {
+            return Some(to_s);
+        }
+    }
+    None
+}
+
+/// The smallest gap between two vehicles at any instant after now and up to `dt_s`, in metres.
+#[must_use]
+pub fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> f64 {
+    let gap_at = |t: f64| front.after(t).position_m - front_length_m - rear.after(t).position_m;
+    let closing_at = |t: f64| rear.after(t).speed_mps - front.after(t).speed_mps;
+    let at_end = gap_at(dt_s);
+    if !(closing_at(0.0) > 0.0 && closing_at(dt_s) < 0.0) {
+        return at_end;
+    }
+    // The closing speed is piecewise linear and continuous: where it changes sign the gap is smallest.
+    for [from_s, to_s] in pieces(front, rear, dt_s) {
+        let (before, after) = (closing_at(from_s), closing_at(to_s));
+        if before > 0.0 && after <= 0.0 {
+            let turn_s = from_s + (to_s - from_s) * before / (before - after);
+            return at_end.min(gap_at(turn_s));
+        }
+    }
+    at_end
+}
+
+/// `[0, dt]` cut where a vehicle stops.
+fn pieces(front: Motion, rear: Motion, dt: f64) -> [[f64; 2]; 3] {
+    let (a, b) = (front.stops_after_s().min(dt), rear.stops_after_s().min(dt));
+    let (first, second) = (a.min(b), a.max(b));
+    [[0.0, first], [first, second], [second, dt]]
+}
+
+/// The acceleration that still acts: none once a braking vehicle stands.
+fn held(motion: Motion) -> f64 {
+    if motion.speed_mps == 0.0 { motion.acceleration_mps2.max(0.0) } else { motion.acceleration_mps2 }
+}
+
+/// The smallest t >= 0 with g + r t + a t²/2 = 0, for g > 0.
+fn first_root(g: f64, r: f64, a: f64) -> Option<f64> {
+    let discriminant = r * r - 2.0 * a * g;
+    if discriminant < 0.0 {
+        return None;
+    }
+    let root = discriminant.sqrt();
+    // Each form adds numbers of one sign, so that nothing cancels.
+    if r < 0.0 {
+        Some(2.0 * g / (root - r))
+    } else if a < 0.0 {
+        Some((r + root) / -a)
+    } else {
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn motion(position_m: f64, speed_mps: f64, acceleration_mps2: f64) -> Motion {
+        Motion { position_m, speed_mps, acceleration_mps2 }
+    }
+
+    #[test]
+    fn a_vehicle_stops_inside_the_step_and_stays() {
+        let stopped = motion(10.0, 2.0, -4.0).after(1.0);
+        assert_eq!((stopped.position_m, stopped.speed_mps), (10.5, 0.0));
+        assert_eq!(stopped.after(1.0).position_m, 10.5);
+    }
+
+    #[test]
+    fn contact_with_a_vehicle_that_stops_first() {
+        // Front stops after 0.5 s having covered 0.5 m; rear covers 1.5 m of gap plus that at 4 m/s in 0.5 s.
+        let time = first_contact(motion(3.5, 2.0, -4.0), motion(0.0, 4.0, 0.0), 2.0, 1.0);
+        assert!((time.unwrap() - 0.5).abs() < 1e-12, "{time:?}");
+    }
+
+    #[test]
+    fn a_near_miss_inside_a_step_is_seen() {
+        // Gap 1 - 2t + 2t² is smallest at t = 0.5, where it is 0.5.
+        let (front, rear) = (motion(3.0, 10.0, 0.0), motion(0.0, 12.0, -4.0));
+        assert!((closest_gap_m(front, rear, 2.0, 1.0) - 0.5).abs() < 1e-12);
+        assert_eq!(first_contact(front, rear, 2.0, 1.0), None);
+    }
+
+    prop_compose! {
+        fn any_pair()(gap in 1e-6..3.0_f64, vf in 0.0..40.0_f64, vr in 0.0..40.0_f64, af in -9.0..4.0_f64,
+                      ar in -9.0..4.0_f64, dt in 1e-3..1.0_f64) -> (Motion, Motion, f64) {
+            (motion(gap + 2.0, vf, af), motion(0.0, vr, ar), dt)
+        }
+    }
+
+    proptest! {
+        /// Brute force over a fine grid brackets the root and the smallest gap.
+        #[test]
+        fn contact_and_closest_gap_agree_with_brute_force((front, rear, dt) in any_pair()) {
+            let gap_at = |t: f64| front.after(t).position_m - 2.0 - rear.after(t).position_m;
+            let grid: Vec<f64> = (0..=2000).map(|k| dt * f64::from(k) / 2000.0).collect();
+            let crossing = grid.iter().position(|&t| gap_at(t) <= 0.0);
+            let contact = first_contact(front, rear, 2.0, dt);
+            match (contact, crossing) {
+                (Some(time), crossing) => {
+                    prop_assert!(gap_at(time).abs() < 1e-9, "gap {} at contact", gap_at(time));
+                    if let Some(crossing) = crossing {
+                        prop_assert!(time <= grid[crossing] + 1e-12);
+                        prop_assert!(crossing == 0 || time >= grid[crossing - 1] - 1e-9);
+                    }
+                }
+                (None, Some(_)) => prop_assert!(false, "missed a contact"),
+                (None, None) => {}
+            }
+            let brute = grid[1..].iter().map(|&t| gap_at(t)).fold(f64::INFINITY, f64::min);
+            let closest = closest_gap_m(front, rear, 2.0, dt);
+            prop_assert!(closest <= brute + 1e-12 || closest == gap_at(dt), "{closest} {brute}");
+            prop_assert!(closest >= brute - 20.0 * (dt / 2000.0).powi(2) - 1e-12, "{closest} {brute}");
+        }
+
+        /// A step that screening waves through has no contact and is closest at one of its ends.
+        #[test]
+        fn screening_never_hides_a_contact((front, rear, dt) in any_pair()) {
+            let gap = front.position_m - 2.0 - rear.position_m;
+            let (f, r) = (front.after(dt), rear.after(dt));
+            let closing = [rear.speed_mps - front.speed_mps, r.speed_mps - f.speed_mps];
+            if !needs_care(gap, [rear.speed_mps, r.speed_mps], closing, dt) {
+                prop_assert_eq!(first_contact(front, rear, 2.0, dt), None);
+                prop_assert_eq!(closest_gap_m(front, rear, 2.0, dt), f.position_m - 2.0 - r.position_m);
+            }
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! What is kept of a run while it goes on.
+
+use super::motion::Motion;
+use super::platoon::Platoon;
+use super::{Impact, Outcome, Simulated, Trace, Track, VehicleSummary};
+
+/// Smallest time to collision and hardest braking of one vehicle so far.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tally {
+    pub(super) min_ttc_s: f64,
+    pub(super) max_brake_mps2: f64,
+}
+
+impl Tally {
+    pub(super) const NOTHING_YET: Self = Self { min_ttc_s: f64::INFINITY, max_brake_mps2: 0.0 };
+}
+
+/// Time to collision in seconds; infinite for a gap that does not close. A gap that is negative by rounding counts as 0.
+#[inline]
+pub(super) fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
+    if closing_mps > 0.0 { gap_m.max(0.0) / closing_mps } else { f64::INFINITY }
+}
+
+/// What a run kept of one vehicle.
+pub(super) fn summary(min_gap_m: f64, tally: Tally, speed_mps: f64) -> VehicleSummary {
+    VehicleSummary {
+        min_gap_m: min_gap_m.is_finite().then_some(min_gap_m),
+        min_ttc_s: tally.min_ttc_s.is_finite().then_some(tally.min_ttc_s),
+        max_brake_mps2: tally.max_brake_mps2,
+        stopped: speed_mps == 0.0,
+    }
+}
+
+/// A finished run.
+pub(super) fn finished(impacts: Vec<Impact>, vehicles: Vec<VehicleSummary>, trace: Option<Trace>) -> Simulated {
+    let outcome = impacts.first().map_or(Outcome::NoCollision, |impact| Outcome::Collision(impact.contact));
+    Simulated { outcome, impacts, vehicles, trace }
+}
+
+/// Whether a run keeps the motion of all vehicles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Keep {
+    /// Only outcome, impacts and summaries.
+    Summary,
+    /// A trace as well.
+    Trace,
+}
+
+impl Trace {
+    /// An empty trace for the vehicles of a platoon, or none if it is not to be kept.
+    pub(super) fn begin(keep: Keep, platoon: &Platoon, samples: usize) -> Option<Self> {
+        let track = |(&length_m, &mass_kg): (&f64, &f64)| Track {
+            length_m,
+            mass_kg,
+            position_m: Vec::with_capacity(samples),
+            speed_mps: Vec::with_capacity(samples),
+            acceleration_mps2: Vec::with_capacity(samples),
+        };
+        (keep == Keep::Trace).then(|| Self {
+            time_s: Vec::with_capacity(samples),
+            vehicles: platoon.length_m.iter().zip(&platoon.mass_kg).map(track).collect(),
+        })
+    }
+
+    /// Adds a sample; `motion` yields one entry a vehicle.
+    pub(super) fn sample(&mut self, time_s: f64, motion: impl Iterator<Item = Motion>) {
+        self.time_s.push(time_s);
+        for (track, motion) in self.vehicles.iter_mut().zip(motion) {
+            track.position_m.push(motion.position_m);
+            track.speed_mps.push(motion.speed_mps);
+            track.acceleration_mps2.push(motion.acceleration_mps2);
+        }
+    }
+}

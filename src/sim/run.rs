@@ -1,0 +1,267 @@
+//! A scenario made ready to run: who drives what, through which eyes, how finely integrated.
+
+use std::sync::Arc;
+
+use super::AfterContact;
+use super::actuator::{Actuator, Disturbance};
+use super::motion::Motion;
+use super::platoon::Platoon;
+use crate::control::{AnyController, Controller, Ego};
+use crate::estimate::{EgoEstimator, EgoTuning, EstimatorKind, Neighbour, Observation, TrueState};
+use crate::scenario::{ControllerSpec, Driver, LeadProfile, Scenario};
+
+/// Samples times vehicles beyond which a run is refused: 20 million, a trace of half a gigabyte.
+const MOST_VEHICLE_SAMPLES: usize = 20_000_000;
+
+/// What drives the vehicles under test.
+#[derive(Clone)]
+pub enum UnderTest {
+    /// A built-in controller.
+    BuiltIn(ControllerSpec),
+    /// Anything else: called once for each vehicle under test.
+    Custom(Arc<dyn Fn(&Ego) -> Box<dyn Controller> + Send + Sync>),
+}
+
+impl From<ControllerSpec> for UnderTest {
+    fn from(spec: ControllerSpec) -> Self {
+        Self::BuiltIn(spec)
+    }
+}
+
+/// How to run a scenario.
+#[derive(Clone)]
+pub struct RunOptions {
+    /// What drives the vehicles under test.
+    pub controller: UnderTest,
+    /// What the vehicles under test look through. All others see the truth.
+    pub estimator: EstimatorKind,
+    /// Integration step in seconds, a whole fraction of the scenario's step; none for the scenario's step itself.
+    pub dt_s: Option<f64>,
+    /// What happens at a contact.
+    pub after_contact: AfterContact,
+}
+
+impl RunOptions {
+    /// Runs of a controller with the Kalman filter, at the scenario's step, that end at contact.
+    #[must_use]
+    pub fn new(controller: impl Into<UnderTest>) -> Self {
+        Self {
+            controller: controller.into(),
+            estimator: EstimatorKind::default(),
+            dt_s: None,
+            after_contact: AfterContact::default(),
+        }
+    }
+
+    /// The same with another estimator.
+    #[must_use]
+    pub fn with_estimator(mut self, estimator: EstimatorKind) -> Self {
+        self.estimator = estimator;
+        self
+    }
+
+    /// The same with another integration step, in seconds.
+    #[must_use]
+    pub fn with_dt_s(mut self, dt_s: f64) -> Self {
+        self.dt_s = Some(dt_s);
+        self
+    }
+
+    /// The same with another rule for contacts.
+    #[must_use]
+    pub fn with_after_contact(mut self, after_contact: AfterContact) -> Self {
+        self.after_contact = after_contact;
+        self
+    }
+}
+
+/// Why a scenario cannot be run as asked.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RunError {
+    /// The integration step does not divide the scenario's.
+    #[error("an integration step of {dt_s} s does not divide the scenario's step of {step_s} s into whole parts")]
+    Dt {
+        /// The integration step asked for, in seconds.
+        dt_s: f64,
+        /// The scenario's step, in seconds.
+        step_s: f64,
+    },
+    /// The run would record more than memory should hold.
+    #[error("an integration step of {dt_s} s makes {found} vehicle-samples, and at most {limit} are allowed")]
+    TooFine {
+        /// The integration step asked for, in seconds.
+        dt_s: f64,
+        /// The limit.
+        limit: usize,
+        /// Integration steps times vehicles.
+        found: usize,
+    },
+    /// A controller wants to decide at instants that are not the scenario's.
+    #[error(
+        "the controller decides every {interval_s} s, which is not a multiple of the scenario's step of {step_s} s"
+    )]
+    Interval {
+        /// The controller's interval, in seconds.
+        interval_s: f64,
+        /// The scenario's step, in seconds.
+        step_s: f64,
+    },
+}
+
+/// A scenario ready to run.
+pub struct Run<'s> {
+    scenario: &'s Scenario,
+    options: RunOptions,
+    substeps: usize,
+    tuning: Arc<EgoTuning>,
+}
+
+impl<'s> Run<'s> {
+    /// Prepares a run.
+    ///
+    /// # Errors
+    /// [`RunError`] if steps do not fit each other, or there would be too many.
+    pub fn new(scenario: &'s Scenario, options: RunOptions) -> Result<Self, RunError> {
+        let step_s = scenario.spec().step_s;
+        let substeps = match options.dt_s {
+            None => 1,
+            Some(dt_s) => whole_multiple(step_s, dt_s).ok_or(RunError::Dt { dt_s, step_s })?,
+        };
+        let found = scenario.steps().saturating_mul(scenario.vehicles().len()).saturating_mul(substeps);
+        if found > MOST_VEHICLE_SAMPLES {
+            let dt_s = options.dt_s.unwrap_or(step_s);
+            return Err(RunError::TooFine { dt_s, limit: MOST_VEHICLE_SAMPLES, found });
+        }
+        let run =
+            Self { scenario, options, substeps, tuning: Arc::new(EgoTuning::new(step_s, &scenario.spec().sensors)) };
+        for index in 0..scenario.vehicles().len() {
+            if let Pilot::Controller(controller) = run.pilot(index)
+                && let Some(interval_s) = controller.interval_s()
+            {
+                whole_multiple(interval_s, step_s).ok_or(RunError::Interval { interval_s, step_s })?;
+            }
+        }
+        Ok(run)
+    }
+
+    /// The scenario.
+    #[must_use]
+    pub fn scenario(&self) -> &'s Scenario {
+        self.scenario
+    }
+
+    /// How it is run.
+    #[must_use]
+    pub fn options(&self) -> &RunOptions {
+        &self.options
+    }
+
+    /// Integration steps in each step of the scenario.
+    #[must_use]
+    pub fn substeps(&self) -> usize {
+        self.substeps
+    }
+
+    /// The integration step, in seconds.
+    #[must_use]
+    pub fn dt_s(&self) -> f64 {
+        self.scenario.spec().step_s / self.substeps as f64
+    }
+
+    /// The instant `substep` integration steps after the start of step `step`, in seconds.
+    pub(super) fn time_s(&self, step: usize, substep: usize) -> f64 {
+        step as f64 * self.scenario.spec().step_s + substep as f64 * self.dt_s()
+    }
+
+    pub(super) fn tuning(&self) -> &Arc<EgoTuning> {
+        &self.tuning
+    }
+
+    fn ego(&self, index: usize) -> Ego {
+        let vehicle = &self.scenario.vehicles()[index];
+        Ego {
+            max_brake_mps2: vehicle.max_brake_mps2(),
+            max_accel_mps2: vehicle.max_accel_mps2(),
+            length_m: vehicle.length_m(),
+            step_s: self.scenario.spec().step_s,
+        }
+    }
+
+    /// Who drives vehicle `index`.
+    pub(super) fn pilot(&self, index: usize) -> Pilot<'s> {
+        let ego = self.ego(index);
+        let controller = match (&self.scenario.vehicles()[index].driver, &self.options.controller) {
+            (Driver::Profile(profile), _) => return Pilot::Profile(profile),
+            (Driver::Controller(spec), _) | (Driver::UnderTest, UnderTest::BuiltIn(spec)) => {
+                AnyController::built_in(spec, &ego)
+            }
+            (Driver::UnderTest, UnderTest::Custom(build)) => AnyController::custom(build(&ego), &ego),
+        };
+        Pilot::Controller(controller)
+    }
+
+    /// Sensors and filters of vehicle `index`; none if it sees the truth.
+    pub(super) fn eyes(&self, index: usize, platoon: &Platoon) -> Option<EgoEstimator> {
+        let vehicle = &self.scenario.vehicles()[index];
+        let estimates = vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
+        estimates.then(|| {
+            let spec = self.scenario.spec();
+            EgoEstimator::new(spec.seed, index, &spec.sensors, &self.tuning, &truth(platoon, index))
+        })
+    }
+
+    pub(super) fn actuator(&self, index: usize) -> Actuator {
+        Actuator::new(self.scenario, index)
+    }
+
+    pub(super) fn disturbance(&self, index: usize) -> Option<Disturbance> {
+        Disturbance::new(self.scenario, index)
+    }
+
+    /// Everybody at the start.
+    pub(super) fn platoon(&self) -> Platoon {
+        let vehicles = self.scenario.vehicles();
+        Platoon {
+            motion: vehicles
+                .iter()
+                .map(|v| Motion { position_m: v.position_m, speed_mps: v.speed_mps, acceleration_mps2: 0.0 })
+                .collect(),
+            length_m: vehicles.iter().map(|v| v.length_m()).collect(),
+            mass_kg: vehicles.iter().map(|v| v.mass_kg()).collect(),
+            sticks: vec![false; vehicles.len()],
+            min_gap_m: (0..vehicles.len()).map(|i| self.scenario.initial_gap_m(i).unwrap_or(f64::INFINITY)).collect(),
+        }
+    }
+}
+
+/// How often `part` goes into `whole`, if a whole number of times up to rounding.
+fn whole_multiple(whole: f64, part: f64) -> Option<usize> {
+    let times = (whole / part).round();
+    let fits = times >= 1.0 && times <= 1e9 && (times * part - whole).abs() <= 1e-9 * whole;
+    fits.then_some(times as usize)
+}
+
+/// Whoever decides a vehicle's acceleration.
+pub(super) enum Pilot<'s> {
+    Profile(&'s LeadProfile),
+    Controller(AnyController),
+}
+
+/// What is true of vehicle `index` and its neighbours.
+pub(super) fn truth(platoon: &Platoon, index: usize) -> TrueState {
+    let own = platoon.motion[index];
+    let neighbour = |other: usize, gap_m: f64| {
+        let motion = platoon.motion[other];
+        Neighbour { gap_m, speed_mps: motion.speed_mps, acceleration_mps2: motion.acceleration_mps2 }
+    };
+    TrueState {
+        position_m: own.position_m,
+        observation: Observation {
+            speed_mps: own.speed_mps,
+            acceleration_mps2: own.acceleration_mps2,
+            ahead: index.checked_sub(1).map(|front| neighbour(front, platoon.gap_m(index))),
+            behind: (index + 1 < platoon.motion.len()).then(|| neighbour(index + 1, platoon.gap_m(index + 1))),
+        },
+    }
+}
