@@ -1,1 +1,7 @@
-fn main() {}
+//! The `crumple` program: see [`crumple::cli`].
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    crumple::cli::run(std::env::args_os())
+}

@@ -16,7 +16,7 @@ pub use filter::{Estimate, Filter, Innovation, Tuning};
 pub use sensor::Sensor;
 
 /// Which estimator the vehicles under test look through.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum EstimatorKind {
     /// Noisy sensors and a Kalman filter.

@@ -70,7 +70,7 @@ impl Impact {
 }
 
 /// What to do when vehicles touch.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum AfterContact {
     /// End the run at the instant of contact.

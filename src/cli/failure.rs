@@ -1,0 +1,80 @@
+//! How a subcommand fails, and the exit code each way has.
+
+use std::fmt;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use crate::scenario::file::FileError;
+use crate::sim::RunError;
+
+/// Why a subcommand did not succeed.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// A gate did not hold: exit code 1.
+    #[error("{0}")]
+    Gate(String),
+    /// Arguments or input are unusable: exit code 2.
+    #[error("{0}")]
+    Input(String),
+    /// The environment failed: exit code 3.
+    #[error("{}: {source}", path.display())]
+    Environment {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// Whoever read standard output has gone: exit code 0, as other command-line tools do.
+    #[error("standard output is closed")]
+    NobodyListens,
+}
+
+impl Failure {
+    /// Unusable input, from any error that explains itself.
+    pub(super) fn input(error: impl fmt::Display) -> Self {
+        Self::Input(error.to_string())
+    }
+
+    pub(super) fn environment(path: &Path, source: io::Error) -> Self {
+        Self::Environment { path: path.to_owned(), source }
+    }
+
+    /// The exit code, as `--help` documents it.
+    #[must_use]
+    pub fn exit_code(&self) -> ExitCode {
+        match self {
+            Self::Gate(_) => ExitCode::from(1),
+            Self::Input(_) => ExitCode::from(2),
+            Self::Environment { .. } => ExitCode::from(3),
+            Self::NobodyListens => ExitCode::SUCCESS,
+        }
+    }
+
+    /// Prints the failure to standard error.
+    pub(super) fn report(&self) {
+        match self {
+            Self::NobodyListens => {}
+            Self::Gate(gate) => eprintln!("gate: {gate}"),
+            other => eprintln!("error: {other}"),
+        }
+    }
+}
+
+impl From<FileError> for Failure {
+    fn from(error: FileError) -> Self {
+        match error {
+            // A file that is not there is a wrong argument; one that cannot be read is the environment's fault.
+            FileError::Read { path, source } if source.kind() == io::ErrorKind::PermissionDenied => {
+                Self::Environment { path, source }
+            }
+            other => Self::input(other),
+        }
+    }
+}
+
+impl From<RunError> for Failure {
+    fn from(error: RunError) -> Self {
+        Self::input(error)
+    }
+}

@@ -1,0 +1,89 @@
+//! `crumple list`: what there is to choose from.
+
+use std::fmt::Write;
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use super::{Failure, output};
+use crate::scenario::{ControllerSpec, built_in_names};
+
+/// List the built-in scenarios, controllers and spaces
+#[derive(Args)]
+pub(super) struct List {
+    /// What to list; everything if nothing is named
+    what: Option<Catalogue>,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: super::simulate::Format,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Catalogue {
+    /// Scenarios `simulate` and `assess` know by name
+    Scenarios,
+    /// Controllers that can be put under test
+    Controllers,
+    /// Distributions of scenarios
+    Spaces,
+}
+
+#[derive(Serialize)]
+struct Entry {
+    name: &'static str,
+    summary: &'static str,
+}
+
+impl Catalogue {
+    fn title(self) -> &'static str {
+        match self {
+            Self::Scenarios => "scenarios",
+            Self::Controllers => "controllers",
+            Self::Spaces => "spaces",
+        }
+    }
+
+    fn entries(self) -> Vec<Entry> {
+        let entry = |(name, summary)| Entry { name, summary };
+        match self {
+            Self::Scenarios => built_in_names().map(entry).into(),
+            Self::Controllers => ControllerSpec::built_in().iter().map(|c| entry((c.name(), c.summary()))).collect(),
+            Self::Spaces => vec![entry(("paper", "the distribution the paper trains on"))],
+        }
+    }
+}
+
+impl List {
+    pub(super) fn run(self) -> Result<(), Failure> {
+        let catalogues = match self.what {
+            Some(one) => vec![one],
+            None => Catalogue::value_variants().to_vec(),
+        };
+        let text = match self.format {
+            super::simulate::Format::Json => {
+                let all: serde_json::Map<_, _> = catalogues
+                    .iter()
+                    .map(|catalogue| (catalogue.title().to_owned(), serde_json::json!(catalogue.entries())))
+                    .collect();
+                format!("{}\n", serde_json::Value::Object(all))
+            }
+            super::simulate::Format::Text => table(&catalogues),
+        };
+        output::print(&text)
+    }
+}
+
+fn table(catalogues: &[Catalogue]) -> String {
+    let mut text = String::new();
+    for (index, catalogue) in catalogues.iter().enumerate() {
+        if catalogues.len() > 1 {
+            let gap = if index == 0 { "" } else { "\n" };
+            // Writing to a string cannot fail.
+            let _ = writeln!(text, "{gap}{}", catalogue.title());
+        }
+        for Entry { name, summary } in catalogue.entries() {
+            let _ = writeln!(text, "  {name:<20}{summary}");
+        }
+    }
+    text
+}

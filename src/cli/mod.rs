@@ -1,0 +1,74 @@
+//! The command line: one file a subcommand, all of them thin.
+
+mod failure;
+mod list;
+mod output;
+mod simulate;
+mod subject;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+pub use failure::Failure;
+
+const EXIT_CODES: &str = "\
+Exit codes:
+  0    done
+  1    a gate did not hold: --expect was not met
+  2    unusable arguments or input; the message names file, line and field
+  3    the environment failed: disk, permission
+  130  interrupted";
+
+/// Crash-tests longitudinal driving controllers before the road does.
+#[derive(Parser)]
+#[command(version, after_help = EXIT_CODES, max_term_width = 100)]
+struct Arguments {
+    /// No progress and no notes on standard error; errors are still shown
+    #[arg(long, short, global = true)]
+    quiet: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Simulate(simulate::Simulate),
+    List(list::List),
+}
+
+/// Runs the command line with given arguments, the program's name first.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let arguments = match Arguments::try_parse_from(arguments) {
+        Ok(arguments) => arguments,
+        Err(usage) => {
+            // Help and version are not errors; clap prints them to standard output.
+            let code = if usage.use_stderr() { 2 } else { 0 };
+            // Nothing can be done about a standard stream that is closed.
+            let _ = usage.print();
+            return ExitCode::from(code);
+        }
+    };
+    let done = match arguments.command {
+        Command::Simulate(command) => command.run(),
+        Command::List(command) => command.run(),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.report();
+            failure.exit_code()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        super::Arguments::command().debug_assert();
+    }
+}

@@ -1,0 +1,55 @@
+//! Writing results: files appear whole or not at all, and a closed pipe is no error.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
+
+use super::Failure;
+
+/// Files to be written together. They are first written beside their places and then moved there, so that a failure
+/// leaves nothing half-written.
+#[derive(Default)]
+pub(super) struct Files {
+    staged: Vec<(NamedTempFile, PathBuf)>,
+}
+
+impl Files {
+    /// Stages a file.
+    pub(super) fn stage(&mut self, path: &Path, contents: &[u8]) -> Result<(), Failure> {
+        let folder = match path.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        let stage = || {
+            let mut builder = tempfile::Builder::new();
+            // A temporary file is private; the result should be as readable as any other new file.
+            #[cfg(unix)]
+            builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644));
+            let mut file = builder.tempfile_in(folder)?;
+            file.write_all(contents)?;
+            Ok(file)
+        };
+        let file = stage().map_err(|source: io::Error| Failure::environment(path, source))?;
+        self.staged.push((file, path.to_owned()));
+        Ok(())
+    }
+
+    /// Moves every staged file to its place.
+    pub(super) fn commit(self) -> Result<(), Failure> {
+        for (file, path) in self.staged {
+            file.persist(&path).map_err(|error| Failure::environment(&path, error.error))?;
+        }
+        Ok(())
+    }
+}
+
+/// Prints to standard output.
+pub(super) fn print(text: &str) -> Result<(), Failure> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Ok(()) => Ok(()),
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Err(Failure::NobodyListens),
+        Err(source) => Err(Failure::environment(Path::new("standard output"), source)),
+    }
+}

@@ -1,0 +1,241 @@
+//! `crumple simulate`: run scenarios and say what happened.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use super::output::{self, Files};
+use super::{Failure, subject};
+use crate::estimate::EstimatorKind;
+use crate::export;
+use crate::scenario::{ControllerSpec, Driver, Scenario};
+use crate::sim::{AfterContact, Impact, Keep, Outcome, Run, RunOptions, Simulated, VehicleSummary, simulate_batch};
+
+/// Run scenarios and say what happened
+#[derive(Args)]
+#[command(after_long_help = "\
+Where several scenarios are given, --plot and --trace write one file each, with the scenario's name before the extension.
+
+Examples:
+  crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
+  crumple simulate paper-1 --after-contact continue --plot pile-up.svg
+  crumple simulate my-scenario.toml --controller idm --expect safe --format json")]
+pub(super) struct Simulate {
+    /// Built-in scenarios (see `crumple list scenarios`) or scenario files
+    #[arg(required = true, value_name = "SCENARIO")]
+    scenarios: Vec<String>,
+    /// Controller of the vehicles under test (see `crumple list controllers`)
+    #[arg(long, value_name = "C", default_value = "baseline", value_parser = subject::controller)]
+    controller: ControllerSpec,
+    /// What the vehicles under test look through
+    #[arg(long, value_enum, default_value = "kalman")]
+    estimator: EstimatorKind,
+    /// Seed of all noise instead of the scenario's
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Integration step in seconds, a whole fraction of the scenario's; controllers, sensors and noise keep the scenario's
+    #[arg(long, value_name = "S")]
+    dt: Option<f64>,
+    /// What happens when vehicles touch
+    #[arg(long, value_enum, default_value = "stop")]
+    after_contact: AfterContact,
+    /// Write the motion as a table, one row a sample and vehicle
+    #[arg(long, value_name = "F.csv|F.parquet")]
+    trace: Option<PathBuf>,
+    /// Exit with 1 unless every scenario ends like this
+    #[arg(long, value_enum)]
+    expect: Option<Expectation>,
+    /// How to print results: for a reader, or one JSON object a scenario
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Expectation {
+    /// Nobody touches anybody
+    Safe,
+    /// Somebody does
+    Collision,
+}
+
+/// How results are printed.
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+pub(super) enum Format {
+    /// For a reader
+    Text,
+    /// For a program
+    Json,
+}
+
+/// One line of `--format json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    scenario: &'a str,
+    controller: &'static str,
+    estimator: &'static str,
+    dt_s: f64,
+    seed: u64,
+    outcome: Outcome,
+    vehicles: &'a [VehicleSummary],
+    #[serde(skip_serializing_if = "<[_]>::is_empty")]
+    impacts: &'a [Impact],
+    vehicles_involved: usize,
+}
+
+impl Simulate {
+    pub(super) fn run(self) -> Result<(), Failure> {
+        let scenarios = self.scenarios.iter().map(|name| self.scenario(name)).collect::<Result<Vec<_>, _>>()?;
+        let options = self.options();
+        let runs = scenarios
+            .iter()
+            .map(|scenario| {
+                Run::new(scenario, options.clone())
+                    .map_err(|error| Failure::Input(format!("{}: {error}", scenario.spec().name)))
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let keep = if self.trace.is_some() { Keep::Trace } else { Keep::Summary };
+        let results = simulate_batch(&runs, keep, |_, simulated| simulated);
+        let mut files = Files::default();
+        let mut text = String::new();
+        for (run, result) in runs.iter().zip(&results) {
+            self.stage_files(run, result, runs.len() > 1, &mut files)?;
+            match self.format {
+                Format::Json => {
+                    let line = serde_json::to_string(&self.report(run, result)).map_err(Failure::input)?;
+                    text.push_str(&line);
+                    text.push('\n');
+                }
+                Format::Text => describe(&mut text, &self.report(run, result), run.scenario()),
+            }
+        }
+        files.commit()?;
+        output::print(&text)?;
+        self.check_expectation(&runs, &results)
+    }
+
+    fn scenario(&self, name: &str) -> Result<Scenario, Failure> {
+        let scenario = subject::scenario(name)?;
+        match self.seed {
+            None => Ok(scenario),
+            Some(seed) => scenario.edited(|spec| spec.seed = seed).map_err(|e| Failure::Input(format!("--seed: {e}"))),
+        }
+    }
+
+    fn options(&self) -> RunOptions {
+        let options = RunOptions::new(self.controller.clone())
+            .with_estimator(self.estimator)
+            .with_after_contact(self.after_contact);
+        match self.dt {
+            None => options,
+            Some(dt_s) => options.with_dt_s(dt_s),
+        }
+    }
+
+    fn report<'a>(&self, run: &Run<'a>, result: &'a Simulated) -> Report<'a> {
+        let spec = run.scenario().spec();
+        Report {
+            scenario: &spec.name,
+            controller: self.controller.name(),
+            estimator: self.estimator.name(),
+            dt_s: run.dt_s(),
+            seed: spec.seed,
+            outcome: result.outcome,
+            vehicles: &result.vehicles,
+            impacts: &result.impacts,
+            vehicles_involved: result.vehicles_involved(),
+        }
+    }
+
+    fn stage_files(
+        &self,
+        run: &Run<'_>,
+        result: &Simulated,
+        one_of_many: bool,
+        files: &mut Files,
+    ) -> Result<(), Failure> {
+        let name = one_of_many.then_some(run.scenario().spec().name.as_str());
+        if let (Some(path), Some(trace)) = (&self.trace, &result.trace) {
+            let contents = match extension(path) {
+                Some("csv") => export::csv(trace),
+                Some("parquet") => export::parquet(trace),
+                _ => return Err(Failure::Input(format!("--trace {}: must end in .csv or .parquet", path.display()))),
+            };
+            files.stage(&named(path, name), &contents.map_err(Failure::input)?)?;
+        }
+        Ok(())
+    }
+
+    fn check_expectation(&self, runs: &[Run<'_>], results: &[Simulated]) -> Result<(), Failure> {
+        let Some(expected) = self.expect else { return Ok(()) };
+        let otherwise: Vec<_> = runs
+            .iter()
+            .zip(results)
+            .filter(|(_, result)| (result.outcome == Outcome::NoCollision) != (expected == Expectation::Safe))
+            .map(|(run, _)| run.scenario().spec().name.as_str())
+            .collect();
+        if otherwise.is_empty() {
+            return Ok(());
+        }
+        let expected = if expected == Expectation::Safe { "no collision" } else { "a collision" };
+        Err(Failure::Gate(format!("expected {expected} in {}", otherwise.join(", "))))
+    }
+}
+
+fn extension(path: &Path) -> Option<&str> {
+    path.extension()?.to_str()
+}
+
+/// `path` with a scenario's name before its extension.
+fn named(path: &Path, name: Option<&str>) -> PathBuf {
+    let (Some(name), Some(stem), Some(extension)) = (name, path.file_stem(), extension(path)) else {
+        return path.to_owned();
+    };
+    let plain: String = name.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' }).collect();
+    path.with_file_name(format!("{}-{plain}.{extension}", stem.to_string_lossy()))
+}
+
+/// The report for a reader.
+fn describe(text: &mut String, report: &Report<'_>, scenario: &Scenario) {
+    let Report { scenario: name, controller, estimator, dt_s, seed, .. } = report;
+    let mut line = |line: String| {
+        text.push_str(line.trim_end());
+        text.push('\n');
+    };
+    line(format!("{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}"));
+    if report.impacts.is_empty() {
+        line("  no collision".to_owned());
+    }
+    for (index, impact) in report.impacts.iter().enumerate() {
+        let contact = impact.contact;
+        line(format!(
+            "  {} at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s ({:.1} against {:.1} m/s)",
+            if index == 0 { "COLLISION" } else { "then     " },
+            contact.time_s,
+            contact.rear_vehicle,
+            contact.front_vehicle,
+            contact.impact_speed_mps,
+            contact.rear_speed_mps,
+            contact.front_speed_mps
+        ));
+    }
+    if report.impacts.len() > 1 {
+        line(format!("  {} of {} vehicles involved", report.vehicles_involved, report.vehicles.len()));
+    }
+    line(format!(
+        "  {:>3}  {:<6} {:<20} {:>11} {:>11} {:>15}  {}",
+        "#", "class", "driver", "min gap m", "min TTC s", "max brake m/s²", "at the end"
+    ));
+    for (index, (summary, vehicle)) in report.vehicles.iter().zip(scenario.vehicles()).enumerate() {
+        let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+        let driver = if vehicle.driver == Driver::UnderTest { controller } else { vehicle.driver.name() };
+        line(format!(
+            "  {index:>3}  {:<6} {driver:<20} {:>11} {:>11} {:>15}  {}",
+            vehicle.class.name(),
+            number(summary.min_gap_m),
+            number(summary.min_ttc_s),
+            number(Some(summary.max_brake_mps2)),
+            if summary.stopped { "standing" } else { "moving" }
+        ));
+    }
+}

@@ -1,0 +1,30 @@
+//! Arguments that several subcommands share: which scenario, which controller.
+
+use std::path::Path;
+
+use super::Failure;
+use crate::scenario::{ControllerSpec, Scenario, built_in, built_in_names, file};
+
+/// A built-in scenario, or the one in a file.
+pub(super) fn scenario(name_or_path: &str) -> Result<Scenario, Failure> {
+    if let Some(scenario) = built_in(name_or_path) {
+        return Ok(scenario);
+    }
+    let path = Path::new(name_or_path);
+    if path.extension().is_none() && !path.exists() {
+        let known: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
+        return Err(Failure::Input(format!(
+            "`{name_or_path}` is neither a built-in scenario ({}) nor a file",
+            known.join(", ")
+        )));
+    }
+    Ok(file::load(path)?)
+}
+
+/// A built-in controller, for clap.
+pub(super) fn controller(name: &str) -> Result<ControllerSpec, String> {
+    ControllerSpec::named(name).ok_or_else(|| {
+        let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
+        format!("no such controller; there are {}", known.join(", "))
+    })
+}
