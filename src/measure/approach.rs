@@ -1,0 +1,209 @@
+//! How a vehicle came up to the one ahead: what every measure of a pair is computed from.
+
+use crate::sim::{Contact, Impact, Pair, Trace};
+
+/// Samples this close to a contact, in seconds, are the contact.
+const SAME_INSTANT_S: f64 = 1e-9;
+
+/// Two successive vehicles at one instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct State {
+    /// When, in seconds.
+    pub time_s: f64,
+    /// Bumper gap in metres, never negative.
+    pub gap_m: f64,
+    /// Speed of the vehicle ahead, in m/s.
+    pub front_speed_mps: f64,
+    /// Speed of the vehicle behind, in m/s.
+    pub rear_speed_mps: f64,
+    /// Acceleration of the vehicle ahead from here to the next state, in m/s².
+    pub front_acceleration_mps2: f64,
+    /// Acceleration of the vehicle behind from here to the next state, in m/s².
+    pub rear_acceleration_mps2: f64,
+}
+
+impl State {
+    /// Speed at which the gap closes, in m/s: positive when closing.
+    #[must_use]
+    pub fn closing_mps(&self) -> f64 {
+        self.rear_speed_mps - self.front_speed_mps
+    }
+
+    /// Smallest gap within the next `step_s` seconds, in metres, if it lies inside the step.
+    ///
+    /// With both accelerations held, the closing speed `c` falls at `a_f - a_r` and is zero at `t* = c / (a_f - a_r)`,
+    /// where the gap has shrunk by `c t* / 2`. A rear vehicle that stops inside the step is slower than the front one
+    /// only after `t*`; a front vehicle that stops before `t*` puts the smallest gap at the end of the step.
+    fn min_gap_inside_m(&self, step_s: f64) -> Option<f64> {
+        let opening_mps2 = self.front_acceleration_mps2 - self.rear_acceleration_mps2;
+        let turns_s = self.closing_mps() / opening_mps2;
+        let front_speed_then = self.front_speed_mps + self.front_acceleration_mps2 * turns_s;
+        let inside = self.closing_mps() > 0.0 && opening_mps2 > 0.0 && turns_s < step_s && front_speed_then >= 0.0;
+        inside.then(|| (self.gap_m - 0.5 * self.closing_mps() * turns_s).max(0.0))
+    }
+}
+
+/// A vehicle's approach to the one ahead, from the start of a trace until the two touch or the trace ends.
+///
+/// It ends at the first contact because afterwards there is nothing left to avoid: the gap stays zero and time to
+/// collision would be a quotient of rounding errors. The instant of contact is its last state, whether or not the run
+/// went on and whether or not the trace has a sample there, so that all measures agree between the two.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Approach {
+    front_length_m: f64,
+    states: Vec<State>,
+    touched: bool,
+}
+
+impl Approach {
+    /// The approach of vehicle `rear` to the one ahead; none for the leader and for a vehicle that does not exist.
+    ///
+    /// Contacts are taken from `impacts`; where those say nothing, from the first sample without a gap. Tracks of
+    /// unequal length count up to the shortest.
+    #[must_use]
+    pub fn of(trace: &Trace, impacts: &[Impact], rear: usize) -> Option<Self> {
+        let pair = trace.pair(rear)?;
+        let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.rear_vehicle == rear);
+        let until_s = contact.map_or(f64::INFINITY, |contact| contact.time_s - SAME_INSTANT_S);
+
+        let mut touched = false;
+        let mut states = Vec::with_capacity(trace.len());
+        for state in states_of(&pair).take_while(|state| state.time_s < until_s) {
+            touched = state.gap_m <= 0.0;
+            states.push(State { gap_m: state.gap_m.max(0.0), ..state });
+            if touched {
+                break;
+            }
+        }
+        if let (Some(contact), false) = (contact, touched) {
+            states.push(at_contact(contact, states.last()));
+            touched = true;
+        }
+        Some(Self { front_length_m: pair.front.length_m, states, touched })
+    }
+
+    /// The states in order of time; empty if the trace is.
+    #[must_use]
+    pub fn states(&self) -> &[State] {
+        &self.states
+    }
+
+    /// Bumper to bumper length of the vehicle ahead, in metres.
+    #[must_use]
+    pub fn front_length_m(&self) -> f64 {
+        self.front_length_m
+    }
+
+    /// Whether the approach ends in a contact.
+    #[must_use]
+    pub fn touched(&self) -> bool {
+        self.touched
+    }
+
+    /// Smallest bumper gap at any instant, in metres, between samples too; 0 at contact, none for an empty trace.
+    #[must_use]
+    pub fn min_gap_m(&self) -> Option<f64> {
+        let at_samples = self.states.iter().map(|state| state.gap_m);
+        let steps = self.states.iter().zip(self.states.iter().skip(1));
+        let inside = steps.filter_map(|(state, next)| state.min_gap_inside_m(next.time_s - state.time_s));
+        at_samples.chain(inside).reduce(f64::min)
+    }
+
+    /// Bumper gap at which the two came to stand, in metres; none if they touched or one of them still moves.
+    #[must_use]
+    pub fn standstill_gap_m(&self) -> Option<f64> {
+        let last = self.states.last()?;
+        let stand = last.front_speed_mps == 0.0 && last.rear_speed_mps == 0.0;
+        (stand && !self.touched).then_some(last.gap_m)
+    }
+}
+
+fn states_of<'a>(pair: &'a Pair<'_>) -> impl Iterator<Item = State> + 'a {
+    let speeds = pair.front.speed_mps.iter().zip(&pair.rear.speed_mps);
+    let accelerations = pair.front.acceleration_mps2.iter().zip(&pair.rear.acceleration_mps2);
+    pair.time_s.iter().zip(pair.gaps_m()).zip(speeds.zip(accelerations)).map(
+        |((&time_s, gap_m), ((&front_speed_mps, &rear_speed_mps), (&front_acceleration, &rear_acceleration)))| State {
+            time_s,
+            gap_m,
+            front_speed_mps,
+            rear_speed_mps,
+            front_acceleration_mps2: front_acceleration,
+            rear_acceleration_mps2: rear_acceleration,
+        },
+    )
+}
+
+fn at_contact(contact: &Contact, before: Option<&State>) -> State {
+    State {
+        time_s: contact.time_s,
+        gap_m: 0.0,
+        front_speed_mps: contact.front_speed_mps,
+        rear_speed_mps: contact.rear_speed_mps,
+        front_acceleration_mps2: before.map_or(0.0, |state| state.front_acceleration_mps2),
+        rear_acceleration_mps2: before.map_or(0.0, |state| state.rear_acceleration_mps2),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::measure::testing::{driven, impact, trace};
+
+    #[test]
+    fn the_smallest_gap_between_samples_is_found() {
+        // Gap 10 m, rear 20 m/s brakes at 5 m/s² behind a steady 15 m/s: equal speeds after 1 s, 5² / (2 * 5) = 2.5 m
+        // closer. Samples at 0, 0.8 and 1.6 s miss that instant.
+        let front = driven(2.0, 12.0, 15.0, &[(1.6, 0.0)], 0.8);
+        let rear = driven(2.0, 0.0, 20.0, &[(1.6, -5.0)], 0.8);
+        let approach = Approach::of(&trace(vec![front, rear], 0.8), &[], 1).unwrap();
+        assert!((approach.min_gap_m().unwrap() - 7.5).abs() < 1e-12);
+        assert!(!approach.touched());
+        assert_eq!(approach.standstill_gap_m(), None, "both still move");
+    }
+
+    #[test]
+    fn an_approach_ends_at_the_contact_and_not_before_or_after() {
+        // Gap 10 m closes at 4 m/s: contact after 2.5 s, between the samples at 2 and 3 s.
+        let front = driven(2.0, 12.0, 10.0, &[(5.0, 0.0)], 1.0);
+        let rear = driven(2.0, 0.0, 14.0, &[(5.0, 0.0)], 1.0);
+        let trace = trace(vec![front, rear], 1.0);
+        let approach = Approach::of(&trace, &[impact(2.5, 0, 10.0, 14.0)], 1).unwrap();
+        assert_eq!(approach.states().iter().map(|s| s.time_s).collect::<Vec<_>>(), [0.0, 1.0, 2.0, 2.5]);
+        assert_eq!((approach.touched(), approach.min_gap_m()), (true, Some(0.0)));
+
+        let told_by_the_gap_alone = Approach::of(&trace, &[], 1).unwrap();
+        assert_eq!(told_by_the_gap_alone.states().len(), 4, "ends at the first sample without a gap");
+        assert_eq!((told_by_the_gap_alone.touched(), told_by_the_gap_alone.min_gap_m()), (true, Some(0.0)));
+    }
+
+    #[test]
+    fn standstill_gaps_are_those_at_rest() {
+        // 10 m/s at 5 m/s² takes 10 m, 12 m/s at 6 m/s² takes 12 m: 8 m become 6 m.
+        let front = driven(2.0, 10.0, 10.0, &[(3.0, -5.0)], 0.5);
+        let rear = driven(2.0, 0.0, 12.0, &[(3.0, -6.0)], 0.5);
+        let approach = Approach::of(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        assert!((approach.standstill_gap_m().unwrap() - 6.0).abs() < 1e-12);
+    }
+
+    proptest! {
+        /// Whatever the two do, and wherever in a step they stop, a hundred times finer sampling finds the same gap.
+        #[test]
+        fn the_smallest_gap_does_not_depend_on_the_sampling(
+            gap_m in 30.0..60.0f64,
+            speeds in prop::array::uniform2(0.0..20.0f64),
+            front in prop::collection::vec(-8.0..2.0f64, 4),
+            rear in prop::collection::vec(-8.0..2.0f64, 4),
+        ) {
+            let pieces = |a: &[f64]| a.iter().map(|&a| (0.5, a)).collect::<Vec<_>>();
+            let min_gap = |step_s: f64| {
+                let front = driven(4.0, gap_m + 4.0, speeds[0], &pieces(&front), step_s);
+                let rear = driven(4.0, 0.0, speeds[1], &pieces(&rear), step_s);
+                Approach::of(&trace(vec![front, rear], step_s), &[], 1).unwrap().min_gap_m().unwrap()
+            };
+            let (coarse, fine) = (min_gap(0.5), min_gap(0.005));
+            prop_assert!((coarse - fine).abs() < 1e-9, "{coarse} against {fine}");
+        }
+    }
+}

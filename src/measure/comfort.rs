@@ -1,0 +1,132 @@
+//! How rough: peak braking and jerk.
+
+use std::collections::VecDeque;
+
+use crate::sim::Track;
+
+/// The window in which [`peak_jerk_mps3`] looks for changes of acceleration, in seconds: 0.1.
+///
+/// Ours: longer than the steps of a simulation, so that noise of one step does not count in full, and shorter than the
+/// few tenths of a second in which brakes build up, so that a gradual build-up tells from an abrupt one.
+pub const JERK_WINDOW_S: f64 = 0.1;
+
+/// Hardest deceleration in m/s², positive; 0 if the vehicle never braked, none without any acceleration held.
+///
+/// Expects one acceleration a sample, of which the last is held for no time and does not count.
+#[must_use]
+pub fn peak_brake_mps2(acceleration_mps2: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
+    let held = acceleration_mps2.len().checked_sub(1)?;
+    acceleration_mps2.take(held).map(|a| -a).reduce(f64::max).map(|brake_mps2| brake_mps2.max(0.0))
+}
+
+/// Peak jerk in m/s³: the largest change of acceleration within any `window_s` seconds, divided by `window_s`; 0 for
+/// constant acceleration. None without any acceleration held, or if the window is not positive.
+///
+/// Jerk is the rate of change of acceleration, here of one that is held over each step and then jumps: its derivative
+/// does not exist, and the jump divided by the step grows as the step shrinks. The change within a fixed window does
+/// not: it depends on the motion alone, however finely it is sampled. A jump of `Δa` reads as `Δa / window_s`, a ramp
+/// longer than the window as its slope. Coming to rest counts, as passengers can tell; impacts do not.
+///
+/// `time_s` has one entry a sample, as has `track.acceleration_mps2`, of which the last is held for no time.
+#[must_use]
+pub fn peak_jerk_mps3(time_s: &[f64], track: &Track, window_s: f64) -> Option<f64> {
+    // Times are sums of steps: a jump exactly one window after another must not count or not by their rounding.
+    let within_s = window_s * (1.0 - 1e-6);
+    let mut lowest = SlidingExtreme::new(|new, old| new <= old);
+    let mut highest = SlidingExtreme::new(|new, old| new >= old);
+    let steps = time_s.iter().zip(time_s.iter().skip(1)).zip(&track.acceleration_mps2);
+    let changes_mps2 = steps.map(|((&from_s, &to_s), &acceleration_mps2)| {
+        let low = lowest.after(acceleration_mps2, to_s, from_s - within_s);
+        let high = highest.after(acceleration_mps2, to_s, from_s - within_s);
+        (acceleration_mps2 - low).max(high - acceleration_mps2)
+    });
+    let peak_mps2 = changes_mps2.reduce(f64::max)?;
+    (window_s > 0.0).then(|| peak_mps2 / window_s)
+}
+
+/// The smallest or largest of the values held within a window that slides forward, in constant time a step.
+///
+/// Keeps only values that may still become the extreme: each new one removes those it beats.
+struct SlidingExtreme {
+    beats: fn(f64, f64) -> bool,
+    /// Values and until when each was held.
+    kept: VecDeque<(f64, f64)>,
+}
+
+impl SlidingExtreme {
+    fn new(beats: fn(f64, f64) -> bool) -> Self {
+        Self { beats, kept: VecDeque::new() }
+    }
+
+    /// The extreme of a new value, held until `until_s`, and of those before it that were held after `since_s`.
+    fn after(&mut self, value: f64, until_s: f64, since_s: f64) -> f64 {
+        while self.kept.front().is_some_and(|&(_, held_until_s)| held_until_s <= since_s) {
+            self.kept.pop_front();
+        }
+        while self.kept.back().is_some_and(|&(old, _)| (self.beats)(value, old)) {
+            self.kept.pop_back();
+        }
+        self.kept.push_back((value, until_s));
+        self.kept.front().map_or(value, |&(extreme, _)| extreme)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::measure::testing::{driven, trace};
+
+    fn jerk_of(pieces: &[(f64, f64)], step_s: f64, window_s: f64) -> f64 {
+        let trace = trace(vec![driven(4.0, 0.0, 100.0, pieces, step_s)], step_s);
+        peak_jerk_mps3(&trace.time_s, &trace.vehicles[0], window_s).unwrap()
+    }
+
+    #[test]
+    fn peak_braking_by_hand() {
+        assert_eq!(peak_brake_mps2([1.0, -3.0, -7.5, 2.0].into_iter()), Some(7.5));
+        assert_eq!(peak_brake_mps2([1.0, 2.0, -9.0].into_iter()), Some(0.0), "the last is held for no time");
+        assert_eq!(peak_brake_mps2([-9.0].into_iter()), None);
+        assert_eq!(peak_brake_mps2([].into_iter()), None);
+    }
+
+    #[test]
+    fn jerk_by_hand() {
+        // A jump from 0 to -6 m/s² in a window of 0.1 s: 60 m/s³.
+        assert!((jerk_of(&[(1.0, 0.0), (1.0, -6.0)], 0.01, 0.1) - 60.0).abs() < 1e-9);
+        // Two jumps of 2 m/s², 0.05 s apart, share a window: 4 / 0.1. A whole window apart they do not: 2 / 0.1.
+        let two_jumps = |apart_s| [(1.0, 0.0), (apart_s, -2.0), (1.0, -4.0)];
+        assert!((jerk_of(&two_jumps(0.05), 0.01, 0.1) - 40.0).abs() < 1e-9);
+        assert!((jerk_of(&two_jumps(0.1), 0.01, 0.1) - 20.0).abs() < 1e-9);
+        // 5 m/s² built up over 0.5 s in a hundred stairs: 10 m/s³, up to one stair of 0.05 m/s² in the window.
+        let stairs: Vec<_> = (1..=100).map(|k| (0.005, -0.05 * f64::from(k))).collect();
+        assert!((jerk_of(&stairs, 0.005, 0.1) - 10.0).abs() <= 0.05 / 0.1 + 1e-9);
+        assert_eq!(jerk_of(&[(1.0, -3.0)], 0.01, 0.1), 0.0, "constant");
+    }
+
+    #[test]
+    fn jerk_is_undefined_without_a_step_or_a_window() {
+        let track = driven(4.0, 0.0, 10.0, &[(1.0, -1.0)], 0.5);
+        assert_eq!(peak_jerk_mps3(&[], &track, 0.1), None);
+        assert_eq!(peak_jerk_mps3(&[0.0], &track, 0.1), None);
+        assert_eq!(peak_jerk_mps3(&[0.0, 0.5, 1.0], &track, 0.0), None);
+        assert_eq!(peak_jerk_mps3(&[0.0, 0.5, 1.0], &track, f64::NAN), None);
+    }
+
+    proptest! {
+        /// Ten times finer sampling of the same motion shows the same jerk, and a search of all pairs finds it too.
+        #[test]
+        fn jerk_does_not_depend_on_the_sampling(accelerations in prop::collection::vec(-8.0..3.0f64, 2..30)) {
+            let pieces: Vec<_> = accelerations.iter().map(|&a| (0.02, a)).collect();
+            let coarse = jerk_of(&pieces, 0.02, 0.1);
+            prop_assert!((coarse - jerk_of(&pieces, 0.002, 0.1)).abs() < 1e-9);
+
+            // Pieces j < k are within 0.1 s of each other if fewer than five pieces lie between them.
+            let change = |j: usize, k: usize| (accelerations[j] - accelerations[k]).abs();
+            let pairs = (0..pieces.len()).flat_map(|j| (j + 1..pieces.len().min(j + 6)).map(move |k| (j, k)));
+            let by_search = pairs.map(|(j, k)| change(j, k)).fold(0.0, f64::max) / 0.1;
+            prop_assert!((coarse - by_search).abs() < 1e-9, "{coarse} against {by_search}");
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! How bad: impact speeds, changes of speed, and who was involved.
+
+use crate::sim::Impact;
+
+/// Change of speed of a vehicle in an impact in m/s, never negative, if the two stick together:
+/// `Δv = impact speed * m_other / (m_own + m_other)`.
+///
+/// Momentum is shared in inverse proportion to mass: the lighter vehicle takes the larger part. None unless the masses
+/// are positive. [`Impact::delta_v_mps`] is the same for vehicles that already stick to others.
+///
+/// Source: conservation of momentum; delta-v as the measure of severity, and its ratio inverse to that of the masses:
+/// Evans 1994, "Driver injury and fatality risk in two-car crashes versus mass ratio inferred using Newtonian
+/// mechanics", Accident Analysis and Prevention 26, 609-616.
+#[must_use]
+pub fn delta_v_mps(impact_speed_mps: f64, own_mass_kg: f64, other_mass_kg: f64) -> Option<f64> {
+    let positive = own_mass_kg > 0.0 && other_mass_kg > 0.0;
+    positive.then(|| impact_speed_mps.abs() * other_mass_kg / (own_mass_kg + other_mass_kg))
+}
+
+/// The impacts in which vehicle `index` is one of those that stick together afterwards.
+pub fn impacts_of(impacts: &[Impact], index: usize) -> impl Iterator<Item = &Impact> {
+    impacts.iter().filter(move |impact| (impact.first_involved..=impact.last_involved).contains(&index))
+}
+
+/// Speed at which vehicle `index` hit the one ahead, in m/s, relative to it; none if it did not. The largest, should
+/// the two touch more than once.
+#[must_use]
+pub fn impact_speed_mps(impacts: &[Impact], index: usize) -> Option<f64> {
+    let hits = impacts.iter().filter(|impact| impact.contact.rear_vehicle == index);
+    hits.map(|impact| impact.contact.impact_speed_mps).reduce(f64::max)
+}
+
+/// Largest change of speed of vehicle `index` in any one impact, in m/s; none if it was in none.
+///
+/// Not the sum over impacts: injury follows from what happens within one impact (source: as for [`delta_v_mps`]).
+#[must_use]
+pub fn max_delta_v_mps(impacts: &[Impact], index: usize) -> Option<f64> {
+    impacts_of(impacts, index).map(|impact| impact.delta_v_mps(index)).reduce(f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::measure::testing::impact;
+    use crate::sim::Contact;
+
+    #[test]
+    fn a_truck_into_a_car_by_hand() {
+        // 15 t at 18 m/s into 1.5 t at 7 m/s: 11 m/s, of which the car takes 15 / 16.5 and the truck 1.5 / 16.5.
+        assert!((delta_v_mps(11.0, 1_500.0, 15_000.0).unwrap() - 10.0).abs() < 1e-12);
+        assert!((delta_v_mps(11.0, 15_000.0, 1_500.0).unwrap() - 1.0).abs() < 1e-12);
+        assert_eq!(delta_v_mps(11.0, 0.0, 1_500.0), None);
+    }
+
+    #[test]
+    fn a_pile_up_by_hand() {
+        // Equal masses. Vehicle 2 hits 1: 4 against 10 m/s, both leave at 7. Vehicle 1, with 2 stuck to it, then hits 0:
+        // 1 against 7 m/s, all leave at (1 + 7 + 7) / 3 = 5.
+        let second = Impact {
+            contact: Contact { time_s: 2.0, front_vehicle: 0, rear_vehicle: 1, ..impact(2.0, 0, 1.0, 7.0).contact },
+            common_speed_mps: 5.0,
+            first_involved: 0,
+            last_involved: 2,
+        };
+        let impacts = [impact(1.0, 1, 4.0, 10.0), second];
+        assert_eq!([0, 1, 2, 3].map(|i| impact_speed_mps(&impacts, i)), [None, Some(6.0), Some(6.0), None]);
+        // 0: 5 - 1. 1: max(7 - 4, 7 - 5). 2: max(10 - 7, 7 - 5).
+        assert_eq!([0, 1, 2, 3].map(|i| max_delta_v_mps(&impacts, i)), [Some(4.0), Some(3.0), Some(3.0), None]);
+        assert_eq!([0, 1, 2, 3].map(|i| impacts_of(&impacts, i).count()), [1, 2, 2, 0]);
+    }
+
+    proptest! {
+        #[test]
+        fn an_impact_shares_its_speed_by_mass(
+            front in 0.0..30.0f64,
+            closing in 0.1..30.0f64,
+            masses in prop::array::uniform2(1e3..4e4f64),
+        ) {
+            let common_speed_mps = (masses[0] * front + masses[1] * (front + closing)) / (masses[0] + masses[1]);
+            let impact = Impact { common_speed_mps, ..impact(1.0, 0, front, front + closing) };
+            for (own, other) in [(0, 1), (1, 0)] {
+                let by_mass_mps = delta_v_mps(closing, masses[own], masses[other]).unwrap();
+                prop_assert!((impact.delta_v_mps(own) - by_mass_mps).abs() < 1e-9);
+            }
+        }
+    }
+}

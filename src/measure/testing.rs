@@ -1,0 +1,45 @@
+//! Traces built by hand, for the tests of the measures.
+
+use crate::sim::{Contact, Impact, Trace, Track};
+
+/// A vehicle that holds each acceleration for its time, in steps that divide those times, and never reverses.
+pub(super) fn driven(length_m: f64, position_m: f64, speed_mps: f64, pieces: &[(f64, f64)], step_s: f64) -> Track {
+    let (mut x, mut v) = (position_m, speed_mps);
+    let (mut position_m, mut speed_mps, mut acceleration_mps2) = (vec![x], vec![v], Vec::new());
+    for &(held_s, a) in pieces {
+        for _ in 0..(held_s / step_s).round() as usize {
+            let moving_s = if a < 0.0 { step_s.min(v / -a) } else { step_s };
+            acceleration_mps2.push(if moving_s > 0.0 { a } else { 0.0 });
+            x += v * moving_s + 0.5 * a * moving_s * moving_s;
+            v = if moving_s < step_s { 0.0 } else { v + a * step_s };
+            position_m.push(x);
+            speed_mps.push(v);
+        }
+    }
+    acceleration_mps2.push(acceleration_mps2.last().copied().unwrap_or(0.0));
+    Track { length_m, mass_kg: 1500.0, position_m, speed_mps, acceleration_mps2 }
+}
+
+/// A trace of such vehicles, front to rear.
+pub(super) fn trace(vehicles: Vec<Track>, step_s: f64) -> Trace {
+    let samples = vehicles.first().map_or(0, |track| track.position_m.len());
+    Trace { time_s: (0..samples).map(|k| k as f64 * step_s).collect(), vehicles }
+}
+
+/// Vehicle `front` is hit by the one behind it; both weigh the same.
+pub(super) fn impact(time_s: f64, front: usize, front_speed_mps: f64, rear_speed_mps: f64) -> Impact {
+    let contact = Contact {
+        time_s,
+        front_vehicle: front,
+        rear_vehicle: front + 1,
+        front_speed_mps,
+        rear_speed_mps,
+        impact_speed_mps: rear_speed_mps - front_speed_mps,
+    };
+    Impact {
+        contact,
+        common_speed_mps: 0.5 * (front_speed_mps + rear_speed_mps),
+        first_involved: front,
+        last_involved: front + 1,
+    }
+}
