@@ -3,6 +3,8 @@
 //! `cargo bench --bench rollout`. The item counted is one vehicle-step; a run that ends at a contact counts the steps it
 //! made. Draws of the paper's distribution; setting the engine up is part of the time.
 
+#![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
+
 use crumple::estimate::EstimatorKind;
 use crumple::scenario::{ControllerSpec, PaperDistribution, Scenario};
 use crumple::sim::{Keep, Run, RunOptions, simulate, simulate_batch};

@@ -14,6 +14,6 @@ pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
 pub use outcome::{AfterContact, Contact, Impact, Outcome, Simulated, VehicleSummary};
 pub use recorder::Keep;
-pub use run::{Run, RunError, RunOptions, UnderTest};
+pub use run::{ControllerFactory, Run, RunError, RunOptions, UnderTest};
 pub use scalar::simulate;
 pub use trace::{Pair, Trace, Track};

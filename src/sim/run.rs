@@ -19,8 +19,11 @@ pub enum UnderTest {
     /// A built-in controller.
     BuiltIn(ControllerSpec),
     /// Anything else: called once for each vehicle under test.
-    Custom(Arc<dyn Fn(&Ego) -> Box<dyn Controller> + Send + Sync>),
+    Custom(ControllerFactory),
 }
+
+/// Builds a controller for a vehicle.
+pub type ControllerFactory = Arc<dyn Fn(&Ego) -> Box<dyn Controller> + Send + Sync>;
 
 impl From<ControllerSpec> for UnderTest {
     fn from(spec: ControllerSpec) -> Self {
@@ -238,7 +241,7 @@ impl<'s> Run<'s> {
 /// How often `part` goes into `whole`, if a whole number of times up to rounding.
 fn whole_multiple(whole: f64, part: f64) -> Option<usize> {
     let times = (whole / part).round();
-    let fits = times >= 1.0 && times <= 1e9 && (times * part - whole).abs() <= 1e-9 * whole;
+    let fits = (1.0..=1e9).contains(&times) && (times * part - whole).abs() <= 1e-9 * whole;
     fits.then_some(times as usize)
 }
 

@@ -61,9 +61,8 @@ pub fn simulate(run: &Run<'_>, keep: Keep) -> Simulated {
 }
 
 fn see_ttc(tallies: &mut [Tally], platoon: &Platoon) {
-    for rear in 1..platoon.motion.len() {
+    for (rear, tally) in tallies.iter_mut().enumerate().skip(1) {
         let closing_mps = platoon.motion[rear].speed_mps - platoon.motion[rear - 1].speed_mps;
-        let tally = &mut tallies[rear];
         tally.min_ttc_s = tally.min_ttc_s.min(ttc_s(platoon.gap_m(rear), closing_mps));
     }
 }

@@ -3,7 +3,8 @@
 /// The recorded motion of all vehicles of one run.
 ///
 /// Samples are taken at the start, after every integration step, and at the instant of first contact where the run
-/// ends there. All tracks have one length.
+/// ends there. A run that goes on after contact has no samples at the contacts themselves: those are in its impacts. All
+/// tracks have one length.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trace {
     /// Time of each sample in seconds, increasing.
@@ -25,7 +26,8 @@ pub struct Track {
     pub speed_mps: Vec<f64>,
     /// Acceleration held from each sample to the next, in m/s²; the last entry repeats the one before.
     ///
-    /// In a step in which the vehicle stops it is the acceleration until it stops.
+    /// In a step in which the vehicle stops it is the acceleration until it stops; it is 0 from the next step on while the
+    /// vehicle stands, whatever is commanded. Changes of speed in impacts are not part of it.
     pub acceleration_mps2: Vec<f64>,
 }
 
