@@ -5,6 +5,8 @@ use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
+
 use super::{InvalidField, Scenario, ScenarioSpec};
 
 /// Why a scenario file could not be read.
@@ -70,8 +72,28 @@ impl Format {
 /// [`FileError`] for a file that cannot be read, parsed or accepted.
 pub fn load(path: &Path) -> Result<Scenario, FileError> {
     let format = Format::of(path).ok_or_else(|| FileError::Extension { path: path.to_owned() })?;
-    let text = fs::read_to_string(path).map_err(|source| FileError::Read { path: path.to_owned(), source })?;
-    parse(&text, format, path)
+    parse(&read(path)?, format, path)
+}
+
+/// Reads the scenario file at `path`, or every one in the folder there, in order of their names.
+///
+/// # Errors
+/// [`FileError`] for the first file that cannot be read, parsed or accepted. Files of a folder that end in neither .toml
+/// nor .json are passed over.
+pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
+    if !path.is_dir() {
+        return Ok(vec![(path.to_owned(), load(path)?)]);
+    }
+    let unreadable = |source| FileError::Read { path: path.to_owned(), source };
+    let entries = fs::read_dir(path).map_err(unreadable)?.collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
+    let mut files: Vec<_> = entries.iter().map(fs::DirEntry::path).filter(|path| Format::of(path).is_some()).collect();
+    files.sort();
+    files.into_iter().map(|path| load(&path).map(|scenario| (path, scenario))).collect()
+}
+
+/// Reads a text file.
+pub(crate) fn read(path: &Path) -> Result<String, FileError> {
+    fs::read_to_string(path).map_err(|source| FileError::Read { path: path.to_owned(), source })
 }
 
 /// Reads a scenario from TOML text; `path` only names it in errors.
@@ -92,28 +114,8 @@ pub fn from_json(text: &str, path: &Path) -> Result<Scenario, FileError> {
 
 fn parse(text: &str, format: Format, path: &Path) -> Result<Scenario, FileError> {
     let spec: ScenarioSpec = match format {
-        Format::Toml => {
-            let misread = |field: String, error: toml::de::Error| FileError::Syntax {
-                path: path.to_owned(),
-                line: error.span().map_or(1, |span| line_at(text, span.start)),
-                message: name_field(&field, error.message()),
-            };
-            let parsed = toml::Deserializer::parse(text).map_err(|error| misread(String::new(), error))?;
-            serde_path_to_error::deserialize(parsed)
-                .map_err(|error| misread(error.path().to_string(), error.into_inner()))?
-        }
-        Format::Json => {
-            let mut parsed = serde_json::Deserializer::from_str(text);
-            let misread = |field: String, error: serde_json::Error| FileError::Syntax {
-                path: path.to_owned(),
-                line: error.line().max(1),
-                message: name_field(&field, error.to_string().split(" at line ").next().unwrap_or_default()),
-            };
-            let spec = serde_path_to_error::deserialize(&mut parsed)
-                .map_err(|error| misread(error.path().to_string(), error.into_inner()))?;
-            parsed.end().map_err(|error| misread(String::new(), error))?;
-            spec
-        }
+        Format::Toml => parse_toml(text, path)?,
+        Format::Json => parse_json(text, path)?,
     };
     Scenario::new(spec).map_err(|invalid| {
         let span = match format {
@@ -122,6 +124,36 @@ fn parse(text: &str, format: Format, path: &Path) -> Result<Scenario, FileError>
         };
         FileError::Invalid { path: path.to_owned(), line: line_at(text, span.start), invalid }
     })
+}
+
+/// Reads any type from TOML text, with errors that name line and field.
+pub(crate) fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
+    let misread = |field: String, error: toml::de::Error| FileError::Syntax {
+        path: path.to_owned(),
+        line: error.span().map_or(1, |span| line_at(text, span.start)),
+        message: name_field(&field, error.message()),
+    };
+    let parsed = toml::Deserializer::parse(text).map_err(|error| misread(String::new(), error))?;
+    serde_path_to_error::deserialize(parsed).map_err(|error| misread(error.path().to_string(), error.into_inner()))
+}
+
+/// The same from JSON text.
+fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
+    let mut parsed = serde_json::Deserializer::from_str(text);
+    let misread = |field: String, error: serde_json::Error| FileError::Syntax {
+        path: path.to_owned(),
+        line: error.line().max(1),
+        message: name_field(&field, error.to_string().split(" at line ").next().unwrap_or_default()),
+    };
+    let value = serde_path_to_error::deserialize(&mut parsed)
+        .map_err(|error| misread(error.path().to_string(), error.into_inner()))?;
+    parsed.end().map_err(|error| misread(String::new(), error))?;
+    Ok(value)
+}
+
+/// The line, from 1, of a field in TOML text.
+pub(crate) fn line_in_toml(text: &str, field: &str) -> usize {
+    line_at(text, locate_in_toml(text, field).start)
 }
 
 /// The message behind the field it is about, where the parser knows the field.

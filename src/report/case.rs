@@ -1,0 +1,227 @@
+//! One controller in one scenario: what is reported of it.
+
+use serde::Serialize;
+
+use super::Rounded;
+use crate::estimate::EstimatorKind;
+use crate::measure::Measures;
+use crate::scenario::{ControllerSpec, Driver, Scenario};
+use crate::sim::{
+    AfterContact, Contact, Impact, Keep, Outcome, Run, RunError, RunOptions, Simulated, Trace, simulate_batch,
+};
+
+/// What came of one controller in one scenario.
+///
+/// Where several vehicles are under test, each measure is that of the vehicle that fared worst by it.
+#[derive(Debug, Clone, Serialize)]
+pub struct Case {
+    /// The controller's name.
+    pub controller: &'static str,
+    /// Whether and how vehicles touched.
+    pub verdict: Verdict,
+    /// Towards the vehicle ahead of a vehicle under test.
+    pub ahead: Towards,
+    /// Of the vehicle behind towards a vehicle under test.
+    pub behind: Towards,
+    /// Hardest deceleration of a vehicle under test, in m/s².
+    pub peak_brake_mps2: Option<Rounded<2>>,
+    /// Largest jerk of a vehicle under test, in m/s³.
+    pub peak_jerk_mps3: Option<Rounded<1>>,
+    /// Hardest deceleration of the vehicle behind one under test, in m/s².
+    pub imposed_brake_mps2: Option<Rounded<2>>,
+    /// What follows if everybody drives on after the first contact.
+    pub pile_up: Option<PileUp>,
+    /// The motion until the first contact, for the figure.
+    #[serde(skip)]
+    pub(super) motion: Option<(Trace, Vec<Impact>)>,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Verdict {
+    /// Nobody touched anybody.
+    Safe,
+    /// A vehicle under test hit the one ahead.
+    Hit(RoundedContact),
+    /// A vehicle under test was hit from behind, by a vehicle that is not.
+    WasHit(RoundedContact),
+    /// Two vehicles touched that are both not under test.
+    Others(RoundedContact),
+}
+
+/// A contact with the numbers a report needs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct RoundedContact {
+    /// When, in seconds.
+    pub time_s: Rounded<2>,
+    /// Index of the vehicle that is hit.
+    pub front_vehicle: usize,
+    /// Index of the vehicle that hits it.
+    pub rear_vehicle: usize,
+    /// Speed of one relative to the other, in m/s.
+    pub impact_speed_mps: Rounded<1>,
+}
+
+/// Measures of one vehicle towards the one ahead of it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Towards {
+    /// Smallest gap, in metres.
+    pub min_gap_m: Option<Rounded<2>>,
+    /// Smallest time to collision, in seconds.
+    pub min_ttc_s: Option<Rounded<2>>,
+    /// Smallest time gap, bumper to bumper, in seconds.
+    pub min_time_gap_s: Option<Rounded<2>>,
+    /// Largest deceleration rate to avoid a crash (DRAC), in m/s².
+    pub max_drac_mps2: Option<Rounded<2>>,
+    /// Largest deceleration required against the braking of the vehicle ahead, in m/s².
+    pub max_required_brake_mps2: Option<Rounded<2>>,
+    /// Time exposed time to collision (TET), in seconds.
+    pub tet_s: Rounded<2>,
+    /// Time integrated time to collision (TIT), in s².
+    pub tit_s2: Rounded<2>,
+    /// Gap at standstill, in metres.
+    pub standstill_gap_m: Option<Rounded<2>>,
+}
+
+/// The crash when it is played to its end, vehicles sticking together.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PileUp {
+    /// Impacts.
+    pub impacts: usize,
+    /// Vehicles involved.
+    pub vehicles: usize,
+    /// Largest change of speed of any vehicle in one impact, in m/s.
+    pub max_delta_v_mps: Option<Rounded<1>>,
+}
+
+impl Verdict {
+    pub(super) fn of(outcome: &Outcome, scenario: &Scenario) -> Self {
+        let under_test =
+            |index: usize| scenario.vehicles().get(index).is_some_and(|vehicle| vehicle.driver == Driver::UnderTest);
+        match outcome.contact() {
+            None => Self::Safe,
+            Some(contact) if under_test(contact.rear_vehicle) => Self::Hit(contact.into()),
+            Some(contact) if under_test(contact.front_vehicle) => Self::WasHit(contact.into()),
+            Some(contact) => Self::Others(contact.into()),
+        }
+    }
+
+    /// Whether nobody touched anybody.
+    #[must_use]
+    pub fn is_safe(&self) -> bool {
+        *self == Self::Safe
+    }
+
+    /// The verdict in a few words.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let at = |contact: &RoundedContact| format!("{} s, {} m/s", contact.time_s, contact.impact_speed_mps);
+        match self {
+            Self::Safe => "no contact".to_owned(),
+            Self::Hit(contact) => format!("{} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact)),
+            Self::WasHit(contact) => {
+                format!("{} hit from behind by {} at {}", contact.front_vehicle, contact.rear_vehicle, at(contact))
+            }
+            Self::Others(contact) => {
+                format!("traffic: {} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact))
+            }
+        }
+    }
+}
+
+impl From<&Contact> for RoundedContact {
+    fn from(contact: &Contact) -> Self {
+        Self {
+            time_s: contact.time_s.into(),
+            front_vehicle: contact.front_vehicle,
+            rear_vehicle: contact.rear_vehicle,
+            impact_speed_mps: contact.impact_speed_mps.into(),
+        }
+    }
+}
+
+/// Runs every controller in every scenario and reports scenario by scenario, in the order given.
+pub(super) fn run_cases(
+    scenarios: &[&Scenario],
+    controllers: &[ControllerSpec],
+    estimator: EstimatorKind,
+) -> Result<Vec<Vec<Case>>, RunError> {
+    let run_all = |after_contact: AfterContact| {
+        let pairs = scenarios.iter().flat_map(|&scenario| controllers.iter().map(move |c| (scenario, c)));
+        pairs
+            .map(|(scenario, controller)| {
+                let options = RunOptions::new(controller.clone());
+                Run::new(scenario, options.with_estimator(estimator).with_after_contact(after_contact))
+            })
+            .collect::<Result<Vec<_>, _>>()
+    };
+    let to_contact = run_all(AfterContact::Stop)?;
+    let to_the_end = run_all(AfterContact::Continue)?;
+    let pile_ups = simulate_batch(&to_the_end, Keep::Summary, |_, simulated| PileUp::of(&simulated));
+    let cases = simulate_batch(&to_contact, Keep::Trace, |index, simulated| {
+        Case::of(to_contact[index].scenario(), &controllers[index % controllers.len()], simulated)
+    });
+    let mut cases = cases.into_iter().zip(pile_ups).map(|(case, pile_up)| Case { pile_up, ..case });
+    Ok(scenarios.iter().map(|_| cases.by_ref().take(controllers.len()).collect()).collect())
+}
+
+impl PileUp {
+    fn of(simulated: &Simulated) -> Option<Self> {
+        let delta_v_mps = simulated.impacts.iter().flat_map(|impact| {
+            (impact.first_involved..=impact.last_involved).map(|vehicle| impact.delta_v_mps(vehicle))
+        });
+        (!simulated.impacts.is_empty()).then(|| Self {
+            impacts: simulated.impacts.len(),
+            vehicles: simulated.vehicles_involved(),
+            max_delta_v_mps: largest(delta_v_mps.map(Some)).map(Rounded::new),
+        })
+    }
+}
+
+impl Case {
+    fn of(scenario: &Scenario, controller: &ControllerSpec, simulated: Simulated) -> Self {
+        let trace = simulated.trace.as_ref();
+        let measured = |index: usize| trace.and_then(|trace| Measures::of(trace, &simulated.impacts, index));
+        let under_test = scenario.vehicles().iter().enumerate().filter(|(_, v)| v.driver == Driver::UnderTest);
+        let under_test: Vec<usize> = under_test.map(|(index, _)| index).collect();
+        let own: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index)).collect();
+        let followers: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index + 1)).collect();
+        Self {
+            controller: controller.name(),
+            verdict: Verdict::of(&simulated.outcome, scenario),
+            ahead: Towards::worst(&own),
+            behind: Towards::worst(&followers),
+            peak_brake_mps2: largest(own.iter().map(|m| m.peak_brake_mps2)).map(Rounded::new),
+            peak_jerk_mps3: largest(own.iter().map(|m| m.peak_jerk_mps3)).map(Rounded::new),
+            imposed_brake_mps2: largest(own.iter().map(|m| m.imposed.and_then(|imposed| imposed.peak_brake_mps2)))
+                .map(Rounded::new),
+            pile_up: None,
+            motion: simulated.trace.map(|trace| (trace, simulated.impacts)),
+        }
+    }
+}
+
+impl Towards {
+    fn worst(vehicles: &[Measures]) -> Self {
+        let ahead: Vec<_> = vehicles.iter().filter_map(|measures| measures.ahead).collect();
+        Self {
+            min_gap_m: smallest(ahead.iter().map(|a| a.min_gap_m)).map(Rounded::new),
+            min_ttc_s: smallest(ahead.iter().map(|a| a.min_ttc_s)).map(Rounded::new),
+            min_time_gap_s: smallest(ahead.iter().map(|a| a.min_time_gap_s)).map(Rounded::new),
+            max_drac_mps2: largest(ahead.iter().map(|a| a.max_drac_mps2)).map(Rounded::new),
+            max_required_brake_mps2: largest(ahead.iter().map(|a| a.max_required_brake_mps2)).map(Rounded::new),
+            tet_s: largest(ahead.iter().map(|a| Some(a.tet_s))).unwrap_or(0.0).into(),
+            tit_s2: largest(ahead.iter().map(|a| Some(a.tit_s2))).unwrap_or(0.0).into(),
+            standstill_gap_m: smallest(ahead.iter().map(|a| a.standstill_gap_m)).map(Rounded::new),
+        }
+    }
+}
+
+pub(super) fn smallest(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    values.flatten().min_by(f64::total_cmp)
+}
+
+pub(super) fn largest(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    values.flatten().max_by(f64::total_cmp)
+}

@@ -1,0 +1,145 @@
+//! What to assess: the configuration file of `crumple assess`.
+
+use std::path::{Path, PathBuf};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::estimate::EstimatorKind;
+use crate::scenario::file::{self, FileError};
+use crate::scenario::{ControllerSpec, Scenario};
+
+/// The version of the configuration format this release reads.
+pub const CONFIG_VERSION: u32 = 1;
+
+/// Most draws a configuration may ask for.
+const MOST_DRAWS: u64 = 10_000_000;
+
+/// The configuration as a file states it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "Assessment", title = "crumple assessment, version 1")]
+pub struct AssessConfig {
+    /// Version of the file format: 1.
+    pub version: u32,
+    /// Controllers to compare, the baseline first. Default: all built-in ones.
+    #[serde(default = "all_controllers")]
+    pub controllers: Vec<String>,
+    /// What the vehicles under test look through. Default: the Kalman filter.
+    #[serde(default)]
+    pub estimator: EstimatorKind,
+    /// Draws of the paper's distribution for each controller. Default 1000.
+    #[serde(default = "default_draws")]
+    pub draws: u64,
+    /// Seed of the draws. Default 0.
+    #[serde(default)]
+    pub seed: u64,
+    /// Scenario files, and folders of them, relative to the configuration file. Default none.
+    #[serde(default)]
+    pub scenarios: Vec<PathBuf>,
+}
+
+fn all_controllers() -> Vec<String> {
+    ControllerSpec::built_in().iter().map(|controller| controller.name().to_owned()).collect()
+}
+
+fn default_draws() -> u64 {
+    1000
+}
+
+impl Default for AssessConfig {
+    fn default() -> Self {
+        Self {
+            version: CONFIG_VERSION,
+            controllers: all_controllers(),
+            estimator: EstimatorKind::default(),
+            draws: default_draws(),
+            seed: 0,
+            scenarios: Vec::new(),
+        }
+    }
+}
+
+/// Why a configuration cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// The configuration, or a scenario file it names, cannot be read.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// A field is out of range.
+    #[error("{}:{line}: {field}: {problem}", path.display())]
+    Field {
+        /// The configuration file.
+        path: PathBuf,
+        /// Line of the field, from 1.
+        line: usize,
+        /// Path of the field.
+        field: String,
+        /// What is wrong.
+        problem: String,
+    },
+}
+
+/// A configuration that was found valid, with everything it names.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    pub(super) config: AssessConfig,
+    pub(super) controllers: Vec<ControllerSpec>,
+    /// Scenarios from files, in order of their paths, with the path as the configuration reaches it.
+    pub(super) traffic: Vec<(PathBuf, Scenario)>,
+}
+
+impl Plan {
+    /// The built-in assessment.
+    #[must_use]
+    pub fn built_in() -> Self {
+        Self { config: AssessConfig::default(), controllers: ControllerSpec::built_in(), traffic: Vec::new() }
+    }
+
+    /// Reads a configuration file and the scenarios it names.
+    ///
+    /// # Errors
+    /// [`ConfigError`] for a file that cannot be read, parsed or accepted.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = file::read(path)?;
+        let config: AssessConfig = file::parse_toml(&text, path)?;
+        let wrong = |field: &str, problem: String| ConfigError::Field {
+            path: path.to_owned(),
+            line: file::line_in_toml(&text, field),
+            field: field.to_owned(),
+            problem,
+        };
+        if config.version != CONFIG_VERSION {
+            let problem = format!("version {} is not supported: this release reads {CONFIG_VERSION}", config.version);
+            return Err(wrong("version", problem));
+        }
+        if config.draws > MOST_DRAWS {
+            return Err(wrong("draws", format!("must be at most {MOST_DRAWS}, found {}", config.draws)));
+        }
+        if config.controllers.is_empty() {
+            return Err(wrong("controllers", "must name at least one controller".to_owned()));
+        }
+        let mut controllers = Vec::new();
+        for (index, name) in config.controllers.iter().enumerate() {
+            let field = format!("controllers[{index}]");
+            let controller = ControllerSpec::named(name)
+                .ok_or_else(|| wrong(&field, format!("there is no controller `{name}`: see `crumple list controllers`")))?;
+            if controllers.contains(&controller) {
+                return Err(wrong(&field, format!("`{name}` is named twice")));
+            }
+            controllers.push(controller);
+        }
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let mut traffic = Vec::new();
+        for (index, named) in config.scenarios.iter().enumerate() {
+            let found = file::load_all(&folder.join(named))?;
+            if found.is_empty() {
+                let problem = format!("the folder {} holds no scenario file", named.display());
+                return Err(wrong(&format!("scenarios[{index}]"), problem));
+            }
+            traffic.extend(found);
+        }
+        Ok(Self { config, controllers, traffic })
+    }
+}

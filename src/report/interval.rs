@@ -1,0 +1,53 @@
+//! Exact bounds on a failure rate.
+
+use serde::Serialize;
+use statrs::distribution::{Beta, ContinuousCDF};
+
+/// A two-sided confidence interval for a rate.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct RateInterval {
+    /// Lower end.
+    pub lower: f64,
+    /// Upper end.
+    pub upper: f64,
+}
+
+impl RateInterval {
+    /// The interval of Clopper and Pearson (Biometrika 26, 1934) for `failures` in `runs` independent runs: it covers the
+    /// true rate with probability `confidence` or more, whatever that rate is.
+    #[must_use]
+    pub fn exact(failures: u64, runs: u64, confidence: f64) -> Self {
+        let tail = 0.5 * (1.0 - confidence);
+        let successes = runs.saturating_sub(failures);
+        let quantile = |a: f64, b: f64, p: f64| Beta::new(a, b).map_or(f64::NAN, |beta| beta.inverse_cdf(p));
+        let (k, rest) = (failures as f64, successes as f64);
+        Self {
+            lower: if failures == 0 { 0.0 } else { quantile(k, rest + 1.0, tail) },
+            upper: if successes == 0 { 1.0 } else { quantile(k + 1.0, rest, 1.0 - tail) },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use statrs::distribution::{Binomial, DiscreteCDF};
+
+    #[test]
+    fn without_failures_the_upper_end_is_the_closed_form() {
+        let RateInterval { lower, upper } = RateInterval::exact(0, 1000, 0.95);
+        assert_eq!(lower, 0.0);
+        assert!((upper - (1.0 - 0.025_f64.powf(1e-3))).abs() < 1e-9, "{upper}");
+        assert_eq!(RateInterval::exact(1000, 1000, 0.95).upper, 1.0);
+    }
+
+    #[test]
+    fn each_end_leaves_its_share_of_the_binomial_tail() {
+        for (failures, runs) in [(1, 10), (5, 100), (37, 1000), (999, 1000)] {
+            let RateInterval { lower, upper } = RateInterval::exact(failures, runs, 0.95);
+            let at_most = Binomial::new(upper, runs).unwrap().cdf(failures);
+            let at_least = Binomial::new(lower, runs).unwrap().sf(failures - 1);
+            assert!((at_most - 0.025).abs() < 1e-6 && (at_least - 0.025).abs() < 1e-6, "{at_most} {at_least}");
+        }
+    }
+}

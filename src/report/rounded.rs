@@ -1,0 +1,63 @@
+//! Numbers that are rounded in the type, so that reports and snapshots do not change with the last bit.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize, Serializer};
+
+/// A number shown and stored with `D` decimals.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Deserialize)]
+#[serde(transparent)]
+pub struct Rounded<const D: usize>(f64);
+
+impl<const D: usize> Rounded<D> {
+    /// Rounds a number.
+    #[must_use]
+    pub fn new(value: f64) -> Self {
+        let scale = 10_f64.powi(D as i32);
+        let rounded = (value * scale).round() / scale;
+        // Neither a magnitude beyond the scale's reach nor a negative zero may change what is said.
+        Self(if rounded.is_finite() { rounded + 0.0 } else { value })
+    }
+
+    /// The rounded number.
+    #[must_use]
+    pub fn value(self) -> f64 {
+        self.0
+    }
+}
+
+impl<const D: usize> From<f64> for Rounded<D> {
+    fn from(value: f64) -> Self {
+        Self::new(value)
+    }
+}
+
+impl<const D: usize> fmt::Display for Rounded<D> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.pad(&format!("{:.D$}", self.0))
+    }
+}
+
+impl<const D: usize> Serialize for Rounded<D> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.0.serialize(serializer)
+    }
+}
+
+/// A number to two decimals, or a dash.
+pub(super) fn or_dash<const D: usize>(value: Option<Rounded<D>>) -> String {
+    value.map_or_else(|| "–".to_owned(), |value| value.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_stored_is_what_is_shown() {
+        let number = Rounded::<2>::new(-0.0012);
+        assert_eq!((number.to_string().as_str(), serde_json::to_string(&number).unwrap().as_str()), ("0.00", "0.0"));
+        assert_eq!(Rounded::<2>::new(1.005_000_1).value(), 1.01);
+        assert_eq!(Rounded::<2>::new(1e300).value(), 1e300);
+    }
+}
