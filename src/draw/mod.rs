@@ -1,15 +1,19 @@
 //! Pictures from typed data: SVG for pages and print, PNG for everything else.
 //!
-//! A [`Panel`] is one chart: axes, and lines, bands, bars, marks and labels in the units of the data.
+//! A [`Panel`] is one chart: axes, and lines, bands, bars, marks and labels in the units of the data. [`motion()`] puts
+//! three of them together into the paper's time-space, time-speed and spacing diagrams.
 //!
 //! A figure carries its light colours as plain attributes and is complete by itself; in a page that holds [`STYLE`] it
 //! follows the reader's colour scheme (see [`Ink`]). Nothing is said by colour alone. The same data give the same
 //! bytes: there is no clock, no random identifier and no system font in them.
 
 mod axis;
+mod closeup;
 mod label;
+mod motion;
 mod panel;
 mod path;
+mod plan;
 mod png;
 mod scale;
 mod theme;
@@ -18,6 +22,7 @@ use maud::{Markup, PreEscaped, html};
 
 pub use axis::{Axis, BELOW, LEFT};
 pub use label::{Frame, on_lines, shortened, spread, text_width, wrapped};
+pub use motion::{Layout, MotionFigure, motion, motion_responsive};
 pub use panel::{Anchor, HEADING, Marker, Panel, TaggedLine, mark, straight, tag, tag_width, words};
 pub use path::{Place, simplified};
 pub use png::DrawError;
@@ -115,3 +120,8 @@ fn identifier(text: &str) -> String {
     let name: String = text.chars().map(plain).collect();
     if name.starts_with(|letter: char| letter.is_ascii_alphabetic()) { name } else { format!("f{name}") }
 }
+
+#[cfg(test)]
+mod sample;
+#[cfg(test)]
+mod tests;
