@@ -1,0 +1,105 @@
+//! Axes: a range with round numbers, or names in a row.
+
+use maud::{Markup, html};
+
+use super::label::{Frame, printable};
+use super::panel::{Anchor, straight, words};
+use super::path::Px;
+use super::scale::{Scale, Ticks, drawable};
+use super::theme::{Ink, SMALL, Stroke};
+
+/// Width left of a panel's frame that ticks and their labels take, in pixels.
+pub const LEFT: f64 = 38.0;
+
+/// Height below a panel's frame that ticks, their labels and the axis title take, in pixels.
+pub const BELOW: f64 = 36.0;
+
+/// One axis.
+///
+/// The horizontal axis writes its title below its labels. The vertical axis has none: the panel's title says what is
+/// drawn, and in which unit, where it can be read without turning the head.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Axis {
+    title: String,
+    domain: (f64, f64),
+    marks: Vec<(f64, String)>,
+    grid: bool,
+}
+
+impl Axis {
+    /// An axis of numbers with round ones marked, about `most` (5 to 10) of them.
+    #[must_use]
+    pub fn numbers(title: &str, domain: (f64, f64), most: usize) -> Self {
+        let domain = drawable(domain);
+        let marks = Ticks::within(domain, most).labelled().collect();
+        Self { title: title.to_owned(), domain, marks, grid: true }
+    }
+
+    /// An axis of names: the `n`-th at the value `n`, with half a unit around.
+    ///
+    /// On a vertical axis they end just left of the frame and may need more room than [`LEFT`]: leave the
+    /// [`text_width`](super::text_width) of the longest.
+    #[must_use]
+    pub fn names<S: AsRef<str>>(title: &str, names: &[S]) -> Self {
+        let marks = names.iter().enumerate().map(|(index, name)| (index as f64, name.as_ref().to_owned())).collect();
+        let domain = (-0.5, names.len().max(1) as f64 - 0.5);
+        Self { title: title.to_owned(), domain, marks, grid: false }
+    }
+
+    /// An axis that is not drawn.
+    #[must_use]
+    pub fn hidden(domain: (f64, f64)) -> Self {
+        Self { title: String::new(), domain: drawable(domain), marks: Vec::new(), grid: false }
+    }
+
+    /// The same axis from its other end: for names that read from top to bottom.
+    #[must_use]
+    pub fn reversed(mut self) -> Self {
+        let (low, high) = self.domain;
+        for (value, _) in &mut self.marks {
+            *value = low + high - *value;
+        }
+        self
+    }
+
+    /// The range of values.
+    #[must_use]
+    pub fn domain(&self) -> (f64, f64) {
+        self.domain
+    }
+
+    /// Grid, ticks, labels and title along the bottom of `frame`.
+    pub(super) fn draw_horizontal(&self, scale: &Scale, frame: Frame) -> Markup {
+        let bottom = frame.bottom();
+        html! {
+            @for (value, label) in &self.marks {
+                @let x = scale.px(*value);
+                @if self.grid {
+                    (straight((x, frame.top), (x, bottom), Stroke::solid(Ink::Grid, 0.8)))
+                    (straight((x, bottom), (x, bottom + 4.0), Stroke::solid(Ink::Axis, 1.0)))
+                }
+                (words((x, bottom + 15.0), Anchor::Middle, label, SMALL, Ink::Text, false))
+            }
+            @if !self.marks.is_empty() {
+                (straight((frame.left, bottom), (frame.right(), bottom), Stroke::solid(Ink::Axis, 1.0)))
+            }
+            @if !self.title.is_empty() {
+                (words((frame.right(), bottom + 30.0), Anchor::End, &self.title, SMALL, Ink::Muted, false))
+            }
+        }
+    }
+
+    /// Grid, ticks and labels along the left of `frame`.
+    pub(super) fn draw_vertical(&self, scale: &Scale, frame: Frame) -> Markup {
+        html! {
+            @for (value, label) in &self.marks {
+                @let y = scale.px(*value);
+                @if self.grid {
+                    (straight((frame.left, y), (frame.right(), y), Stroke::solid(Ink::Grid, 0.8)))
+                }
+                text x=(Px(frame.left - 6.0)) y=(Px(y + SMALL * 0.35)) text-anchor="end" font-size=(Px(SMALL))
+                    fill=(Ink::Text.hex()) { (printable(label)) }
+            }
+        }
+    }
+}

@@ -1,0 +1,256 @@
+//! Where words go: how wide they are, and places for labels that cover neither each other nor, where possible, data.
+
+use super::path::Place;
+
+/// A rectangle in the figure, in pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame {
+    /// Left edge.
+    pub left: f64,
+    /// Top edge.
+    pub top: f64,
+    /// Width.
+    pub width: f64,
+    /// Height.
+    pub height: f64,
+}
+
+impl Frame {
+    /// The rectangle of that size around a centre.
+    #[must_use]
+    pub fn around((x, y): Place, width: f64, height: f64) -> Self {
+        Self { left: x - width / 2.0, top: y - height / 2.0, width, height }
+    }
+
+    /// Right edge.
+    #[must_use]
+    pub fn right(&self) -> f64 {
+        self.left + self.width
+    }
+
+    /// Bottom edge; y grows downwards.
+    #[must_use]
+    pub fn bottom(&self) -> f64 {
+        self.top + self.height
+    }
+
+    /// Whether two rectangles share area.
+    #[must_use]
+    pub fn overlaps(&self, other: &Self) -> bool {
+        self.left < other.right() && other.left < self.right() && self.top < other.bottom() && other.top < self.bottom()
+    }
+
+    /// Whether the other rectangle lies inside.
+    #[must_use]
+    pub fn encloses(&self, other: &Self) -> bool {
+        self.left <= other.left
+            && other.right() <= self.right()
+            && self.top <= other.top
+            && other.bottom() <= self.bottom()
+    }
+
+    /// Whether a place lies inside.
+    #[must_use]
+    pub fn holds(&self, (x, y): Place) -> bool {
+        (self.left..=self.right()).contains(&x) && (self.top..=self.bottom()).contains(&y)
+    }
+}
+
+/// Width that `text` will hardly exceed in any of the fonts asked for, in pixels.
+///
+/// The reader's font is unknown when the figure is laid out, so this goes by classes of letters, as wide as in Verdana's
+/// relatives, and errs on the wide side.
+#[must_use]
+pub fn text_width(text: &str, size: f64) -> f64 {
+    let em: f64 = text
+        .chars()
+        .map(|letter| match letter {
+            'i' | 'j' | 'l' | 'I' | '.' | ',' | ':' | ';' | '\'' | '|' | '!' | ' ' => 0.34,
+            'f' | 't' | 'r' | '(' | ')' | '[' | ']' | '/' | '-' | '1' => 0.43,
+            'm' | 'w' | 'M' | 'W' | '%' | '@' => 0.95,
+            'A'..='Z' => 0.7,
+            letter if u32::from(letter) < 0x2e80 => 0.61,
+            _ => 1.0,
+        })
+        .sum();
+    em * size
+}
+
+/// `text` if it is no wider than `width` pixels, else its beginning and an ellipsis.
+#[must_use]
+pub fn shortened(text: &str, size: f64, width: f64) -> String {
+    if text_width(text, size) <= width {
+        return text.to_owned();
+    }
+    let mut kept: Vec<char> = text.chars().collect();
+    while kept.pop().is_some() {
+        let candidate = format!("{}\u{2026}", kept.iter().collect::<String>().trim_end());
+        if text_width(&candidate, size) <= width {
+            return candidate;
+        }
+    }
+    String::new()
+}
+
+/// `text` in lines no wider than `width` pixels, broken between words; a single word may be wider.
+#[must_use]
+pub fn wrapped(text: &str, size: f64, width: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if text_width(&format!("{line} {word}"), size) <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
+}
+
+/// `text` without the characters that XML 1.0 (section 2.2) does not allow, in one line.
+pub(super) fn printable(text: &str) -> String {
+    let allowed = |letter: &char| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}');
+    text.chars().map(|letter| if letter.is_whitespace() { ' ' } else { letter }).filter(allowed).collect()
+}
+
+/// Places along one direction that are `spacing` apart at least, within `limits`, in the order of and near to `wanted`.
+///
+/// Where there is not enough room, the spacing shrinks until there is.
+#[must_use]
+pub fn spread(wanted: &[f64], spacing: f64, limits: (f64, f64)) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..wanted.len()).collect();
+    let aim = |index: usize| wanted.get(index).copied().filter(|w| w.is_finite()).unwrap_or(limits.0);
+    order.sort_by(|&a, &b| aim(a).total_cmp(&aim(b)));
+    let room = (limits.1 - limits.0).max(0.0);
+    let spacing = spacing.min(room / (order.len().saturating_sub(1).max(1)) as f64);
+
+    // Least squares under an ordering: subtract what the spacing adds, pool neighbours that are out of order
+    // (Ayer et al., 1955), and add it again.
+    let mut pools: Vec<(f64, usize)> = Vec::new();
+    for (rank, &index) in order.iter().enumerate() {
+        let mut pool = (aim(index) - rank as f64 * spacing, 1);
+        while let Some(&(mean, count)) = pools.last()
+            && mean > pool.0
+        {
+            pools.pop();
+            pool = ((mean * count as f64 + pool.0 * pool.1 as f64) / (count + pool.1) as f64, count + pool.1);
+        }
+        pools.push(pool);
+    }
+    let top = limits.1 - order.len().saturating_sub(1) as f64 * spacing;
+    let mut placed = vec![0.0; wanted.len()];
+    let bases = pools.iter().flat_map(|&(mean, count)| std::iter::repeat_n(mean, count));
+    for ((rank, &index), base) in order.iter().enumerate().zip(bases) {
+        if let Some(place) = placed.get_mut(index) {
+            *place = base.min(top).max(limits.0) + rank as f64 * spacing;
+        }
+    }
+    placed
+}
+
+/// Positions tried along a line for its label.
+const CANDIDATES: usize = 64;
+
+/// A distance to other lines beyond which more does not make a better place, in pixels.
+const CLEAR_PX: f64 = 22.0;
+
+/// Centres for one label on each line, at places where the lines are far apart; none where there is no room.
+///
+/// `lines` run from left to right; `sizes` are widths and heights of the labels; labels stay inside `frame` and off
+/// `taken`, to which they are added.
+pub fn on_lines(
+    lines: &[Vec<Place>],
+    sizes: &[(f64, f64)],
+    frame: Frame,
+    taken: &mut Vec<Frame>,
+) -> Vec<Option<Place>> {
+    let mut centres = Vec::with_capacity(lines.len());
+    for (index, (line, &(width, height))) in lines.iter().zip(sizes).enumerate() {
+        let (from, to) = (line.first().map_or(0.0, |p| p.0), line.last().map_or(0.0, |p| p.0));
+        let mut best: Option<(f64, Place)> = None;
+        for step in 0..=CANDIDATES {
+            let x = from + (to - from) * step as f64 / CANDIDATES as f64;
+            let Some(y) = height_at(line, x) else { continue };
+            let label = Frame::around((x, y), width, height);
+            if !frame.encloses(&label) || taken.iter().any(|other| other.overlaps(&label)) {
+                continue;
+            }
+            let others = lines.iter().enumerate().filter(|(other, _)| *other != index);
+            let clearance = others
+                .flat_map(|(_, other)| [x - width / 2.0, x, x + width / 2.0].map(|x| height_at(other, x)))
+                .flatten()
+                .map(|other| (other - y).abs())
+                .fold(CLEAR_PX, f64::min);
+            if best.is_none_or(|(score, _)| clearance > score) {
+                best = Some((clearance, (x, y)));
+            }
+        }
+        taken.extend(best.map(|(_, centre)| Frame::around(centre, width + 2.0, height + 2.0)));
+        centres.push(best.map(|(_, centre)| centre));
+    }
+    centres
+}
+
+/// Height of a line that runs from left to right at `x`; none outside it.
+fn height_at(line: &[Place], x: f64) -> Option<f64> {
+    let after = line.partition_point(|point| point.0 < x);
+    let &(x1, y1) = line.get(after)?;
+    let Some(&(x0, y0)) = after.checked_sub(1).and_then(|before| line.get(before)) else {
+        return (x1 == x).then_some(y1);
+    };
+    if x1 > x0 { Some(y0 + (y1 - y0) * (x - x0) / (x1 - x0)) } else { Some(y1) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn spread_labels_keep_their_distance_and_order(wanted in proptest::collection::vec(-50.0..350.0f64, 1..20)) {
+            let placed = spread(&wanted, 14.0, (0.0, 280.0));
+            for (i, a) in placed.iter().enumerate() {
+                prop_assert!((-1e-9..=280.0 + 1e-9).contains(a));
+                for (j, b) in placed.iter().enumerate().skip(i + 1) {
+                    prop_assert!((a - b).abs() >= 14.0 - 1e-9);
+                    prop_assert!(wanted[i] == wanted[j] || (wanted[i] < wanted[j]) == (a < b));
+                }
+            }
+        }
+
+        #[test]
+        fn labels_on_lines_cover_neither_each_other_nor_what_is_taken(
+            heights in proptest::collection::vec(proptest::collection::vec(0.0..240.0f64, 2..30), 1..20),
+        ) {
+            let frame = Frame { left: 0.0, top: 0.0, width: 200.0, height: 240.0 };
+            let lines: Vec<Vec<Place>> = heights
+                .iter()
+                .map(|line| line.iter().enumerate().map(|(i, &y)| (i as f64 * 6.0, y)).collect())
+                .collect();
+            let sizes = vec![(16.0, 14.0); lines.len()];
+            let corner = Frame { left: 100.0, top: 120.0, width: 100.0, height: 120.0 };
+            let mut taken = vec![corner];
+            let places = on_lines(&lines, &sizes, frame, &mut taken);
+            let labels: Vec<Frame> = places.iter().flatten().map(|&at| Frame::around(at, 16.0, 14.0)).collect();
+            for (i, label) in labels.iter().enumerate() {
+                prop_assert!(frame.encloses(label) && !label.overlaps(&corner));
+                prop_assert!(labels.iter().skip(i + 1).all(|other| !other.overlaps(label)));
+            }
+        }
+    }
+
+    #[test]
+    fn labels_that_want_their_place_keep_it() {
+        assert_eq!(spread(&[10.0, 90.0, 50.0], 14.0, (0.0, 100.0)), [10.0, 90.0, 50.0]);
+        assert_eq!(spread(&[50.0, 50.0], 10.0, (0.0, 100.0)), [45.0, 55.0]);
+        assert_eq!(spread(&[], 10.0, (0.0, 100.0)), Vec::<f64>::new());
+    }
+
+    #[test]
+    fn long_names_end_in_an_ellipsis() {
+        assert_eq!(shortened("ego", 12.0, 100.0), "ego");
+        assert_eq!(shortened("a follower with a long name", 12.0, 90.0), "a follower w\u{2026}");
+    }
+}

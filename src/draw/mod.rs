@@ -1,0 +1,127 @@
+//! Pictures from typed data: SVG for pages and print, PNG for everything else.
+//!
+//! A [`Panel`] is one chart: axes, and lines, bands, bars, marks and labels in the units of the data. [`motion()`] puts
+//! three of them together into the paper's time-space, time-speed and spacing diagrams.
+//!
+//! A figure carries its light colours as plain attributes and is complete by itself; in a page that holds [`STYLE`] it
+//! follows the reader's colour scheme (see [`Ink`]). Nothing is said by colour alone. The same data give the same
+//! bytes: there is no clock, no random identifier and no system font in them.
+
+mod axis;
+mod closeup;
+mod label;
+mod motion;
+mod panel;
+mod path;
+mod plan;
+mod png;
+mod scale;
+mod theme;
+
+use maud::{Markup, PreEscaped, html};
+
+pub use axis::{Axis, BELOW, LEFT};
+pub use label::{Frame, on_lines, shortened, spread, text_width, wrapped};
+pub use motion::{Layout, MotionFigure, motion, motion_responsive};
+pub use panel::{Anchor, HEADING, Marker, Panel, TaggedLine, mark, straight, tag, tag_width, words};
+pub use path::{Place, simplified};
+pub use png::DrawError;
+pub use scale::{Scale, Ticks, drawable, extent, padded, signed};
+pub use theme::{COLOURS, DASHES, Ink, SMALL, STYLE, Stroke, TEXT};
+
+use label::printable;
+use path::Px;
+
+/// Pixels of a PNG to one unit of the figure: sharp on a dense screen, and a wide figure has 300 dots an inch at 16 cm.
+pub const PNG_SCALE: f64 = 2.0;
+
+/// A finished figure.
+#[derive(Debug, Clone)]
+pub struct Svg {
+    width: f64,
+    height: f64,
+    prefix: String,
+    title: String,
+    description: String,
+    content: Markup,
+}
+
+impl Svg {
+    /// A figure of `width` by `height` pixels at full size.
+    ///
+    /// `title` and `description` are what a screen reader says. Identifiers inside the figure begin with `prefix`,
+    /// which must differ between the figures of a page; see [`Svg::id`].
+    #[must_use]
+    pub fn new(prefix: &str, (width, height): (f64, f64), title: &str, description: &str, content: Markup) -> Self {
+        let prefix = identifier(prefix);
+        Self { width, height, prefix, title: printable(title), description: printable(description), content }
+    }
+
+    /// The identifier `name` of the figure with that prefix, as [`Panel::draw`] wants it.
+    #[must_use]
+    pub fn id(prefix: &str, name: &str) -> String {
+        format!("{}-{}", identifier(prefix), identifier(name))
+    }
+
+    /// Width and height at full size, in pixels.
+    #[must_use]
+    pub fn size(&self) -> (f64, f64) {
+        (self.width, self.height)
+    }
+
+    /// The figure as an element of an HTML page that holds [`STYLE`]; its ground is the page's.
+    #[must_use]
+    pub fn inline(&self) -> Markup {
+        self.element(false)
+    }
+
+    /// The figure as a file: an SVG document on a white ground.
+    #[must_use]
+    pub fn document(&self) -> String {
+        format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n", self.element(true).into_string())
+    }
+
+    /// The figure as a PNG file on a white ground, `scale` pixels to a unit, usually [`PNG_SCALE`].
+    ///
+    /// # Errors
+    /// [`DrawError::Size`] if `scale` makes the picture empty or larger than 268 million pixels; the other variants
+    /// are faults of this library.
+    pub fn to_png(&self, scale: f64) -> Result<Vec<u8>, DrawError> {
+        png::encode(&self.document(), scale)
+    }
+
+    fn element(&self, alone: bool) -> Markup {
+        let (width, height) = (Px(self.width), Px(self.height));
+        let (title, description) = (format!("{}-title", self.prefix), format!("{}-desc", self.prefix));
+        html! {
+            svg xmlns="http://www.w3.org/2000/svg" class="draw" width=(width) height=(height)
+                viewBox={ "0 0 " (width) " " (height) } font-family=(theme::FONTS) role="img"
+                aria-labelledby={ (title) " " (description) } {
+                title id=(title) { (self.title) }
+                desc id=(description) { (self.description) }
+                @if alone {
+                    rect width="100%" height="100%" fill=(Ink::Paper.hex()) {}
+                }
+                (self.content)
+            }
+        }
+    }
+}
+
+impl maud::Render for Svg {
+    fn render(&self) -> Markup {
+        PreEscaped(self.inline().into_string())
+    }
+}
+
+/// Letters, digits, hyphens and underscores of `text`, after a letter.
+fn identifier(text: &str) -> String {
+    let plain = |letter: char| if letter.is_ascii_alphanumeric() || "-_".contains(letter) { letter } else { '-' };
+    let name: String = text.chars().map(plain).collect();
+    if name.starts_with(|letter: char| letter.is_ascii_alphabetic()) { name } else { format!("f{name}") }
+}
+
+#[cfg(test)]
+mod sample;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,289 @@
+//! One pair of axes and what is drawn between them, in the units of the data.
+
+use maud::{Markup, html};
+
+use super::axis::{Axis, LEFT};
+use super::label::{Frame, on_lines, printable, text_width};
+use super::path::{self, Place, Px};
+use super::scale::Scale;
+use super::theme::{Ink, SMALL, Stroke, TEXT};
+
+/// Height of a tag, in pixels.
+const TAG_HEIGHT: f64 = 14.0;
+
+/// The shape of a mark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Marker {
+    /// A filled disc.
+    Disc,
+    /// A ring.
+    Ring,
+    /// A filled square.
+    Square,
+    /// A diagonal cross.
+    Cross,
+    /// A star with eight points: contact.
+    Burst,
+}
+
+/// Which part of a text is at its place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Anchor {
+    /// Its left end.
+    Start,
+    /// Its middle.
+    Middle,
+    /// Its right end.
+    End,
+}
+
+/// A line that wants a tag; see [`Panel::tags`].
+#[derive(Debug, Clone)]
+pub struct TaggedLine {
+    /// The line, from left to right.
+    pub points: Vec<(f64, f64)>,
+    /// What the tag says: a word or two.
+    pub tag: String,
+    /// Colour of the tag: the line's.
+    pub ink: Ink,
+}
+
+/// A chart: axes, and layers in the order in which they were added.
+///
+/// Lines, bands and bars are cut off at the frame; marks, tags and words are not.
+#[derive(Debug, Clone)]
+pub struct Panel {
+    frame: Frame,
+    title: String,
+    x: Axis,
+    y: Axis,
+    x_scale: Scale,
+    y_scale: Scale,
+    inside: Vec<Markup>,
+    above: Vec<Markup>,
+    taken: Vec<Frame>,
+}
+
+impl Panel {
+    /// An empty chart whose data area is `frame`; ticks and titles lie outside it, see [`Axis`].
+    #[must_use]
+    pub fn new(frame: Frame, title: &str, x: Axis, y: Axis) -> Self {
+        let x_scale = Scale::new(x.domain(), (frame.left, frame.right()));
+        let y_scale = Scale::new(y.domain(), (frame.bottom(), frame.top));
+        let title = title.to_owned();
+        Self { frame, title, x, y, x_scale, y_scale, inside: Vec::new(), above: Vec::new(), taken: Vec::new() }
+    }
+
+    /// The data area, in pixels.
+    #[must_use]
+    pub fn frame(&self) -> Frame {
+        self.frame
+    }
+
+    /// Where a pair of values is drawn, in pixels.
+    #[must_use]
+    pub fn place(&self, (x, y): (f64, f64)) -> Place {
+        (self.x_scale.px(x), self.y_scale.px(y))
+    }
+
+    /// Where each of many pairs is drawn, in pixels; pairs that are not finite are left out.
+    #[must_use]
+    pub fn places(&self, points: &[(f64, f64)]) -> Vec<Place> {
+        points.iter().filter(|(x, y)| x.is_finite() && y.is_finite()).map(|&point| self.place(point)).collect()
+    }
+
+    /// Adds a line through points; a lone point is a dot.
+    pub fn line(&mut self, points: &[(f64, f64)], stroke: Stroke) {
+        let places = self.places(points);
+        let Some((&(x, y), rest)) = places.split_first() else { return };
+        let dash = (!stroke.dash.is_empty()).then_some(stroke.dash);
+        self.inside.push(if rest.iter().all(|&other| other == (x, y)) {
+            html! { circle cx=(Px(x)) cy=(Px(y)) r=(Px(stroke.width)) fill=(stroke.ink.hex()) {} }
+        } else {
+            html! {
+                path d=(path::open(&places)) fill="none" stroke=(stroke.ink.hex()) stroke-width=(Px(stroke.width))
+                    stroke-dasharray=[dash] stroke-linejoin="round" {}
+            }
+        });
+    }
+
+    /// Adds a translucent area between two lines, such as a mean plus and minus a standard deviation.
+    pub fn band(&mut self, upper: &[(f64, f64)], lower: &[(f64, f64)], ink: Ink) {
+        let outline = path::between(&self.places(upper), &self.places(lower));
+        self.inside.push(html! { path d=(outline) fill=(ink.hex()) fill-opacity="0.22" {} });
+    }
+
+    /// Adds a rectangle between two opposite corners.
+    pub fn bar(&mut self, corner: (f64, f64), opposite: (f64, f64), ink: Ink) {
+        let ((x0, y0), (x1, y1)) = (self.place(corner), self.place(opposite));
+        self.inside.push(html! {
+            rect x=(Px(x0.min(x1))) y=(Px(y0.min(y1))) width=(Px((x1 - x0).abs())) height=(Px((y1 - y0).abs()))
+                fill=(ink.hex()) fill-opacity="0.8" {}
+        });
+    }
+
+    /// Adds a straight line between two points, such as the whisker of an interval.
+    pub fn segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
+        let (from, to) = (self.place(from), self.place(to));
+        self.inside.push(straight(from, to, stroke));
+    }
+
+    /// Adds a vertical line over the full height.
+    pub fn rule_x(&mut self, value: f64, stroke: Stroke) {
+        let (x, _) = self.place((value, 0.0));
+        self.inside.push(straight((x, self.frame.top), (x, self.frame.bottom()), stroke));
+    }
+
+    /// Adds a horizontal line over the full width.
+    pub fn rule_y(&mut self, value: f64, stroke: Stroke) {
+        let (_, y) = self.place((0.0, value));
+        self.inside.push(straight((self.frame.left, y), (self.frame.right(), y), stroke));
+    }
+
+    /// Adds marks; tags keep off them. Marks outside the frame are left out.
+    pub fn marks(&mut self, points: &[(f64, f64)], marker: Marker, ink: Ink) {
+        for place in self.places(points) {
+            if self.frame.holds(place) {
+                self.taken.push(Frame::around(place, 10.0, 10.0));
+                self.above.push(mark(place, marker, ink));
+            }
+        }
+    }
+
+    /// Adds words at a pair of values, on a halo that lifts them off the data; tags keep off them.
+    pub fn note(&mut self, at: (f64, f64), anchor: Anchor, text: &str, ink: Ink) {
+        let place = self.place(at);
+        let width = text_width(text, SMALL);
+        let middle = match anchor {
+            Anchor::Start => place.0 + width / 2.0,
+            Anchor::Middle => place.0,
+            Anchor::End => place.0 - width / 2.0,
+        };
+        self.taken.push(Frame::around((middle, place.1), width, SMALL * 1.2));
+        self.above.push(words((place.0, place.1 + SMALL * 0.35), anchor, text, SMALL, ink, true));
+    }
+
+    /// Keeps tags off a rectangle, in pixels.
+    pub fn reserve(&mut self, area: Frame) {
+        self.taken.push(area);
+    }
+
+    /// Adds something drawn in pixels, above the data.
+    pub fn overlay(&mut self, content: Markup) {
+        self.above.push(content);
+    }
+
+    /// Adds a tag to each line, where the lines are far apart; a line that runs where there is no room gets none.
+    ///
+    /// Call this last: tags keep off what is there.
+    pub fn tags(&mut self, lines: &[TaggedLine]) {
+        let places: Vec<_> = lines.iter().map(|line| path::simplified(&self.places(&line.points))).collect();
+        let sizes: Vec<_> = lines.iter().map(|line| (tag_width(&line.tag), TAG_HEIGHT)).collect();
+        let centres = on_lines(&places, &sizes, self.frame, &mut self.taken);
+        for (line, centre) in lines.iter().zip(centres) {
+            self.above.extend(centre.map(|centre| tag(centre, &line.tag, line.ink)));
+        }
+    }
+
+    /// The chart as markup. `id` is unique in the page.
+    #[must_use]
+    pub fn draw(self, id: &str) -> Markup {
+        let Frame { left, top, width, height } = self.frame;
+        html! {
+            @if !self.title.is_empty() {
+                (heading((left, top), &self.title))
+            }
+            (self.x.draw_horizontal(&self.x_scale, self.frame))
+            (self.y.draw_vertical(&self.y_scale, self.frame))
+            clipPath id=(id) {
+                rect x=(Px(left)) y=(Px(top - 1.0)) width=(Px(width)) height=(Px(height + 2.0)) {}
+            }
+            g clip-path={ "url(#" (id) ")" } {
+                @for layer in &self.inside { (layer) }
+            }
+            @for layer in &self.above { (layer) }
+        }
+    }
+}
+
+/// Height above a panel's frame that its heading takes, and a line of notes below the heading.
+pub const HEADING: f64 = 40.0;
+
+/// A panel's title above its frame and its tick labels, with room for a line of notes between.
+fn heading((left, top): Place, title: &str) -> Markup {
+    html! {
+        text x=(Px(left - LEFT)) y=(Px(top - HEADING + 16.0)) font-size=(Px(TEXT)) font-weight="600" fill=(Ink::Text.hex()) {
+            (printable(title))
+        }
+    }
+}
+
+/// Words at a place on their base line, in pixels; with a halo they can be read over lines.
+#[must_use]
+pub fn words((x, y): Place, anchor: Anchor, text: &str, size: f64, ink: Ink, halo: bool) -> Markup {
+    let anchor = match anchor {
+        Anchor::Start => None,
+        Anchor::Middle => Some("middle"),
+        Anchor::End => Some("end"),
+    };
+    let (stroke, width, order) =
+        if halo { (Some(Ink::Paper.hex()), Some("3"), Some("stroke")) } else { (None, None, None) };
+    html! {
+        text x=(Px(x)) y=(Px(y)) text-anchor=[anchor] font-size=(Px(size)) fill=(ink.hex()) stroke=[stroke]
+            stroke-width=[width] stroke-linejoin=[order.map(|_| "round")] paint-order=[order] { (printable(text)) }
+    }
+}
+
+/// Width of a tag, in pixels.
+#[must_use]
+pub fn tag_width(text: &str) -> f64 {
+    (text_width(text, SMALL) + 7.0).max(TAG_HEIGHT + 1.0)
+}
+
+/// A short label in a rounded box around `centre`, in pixels.
+#[must_use]
+pub fn tag(centre: Place, text: &str, ink: Ink) -> Markup {
+    let Frame { left, top, width, height } = Frame::around(centre, tag_width(text), TAG_HEIGHT);
+    html! {
+        rect x=(Px(left)) y=(Px(top)) width=(Px(width)) height=(Px(height)) rx=(Px(height / 2.0))
+            fill=(Ink::Paper.hex()) stroke=(ink.hex()) stroke-width="1.2" {}
+        (words((centre.0, centre.1 + SMALL * 0.35), Anchor::Middle, text, SMALL, ink, false))
+    }
+}
+
+/// A straight line between two places, in pixels.
+#[must_use]
+pub fn straight(from: Place, to: Place, stroke: Stroke) -> Markup {
+    let dash = (!stroke.dash.is_empty()).then_some(stroke.dash);
+    html! {
+        path d=(path::open(&[from, to])) stroke=(stroke.ink.hex()) stroke-width=(Px(stroke.width))
+            stroke-dasharray=[dash] {}
+    }
+}
+
+/// A mark at a place, in pixels, with a thin halo.
+#[must_use]
+pub fn mark((x, y): Place, marker: Marker, ink: Ink) -> Markup {
+    let (paper, ink) = (Ink::Paper.hex(), ink.hex());
+    match marker {
+        Marker::Disc => html! { circle cx=(Px(x)) cy=(Px(y)) r="3.2" fill=(ink) stroke=(paper) {} },
+        Marker::Ring => html! { circle cx=(Px(x)) cy=(Px(y)) r="3.6" fill=(paper) stroke=(ink) stroke-width="1.6" {} },
+        Marker::Square => html! {
+            rect x=(Px(x - 3.0)) y=(Px(y - 3.0)) width="6" height="6" fill=(ink) stroke=(paper) {}
+        },
+        Marker::Cross => html! {
+            path d={ "M" (Px(x - 3.2)) " " (Px(y - 3.2)) "l6.4 6.4m0-6.4l-6.4 6.4" } stroke=(ink) stroke-width="1.6" {}
+        },
+        Marker::Burst => html! { path d=(burst(x, y)) fill=(ink) stroke=(paper) stroke-width="1" {} },
+    }
+}
+
+/// The outline of a star with eight points.
+fn burst(x: f64, y: f64) -> String {
+    let corner = |index: u32| {
+        let radius = if index.is_multiple_of(2) { 7.5 } else { 3.4 };
+        let (sin, cos) = (f64::from(index) * std::f64::consts::PI / 8.0).sin_cos();
+        format!("{} {}", Px(x + radius * sin), Px(y - radius * cos))
+    };
+    format!("M{}Z", (0..16).map(corner).collect::<Vec<_>>().join(" "))
+}

@@ -1,0 +1,150 @@
+//! Points to SVG path data: few points, short numbers.
+
+use std::fmt;
+
+/// Pixels by which a drawn line may differ from its points: well under what a printer resolves.
+const TOLERANCE_PX: f64 = 0.15;
+
+/// Width in pixels of the columns in which only the first, lowest, highest and last point are kept.
+const COLUMN_PX: f64 = 0.25;
+
+/// A place in the figure, in pixels from its top left corner.
+pub type Place = (f64, f64);
+
+/// A number of pixels, written with one decimal at most.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Px(pub(super) f64);
+
+impl fmt::Display for Px {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let tenths = if self.0.is_finite() { (self.0 * 10.0).round() } else { 0.0 };
+        // Adding zero turns a negative zero into zero.
+        write!(out, "{}", tenths / 10.0 + 0.0)
+    }
+}
+
+impl maud::Render for Px {
+    fn render_to(&self, buffer: &mut String) {
+        use fmt::Write;
+        // Writing to a string cannot fail.
+        let _ = write!(buffer, "{self}");
+    }
+}
+
+/// Path data of an open line through `points`, simplified.
+pub(super) fn open(points: &[Place]) -> String {
+    data(&simplified(points))
+}
+
+/// Path data of the area between two lines, simplified.
+pub(super) fn between(upper: &[Place], lower: &[Place]) -> String {
+    let mut outline = simplified(upper);
+    outline.extend(simplified(lower).into_iter().rev());
+    data(&outline) + "Z"
+}
+
+/// After `M`, pairs that follow the first are lines to them.
+fn data(points: &[Place]) -> String {
+    let mut text = String::with_capacity(points.len() * 12);
+    for (index, (x, y)) in points.iter().enumerate() {
+        text.push_str(if index == 0 { "M" } else { " " });
+        text.push_str(&format!("{} {}", Px(*x), Px(*y)));
+    }
+    text
+}
+
+/// A subset of the points, ends included, whose line stays within half a pixel of the original.
+///
+/// Non-finite points are left out.
+#[must_use]
+pub fn simplified(points: &[Place]) -> Vec<Place> {
+    let finite: Vec<Place> = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
+    straightened(&columns(&finite))
+}
+
+/// First, lowest, highest and last point of each narrow column (Jugel et al., "M4", VLDB 2014): bounds the work for
+/// long recordings and loses no spike. Lines that turn back in x are left as they are.
+fn columns(points: &[Place]) -> Vec<Place> {
+    let forward = points.windows(2).all(|pair| matches!(pair, [a, b] if a.0 <= b.0));
+    if !forward {
+        return points.to_vec();
+    }
+    let mut kept = Vec::new();
+    for column in points.chunk_by(|a, b| (a.0 / COLUMN_PX).floor() == (b.0 / COLUMN_PX).floor()) {
+        let by_height = |a: &&Place, b: &&Place| a.1.total_cmp(&b.1);
+        let ends = [column.first(), column.iter().min_by(by_height), column.iter().max_by(by_height), column.last()];
+        let mut chosen: Vec<Place> = ends.into_iter().flatten().copied().collect();
+        chosen.sort_by(|a, b| a.0.total_cmp(&b.0));
+        chosen.dedup();
+        kept.extend(chosen);
+    }
+    kept
+}
+
+/// Ramer (1972), Douglas and Peucker (1973), with a stack of its own in place of recursion.
+fn straightened(points: &[Place]) -> Vec<Place> {
+    let Some(last) = points.len().checked_sub(1) else { return Vec::new() };
+    let mut keep = vec![false; points.len()];
+    let mut stack = vec![(0, last)];
+    while let Some((from, to)) = stack.pop() {
+        for end in [from, to] {
+            if let Some(kept) = keep.get_mut(end) {
+                *kept = true;
+            }
+        }
+        let (Some(&start), Some(&end)) = (points.get(from), points.get(to)) else { continue };
+        let inner = points.iter().enumerate().take(to).skip(from + 1);
+        let farthest = inner
+            .map(|(index, &point)| (index, distance(point, start, end)))
+            .max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
+        if let Some((index, far)) = farthest
+            && far > TOLERANCE_PX
+        {
+            stack.push((from, index));
+            stack.push((index, to));
+        }
+    }
+    points.iter().zip(keep).filter_map(|(&point, kept)| kept.then_some(point)).collect()
+}
+
+/// Distance from a point to a segment.
+fn distance(point: Place, start: Place, end: Place) -> f64 {
+    let (dx, dy) = (end.0 - start.0, end.1 - start.1);
+    let (px, py) = (point.0 - start.0, point.1 - start.1);
+    let squared = dx * dx + dy * dy;
+    let along = if squared > 0.0 { ((px * dx + py * dy) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    (px - along * dx).hypot(py - along * dy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn simplification_keeps_close_to_every_point(
+            heights in proptest::collection::vec(0.0..200.0f64, 1..400), width in 1.0..500.0f64,
+        ) {
+            let last = heights.len() as f64;
+            let points: Vec<Place> =
+                heights.iter().enumerate().map(|(i, &y)| (i as f64 / last * width, y)).collect();
+            let kept = simplified(&points);
+            prop_assert_eq!(kept.first(), points.first());
+            prop_assert_eq!(kept.last(), points.last());
+            for &point in &points {
+                let near = kept.windows(2).map(|pair| distance(point, pair[0], pair[1])).fold(f64::INFINITY, f64::min);
+                prop_assert!(kept.len() < 2 || near <= TOLERANCE_PX + COLUMN_PX, "{point:?} is {near} px off");
+            }
+            prop_assert!(kept.len() as f64 <= 4.0 * (width / COLUMN_PX + 1.0));
+        }
+    }
+
+    #[test]
+    fn a_long_straight_line_needs_two_points() {
+        let points: Vec<Place> = (0..1500).map(|i| (f64::from(i) / 3.0, f64::from(i) / 7.0)).collect();
+        assert_eq!(simplified(&points).len(), 2);
+        assert_eq!(open(&[(0.0, -0.04), (10.0, 2.25), (f64::NAN, 0.0)]), "M0 0 10 2.3");
+        assert_eq!(open(&[]), "");
+    }
+}

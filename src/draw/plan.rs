@@ -1,0 +1,121 @@
+//! Where the parts of a motion figure go.
+
+use maud::{Markup, html};
+
+use super::axis::{BELOW, LEFT};
+use super::label::{Frame, shortened, text_width, wrapped};
+use super::motion::{Layout, MotionFigure};
+use super::panel::{Anchor, HEADING, tag, tag_width, words};
+use super::theme::{Ink, TEXT, swatch};
+
+/// Distance between successive labels, in pixels.
+pub(super) const LABEL_STEP: f64 = 15.0;
+
+/// The most a name beside the time-space diagram may take, in pixels.
+const WIDEST_NAME: f64 = 140.0;
+
+/// Size of the figure's title.
+const TITLE: f64 = 14.0;
+
+/// Height of a row of the key, and width of the sample of a line in it.
+const KEY_ROW: f64 = 20.0;
+const KEY_SWATCH: f64 = 24.0;
+
+/// Where everything goes.
+pub(super) struct Plan {
+    pub(super) layout: Layout,
+    pub(super) width: f64,
+    pub(super) height: f64,
+    title: Vec<String>,
+    pub(super) space: Frame,
+    pub(super) speed: Frame,
+    pub(super) spacing: Frame,
+    /// Where the column of labels beside the time-space diagram ends.
+    pub(super) labels_right: f64,
+    pub(super) widest_tag: f64,
+}
+
+impl Plan {
+    pub(super) fn new(figure: &MotionFigure<'_>, layout: Layout) -> Self {
+        let vehicles = figure.trace.vehicles.len();
+        let widest_tag = tag_width(&vehicles.saturating_sub(1).to_string());
+        let tall = |least: f64| least.max(LABEL_STEP * vehicles as f64);
+        let width = if layout == Layout::Wide { 960.0 } else { 360.0 };
+        let title = if figure.title.is_empty() { vec![] } else { wrapped(figure.title, TITLE, width - 4.0) };
+        let top = title.len() as f64 * TITLE * 1.3;
+        match layout {
+            Layout::Wide => {
+                let name = |index| text_width(&name_of(figure, index), TEXT);
+                let names = (0..vehicles).map(name).fold(0.0, f64::max).min(WIDEST_NAME);
+                let labels = 14.0 + widest_tag + names;
+                let unit = (width - 3.0 * LEFT - labels - 36.0) / 3.3;
+                let frame = |left, width| Frame { left, top: top + HEADING, width, height: tall(240.0) };
+                let space = frame(LEFT, 1.3 * unit);
+                let speed = frame(space.right() + labels + LEFT + 8.0, unit);
+                let spacing = frame(speed.right() + LEFT + 16.0, unit);
+                let labels_right = space.right() + labels;
+                let height = space.bottom() + BELOW;
+                Self { layout, width, height, title, space, speed, spacing, labels_right, widest_tag }
+            }
+            Layout::Stacked => {
+                let plot = width - LEFT - widest_tag - 18.0;
+                let frame = |above: f64, height| Frame { left: LEFT, top: above + HEADING, width: plot, height };
+                let space = frame(top + KEY_ROW * key(figure, width).len() as f64, tall(230.0));
+                let speed = frame(space.bottom() + BELOW, 190.0);
+                let spacing = frame(speed.bottom() + BELOW, 190.0);
+                let height = spacing.bottom() + BELOW;
+                Self { layout, width, height, title, space, speed, spacing, labels_right: width, widest_tag }
+            }
+        }
+    }
+
+    /// What stands above the panels: the title and, where names have no room beside the lines, a key.
+    pub(super) fn title_and_key(&self, figure: &MotionFigure<'_>) -> Markup {
+        let below_title = self.title.len() as f64 * TITLE * 1.3;
+        html! {
+            g font-weight="600" {
+                @for (line, text) in self.title.iter().enumerate() {
+                    @let base = TITLE * (1.0 + 1.3 * line as f64);
+                    (words((0.0, base), Anchor::Start, text, TITLE, Ink::Text, false))
+                }
+            }
+            @if self.layout == Layout::Stacked {
+                @for (row, entries) in key(figure, self.width).iter().enumerate() {
+                    @let y = below_title + KEY_ROW * (row as f64 + 0.6);
+                    @for &(x, index) in entries {
+                        @let number = index.to_string();
+                        @let after = x + tag_width(&number);
+                        (swatch(index, x, y, KEY_SWATCH))
+                        (tag((KEY_SWATCH + 3.0 + (x + after) / 2.0, y), &number, Ink::Series(index)))
+                        (words((after + KEY_SWATCH + 7.0, y + TEXT * 0.35), Anchor::Start, &name_of(figure, index), TEXT,
+                            Ink::Text, false))
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Rows of the key: where each entry begins and which vehicle it names.
+fn key(figure: &MotionFigure<'_>, width: f64) -> Vec<Vec<(f64, usize)>> {
+    let mut rows: Vec<Vec<(f64, usize)>> = Vec::new();
+    let mut x = f64::INFINITY;
+    for index in 0..figure.trace.vehicles.len() {
+        let name = text_width(&name_of(figure, index), TEXT);
+        let entry = KEY_SWATCH + tag_width(&index.to_string()) + 10.0 + name;
+        if x + entry > width {
+            rows.push(Vec::new());
+            x = 0.0;
+        }
+        if let Some(row) = rows.last_mut() {
+            row.push((x, index));
+        }
+        x += entry + 10.0;
+    }
+    rows
+}
+
+/// The name of a vehicle, not too long to stand beside its line.
+pub(super) fn name_of(figure: &MotionFigure<'_>, index: usize) -> String {
+    figure.labels.get(index).map_or_else(String::new, |name| shortened(name, TEXT, WIDEST_NAME))
+}

@@ -1,0 +1,69 @@
+//! From SVG to PNG, with a font of its own: the result depends on no font of the system.
+
+use std::sync::{Arc, OnceLock};
+
+use resvg::{tiny_skia, usvg};
+
+use super::theme::Ink;
+
+/// The most pixels a picture may have: 16 thousand squared.
+const MOST_PIXELS: f64 = 268_435_456.0;
+
+/// Why a figure could not be made into a PNG.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DrawError {
+    /// The SVG could not be read back.
+    #[error("the figure is not valid SVG: {0}")]
+    Svg(#[from] usvg::Error),
+    /// The picture would be empty or too large.
+    #[error("a picture of {width} by {height} pixels cannot be made: from 1 pixel to {limit} are possible", limit = MOST_PIXELS)]
+    Size {
+        /// Width in pixels.
+        width: f64,
+        /// Height in pixels.
+        height: f64,
+    },
+    /// The pixels could not be compressed.
+    #[error("the picture could not be encoded as PNG: {0}")]
+    Encode(String),
+}
+
+/// Draws `svg` on pixels, `scale` to each of its units.
+pub(super) fn encode(svg: &str, scale: f64) -> Result<Vec<u8>, DrawError> {
+    // The font has one weight: what asks for a heavier one gets an outline.
+    let heavy = format!(r#"font-weight="600" stroke="{}" stroke-width="0.45""#, Ink::Text.hex());
+    let tree = usvg::Tree::from_str(&svg.replace(r#"font-weight="600""#, &heavy), &options())?;
+    let (width, height) = (f64::from(tree.size().width()) * scale, f64::from(tree.size().height()) * scale);
+    let wrong_size = DrawError::Size { width: width.round(), height: height.round() };
+    // Written so that NaN is refused too.
+    if !(width >= 0.5 && height >= 0.5 && width * height <= MOST_PIXELS) {
+        return Err(wrong_size);
+    }
+    let (columns, rows) = (width.round() as u32, height.round() as u32);
+    let mut pixels = tiny_skia::Pixmap::new(columns, rows).ok_or(wrong_size)?;
+    let transform = tiny_skia::Transform::from_scale(scale as f32, scale as f32);
+    resvg::render(&tree, transform, &mut pixels.as_mut());
+    pixels.encode_png().map_err(|error| DrawError::Encode(error.to_string()))
+}
+
+/// Parser options that know exactly one font, whatever the figure asks for.
+pub(super) fn options() -> usvg::Options<'static> {
+    let fonts = fonts();
+    let family = fonts.faces().next().and_then(|face| face.families.first()).map(|(name, _)| name.clone());
+    usvg::Options { fontdb: fonts, font_family: family.unwrap_or_default(), ..usvg::Options::default() }
+}
+
+fn fonts() -> Arc<usvg::fontdb::Database> {
+    static FONTS: OnceLock<Arc<usvg::fontdb::Database>> = OnceLock::new();
+    let load = || {
+        let mut fonts = usvg::fontdb::Database::new();
+        fonts.load_font_data(epaint_default_fonts::UBUNTU_LIGHT.to_vec());
+        let family = fonts.faces().next().and_then(|face| face.families.first()).map(|(name, _)| name.clone());
+        fonts.set_sans_serif_family(family.unwrap_or_default());
+        // Letters the first font lacks, such as some arrows and mathematical signs.
+        fonts.load_font_data(epaint_default_fonts::HACK_REGULAR.to_vec());
+        Arc::new(fonts)
+    };
+    Arc::clone(FONTS.get_or_init(load))
+}

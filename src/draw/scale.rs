@@ -1,0 +1,179 @@
+//! From numbers to pixels, and the round numbers to write beside an axis.
+
+/// Axes end here, in any unit: it keeps every difference finite.
+const LARGEST: f64 = 1e12;
+
+/// Pixels beyond this are far outside any figure.
+const FARTHEST_PX: f64 = 1e5;
+
+/// A linear map from an interval of values to an interval of pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scale {
+    domain: (f64, f64),
+    range: (f64, f64),
+}
+
+impl Scale {
+    /// Maps `domain.0` to `range.0` and `domain.1` to `range.1`.
+    ///
+    /// A domain that is empty, reversed or not finite becomes one that can be drawn, see [`drawable`].
+    #[must_use]
+    pub fn new(domain: (f64, f64), range: (f64, f64)) -> Self {
+        Self { domain: drawable(domain), range }
+    }
+
+    /// The interval of values.
+    #[must_use]
+    pub fn domain(&self) -> (f64, f64) {
+        self.domain
+    }
+
+    /// Where `value` is drawn, in pixels; NaN is drawn at the start.
+    #[must_use]
+    pub fn px(&self, value: f64) -> f64 {
+        let value = if value.is_nan() { self.domain.0 } else { value };
+        let share = (value - self.domain.0) / (self.domain.1 - self.domain.0);
+        let px = self.range.0 + share * (self.range.1 - self.range.0);
+        px.clamp(-FARTHEST_PX, FARTHEST_PX)
+    }
+
+    /// Whether `value` lies in the domain.
+    #[must_use]
+    pub fn holds(&self, value: f64) -> bool {
+        (self.domain.0..=self.domain.1).contains(&value)
+    }
+}
+
+/// The number itself if it can be drawn, else the nearest that can; 0 for NaN.
+fn bounded(value: f64) -> f64 {
+    if value.is_nan() { 0.0 } else { value.clamp(-LARGEST, LARGEST) }
+}
+
+/// An interval that can be drawn: finite, increasing, and wide enough that its ticks differ.
+#[must_use]
+pub fn drawable(domain: (f64, f64)) -> (f64, f64) {
+    let (one, other) = (bounded(domain.0), bounded(domain.1));
+    let (low, high) = (one.min(other), one.max(other));
+    let least = (low.abs().max(high.abs()) * 1e-6).max(1e-9);
+    if high - low >= least {
+        return (low, high);
+    }
+    let half = (low.abs().max(high.abs()) * 0.05).max(0.5);
+    (low - half, high + half)
+}
+
+/// The smallest interval that holds every finite value; `(0, 1)` if there is none.
+#[must_use]
+pub fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
+    let finite = values.into_iter().filter(|value| value.is_finite());
+    let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+    if low <= high { (low, high) } else { (0.0, 1.0) }
+}
+
+/// The interval with `share` of its width added at each end.
+#[must_use]
+pub fn padded(domain: (f64, f64), share: f64) -> (f64, f64) {
+    let (low, high) = drawable(domain);
+    let pad = share * (high - low);
+    (low - pad, high + pad)
+}
+
+/// Round numbers inside an interval, evenly spaced by 1, 2 or 5 times a power of ten.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ticks {
+    /// The numbers, increasing.
+    pub values: Vec<f64>,
+    /// Digits after the point that tell them apart.
+    pub decimals: usize,
+}
+
+impl Ticks {
+    /// The closest-spaced round numbers of which at most `most` (taken as 5 to 10) lie in `domain`; always 2 at least.
+    #[must_use]
+    pub fn within(domain: (f64, f64), most: usize) -> Self {
+        let (low, high) = drawable(domain);
+        let most = most.clamp(5, 10);
+        // Neighbouring steps differ by a factor of at most 2.5: the first that fits under `most` leaves two or more.
+        let start = ((high - low) / most as f64).log10().floor() as i32 - 1;
+        for exponent in start..start + 5 {
+            for factor in [1.0, 2.0, 5.0] {
+                let (step, scale) = (factor * 10f64.powi(exponent), 10f64.powi(-exponent));
+                // Multiples are counted in whole numbers, so that no rounding error accumulates.
+                let slack = 1e-9;
+                let first = (low / step - slack).ceil();
+                let last = (high / step + slack).floor();
+                let count = (last - first) as usize + 1;
+                if last >= first && count <= most {
+                    let value = |index: usize| {
+                        let multiple = first + index as f64;
+                        let value = if exponent < 0 { multiple * factor / scale } else { multiple * step };
+                        value.clamp(low, high) + 0.0
+                    };
+                    let decimals = usize::try_from(-exponent).unwrap_or(0);
+                    return Self { values: (0..count).map(value).collect(), decimals };
+                }
+            }
+        }
+        Self { values: vec![low, high], decimals: 0 }
+    }
+
+    /// Each number with its label.
+    pub fn labelled(&self) -> impl Iterator<Item = (f64, String)> + '_ {
+        self.values.iter().map(|&value| (value, signed(value, self.decimals)))
+    }
+}
+
+/// A number with a true minus sign, and none on zero.
+#[must_use]
+pub fn signed(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    match text.strip_prefix('-') {
+        Some(digits) if digits.contains(|c: char| ('1'..='9').contains(&c)) => format!("\u{2212}{digits}"),
+        Some(digits) => digits.to_owned(),
+        None => text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::num::f64::ANY as ANY_NUMBER;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn ticks_are_few_round_and_inside(low in -1e6..1e6f64, exponent in -3.0..6.0f64, most in 0usize..20) {
+            let domain = (low, low + 10f64.powf(exponent));
+            let Ticks { values, decimals } = Ticks::within(domain, most);
+            let (low, high) = drawable(domain);
+            prop_assert!((2..=10).contains(&values.len()), "{values:?}");
+            prop_assert!(values.iter().all(|v| (low..=high).contains(v)), "{values:?}");
+            let steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            let step = steps[0];
+            prop_assert!(steps.iter().all(|other| (other / step - 1.0).abs() < 1e-3), "{values:?}");
+            let mantissa = step / 10f64.powf((step * 1.000_1).log10().floor());
+            prop_assert!([1.0, 2.0, 5.0].iter().any(|nice| (mantissa / nice - 1.0).abs() < 1e-3), "{values:?}");
+            let mut labels: Vec<String> = values.iter().map(|v| signed(*v, decimals)).collect();
+            labels.dedup();
+            prop_assert_eq!(labels.len(), values.len());
+        }
+
+        #[test]
+        fn any_interval_can_be_drawn(low in ANY_NUMBER, high in ANY_NUMBER, value in ANY_NUMBER) {
+            let scale = Scale::new((low, high), (10.0, 110.0));
+            prop_assert!(scale.px(value).is_finite());
+            prop_assert!((scale.px(scale.domain().0) - 10.0).abs() < 1e-9);
+            prop_assert!((scale.px(scale.domain().1) - 110.0).abs() < 1e-9);
+            prop_assert!((2..=10).contains(&Ticks::within((low, high), 6).values.len()));
+        }
+    }
+
+    #[test]
+    fn the_usual_axes_get_the_usual_ticks() {
+        assert_eq!(Ticks::within((0.0, 15.0), 6).values, [0.0, 5.0, 10.0, 15.0]);
+        assert_eq!(Ticks::within((0.0, 26.5), 6).values, [0.0, 5.0, 10.0, 15.0, 20.0, 25.0]);
+        assert_eq!(Ticks::within((-0.2, 0.31), 6).values, [-0.2, -0.1, 0.0, 0.1, 0.2, 0.3]);
+        assert_eq!(signed(-0.04, 1), "0.0");
+        assert_eq!(signed(-2.5, 1), "\u{2212}2.5");
+    }
+}

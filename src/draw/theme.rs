@@ -1,0 +1,202 @@
+//! The one visual language: inks, strokes, dashes, and the style sheet that recolours them in the dark.
+
+use maud::{Markup, html};
+
+use super::path::Px;
+
+/// Fonts asked for, best first. The page decides; the layout allows for the widest of them.
+pub(super) const FONTS: &str = "system-ui, 'Segoe UI', Roboto, Ubuntu, 'Helvetica Neue', Arial, sans-serif";
+
+/// Size of ordinary text, in the figure's own units (CSS pixels at full size).
+pub const TEXT: f64 = 12.0;
+
+/// Size of tick labels, tags and notes.
+pub const SMALL: f64 = 11.0;
+
+/// Number of different series colours, after which they repeat.
+///
+/// It shares no factor with [`DASHES`], so colour and dash together tell [`COLOURS`] × `DASHES.len()` series apart.
+pub const COLOURS: usize = 5;
+
+/// Dash patterns, solid first; a series keeps its pattern in every panel.
+pub const DASHES: [&str; 4] = ["", "8 3.5", "2.2 2.6", "9 3 2.2 3"];
+
+/// A colour by its role.
+///
+/// Light colours stand in the figure as plain attributes, so that it is right wherever it is shown; [`STYLE`] selects
+/// elements by those attribute values and replaces them by CSS variables, which have other values in the dark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ink {
+    /// Titles, tick labels and whatever must be read.
+    Text,
+    /// Notes and axis titles.
+    Muted,
+    /// Axis lines and ticks.
+    Axis,
+    /// Grid lines.
+    Grid,
+    /// The ground, and halos that lift something off it.
+    Paper,
+    /// Contact and failure. Never the only carrier of that meaning: a mark or a word goes with it.
+    Alert,
+    /// The `n`-th series; colours repeat after [`COLOURS`].
+    Series(usize),
+}
+
+impl Ink {
+    /// The light-mode colour, different for each ink.
+    ///
+    /// The series are the Okabe–Ito palette (Okabe and Ito, "Color Universal Design", 2008) with its lighter hues
+    /// darkened until each has a contrast of 4.5 to 1 against white.
+    #[must_use]
+    pub fn hex(self) -> &'static str {
+        match self {
+            Self::Text => "#1b1f24",
+            Self::Muted => "#59626d",
+            Self::Axis => "#8b939d",
+            Self::Grid => "#e4e7eb",
+            Self::Paper => "#ffffff",
+            Self::Alert => "#b3001b",
+            Self::Series(index) => match index % COLOURS {
+                0 => "#0067a3",
+                1 => "#b84a00",
+                2 => "#007355",
+                3 => "#974a80",
+                _ => "#806000",
+            },
+        }
+    }
+}
+
+/// How a line is drawn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stroke {
+    /// Colour.
+    pub ink: Ink,
+    /// Width in pixels.
+    pub width: f64,
+    /// SVG dash pattern; empty for solid.
+    pub dash: &'static str,
+}
+
+impl Stroke {
+    /// A solid line.
+    #[must_use]
+    pub fn solid(ink: Ink, width: f64) -> Self {
+        Self { ink, width, dash: "" }
+    }
+
+    /// The line of the `index`-th series: colour and dash repeat together only after twenty.
+    #[must_use]
+    pub fn series(index: usize) -> Self {
+        Self { ink: Ink::Series(index), width: 1.8, dash: dash(index) }
+    }
+}
+
+/// The dash pattern of the `index`-th series.
+fn dash(index: usize) -> &'static str {
+    DASHES.get(index % DASHES.len()).copied().unwrap_or_default()
+}
+
+/// A sample of the line of a series, for keys.
+pub(super) fn swatch(index: usize, x: f64, y: f64, width: f64) -> Markup {
+    let Stroke { ink, width: stroke_width, dash } = Stroke::series(index);
+    let dash = (!dash.is_empty()).then_some(dash);
+    html! {
+        path d={ "M" (Px(x)) " " (Px(y)) "h" (Px(width)) } fill="none" stroke=(ink.hex()) stroke-width=(Px(stroke_width))
+            stroke-dasharray=[dash] {}
+    }
+}
+
+/// The style sheet of a page that holds figures: once a page, in a `<style>` element.
+///
+/// Figures follow the reader's colour scheme on screen and are light in print. A page sets its own colours through the
+/// `--draw-…` variables. Elements of class `draw-wide` and `draw-narrow` are shown where there is room for the one and
+/// where there is only room for the other.
+pub const STYLE: &str = r##"
+:where(.draw){--draw-text:#1b1f24;--draw-muted:#59626d;--draw-axis:#8b939d;--draw-grid:#e4e7eb;--draw-paper:#fff;
+--draw-alert:#b3001b;--draw-0:#0067a3;--draw-1:#b84a00;--draw-2:#007355;--draw-3:#974a80;--draw-4:#806000}
+@media screen and (prefers-color-scheme:dark){
+:where(.draw){--draw-text:#e8ebef;--draw-muted:#a7b0bb;--draw-axis:#6d7681;--draw-grid:#2a3037;--draw-paper:#14171b;
+--draw-alert:#ff7a7a;--draw-0:#5cb8f0;--draw-1:#f59a4c;--draw-2:#3fcf9f;--draw-3:#e59bcb;--draw-4:#e2bd3c}}
+.draw{display:block;max-width:100%;height:auto;break-inside:avoid}
+.draw-narrow .draw{width:100%;max-width:480px}
+.draw [fill="#1b1f24"]{fill:var(--draw-text)}.draw [stroke="#1b1f24"]{stroke:var(--draw-text)}
+.draw [fill="#59626d"]{fill:var(--draw-muted)}.draw [stroke="#59626d"]{stroke:var(--draw-muted)}
+.draw [fill="#8b939d"]{fill:var(--draw-axis)}.draw [stroke="#8b939d"]{stroke:var(--draw-axis)}
+.draw [fill="#e4e7eb"]{fill:var(--draw-grid)}.draw [stroke="#e4e7eb"]{stroke:var(--draw-grid)}
+.draw [fill="#ffffff"]{fill:var(--draw-paper)}.draw [stroke="#ffffff"]{stroke:var(--draw-paper)}
+.draw [fill="#b3001b"]{fill:var(--draw-alert)}.draw [stroke="#b3001b"]{stroke:var(--draw-alert)}
+.draw [fill="#0067a3"]{fill:var(--draw-0)}.draw [stroke="#0067a3"]{stroke:var(--draw-0)}
+.draw [fill="#b84a00"]{fill:var(--draw-1)}.draw [stroke="#b84a00"]{stroke:var(--draw-1)}
+.draw [fill="#007355"]{fill:var(--draw-2)}.draw [stroke="#007355"]{stroke:var(--draw-2)}
+.draw [fill="#974a80"]{fill:var(--draw-3)}.draw [stroke="#974a80"]{stroke:var(--draw-3)}
+.draw [fill="#806000"]{fill:var(--draw-4)}.draw [stroke="#806000"]{stroke:var(--draw-4)}
+.draw-narrow{display:none}
+@media screen and (max-width:760px){.draw-wide{display:none}.draw-narrow{display:block}}
+"##;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const INKS: [Ink; 11] = [
+        Ink::Text,
+        Ink::Muted,
+        Ink::Axis,
+        Ink::Grid,
+        Ink::Paper,
+        Ink::Alert,
+        Ink::Series(0),
+        Ink::Series(1),
+        Ink::Series(2),
+        Ink::Series(3),
+        Ink::Series(4),
+    ];
+
+    /// Relative luminance and contrast as WCAG 2.1 defines them.
+    fn contrast(one: &str, other: &str) -> f64 {
+        let luminance = |hex: &str| {
+            let channel = |at: usize| {
+                let value = f64::from(u8::from_str_radix(&hex[at..at + 2], 16).expect("hexadecimal")) / 255.0;
+                if value <= 0.03928 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+            };
+            0.2126 * channel(1) + 0.7152 * channel(3) + 0.0722 * channel(5)
+        };
+        let (a, b) = (luminance(one), luminance(other));
+        (a.max(b) + 0.05) / (a.min(b) + 0.05)
+    }
+
+    /// The value of a variable in the dark block.
+    fn dark(variable: &str) -> &'static str {
+        let block = STYLE.split("prefers-color-scheme:dark").nth(1).expect("a dark block");
+        let value = block.split(variable).nth(1).expect("in the dark block");
+        &value[1..8]
+    }
+
+    #[test]
+    fn every_ink_is_recoloured_by_the_style_sheet() {
+        for (index, ink) in INKS.iter().enumerate() {
+            let hex = ink.hex();
+            assert!(STYLE.contains(&format!(".draw [fill=\"{hex}\"]{{fill:var(")), "{ink:?}");
+            assert!(STYLE.contains(&format!(".draw [stroke=\"{hex}\"]{{stroke:var(")), "{ink:?}");
+            assert!(INKS.iter().skip(index + 1).all(|other| other.hex() != hex), "{ink:?} is not unique");
+        }
+    }
+
+    #[test]
+    fn what_must_be_read_has_contrast_in_both_modes() {
+        let names = ["text", "muted", "alert", "0", "1", "2", "3", "4"];
+        let inks = INKS.iter().filter(|ink| !matches!(ink, Ink::Axis | Ink::Grid | Ink::Paper));
+        for (ink, name) in inks.zip(names) {
+            assert!(contrast(ink.hex(), Ink::Paper.hex()) >= 4.5, "{ink:?} on white");
+            assert!(contrast(dark(&format!("--draw-{name}")), dark("--draw-paper")) >= 4.5, "{ink:?} in the dark");
+        }
+    }
+
+    #[test]
+    fn twenty_series_look_different() {
+        let looks: std::collections::HashSet<_> = (0..20).map(|i| (Ink::Series(i).hex(), dash(i))).collect();
+        assert_eq!(looks.len(), 20);
+    }
+}
