@@ -1,4 +1,5 @@
 //! crumple
 pub mod random;
+pub mod recording;
 pub mod scenario;
 pub mod sim;
