@@ -52,5 +52,6 @@ pub mod estimate;
 pub mod export;
 pub mod measure;
 pub mod random;
+pub mod recording;
 pub mod scenario;
 pub mod sim;

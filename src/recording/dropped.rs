@@ -1,0 +1,187 @@
+//! What an import leaves out of a recording, and why: nothing is dropped in silence.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use crate::scenario::InvalidField;
+
+/// Something in a recording that is not in the scenarios made from it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dropped {
+    /// The recording.
+    pub path: PathBuf,
+    /// Line it was first seen on, from 1.
+    pub line: u64,
+    /// What was dropped.
+    pub what: Omission,
+}
+
+impl fmt::Display for Dropped {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}:{}: {}", self.path.display(), self.line, self.what)
+    }
+}
+
+/// What was dropped.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Omission {
+    /// Vehicles of the platoon that have no speed column: before the first, between two, or behind the last.
+    #[error("{} speed column: {}", have_no(.first, .last), consequence(.place))]
+    VehiclesMissing {
+        /// First vehicle missing.
+        first: usize,
+        /// Last vehicle missing.
+        last: usize,
+        /// Where in the platoon they were.
+        place: Place,
+    },
+    /// Two neighbours without a spacing column between them.
+    #[error("{column}: no such column, so the platoon is split between vehicles {ahead} and {behind}")]
+    SpacingColumnMissing {
+        /// Name of the column.
+        column: String,
+        /// The vehicle ahead.
+        ahead: usize,
+        /// The vehicle behind.
+        behind: usize,
+    },
+    /// A spacing column between vehicles that are not both recorded.
+    #[error("{column}: ignored, for one of the two vehicles it lies between has no speed column")]
+    SpacingWithoutVehicle {
+        /// Name of the column.
+        column: String,
+    },
+    /// A vehicle without a recorded neighbour.
+    #[error("vehicle {number}: left out, for no spacing to a vehicle ahead of it or behind it is recorded")]
+    LoneVehicle {
+        /// Its number in the recording.
+        number: usize,
+    },
+    /// Empty fields.
+    #[error("{column}: {count} of {rows} values are missing, the first one here")]
+    MissingValues {
+        /// Name of the column.
+        column: String,
+        /// How many are missing.
+        count: usize,
+        /// Rows read.
+        rows: usize,
+    },
+    /// Spacings that no two vehicles can have: not positive, or beyond any view.
+    #[error(
+        "{column}: {count} impossible spacings, the first one here, the last one on line {last_line}, \
+         the worst {worst_m} m"
+    )]
+    ImpossibleSpacings {
+        /// Name of the column.
+        column: String,
+        /// How many.
+        count: usize,
+        /// Line of the last one.
+        last_line: u64,
+        /// The one furthest out of range, in metres.
+        worst_m: f64,
+    },
+    /// Speeds that no vehicle in a platoon can have: negative, or beyond 100 m/s.
+    #[error(
+        "{column}: {count} impossible speeds, the first one here, the last one on line {last_line}, \
+         the worst {worst_mps} m/s"
+    )]
+    ImpossibleSpeeds {
+        /// Name of the column.
+        column: String,
+        /// How many.
+        count: usize,
+        /// Line of the last one.
+        last_line: u64,
+        /// The one furthest out of range, in m/s.
+        worst_mps: f64,
+    },
+    /// Rows that are not at least a millisecond later than the one before.
+    #[error(
+        "{column}: {count} rows are not later than the row before and were left out, the first one here \
+         ({found_s} s after {before_s} s)"
+    )]
+    NotLater {
+        /// Name of the time column.
+        column: String,
+        /// How many rows.
+        count: usize,
+        /// Time of the last row kept before the first of them, in seconds.
+        before_s: f64,
+        /// Time of the first of them, in seconds.
+        found_s: f64,
+    },
+    /// Rows of car-following events whose three speeds contradict one another.
+    #[error(
+        "{column}: differs from leader_speed_mps - follower_speed_mps in {count} rows, the first one here \
+         (by {first_error_mps:.3} m/s); their speeds were left out"
+    )]
+    SpeedsContradict {
+        /// Name of the column of relative speeds.
+        column: &'static str,
+        /// How many rows.
+        count: usize,
+        /// By how much in the first one, in m/s.
+        first_error_mps: f64,
+    },
+    /// A braking episode that makes no scenario.
+    #[error("vehicle {number} brakes at {onset_s} s, but the episode was left out: {why}")]
+    Episode {
+        /// Number of the braking vehicle in the recording.
+        number: usize,
+        /// When it starts to brake, in seconds of the recording.
+        onset_s: f64,
+        /// Why there is no scenario.
+        why: NoScenario,
+    },
+}
+
+/// Where in a platoon vehicles are missing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// Ahead of the first recorded vehicle.
+    Front,
+    /// Between two recorded vehicles.
+    Middle,
+    /// Behind the last recorded vehicle.
+    Rear,
+}
+
+fn have_no(first: &usize, last: &usize) -> String {
+    if first == last { format!("vehicle {first} has no") } else { format!("vehicles {first} to {last} have no") }
+}
+
+fn consequence(place: &Place) -> &'static str {
+    match place {
+        Place::Front => "the platoon starts behind",
+        Place::Middle => "the platoon is split there, for the spacing across is unknown",
+        Place::Rear => "the platoon ends before",
+    }
+}
+
+/// Why a braking episode makes no scenario.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NoScenario {
+    /// At no time shortly before braking are speed and gap of the next vehicle known.
+    #[error("speed of and gap to vehicle {follower} are never both recorded in the {within_s} s before")]
+    NoFollower {
+        /// Number of the vehicle behind.
+        follower: usize,
+        /// The time searched, in seconds.
+        within_s: f64,
+    },
+    /// The recorded speed changes faster than any road vehicle can.
+    #[error("its speed changes by {found_mps2:.1} m/s² at {at_s} s, which no road vehicle does")]
+    Jump {
+        /// When, in seconds of the recording.
+        at_s: f64,
+        /// The change, in m/s², negative when slowing.
+        found_mps2: f64,
+    },
+    /// The numbers are outside what a scenario may hold.
+    #[error("{0}")]
+    Invalid(InvalidField),
+}

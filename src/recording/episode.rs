@@ -1,0 +1,164 @@
+//! A braking episode and the scenario it makes.
+
+use std::fmt::Write as _;
+
+use crate::scenario::{
+    AebSettings, ControllerSpec, Driver, Environment, InvalidField, LeadProfile, Recorded, SCENARIO_VERSION, Scenario,
+    ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+};
+
+use super::series::rounded;
+
+/// Length of a recorded car, in metres. The class's 2 m is the paper's; those who were recorded drove passenger cars.
+/// Distance of antennas less bumper spacing is 4.5 m on average over the twelve pairs of the published files tried.
+const CAR_LENGTH_M: f64 = 4.5;
+/// Step of the scenarios, in seconds; their durations are rounded up to it.
+const STEP_S: f64 = 0.01;
+
+/// A leader's braking with the followers' start. Times count from the start of the scenario unless said otherwise.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Episode {
+    /// The event it was recorded in, where the file names events.
+    pub event: Option<String>,
+    /// Line of the file that holds the start, from 1.
+    pub line: u64,
+    /// Time of the start in the recording, in seconds.
+    pub start_s: f64,
+    /// When the leader's speed starts to drop faster than the threshold, in seconds.
+    pub onset_s: f64,
+    /// End of the last second over which it does, in seconds.
+    pub braking_end_s: f64,
+    /// How long the scenario lasts, in seconds. The recording may end before; the leader then holds its last speed.
+    pub duration_s: f64,
+    /// The leader's speed at the onset, in m/s.
+    pub onset_speed_mps: f64,
+    /// The leader's speed at the end of braking, in m/s.
+    pub end_speed_mps: f64,
+    /// Largest loss of speed over one second, in m/s.
+    pub largest_drop_mps: f64,
+    /// Hardest braking between two samples, in m/s², positive.
+    pub hardest_brake_mps2: f64,
+    /// Hardest acceleration between two samples, in m/s².
+    pub hardest_accel_mps2: f64,
+    /// The line at the start, front to rear, the leader first.
+    pub vehicles: Vec<Placed>,
+    /// Number of the vehicle ahead, if there was one that was not recorded at the time.
+    pub not_recorded_ahead: Option<usize>,
+    /// Number of the vehicle behind the last, if there was one whose gap or speed was not recorded at the start.
+    pub not_recorded_behind: Option<usize>,
+    /// Time of each of the leader's samples, in seconds, to the millisecond.
+    pub time_s: Vec<f64>,
+    /// The leader's speed at each of them, in m/s, to three decimals.
+    pub speed_mps: Vec<f64>,
+}
+
+/// A vehicle at the start of an episode.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Placed {
+    /// Its number in the recording.
+    pub number: usize,
+    /// Its make or role, where the recording says so.
+    pub name: Option<String>,
+    /// Bumper gap ahead, in metres, to three decimals; 0 for the leader, which has none.
+    pub gap_ahead_m: f64,
+    /// Speed in m/s, to three decimals.
+    pub speed_mps: f64,
+}
+
+impl Episode {
+    /// The scenario: the leader drives as recorded, the others start as recorded and are then driven.
+    ///
+    /// The last of three or more vehicles keeps the baseline ADAS, so that those under test have somebody behind them
+    /// to mind; the others, or the only follower, are under test. All are light vehicles of 4.5 m. The leader's limits
+    /// are raised where its recorded motion needs more than the class has.
+    ///
+    /// `file` is the recording's name as the scenario's `about` gives it.
+    ///
+    /// # Errors
+    /// [`InvalidField`] for numbers outside what a scenario may hold, such as positions beyond 1000 km.
+    pub fn scenario(&self, name: String, file: &str) -> Result<Scenario, InvalidField> {
+        let last = self.vehicles.len().saturating_sub(1);
+        let mut position_m = 0.0;
+        let mut vehicles = Vec::with_capacity(self.vehicles.len());
+        for (index, placed) in self.vehicles.iter().enumerate().rev() {
+            let driver = match index {
+                0 => self.lead(),
+                _ if index == last && last > 1 => Driver::Controller(ControllerSpec::Baseline(AebSettings::default())),
+                _ => Driver::UnderTest,
+            };
+            let mut vehicle = VehicleSpec::new(VehicleClass::Light, position_m, placed.speed_mps, driver);
+            vehicle.length_m = Some(CAR_LENGTH_M);
+            vehicles.push(vehicle);
+            position_m = rounded(position_m + placed.gap_ahead_m + CAR_LENGTH_M);
+        }
+        vehicles.reverse();
+        if let Some(leader) = vehicles.first_mut() {
+            leader.max_brake_mps2 = raised(leader.max_brake_mps2(), self.hardest_brake_mps2);
+            leader.max_accel_mps2 = raised(leader.max_accel_mps2(), self.hardest_accel_mps2);
+        }
+        Scenario::new(ScenarioSpec {
+            version: SCENARIO_VERSION,
+            name,
+            about: self.about(file),
+            // The least whole number of hundredths, not a sum of steps, which would not round to one.
+            duration_s: (rounded(self.duration_s) / STEP_S - 1e-6).ceil() / 100.0,
+            step_s: STEP_S,
+            seed: 0,
+            environment: Environment::default(),
+            sensors: Sensors::default(),
+            vehicles,
+        })
+    }
+
+    fn lead(&self) -> Driver {
+        let recorded = Recorded { time_s: self.time_s.clone(), speed_mps: self.speed_mps.clone() };
+        Driver::Profile(LeadProfile::Recorded(recorded))
+    }
+
+    /// What happened, and what of it the scenario does not show.
+    fn about(&self, file: &str) -> String {
+        let event = self.event.as_ref().map(|event| format!(", event {event}")).unwrap_or_default();
+        let leader = self.vehicles.first().map(Placed::to_string).unwrap_or_default();
+        let mut about = format!(
+            "Recorded in {file}{event}, from {:.1} s on (line {}): {leader} slows from {:.1} to {:.1} m/s within {:.1} s, \
+             by {:.2} m/s in its hardest second.",
+            self.start_s,
+            self.line,
+            self.onset_speed_mps,
+            self.end_speed_mps,
+            self.braking_end_s - self.onset_s,
+            self.largest_drop_mps,
+        );
+        let followers: Vec<_> = self.vehicles.iter().skip(1).map(Placed::to_string).collect();
+        let verb = if followers.len() == 1 { "starts" } else { "start" };
+        let gaps = if followers.len() == 1 { "gap and speed" } else { "gaps and speeds" };
+        // Writing to a String cannot fail.
+        let _ = write!(about, " Behind it {verb} {} at the recorded {gaps}.", followers.join(", "));
+        if let Some(number) = self.not_recorded_ahead {
+            let _ = write!(about, " Vehicle {number}, ahead of it, was not recorded at the time.");
+        }
+        if let Some(number) = self.not_recorded_behind {
+            let _ = write!(about, " Gap or speed of vehicle {number} is missing, so the line ends before it.");
+        }
+        if let Some(&end_s) = self.time_s.last()
+            && end_s < self.duration_s
+        {
+            let _ = write!(about, " The recording of its speed ends after {end_s:.1} s; it then holds the last one.");
+        }
+        about
+    }
+}
+
+impl std::fmt::Display for Placed {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.name {
+            Some(name) => write!(out, "vehicle {} ({name})", self.number),
+            None => write!(out, "vehicle {}", self.number),
+        }
+    }
+}
+
+/// A limit to the next tenth above what was recorded, if that is beyond the class.
+fn raised(class_mps2: f64, recorded_mps2: f64) -> Option<f64> {
+    (recorded_mps2 > class_mps2).then(|| (recorded_mps2 * 10.0).floor() / 10.0 + 0.1).map(rounded)
+}

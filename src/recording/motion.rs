@@ -1,0 +1,91 @@
+//! One vehicle's recorded speeds as the piecewise linear motion a scenario plays back, and where it brakes.
+//!
+//! Times are whole milliseconds and speeds whole millimetres a second here, as in the files that are written, so that
+//! what was found in the recording is still there in the scenario.
+
+use super::Platoon;
+use super::series::rounded;
+
+/// Longest hole between two samples that is bridged by a straight line, in milliseconds. Within half a second a car's
+/// acceleration changes little; beyond it, a whole brake application could hide.
+const LONGEST_HOLE_MS: i64 = 500;
+/// Braking phases at most this far apart are one episode, in milliseconds: the followers are still reacting to the
+/// first when the second begins.
+const SETTLING_MS: i64 = 5_000;
+/// Clearance to the threshold that keeps rounding errors of a difference from deciding, in m/s.
+const ROUNDING_MPS: f64 = 1e-9;
+
+/// A recorded speed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Sample {
+    /// Index in the platoon's time base.
+    pub(super) index: usize,
+    pub(super) time_ms: i64,
+    pub(super) speed_mps: f64,
+}
+
+/// Braking phases that belong together.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Braking {
+    /// Start of the first second over which the speed drops fast enough.
+    pub(super) onset_ms: i64,
+    /// End of the last such second.
+    pub(super) end_ms: i64,
+    /// Largest drop over one second, in m/s.
+    pub(super) largest_drop_mps: f64,
+}
+
+/// The unbroken stretches of a vehicle's motion: no hole longer than half a second.
+pub(super) fn runs(platoon: &Platoon, vehicle: usize) -> Vec<Vec<Sample>> {
+    let mut runs: Vec<Vec<Sample>> = Vec::new();
+    let Some(vehicle) = platoon.vehicles.get(vehicle) else { return runs };
+    for (index, (&time_s, speed_mps)) in platoon.time_s.iter().zip(&vehicle.speed_mps).enumerate() {
+        let Some(speed_mps) = *speed_mps else { continue };
+        let sample = Sample { index, time_ms: (time_s * 1000.0).round() as i64, speed_mps: rounded(speed_mps) };
+        match runs.last_mut() {
+            Some(run) if run.last().is_some_and(|last| sample.time_ms - last.time_ms <= LONGEST_HOLE_MS) => {
+                run.push(sample);
+            }
+            _ => runs.push(vec![sample]),
+        }
+    }
+    runs
+}
+
+/// Where `v(t) - v(t + 1 s)` exceeds the threshold, for t at each sample, in order of time.
+pub(super) fn brakings(run: &[Sample], min_brake_mps2: f64) -> Vec<Braking> {
+    let mut found: Vec<Braking> = Vec::new();
+    let mut ahead = run.windows(2).peekable();
+    for sample in run {
+        let end_ms = sample.time_ms + 1000;
+        while ahead.next_if(|pair| matches!(**pair, [_, next] if next.time_ms < end_ms)).is_some() {}
+        let Some([before, after]) = ahead.peek().copied() else { break };
+        let share = (end_ms - before.time_ms) as f64 / (after.time_ms - before.time_ms) as f64;
+        let drop_mps = sample.speed_mps - (before.speed_mps + (after.speed_mps - before.speed_mps) * share);
+        if drop_mps <= min_brake_mps2 + ROUNDING_MPS {
+            continue;
+        }
+        match found.last_mut() {
+            Some(last) if sample.time_ms - last.end_ms <= SETTLING_MS => {
+                last.end_ms = end_ms;
+                last.largest_drop_mps = last.largest_drop_mps.max(drop_mps);
+            }
+            _ => found.push(Braking { onset_ms: sample.time_ms, end_ms, largest_drop_mps: drop_mps }),
+        }
+    }
+    found
+}
+
+/// Speed at a time within the run, linear between samples, the ends held.
+pub(super) fn speed_at_mps(run: &[Sample], at_ms: i64) -> f64 {
+    let next = run.partition_point(|sample| sample.time_ms <= at_ms);
+    let before = next.checked_sub(1).and_then(|index| run.get(index));
+    match (before, run.get(next)) {
+        (Some(a), Some(b)) => {
+            let share = (at_ms - a.time_ms) as f64 / (b.time_ms - a.time_ms) as f64;
+            a.speed_mps + (b.speed_mps - a.speed_mps) * share
+        }
+        (Some(only), None) | (None, Some(only)) => only.speed_mps,
+        (None, None) => 0.0,
+    }
+}

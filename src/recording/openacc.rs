@@ -1,0 +1,200 @@
+//! OpenACC recordings.
+//!
+//! Five header lines (`Date`, `Vehicle_order`, `Number_of_vehicles`, `ACC`, `Distance_setting`), the column names, then
+//! one row each 0.1 s. `Speed<k>` is the speed of vehicle k in m/s, `IVS<k>` the spacing in metres from its rear bumper
+//! to the front bumper of vehicle k + 1. The other columns are antenna positions; distances between antennas include an
+//! unknown length of car and are not used.
+//!
+//! `IVS<k>` always means the vehicles k and k + 1 of the platoon that drove, recorded or not: where vehicle 8 has no
+//! columns, `IVS7` and `IVS8` are absent and `IVS9` is still the spacing from vehicle 9 to vehicle 10 (in the published
+//! files it follows the distance of their antennas). What lies across such a hole cannot be known, so the platoon is
+//! split there.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+
+use csv::StringRecord;
+
+use super::dropped::{Dropped, Omission, Place};
+use super::error::{ColumnProblem, RecordingError};
+use super::series::{Clock, Quantity, Series};
+use super::table::{Column, Extent, Row, Table, excerpt};
+use super::{Format, Platoon, Recording, Vehicle};
+
+/// Header lines after the first, which was read to recognise the format.
+const FURTHER_HEADER_LINES: usize = 4;
+/// Most vehicles of a platoon: ten times what was ever driven.
+const MOST_VEHICLES: usize = 200;
+
+/// Reads what follows the first line.
+pub(super) fn read<R: Read>(table: &mut Table<'_, R>) -> Result<Recording, RecordingError> {
+    let mut header = Header::default();
+    for _ in 0..FURTHER_HEADER_LINES {
+        let Some(row) = table.next_row()? else { return Err(table.cut_short("the end of its five header lines")) };
+        header.take(&row.fields);
+    }
+    let Some(names) = table.next_row()?.cloned() else { return Err(table.cut_short("the names of its columns")) };
+    let layout = Layout::of(&names)?;
+    let mut dropped = Vec::new();
+    let lines_of_vehicles = layout.split(&names, &header, &mut dropped)?;
+
+    let mut clock = Clock::new(layout.time);
+    let mut extent = Extent::new(&names.fields, 2 * layout.speeds.len());
+    let series = |column: &Column, quantity| Series::new(column.clone(), quantity);
+    let mut speeds: BTreeMap<_, _> =
+        layout.speeds.iter().map(|(&number, column)| (number, series(column, Quantity::Speed))).collect();
+    let mut gaps: BTreeMap<_, _> =
+        layout.gaps.iter().map(|(&number, column)| (number, series(column, Quantity::Gap))).collect();
+    let (mut time_s, mut line) = (Vec::new(), Vec::new());
+    while let Some(row) = table.next_row()? {
+        extent.admit(row)?;
+        let Some(now_s) = clock.tick(row)? else { continue };
+        time_s.push(now_s);
+        line.push(row.line);
+        for series in speeds.values_mut().chain(gaps.values_mut()) {
+            let value = series.read(row)?;
+            series.values.push(value);
+        }
+    }
+    if extent.rows == 0 {
+        return Err(table.cut_short("its first sample"));
+    }
+    clock.report(&mut dropped);
+    for series in speeds.values().chain(gaps.values()) {
+        series.report(table.path(), extent.rows, &mut dropped);
+    }
+
+    let values_of = |series: Option<Series>| series.map(|series| series.values).unwrap_or_default();
+    let mut platoons = Vec::new();
+    for numbers in lines_of_vehicles {
+        let gaps_m = numbers.iter().rev().skip(1).rev().map(|number| values_of(gaps.remove(number))).collect();
+        let vehicle = |&number: &usize| Vehicle {
+            number,
+            name: header.name_of(number, &layout.speeds),
+            speed_mps: values_of(speeds.remove(&number)),
+        };
+        let vehicles = numbers.iter().map(vehicle).collect();
+        platoons.push(Platoon { event: None, time_s: time_s.clone(), line: line.clone(), vehicles, gaps_m });
+    }
+    Ok(Recording { path: table.path().to_owned(), format: Format::OpenAcc, platoons, dropped })
+}
+
+/// What the header lines say of the vehicles.
+#[derive(Default)]
+struct Header {
+    order: Vec<String>,
+    number_of_vehicles: usize,
+}
+
+impl Header {
+    fn take(&mut self, fields: &StringRecord) {
+        let values = fields.iter().skip(1).filter(|value| !value.is_empty());
+        match fields.get(0) {
+            Some("Vehicle_order") => self.order = values.map(excerpt).collect(),
+            Some("Number_of_vehicles") => {
+                self.number_of_vehicles = values.flat_map(str::parse).next().unwrap_or_default();
+            }
+            _ => {}
+        }
+    }
+
+    /// Names count from vehicle 1 if there are enough of them, and else from the first recorded vehicle if there is
+    /// one for each; otherwise nobody can say whose they are.
+    fn name_of(&self, number: usize, recorded: &BTreeMap<usize, Column>) -> Option<String> {
+        let last = *recorded.keys().next_back()?;
+        let place = if self.order.len() >= last {
+            number.checked_sub(1)?
+        } else if self.order.len() == recorded.len() {
+            recorded.keys().position(|&known| known == number)?
+        } else {
+            return None;
+        };
+        self.order.get(place).cloned()
+    }
+}
+
+/// Where in a row things are.
+struct Layout {
+    time: Column,
+    /// Speed columns by number of the vehicle.
+    speeds: BTreeMap<usize, Column>,
+    /// Spacing columns by number of the vehicle ahead.
+    gaps: BTreeMap<usize, Column>,
+}
+
+impl Layout {
+    fn of(names: &Row<'_>) -> Result<Self, RecordingError> {
+        if names.text(0) != "Time" {
+            return names.misnamed("Time", ColumnProblem::Expected { found: excerpt(names.text(0)) });
+        }
+        let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
+        for (index, name) in names.fields.iter().enumerate().skip(1) {
+            let column = || Column { name: excerpt(name), index };
+            let before = if let Some(number) = numbered(name, "Speed") {
+                speeds.insert(number, column())
+            } else if let Some(number) = numbered(name, "IVS") {
+                gaps.insert(number, column())
+            } else {
+                None
+            };
+            if before.is_some() {
+                return names.misnamed(&excerpt(name), ColumnProblem::Repeated);
+            }
+        }
+        if speeds.len().max(gaps.len()) > MOST_VEHICLES {
+            return names.too_large(MOST_VEHICLES, "vehicles");
+        }
+        Ok(Self { time: Column { name: "Time".to_owned(), index: 0 }, speeds, gaps })
+    }
+
+    /// The numbers of the vehicles in each unbroken line of two or more.
+    fn split(
+        &self,
+        names: &Row<'_>,
+        header: &Header,
+        dropped: &mut Vec<Dropped>,
+    ) -> Result<Vec<Vec<usize>>, RecordingError> {
+        let mut report = |what| dropped.push(names.dropped(what));
+        let mut lines: Vec<Vec<usize>> = Vec::new();
+        let mut ahead = 0;
+        for &number in self.speeds.keys() {
+            if number > ahead + 1 {
+                let place = if ahead == 0 { Place::Front } else { Place::Middle };
+                report(Omission::VehiclesMissing { first: ahead + 1, last: number - 1, place });
+            }
+            match lines.last_mut() {
+                Some(line) if number == ahead + 1 && self.gaps.contains_key(&ahead) => line.push(number),
+                _ => {
+                    if number == ahead + 1 && ahead > 0 {
+                        let column = format!("IVS{ahead}");
+                        report(Omission::SpacingColumnMissing { column, ahead, behind: number });
+                    }
+                    lines.push(vec![number]);
+                }
+            }
+            ahead = number;
+        }
+        // A count far beyond the columns is a slip of the pen, not a platoon.
+        if header.number_of_vehicles > ahead && header.number_of_vehicles <= MOST_VEHICLES {
+            report(Omission::VehiclesMissing { first: ahead + 1, last: header.number_of_vehicles, place: Place::Rear });
+        }
+        for (number, column) in &self.gaps {
+            if !(self.speeds.contains_key(number) && self.speeds.contains_key(&(number + 1))) {
+                report(Omission::SpacingWithoutVehicle { column: column.name.clone() });
+            }
+        }
+        for line in &lines {
+            if let [number] = **line {
+                report(Omission::LoneVehicle { number });
+            }
+        }
+        lines.retain(|line| line.len() > 1);
+        if lines.is_empty() { names.misnamed("IVS1", ColumnProblem::NoFollower) } else { Ok(lines) }
+    }
+}
+
+/// The number, from 1, of a column such as `Speed2`.
+fn numbered(name: &str, quantity: &str) -> Option<usize> {
+    let number = name.strip_prefix(quantity)?.parse::<u16>().ok()?;
+    (number > 0).then_some(usize::from(number))
+}

@@ -1,0 +1,162 @@
+//! Columns as they fill: times that increase, values that are possible, and a count of what is neither.
+
+use std::path::Path;
+
+use super::dropped::{Dropped, Omission};
+use super::error::{RecordingError, ValueProblem};
+use super::table::{Column, Row};
+
+/// Largest magnitude of a time, in seconds: beyond any clock, and still exact to a millisecond.
+const LARGEST_TIME_S: f64 = 1e10;
+/// Largest gap within a platoon, in metres: nobody is following from further away.
+const LARGEST_GAP_M: f64 = 1000.0;
+/// Largest speed a scenario may hold, in m/s.
+const LARGEST_SPEED_MPS: f64 = 100.0;
+
+/// To three decimals, what a scenario file shows: a millimetre, a millimetre a second, a millisecond.
+pub(super) fn rounded(value: f64) -> f64 {
+    // Adding zero turns -0 into 0.
+    (value * 1000.0).round() / 1000.0 + 0.0
+}
+
+/// The column of times: only rows at least a millisecond later than the last one kept count.
+pub(super) struct Clock {
+    pub(super) column: Column,
+    last_s: Option<f64>,
+    not_later: usize,
+    first: Option<Dropped>,
+}
+
+impl Clock {
+    pub(super) fn new(column: Column) -> Self {
+        Self { column, last_s: None, not_later: 0, first: None }
+    }
+
+    /// Forgets the last time, for a new event.
+    pub(super) fn restart(&mut self) {
+        self.last_s = None;
+    }
+
+    /// The row's time in seconds; none if it is not later than the last.
+    pub(super) fn tick(&mut self, row: &Row<'_>) -> Result<Option<f64>, RecordingError> {
+        let Some(found_s) = row.number(&self.column)? else {
+            return row.wrong(&self.column.name, ValueProblem::Missing);
+        };
+        if found_s.abs() > LARGEST_TIME_S {
+            let problem = ValueProblem::OutOfRange { limit: LARGEST_TIME_S, found: found_s };
+            return row.wrong(&self.column.name, problem);
+        }
+        if let Some(before_s) = self.last_s
+            && rounded(found_s) <= rounded(before_s)
+        {
+            self.not_later += 1;
+            let column = self.column.name.clone();
+            let first = Omission::NotLater { column, count: 0, before_s, found_s };
+            self.first.get_or_insert_with(|| row.dropped(first));
+            return Ok(None);
+        }
+        self.last_s = Some(found_s);
+        Ok(Some(found_s))
+    }
+
+    pub(super) fn report(self, dropped: &mut Vec<Dropped>) {
+        if let Some(mut first) = self.first {
+            if let Omission::NotLater { count, .. } = &mut first.what {
+                *count = self.not_later;
+            }
+            dropped.push(first);
+        }
+    }
+}
+
+/// What a column of values holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Quantity {
+    Speed,
+    Gap,
+    /// Of either sign; nothing is impossible.
+    RelativeSpeed,
+}
+
+impl Quantity {
+    pub(super) fn allows(self, value: f64) -> bool {
+        self.excess(value) == 0.0
+    }
+
+    /// How far a value is outside what can be, 0 if it is possible.
+    fn excess(self, value: f64) -> f64 {
+        match self {
+            Self::Speed if rounded(value) < 0.0 => -value,
+            Self::Speed => (value - LARGEST_SPEED_MPS).max(0.0),
+            // A gap that rounds to nothing would let two vehicles touch in the scenario.
+            Self::Gap if rounded(value) <= 0.0 => 1e-3 - value,
+            Self::Gap => (value - LARGEST_GAP_M).max(0.0),
+            Self::RelativeSpeed => 0.0,
+        }
+    }
+}
+
+/// A column of values as it fills, with a count of what was missing or impossible.
+pub(super) struct Series {
+    pub(super) column: Column,
+    quantity: Quantity,
+    pub(super) values: Vec<Option<f64>>,
+    missing: usize,
+    first_missing: u64,
+    impossible: usize,
+    first_impossible: u64,
+    last_impossible: u64,
+    worst: f64,
+}
+
+impl Series {
+    pub(super) fn new(column: Column, quantity: Quantity) -> Self {
+        Self {
+            column,
+            quantity,
+            values: Vec::new(),
+            missing: 0,
+            first_missing: 0,
+            impossible: 0,
+            first_impossible: 0,
+            last_impossible: 0,
+            worst: 0.0,
+        }
+    }
+
+    /// The row's value, if there is a possible one.
+    pub(super) fn read(&mut self, row: &Row<'_>) -> Result<Option<f64>, RecordingError> {
+        let Some(value) = row.number(&self.column)? else {
+            self.missing += 1;
+            self.first_missing = if self.missing == 1 { row.line } else { self.first_missing };
+            return Ok(None);
+        };
+        if self.quantity.allows(value) {
+            return Ok(Some(value));
+        }
+        self.impossible += 1;
+        self.first_impossible = if self.impossible == 1 { row.line } else { self.first_impossible };
+        self.last_impossible = row.line;
+        if self.impossible == 1 || self.quantity.excess(value) > self.quantity.excess(self.worst) {
+            self.worst = value;
+        }
+        Ok(None)
+    }
+
+    /// Says what is missing from the values.
+    pub(super) fn report(&self, path: &Path, rows: usize, dropped: &mut Vec<Dropped>) {
+        let column = || self.column.name.clone();
+        if self.missing > 0 {
+            let what = Omission::MissingValues { column: column(), count: self.missing, rows };
+            dropped.push(Dropped { path: path.to_owned(), line: self.first_missing, what });
+        }
+        if self.impossible > 0 {
+            let (column, count, last_line) = (column(), self.impossible, self.last_impossible);
+            let what = match self.quantity {
+                Quantity::Gap => Omission::ImpossibleSpacings { column, count, last_line, worst_m: self.worst },
+                _ => Omission::ImpossibleSpeeds { column, count, last_line, worst_mps: self.worst },
+            };
+            dropped.push(Dropped { path: path.to_owned(), line: self.first_impossible, what });
+        }
+    }
+}

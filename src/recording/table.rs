@@ -1,0 +1,204 @@
+//! Rows of numbers out of a text file of any size: bounded memory, and every complaint names file, line and column.
+
+use std::io::{self, Read};
+use std::path::Path;
+
+use csv::StringRecord;
+
+use super::dropped::{Dropped, Omission};
+use super::error::{ColumnProblem, RecordingError, ValueProblem};
+
+/// Longest line, in bytes. 200 vehicles with all of OpenACC's columns take about 30 kB.
+const LONGEST_LINE: usize = 1 << 20;
+/// Most rows of one file.
+const MOST_ROWS: usize = 5_000_000;
+/// Most speeds and gaps of one file: 320 MB of them.
+const MOST_VALUES: usize = 20_000_000;
+
+/// Ends every line with a line feed, the last one too, and refuses one longer than any recording has before it fills
+/// the memory.
+struct Lines<R> {
+    inner: R,
+    since_line_feed: usize,
+}
+
+impl<R: Read> Read for Lines<R> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let count = self.inner.read(into)?;
+        if count == 0
+            && self.since_line_feed > 0
+            && let Some(first) = into.first_mut()
+        {
+            *first = b'\n';
+            self.since_line_feed = 0;
+            return Ok(1);
+        }
+        for &byte in into.iter().take(count) {
+            self.since_line_feed = if byte == b'\n' { 0 } else { self.since_line_feed + 1 };
+            if self.since_line_feed > LONGEST_LINE {
+                let message = format!("a line of more than {LONGEST_LINE} bytes is no row of numbers");
+                return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+            }
+        }
+        Ok(count)
+    }
+}
+
+/// The rows of a file, one at a time.
+pub(super) struct Table<'a, R> {
+    path: &'a Path,
+    reader: csv::Reader<Lines<R>>,
+    row: Row<'a>,
+}
+
+impl<'a, R: Read> Table<'a, R> {
+    pub(super) fn new(from: R, path: &'a Path) -> Self {
+        let reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            // Neither format quotes, and without quotes a row is a line, which bounds its length.
+            .quoting(false)
+            // A carriage return before it is trimmed away. To end rows at either would count lines wrongly.
+            .terminator(csv::Terminator::Any(b'\n'))
+            .trim(csv::Trim::All)
+            .from_reader(Lines { inner: from, since_line_feed: 0 });
+        Self { path, reader, row: Row { path, line: 0, fields: StringRecord::new() } }
+    }
+
+    pub(super) fn path(&self) -> &'a Path {
+        self.path
+    }
+
+    /// The next row that is not blank; none at the end of the file.
+    pub(super) fn next_row(&mut self) -> Result<Option<&Row<'a>>, RecordingError> {
+        loop {
+            match self.reader.read_record(&mut self.row.fields) {
+                Ok(true) => {
+                    // The row's own position lies before any blank lines ahead of it; the reader stands behind the row.
+                    self.row.line = self.reader.position().line().saturating_sub(1);
+                    if self.row.fields.len() > 1 || !self.row.text(0).is_empty() {
+                        return Ok(Some(&self.row));
+                    }
+                }
+                Ok(false) => return Ok(None),
+                Err(error) => return Err(self.misread(error)),
+            }
+        }
+    }
+
+    fn misread(&self, error: csv::Error) -> RecordingError {
+        // Text in UTF-8 is checked when the row has been read; whatever else fails does so inside the next row.
+        let line = match error.kind() {
+            csv::ErrorKind::Utf8 { .. } => self.reader.position().line().saturating_sub(1),
+            _ => self.reader.position().line(),
+        };
+        let path = self.path.to_owned();
+        match error.into_kind() {
+            csv::ErrorKind::Io(source) if source.kind() != io::ErrorKind::InvalidData => {
+                RecordingError::Read { path, source }
+            }
+            csv::ErrorKind::Io(source) => RecordingError::Malformed { path, line, message: source.to_string() },
+            csv::ErrorKind::Utf8 { .. } => {
+                RecordingError::Malformed { path, line, message: "is not text in UTF-8".to_owned() }
+            }
+            other => RecordingError::Malformed { path, line, message: format!("{other:?}") },
+        }
+    }
+
+    pub(super) fn cut_short(&self, expected: &'static str) -> RecordingError {
+        RecordingError::CutShort { path: self.path.to_owned(), line: self.row.line, expected }
+    }
+}
+
+/// One row.
+#[derive(Clone)]
+pub(super) struct Row<'a> {
+    path: &'a Path,
+    pub(super) line: u64,
+    pub(super) fields: StringRecord,
+}
+
+impl Row<'_> {
+    pub(super) fn text(&self, index: usize) -> &str {
+        self.fields.get(index).unwrap_or_default()
+    }
+
+    /// The number of a field; none if it is empty or says NaN, which is how many tools write a missing value.
+    pub(super) fn number(&self, column: &Column) -> Result<Option<f64>, RecordingError> {
+        let text = self.text(column.index);
+        if text.is_empty() {
+            return Ok(None);
+        }
+        match text.parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(Some(number)),
+            Ok(number) if number.is_nan() => Ok(None),
+            _ => self.wrong(&column.name, ValueProblem::NotANumber { found: excerpt(text) }),
+        }
+    }
+
+    pub(super) fn wrong<T>(&self, column: &str, problem: ValueProblem) -> Result<T, RecordingError> {
+        let (path, column) = (self.path.to_owned(), column.to_owned());
+        Err(RecordingError::Value { path, line: self.line, column, problem })
+    }
+
+    /// For the row that names the columns.
+    pub(super) fn misnamed<T>(&self, column: &str, problem: ColumnProblem) -> Result<T, RecordingError> {
+        let (path, column) = (self.path.to_owned(), column.to_owned());
+        Err(RecordingError::Column { path, line: self.line, column, problem })
+    }
+
+    pub(super) fn too_large<T>(&self, limit: usize, what: &'static str) -> Result<T, RecordingError> {
+        Err(RecordingError::TooLarge { path: self.path.to_owned(), line: self.line, limit, what })
+    }
+
+    pub(super) fn dropped(&self, what: Omission) -> Dropped {
+        Dropped { path: self.path.to_owned(), line: self.line, what }
+    }
+}
+
+/// Enough of a text to recognise it by.
+pub(super) fn excerpt(text: &str) -> String {
+    const LONGEST: usize = 40;
+    match text.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{}...", text.get(..end).unwrap_or_default()),
+        None => text.to_owned(),
+    }
+}
+
+/// A column by name and place.
+#[derive(Debug, Clone)]
+pub(super) struct Column {
+    pub(super) name: String,
+    pub(super) index: usize,
+}
+
+/// Counts rows and values, and refuses a file before it fills the memory.
+pub(super) struct Extent<'h> {
+    names: &'h StringRecord,
+    values_per_row: usize,
+    pub(super) rows: usize,
+}
+
+impl<'h> Extent<'h> {
+    pub(super) fn new(names: &'h StringRecord, values_per_row: usize) -> Self {
+        Self { names, values_per_row, rows: 0 }
+    }
+
+    /// Accepts a row that has a field for each column and still fits.
+    pub(super) fn admit(&mut self, row: &Row<'_>) -> Result<(), RecordingError> {
+        let (expected, found) = (self.names.len(), row.fields.len());
+        if found != expected {
+            let column = self.names.get(found.min(expected.saturating_sub(1))).unwrap_or_default().to_owned();
+            let (path, line) = (row.path.to_owned(), row.line);
+            return Err(RecordingError::FieldCount { path, line, column, expected, found });
+        }
+        self.rows += 1;
+        if self.rows > MOST_ROWS {
+            return row.too_large(MOST_ROWS, "rows");
+        }
+        if self.rows.saturating_mul(self.values_per_row) > MOST_VALUES {
+            return row.too_large(MOST_VALUES, "speeds and gaps");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,282 @@
+//! Recordings written here, in the formats of the published ones.
+
+use std::io::{self, Read};
+use std::path::Path;
+
+use super::*;
+use crate::scenario::{Driver, LeadProfile};
+
+pub(super) const HEADER: &str =
+    "Date,8,10,2019\nVehicle_order,A,B,C,\nNumber_of_vehicles,3\nACC,1\nDistance_setting,L\n";
+const EVENTS: &str = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n";
+
+pub(super) fn read_text(text: &str) -> Result<Recording, RecordingError> {
+    read(text.as_bytes(), Path::new("a.csv"))
+}
+
+fn error_of(text: &str) -> String {
+    read_text(text).expect_err("must be refused").to_string()
+}
+
+fn dropped_of(text: &str) -> Vec<String> {
+    read_text(text).expect("readable").dropped.iter().map(Dropped::to_string).collect()
+}
+
+/// A platoon of which the leader brakes from 20 to 11 m/s from 5 s to 8 s.
+fn braking_platoon(vehicles: usize) -> String {
+    let columns = |name: &str, count: usize| (1..=count).map(|k| format!(",{name}{k}")).collect::<String>();
+    let mut text = format!("{HEADER}Time{}{}\n", columns("Speed", vehicles), columns("IVS", vehicles - 1));
+    for k in 0..300 {
+        let time_s = f64::from(k) * 0.1;
+        let lead = 20.0 - 3.0 * (time_s - 5.0).clamp(0.0, 3.0);
+        text += &format!("{time_s:.1},{lead:.3}{}{}\n", ",20.5".repeat(vehicles - 1), ",15.25".repeat(vehicles - 1));
+    }
+    text
+}
+
+fn only_episode(recording: &Recording) -> Episode {
+    let mut found = episodes(recording, MinBrake::default());
+    assert_eq!((found.episodes.len(), &found.dropped[..]), (1, &[][..]));
+    found.episodes.remove(0)
+}
+
+#[test]
+fn a_braking_platoon_becomes_one_scenario() {
+    let recording = read_text(&braking_platoon(3)).expect("well formed");
+    assert_eq!(recording.dropped, []);
+    let scenario = only_episode(&recording).scenario("a-01".to_owned(), "a.csv").expect("valid");
+    // The second from 4.5 s to 5.5 s loses 1.5 m/s, the one before loses less than 1.3; a second of lead-in before it.
+    let Driver::Profile(LeadProfile::Recorded(lead)) = &scenario.vehicles()[0].driver else { panic!("no profile") };
+    assert_eq!(lead.speed_at_mps(0.0), 20.0);
+    assert!((lead.speed_at_mps(1.5) - 20.0).abs() < 1e-9 && (lead.speed_at_mps(2.5) - 17.0).abs() < 1e-9);
+    assert_eq!(scenario.spec().duration_s, 1.0 + 4.0 + 10.0);
+    let drivers: Vec<_> = scenario.vehicles().iter().map(|v| v.driver.name()).collect();
+    assert_eq!(drivers, ["recorded", "under-test", "baseline"]);
+    assert!((1..3).all(|i| (scenario.initial_gap_m(i).expect("follows") - 15.25).abs() < 1e-9));
+    assert!((1..3).all(|i| scenario.vehicles()[i].speed_mps == 20.5));
+    let about = &scenario.spec().about;
+    assert!(about.contains("from 3.5 s on (line 42): vehicle 1 (A) slows from 20.0 to 11.0 m/s"), "{about}");
+    let pair = read_text(&braking_platoon(2)).expect("well formed");
+    let scenario = only_episode(&pair).scenario("a-01".to_owned(), "a.csv").expect("valid");
+    assert_eq!(scenario.vehicles()[1].driver, Driver::UnderTest);
+}
+
+#[test]
+fn holes_in_the_numbering_split_the_platoon() {
+    let rows = "0.0,1,2,3,4,5,10,11,12,13\n0.1,1,2,3,4,5,10,11,12,13\n";
+    let text = format!("{HEADER}Time,Speed2,Speed3,Speed5,Speed6,Speed7,IVS2,IVS3,IVS5,IVS7\n{rows}");
+    let recording = read_text(&text).expect("readable");
+    let numbers: Vec<Vec<_>> =
+        recording.platoons.iter().map(|p| p.vehicles().iter().map(Vehicle::number).collect()).collect();
+    assert_eq!(numbers, [[2, 3], [5, 6]]);
+    assert_eq!(recording.platoons[1].gap_ahead_m(1), [Some(12.0), Some(12.0)]);
+    assert_eq!(recording.platoons[1].vehicles()[1].speed_mps(), [Some(4.0), Some(4.0)]);
+    let expected = [
+        "a.csv:6: vehicle 1 has no speed column: the platoon starts behind",
+        "a.csv:6: vehicle 4 has no speed column: the platoon is split there, for the spacing across is unknown",
+        "a.csv:6: IVS6: no such column, so the platoon is split between vehicles 6 and 7",
+        "a.csv:6: IVS3: ignored, for one of the two vehicles it lies between has no speed column",
+        "a.csv:6: IVS7: ignored, for one of the two vehicles it lies between has no speed column",
+        "a.csv:6: vehicle 7: left out, for no spacing to a vehicle ahead of it or behind it is recorded",
+    ];
+    assert_eq!(dropped_of(&text), expected);
+}
+
+#[test]
+fn missing_and_impossible_values_are_left_out_and_said() {
+    let rows = "0.0,20,,5\n0.1,NaN,21,-3.5\n0.2,20,-1,0\n0.2,20,21,5\n0.1,20,21,5\n0.3,1e300,21,1e9\n0.4,20,21,5\n";
+    let text = format!("{HEADER}Time,Speed1,Speed2,IVS1\n{rows}");
+    let platoon = &read_text(&text).expect("readable").platoons[0];
+    assert_eq!(platoon.time_s(), [0.0, 0.1, 0.2, 0.3, 0.4]);
+    assert_eq!(platoon.line(), [7, 8, 9, 12, 13]);
+    assert_eq!(platoon.vehicles()[0].speed_mps(), [Some(20.0), None, Some(20.0), None, Some(20.0)]);
+    assert_eq!(platoon.vehicles()[1].speed_mps(), [None, Some(21.0), None, Some(21.0), Some(21.0)]);
+    assert_eq!(platoon.gap_ahead_m(1), [Some(5.0), None, None, None, Some(5.0)]);
+    let expected = [
+        "a.csv:6: vehicle 3 has no speed column: the platoon ends before",
+        "a.csv:10: Time: 2 rows are not later than the row before and were left out, the first one here \
+         (0.2 s after 0.2 s)",
+        "a.csv:8: Speed1: 1 of 7 values are missing, the first one here",
+        "a.csv:12: Speed1: 1 impossible speeds, the first one here, the last one on line 12, the worst 1e300 m/s",
+        "a.csv:7: Speed2: 1 of 7 values are missing, the first one here",
+        "a.csv:9: Speed2: 1 impossible speeds, the first one here, the last one on line 9, the worst -1 m/s",
+        "a.csv:8: IVS1: 3 impossible spacings, the first one here, the last one on line 12, the worst 1000000000 m",
+    ];
+    assert_eq!(dropped_of(&text), expected.map(|line| line.replace("1e300", &format!("{}", 1e300))));
+}
+
+#[test]
+fn unusable_files_name_line_and_column() {
+    let named = format!("{HEADER}Time,Speed1,Speed2,IVS1\n");
+    let cases = [
+        (String::new(), "a.csv: the recording is empty"),
+        ("a,b\n".to_owned(), "a.csv:1: `a`: neither an OpenACC"),
+        ("Date,1\nACC,1\n".to_owned(), "a.csv:2: the recording ends here, before the end of its five header lines"),
+        (HEADER.to_owned(), "a.csv:5: the recording ends here, before the names of its columns"),
+        (named.clone(), "a.csv:6: the recording ends here, before its first sample"),
+        (named.replace("Time,", "Speed9,"), "a.csv:6: Time: expected this column, found `Speed9`"),
+        (named.replace("Speed2", "Speed1"), "a.csv:6: Speed1: named twice"),
+        (named.replace("Speed2", "Speed3"), "a.csv:6: IVS1: no such column lies between"),
+        (format!("{named}0.0,1,2,3\n0.1,1\n"), "a.csv:8: Speed2: 2 fields in a row of 4"),
+        (format!("{named}0.0,1,2,3,4\n"), "a.csv:7: IVS1: 5 fields in a row of 4"),
+        (format!("{named}0.0,1,fast,3\n"), "a.csv:7: Speed2: must be a finite number or empty, found `fast`"),
+        (format!("{named}0.0,1,2,-inf\n"), "a.csv:7: IVS1: must be a finite number or empty, found `-inf`"),
+        (format!("{named}0.0,1,1e999,3\n"), "a.csv:7: Speed2: must be a finite number or empty, found `1e999`"),
+        (format!("{named},1,2,3\n"), "a.csv:7: Time: must not be empty"),
+        (format!("{named}1e11,1,2,3\n"), "a.csv:7: Time: must be from -10000000000 to 10000000000, found 100000000000"),
+        (EVENTS.to_owned(), "a.csv:1: the recording ends here, before its first sample"),
+        (EVENTS.replace("gap_m", "gap"), "a.csv:1: gap_m: expected this column, found `gap`"),
+        (EVENTS.replace("\n", ",x\n"), "a.csv:1: leader_speed_mps: expected this column, found `x after it`"),
+        (format!("{EVENTS}1,0.0,5,1,0,1\n,0.1,5,1,0,1\n"), "a.csv:3: event: must not be empty"),
+        (format!("{EVENTS}1,0.0,5,1\n"), "a.csv:2: relative_speed_mps: 4 fields in a row of 6"),
+        (format!("{EVENTS}1,zero,5,1,0,1\n"), "a.csv:2: time_s: must be a finite number or empty, found `zero`"),
+    ];
+    for (text, expected) in cases {
+        let message = error_of(&text);
+        assert!(message.starts_with(expected), "{message}\n  should start with\n{expected}");
+    }
+    let bytes = [HEADER.as_bytes(), b"Time,Speed1,Sp\xffeed2,IVS1\n"].concat();
+    let message = read(&bytes[..], Path::new("a.csv")).expect_err("not text").to_string();
+    assert!(message.starts_with("a.csv:6: is not text"), "{message}");
+    let missing = load(Path::new("no/such/recording.csv")).expect_err("missing").to_string();
+    assert!(missing.starts_with("no/such/recording.csv: "), "{missing}");
+}
+
+#[test]
+fn what_would_fill_the_memory_is_refused() {
+    let endless = read(io::repeat(b'7'), Path::new("a.csv")).expect_err("endless line").to_string();
+    assert!(endless.contains("a line of more than"), "{endless}");
+    let rows = format!("{EVENTS}1,0,5,1,0,1\n");
+    let endless_rows = rows.as_bytes().chain(EndlessRows(0));
+    let message = read(endless_rows, Path::new("a.csv")).expect_err("endless rows").to_string();
+    assert!(message.starts_with("a.csv:5000002: more than 5000000 rows"), "{message}");
+    let columns: String = (1..=201).map(|k| format!(",Speed{k}")).collect();
+    let message = error_of(&format!("{HEADER}Time{columns}\n"));
+    assert!(message.starts_with("a.csv:6: more than 200 vehicles"), "{message}");
+}
+
+/// Rows of one event at one time, for ever.
+struct EndlessRows(usize);
+
+impl Read for EndlessRows {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let row = b"1,0,5,1,0,1\n";
+        for byte in into.iter_mut() {
+            *byte = row[self.0 % row.len()];
+            self.0 += 1;
+        }
+        Ok(into.len())
+    }
+}
+
+#[test]
+fn each_car_following_event_is_a_platoon_of_two() {
+    let rows = "7,0.0,5,10,1,11\n7,0.1,5,,1,11\n7,0.2,5,10,1,\n7,0.3,5,10,1,13\n9,0.0,-1,10,,11\n";
+    let recording = read_text(&format!("{EVENTS}{rows}")).expect("readable");
+    assert_eq!(recording.platoons.iter().map(Platoon::event).collect::<Vec<_>>(), [Some("7"), Some("9")]);
+    let [leader, follower] = recording.platoons[0].vehicles() else { panic!("not a pair") };
+    assert_eq!(leader.speed_mps(), [Some(11.0), Some(11.0), Some(11.0), None], "the relative speed supplies it");
+    assert_eq!(follower.speed_mps(), [Some(10.0), Some(10.0), Some(10.0), None]);
+    assert_eq!(recording.platoons[1].gap_ahead_m(1), [None]);
+    let said = dropped_of(&format!("{EVENTS}{rows}")).join("\n");
+    assert!(said.contains("a.csv:5: relative_speed_mps: differs from leader_speed_mps - follower_speed_mps in 1 rows"));
+    assert!(said.contains("a.csv:6: gap_m: 1 impossible spacings"), "{said}");
+}
+
+/// Edits the fields of some rows of a recording, which begin on line 7.
+fn edited(text: &str, rows: std::ops::Range<usize>, edit: impl Fn(&mut Vec<String>)) -> String {
+    let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+    for line in &mut lines[6 + rows.start..6 + rows.end] {
+        let mut fields: Vec<String> = line.split(',').map(str::to_owned).collect();
+        edit(&mut fields);
+        *line = fields.join(",");
+    }
+    lines.join("\n")
+}
+
+#[test]
+fn a_start_is_where_most_followers_are_known() {
+    let whole = braking_platoon(4);
+    let line_at = |text: &str| {
+        let episode = only_episode(&read_text(text).expect("readable"));
+        (episode.start_s, episode.vehicles.len(), episode.not_recorded_behind)
+    };
+    assert_eq!(line_at(&whole), (3.5, 4, None));
+    // The last gap is unknown from 3.3 to 3.8 s: the nearest start with all four is at 3.9 s, not at 3.2 s.
+    assert_eq!(line_at(&edited(&whole, 32..39, |fields| fields[7].clear())), (3.9, 4, None));
+    // Unknown throughout: three are left.
+    assert_eq!(line_at(&edited(&whole, 0..300, |fields| fields[7] = "-1".to_owned())), (3.5, 3, Some(4)));
+    // The first follower is never known: nobody follows.
+    let nobody = read_text(&edited(&whole, 0..300, |fields| fields[5].clear())).expect("readable");
+    let found = episodes(&nobody, MinBrake::default());
+    assert_eq!(found.episodes, []);
+    let said = found.dropped[0].to_string();
+    assert!(said.contains("vehicle 1 brakes at 4.5 s, but the episode was left out: speed of and gap to vehicle 2"));
+}
+
+#[test]
+fn the_first_recorded_vehicle_leads() {
+    let second_brakes = edited(&braking_platoon(4), 0..300, |fields| {
+        fields[2] = fields[1].clone();
+        fields[1] = "20".to_owned();
+    });
+    let none = episodes(&read_text(&second_brakes).expect("readable"), MinBrake::default());
+    assert_eq!(none, Found::default(), "a follower's braking is its own affair");
+    let first_lost = edited(&second_brakes, 0..300, |fields| fields[1].clear());
+    let episode = only_episode(&read_text(&first_lost).expect("readable"));
+    assert_eq!((episode.vehicles[0].number, episode.not_recorded_ahead), (2, Some(1)));
+}
+
+#[test]
+fn brakings_less_than_five_seconds_apart_are_one_episode() {
+    // The first braking is over at 8.5 s: until then the speed drops by more than 1.3 m/s within a second.
+    let again_at = |at_s: f64| {
+        let text = edited(&braking_platoon(2), 0..300, |fields| {
+            let number = |text: &str| text.parse::<f64>().expect("a number");
+            let more = 2.0 * (number(&fields[0]) - at_s).clamp(0.0, 1.0);
+            fields[1] = format!("{:.3}", number(&fields[1]) - more);
+        });
+        let found = episodes(&read_text(&text).expect("readable"), MinBrake::default()).episodes;
+        found.iter().map(|episode| (episode.start_s, episode.duration_s)).collect::<Vec<_>>()
+    };
+    assert_eq!(again_at(13.0), [(3.5, 20.8)]);
+    assert_eq!(again_at(15.0), [(3.5, 11.2), (13.7, 12.6)], "the first ends where the second begins");
+}
+
+#[test]
+fn a_leap_of_the_speed_is_no_braking() {
+    let text = edited(&braking_platoon(2), 60..62, |fields| fields[1] = "9".to_owned());
+    let found = episodes(&read_text(&text).expect("readable"), MinBrake::default());
+    assert_eq!(found.episodes, []);
+    let said = found.dropped[0].to_string();
+    assert!(said.contains("its speed changes by -83.0 m/s² at 6 s, which no road vehicle does"), "{said}");
+    // A hole of half a second is bridged; a longer one ends the run, and what is left of it is held.
+    let bridged = edited(&braking_platoon(2), 100..104, |fields| fields[1].clear());
+    assert_eq!(only_episode(&read_text(&bridged).expect("readable")).time_s.last(), Some(&15.0));
+    let ended = edited(&braking_platoon(2), 100..105, |fields| fields[1].clear());
+    let episode = only_episode(&read_text(&ended).expect("readable"));
+    assert_eq!((episode.time_s.last(), episode.duration_s), (Some(&6.4), 15.0));
+}
+
+#[test]
+fn an_import_is_all_or_nothing_and_its_names_are_distinct() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let other = dir.path().join("other");
+    std::fs::create_dir(&other).expect("temporary folder");
+    let paths = [dir.path().join("Long setting_16.csv"), other.join("long-setting 16.csv")];
+    for path in &paths {
+        std::fs::write(path, braking_platoon(3)).expect("temporary file");
+    }
+    let imported = import(&paths, &ImportOptions::default()).expect("both readable");
+    let names: Vec<_> = imported.scenarios.iter().map(|s| s.file_name.as_str()).collect();
+    assert_eq!(names, ["openacc-long-setting-16-01.toml", "openacc-long-setting-16-02.toml"]);
+    for imported in &imported.scenarios {
+        let read_back = crate::scenario::file::from_toml(&imported.toml, Path::new(&imported.file_name));
+        assert_eq!(read_back.expect("valid"), imported.scenario);
+    }
+    let with_missing = [paths[0].clone(), dir.path().join("gone.csv")];
+    assert!(import(&with_missing, &ImportOptions::default()).is_err());
+    for wrong in [0.0, -1.0, 12.1, f64::NAN, f64::INFINITY] {
+        assert!(MinBrake::new(wrong).is_err());
+    }
+}
