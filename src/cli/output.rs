@@ -53,3 +53,11 @@ pub(super) fn print(text: &str) -> Result<(), Failure> {
         Err(source) => Err(Failure::environment(Path::new("standard output"), source)),
     }
 }
+
+/// Says something on standard error, unless told to be quiet.
+pub(super) fn note(text: &str, quiet: bool) {
+    if !quiet {
+        // A closed standard error leaves nowhere to complain.
+        let _ = writeln!(io::stderr(), "{text}");
+    }
+}
