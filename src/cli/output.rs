@@ -30,7 +30,14 @@ impl Files {
             file.write_all(contents)?;
             Ok(file)
         };
-        let file = stage().map_err(|source: io::Error| Failure::environment(path, source))?;
+        let file = stage().map_err(|error: io::Error| {
+            // The kind alone: the error itself would name a temporary file nobody asked for.
+            let source = match error.kind() {
+                io::ErrorKind::NotFound => io::Error::new(io::ErrorKind::NotFound, "there is no such folder"),
+                kind => kind.into(),
+            };
+            Failure::environment(path, source)
+        })?;
         self.staged.push((file, path.to_owned()));
         Ok(())
     }
