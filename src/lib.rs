@@ -48,10 +48,12 @@
 
 pub mod cli;
 pub mod control;
+pub mod draw;
 pub mod estimate;
 pub mod export;
 pub mod measure;
 pub mod random;
 pub mod recording;
+pub mod report;
 pub mod scenario;
 pub mod sim;

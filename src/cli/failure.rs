@@ -5,6 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use crate::report::ConfigError;
 use crate::scenario::file::FileError;
 use crate::sim::RunError;
 
@@ -68,6 +69,15 @@ impl From<FileError> for Failure {
             FileError::Read { path, source } if source.kind() == io::ErrorKind::PermissionDenied => {
                 Self::Environment { path, source }
             }
+            other => Self::input(other),
+        }
+    }
+}
+
+impl From<ConfigError> for Failure {
+    fn from(error: ConfigError) -> Self {
+        match error {
+            ConfigError::File(file) => file.into(),
             other => Self::input(other),
         }
     }

@@ -1,8 +1,11 @@
 //! The command line: one file a subcommand, all of them thin.
 
+mod assess;
 mod failure;
+mod import;
 mod list;
 mod output;
+mod progress;
 mod simulate;
 mod subject;
 
@@ -34,7 +37,9 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    Assess(assess::Assess),
     Simulate(simulate::Simulate),
+    Import(import::Import),
     List(list::List),
 }
 
@@ -50,8 +55,11 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             return ExitCode::from(code);
         }
     };
+    let quiet = arguments.quiet;
     let done = match arguments.command {
+        Command::Assess(command) => command.run(quiet),
         Command::Simulate(command) => command.run(),
+        Command::Import(command) => command.run(quiet),
         Command::List(command) => command.run(),
     };
     match done {

@@ -41,7 +41,14 @@ impl Files {
             file.write_all(contents)?;
             Ok(file)
         };
-        let file = stage().map_err(|source: io::Error| Failure::environment(path, source))?;
+        let file = stage().map_err(|error: io::Error| {
+            // The kind alone: the error itself would name a temporary file nobody asked for.
+            let source = match error.kind() {
+                io::ErrorKind::NotFound => io::Error::new(io::ErrorKind::NotFound, "there is no such folder"),
+                kind => kind.into(),
+            };
+            Failure::environment(path, source)
+        })?;
         self.staged.push((file, path.to_owned()));
         Ok(())
     }
@@ -62,5 +69,13 @@ pub(super) fn print(text: &str) -> Result<(), Failure> {
         Ok(()) => Ok(()),
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Err(Failure::NobodyListens),
         Err(source) => Err(Failure::environment(Path::new("standard output"), source)),
+    }
+}
+
+/// Says something on standard error, unless told to be quiet.
+pub(super) fn note(text: &str, quiet: bool) {
+    if !quiet {
+        // A closed standard error leaves nowhere to complain.
+        let _ = writeln!(io::stderr(), "{text}");
     }
 }

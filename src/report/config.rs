@@ -123,8 +123,9 @@ impl Plan {
         let mut controllers = Vec::new();
         for (index, name) in config.controllers.iter().enumerate() {
             let field = format!("controllers[{index}]");
-            let controller = ControllerSpec::named(name)
-                .ok_or_else(|| wrong(&field, format!("there is no controller `{name}`: see `crumple list controllers`")))?;
+            let controller = ControllerSpec::named(name).ok_or_else(|| {
+                wrong(&field, format!("there is no controller `{name}`: see `crumple list controllers`"))
+            })?;
             if controllers.contains(&controller) {
                 return Err(wrong(&field, format!("`{name}` is named twice")));
             }
@@ -141,5 +142,15 @@ impl Plan {
             traffic.extend(found);
         }
         Ok(Self { config, controllers, traffic })
+    }
+}
+
+impl Plan {
+    /// The options that make `crumple simulate` run a scenario as this plan does.
+    pub(super) fn simulate_options(&self) -> String {
+        match self.config.estimator {
+            EstimatorKind::Kalman => String::new(),
+            EstimatorKind::Truth => " --estimator truth".to_owned(),
+        }
     }
 }

@@ -1,0 +1,11 @@
+//! Progress on a terminal, and silence in a pipe.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// A bar on standard error for `total` runs. It is drawn only on a terminal.
+pub(super) fn bar(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
+    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+    let template = "{msg} {bar:30} {human_pos}/{human_len} runs, {eta} left";
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::with_draw_target(Some(total), target).with_style(style).with_message(what)
+}

@@ -1,0 +1,138 @@
+//! The assessment: which controller is safer, how we know, and where it still fails.
+//!
+//! [`assess`] gathers evidence into one typed value, an [`Assessment`]; Markdown, HTML and JSON are all rendered from it.
+//! It is made of parts, each with its own evidence type and its own rendering (see [`Part`]); adding one means a file
+//! under `parts/`, a field of [`Assessment`] and a line in [`Assessment::parts`].
+
+mod case;
+mod config;
+mod interval;
+mod page;
+mod parts;
+mod rounded;
+mod table;
+
+use maud::Markup;
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+pub use case::{Case, PileUp, RoundedContact, Towards, Verdict};
+pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, Plan};
+pub use interval::RateInterval;
+pub use parts::{
+    Claim, Distribution, Limits, Paired, PaperScenarios, Percent, Provenance, Sampled, ScenarioCases, Strength,
+    Summary, Traffic,
+};
+pub use rounded::Rounded;
+
+use crate::sim::RunError;
+
+/// The version of the JSON evidence this release writes.
+pub const EVIDENCE_VERSION: u32 = 1;
+
+/// Everything an assessment found out.
+#[derive(Debug, Clone, Serialize)]
+pub struct Assessment {
+    /// Version of the evidence format.
+    pub version: u32,
+    /// The verdict: claims, and how strongly each is supported.
+    pub summary: Summary,
+    /// The paper's three scenarios.
+    pub paper_scenarios: PaperScenarios,
+    /// The paper's distribution.
+    pub distribution: Distribution,
+    /// Scenarios from files; none if the configuration names none.
+    pub traffic: Option<Traffic>,
+    /// What this does not show.
+    pub limits: Limits,
+    /// Where the evidence comes from.
+    pub provenance: Provenance,
+}
+
+/// One part of an assessment.
+pub trait Part {
+    /// Anchor of the part in the page.
+    fn id(&self) -> &'static str;
+    /// Heading.
+    fn title(&self) -> String;
+    /// The part as HTML, without its heading.
+    fn html(&self) -> Markup;
+    /// The part as Markdown, without its heading.
+    fn markdown(&self) -> String;
+}
+
+/// Gathers the evidence a plan asks for.
+///
+/// `done` is told after each stage how many of the plan's runs are done.
+///
+/// # Errors
+/// [`RunError`] if a scenario cannot be run, which a valid one can.
+pub fn assess(plan: &Plan, done: &dyn Fn(u64)) -> Result<Assessment, RunError> {
+    let paper_scenarios = PaperScenarios::gather(plan)?;
+    done(plan.paper_runs());
+    let distribution = Distribution::gather(plan, &|draws| done(plan.paper_runs() + draws))?;
+    done(plan.paper_runs() + plan.distribution_runs());
+    let traffic = Traffic::gather(plan)?;
+    done(plan.runs());
+    Ok(Assessment {
+        version: EVIDENCE_VERSION,
+        summary: Summary::of(plan, &paper_scenarios, &distribution, traffic.as_ref()),
+        limits: Limits::of(plan),
+        provenance: Provenance::of(plan),
+        paper_scenarios,
+        distribution,
+        traffic,
+    })
+}
+
+impl Plan {
+    fn paper_runs(&self) -> u64 {
+        2 * (crate::scenario::built_in_names().len() * self.controllers.len()) as u64
+    }
+
+    fn distribution_runs(&self) -> u64 {
+        self.config.draws * self.controllers.len() as u64
+    }
+
+    /// How many runs the plan asks for.
+    #[must_use]
+    pub fn runs(&self) -> u64 {
+        self.paper_runs() + self.distribution_runs() + 2 * (self.traffic.len() * self.controllers.len()) as u64
+    }
+}
+
+impl Assessment {
+    /// The parts in the order of the report.
+    #[must_use]
+    pub fn parts(&self) -> Vec<&dyn Part> {
+        let mut parts: Vec<&dyn Part> = vec![&self.summary, &self.paper_scenarios, &self.distribution];
+        parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
+        parts.extend([&self.limits as &dyn Part, &self.provenance]);
+        parts
+    }
+
+    /// The report as one self-contained HTML page.
+    #[must_use]
+    pub fn html(&self) -> String {
+        page::html(self)
+    }
+
+    /// The report as Markdown, without figures.
+    #[must_use]
+    pub fn markdown(&self) -> String {
+        page::markdown(self)
+    }
+
+    /// The evidence as JSON.
+    ///
+    /// # Errors
+    /// None in practice; the serializer's error is passed on rather than hidden.
+    pub fn json(&self) -> Result<String, serde_json::Error> {
+        serde_json::to_string_pretty(self).map(|json| json + "\n")
+    }
+}
+
+/// SHA-256 of a text, in hexadecimal.
+fn sha256(text: &str) -> String {
+    Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
+}

@@ -1,0 +1,43 @@
+//! The whole report: one HTML page, one Markdown text.
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::Assessment;
+use crate::draw;
+
+const STYLE: &str = include_str!("page.css");
+const TITLE: &str = "Crash test of longitudinal driving controllers";
+
+pub(super) fn html(assessment: &Assessment) -> String {
+    let parts = assessment.parts();
+    let page: Markup = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="generator" content={ "crumple " (assessment.provenance.crumple) };
+                title { (TITLE) }
+                style { (PreEscaped(STYLE)) (PreEscaped(draw::STYLE)) }
+            }
+            body {
+                header {
+                    p.kicker { "crumple " (assessment.provenance.crumple) }
+                    h1 { (TITLE) }
+                    nav { @for part in &parts { a href={ "#" (part.id()) } { (part.title()) } " " } }
+                }
+                main {
+                    @for part in &parts {
+                        section id=(part.id()) { h2 { (part.title()) } (part.html()) }
+                    }
+                }
+            }
+        }
+    };
+    page.into_string()
+}
+
+pub(super) fn markdown(assessment: &Assessment) -> String {
+    let part = |part: &&dyn super::Part| format!("\n## {}\n\n{}", part.title(), part.markdown());
+    format!("# {TITLE}\n{}", assessment.parts().iter().map(part).collect::<String>())
+}

@@ -1,0 +1,17 @@
+//! The parts of an assessment, one file each.
+
+mod distribution;
+mod limits;
+mod paper;
+mod provenance;
+mod scenarios;
+mod summary;
+mod traffic;
+
+pub use distribution::{Distribution, Paired, Percent, Sampled};
+pub use limits::Limits;
+pub use paper::PaperScenarios;
+pub use provenance::Provenance;
+pub use scenarios::ScenarioCases;
+pub use summary::{Claim, Strength, Summary};
+pub use traffic::Traffic;

@@ -1,0 +1,73 @@
+//! The paper's three scenarios.
+
+use maud::{Markup, html};
+use serde::Serialize;
+
+use super::ScenarioCases;
+use crate::report::case::run_cases;
+use crate::report::{Part, Plan};
+use crate::scenario::{Scenario, built_in, built_in_names};
+use crate::sim::RunError;
+
+/// Every controller in the paper's three scenarios.
+#[derive(Debug, Clone, Serialize)]
+pub struct PaperScenarios {
+    /// One entry a scenario.
+    pub scenarios: Vec<ScenarioCases>,
+}
+
+impl PaperScenarios {
+    pub(in crate::report) fn gather(plan: &Plan) -> Result<Self, RunError> {
+        let scenarios: Vec<Scenario> = built_in_names().iter().filter_map(|(name, _)| built_in(name)).collect();
+        let all: Vec<&Scenario> = scenarios.iter().collect();
+        let cases = run_cases(&all, &plan.controllers, plan.config.estimator)?;
+        let options = plan.simulate_options();
+        let scenarios = scenarios
+            .iter()
+            .zip(cases)
+            .map(|(scenario, cases)| ScenarioCases::new(scenario, &format!("{}{options}", scenario.spec().name), cases))
+            .collect();
+        Ok(Self { scenarios })
+    }
+}
+
+const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s²; behind it, at 16 m, the vehicle or vehicles under test; \
+    last, a follower whose emergency brake (the baseline's) fires at TTC < 1.4 s. Measures are those of the vehicle under \
+    test that fared worst; they end at the first contact. The pile-up is what follows when everybody drives on and \
+    vehicles that touch stick together.";
+
+impl Part for PaperScenarios {
+    fn id(&self) -> &'static str {
+        "paper"
+    }
+
+    fn title(&self) -> String {
+        "The paper's scenarios".to_owned()
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (INTRODUCTION) }
+            @for scenario in &self.scenarios {
+                h3 { (scenario.scenario) }
+                p { (scenario.about) }
+                @if let Some(first) = scenario.cases.first() { figure { (scenario.figure(first)) } }
+                (scenario.tables())
+                @for case in scenario.cases.iter().skip(1) { (scenario.folded_figure(case)) }
+            }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        let scenario = |s: &ScenarioCases| {
+            format!(
+                "### {}\n\n{}\n\n{}\n{}\n",
+                s.scenario,
+                s.about,
+                s.table().markdown(),
+                s.further_measures().markdown()
+            )
+        };
+        format!("{INTRODUCTION}\n\n{}", self.scenarios.iter().map(scenario).collect::<String>())
+    }
+}

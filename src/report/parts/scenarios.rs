@@ -1,0 +1,132 @@
+//! All controllers in one scenario: a table, and a figure for each.
+
+use maud::{Markup, html};
+use serde::Serialize;
+
+use crate::draw::{MotionFigure, motion_responsive, vehicle_names};
+use crate::report::case::Case;
+use crate::report::rounded::or_dash;
+use crate::report::table::{Cell, Table};
+use crate::scenario::Scenario;
+
+/// What came of every controller in one scenario.
+#[derive(Debug, Clone, Serialize)]
+pub struct ScenarioCases {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Why it exists.
+    pub about: String,
+    /// How to run it again.
+    pub replay: String,
+    /// One case a controller.
+    pub cases: Vec<Case>,
+    /// Names of the vehicles, for figures.
+    #[serde(skip)]
+    labels: Vec<String>,
+}
+
+impl ScenarioCases {
+    /// The cases of a scenario that `crumple simulate` finds under `reach`.
+    pub(in crate::report) fn new(scenario: &Scenario, reach: &str, cases: Vec<Case>) -> Self {
+        Self {
+            scenario: scenario.spec().name.clone(),
+            about: scenario.spec().about.clone(),
+            replay: format!("crumple simulate {reach}"),
+            cases,
+            labels: vehicle_names(scenario),
+        }
+    }
+
+    /// Outcomes and the measures to look at first, one row a controller.
+    pub(in crate::report) fn table(&self) -> Table {
+        let header = [
+            "controller",
+            "outcome",
+            "min gap ahead (m)",
+            "min gap behind (m)",
+            "min TTC (s)",
+            "peak brake (m/s²)",
+            "imposed behind (m/s²)",
+            "pile-up (vehicles)",
+            "max delta-v (m/s)",
+        ];
+        self.rows(&header, |case| {
+            vec![
+                Cell::judged(case.verdict.words(), case.verdict.is_safe()),
+                Cell::number(or_dash(case.ahead.min_gap_m)),
+                Cell::number(or_dash(case.behind.min_gap_m)),
+                Cell::number(or_dash(case.ahead.min_ttc_s)),
+                Cell::number(or_dash(case.peak_brake_mps2)),
+                Cell::number(or_dash(case.imposed_brake_mps2)),
+                Cell::number(case.pile_up.map_or("–".to_owned(), |pile_up| pile_up.vehicles.to_string())),
+                Cell::number(or_dash(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))),
+            ]
+        })
+    }
+
+    /// The other measures, one row a controller.
+    pub(in crate::report) fn further_measures(&self) -> Table {
+        let header = [
+            "controller",
+            "min time gap (s)",
+            "max DRAC (m/s²)",
+            "required brake (m/s²)",
+            "TET (s)",
+            "TIT (s²)",
+            "peak jerk (m/s³)",
+            "standstill gap ahead (m)",
+            "standstill gap behind (m)",
+            "max DRAC behind (m/s²)",
+            "TET behind (s)",
+        ];
+        self.rows(&header, |case| {
+            vec![
+                Cell::number(or_dash(case.ahead.min_time_gap_s)),
+                Cell::number(or_dash(case.ahead.max_drac_mps2)),
+                Cell::number(or_dash(case.ahead.max_required_brake_mps2)),
+                Cell::number(case.ahead.tet_s),
+                Cell::number(case.ahead.tit_s2),
+                Cell::number(or_dash(case.peak_jerk_mps3)),
+                Cell::number(or_dash(case.ahead.standstill_gap_m)),
+                Cell::number(or_dash(case.behind.standstill_gap_m)),
+                Cell::number(or_dash(case.behind.max_drac_mps2)),
+                Cell::number(case.behind.tet_s),
+            ]
+        })
+    }
+
+    fn rows(&self, header: &[&str], cells: impl Fn(&Case) -> Vec<Cell>) -> Table {
+        let mut table = Table::new(header);
+        for case in &self.cases {
+            table.row(std::iter::once(Cell::text(case.controller)).chain(cells(case)).collect());
+        }
+        table
+    }
+
+    /// Both tables, the second one folded away.
+    pub(in crate::report) fn tables(&self) -> Markup {
+        html! {
+            (self.table().html())
+            details { summary { "further measures" } (self.further_measures().html()) }
+        }
+    }
+
+    /// The paper's three diagrams of one case.
+    pub(in crate::report) fn figure(&self, case: &Case) -> Markup {
+        let Some((trace, impacts)) = &case.motion else { return html! {} };
+        let title = format!("{}, {}", self.scenario, case.controller);
+        let prefix = format!("{}-{}", self.scenario, case.controller);
+        motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &self.labels, trace, impacts })
+    }
+
+    /// The figure of one case, folded away behind its outcome.
+    pub(in crate::report) fn folded_figure(&self, case: &Case) -> Markup {
+        html! {
+            details {
+                summary { (case.controller) ": " (case.verdict.words()) }
+                (self.figure(case))
+                p.replay { code { (self.replay) " --controller " (case.controller) } }
+            }
+        }
+    }
+}

@@ -1,0 +1,133 @@
+//! Tables that render as HTML and as Markdown.
+
+use maud::{Markup, html};
+
+/// A table of text. Cells may carry a mark, so that a reader finds failures without relying on colour.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Table {
+    header: Vec<String>,
+    rows: Vec<Vec<Cell>>,
+}
+
+/// One cell.
+#[derive(Debug, Clone)]
+pub(super) struct Cell {
+    text: String,
+    mark: Mark,
+}
+
+/// What a cell says at a glance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Mark {
+    /// Nothing in particular.
+    None,
+    /// It held.
+    Good,
+    /// It failed.
+    Bad,
+    /// A number, set to the right.
+    Number,
+}
+
+impl Mark {
+    fn class(self) -> Option<&'static str> {
+        match self {
+            Self::None => None,
+            Self::Good => Some("good judged"),
+            Self::Bad => Some("bad judged"),
+            Self::Number => Some("number"),
+        }
+    }
+
+    fn sign(self) -> &'static str {
+        match self {
+            Self::None | Self::Number => "",
+            Self::Good => "✓ ",
+            Self::Bad => "✗ ",
+        }
+    }
+}
+
+impl Cell {
+    pub(super) fn text(text: impl ToString) -> Self {
+        Self { text: text.to_string(), mark: Mark::None }
+    }
+
+    pub(super) fn number(number: impl ToString) -> Self {
+        Self { text: number.to_string(), mark: Mark::Number }
+    }
+
+    pub(super) fn judged(text: impl ToString, good: bool) -> Self {
+        Self { text: text.to_string(), mark: if good { Mark::Good } else { Mark::Bad } }
+    }
+}
+
+impl Table {
+    pub(super) fn new(header: &[&str]) -> Self {
+        Self { header: header.iter().map(|&name| name.to_owned()).collect(), rows: Vec::new() }
+    }
+
+    pub(super) fn row(&mut self, cells: Vec<Cell>) {
+        self.rows.push(cells);
+    }
+
+    /// The table, in a frame that scrolls sideways where the page is narrow. The first column heads its row.
+    pub(super) fn html(&self) -> Markup {
+        let is_number =
+            |column: usize| self.rows.iter().all(|row| row.get(column).is_some_and(|cell| cell.mark == Mark::Number));
+        html! {
+            div.scroll tabindex="0" {
+                table {
+                    thead { tr {
+                        @for (column, name) in self.header.iter().enumerate() {
+                            th scope="col" class=[is_number(column).then_some("number")] { (name) }
+                        }
+                    } }
+                    tbody {
+                        @for row in &self.rows { tr {
+                            @for (column, cell) in row.iter().enumerate() {
+                                @if column == 0 {
+                                    th scope="row" { (cell.mark.sign()) (cell.text) }
+                                } @else {
+                                    td class=[cell.mark.class()] { (cell.mark.sign()) (cell.text) }
+                                }
+                            }
+                        } }
+                    }
+                }
+            }
+        }
+    }
+
+    pub(super) fn markdown(&self) -> String {
+        let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
+        let escaped = |text: &str| text.replace('|', "\\|").replace('\n', " ");
+        let mut text = line(self.header.iter().map(|name| escaped(name)).collect());
+        let first = self.rows.first();
+        text += &line(
+            (0..self.header.len())
+                .map(|column| match first.and_then(|row| row.get(column)).map(|cell| cell.mark) {
+                    Some(Mark::Number) => "---:".to_owned(),
+                    _ => "---".to_owned(),
+                })
+                .collect(),
+        );
+        for row in &self.rows {
+            text += &line(row.iter().map(|cell| format!("{}{}", cell.mark.sign(), escaped(&cell.text))).collect());
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cells_hold_can_break_neither_form() {
+        let mut table = Table::new(&["name", "n"]);
+        table.row(vec![Cell::text("a|b<script>\nc"), Cell::number(3)]);
+        assert_eq!(table.markdown(), "| name | n |\n| --- | ---: |\n| a\\|b<script> c | 3 |\n");
+        assert!(table.html().into_string().contains("a|b&lt;script&gt;"));
+    }
+}
