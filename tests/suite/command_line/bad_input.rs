@@ -121,6 +121,8 @@ fn arguments_that_make_no_sense_are_named() {
         (&["simulate", "paper-1", "--seed", "-1"], "error: invalid value '-1' for '--seed <N>'"),
         (&["simulate", "paper-1", "--trace", "t.txt"], "error: --trace t.txt: must end in .csv or .parquet"),
         (&["simulate", "paper-1", "--trace", "t"], "error: --trace t: must end in .csv or .parquet"),
+        (&["simulate", "paper-1", "--plot", "p.pdf"], "error: --plot p.pdf: must end in .svg or .png"),
+        (&["simulate", "paper-1", "--plot", "p.svg", "--trace", "t.txt"], "error: --trace t.txt: must end in"),
         (&["simulate", "paper-1", "paper-1", "--trace", "t.csv"], "error: t-paper-1.csv: two results would go there"),
         (&["simulate", "paper-1", "--expect", "luck"], "error: invalid value 'luck' for '--expect <EXPECT>'"),
         (&["simulate"], "error: the following required arguments were not provided"),

@@ -145,6 +145,16 @@ fn traces_have_one_row_a_sample_and_vehicle() {
 }
 
 #[test]
+fn plots_are_what_their_names_say() {
+    let folder = folder();
+    for (file, opening) in [("p.svg", &b"<"[..]), ("p.png", b"\x89PNG\r\n")] {
+        let output = crumple(folder.path(), &["simulate", "paper-1", "--plot", file]);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        assert!(std::fs::read(folder.path().join(file)).unwrap().starts_with(opening), "{file}");
+    }
+}
+
+#[test]
 fn several_scenarios_write_several_traces() {
     let folder = folder();
     let output = crumple(folder.path(), &["simulate", "paper-1", "paper-2", "--trace", "t.csv"]);
