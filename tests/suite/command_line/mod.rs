@@ -94,7 +94,8 @@ fn options_reach_the_simulation() {
     assert_eq!(run(&["--seed", "7"])["seed"], 7);
     assert_ne!(run(&["--seed", "7"])["outcome"], run(&["--seed", "8"])["outcome"], "noise is another");
     assert_eq!(run(&["--seed", "7"]), run(&["--seed", "7"]), "one seed decides everything");
-    let pile_up = crumple(folder.path(), &["simulate", "paper-3", "--after-contact", "continue", "--format", "json"]);
+    let arguments = ["simulate", "paper-3", "--estimator", "truth", "--after-contact", "continue", "--format", "json"];
+    let pile_up = crumple(folder.path(), &arguments);
     let pile_up = objects(&pile_up).remove(0);
     assert_eq!(pile_up["impacts"].as_array().unwrap().len(), 4);
     assert_eq!(pile_up["vehicles_involved"], 5);
