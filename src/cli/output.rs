@@ -28,11 +28,10 @@ impl Files {
             _ => Path::new("."),
         };
         let stage = || {
-            // What cannot be replaced, or is not there, is known before anything is written.
+            // What cannot be replaced is known before anything is written.
             if path.is_dir() {
                 return Err(io::ErrorKind::IsADirectory.into());
             }
-            std::fs::metadata(folder)?;
             let mut builder = tempfile::Builder::new();
             // A temporary file is private; the result should be as readable as any other new file.
             #[cfg(unix)]

@@ -5,7 +5,7 @@ use crumple::scenario::{ControllerSpec, PaperDistribution, Scenario};
 use crumple::sim::{AfterContact, Keep, Run, RunOptions, Simulated, Track, simulate, simulate_batch};
 use proptest::prelude::*;
 
-use crate::generate::{Setup, any_after_contact, any_setup, any_shape, cases, scenario_of};
+use crate::generate::{Setup, Shape, any_after_contact, any_setup, any_shape, cases, kind, scenario_of};
 
 /// Everything a result holds, as bits: 0 and -0 are different here.
 fn bits(result: &Simulated) -> Vec<u64> {
@@ -34,12 +34,26 @@ fn bits(result: &Simulated) -> Vec<u64> {
 /// A scenario and how to run it.
 type Case = (Scenario, Setup, AfterContact);
 
-/// A few shapes with a few runs of each, shuffled: runs of one shape share a block and differ in everything else.
+/// A shape and its twin that differs in one thing, with a few runs of each, shuffled: runs of one shape share a block and
+/// differ in everything else, and runs of the twin must not get into it.
 fn batch() -> impl Strategy<Value = Vec<Case>> {
-    let alike = (any_shape(), any_setup()).prop_flat_map(|(shape, setup)| {
-        prop::collection::vec((scenario_of(&shape), Just(setup), any_after_contact()), 1..8)
-    });
-    prop::collection::vec(alike, 1..4).prop_map(|shapes| shapes.concat()).prop_shuffle()
+    let alike = |shape: &Shape, setup: &Setup| {
+        prop::collection::vec((scenario_of(shape), Just(setup.clone()), any_after_contact()), 1..8)
+    };
+    (any_shape(), any_setup(), kind(), 0..5_u8)
+        .prop_flat_map(move |(shape, setup, kind, difference)| {
+            let (mut other, mut other_setup) = (shape.clone(), setup.clone());
+            match difference {
+                0 => other.step_s = if shape.step_s == 0.05 { 0.1 } else { 0.05 },
+                1 => other.drivers[0] = kind,
+                2 => other.drivers.push(kind),
+                3 => other_setup.substeps += 1,
+                _ => other_setup.estimator = setup.other_estimator(),
+            }
+            (alike(&shape, &setup), alike(&other, &other_setup))
+        })
+        .prop_map(|(these, those)| [these, those].concat())
+        .prop_shuffle()
 }
 
 fn runs<'s>(cases: impl IntoIterator<Item = &'s Case>) -> Vec<Run<'s>> {

@@ -119,14 +119,10 @@ fn arguments_that_make_no_sense_are_named() {
         (&["simulate", "paper-1", "--seed", "9223372036854775808"], "error: --seed: seed: must be at most"),
         (&["simulate", "paper-1", "--seed", "99999999999999999999"], "error: invalid value '99999999999999999999'"),
         (&["simulate", "paper-1", "--seed", "-1"], "error: invalid value '-1' for '--seed <N>'"),
-        (
-            &["simulate", "paper-1", "--trace", "t.txt"],
-            "error: invalid value 't.txt' for '--trace <F.csv|F.parquet>': must end in .csv",
-        ),
-        (
-            &["simulate", "paper-1", "--trace", "t"],
-            "error: invalid value 't' for '--trace <F.csv|F.parquet>': must end in .csv",
-        ),
+        (&["simulate", "paper-1", "--trace", "t.txt"], "error: invalid value 't.txt' for '--trace"),
+        (&["simulate", "paper-1", "--trace", "t"], "error: invalid value 't' for '--trace"),
+        (&["simulate", "paper-1", "--plot", "p.pdf"], "error: invalid value 'p.pdf' for '--plot"),
+        (&["simulate", "paper-1", "--plot", "p.svg", "--trace", "t.txt"], "error: invalid value 't.txt' for '--trace"),
         (&["simulate", "paper-1", "paper-1", "--trace", "t.csv"], "error: t-paper-1.csv: two results would go there"),
         (&["simulate", "paper-1", "--expect", "luck"], "error: invalid value 'luck' for '--expect <EXPECT>'"),
         (&["simulate"], "error: the following required arguments were not provided"),

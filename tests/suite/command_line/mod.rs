@@ -94,7 +94,8 @@ fn options_reach_the_simulation() {
     assert_eq!(run(&["--seed", "7"])["seed"], 7);
     assert_ne!(run(&["--seed", "7"])["outcome"], run(&["--seed", "8"])["outcome"], "noise is another");
     assert_eq!(run(&["--seed", "7"]), run(&["--seed", "7"]), "one seed decides everything");
-    let pile_up = crumple(folder.path(), &["simulate", "paper-3", "--after-contact", "continue", "--format", "json"]);
+    let arguments = ["simulate", "paper-3", "--estimator", "truth", "--after-contact", "continue", "--format", "json"];
+    let pile_up = crumple(folder.path(), &arguments);
     let pile_up = objects(&pile_up).remove(0);
     assert_eq!(pile_up["impacts"].as_array().unwrap().len(), 4);
     assert_eq!(pile_up["vehicles_involved"], 5);
@@ -142,6 +143,16 @@ fn traces_have_one_row_a_sample_and_vehicle() {
         assert_eq!(parquet.metadata().file_metadata().num_rows(), rows.len() as i64);
     }
     assert_eq!(names_in(folder.path()), ["trace.csv", "trace.parquet"], "nothing else is left behind");
+}
+
+#[test]
+fn plots_are_what_their_names_say() {
+    let folder = folder();
+    for (file, opening) in [("p.svg", &b"<"[..]), ("p.png", b"\x89PNG\r\n")] {
+        let output = crumple(folder.path(), &["simulate", "paper-1", "--plot", file]);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        assert!(std::fs::read(folder.path().join(file)).unwrap().starts_with(opening), "{file}");
+    }
 }
 
 #[test]

@@ -9,7 +9,8 @@ use crumple::scenario::{
 use crumple::sim::{Keep, Run, RunOptions, Simulated, simulate};
 use proptest::prelude::*;
 
-pub(crate) use driver::{Kind, any_controller, any_profile, driver_of, kind};
+use driver::driver_of;
+pub(crate) use driver::{Kind, any_controller, any_profile, kind};
 pub(crate) use options::{Setup, any_after_contact, any_setup};
 
 /// A configuration for `normal` cases, scaled by `PROPTEST_CASES` as every other one is.

@@ -34,6 +34,14 @@ impl Setup {
         Self { controller: TestController::BuiltIn(baseline), estimator: EstimatorKind::Truth, substeps: 1 }
     }
 
+    /// The estimator this is not.
+    pub(crate) fn other_estimator(&self) -> EstimatorKind {
+        match self.estimator {
+            EstimatorKind::Kalman => EstimatorKind::Truth,
+            EstimatorKind::Truth => EstimatorKind::Kalman,
+        }
+    }
+
     /// Whether the controller cares for nobody behind.
     pub(crate) fn looks_ahead_only(&self) -> bool {
         matches!(self.controller, TestController::BuiltIn(_))

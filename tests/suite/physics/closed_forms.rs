@@ -8,7 +8,7 @@ use crumple::sim::{AfterContact, Simulated};
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{Setup, cases, traced};
+use crate::generate::{Setup, any_profile, cases, traced};
 
 /// One vehicle at constant acceleration from time 0, with no step in it: x(t) and v(t) by formula.
 #[derive(Debug, Clone, Copy)]
@@ -87,6 +87,55 @@ fn run(scenario: &Scenario) -> Simulated {
     traced(scenario, &Setup::truthful().options(scenario.spec().step_s, AfterContact::Stop))
 }
 
+/// A script that a vehicle at `v` can keep: one that does not ease off, and recorded speeds that start at the vehicle's and
+/// change by no more than brakes and engine allow.
+fn feasible(v: f64, mut profile: LeadProfile) -> (f64, LeadProfile) {
+    match &mut profile {
+        LeadProfile::RampBrake(ramp) => ramp.release_s = 0.0,
+        LeadProfile::BrakeToSpeed(brake) => brake.final_speed_mps = brake.final_speed_mps.min(v),
+        LeadProfile::Recorded(recorded) => {
+            let mut last = (0.0, v);
+            for (&t, speed_mps) in recorded.time_s.iter().zip(&mut recorded.speed_mps) {
+                let most = if last.0 == 0.0 { 0.0 } else { 20.0 * (t - last.0) };
+                *speed_mps = speed_mps.clamp(last.1 - most.min(last.1), last.1 + most);
+                last = (t, *speed_mps);
+            }
+        }
+        LeadProfile::ConstantSpeed | LeadProfile::Brake(_) | LeadProfile::Pieces(_) => {}
+    }
+    (v, profile)
+}
+
+/// The speed at time t of a vehicle that started at v, by formula; meaningless once it has been zero.
+fn speed_of_script(profile: &LeadProfile, v: f64, t: f64) -> f64 {
+    match profile {
+        LeadProfile::ConstantSpeed => v,
+        LeadProfile::Brake(brake) => v - brake.rate_mps2 * (t - brake.onset_s).max(0.0),
+        LeadProfile::RampBrake(ramp) => {
+            let since = (t - ramp.onset_s).max(0.0);
+            let ramping = since.min(ramp.ramp_s);
+            v - ramp.rate_mps2 * (0.5 * ramping * ramping / ramp.ramp_s + (since - ramping))
+        }
+        LeadProfile::BrakeToSpeed(brake) => {
+            (v - brake.rate_mps2 * (t - brake.onset_s).max(0.0)).max(brake.final_speed_mps)
+        }
+        LeadProfile::Pieces(pieces) => {
+            let ends = pieces.from_s.iter().skip(1).copied().chain([f64::INFINITY]);
+            let pieces = pieces.from_s.iter().zip(ends).zip(&pieces.accel_mps2);
+            v + pieces.map(|((&from, to), a)| a * (t.min(to) - from).max(0.0)).sum::<f64>()
+        }
+        LeadProfile::Recorded(recorded) => {
+            let samples: Vec<_> = recorded.time_s.iter().zip(&recorded.speed_mps).collect();
+            let between = samples.windows(2).find(|pair| (*pair[0].0..*pair[1].0).contains(&t));
+            match between {
+                Some(pair) => pair[0].1 + (pair[1].1 - pair[0].1) * (t - pair[0].0) / (pair[1].0 - pair[0].0),
+                None if t < *samples[0].0 => *samples[0].1,
+                None => *samples[samples.len() - 1].1,
+            }
+        }
+    }
+}
+
 fn step_s() -> impl Strategy<Value = f64> {
     prop::sample::select(vec![0.01, 0.05, 0.1, 1.0])
 }
@@ -117,6 +166,29 @@ proptest! {
         prop_assert_eq!(*track.speed_mps.last().unwrap(), 0.0);
         let moving_s = step_s * (track.speed_mps.iter().filter(|&&v| v > 0.0).count() as f64 - 1.0);
         prop_assert!(v == 0.0 || moving_s <= onset_s + v / b && onset_s + v / b <= moving_s + step_s + 1e-9);
+    }
+
+    /// At every step boundary a scripted vehicle has the speed of its script, wherever in a step the script changes.
+    #[test]
+    fn scripts_are_kept_at_every_step_boundary(
+        v in 0.0..40.0_f64,
+        profile in (1..6_usize).prop_flat_map(any_profile),
+        step_s in prop::sample::select(vec![0.01, 0.05, 0.1]),
+    ) {
+        let (v, profile) = feasible(v, profile);
+        let bodies = [Body { x: 100.0, v, a: 0.0 }, Body { x: 0.0, v: 0.0, a: 0.0 }];
+        let scripted = scenario(bodies[0], bodies[1], step_s, 100).edited(|spec| {
+            spec.vehicles[0].driver = Driver::Profile(profile.clone());
+        }).unwrap();
+        let result = run(&scripted);
+        let trace = trace_of(&result);
+        for (&t, &speed_mps) in trace.time_s.iter().zip(&trace.vehicles[0].speed_mps) {
+            let scripted_mps = speed_of_script(&profile, v, t);
+            if scripted_mps <= 0.0 {
+                break;
+            }
+            prop_assert!((speed_mps - scripted_mps).abs() < 1e-9, "{speed_mps} at {t}, script {scripted_mps}");
+        }
     }
 
     /// A vehicle at constant speed v_r reaches one that stops at b from v_f: the root of g + (v_f - v_r) t - b t²/2 if the

@@ -77,7 +77,8 @@ proptest! {
             let accelerations = &trace.vehicles[index].acceleration_mps2;
             let hardest_mps2 = accelerations.iter().fold(0.0_f64, |hardest, a| hardest.max(-a));
             prop_assert_eq!(summary.max_brake_mps2, hardest_mps2);
-            prop_assert!(hardest_mps2 <= scenario.usable_brake_mps2(index) + 1e-12, "vehicle {} overbrakes", index);
+            let usable_mps2 = vehicle.max_brake_mps2() * scenario.spec().environment.friction;
+            prop_assert!(hardest_mps2 <= usable_mps2 + 1e-12, "vehicle {} overbrakes", index);
             prop_assert!(accelerations.iter().all(|&a| a <= vehicle.max_accel_mps2() + 1e-12));
             prop_assert_eq!(summary.stopped, trace.vehicles[index].speed_mps.last() == Some(&0.0));
             let Some(pair) = trace.pair(index) else { continue };
