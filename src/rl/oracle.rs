@@ -1,0 +1,1 @@
+//! The same update, stated plainly on candle's tensors and automatic differentiation.
