@@ -86,8 +86,8 @@ fn the_network_is_what_its_definition_says() {
         let (w, b) = (&network.parameters()[layer.weights()], &network.parameters()[layer.biases()]);
         h = (0..layer.outputs)
             .map(|j| {
-                let sum: f64 =
-                    h.iter().enumerate().map(|(i, h)| h * f64::from(w[i * layer.outputs + j])).sum::<f64>() + f64::from(b[j]);
+                let sum: f64 = h.iter().enumerate().map(|(i, h)| h * f64::from(w[i * layer.outputs + j])).sum::<f64>()
+                    + f64::from(b[j]);
                 if index < 2 { sum.max(0.0) } else { sum }
             })
             .collect();

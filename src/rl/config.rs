@@ -90,7 +90,8 @@ pub struct LearningConfig {
     pub batch: usize,
     /// Decisions between updates.
     pub decisions_per_update: u32,
-    /// Weight of the mean square of the actor's output before its tanh in the actor's loss: keeps it off saturation.
+    /// Weight in the actor's loss of the mean of max(0, |z| - 1)², z being its output before the tanh: an actor that has
+    /// saturated gets no gradient back through the tanh, and this leads it out again.
     pub saturation_penalty: f32,
 }
 

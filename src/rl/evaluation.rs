@@ -84,7 +84,8 @@ impl HeldOut {
         let (paper, draws) = screened.split_at(PAPER.len().min(screened.len()));
         let safe = draws.iter().filter(|run| run.contact_s.is_none()).count();
         let all_of_one_ego = || screened.iter().take(2).chain(draws);
-        let smallest = |runs: &mut dyn Iterator<Item = &Driven>| runs.map(|run| run.smallest_gap_m).fold(16.0, f64::min);
+        let smallest =
+            |runs: &mut dyn Iterator<Item = &Driven>| runs.map(|run| run.smallest_gap_m).fold(16.0, f64::min);
         let mut evaluation = Evaluation {
             paper_safe: std::array::from_fn(|i| paper.get(i).is_some_and(|run| run.contact_s.is_none())),
             safe_share: safe as f64 / draws.len().max(1) as f64,

@@ -170,7 +170,7 @@ impl Learner {
         losses
     }
 
-    /// Gradient of the actor's loss, -mean Q(s, π(s)) + penalty · mean z², into the working space.
+    /// Gradient of the actor's loss, -mean Q(s, π(s)) + penalty · mean max(0, |z| - 1)², into the working space.
     fn actor_gradient(&mut self, batch: &Batch) {
         self.act(&batch.states);
         let Space { actor, critic: tape, actions, slopes, actor_gradients, .. } = &mut self.space;
@@ -184,7 +184,11 @@ impl Learner {
         let penalty = 2.0 * self.learning.saturation_penalty / n;
         let outputs = actions.iter().zip(actor.output()).zip(&by_action);
         slopes.clear();
-        slopes.extend(outputs.map(|((&action, &raw), &slope)| slope * (1.0 - action * action) + penalty * raw));
+        slopes.extend(
+            outputs.map(|((&action, &raw), &slope)| {
+                slope * (1.0 - action * action) + penalty * (raw - raw.clamp(-1.0, 1.0))
+            }),
+        );
         actor_gradients.resize(self.actor.network.parameters().len(), 0.0);
         actor.backward(&self.actor.network, slopes, actor_gradients);
     }

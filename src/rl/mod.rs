@@ -30,3 +30,6 @@ pub use learner::{Learner, Losses, Trained};
 pub use replay::{Batch, Replay, Transition};
 pub use seeds::{Event, Observer, side_by_side, train};
 pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
+
+#[cfg(test)]
+mod tests;

@@ -128,8 +128,7 @@ impl Replay {
         if self.data.is_empty() {
             return;
         }
-        let of_contacts =
-            if self.contacts.is_empty() { 0 } else { (contact_share * count as f64).round() as usize };
+        let of_contacts = if self.contacts.is_empty() { 0 } else { (contact_share * count as f64).round() as usize };
         for index in 0..count {
             let place = if index < of_contacts {
                 self.contacts[stream.random_range(0..self.contacts.len())] as usize

@@ -209,7 +209,8 @@ mod tests {
             let run = Run::new(&scenario, RunOptions::new(spec.clone())).unwrap();
             let inside = simulate(&run, Keep::Trace);
             let vehicle = &scenario.vehicles()[1];
-            let ego = Ego { max_brake_mps2: vehicle.max_brake_mps2(), max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
+            let ego =
+                Ego { max_brake_mps2: vehicle.max_brake_mps2(), max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
             let mut controller = AnyController::built_in(&spec, &ego);
             let mut stepper = Stepper::new(&run, Keep::Trace);
             while !stepper.has_ended() {
@@ -230,9 +231,7 @@ mod tests {
         let runs: Vec<_> = scenarios
             .iter()
             .enumerate()
-            .map(|(index, scenario)| {
-                Run::new(scenario, RunOptions::new(policies[index / 2 % 3].clone())).unwrap()
-            })
+            .map(|(index, scenario)| Run::new(scenario, RunOptions::new(policies[index / 2 % 3].clone())).unwrap())
             .collect();
         let lockstep = simulate_batch(&runs, Keep::Trace, |_, simulated| simulated);
         for (run, lockstep) in runs.iter().zip(lockstep) {
