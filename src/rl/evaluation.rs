@@ -16,19 +16,19 @@ const HELD_OUT_SEED: u64 = 0x0068_656c_646f_7574;
 /// The scenarios of all evaluations.
 #[derive(Debug, Clone)]
 pub struct HeldOut {
-    /// The paper's three, then the screening draws.
+    paper: Vec<Scenario>,
     screening: Vec<Scenario>,
     ranking: Vec<Scenario>,
     environment: EnvironmentConfig,
 }
 
-/// The paper's scenarios, first in every screening.
+/// The paper's scenarios.
 const PAPER: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 
 /// What an evaluation found.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
-    /// Whether each of the paper's scenarios stayed without contact.
+    /// Whether each of the paper's scenarios stayed without contact, through the filter and with the true state.
     pub paper_safe: [bool; 3],
     /// Share of screening draws without contact.
     pub safe_share: f64,
@@ -36,7 +36,7 @@ pub struct Evaluation {
     pub mean_reward: f64,
     /// Ranking draws that ended in contact; none if ranking was not reached.
     pub ranking_contacts: Option<u64>,
-    /// Smallest gap around the ego over paper-1, paper-2 and all draws driven, in metres.
+    /// Smallest gap between any two vehicles over everything that was driven, in metres.
     pub smallest_gap_m: f64,
 }
 
@@ -69,7 +69,8 @@ impl HeldOut {
         let draw = |indices: std::ops::Range<u64>| indices.filter_map(|index| draws.draw(index).ok());
         let first = evaluation.screening_draws;
         Self {
-            screening: PAPER.into_iter().filter_map(built_in).chain(draw(0..first)).collect(),
+            paper: PAPER.into_iter().filter_map(built_in).collect(),
+            screening: draw(0..first).collect(),
             ranking: draw(first..first + evaluation.ranking_draws).collect(),
             environment: environment.clone(),
         }
@@ -80,24 +81,30 @@ impl HeldOut {
     /// # Errors
     /// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
     pub fn evaluate(&self, policy: &Arc<Policy>) -> Result<Evaluation, RunError> {
-        let screened = drive(&self.screening, policy, self.environment.estimator)?;
-        let (paper, draws) = screened.split_at(PAPER.len().min(screened.len()));
+        let of = self.environment.estimator;
+        let mut paper_safe = [true; 3];
+        let mut smallest_gap_m = f64::INFINITY;
+        for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
+            let driven = drive(&self.paper, policy, estimator)?;
+            for (safe, run) in paper_safe.iter_mut().zip(&driven) {
+                *safe &= run.contact_s.is_none();
+            }
+            smallest_gap_m = smallest_gap_m.min(smallest(&driven));
+        }
+        let draws = drive(&self.screening, policy, of)?;
         let safe = draws.iter().filter(|run| run.contact_s.is_none()).count();
-        let all_of_one_ego = || screened.iter().take(2).chain(draws);
-        let smallest =
-            |runs: &mut dyn Iterator<Item = &Driven>| runs.map(|run| run.smallest_gap_m).fold(16.0, f64::min);
         let mut evaluation = Evaluation {
-            paper_safe: std::array::from_fn(|i| paper.get(i).is_some_and(|run| run.contact_s.is_none())),
+            paper_safe,
             safe_share: safe as f64 / draws.len().max(1) as f64,
             mean_reward: draws.iter().map(|run| self.reward(run)).sum::<f64>() / draws.len().max(1) as f64,
             ranking_contacts: None,
-            smallest_gap_m: smallest(&mut all_of_one_ego()),
+            smallest_gap_m: smallest_gap_m.min(smallest(&draws)),
         };
-        if safe == draws.len() && evaluation.paper_safe[..2] == [true; 2] {
-            let ranked = drive(&self.ranking, policy, self.environment.estimator)?;
+        if safe == draws.len() && paper_safe[..2] == [true; 2] {
+            let ranked = drive(&self.ranking, policy, of)?;
             let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
             evaluation.ranking_contacts = Some(contacts as u64);
-            evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(smallest(&mut ranked.iter()));
+            evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(smallest(&ranked));
         }
         Ok(evaluation)
     }
@@ -120,6 +127,10 @@ struct Driven {
     smallest_gap_m: f64,
     steps: usize,
     step_s: f64,
+}
+
+fn smallest(runs: &[Driven]) -> f64 {
+    runs.iter().map(|run| run.smallest_gap_m).fold(f64::INFINITY, f64::min)
 }
 
 fn drive(scenarios: &[Scenario], policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<Vec<Driven>, RunError> {
