@@ -46,8 +46,9 @@ impl Import {
         }
         let mut text = String::new();
         for source in &imported.sources {
-            text +=
-                &format!("{}: {} scenarios from {}\n", source.path.display(), source.scenarios, source.format.name());
+            let plural = if source.scenarios == 1 { "" } else { "s" };
+            let (path, format) = (source.path.display(), source.format.name());
+            text += &format!("{path}: {} scenario{plural} ({format})\n", source.scenarios);
         }
         output::print(&text)
     }

@@ -17,11 +17,22 @@ pub(super) struct Files {
 impl Files {
     /// Stages a file.
     pub(super) fn stage(&mut self, path: &Path, contents: &[u8]) -> Result<(), Failure> {
+        if self.staged.iter().any(|(_, staged)| staged == path) {
+            let path = path.display();
+            return Err(Failure::Input(format!(
+                "{path}: two results would go there: give scenarios names of their own"
+            )));
+        }
         let folder = match path.parent() {
             Some(parent) if !parent.as_os_str().is_empty() => parent,
             _ => Path::new("."),
         };
         let stage = || {
+            // What cannot be replaced, or is not there, is known before anything is written.
+            if path.is_dir() {
+                return Err(io::ErrorKind::IsADirectory.into());
+            }
+            std::fs::metadata(folder)?;
             let mut builder = tempfile::Builder::new();
             // A temporary file is private; the result should be as readable as any other new file.
             #[cfg(unix)]
@@ -30,7 +41,14 @@ impl Files {
             file.write_all(contents)?;
             Ok(file)
         };
-        let file = stage().map_err(|source: io::Error| Failure::environment(path, source))?;
+        let file = stage().map_err(|error: io::Error| {
+            // The kind alone: the error itself would name a temporary file nobody asked for.
+            let source = match error.kind() {
+                io::ErrorKind::NotFound => io::Error::new(io::ErrorKind::NotFound, "there is no such folder"),
+                kind => kind.into(),
+            };
+            Failure::environment(path, source)
+        })?;
         self.staged.push((file, path.to_owned()));
         Ok(())
     }

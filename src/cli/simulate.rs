@@ -7,10 +7,13 @@ use serde::Serialize;
 
 use super::output::{self, Files};
 use super::{Failure, subject};
+use crate::draw::{self, Layout, MotionFigure, PNG_SCALE};
 use crate::estimate::EstimatorKind;
 use crate::export;
 use crate::scenario::{Driver, Scenario};
-use crate::sim::{AfterContact, Impact, Keep, Outcome, Run, RunOptions, Simulated, VehicleSummary, simulate_batch};
+use crate::sim::{
+    AfterContact, Impact, Keep, Outcome, Run, RunOptions, Simulated, Trace, VehicleSummary, simulate_batch,
+};
 
 /// Run scenarios and say what happened
 #[derive(Args)]
@@ -32,14 +35,17 @@ pub(super) struct Simulate {
     #[arg(long, value_enum, default_value = "kalman")]
     estimator: EstimatorKind,
     /// Seed of all noise instead of the scenario's
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seed: Option<u64>,
     /// Integration step in seconds, a whole fraction of the scenario's; controllers, sensors and noise keep the scenario's
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     dt: Option<f64>,
     /// What happens when vehicles touch
     #[arg(long, value_enum, default_value = "stop")]
     after_contact: AfterContact,
+    /// Draw position, speed and spacing over time
+    #[arg(long, value_name = "F.svg|F.png")]
+    plot: Option<PathBuf>,
     /// Write the motion as a table, one row a sample and vehicle
     #[arg(long, value_name = "F.csv|F.parquet")]
     trace: Option<PathBuf>,
@@ -94,7 +100,7 @@ impl Simulate {
                     .map_err(|error| Failure::Input(format!("{}: {error}", scenario.spec().name)))
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let keep = if self.trace.is_some() { Keep::Trace } else { Keep::Summary };
+        let keep = if self.trace.is_some() || self.plot.is_some() { Keep::Trace } else { Keep::Summary };
         let results = simulate_batch(&runs, keep, |_, simulated| simulated);
         let mut files = Files::default();
         let mut text = String::new();
@@ -110,8 +116,10 @@ impl Simulate {
             }
         }
         files.commit()?;
-        output::print(&text)?;
-        self.check_expectation(&runs, &results)
+        // A gate does not hold the less because nobody reads the results.
+        let printed = output::print(&text);
+        self.check_expectation(&runs, &results)?;
+        printed
     }
 
     fn scenario(&self, name: &str) -> Result<Scenario, Failure> {
@@ -155,7 +163,11 @@ impl Simulate {
         files: &mut Files,
     ) -> Result<(), Failure> {
         let name = one_of_many.then_some(run.scenario().spec().name.as_str());
-        if let (Some(path), Some(trace)) = (&self.trace, &result.trace) {
+        let Some(trace) = &result.trace else { return Ok(()) };
+        if let Some(path) = &self.plot {
+            files.stage(&named(path, name), &self.picture(path, run.scenario(), trace, &result.impacts)?)?;
+        }
+        if let Some(path) = &self.trace {
             let contents = match extension(path) {
                 Some("csv") => export::csv(trace),
                 Some("parquet") => export::parquet(trace),
@@ -164,6 +176,18 @@ impl Simulate {
             files.stage(&named(path, name), &contents.map_err(Failure::input)?)?;
         }
         Ok(())
+    }
+
+    fn picture(&self, path: &Path, scenario: &Scenario, trace: &Trace, impacts: &[Impact]) -> Result<Vec<u8>, Failure> {
+        let title = format!("{}, {}", scenario.spec().name, self.controller.name);
+        let labels = draw::vehicle_names(scenario);
+        let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
+        let picture = draw::motion(&figure, Layout::Wide);
+        match extension(path) {
+            Some("svg") => Ok(picture.document().into_bytes()),
+            Some("png") => picture.to_png(PNG_SCALE).map_err(Failure::input),
+            _ => Err(Failure::Input(format!("--plot {}: must end in .svg or .png", path.display()))),
+        }
     }
 
     fn check_expectation(&self, runs: &[Run<'_>], results: &[Simulated]) -> Result<(), Failure> {

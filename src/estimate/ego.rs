@@ -29,6 +29,18 @@ impl EgoTuning {
             gap: Tuning::new(step_s, sensors.gap_noise_m, BANDWIDTH_RAD_PER_S),
         }
     }
+
+    /// The constants of the filter of the own position.
+    #[must_use]
+    pub fn position(&self) -> &Tuning {
+        &self.position
+    }
+
+    /// The constants of the filters of both gaps.
+    #[must_use]
+    pub fn gap(&self) -> &Tuning {
+        &self.gap
+    }
 }
 
 /// What is true of a vehicle and its neighbours at one instant.

@@ -33,8 +33,8 @@ impl Mark {
     fn class(self) -> Option<&'static str> {
         match self {
             Self::None => None,
-            Self::Good => Some("good"),
-            Self::Bad => Some("bad"),
+            Self::Good => Some("good judged"),
+            Self::Bad => Some("bad judged"),
             Self::Number => Some("number"),
         }
     }

@@ -111,7 +111,7 @@ impl Default for IdmSettings {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct AccAebSettings {
-    /// Time headway to follow at, in seconds. ISO 15622:2018, 6.3.1 allows 0.8 s and more in steady state.
+    /// Time gap to follow at, bumper to bumper, in seconds (ISO 15622:2018, 6.2.3: at least 0.8 s in steady state).
     #[schemars(range(min = 0.0, max = 10.0))]
     pub time_headway_s: f64,
     /// Gap at standstill, in metres.
@@ -123,7 +123,7 @@ pub struct AccAebSettings {
     /// Acceleration for each m/s of speed difference, in 1/s.
     #[schemars(range(min = 0.0, max = 10.0))]
     pub speed_gain_per_s: f64,
-    /// Hardest braking of the cruise control, in m/s², positive. ISO 15622:2018, 6.3.3 allows 3.5 above 20 m/s.
+    /// Hardest braking of the cruise control, in m/s², positive (ISO 15622:2018, 6.4: at most 3.5 at motorway speeds).
     #[schemars(range(min = 0.0, max = 30.0))]
     pub comfort_brake_mps2: f64,
     /// Hardest acceleration of the cruise control, in m/s².

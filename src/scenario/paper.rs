@@ -33,9 +33,9 @@ const MIDDLE_VEHICLES: usize = 3;
 #[must_use]
 pub fn built_in_names() -> [(&'static str, &'static str); 3] {
     [
-        ("paper-1", "emergency brake, heavy follower (paper, scenario 1)"),
-        ("paper-2", "emergency brake, light follower (paper, scenario 2)"),
-        ("paper-3", "emergency brake, three middle vehicles, heavy follower (paper, scenario 3)"),
+        ("paper-1", "Emergency brake ahead, a heavy follower behind (paper, scenario 1)."),
+        ("paper-2", "Emergency brake ahead, a light follower behind (paper, scenario 2)."),
+        ("paper-3", "Emergency brake ahead, three middle vehicles, a heavy follower behind (paper, scenario 3)."),
     ]
 }
 

@@ -93,6 +93,12 @@ impl Platoon {
         for motion in &mut self.motion {
             *motion = motion.after(dt_s);
         }
+        // The gap inside a group is exactly zero: an emergency brake that looks at its sign must not see rounding.
+        for rear in 1..self.motion.len() {
+            if self.sticks[rear] {
+                self.motion[rear].position_m = self.motion[rear - 1].position_m - self.length_m[rear - 1];
+            }
+        }
     }
 
     /// What the contact between `rear` and the vehicle ahead of it does.

@@ -23,9 +23,11 @@ pub(super) fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
 
 /// What a run kept of one vehicle.
 pub(super) fn summary(min_gap_m: f64, tally: Tally, speed_mps: f64) -> VehicleSummary {
+    // Samples may lie on either side of a contact; at the contact itself time to collision is 0.
+    let min_ttc_s = if min_gap_m == 0.0 { 0.0 } else { tally.min_ttc_s };
     VehicleSummary {
         min_gap_m: min_gap_m.is_finite().then_some(min_gap_m),
-        min_ttc_s: tally.min_ttc_s.is_finite().then_some(tally.min_ttc_s),
+        min_ttc_s: min_ttc_s.is_finite().then_some(min_ttc_s),
         max_brake_mps2: tally.max_brake_mps2,
         stopped: speed_mps == 0.0,
     }

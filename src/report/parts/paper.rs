@@ -50,18 +50,24 @@ impl Part for PaperScenarios {
             p { (INTRODUCTION) }
             @for scenario in &self.scenarios {
                 h3 { (scenario.scenario) }
-                p { (scenario.about) "." }
-                (scenario.table().html())
-                @if let Some((first, others)) = scenario.cases.split_first() {
-                    figure { (scenario.figure(first)) }
-                    @for case in others { (scenario.folded_figure(case)) }
-                }
+                p { (scenario.about) }
+                @if let Some(first) = scenario.cases.first() { figure { (scenario.figure(first)) } }
+                (scenario.tables())
+                @for case in scenario.cases.iter().skip(1) { (scenario.folded_figure(case)) }
             }
         }
     }
 
     fn markdown(&self) -> String {
-        let scenario = |s: &ScenarioCases| format!("### {}\n\n{}.\n\n{}\n", s.scenario, s.about, s.table().markdown());
+        let scenario = |s: &ScenarioCases| {
+            format!(
+                "### {}\n\n{}\n\n{}\n{}\n",
+                s.scenario,
+                s.about,
+                s.table().markdown(),
+                s.further_measures().markdown()
+            )
+        };
         format!("{INTRODUCTION}\n\n{}", self.scenarios.iter().map(scenario).collect::<String>())
     }
 }

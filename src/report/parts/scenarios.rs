@@ -3,11 +3,11 @@
 use maud::{Markup, html};
 use serde::Serialize;
 
-use crate::draw::{MotionFigure, motion_responsive};
+use crate::draw::{MotionFigure, motion_responsive, vehicle_names};
 use crate::report::case::Case;
 use crate::report::rounded::or_dash;
 use crate::report::table::{Cell, Table};
-use crate::scenario::{Driver, Scenario};
+use crate::scenario::Scenario;
 
 /// What came of every controller in one scenario.
 #[derive(Debug, Clone, Serialize)]
@@ -33,48 +33,82 @@ impl ScenarioCases {
             about: scenario.spec().about.clone(),
             replay: format!("crumple simulate {reach}"),
             cases,
-            labels: labels(scenario),
+            labels: vehicle_names(scenario),
         }
     }
 
-    /// Outcomes and measures, one row a controller.
+    /// Outcomes and the measures to look at first, one row a controller.
     pub(in crate::report) fn table(&self) -> Table {
-        let mut table = Table::new(&[
+        let header = [
             "controller",
             "outcome",
-            "pile-up",
-            "min gap ahead m",
-            "min gap behind m",
-            "min TTC s",
-            "min time gap s",
-            "max DRAC m/s²",
-            "TET s",
-            "TIT s²",
-            "peak brake m/s²",
-            "peak jerk m/s³",
-            "brake imposed behind m/s²",
-            "max delta-v m/s",
-        ]);
-        for case in &self.cases {
-            let pile_up = case.pile_up.map_or("–".to_owned(), |p| format!("{} vehicles", p.vehicles));
-            table.row(vec![
-                Cell::text(case.controller),
+            "min gap ahead (m)",
+            "min gap behind (m)",
+            "min TTC (s)",
+            "peak brake (m/s²)",
+            "imposed behind (m/s²)",
+            "pile-up (vehicles)",
+            "max delta-v (m/s)",
+        ];
+        self.rows(&header, |case| {
+            vec![
                 Cell::judged(case.verdict.words(), case.verdict.is_safe()),
-                Cell::text(pile_up),
                 Cell::number(or_dash(case.ahead.min_gap_m)),
                 Cell::number(or_dash(case.behind.min_gap_m)),
                 Cell::number(or_dash(case.ahead.min_ttc_s)),
+                Cell::number(or_dash(case.peak_brake_mps2)),
+                Cell::number(or_dash(case.imposed_brake_mps2)),
+                Cell::number(case.pile_up.map_or("–".to_owned(), |pile_up| pile_up.vehicles.to_string())),
+                Cell::number(or_dash(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))),
+            ]
+        })
+    }
+
+    /// The other measures, one row a controller.
+    pub(in crate::report) fn further_measures(&self) -> Table {
+        let header = [
+            "controller",
+            "min time gap (s)",
+            "max DRAC (m/s²)",
+            "required brake (m/s²)",
+            "TET (s)",
+            "TIT (s²)",
+            "peak jerk (m/s³)",
+            "standstill gap ahead (m)",
+            "standstill gap behind (m)",
+            "max DRAC behind (m/s²)",
+            "TET behind (s)",
+        ];
+        self.rows(&header, |case| {
+            vec![
                 Cell::number(or_dash(case.ahead.min_time_gap_s)),
                 Cell::number(or_dash(case.ahead.max_drac_mps2)),
+                Cell::number(or_dash(case.ahead.max_required_brake_mps2)),
                 Cell::number(case.ahead.tet_s),
                 Cell::number(case.ahead.tit_s2),
-                Cell::number(or_dash(case.peak_brake_mps2)),
                 Cell::number(or_dash(case.peak_jerk_mps3)),
-                Cell::number(or_dash(case.imposed_brake_mps2)),
-                Cell::number(or_dash(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))),
-            ]);
+                Cell::number(or_dash(case.ahead.standstill_gap_m)),
+                Cell::number(or_dash(case.behind.standstill_gap_m)),
+                Cell::number(or_dash(case.behind.max_drac_mps2)),
+                Cell::number(case.behind.tet_s),
+            ]
+        })
+    }
+
+    fn rows(&self, header: &[&str], cells: impl Fn(&Case) -> Vec<Cell>) -> Table {
+        let mut table = Table::new(header);
+        for case in &self.cases {
+            table.row(std::iter::once(Cell::text(case.controller)).chain(cells(case)).collect());
         }
         table
+    }
+
+    /// Both tables, the second one folded away.
+    pub(in crate::report) fn tables(&self) -> Markup {
+        html! {
+            (self.table().html())
+            details { summary { "further measures" } (self.further_measures().html()) }
+        }
     }
 
     /// The paper's three diagrams of one case.
@@ -95,21 +129,4 @@ impl ScenarioCases {
             }
         }
     }
-}
-
-fn labels(scenario: &Scenario) -> Vec<String> {
-    let under_test = scenario.vehicles().iter().filter(|vehicle| vehicle.driver == Driver::UnderTest).count();
-    let mut tested = 0;
-    let label = |(index, vehicle): (usize, &crate::scenario::VehicleSpec)| {
-        let class = vehicle.class.name();
-        match vehicle.driver {
-            Driver::UnderTest => {
-                tested += 1;
-                if under_test == 1 { format!("ego ({class})") } else { format!("ego {tested} ({class})") }
-            }
-            _ if index == 0 => format!("leader ({class})"),
-            _ => format!("follower ({class})"),
-        }
-    };
-    scenario.vehicles().iter().enumerate().map(label).collect()
 }

@@ -43,6 +43,13 @@ pub enum Strength {
         /// Confidence of the bound, in percent.
         confidence_percent: Rounded<1>,
     },
+    /// The true share of failures may lie on either side of what is claimed.
+    Undecided {
+        /// Lower bound in percent.
+        lower_percent: Rounded<2>,
+        /// Upper bound in percent.
+        upper_percent: Rounded<2>,
+    },
     /// It failed.
     Refuted {
         /// How often.
@@ -58,16 +65,19 @@ impl Strength {
     }
 
     fn holds(&self) -> bool {
-        !matches!(self, Self::Refuted { .. })
+        matches!(self, Self::Tested { .. } | Self::Bounded { .. })
     }
 
     fn words(&self) -> String {
         match self {
-            Self::Tested { runs } => format!("tested, {runs} of {runs}"),
+            Self::Tested { runs } => format!("tested: 0 of {runs} collide"),
             Self::Bounded { upper_percent, confidence_percent } => {
-                format!("bounded: at most {upper_percent} % ({confidence_percent} % confidence)")
+                format!("bounded: at most {upper_percent} %, confidence {confidence_percent} %")
             }
-            Self::Refuted { failures, runs } => format!("refuted, {failures} of {runs} collide"),
+            Self::Undecided { lower_percent, upper_percent } => {
+                format!("undecided: {lower_percent} to {upper_percent} %")
+            }
+            Self::Refuted { failures, runs } => format!("refuted: {failures} of {runs} collide"),
         }
     }
 }
@@ -89,7 +99,7 @@ impl Summary {
                     .map(|s| Strength::of(s.collisions, distribution.draws))
                     .collect(),
             },
-            Claim { claim: "rare contact in the paper's distribution", strengths: rarely(distribution) },
+            Claim { claim: "contact in at most 1 % of the paper's distribution", strengths: rarely(distribution) },
         ];
         if let Some(traffic) = traffic {
             let runs = traffic.scenarios.len();
@@ -124,18 +134,20 @@ fn in_paper(plan: &Plan, paper: &PaperScenarios) -> Vec<Strength> {
     (0..plan.controllers.len()).map(|index| Strength::of(failures(index), runs)).collect()
 }
 
-/// "Rare" is a stated rate: 1 % or less with the confidence of the bounds.
+/// The largest share of collisions that still counts as rare, in percent.
 const RARE_PERCENT: f64 = 1.0;
 
 fn rarely(distribution: &Distribution) -> Vec<Strength> {
+    // Each end of a two-sided interval is a one-sided bound at half the risk.
+    let confidence_percent = Rounded::new(50.0 + 50.0 * distribution.confidence);
     let strength = |sampled: &super::Sampled| {
-        let upper_percent = sampled.rate_percent.upper;
-        if upper_percent.value() <= RARE_PERCENT {
-            // The upper end of a two-sided interval is a one-sided bound at half the risk.
-            let confidence_percent = Rounded::new(50.0 + 50.0 * distribution.confidence);
-            Strength::Bounded { upper_percent, confidence_percent }
-        } else {
+        let super::Percent { lower, upper, .. } = sampled.rate_percent;
+        if upper.value() <= RARE_PERCENT {
+            Strength::Bounded { upper_percent: upper, confidence_percent }
+        } else if lower.value() > RARE_PERCENT {
             Strength::Refuted { failures: sampled.collisions, runs: distribution.draws }
+        } else {
+            Strength::Undecided { lower_percent: lower, upper_percent: upper }
         }
     };
     distribution.controllers.iter().map(strength).collect()

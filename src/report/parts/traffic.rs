@@ -107,7 +107,7 @@ impl Part for Traffic {
                 details {
                     summary { (scenario.scenario) }
                     p { (scenario.about) }
-                    (scenario.table().html())
+                    (scenario.tables())
                     @for case in &scenario.cases { (scenario.folded_figure(case)) }
                 }
             }

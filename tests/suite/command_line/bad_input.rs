@@ -1,0 +1,156 @@
+//! What a user can get wrong: each has one error that names the place, an exit code, and nothing half-written.
+
+use std::fs;
+use std::path::Path;
+
+use super::{code, crumple, folder, names_in, stderr, stdout};
+
+/// A valid scenario; every case of [`bad_scenarios_name_file_line_and_field`] changes one thing in it.
+const GOOD: &str = r#"version = 1
+name = "two cars"
+duration_s = 5.0
+
+[[vehicles]]
+class = "light"
+position_m = 30.0
+speed_mps = 20.0
+length_m = 4.5
+driver.brake = { onset_s = 1.0, rate_mps2 = 3.0 }
+
+[[vehicles]]
+class = "light"
+position_m = 0.0
+speed_mps = 20.0
+driver = "under-test"
+"#;
+
+/// The first line of standard error, once a command has failed with `expected` and printed no result.
+fn first_line(folder: &Path, arguments: &[&str], expected: i32) -> String {
+    let output = crumple(folder, arguments);
+    let first = stderr(&output).lines().next().unwrap_or_default().to_owned();
+    assert_eq!(code(&output), expected, "{arguments:?}: {first}");
+    assert_eq!(stdout(&output), "", "{arguments:?}: no result");
+    assert!(!stderr(&output).contains("panicked"), "{}", stderr(&output));
+    first
+}
+
+#[test]
+fn bad_scenarios_name_file_line_and_field() {
+    let cases = [
+        ("version = 1", "version = 2", "1: version: version 2 is not supported"),
+        ("version = 1\n", "", "1: missing field `version`"),
+        ("name = \"two cars\"", "name = \"\"", "2: name: must have 1 to 200 characters, found 0"),
+        ("name = \"two cars\"", "name = two cars", "2: "),
+        ("name = \"two cars\"", "name = \"two cars\"\ncolour = \"red\"", "3: colour: unknown field `colour`"),
+        ("duration_s = 5.0", "duration_s = 0.0", "3: duration_s: must be above 0 and at most 100000, found 0"),
+        ("duration_s = 5.0", "duration_s = 5.005", "3: duration_s: must be a whole number of steps of 0.01 s"),
+        ("duration_s = 5.0", "duration_s = nan", "3: duration_s: must be a finite number, found NaN"),
+        ("duration_s = 5.0", "duration_s = \"5 s\"", "3: duration_s: invalid type: string \"5 s\""),
+        ("duration_s = 5.0", "duration_s = 5.0\nduration_s = 6.0", "4: duplicate key"),
+        ("duration_s = 5.0", "duration_s = 5.0\nseed = -1", "4: seed: invalid value: integer `-1`"),
+        ("duration_s = 5.0", "duration_s = 5.0\nsensors.dropout = 1.5", "4: sensors.dropout: must be from 0 to 1"),
+        (
+            "duration_s = 5.0",
+            "duration_s = 5.0\nenvironment.friction = 0",
+            "4: environment.friction: must be from 0.01",
+        ),
+        (
+            "class = \"light\"\nposition_m = 30",
+            "class = \"tank\"\nposition_m = 30",
+            "6: vehicles[0].class: unknown variant",
+        ),
+        ("length_m = 4.5", "length_m = -4.5", "9: vehicles[0].length_m: must be from 0.1 to 100, found -4.5"),
+        ("speed_mps = 20.0\nlength", "speed_mps = -20.0\nlength", "8: vehicles[0].speed_mps: must be from 0 to 100"),
+        ("speed_mps = 20.0\nlength", "speed_mps = inf\nlength", "8: vehicles[0].speed_mps: must be a finite number"),
+        ("position_m = 0.0", "position_m = 26.0", "14: vehicles[1].position_m: overlaps vehicle 0"),
+        ("rate_mps2 = 3.0", "rate = 3.0", "10: vehicles[0].driver.brake.rate: unknown field `rate`"),
+        ("rate_mps2 = 3.0", "rate_mps2 = 9.0", "10: vehicles[0].driver.brake: asks for 9 m/s²"),
+        ("\"under-test\"", "\"nobody\"", "16: vehicles[1].driver: unknown variant `nobody`"),
+        ("[[vehicles]]\nclass = \"light\"\nposition_m = 0.0", "[vehicle]", "12: "),
+    ];
+    let folder = folder();
+    fs::write(folder.path().join("good.toml"), GOOD).unwrap();
+    assert_eq!(code(&crumple(folder.path(), &["simulate", "good.toml"])), 0);
+    for (good, bad, expected) in cases {
+        let text = GOOD.replacen(good, bad, 1);
+        assert_ne!(text, GOOD, "{good} is there");
+        fs::write(folder.path().join("bad.toml"), text).unwrap();
+        let first = first_line(folder.path(), &["simulate", "good.toml", "bad.toml", "--trace", "t.csv"], 2);
+        assert!(first.starts_with(&format!("error: bad.toml:{expected}")), "{bad}: {first}");
+    }
+    assert_eq!(names_in(folder.path()), ["bad.toml", "good.toml"], "nothing written");
+}
+
+#[test]
+fn files_that_cannot_be_read_are_named() {
+    let folder = folder();
+    fs::create_dir(folder.path().join("folder.toml")).unwrap();
+    fs::write(folder.path().join("bytes.toml"), b"version = 1\nname = \"\xff\"\n").unwrap();
+    fs::write(folder.path().join("empty.toml"), "").unwrap();
+    fs::write(folder.path().join("cut.json"), "{\n  \"version\": 1,\n").unwrap();
+    fs::write(folder.path().join("notes.txt"), GOOD).unwrap();
+    let cases = [
+        ("nowhere", "error: `nowhere` is neither a built-in scenario (paper-1, paper-2, paper-3) nor a file"),
+        ("", "error: `` is neither a built-in scenario"),
+        ("missing.toml", "error: missing.toml: "),
+        ("folder.toml", "error: folder.toml: "),
+        ("bytes.toml", "error: bytes.toml: "),
+        ("empty.toml", "error: empty.toml:1: missing field"),
+        ("cut.json", "error: cut.json:"),
+        ("notes.txt", "error: notes.txt: a scenario file ends in .toml or .json"),
+    ];
+    for (name, expected) in cases {
+        let first = first_line(folder.path(), &["simulate", name], 2);
+        assert!(first.starts_with(expected), "{name}: {first}");
+    }
+}
+
+#[test]
+fn arguments_that_make_no_sense_are_named() {
+    let cases = [
+        (&["simulate", "paper-1", "--controller", "hal"][..], "error: invalid value 'hal' for '--controller <C>'"),
+        (&["simulate", "paper-1", "--dt", "0.003"], "error: paper-1: an integration step of 0.003 s does not divide"),
+        (&["simulate", "paper-1", "--dt", "0.02"], "error: paper-1: an integration step of 0.02 s does not divide"),
+        (&["simulate", "paper-1", "--dt", "0"], "error: paper-1: an integration step of 0 s does not divide"),
+        (&["simulate", "paper-1", "--dt", "-0.01"], "error: paper-1: an integration step of -0.01 s does not divide"),
+        (&["simulate", "paper-1", "--dt", "nan"], "error: paper-1: an integration step of NaN s does not divide"),
+        (&["simulate", "paper-1", "--dt", "1e-9"], "error: paper-1: an integration step of 0.000000001 s makes"),
+        (&["simulate", "paper-1", "--dt", "fast"], "error: invalid value 'fast' for '--dt <S>'"),
+        (&["simulate", "paper-1", "--seed", "9223372036854775808"], "error: --seed: seed: must be at most"),
+        (&["simulate", "paper-1", "--seed", "99999999999999999999"], "error: invalid value '99999999999999999999'"),
+        (&["simulate", "paper-1", "--seed", "-1"], "error: invalid value '-1' for '--seed <N>'"),
+        (&["simulate", "paper-1", "--trace", "t.txt"], "error: --trace t.txt: must end in .csv or .parquet"),
+        (&["simulate", "paper-1", "--trace", "t"], "error: --trace t: must end in .csv or .parquet"),
+        (&["simulate", "paper-1", "paper-1", "--trace", "t.csv"], "error: t-paper-1.csv: two results would go there"),
+        (&["simulate", "paper-1", "--expect", "luck"], "error: invalid value 'luck' for '--expect <EXPECT>'"),
+        (&["simulate"], "error: the following required arguments were not provided"),
+        (&["list", "colours"], "error: invalid value 'colours'"),
+        (&["drive"], "error: unrecognized subcommand 'drive'"),
+    ];
+    let folder = folder();
+    for (arguments, expected) in cases {
+        let first = first_line(folder.path(), arguments, 2);
+        assert!(first.starts_with(expected), "{arguments:?}: {first}");
+    }
+    assert_eq!(names_in(folder.path()), [""; 0], "nothing written");
+}
+
+/// Output that cannot be written: exit code 3, and neither part of it nor a temporary file is left.
+#[test]
+fn output_that_cannot_be_written_leaves_nothing_behind() {
+    let folder = folder();
+    fs::create_dir(folder.path().join("t-paper-2.csv")).unwrap();
+    fs::write(folder.path().join("file"), "").unwrap();
+    let cases = [
+        (&["simulate", "paper-1", "--trace", "missing/t.csv"][..], "error: missing/t.csv: "),
+        (&["simulate", "paper-1", "--trace", "file/t.csv"], "error: file/t.csv: "),
+        (&["simulate", "paper-1", "--trace", "t-paper-2.csv"], "error: t-paper-2.csv: "),
+        (&["simulate", "paper-1", "paper-2", "--trace", "t.csv"], "error: t-paper-2.csv: "),
+    ];
+    for (arguments, expected) in cases {
+        let first = first_line(folder.path(), arguments, 3);
+        assert!(first.starts_with(expected), "{arguments:?}: {first}");
+        assert_eq!(names_in(folder.path()), ["file", "t-paper-2.csv"], "{arguments:?}");
+    }
+    assert_eq!(names_in(&folder.path().join("t-paper-2.csv")), [""; 0]);
+}

@@ -1,0 +1,214 @@
+//! The command line as a user meets it: what it prints where, what it writes, and how it ends.
+
+mod bad_input;
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use serde_json::{Value, json};
+
+/// Runs `crumple` in a folder.
+fn crumple(folder: &Path, arguments: &[&str]) -> Output {
+    command(folder, arguments).output().expect("starts")
+}
+
+fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
+    command.current_dir(folder).args(arguments).env("NO_COLOR", "1");
+    command
+}
+
+fn code(output: &Output) -> i32 {
+    output.status.code().expect("not ended by a signal")
+}
+
+fn stdout(output: &Output) -> &str {
+    std::str::from_utf8(&output.stdout).expect("text")
+}
+
+fn stderr(output: &Output) -> &str {
+    std::str::from_utf8(&output.stderr).expect("text")
+}
+
+/// The objects `--format json` prints.
+fn objects(output: &Output) -> Vec<Value> {
+    stdout(output).lines().map(|line| serde_json::from_str(line).expect("one object a line")).collect()
+}
+
+fn folder() -> tempfile::TempDir {
+    tempfile::tempdir().expect("a place for temporary files")
+}
+
+fn names_in(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).expect("readable");
+    let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+const PAPERS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
+
+/// One object a scenario and line, with the fields other programs rely on, and nothing else on either stream.
+#[test]
+fn simulate_prints_one_json_object_a_line() {
+    let folder = folder();
+    let arguments = ["simulate", "--controller", "baseline", "--estimator", "truth", "--format", "json"];
+    let output = crumple(folder.path(), &[&arguments[..], &PAPERS].concat());
+    assert_eq!((code(&output), stderr(&output)), (0, ""));
+    let reports = objects(&output);
+    assert_eq!(reports.iter().map(|report| report["scenario"].clone()).collect::<Vec<_>>(), PAPERS);
+    for report in &reports {
+        assert_eq!(report["controller"], "baseline");
+        assert_eq!(report["estimator"], "truth");
+        assert_eq!((&report["dt_s"], &report["seed"]), (&json!(0.01), &json!(0)));
+        assert_eq!(report["outcome"]["kind"], "collision");
+        assert_eq!((&report["outcome"]["front_vehicle"], &report["outcome"]["rear_vehicle"]), (&json!(1), &json!(2)));
+        for number in ["time_s", "front_speed_mps", "rear_speed_mps", "impact_speed_mps"] {
+            assert!(report["outcome"][number].as_f64().is_some_and(|number| number > 0.0), "{number} in {report}");
+        }
+        let vehicles = report["vehicles"].as_array().expect("one entry a vehicle");
+        assert_eq!(vehicles[0]["min_gap_m"], Value::Null, "nobody is ahead of the leader");
+        for vehicle in vehicles {
+            let fields: Vec<_> = vehicle.as_object().unwrap().keys().map(String::as_str).collect();
+            let expected = ["max_brake_mps2", "min_gap_m", "min_ttc_s", "stopped"];
+            assert!(expected.iter().all(|field| fields.contains(field)), "{fields:?}");
+            assert!(vehicle["stopped"].is_boolean());
+        }
+    }
+    assert_eq!(reports[0]["vehicles"].as_array().unwrap().len(), 3);
+    assert_eq!(reports[2]["vehicles"].as_array().unwrap().len(), 5);
+    assert!((reports[0]["vehicles"][1]["min_gap_m"].as_f64().unwrap() - 4.34).abs() < 0.05);
+}
+
+#[test]
+fn options_reach_the_simulation() {
+    let folder = folder();
+    let run = |arguments: &[&str]| {
+        let arguments = [&["simulate", "paper-1", "--format", "json"], arguments].concat();
+        objects(&crumple(folder.path(), &arguments)).remove(0)
+    };
+    assert_eq!(run(&["--controller", "match-leader"])["outcome"], json!({ "kind": "no_collision" }));
+    assert_eq!(run(&[])["estimator"], "kalman", "the default");
+    assert_eq!(run(&["--dt", "0.001"])["dt_s"], 0.001);
+    assert_eq!(run(&["--seed", "7"])["seed"], 7);
+    assert_ne!(run(&["--seed", "7"])["outcome"], run(&["--seed", "8"])["outcome"], "noise is another");
+    assert_eq!(run(&["--seed", "7"]), run(&["--seed", "7"]), "one seed decides everything");
+    let pile_up = crumple(folder.path(), &["simulate", "paper-3", "--after-contact", "continue", "--format", "json"]);
+    let pile_up = objects(&pile_up).remove(0);
+    assert_eq!(pile_up["impacts"].as_array().unwrap().len(), 4);
+    assert_eq!(pile_up["vehicles_involved"], 5);
+}
+
+#[test]
+fn expectations_decide_the_exit_code_and_say_so_on_standard_error() {
+    let folder = folder();
+    let run = |arguments: &[&str]| crumple(folder.path(), &[&["simulate"], arguments].concat());
+    let collided = run(&["paper-1", "--expect", "safe", "--format", "json"]);
+    assert_eq!((code(&collided), stderr(&collided)), (1, "gate: expected no collision in paper-1\n"));
+    assert_eq!(objects(&collided).len(), 1, "the results are printed all the same");
+    assert_eq!(code(&run(&["paper-1", "--expect", "collision"])), 0);
+    let safe = ["--controller", "match-leader"];
+    assert_eq!(code(&run(&[&safe[..], &PAPERS, &["--expect", "safe"]].concat())), 0);
+    let missed = run(&[&safe[..], &PAPERS, &["--expect", "collision"]].concat());
+    assert_eq!((code(&missed), stderr(&missed)), (1, "gate: expected a collision in paper-1, paper-2, paper-3\n"));
+}
+
+/// CSV and Parquet hold one row a sample and vehicle: every step up to the contact, and the contact itself.
+#[test]
+fn traces_have_one_row_a_sample_and_vehicle() {
+    let folder = folder();
+    for (after_contact, samples) in [("stop", None), ("continue", Some(1501))] {
+        let mut reports = Vec::new();
+        for file in ["trace.csv", "trace.parquet"] {
+            let arguments = ["simulate", "paper-1", "--after-contact", after_contact, "--trace", file];
+            let output = crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
+            assert_eq!(code(&output), 0, "{}", stderr(&output));
+            reports = objects(&output);
+        }
+        let contact_s = reports[0]["outcome"]["time_s"].as_f64().unwrap();
+        let samples = samples.unwrap_or((contact_s / 0.01).ceil() as usize + 1);
+        let mut csv = csv::Reader::from_path(folder.path().join("trace.csv")).unwrap();
+        assert_eq!(
+            csv.headers().unwrap(),
+            &["time_s", "vehicle", "position_m", "speed_mps", "acceleration_mps2", "gap_m"][..]
+        );
+        let rows: Vec<_> = csv.records().map(Result::unwrap).collect();
+        assert_eq!(rows.len(), samples * 3);
+        let end_s = if after_contact == "stop" { contact_s } else { 15.0 };
+        assert_eq!(rows.last().unwrap()[0].parse::<f64>().unwrap(), end_s);
+        let parquet = std::fs::File::open(folder.path().join("trace.parquet")).unwrap();
+        let parquet = SerializedFileReader::new(parquet).unwrap();
+        assert_eq!(parquet.metadata().file_metadata().num_rows(), rows.len() as i64);
+    }
+    assert_eq!(names_in(folder.path()), ["trace.csv", "trace.parquet"], "nothing else is left behind");
+}
+
+#[test]
+fn several_scenarios_write_several_traces() {
+    let folder = folder();
+    let output = crumple(folder.path(), &["simulate", "paper-1", "paper-2", "--trace", "t.csv"]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert_eq!(names_in(folder.path()), ["t-paper-1.csv", "t-paper-2.csv"]);
+}
+
+#[test]
+fn list_names_what_simulate_takes() {
+    let folder = folder();
+    let all = crumple(folder.path(), &["list"]);
+    assert_eq!((code(&all), stderr(&all)), (0, ""));
+    let controllers = ["baseline", "baseline-unlatched", "match-leader", "constant-brake", "idm", "acc-aeb", "policy"];
+    for name in PAPERS.iter().chain(&controllers) {
+        assert!(stdout(&all).lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}");
+    }
+    let listed = &objects(&crumple(folder.path(), &["list", "--format", "json"]))[0];
+    for controller in listed["controllers"].as_array().unwrap() {
+        let name = controller["name"].as_str().unwrap();
+        let output = crumple(folder.path(), &["simulate", "paper-1", "--controller", name]);
+        assert_eq!(code(&output), 0, "{name}: {}", stderr(&output));
+        assert!(stdout(&output).starts_with(&format!("paper-1: {name}, ")));
+    }
+}
+
+#[test]
+fn help_documents_the_exit_codes() {
+    let output = crumple(folder().path(), &["--help"]);
+    assert_eq!((code(&output), stderr(&output)), (0, ""));
+    for line in [
+        "Exit codes:",
+        "  0    done",
+        "  1    a gate",
+        "  2    unusable",
+        "  3    the environment",
+        "  130  interrupted",
+    ] {
+        assert!(stdout(&output).contains(line), "{line}");
+    }
+}
+
+/// Nobody reads on: no panic, no complaint, success; but a gate that did not hold still did not.
+#[test]
+fn a_closed_pipe_is_no_error() {
+    let folder = folder();
+    for (arguments, expected) in [
+        (&["simulate", "paper-1", "paper-2", "paper-3", "--dt", "0.0001"][..], 0),
+        (&["simulate", "paper-1", "--dt", "0.0001", "--expect", "safe"], 1),
+    ] {
+        let mut child = command(folder.path(), arguments);
+        let mut child = child.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+        drop(child.stdout.take());
+        let output = child.wait_with_output().expect("ends");
+        assert_eq!(code(&output), expected, "{}", stderr(&output));
+        assert!(!stderr(&output).contains("panicked") && !stderr(&output).contains("error"), "{}", stderr(&output));
+    }
+}
+
+/// A standard output that takes nothing is the environment's failure.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_under_standard_output_is_reported() {
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("there on Linux");
+    let output = command(folder().path(), &["simulate", "paper-1"]).stdout(full).output().expect("starts");
+    assert_eq!(code(&output), 3);
+    assert!(stderr(&output).starts_with("error: standard output: "), "{}", stderr(&output));
+}

@@ -1,0 +1,75 @@
+//! What every built-in controller promises, whatever it is shown.
+
+use crumple::control::{AnyController, Baseline, Controller, Ego};
+use crumple::estimate::{Neighbour, Observation};
+use crumple::measure::ttc_s;
+use crumple::scenario::AebSettings;
+use proptest::prelude::*;
+
+use crate::generate::{any_controller, cases};
+
+prop_compose! {
+    fn any_ego()(max_brake_mps2 in 0.1..30.0_f64, max_accel_mps2 in 0.0..30.0_f64, length_m in 0.1..100.0_f64,
+                 step_s in 1e-4..1.0_f64) -> Ego {
+        Ego { max_brake_mps2, max_accel_mps2, length_m, step_s }
+    }
+}
+
+/// What may be seen, estimates gone astray included: gaps that are negative, accelerations no vehicle has.
+fn any_observation() -> impl Strategy<Value = Observation> {
+    let neighbour = || {
+        let seen = (-10.0..500.0_f64, 0.0..110.0_f64, -100.0..100.0_f64)
+            .prop_map(|(gap_m, speed_mps, acceleration_mps2)| Neighbour { gap_m, speed_mps, acceleration_mps2 });
+        prop::option::weighted(0.9, seen)
+    };
+    (0.0..110.0_f64, -100.0..100.0_f64, neighbour(), neighbour()).prop_map(
+        |(speed_mps, acceleration_mps2, ahead, behind)| Observation { speed_mps, acceleration_mps2, ahead, behind },
+    )
+}
+
+proptest! {
+    #![proptest_config(cases(1024))]
+
+    /// Commands are numbers.
+    #[test]
+    fn commands_are_finite(
+        spec in (0..6_usize).prop_flat_map(any_controller),
+        ego in any_ego(),
+        seen in prop::collection::vec(any_observation(), 1..20),
+    ) {
+        let mut controller = AnyController::built_in(&spec, &ego);
+        for seen in &seen {
+            let command = controller.act(seen);
+            prop_assert!(command.is_finite(), "{} commands {command} for {seen:?}", spec.name());
+        }
+    }
+
+    /// The baseline knows two commands, and gives the second from the first time to collision below its threshold on.
+    #[test]
+    fn the_baseline_brakes_from_the_first_ttc_below_its_threshold(
+        threshold_s in 0.0..4.0_f64,
+        ego in any_ego(),
+        seen in prop::collection::vec(any_observation(), 1..30),
+    ) {
+        let mut baseline = Baseline::new(&AebSettings { ttc_s: threshold_s }, &ego);
+        let mut braking = false;
+        for seen in seen.iter().filter(|seen| seen.ahead.is_none_or(|ahead| ahead.gap_m > 0.0)) {
+            let closing_s = seen.ahead.and_then(|ahead| ttc_s(ahead.gap_m, seen.speed_mps - ahead.speed_mps));
+            braking |= closing_s.is_some_and(|closing_s| closing_s < threshold_s);
+            prop_assert_eq!(baseline.act(seen), if braking { -ego.max_brake_mps2 } else { 0.0 });
+        }
+    }
+
+    /// No built-in controller cares for who is behind.
+    #[test]
+    fn built_in_controllers_look_ahead_only(
+        spec in (0..6_usize).prop_flat_map(any_controller),
+        ego in any_ego(),
+        seen in prop::collection::vec(any_observation(), 1..10),
+    ) {
+        let [mut looking, mut blind] = [0; 2].map(|_| AnyController::built_in(&spec, &ego));
+        for seen in seen {
+            prop_assert_eq!(looking.act(&seen), blind.act(&Observation { behind: None, ..seen }));
+        }
+    }
+}

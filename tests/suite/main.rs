@@ -1,0 +1,15 @@
+//! What crumple promises, by subject: one program, so that it is linked once.
+//!
+//! Property tests run the number of cases each states. `PROPTEST_CASES` scales them all together: 256 is the normal
+//! run, 25600 runs each a hundred times longer. Failures are kept beside the suite in `proptest-regressions/`.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
+
+mod command_line;
+mod controllers;
+mod engines;
+mod estimation;
+mod generate;
+mod paper;
+mod physics;
+mod scenario_files;
+mod schema;

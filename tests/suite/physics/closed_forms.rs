@@ -1,0 +1,183 @@
+//! Stopping distances and contact times against closed forms, to 1e-9.
+
+use crumple::scenario::{
+    Brake, Driver, Environment, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
+    VehicleSpec,
+};
+use crumple::sim::{AfterContact, Simulated};
+use proptest::prelude::*;
+
+use super::trace_of;
+use crate::generate::{Setup, cases, traced};
+
+/// One vehicle at constant acceleration from time 0, with no step in it: x(t) and v(t) by formula.
+#[derive(Debug, Clone, Copy)]
+struct Body {
+    x: f64,
+    v: f64,
+    a: f64,
+}
+
+impl Body {
+    fn stops_s(self) -> f64 {
+        if self.a < 0.0 { self.v / -self.a } else { f64::INFINITY }
+    }
+
+    fn x_at(self, t: f64) -> f64 {
+        let t = t.min(self.stops_s());
+        self.x + self.v * t + 0.5 * self.a * t * t
+    }
+
+    fn v_at(self, t: f64) -> f64 {
+        if t >= self.stops_s() { 0.0 } else { self.v + self.a * t }
+    }
+}
+
+/// First contact of two bodies and their smallest gap until `end_s`, from the closed forms: the gap is monotone between
+/// the instants at which somebody stops or both are equally fast, and a monotone function has its root by bisection.
+fn meet(front: Body, rear: Body, end_s: f64) -> (Option<f64>, f64) {
+    let gap = |t: f64| front.x_at(t) - rear.x_at(t);
+    let mut turns = vec![0.0, end_s, front.stops_s(), rear.stops_s()];
+    turns.push((rear.v - front.v) / (front.a - rear.a));
+    turns.retain(|t| (0.0..=end_s).contains(t));
+    turns.sort_by(f64::total_cmp);
+    let mut smallest = f64::INFINITY;
+    for pair in turns.windows(2) {
+        let [mut from, mut to] = [pair[0], pair[1]];
+        smallest = smallest.min(gap(to));
+        if gap(to) <= 0.0 {
+            for _ in 0..200 {
+                let middle = 0.5 * (from + to);
+                if gap(middle) <= 0.0 { to = middle } else { from = middle }
+            }
+            return (Some(to), 0.0);
+        }
+    }
+    (None, smallest)
+}
+
+/// Two vehicles that drive by themselves from the start, `gap_m` apart, in a scenario long enough for both to stop.
+fn scenario(front: Body, rear: Body, step_s: f64, steps: u32) -> Scenario {
+    let vehicle = |body: Body| {
+        let profile = Pieces { from_s: vec![0.0], accel_mps2: vec![body.a] };
+        VehicleSpec {
+            length_m: Some(4.0),
+            max_brake_mps2: Some(30.0),
+            max_accel_mps2: Some(30.0),
+            ..VehicleSpec::new(VehicleClass::Light, body.x, body.v, Driver::Profile(LeadProfile::Pieces(profile)))
+        }
+    };
+    let mut vehicles = vec![vehicle(front), vehicle(rear)];
+    vehicles[0].position_m += 4.0;
+    Scenario::new(ScenarioSpec {
+        version: SCENARIO_VERSION,
+        name: "two bodies".to_owned(),
+        about: String::new(),
+        duration_s: f64::from(steps) * step_s,
+        step_s,
+        seed: 0,
+        environment: Environment::default(),
+        sensors: Sensors::default(),
+        vehicles,
+    })
+    .expect("valid")
+}
+
+fn run(scenario: &Scenario) -> Simulated {
+    traced(scenario, &Setup::truthful().options(scenario.spec().step_s, AfterContact::Stop))
+}
+
+fn step_s() -> impl Strategy<Value = f64> {
+    prop::sample::select(vec![0.01, 0.05, 0.1, 1.0])
+}
+
+proptest! {
+    #![proptest_config(cases(1024))]
+
+    /// Stopping takes v / b and v² / 2b, however long the steps, from an onset at any step.
+    #[test]
+    fn a_braking_vehicle_stops_in_v_squared_over_2b(
+        v in 0.0..60.0_f64,
+        b in 1.0..10.0_f64,
+        onset_steps in 0..50_u32,
+        step_s in step_s(),
+    ) {
+        let onset_s = f64::from(onset_steps) * step_s;
+        let steps = onset_steps + (v / b / step_s).ceil() as u32 + 2;
+        let front = Body { x: 100.0, v, a: 0.0 };
+        let rear = Body { x: 0.0, v: 0.0, a: 0.0 };
+        let braking = scenario(front, rear, step_s, steps).edited(|spec| {
+            let brake = Brake { onset_s, rate_mps2: b };
+            spec.vehicles[0].driver = Driver::Profile(LeadProfile::Brake(brake));
+        }).unwrap();
+        let result = run(&braking);
+        let track = &trace_of(&result).vehicles[0];
+        let covered_m = track.position_m.last().unwrap() - track.position_m[0];
+        prop_assert!((covered_m - (v * onset_s + v * v / (2.0 * b))).abs() < 1e-9, "{covered_m} m");
+        prop_assert_eq!(*track.speed_mps.last().unwrap(), 0.0);
+        let moving_s = step_s * (track.speed_mps.iter().filter(|&&v| v > 0.0).count() as f64 - 1.0);
+        prop_assert!(v == 0.0 || moving_s <= onset_s + v / b && onset_s + v / b <= moving_s + step_s + 1e-9);
+    }
+
+    /// A vehicle at constant speed v_r reaches one that stops at b from v_f: the root of g + (v_f - v_r) t - b t²/2 if the
+    /// front one still moves then, and (g + v_f² / 2b) / v_r otherwise.
+    #[test]
+    fn constant_speed_into_a_braking_vehicle(
+        (g, v_f, v_r) in (0.1..50.0_f64, 0.0..40.0_f64, 1.0..40.0_f64),
+        b in 1.0..10.0_f64,
+        step_s in step_s(),
+    ) {
+        let closing = v_r - v_f;
+        let while_moving = 2.0 * g / (closing + (closing * closing + 2.0 * b * g).sqrt());
+        let time_s = if while_moving <= v_f / b { while_moving } else { (g + v_f * v_f / (2.0 * b)) / v_r };
+        let steps = (time_s / step_s) as u32 + 2;
+        let result = run(&scenario(Body { x: g, v: v_f, a: -b }, Body { x: 0.0, v: v_r, a: 0.0 }, step_s, steps));
+        let contact = result.outcome.contact().expect("nothing stops the rear one");
+        prop_assert!((contact.time_s - time_s).abs() < 1e-9, "{} s, closed form {time_s} s", contact.time_s);
+        prop_assert!((contact.front_speed_mps - (v_f - b * time_s).max(0.0)).abs() < 1e-8);
+    }
+
+    /// A vehicle that brakes at b from v towards a standing one g away hits it at sqrt(v² - 2 b g) or stops v² / 2b on.
+    #[test]
+    fn braking_into_a_standing_vehicle((g, v, b) in (0.1..80.0_f64, 1.0..40.0_f64, 1.0..10.0_f64), step_s in step_s()) {
+        let (left, steps) = (v * v - 2.0 * b * g, (v / b / step_s) as u32 + 2);
+        prop_assume!(left.abs() > 1e-3);
+        let result = run(&scenario(Body { x: g, v: 0.0, a: 0.0 }, Body { x: 0.0, v, a: -b }, step_s, steps));
+        if left > 0.0 {
+            let contact = result.outcome.contact().expect("it cannot stop in time");
+            prop_assert!((contact.time_s - (v - left.sqrt()) / b).abs() < 1e-9);
+            prop_assert!((contact.impact_speed_mps - left.sqrt()).abs() < 1e-9 * (1.0 + v / left.sqrt()));
+        } else {
+            prop_assert!(result.impacts.is_empty());
+            let min_gap_m = result.vehicles[1].min_gap_m.unwrap();
+            prop_assert!((min_gap_m - (g - v * v / (2.0 * b))).abs() < 1e-9, "{min_gap_m} m");
+        }
+    }
+
+    /// Any two constant accelerations: contact, impact speed and smallest gap are those of the closed forms.
+    #[test]
+    fn any_two_bodies_meet_where_their_parabolas_do(
+        (g, v_f, v_r) in (0.01..40.0_f64, 0.0..40.0_f64, 0.0..40.0_f64),
+        (a_f, a_r) in (-10.0..4.0_f64, -10.0..4.0_f64),
+        (steps, step_s) in (1..120_u32, step_s()),
+    ) {
+        let (front, rear) = (Body { x: g, v: v_f, a: a_f }, Body { x: 0.0, v: v_r, a: a_r });
+        let steps = steps.min((12.0 / step_s) as u32);
+        let (meeting_s, smallest_m) = meet(front, rear, f64::from(steps) * step_s);
+        prop_assume!(meeting_s.is_some() || smallest_m > 1e-6);
+        let result = run(&scenario(front, rear, step_s, steps));
+        match (result.outcome.contact(), meeting_s) {
+            (None, None) => {
+                let min_gap_m = result.vehicles[1].min_gap_m.unwrap();
+                prop_assert!((min_gap_m - smallest_m.min(g)).abs() < 1e-9, "{min_gap_m} m, closed form {smallest_m} m");
+            }
+            (Some(contact), Some(time_s)) => {
+                let impact_mps = rear.v_at(time_s) - front.v_at(time_s);
+                prop_assume!(impact_mps > 0.1);
+                prop_assert!((contact.time_s - time_s).abs() < 1e-9, "{} s, closed form {time_s} s", contact.time_s);
+                prop_assert!((contact.impact_speed_mps - impact_mps).abs() < 1e-8);
+            }
+            (found, expected) => prop_assert!(false, "found {found:?}, closed form {expected:?}"),
+        }
+    }
+}

@@ -1,0 +1,175 @@
+//! What may be moved, delayed or added without changing what happens.
+
+use crumple::estimate::EstimatorKind;
+use crumple::scenario::{Driver, LeadProfile, Recorded, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
+use crumple::sim::{AfterContact, Simulated};
+use proptest::prelude::*;
+
+use super::{grazes, trace_of};
+use crate::generate::{
+    Kind, Setup, Shape, any_after_contact, any_profile, any_scenario, any_setup, cases, noise_free, scenario_of, traced,
+};
+
+/// Two runs have the same impacts, apart from the numbers of the vehicles and the time, which may differ by a shift.
+///
+/// Rounding moves positions by 1e-11 m or so: times may differ by what that is at the impact speed.
+pub(super) fn assert_same_impacts(
+    before: &Simulated,
+    after: &Simulated,
+    shift: usize,
+    shift_s: f64,
+) -> Result<(), TestCaseError> {
+    prop_assert_eq!(before.impacts.len(), after.impacts.len(), "{:?} {:?}", before.outcome, after.outcome);
+    for (before, after) in before.impacts.iter().zip(&after.impacts) {
+        prop_assert_eq!(before.contact.front_vehicle + shift, after.contact.front_vehicle);
+        prop_assert_eq!(before.first_involved + shift, after.first_involved);
+        prop_assert_eq!(before.last_involved + shift, after.last_involved);
+        let apart_s = (before.contact.time_s + shift_s - after.contact.time_s).abs();
+        let limit_s = (1e-8 / before.contact.impact_speed_mps).clamp(1e-9, 1e-3);
+        prop_assert!(apart_s <= limit_s, "{apart_s} s apart at {} m/s", before.contact.impact_speed_mps);
+    }
+    Ok(())
+}
+
+/// Vehicles at one speed whose drivers hold it until the leader does something.
+fn steady_scenario() -> impl Strategy<Value = Scenario> {
+    let followers = prop::collection::vec((0..4_usize).prop_map(Kind::Controller), 1..4);
+    let shape = (1..6_usize, followers, prop::sample::select(vec![0.01, 0.02, 0.05])).prop_map(
+        |(leader, followers, step_s)| {
+            let leader = [Kind::Profile(leader)];
+            Shape { step_s, drivers: leader.into_iter().chain(followers).collect() }
+        },
+    );
+    (shape.prop_flat_map(|shape| scenario_of(&shape)), 5.0..40.0_f64).prop_map(|(scenario, speed_mps)| {
+        let steady = |spec: &mut ScenarioSpec| {
+            for vehicle in &mut spec.vehicles {
+                (vehicle.speed_mps, vehicle.acceleration_noise_mps2) = (speed_mps, 0.0);
+                if let Driver::Profile(LeadProfile::Recorded(Recorded { speed_mps: recorded, .. })) =
+                    &mut vehicle.driver
+                {
+                    recorded[0] = speed_mps;
+                }
+            }
+        };
+        scenario.edited(steady).expect("still valid")
+    })
+}
+
+/// The same script, later.
+fn delayed(profile: &mut LeadProfile, by_s: f64) {
+    let later = |times: &mut Vec<f64>| times.iter_mut().for_each(|time_s| *time_s += by_s);
+    match profile {
+        LeadProfile::ConstantSpeed => {}
+        LeadProfile::Brake(brake) => brake.onset_s += by_s,
+        LeadProfile::RampBrake(ramp) => ramp.onset_s += by_s,
+        LeadProfile::BrakeToSpeed(brake) => brake.onset_s += by_s,
+        LeadProfile::Pieces(pieces) => later(&mut pieces.from_s),
+        LeadProfile::Recorded(recorded) => later(&mut recorded.time_s),
+    }
+}
+
+proptest! {
+    #![proptest_config(cases(256))]
+
+    /// A leader that acts k steps later makes everything happen k steps later and that much farther down the road.
+    #[test]
+    fn time_shift(scenario in steady_scenario(), steps in 1..150_usize, after_contact in any_after_contact()) {
+        let spec = scenario.spec();
+        let by_s = steps as f64 * spec.step_s;
+        let later = scenario.edited(|spec| {
+            spec.duration_s += by_s;
+            if let Driver::Profile(profile) = &mut spec.vehicles[0].driver {
+                delayed(profile, by_s);
+            }
+        }).expect("still valid");
+        let setup = Setup::truthful();
+        let options = setup.options(spec.step_s, after_contact);
+        let (now, then) = (traced(&scenario, &options), traced(&later, &options));
+        prop_assume!(!grazes(&now) && !grazes(&then));
+        assert_same_impacts(&now, &then, 0, by_s)?;
+        let farther_m = by_s * spec.vehicles[0].speed_mps;
+        for (now, then) in trace_of(&now).vehicles.iter().zip(&trace_of(&then).vehicles) {
+            for k in 0..now.position_m.len() {
+                let apart_m = now.position_m[k] + farther_m - then.position_m[k + steps];
+                prop_assert!(apart_m.abs() < 1e-7, "{apart_m} m apart at sample {k}");
+            }
+        }
+    }
+
+    /// Nothing depends on where along the road it happens, noise and estimates included.
+    #[test]
+    fn spatial_shift(
+        scenario in any_scenario(),
+        setup in any_setup(),
+        after_contact in any_after_contact(),
+        shift_m in -1e4..1e4_f64,
+    ) {
+        let moved = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|v| v.position_m += shift_m)).unwrap();
+        let options = setup.options(scenario.spec().step_s, after_contact);
+        let (here, there) = (traced(&scenario, &options), traced(&moved, &options));
+        prop_assume!(!grazes(&here) && !grazes(&there));
+        assert_same_impacts(&here, &there, 0, 0.0)?;
+        for (here, there) in trace_of(&here).vehicles.iter().zip(&trace_of(&there).vehicles) {
+            for (x, shifted_x) in here.position_m.iter().zip(&there.position_m) {
+                prop_assert!((x + shift_m - shifted_x).abs() < 1e-6, "{x} became {shifted_x}");
+            }
+        }
+    }
+
+    /// Vehicles are numbered from the front, and the numbers mean nothing: one more vehicle out of reach ahead of a leader
+    /// that follows a script changes not a bit. Without noise, whose streams go by number.
+    #[test]
+    fn one_more_vehicle_far_ahead(
+        scenario in any_scenario(),
+        script in (0..6_usize).prop_flat_map(any_profile),
+        setup in any_setup(),
+        after_contact in any_after_contact(),
+    ) {
+        let alone = noise_free(&scenario).edited(|spec| {
+            spec.vehicles[0].max_brake_mps2 = Some(9.0);
+            spec.vehicles[0].driver = Driver::Profile(script);
+        }).unwrap();
+        let far = VehicleSpec::new(VehicleClass::Light, 1e5, 50.0, Driver::Profile(LeadProfile::ConstantSpeed));
+        let led = alone.edited(|spec| spec.vehicles.insert(0, far)).unwrap();
+        let setup = Setup { estimator: EstimatorKind::Truth, ..setup };
+        let options = setup.options(alone.spec().step_s, after_contact);
+        let (alone, led) = (traced(&alone, &options), traced(&led, &options));
+        assert_same_impacts(&alone, &led, 1, 0.0)?;
+        prop_assert_eq!(&trace_of(&alone).vehicles[..], &trace_of(&led).vehicles[1..]);
+        prop_assert_eq!(&alone.vehicles[1..], &led.vehicles[2..]);
+    }
+
+    /// The built-in drivers look ahead only: one more vehicle out of reach behind changes not a bit, noise included.
+    #[test]
+    fn one_more_vehicle_far_behind(
+        scenario in any_scenario(),
+        setup in any_setup().prop_filter("looks behind", |setup| setup.looks_ahead_only()),
+        after_contact in any_after_contact(),
+    ) {
+        let last_m = scenario.vehicles().last().unwrap().position_m;
+        let far = VehicleSpec::new(
+            VehicleClass::Heavy, last_m - 1e4, 0.0, Driver::Profile(LeadProfile::ConstantSpeed));
+        let followed = scenario.edited(|spec| spec.vehicles.push(far)).unwrap();
+        let options = setup.options(scenario.spec().step_s, after_contact);
+        let (alone, followed) = (traced(&scenario, &options), traced(&followed, &options));
+        prop_assert_eq!(&alone.impacts, &followed.impacts);
+        let vehicles = alone.vehicles.len();
+        prop_assert_eq!(&trace_of(&alone).vehicles[..], &trace_of(&followed).vehicles[..vehicles]);
+        prop_assert_eq!(&alone.vehicles[..], &followed.vehicles[..vehicles]);
+    }
+}
+
+/// The symmetries are tested where something happens: their scenarios do collide, and not always.
+#[test]
+fn scenarios_of_the_symmetry_tests_are_neither_all_safe_nor_all_fatal() {
+    use proptest::strategy::ValueTree;
+    let mut runner = proptest::test_runner::TestRunner::deterministic();
+    let scenarios: [BoxedStrategy<Scenario>; 2] = [any_scenario().boxed(), steady_scenario().boxed()];
+    for strategy in scenarios {
+        let options = Setup::truthful().options(0.01, AfterContact::Stop);
+        let collisions = (0..200)
+            .map(|_| traced(&strategy.new_tree(&mut runner).unwrap().current(), &options).impacts.len())
+            .sum::<usize>();
+        assert!((20..180).contains(&collisions), "{collisions} of 200 collide");
+    }
+}

@@ -1,0 +1,199 @@
+//! Scenario files: what is written is read back, nonsense is refused with the line it is on, and the schema tells the truth.
+
+use std::path::{Path, PathBuf};
+
+use crumple::scenario::file::{FileError, from_json, from_toml, to_toml};
+use crumple::scenario::{Scenario, built_in, built_in_names, json_schema};
+use proptest::prelude::*;
+
+use crate::generate::{any_scenario, cases};
+use crate::schema::validate;
+
+fn to_json(scenario: &Scenario) -> String {
+    serde_json::to_string_pretty(scenario.spec()).expect("plain data")
+}
+
+/// A format: how to write a scenario, how to read one, and what a file of it is called.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Format {
+    Toml,
+    Json,
+}
+
+impl Format {
+    fn write(self, scenario: &Scenario) -> String {
+        match self {
+            Self::Toml => to_toml(scenario).expect("plain data"),
+            Self::Json => to_json(scenario),
+        }
+    }
+
+    fn read(self, text: &str) -> Result<Scenario, FileError> {
+        match self {
+            Self::Toml => from_toml(text, Path::new("f.toml")),
+            Self::Json => from_json(text, Path::new("f.json")),
+        }
+    }
+}
+
+fn any_format() -> impl Strategy<Value = Format> {
+    prop_oneof![Just(Format::Toml), Just(Format::Json)]
+}
+
+/// A scenario with texts of any characters.
+fn any_file() -> impl Strategy<Value = Scenario> {
+    (any_scenario(), ".{1,40}", any::<String>()).prop_map(|(scenario, name, about)| {
+        scenario.edited(|spec| (spec.name, spec.about) = (name, about)).expect("texts are free")
+    })
+}
+
+/// The line an error message names: `file:line: …`.
+fn line_of(message: &str) -> Option<usize> {
+    let rest = message.strip_prefix("f.toml:").or(message.strip_prefix("f.json:"))?;
+    rest.split_once(": ")?.0.parse().ok()
+}
+
+/// Reading never panics, and a refusal names a line that exists.
+fn read_or_line(format: Format, text: &str) -> Result<(), TestCaseError> {
+    if let Err(error) = format.read(text) {
+        let message = error.to_string();
+        let lines = text.bytes().filter(|&byte| byte == b'\n').count() + 1;
+        let line = line_of(&message);
+        prop_assert!(line.is_some_and(|line| (1..=lines).contains(&line)), "{message}\n{text}");
+    }
+    Ok(())
+}
+
+/// The text with one stretch of it replaced.
+fn replaced(text: &str, at: std::ops::Range<usize>, with: &str) -> String {
+    format!("{}{with}{}", &text[..at.start], &text[at.end..])
+}
+
+/// Where numbers stand in a text: behind an equals sign, a colon, a bracket or a blank.
+fn numbers(text: &str) -> Vec<std::ops::Range<usize>> {
+    let mut found = Vec::new();
+    let mut start = None;
+    let mut before = ' ';
+    for (index, c) in text.char_indices() {
+        match start {
+            None if (c.is_ascii_digit() || c == '-') && " [".contains(before) => start = Some(index),
+            Some(from) if !(c.is_ascii_alphanumeric() || "+-._".contains(c)) => {
+                found.push(from..index);
+                start = None;
+            }
+            _ => {}
+        }
+        before = c;
+    }
+    found
+}
+
+proptest! {
+    #![proptest_config(cases(512))]
+
+    /// Every valid scenario survives both formats, to the last bit of every number.
+    #[test]
+    fn files_round_trip_exactly(scenario in any_file(), format in any_format()) {
+        let text = format.write(&scenario);
+        let back = format.read(&text).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
+        prop_assert_eq!(back.spec(), scenario.spec(), "{}", text);
+    }
+
+    /// Text of any kind is read or refused, with a line.
+    #[test]
+    fn any_text_is_read_or_refused(text in any::<String>(), format in any_format()) {
+        read_or_line(format, &text)?;
+    }
+
+    /// So are files with some damage: cut short, lines lost or doubled, characters changed.
+    #[test]
+    fn damaged_files_are_read_or_refused(
+        scenario in any_scenario(),
+        format in any_format(),
+        damage in 0..4_u8,
+        (place, other) in (any::<prop::sample::Index>(), any::<char>()),
+    ) {
+        let text = format.write(&scenario);
+        let at = place.index(text.len());
+        let at = (0..=at).rev().find(|&at| text.is_char_boundary(at)).unwrap();
+        let line_end = text[at..].find('\n').map_or(text.len(), |end| at + end + 1);
+        let line_start = text[..at].rfind('\n').map_or(0, |end| end + 1);
+        let damaged = match damage {
+            0 => text[..at].to_owned(),
+            1 => replaced(&text, line_start..line_end, ""),
+            2 => replaced(&text, line_end..line_end, &text[line_start..line_end]),
+            _ => replaced(&text, at..at, &other.to_string()),
+        };
+        read_or_line(format, &damaged)?;
+    }
+
+    /// One number replaced by something no field can hold: refused, and the line is that of the number.
+    #[test]
+    fn one_bad_number_is_found(
+        scenario in any_scenario(),
+        format in any_format(),
+        place in any::<prop::sample::Index>(),
+        bad in prop::sample::select(vec!["nan", "inf", "-inf", "\"text\"", "1e300", "-1e300", "[[]]", "1e999"]),
+    ) {
+        // In JSON, the numbers that are not numbers do not exist: they would be another mistake on the same line.
+        let text = format.write(&scenario);
+        let numbers = numbers(&text);
+        let at = numbers[place.index(numbers.len())].clone();
+        let line = text[..at.start].matches('\n').count() + 1;
+        let damaged = replaced(&text, at, bad);
+        let message = format.read(&damaged).expect_err("must be refused").to_string();
+        prop_assert_eq!(line_of(&message), Some(line), "{}\n{}", message, damaged);
+    }
+
+    /// What the program accepts, the schema accepts.
+    #[test]
+    fn valid_scenarios_satisfy_the_schema(scenario in any_file()) {
+        let (schema, value) = (json_schema(), serde_json::to_value(scenario.spec()).unwrap());
+        validate(&schema, &schema, &value, "scenario").map_err(TestCaseError::fail)?;
+    }
+}
+
+/// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
+#[test]
+fn the_committed_schema_is_that_of_the_types() {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src/scenario/scenario.schema.json");
+    let generated = format!("{}\n", serde_json::to_string_pretty(&json_schema()).unwrap());
+    if std::env::var_os("UPDATE_SCHEMA").is_some() {
+        std::fs::write(&path, &generated).unwrap();
+    }
+    let committed = std::fs::read_to_string(&path).unwrap();
+    assert!(committed == generated, "outdated: run UPDATE_SCHEMA=1 cargo test --test suite schema");
+}
+
+/// Built-in scenarios satisfy the schema, and it refuses what the program refuses, as far as a schema can say it.
+#[test]
+fn the_schema_accepts_the_built_in_scenarios_and_refuses_nonsense() {
+    let schema = json_schema();
+    let check = |value: &serde_json::Value| validate(&schema, &schema, value, "scenario");
+    for (name, _) in built_in_names() {
+        check(&serde_json::to_value(built_in(name).unwrap().spec()).unwrap()).unwrap();
+    }
+    let paper_1 = serde_json::to_value(built_in("paper-1").unwrap().spec()).unwrap();
+    let nonsense = [
+        ("/version", serde_json::json!("one")),
+        ("/duration_s", serde_json::json!(-1.0)),
+        ("/vehicles", serde_json::json!([])),
+        ("/vehicles/0/speed_mps", serde_json::json!(-1.0)),
+        ("/vehicles/0/class", serde_json::json!("tank")),
+        ("/vehicles/0/driver", serde_json::json!("nobody")),
+        ("/vehicles/0/driver", serde_json::json!({ "brake": { "onset_s": 1.0 } })),
+        ("/vehicles/0/driver", serde_json::json!({ "brake": { "onset_s": 1.0, "rate_mps2": 31.0 } })),
+        ("/vehicles/0/driver", serde_json::json!({ "idm": { "politeness": 1.0 } })),
+        ("/vehicles/0", serde_json::json!({ "class": "light" })),
+    ];
+    for (place, value) in nonsense {
+        let mut changed = paper_1.clone();
+        *changed.pointer_mut(place).expect("there") = value;
+        assert!(check(&changed).is_err(), "{place}: the schema accepts {}", changed.pointer(place).unwrap());
+        let text = serde_json::to_string(&changed).unwrap();
+        assert!(from_json(&text, Path::new("f.json")).is_err(), "{place}: the program accepts it");
+    }
+    let mut unknown = paper_1.clone();
+    unknown["colour"] = serde_json::json!(3);
+    assert!(check(&unknown).is_err());
+}

@@ -1,0 +1,78 @@
+//! The part of JSON Schema that schemas of scenario files use, so that no second schema library is needed.
+
+use serde_json::Value;
+
+/// Checks `value` against `schema`, whose references lead into `root`.
+///
+/// # Errors
+/// Where the value breaks which rule. Panics at a keyword it does not know: a schema must not be believed half-read.
+pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str) -> Result<(), String> {
+    let rules = match schema {
+        Value::Object(rules) => rules,
+        Value::Bool(true) => return Ok(()),
+        other => return Err(format!("{place}: {other} allows nothing")),
+    };
+    let number = |rule: &Value| rule.as_f64().expect("a number");
+    let all = |rule: &Value| rule.as_array().expect("a list").clone();
+    for (keyword, rule) in rules {
+        let holds = match keyword.as_str() {
+            "$schema" | "$defs" | "title" | "description" | "default" | "format" => true,
+            "$ref" => {
+                let target =
+                    rule.as_str().and_then(|path| root.pointer(path.strip_prefix('#')?)).expect("a definition");
+                validate(root, target, value, place)?;
+                true
+            }
+            "type" => match rule {
+                Value::Array(types) => types.iter().any(|name| is_of_type(value, name)),
+                name => is_of_type(value, name),
+            },
+            "enum" => all(rule).contains(value),
+            "const" => rule == value,
+            "minimum" => value.as_f64().is_none_or(|found| found >= number(rule)),
+            "maximum" => value.as_f64().is_none_or(|found| found <= number(rule)),
+            "minItems" => value.as_array().is_none_or(|items| items.len() as f64 >= number(rule)),
+            "maxItems" => value.as_array().is_none_or(|items| items.len() as f64 <= number(rule)),
+            "items" => {
+                for (index, item) in value.as_array().into_iter().flatten().enumerate() {
+                    validate(root, rule, item, &format!("{place}[{index}]"))?;
+                }
+                true
+            }
+            "anyOf" => all(rule).iter().any(|one| validate(root, one, value, place).is_ok()),
+            "oneOf" => all(rule).iter().filter(|one| validate(root, one, value, place).is_ok()).count() == 1,
+            "required" => all(rule).iter().all(|name| value.get(name.as_str().expect("a name")).is_some()),
+            "properties" => {
+                for (name, rule) in rule.as_object().expect("an object") {
+                    if let Some(member) = value.get(name) {
+                        validate(root, rule, member, &format!("{place}.{name}"))?;
+                    }
+                }
+                true
+            }
+            "additionalProperties" => {
+                assert_eq!(rule, false, "only the closed form is used");
+                let known = rules.get("properties").and_then(Value::as_object);
+                let is_known = |name: &String| known.is_some_and(|known| known.contains_key(name));
+                value.as_object().is_none_or(|members| members.keys().all(is_known))
+            }
+            other => panic!("{place}: the keyword {other} is not known here"),
+        };
+        if !holds {
+            return Err(format!("{place}: breaks {keyword} {rule}: {value}"));
+        }
+    }
+    Ok(())
+}
+
+fn is_of_type(value: &Value, name: &Value) -> bool {
+    match name.as_str().expect("a type is a name") {
+        "object" => value.is_object(),
+        "array" => value.is_array(),
+        "string" => value.is_string(),
+        "number" => value.is_number(),
+        "integer" => value.is_u64() || value.is_i64(),
+        "null" => value.is_null(),
+        other => panic!("unknown type {other}"),
+    }
+}
