@@ -21,9 +21,11 @@
 //! | [`random`] | seeded streams: one seed decides everything |
 //! | [`scenario`] | what may happen: vehicles, drivers, lead profiles, the file format, the paper's scenarios |
 //! | [`estimate`] | what the ego knows: sensors and the Kalman filter |
+//! | [`policy`] | the actor network and its file: acting, one state or many |
 //! | [`control`] | who decides: one trait, one file for each controller |
 //! | [`sim`] | how it happens: exact steps, contact times, two engines with one meaning, the trace |
 //! | [`measure`] | how it was: surrogate safety measures |
+//! | [`rl`] | learning to drive: DDPG, its environment, its presets |
 //! | [`recording`] | recorded traffic turned into scenarios |
 //! | [`export`], [`draw`] | traces as tables and as pictures |
 //! | [`report`] | the assessment and its renderings |
@@ -52,8 +54,10 @@ pub mod draw;
 pub mod estimate;
 pub mod export;
 pub mod measure;
+pub mod policy;
 pub mod random;
 pub mod recording;
 pub mod report;
+pub mod rl;
 pub mod scenario;
 pub mod sim;

@@ -26,6 +26,14 @@ pub enum Purpose {
     FirstEstimate = 5,
     /// One draw from a distribution of scenarios.
     ScenarioDraw = 6,
+    /// First weights of a network, one consumer a network.
+    FirstWeights = 7,
+    /// Actions tried out in training, one consumer an episode.
+    Exploration = 8,
+    /// Draws from replay memory, one consumer an episode.
+    ReplayDraw = 9,
+    /// Noise on target actions, one consumer an episode.
+    TargetNoise = 10,
 }
 
 /// The stream for `purpose`, for the `index`-th consumer of its kind (a vehicle, a draw), under `seed`.

@@ -3,11 +3,13 @@
 mod assess;
 mod failure;
 mod import;
+mod learning_curve;
 mod list;
 mod output;
 mod progress;
 mod simulate;
 mod subject;
+mod train;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -19,7 +21,7 @@ pub use failure::Failure;
 const EXIT_CODES: &str = "\
 Exit codes:
   0    done
-  1    a gate did not hold: --expect was not met
+  1    a gate did not hold: --expect was not met, a training diverged
   2    unusable arguments or input; the message names file, line and field
   3    the environment failed: disk, permission
   130  interrupted";
@@ -40,6 +42,7 @@ enum Command {
     Assess(assess::Assess),
     Simulate(simulate::Simulate),
     Import(import::Import),
+    Train(train::Train),
     List(list::List),
 }
 
@@ -60,6 +63,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Assess(command) => command.run(quiet),
         Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
+        Command::Train(command) => command.run(quiet),
         Command::List(command) => command.run(),
     };
     match done {

@@ -10,7 +10,7 @@ use super::{Failure, subject};
 use crate::draw::{self, Layout, MotionFigure, PNG_SCALE};
 use crate::estimate::EstimatorKind;
 use crate::export;
-use crate::scenario::{ControllerSpec, Driver, Scenario};
+use crate::scenario::{Driver, Scenario};
 use crate::sim::{
     AfterContact, Impact, Keep, Outcome, Run, RunOptions, Simulated, Trace, VehicleSummary, simulate_batch,
 };
@@ -28,9 +28,9 @@ pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`) or scenario files
     #[arg(required = true, value_name = "SCENARIO")]
     scenarios: Vec<String>,
-    /// Controller of the vehicles under test (see `crumple list controllers`)
+    /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = subject::controller)]
-    controller: ControllerSpec,
+    controller: subject::Subject,
     /// What the vehicles under test look through
     #[arg(long, value_enum, default_value = "kalman")]
     estimator: EstimatorKind,
@@ -78,7 +78,7 @@ pub(super) enum Format {
 #[derive(Serialize)]
 struct Report<'a> {
     scenario: &'a str,
-    controller: &'static str,
+    controller: &'a str,
     estimator: &'static str,
     dt_s: f64,
     seed: u64,
@@ -156,7 +156,7 @@ impl Simulate {
     }
 
     fn options(&self) -> RunOptions {
-        let options = RunOptions::new(self.controller.clone())
+        let options = RunOptions::new(self.controller.controller.clone())
             .with_estimator(self.estimator)
             .with_after_contact(self.after_contact);
         match self.dt {
@@ -165,11 +165,11 @@ impl Simulate {
         }
     }
 
-    fn report<'a>(&self, run: &Run<'a>, result: &'a Simulated) -> Report<'a> {
+    fn report<'a>(&'a self, run: &Run<'a>, result: &'a Simulated) -> Report<'a> {
         let spec = run.scenario().spec();
         Report {
             scenario: &spec.name,
-            controller: self.controller.name(),
+            controller: &self.controller.name,
             estimator: self.estimator.name(),
             dt_s: run.dt_s(),
             seed: spec.seed,
@@ -181,7 +181,7 @@ impl Simulate {
     }
 
     fn picture(&self, path: &Path, scenario: &Scenario, trace: &Trace, impacts: &[Impact]) -> Result<Vec<u8>, Failure> {
-        let title = format!("{}, {}", scenario.spec().name, self.controller.name());
+        let title = format!("{}, {}", scenario.spec().name, self.controller.name);
         let labels = draw::vehicle_names(scenario);
         let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
         let picture = draw::motion(&figure, Layout::Wide);

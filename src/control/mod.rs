@@ -9,6 +9,7 @@ mod constant_brake;
 mod idm;
 mod match_leader;
 mod paced;
+mod policy;
 
 pub use acc_aeb::AccAeb;
 pub use baseline::{Baseline, BaselineUnlatched};
@@ -16,8 +17,12 @@ pub use constant_brake::ConstantBrake;
 pub use idm::Idm;
 pub use match_leader::MatchLeader;
 pub use paced::Paced;
+pub use policy::PolicyDriver;
+
+use std::sync::Arc;
 
 use crate::estimate::Observation;
+use crate::policy::Policy;
 use crate::scenario::ControllerSpec;
 
 /// What a controller knows about its own vehicle.
@@ -69,6 +74,8 @@ pub enum AnyController {
     Idm(Idm),
     /// Cruise control with emergency brake.
     AccAeb(AccAeb),
+    /// A learned policy.
+    Policy(PolicyDriver),
     /// Somebody else's.
     Custom(Box<dyn Controller>),
 }
@@ -86,7 +93,14 @@ impl AnyController {
             ControllerSpec::ConstantBrake(settings) => Self::ConstantBrake(ConstantBrake::new(settings, ego)),
             ControllerSpec::Idm(settings) => Self::Idm(Idm::new(settings)),
             ControllerSpec::AccAeb(settings) => Self::AccAeb(AccAeb::new(settings, ego)),
+            ControllerSpec::Policy => Self::policy(Policy::reference(), ego),
         }
+    }
+
+    /// A policy as the controller of a vehicle.
+    #[must_use]
+    pub fn policy(policy: Arc<Policy>, ego: &Ego) -> Self {
+        Self::Policy(PolicyDriver::new(policy, ego))
     }
 
     /// Wraps a controller from outside, held between its decisions if it does not decide at every step.
@@ -109,12 +123,14 @@ impl Controller for AnyController {
             Self::ConstantBrake(controller) => controller.act(seen),
             Self::Idm(controller) => controller.act(seen),
             Self::AccAeb(controller) => controller.act(seen),
+            Self::Policy(controller) => controller.act(seen),
             Self::Custom(controller) => controller.act(seen),
         }
     }
 
     fn interval_s(&self) -> Option<f64> {
         match self {
+            Self::Policy(controller) => controller.interval_s(),
             Self::Custom(controller) => controller.interval_s(),
             _ => None,
         }
@@ -139,7 +155,9 @@ pub(crate) mod tests {
         let alone = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: None, behind: None };
         for spec in ControllerSpec::built_in() {
             let command = AnyController::built_in(&spec, &EGO).act(&alone);
-            assert!(command.is_finite() && command >= 0.0, "{} brakes for nobody: {command}", spec.name());
+            assert!(command.is_finite(), "{}: {command}", spec.name());
+            let is_learned = spec == ControllerSpec::Policy;
+            assert!(is_learned || command >= 0.0, "{} brakes for nobody: {command}", spec.name());
         }
     }
 }

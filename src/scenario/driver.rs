@@ -34,6 +34,8 @@ pub enum ControllerSpec {
     Idm(IdmSettings),
     /// Adaptive cruise control at a constant time headway, with automatic emergency braking by TTC.
     AccAeb(AccAebSettings),
+    /// The committed reference policy.
+    Policy,
 }
 
 /// Settings of the emergency brake of the baseline controllers.
@@ -157,6 +159,7 @@ impl ControllerSpec {
             Self::ConstantBrake(ConstantBrakeSettings::default()),
             Self::Idm(IdmSettings::default()),
             Self::AccAeb(AccAebSettings::default()),
+            Self::Policy,
         ]
     }
 
@@ -176,6 +179,7 @@ impl ControllerSpec {
             Self::ConstantBrake(_) => "constant-brake",
             Self::Idm(_) => "idm",
             Self::AccAeb(_) => "acc-aeb",
+            Self::Policy => "policy",
         }
     }
 
@@ -189,6 +193,7 @@ impl ControllerSpec {
             Self::ConstantBrake(_) => "brake at 3.25 m/s² from 0.05 s after the vehicle ahead is seen to brake",
             Self::Idm(_) => "Intelligent Driver Model (Treiber et al. 2000)",
             Self::AccAeb(_) => "cruise control at 0.8 s headway, emergency braking while TTC < 1.4 s",
+            Self::Policy => "the committed reference policy, learned by DDPG",
         }
     }
 }
@@ -224,6 +229,8 @@ enum DriverForm {
     Idm(IdmSettings),
     /// Adaptive cruise control with emergency braking.
     AccAeb(AccAebSettings),
+    /// The committed reference policy.
+    Policy {},
 }
 
 impl From<DriverForm> for Driver {
@@ -243,6 +250,7 @@ impl From<DriverForm> for Driver {
             F::ConstantBrake(settings) => Self::Controller(ControllerSpec::ConstantBrake(settings)),
             F::Idm(settings) => Self::Controller(ControllerSpec::Idm(settings)),
             F::AccAeb(settings) => Self::Controller(ControllerSpec::AccAeb(settings)),
+            F::Policy {} => Self::Controller(ControllerSpec::Policy),
         }
     }
 }
@@ -263,6 +271,7 @@ impl From<Driver> for DriverForm {
             Driver::Controller(ControllerSpec::ConstantBrake(settings)) => Self::ConstantBrake(settings),
             Driver::Controller(ControllerSpec::Idm(settings)) => Self::Idm(settings),
             Driver::Controller(ControllerSpec::AccAeb(settings)) => Self::AccAeb(settings),
+            Driver::Controller(ControllerSpec::Policy) => Self::Policy {},
         }
     }
 }

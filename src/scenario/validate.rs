@@ -300,7 +300,7 @@ fn check_profile(place: &Place, profile: &LeadProfile) -> Result<(), InvalidFiel
 fn check_controller(place: &Place, controller: &ControllerSpec) -> Result<(), InvalidField> {
     let ttc_s = from(0.0, 100.0);
     match controller {
-        ControllerSpec::MatchLeader => Ok(()),
+        ControllerSpec::MatchLeader | ControllerSpec::Policy => Ok(()),
         ControllerSpec::Baseline(aeb) | ControllerSpec::BaselineUnlatched(aeb) => {
             place.at("ttc_s").number(aeb.ttc_s, ttc_s)
         }

@@ -8,6 +8,7 @@ mod platoon;
 mod recorder;
 mod run;
 mod scalar;
+mod stepper;
 mod trace;
 
 pub use lockstep::simulate_batch;
@@ -16,4 +17,5 @@ pub use outcome::{AfterContact, Contact, Impact, Outcome, Simulated, VehicleSumm
 pub use recorder::Keep;
 pub use run::{ControllerFactory, Run, RunError, RunOptions, UnderTest};
 pub use scalar::simulate;
+pub use stepper::Stepper;
 pub use trace::{Pair, Trace, Track};

@@ -8,6 +8,7 @@ use super::motion::Motion;
 use super::platoon::Platoon;
 use crate::control::{AnyController, Controller, Ego};
 use crate::estimate::{EgoEstimator, EgoTuning, EstimatorKind, Neighbour, Observation, TrueState};
+use crate::policy::Policy;
 use crate::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, whole_multiple};
 
 /// Samples times vehicles beyond which a run is refused: 20 million, a trace of half a gigabyte.
@@ -18,6 +19,8 @@ const MOST_VEHICLE_SAMPLES: usize = 20_000_000;
 pub enum UnderTest {
     /// A built-in controller.
     BuiltIn(ControllerSpec),
+    /// A learned policy.
+    Policy(Arc<Policy>),
     /// Anything else.
     Custom(ControllerFactory),
 }
@@ -29,6 +32,12 @@ pub type ControllerFactory = Arc<dyn Fn(&Ego) -> Box<dyn Controller> + Send + Sy
 impl From<ControllerSpec> for UnderTest {
     fn from(spec: ControllerSpec) -> Self {
         Self::BuiltIn(spec)
+    }
+}
+
+impl From<Arc<Policy>> for UnderTest {
+    fn from(policy: Arc<Policy>) -> Self {
+        Self::Policy(policy)
     }
 }
 
@@ -200,6 +209,7 @@ impl<'s> Run<'s> {
             (Driver::Controller(spec), _) | (Driver::UnderTest, UnderTest::BuiltIn(spec)) => {
                 AnyController::built_in(spec, &ego)
             }
+            (Driver::UnderTest, UnderTest::Policy(policy)) => AnyController::policy(Arc::clone(policy), &ego),
             (Driver::UnderTest, UnderTest::Custom(build)) => AnyController::custom(build(&ego), &ego),
         };
         Pilot::Controller(controller)

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use self::block::Block;
 use super::{Keep, Run, Simulated, UnderTest};
+use crate::scenario::ControllerSpec;
 
 /// Most runs in a block: enough to fill vector registers and hide latencies, few enough to stay in the first-level cache.
 const MOST_RUNS: usize = 64;
@@ -56,6 +57,7 @@ fn compare_shapes(a: &Run<'_>, b: &Run<'_>) -> Ordering {
 fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
     let under_test = match &run.options().controller {
         UnderTest::BuiltIn(spec) => spec.name(),
+        UnderTest::Policy(_) => ControllerSpec::Policy.name(),
         UnderTest::Custom(_) => "custom",
     };
     let spec = run.scenario().spec();

@@ -1,6 +1,8 @@
 //! The drivers of one vehicle position over all runs of a block.
 
-use crate::control::{AccAeb, AnyController, Baseline, BaselineUnlatched, ConstantBrake, Controller, Idm, MatchLeader};
+use crate::control::{
+    AccAeb, AnyController, Baseline, BaselineUnlatched, ConstantBrake, Controller, Idm, MatchLeader, PolicyDriver,
+};
 use crate::estimate::Observation;
 use crate::scenario::LeadProfile;
 use crate::sim::run::Pilot;
@@ -14,6 +16,7 @@ pub(super) enum Pilots<'s> {
     ConstantBrake(Vec<ConstantBrake>),
     Idm(Vec<Idm>),
     AccAeb(Vec<AccAeb>),
+    Policy(Vec<PolicyDriver>),
     /// Drivers of several kinds, or from outside.
     Mixed(Vec<Pilot<'s>>),
 }
@@ -60,6 +63,7 @@ impl<'s> Pilots<'s> {
         let pilots = try_kind!(pilots, ConstantBrake);
         let pilots = try_kind!(pilots, Idm);
         let pilots = try_kind!(pilots, AccAeb);
+        let pilots = try_kind!(pilots, Policy);
         Self::Mixed(pilots)
     }
 
@@ -86,6 +90,7 @@ impl<'s> Pilots<'s> {
             Self::ConstantBrake(all) => act(all, see, commands),
             Self::Idm(all) => act(all, see, commands),
             Self::AccAeb(all) => act(all, see, commands),
+            Self::Policy(all) => PolicyDriver::act_together(all, see, commands),
             Self::Mixed(pilots) => {
                 for (run, (command, pilot)) in commands.iter_mut().zip(pilots).enumerate() {
                     *command = match pilot {
@@ -107,6 +112,7 @@ impl<'s> Pilots<'s> {
             Self::ConstantBrake(all) => drop(all.swap_remove(run)),
             Self::Idm(all) => drop(all.swap_remove(run)),
             Self::AccAeb(all) => drop(all.swap_remove(run)),
+            Self::Policy(all) => drop(all.swap_remove(run)),
             Self::Mixed(all) => drop(all.swap_remove(run)),
         }
     }

@@ -1,6 +1,7 @@
 //! The command line as a user meets it: what it prints where, what it writes, and how it ends.
 
 mod bad_input;
+mod train;
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -168,7 +169,7 @@ fn list_names_what_simulate_takes() {
     let folder = folder();
     let all = crumple(folder.path(), &["list"]);
     assert_eq!((code(&all), stderr(&all)), (0, ""));
-    let controllers = ["baseline", "baseline-unlatched", "match-leader", "constant-brake", "idm", "acc-aeb"];
+    let controllers = ["baseline", "baseline-unlatched", "match-leader", "constant-brake", "idm", "acc-aeb", "policy"];
     for name in PAPERS.iter().chain(&controllers) {
         assert!(stdout(&all).lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}");
     }

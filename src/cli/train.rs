@@ -1,0 +1,258 @@
+//! `crumple train`: learn to drive.
+
+use std::collections::VecDeque;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use indicatif::ProgressBar;
+use serde::Serialize;
+
+use super::output::{self, Files};
+use super::{Failure, learning_curve, progress};
+use crate::rl::{Evaluation, Event, HeldOut, Observer, Trainer, TrainingConfig, TrainingError, side_by_side, train};
+
+/// Train a driving policy by reinforcement learning
+#[derive(Args)]
+#[command(after_long_help = "\
+Presets:
+  fast       masters the paper's task within a minute a seed (default)
+  paper-net  the paper's networks and reward, changed only where needed to converge
+  paper      the paper's setting, literally: hours, and no promise
+
+Every seed gets a folder `seed-N` with `policy.safetensors` (the best policy by evaluation on held-out scenarios, a \
+controller for every other subcommand), `log.jsonl` and `checkpoint.safetensors`. Seeds are trained side by side; each \
+gives the same bytes whatever the number of threads, and whether or not it was interrupted and resumed.
+
+Examples:
+  crumple train --seed 7
+  crumple train --seeds 30 --out runs/fast
+  crumple simulate paper-1 --controller runs/fast/seed-3/policy.safetensors")]
+pub(super) struct Train {
+    /// How to train: fast, paper-net or paper, or a TOML file like theirs
+    #[arg(long, value_name = "PRESET", default_value = "fast")]
+    preset: String,
+    /// Train this seed [default: 0]
+    #[arg(long, value_name = "N", conflicts_with = "seeds")]
+    seed: Option<u64>,
+    /// Train seeds 0 to N - 1
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    seeds: Option<u64>,
+    /// Folder for policies, logs and checkpoints; made if it is not there
+    #[arg(long, value_name = "DIR", default_value = "crumple-training")]
+    out: PathBuf,
+    /// Go on from the checkpoints in the folder
+    #[arg(long)]
+    resume: bool,
+    /// Episodes at most, instead of the preset's
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    episodes: Option<u64>,
+}
+
+/// One seed's line in `training.json` and on standard output.
+#[derive(Serialize)]
+struct SeedResult {
+    seed: u64,
+    episodes: u64,
+    best_episode: Option<u64>,
+    #[serde(flatten)]
+    evaluation: Option<Evaluation>,
+    policy_sha256: String,
+}
+
+#[derive(Serialize)]
+struct TrainingResult<'a> {
+    version: &'static str,
+    config: &'a TrainingConfig,
+    seeds: &'a [SeedResult],
+}
+
+impl Train {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let config = self.config()?;
+        let seeds: Vec<u64> = match self.seeds {
+            Some(count) => (0..count).collect(),
+            None => vec![self.seed.unwrap_or(0)],
+        };
+        let folder = |seed: &u64| self.out.join(format!("seed-{seed}"));
+        if let Some(taken) = seeds.iter().map(folder).find(|folder| !self.resume && folder.exists()) {
+            let taken = taken.display();
+            return Err(Failure::Input(format!("{taken} is there already: use --resume, or another --out")));
+        }
+        let held_out = HeldOut::new(&config.evaluation, &config.environment);
+        let bar = progress::training_bar(config.episodes.saturating_mul(seeds.len() as u64), quiet);
+        let results = side_by_side(&seeds, rayon::current_num_threads(), |seed| {
+            let folder = folder(seed);
+            fs::create_dir_all(&folder).map_err(|source| Failure::environment(&folder, source))?;
+            let result = train_seed(&config, *seed, &held_out, &folder, self.resume, &bar);
+            if let (Err(failure), true) = (&result, seeds.len() > 1) {
+                bar.suspend(|| output::note(&format!("seed {seed}: {failure}"), quiet));
+            }
+            result
+        });
+        bar.finish_and_clear();
+        let results = results.into_iter().collect::<Result<Vec<_>, Failure>>()?;
+        self.write_results(&config, &results, quiet)
+    }
+
+    fn config(&self) -> Result<TrainingConfig, Failure> {
+        let path = Path::new(&self.preset);
+        let mut config = if path.extension().is_some() {
+            let text = crate::scenario::file::read(path)?;
+            TrainingConfig::parse(&text).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))?
+        } else {
+            TrainingConfig::preset(&self.preset).map_err(Failure::input)?
+        };
+        config.episodes = self.episodes.unwrap_or(config.episodes);
+        Ok(config)
+    }
+
+    fn write_results(&self, config: &TrainingConfig, results: &[SeedResult], quiet: bool) -> Result<(), Failure> {
+        let mut files = Files::default();
+        let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: results };
+        let json = serde_json::to_string_pretty(&all).map_err(Failure::input)?;
+        files.stage(&self.out.join("training.json"), format!("{json}\n").as_bytes())?;
+        let logs = results
+            .iter()
+            .map(|result| {
+                let path = self.out.join(format!("seed-{}", result.seed)).join(LOG);
+                fs::read_to_string(&path).map_err(|source| Failure::environment(&path, source))
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let curve = learning_curve::draw(&config.name, &logs);
+        files.stage(&self.out.join("learning-curve.svg"), curve.document().as_bytes())?;
+        files.commit()?;
+        let curve = self.out.join("learning-curve.svg");
+        output::note(&format!("wrote {} (and training.json)", curve.display()), quiet);
+        output::print(&table(results))
+    }
+}
+
+const LOG: &str = "log.jsonl";
+const CHECKPOINT: &str = "checkpoint.safetensors";
+const POLICY: &str = "policy.safetensors";
+
+fn train_seed(
+    config: &TrainingConfig,
+    seed: u64,
+    held_out: &HeldOut,
+    folder: &Path,
+    resume: bool,
+    bar: &ProgressBar,
+) -> Result<SeedResult, Failure> {
+    let path = folder.join(CHECKPOINT);
+    let mut trainer = match fs::read(&path) {
+        Ok(bytes) if resume => Trainer::from_checkpoint(&bytes, config, seed)
+            .map_err(|error| Failure::Input(format!("{}: {error}", path.display())))?,
+        Err(source) if resume && source.kind() != io::ErrorKind::NotFound => {
+            return Err(Failure::environment(&path, source));
+        }
+        _ => Trainer::new(config, seed),
+    };
+    let mut scribe = Scribe::new(folder, trainer.episode(), bar)?;
+    train::<Failure>(&mut trainer, held_out, &mut scribe)?;
+    bar.inc(config.episodes.saturating_sub(trainer.episode()));
+    Ok(SeedResult {
+        seed,
+        episodes: trainer.episode(),
+        best_episode: trainer.best().map(|best| best.episode),
+        evaluation: trainer.best().map(|best| best.evaluation),
+        policy_sha256: trainer.policy().map_err(Failure::from)?.digest(),
+    })
+}
+
+/// Writes one seed's log and checkpoints, and tells the progress bar.
+struct Scribe<'a> {
+    folder: &'a Path,
+    log: File,
+    bar: &'a ProgressBar,
+    rewards: VecDeque<f64>,
+    safe_share: Option<f64>,
+}
+
+/// Episodes whose mean reward the progress bar shows.
+const RECENT: usize = 20;
+
+impl<'a> Scribe<'a> {
+    /// A log that begins empty, or goes on after the entries of the first `episode` episodes.
+    fn new(folder: &'a Path, episode: u64, bar: &'a ProgressBar) -> Result<Self, Failure> {
+        let path = folder.join(LOG);
+        let before = if episode > 0 { fs::read_to_string(&path).unwrap_or_default() } else { String::new() };
+        let kept: String = before
+            .split_inclusive('\n')
+            .take_while(|line| line.ends_with('\n') && learning_curve::episode_of(line).is_some_and(|e| e <= episode))
+            .collect();
+        let mut files = Files::default();
+        files.stage(&path, kept.as_bytes())?;
+        files.commit()?;
+        bar.inc(episode);
+        let log = OpenOptions::new().append(true).open(&path).map_err(|e| Failure::environment(&path, e))?;
+        Ok(Self { folder, log, bar, rewards: VecDeque::new(), safe_share: None })
+    }
+}
+
+impl Observer<Failure> for Scribe<'_> {
+    fn event(&mut self, event: &Event) -> Result<(), Failure> {
+        let line = serde_json::to_string(event).map_err(Failure::input)?;
+        writeln!(self.log, "{line}").map_err(|source| Failure::environment(&self.folder.join(LOG), source))?;
+        match event {
+            Event::Episode(record) => {
+                self.rewards.push_back(record.reward);
+                if self.rewards.len() > RECENT {
+                    self.rewards.pop_front();
+                }
+                let mean = self.rewards.iter().sum::<f64>() / self.rewards.len() as f64;
+                let safe = self.safe_share.map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
+                self.bar.set_message(format!("episode {}, mean reward {mean:.0}, safe {safe}", record.episode));
+                self.bar.inc(1);
+            }
+            Event::Evaluation { result, .. } => self.safe_share = Some(result.safe_share),
+        }
+        Ok(())
+    }
+
+    fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), Failure> {
+        let mut files = Files::default();
+        let policy = trainer.policy()?.to_bytes().map_err(TrainingError::from)?;
+        files.stage(&self.folder.join(POLICY), &policy)?;
+        files.stage(&self.folder.join(CHECKPOINT), &trainer.to_checkpoint()?)?;
+        files.commit()
+    }
+}
+
+/// The result for a reader.
+fn table(results: &[SeedResult]) -> String {
+    let mut text = format!(
+        "{:>6} {:>9} {:>6} {:>7} {:>7} {:>7} {:>7} {:>10} {:>8}  policy\n",
+        "seed", "episodes", "best", "paper-1", "paper-2", "paper-3", "safe", "contacts", "gap m"
+    );
+    for result in results {
+        let Some(found) = &result.evaluation else { continue };
+        let paper = found.paper_safe.map(|safe| if safe { "safe" } else { "CONTACT" });
+        let contacts = found.ranking_contacts.map_or("-".to_owned(), |contacts| contacts.to_string());
+        text += &format!(
+            "{:>6} {:>9} {:>6} {:>7} {:>7} {:>7} {:>6.1}% {:>10} {:>8.2}  {}\n",
+            result.seed,
+            result.episodes,
+            result.best_episode.unwrap_or_default(),
+            paper[0],
+            paper[1],
+            paper[2],
+            100.0 * found.safe_share,
+            contacts,
+            found.smallest_gap_m,
+            result.policy_sha256.get(..12).unwrap_or_default()
+        );
+    }
+    text
+}
+
+impl From<TrainingError> for Failure {
+    fn from(error: TrainingError) -> Self {
+        match error {
+            diverged @ TrainingError::Diverged { .. } => Self::Gate(diverged.to_string()),
+            other => Self::input(other),
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! The policy file: safetensors with one JSON object in its metadata.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::{Dtype, TensorView};
+use safetensors::{SafeTensorError, SafeTensors};
+
+use super::header::{POLICY_VERSION, PolicyHeader, STATE};
+use super::{Network, Policy};
+
+/// The one metadata key; a single key keeps the bytes the same from run to run.
+const KEY: &str = "crumple_policy";
+
+/// Largest file that is read.
+const MOST_BYTES: u64 = 256 << 20;
+
+/// Deepest and widest network that is accepted.
+const MOST_LAYERS: usize = 16;
+const WIDEST_LAYER: usize = 4096;
+
+/// Why a policy cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PolicyError {
+    /// The file cannot be read.
+    #[error("{}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// A policy in a file cannot be used.
+    #[error("{}: {reason}", path.display())]
+    InFile {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        reason: Box<Self>,
+    },
+    /// It is too large.
+    #[error("the policy file has more than {MOST_BYTES} bytes")]
+    TooLarge,
+    /// It is no safetensors file, or a truncated one.
+    #[error("not a whole safetensors file: {0}")]
+    Container(#[from] SafeTensorError),
+    /// The header is missing, or does not say what it should.
+    #[error("header `{KEY}`: {0}")]
+    Header(String),
+    /// A tensor is missing, superfluous, or not what the header says.
+    #[error("tensor `{tensor}`: {problem}")]
+    Tensor {
+        /// Its name.
+        tensor: String,
+        /// What is wrong.
+        problem: String,
+    },
+}
+
+impl Policy {
+    /// Reads a policy file.
+    ///
+    /// # Errors
+    /// [`PolicyError`] for a file that is missing, truncated, corrupt, or whose tensors are not what its header says.
+    pub fn load(path: &Path) -> Result<Self, PolicyError> {
+        let failed = |source| PolicyError::Read { path: path.to_owned(), source };
+        let mut bytes = Vec::new();
+        File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes)).map_err(failed)?;
+        Self::from_bytes(&bytes)
+            .map_err(|reason| PolicyError::InFile { path: path.to_owned(), reason: Box::new(reason) })
+    }
+
+    /// Reads the bytes of a policy file.
+    ///
+    /// # Errors
+    /// [`PolicyError`], as for [`Policy::load`].
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, PolicyError> {
+        if bytes.len() as u64 > MOST_BYTES {
+            return Err(PolicyError::TooLarge);
+        }
+        let (_, container) = SafeTensors::read_metadata(bytes)?;
+        let text = container.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
+        let text = text.ok_or_else(|| PolicyError::Header("missing: this is not a policy file".to_owned()))?;
+        let version = serde_json::from_str::<serde_json::Value>(text).ok();
+        let version = version.as_ref().and_then(|header| header.get("version")).and_then(serde_json::Value::as_u64);
+        if let Some(version) = version.filter(|&version| version != u64::from(POLICY_VERSION)) {
+            let problem = format!("version {version} is not supported: this release reads {POLICY_VERSION}");
+            return Err(PolicyError::Header(problem));
+        }
+        let header: PolicyHeader = serde_json::from_str(text).map_err(|e| PolicyError::Header(e.to_string()))?;
+        check(&header)?;
+        let tensors = SafeTensors::deserialize(bytes)?;
+        let mut network = Network::zeros(&sizes(&header.hidden));
+        let layers = network.layers();
+        if let Some(name) = tensors.names().into_iter().find(|name| !tensor_names(layers.len()).any(|n| n == **name)) {
+            return Err(wrong(name, "is not part of the network the header describes".to_owned()));
+        }
+        for (index, layer) in layers.enumerate() {
+            let (weights, biases) = (layer.weights(), layer.biases());
+            let parameters = network.parameters_mut();
+            read_tensor(&tensors, &weight_name(index), &[layer.inputs, layer.outputs], &mut parameters[weights])?;
+            read_tensor(&tensors, &bias_name(index), &[layer.outputs], &mut parameters[biases])?;
+        }
+        Ok(Self::ready(header, network))
+    }
+
+    /// The bytes of the policy file: the same for the same policy.
+    ///
+    /// # Errors
+    /// None in practice; [`PolicyError::Header`] and [`PolicyError::Container`] pass on what the writers report.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, PolicyError> {
+        let text = serde_json::to_string(&self.header).map_err(|e| PolicyError::Header(e.to_string()))?;
+        let mut data = Vec::new();
+        for (index, layer) in self.network.layers().enumerate() {
+            let bytes = |range| -> Vec<u8> {
+                let values: &[f32] = &self.network.parameters()[range];
+                values.iter().flat_map(|value| value.to_le_bytes()).collect()
+            };
+            data.push((weight_name(index), vec![layer.inputs, layer.outputs], bytes(layer.weights())));
+            data.push((bias_name(index), vec![layer.outputs], bytes(layer.biases())));
+        }
+        let views = data
+            .iter()
+            .map(|(name, shape, bytes)| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
+            .collect::<Result<Vec<_>, SafeTensorError>>()?;
+        Ok(safetensors::serialize(views, Some([(KEY.to_owned(), text)].into()))?)
+    }
+}
+
+fn weight_name(layer: usize) -> String {
+    format!("actor.{layer}.weight")
+}
+
+fn bias_name(layer: usize) -> String {
+    format!("actor.{layer}.bias")
+}
+
+fn tensor_names(layers: usize) -> impl Iterator<Item = String> {
+    (0..layers).flat_map(|layer| [weight_name(layer), bias_name(layer)])
+}
+
+/// Layer sizes of an actor with given hidden layers.
+pub(super) fn sizes(hidden: &[usize]) -> Vec<usize> {
+    [&[STATE], hidden, &[1]].concat()
+}
+
+fn wrong(tensor: &str, problem: String) -> PolicyError {
+    PolicyError::Tensor { tensor: tensor.to_owned(), problem }
+}
+
+fn read_tensor(
+    tensors: &SafeTensors<'_>,
+    name: &str,
+    shape: &[usize],
+    parameters: &mut [f32],
+) -> Result<(), PolicyError> {
+    let Ok(view) = tensors.tensor(name) else { return Err(wrong(name, "is missing".to_owned())) };
+    if view.dtype() != Dtype::F32 {
+        return Err(wrong(name, format!("must be F32, found {:?}", view.dtype())));
+    }
+    if view.shape() != shape {
+        return Err(wrong(name, format!("must have shape {shape:?}, found {:?}", view.shape())));
+    }
+    let (values, _) = view.data().as_chunks::<4>();
+    for (parameter, &bytes) in parameters.iter_mut().zip(values) {
+        *parameter = f32::from_le_bytes(bytes);
+    }
+    if parameters.iter().all(|value| value.is_finite()) {
+        Ok(())
+    } else {
+        Err(wrong(name, "holds a number that is not finite".to_owned()))
+    }
+}
+
+/// Whether a header can be driven with.
+pub(super) fn check(header: &PolicyHeader) -> Result<(), PolicyError> {
+    let wrong = |field: &str, problem: String| Err(PolicyError::Header(format!("{field}: {problem}")));
+    if header.version != POLICY_VERSION {
+        return wrong("version", format!("{} is not supported: this release reads {POLICY_VERSION}", header.version));
+    }
+    if header.hidden.len() > MOST_LAYERS {
+        return wrong("hidden", format!("at most {MOST_LAYERS} layers are allowed, found {}", header.hidden.len()));
+    }
+    if let Some(width) = header.hidden.iter().find(|width| !(1..=WIDEST_LAYER).contains(*width)) {
+        return wrong("hidden", format!("a layer must be 1 to {WIDEST_LAYER} wide, found {width}"));
+    }
+    let observation = &header.observation;
+    if !observation.offset.iter().all(|offset| offset.is_finite()) {
+        return wrong("observation.offset", "must be finite".to_owned());
+    }
+    if !observation.scale.iter().all(|scale| scale.is_finite() && *scale > 0.0) {
+        return wrong("observation.scale", "must be positive".to_owned());
+    }
+    for (field, value) in [
+        ("observation.limit", observation.limit),
+        ("observation.empty_gap_m", observation.empty_gap_m),
+        ("decision_interval_s", header.decision_interval_s),
+    ] {
+        if !(value.is_finite() && value > 0.0) {
+            return wrong(field, format!("must be positive, found {value}"));
+        }
+    }
+    let action = header.action;
+    if !(action.low_mps2.is_finite() && action.high_mps2.is_finite() && action.low_mps2 < action.high_mps2) {
+        return wrong("action", "low_mps2 must be below high_mps2".to_owned());
+    }
+    Ok(())
+}

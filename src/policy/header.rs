@@ -1,0 +1,113 @@
+//! What a policy file says about its network: everything that is needed to drive with it.
+
+use serde::{Deserialize, Serialize};
+
+use crate::estimate::{EstimatorKind, Neighbour, Observation};
+
+/// Version of the policy file format this release reads and writes.
+pub const POLICY_VERSION: u32 = 1;
+
+/// Numbers a policy sees: the paper's eight.
+pub const STATE: usize = 8;
+
+/// The header of a policy file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PolicyHeader {
+    /// Version of the file format: 1.
+    pub version: u32,
+    /// The release that wrote it.
+    pub crumple: String,
+    /// Widths of the hidden layers, from the state on.
+    pub hidden: Vec<usize>,
+    /// From the eight numbers to what the network sees.
+    pub observation: ObservationScaling,
+    /// From what the network answers to an acceleration.
+    pub action: ActionBounds,
+    /// Time between decisions, in seconds.
+    pub decision_interval_s: f64,
+    /// What it looked through in training.
+    pub estimator: EstimatorKind,
+    /// Seed it was trained under.
+    pub seed: u64,
+    /// Episode of training after which it was taken.
+    pub episode: u64,
+    /// The whole training configuration.
+    pub training: serde_json::Value,
+}
+
+/// Makes numbers of order one out of an observation: (x - offset) / scale, cut to ±limit.
+///
+/// Order: `d_fm`, `d_mr`, `v_f`, `v_m`, `v_r`, `a_f`, `a_m`, `a_r` (paper, section "Markov decision process", paragraph S).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ObservationScaling {
+    /// Subtracted: metres, m/s or m/s².
+    pub offset: [f64; STATE],
+    /// Divided by: metres, m/s or m/s², positive.
+    pub scale: [f64; STATE],
+    /// Scaled numbers are cut to plus and minus this.
+    pub limit: f64,
+    /// Gap to the vehicle that stands in for one that is not there, in metres; it drives as fast as the ego.
+    pub empty_gap_m: f64,
+}
+
+impl Default for ObservationScaling {
+    fn default() -> Self {
+        Self {
+            offset: [16.0, 16.0, 12.5, 12.5, 12.5, 0.0, 0.0, 0.0],
+            scale: [16.0, 16.0, 12.5, 12.5, 12.5, 5.0, 5.0, 5.0],
+            limit: 4.0,
+            empty_gap_m: 80.0,
+        }
+    }
+}
+
+impl ObservationScaling {
+    /// What the network sees of an observation. A number that is not finite counts as the limit or as 0.
+    #[must_use]
+    #[inline]
+    pub fn state(&self, seen: &Observation) -> [f32; STATE] {
+        let empty = Neighbour { gap_m: self.empty_gap_m, speed_mps: seen.speed_mps, acceleration_mps2: 0.0 };
+        let (ahead, behind) = (seen.ahead.unwrap_or(empty), seen.behind.unwrap_or(empty));
+        let numbers = [
+            ahead.gap_m,
+            behind.gap_m,
+            ahead.speed_mps,
+            seen.speed_mps,
+            behind.speed_mps,
+            ahead.acceleration_mps2,
+            seen.acceleration_mps2,
+            behind.acceleration_mps2,
+        ];
+        std::array::from_fn(|i| {
+            let scaled = (numbers[i] - self.offset[i]) / self.scale[i];
+            if scaled.is_nan() { 0.0 } else { scaled.clamp(-self.limit, self.limit) as f32 }
+        })
+    }
+}
+
+/// The accelerations a policy chooses from.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActionBounds {
+    /// Lowest acceleration, in m/s².
+    pub low_mps2: f64,
+    /// Highest acceleration, in m/s².
+    pub high_mps2: f64,
+}
+
+impl Default for ActionBounds {
+    fn default() -> Self {
+        Self { low_mps2: -7.5, high_mps2: 3.0 }
+    }
+}
+
+impl ActionBounds {
+    /// The acceleration of an action between -1 and 1, in m/s²: linear between the bounds.
+    #[must_use]
+    #[inline]
+    pub fn acceleration_mps2(&self, action: f32) -> f64 {
+        0.5 * (self.low_mps2 + self.high_mps2) + 0.5 * (self.high_mps2 - self.low_mps2) * f64::from(action)
+    }
+}

@@ -1,0 +1,105 @@
+//! The learned policy: an actor network, the file it lives in, and acting with it, one state or many.
+//!
+//! Acting is plain single-precision arithmetic in a fixed order ([`product`]): a state gets the same bits alone or among
+//! others, and on any machine. No learning framework is needed to drive.
+
+mod file;
+mod header;
+mod network;
+mod product;
+
+use std::sync::{Arc, LazyLock};
+
+use sha2::{Digest, Sha256};
+
+pub use file::PolicyError;
+pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE};
+use network::Acting;
+pub use network::{Network, Workspace};
+pub(crate) use product::{Left, Panels, Right, multiply_vector};
+
+use crate::estimate::Observation;
+
+/// The committed reference policy; `corpora/policy/README.md` says how it was trained.
+static REFERENCE_BYTES: &[u8] = include_bytes!("../../corpora/policy/reference.safetensors");
+
+#[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
+static REFERENCE: LazyLock<Arc<Policy>> =
+    LazyLock::new(|| Arc::new(Policy::from_bytes(REFERENCE_BYTES).expect("the reference policy is whole")));
+
+/// An actor that can drive.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Policy {
+    header: PolicyHeader,
+    network: Network,
+    acting: Acting,
+}
+
+impl Policy {
+    /// A policy of a header and the network it describes.
+    ///
+    /// # Errors
+    /// [`PolicyError`] if the header is not usable, or describes another network.
+    pub fn new(header: PolicyHeader, network: Network) -> Result<Self, PolicyError> {
+        file::check(&header)?;
+        let sizes = file::sizes(&header.hidden);
+        if network.sizes() != sizes {
+            let problem = format!("describes layers of {sizes:?}, the network has {:?}", network.sizes());
+            return Err(PolicyError::Header(problem));
+        }
+        if network.parameters().iter().all(|value| value.is_finite()) {
+            Ok(Self::ready(header, network))
+        } else {
+            Err(PolicyError::Header("the network holds a number that is not finite".to_owned()))
+        }
+    }
+
+    fn ready(header: PolicyHeader, network: Network) -> Self {
+        Self { header, acting: Acting::new(&network), network }
+    }
+
+    /// The committed reference policy.
+    #[must_use]
+    pub fn reference() -> Arc<Self> {
+        Arc::clone(&REFERENCE)
+    }
+
+    /// Everything but the weights.
+    #[must_use]
+    pub fn header(&self) -> &PolicyHeader {
+        &self.header
+    }
+
+    /// The actor's network, before the final tanh.
+    #[must_use]
+    pub fn network(&self) -> &Network {
+        &self.network
+    }
+
+    /// SHA-256 of the policy file, in hexadecimal, for reports and certificates.
+    #[must_use]
+    pub fn digest(&self) -> String {
+        let bytes = self.to_bytes().unwrap_or_default();
+        Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// The acceleration wanted for one observation, in m/s².
+    #[must_use]
+    pub fn act(&self, seen: &Observation, space: &mut Workspace) -> f64 {
+        let state = self.header.observation.state(seen);
+        let [action] = *self.acting.forward(&state, 1, space) else { return 0.0 };
+        self.header.action.acceleration_mps2(libm::tanhf(action))
+    }
+
+    /// What [`Policy::act`] answers for each of many observations, as one matrix product a layer.
+    pub fn act_all(&self, seen: &[Observation], space: &mut Workspace, commands_mps2: &mut [f64]) {
+        let states: Vec<f32> = seen.iter().flat_map(|seen| self.header.observation.state(seen)).collect();
+        let actions = self.acting.forward(&states, seen.len(), space);
+        for (command_mps2, &action) in commands_mps2.iter_mut().zip(actions) {
+            *command_mps2 = self.header.action.acceleration_mps2(libm::tanhf(action));
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -1,0 +1,265 @@
+//! Products of dense matrices in single precision, with the same bits everywhere.
+//!
+//! Every element of a product is start + Σₚ aₚ bₚ, added up one after the other in order of p, with each product rounded
+//! by itself. Neither the number of rows computed together nor the width of the vector registers changes a bit, so that
+//! a policy drives one vehicle exactly as it drives five hundred, on any machine.
+//!
+//! The right factor is first copied into panels of 32 columns, which the inner loop reads from end to end; R rows by
+//! 32 columns of the result stay in registers meanwhile.
+
+use pulp::{Arch, Simd, WithSimd, bytemuck};
+
+/// Columns of a panel: two of the widest vector registers.
+const PANEL: usize = 32;
+
+/// One row of a panel, at the start of a cache line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(C, align(64))]
+struct Row([f32; PANEL]);
+
+/// The left factor of a product with m rows and k columns.
+#[derive(Clone, Copy)]
+pub(crate) enum Left<'a> {
+    /// Row after row: m rows of k.
+    Rows(&'a [f32]),
+    /// Column after column: k columns of m, that is, a matrix of k rows to be taken transposed.
+    Columns(&'a [f32]),
+}
+
+/// The right factor of a product with k rows and n columns.
+#[derive(Clone, Copy)]
+pub(crate) enum Right<'a> {
+    /// Row after row: k rows of n.
+    Rows(&'a [f32]),
+    /// Column after column: n columns of k, that is, a matrix of n rows to be taken transposed.
+    Columns(&'a [f32]),
+}
+
+/// A right factor, and the values its products start from, ready to be multiplied with.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Panels {
+    rows: usize,
+    columns: usize,
+    /// Panel after panel; the first row of each is what sums start from.
+    data: Vec<Row>,
+}
+
+impl Panels {
+    /// Takes in a factor of `rows` by `columns` numbers; sums start from `start`, or from 0.
+    pub(crate) fn pack(&mut self, right: Right<'_>, start: Option<&[f32]>, [rows, columns]: [usize; 2]) {
+        (self.rows, self.columns) = (rows, columns);
+        self.data.clear();
+        self.data.resize(columns.div_ceil(PANEL) * (rows + 1), Row([0.0; PANEL]));
+        for (panel, data) in self.data.chunks_exact_mut(rows + 1).enumerate() {
+            let from = panel * PANEL;
+            let width = PANEL.min(columns - from);
+            let Some((first, rest)) = data.split_first_mut() else { continue };
+            if let Some(start) = start {
+                first.0[..width].copy_from_slice(&start[from..from + width]);
+            }
+            match right {
+                Right::Rows(right) => {
+                    for (row, source) in rest.iter_mut().zip(right.chunks_exact(columns)) {
+                        row.0[..width].copy_from_slice(&source[from..from + width]);
+                    }
+                }
+                Right::Columns(right) => {
+                    for (column, source) in right.chunks_exact(rows).skip(from).take(width).enumerate() {
+                        for (row, &value) in rest.iter_mut().zip(source) {
+                            row.0[column] = value;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// A factor taken in at once.
+    pub(crate) fn of(right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) -> Self {
+        let mut panels = Self::default();
+        panels.pack(right, start, shape);
+        panels
+    }
+
+    /// The product with a left factor of `m` rows, into `out` (m rows of n); negative elements become 0 if `rectified`.
+    pub(crate) fn multiply(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+        let (Left::Rows(data) | Left::Columns(data)) = left;
+        debug_assert_eq!((data.len(), out.len()), (m * self.rows, m * self.columns));
+        Arch::new().dispatch(Multiply { panels: self, left, m, rectified, out });
+    }
+}
+
+struct Multiply<'a> {
+    panels: &'a Panels,
+    left: Left<'a>,
+    m: usize,
+    rectified: bool,
+    out: &'a mut [f32],
+}
+
+impl WithSimd for Multiply<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        // Sixteen wide registers hold the sums where there are 32 of them, eight where there are 16.
+        if S::F32_LANES == 16 { self.all::<S, 8>(simd) } else { self.all::<S, 4>(simd) }
+    }
+}
+
+impl Multiply<'_> {
+    #[inline(always)]
+    fn all<S: Simd, const R: usize>(&mut self, simd: S) {
+        let panels = self.panels;
+        for (index, panel) in panels.data.chunks_exact(panels.rows + 1).enumerate() {
+            for group in 0..PANEL / (2 * S::F32_LANES) {
+                let column = index * PANEL + group * 2 * S::F32_LANES;
+                if column >= panels.columns {
+                    break;
+                }
+                let whole = self.m - self.m % R;
+                for row in (0..whole).step_by(R) {
+                    self.tile::<S, R>(simd, panel, group, [row, column]);
+                }
+                for row in whole..self.m {
+                    self.tile::<S, 1>(simd, panel, group, [row, column]);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn tile<S: Simd, const R: usize>(&mut self, simd: S, panel: &[Row], group: usize, [row, column]: [usize; 2]) {
+        let k = self.panels.rows;
+        let mut sums = match self.left {
+            Left::Rows(left) => {
+                let rows: [&[f32]; R] = std::array::from_fn(|r| &left[(row + r) * k..(row + r + 1) * k]);
+                sums::<S, R>(simd, panel, group, |p| std::array::from_fn(|r| rows[r][p]))
+            }
+            Left::Columns(left) => {
+                let m = self.m;
+                sums::<S, R>(simd, panel, group, |p| {
+                    let column = &left[p * m + row..][..R];
+                    std::array::from_fn(|r| column[r])
+                })
+            }
+        };
+        let n = self.panels.columns;
+        let width = (2 * S::F32_LANES).min(n - column);
+        for (r, sums) in sums.iter_mut().enumerate() {
+            if self.rectified {
+                *sums = sums.map(|sum| simd.max_f32s(sum, simd.splat_f32s(0.0)));
+            }
+            let sums: &[f32] = bytemuck::cast_slice(sums);
+            let from = (row + r) * n + column;
+            self.out[from..from + width].copy_from_slice(&sums[..width]);
+        }
+    }
+}
+
+/// R rows of the product by two vectors of columns; `left` gives the R left factors of one term.
+#[inline(always)]
+fn sums<S: Simd, const R: usize>(
+    simd: S,
+    panel: &[Row],
+    group: usize,
+    left: impl Fn(usize) -> [f32; R],
+) -> [[S::f32s; 2]; R] {
+    let vectors = |row: &Row| {
+        let (vectors, _) = S::as_simd_f32s(&row.0);
+        [vectors[2 * group], vectors[2 * group + 1]]
+    };
+    let mut sums = [vectors(&panel[0]); R];
+    for (p, row) in panel[1..].iter().enumerate() {
+        let right = vectors(row);
+        for (sums, left) in sums.iter_mut().zip(left(p)) {
+            let left = simd.splat_f32s(left);
+            for (sum, right) in sums.iter_mut().zip(right) {
+                *sum = simd.add_f32s(*sum, simd.mul_f32s(left, right));
+            }
+        }
+    }
+    sums
+}
+
+/// Σₚ aₚ bₚ in sixteen interleaved partial sums that are then added pairwise: one order on every machine.
+#[inline(always)]
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let mut partial = [0.0_f32; 16];
+    let (a_chunks, b_chunks) = (a.chunks_exact(16), b.chunks_exact(16));
+    for (index, (a, b)) in a_chunks.remainder().iter().zip(b_chunks.remainder()).enumerate() {
+        partial[index] = a * b;
+    }
+    for (a, b) in a_chunks.zip(b_chunks) {
+        for lane in 0..16 {
+            partial[lane] += a[lane] * b[lane];
+        }
+    }
+    let mut width = 8;
+    while width > 0 {
+        for lane in 0..width {
+            partial[lane] += partial[lane + width];
+        }
+        width /= 2;
+    }
+    partial[0]
+}
+
+/// `start` plus the product of each row of `rows` with `factor`, into `out`.
+pub(crate) fn multiply_vector(rows: &[f32], factor: &[f32], start: f32, out: &mut [f32]) {
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for (row, out) in rows.chunks_exact(factor.len()).zip(out) {
+                *out = start + dot(row, factor);
+            }
+        },
+    );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rand::RngExt;
+    use rand::SeedableRng;
+
+    fn numbers(seed: u64, count: usize) -> Vec<f32> {
+        let mut stream = crate::random::Stream::seed_from_u64(seed);
+        (0..count).map(|_| stream.random_range(-1.0..1.0)).collect()
+    }
+
+    fn transposed(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+        (0..columns).flat_map(|c| (0..rows).map(move |r| matrix[r * columns + c])).collect()
+    }
+
+    proptest! {
+        /// The definition, element by element and to the last bit, from any of the four layouts.
+        #[test]
+        fn products_are_the_sums_in_order(seed: u64, m in 1..40_usize, k in 1..50_usize, n in 1..80_usize, rectified: bool) {
+            let (a, b, start) = (numbers(seed, m * k), numbers(seed ^ 1, k * n), numbers(seed ^ 2, n));
+            let expected: Vec<f32> = (0..m * n)
+                .map(|i| {
+                    let sum = (0..k).fold(start[i % n], |sum, p| sum + a[i / n * k + p] * b[p * n + i % n]);
+                    if rectified { sum.max(0.0) } else { sum }
+                })
+                .collect();
+            let (a_columns, b_columns) = (transposed(&a, m, k), transposed(&b, k, n));
+            for right in [Right::Rows(&b), Right::Columns(&b_columns)] {
+                let panels = Panels::of(right, Some(&start), [k, n]);
+                for left in [Left::Rows(&a), Left::Columns(&a_columns)] {
+                    let mut out = vec![f32::NAN; m * n];
+                    panels.multiply(left, m, rectified, &mut out);
+                    prop_assert_eq!(&out, &expected);
+                }
+            }
+        }
+
+        #[test]
+        fn dots_agree_with_double_precision(seed: u64, k in 0..70_usize) {
+            let (a, b) = (numbers(seed, k), numbers(seed ^ 1, k));
+            let expected: f64 = a.iter().zip(&b).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum();
+            prop_assert!((f64::from(dot(&a, &b)) - expected).abs() < 1e-5);
+        }
+    }
+}

@@ -1,0 +1,129 @@
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+
+use super::*;
+use crate::estimate::{EstimatorKind, Neighbour};
+
+/// A policy with random weights.
+pub(crate) fn policy(hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
+    let mut stream = crate::random::Stream::seed_from_u64(seed);
+    let mut network = Network::zeros(&file::sizes(hidden));
+    for parameter in network.parameters_mut() {
+        *parameter = stream.random_range(-0.3..0.3);
+    }
+    let header = PolicyHeader {
+        version: POLICY_VERSION,
+        crumple: "test".to_owned(),
+        hidden: hidden.to_vec(),
+        observation: ObservationScaling::default(),
+        action: ActionBounds::default(),
+        decision_interval_s,
+        estimator: EstimatorKind::Kalman,
+        seed,
+        episode: 3,
+        training: serde_json::json!({ "preset": "none", "rate": 0.1 }),
+    };
+    Policy::new(header, network).expect("valid")
+}
+
+fn any_observation() -> impl Strategy<Value = Observation> {
+    let neighbour = || {
+        proptest::option::of((-1.0..90.0, 0.0..40.0, -9.0..4.0)).prop_map(|numbers| {
+            numbers.map(|(gap_m, speed_mps, acceleration_mps2)| Neighbour { gap_m, speed_mps, acceleration_mps2 })
+        })
+    };
+    (0.0..40.0, -9.0..4.0, neighbour(), neighbour()).prop_map(|(speed_mps, acceleration_mps2, ahead, behind)| {
+        Observation { speed_mps, acceleration_mps2, ahead, behind }
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn one_state_and_many_get_the_same_bits(seen in proptest::collection::vec(any_observation(), 1..40), seed: u64) {
+        let policy = policy(&[33, 16], 0.1, seed);
+        let mut space = Workspace::default();
+        let mut together = vec![0.0; seen.len()];
+        policy.act_all(&seen, &mut space, &mut together);
+        for (seen, together) in seen.iter().zip(together) {
+            let alone = policy.act(seen, &mut space);
+            prop_assert_eq!(alone.to_bits(), together.to_bits());
+            prop_assert!((-7.5..=3.0).contains(&alone));
+        }
+    }
+
+    /// Cut anywhere, with any byte changed: refused, or a policy that still acts. Never a panic.
+    #[test]
+    fn damaged_files_never_panic(cut in 0..4000_usize, at in 0..4000_usize, flip in 1..=255_u8) {
+        let bytes = policy(&[5, 3], 0.1, 1).to_bytes().unwrap();
+        if cut < bytes.len() {
+            prop_assert!(Policy::from_bytes(&bytes[..cut]).is_err());
+        }
+        let mut changed = bytes.clone();
+        if let Some(byte) = changed.get_mut(at) {
+            *byte ^= flip;
+        }
+        if let Ok(policy) = Policy::from_bytes(&changed) {
+            let alone = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: None, behind: None };
+            prop_assert!(policy.act(&alone, &mut Workspace::default()).is_finite());
+        }
+    }
+}
+
+#[test]
+fn the_network_is_what_its_definition_says() {
+    let policy = policy(&[5, 3], 0.1, 7);
+    let seen = Observation {
+        speed_mps: 20.0,
+        acceleration_mps2: -1.0,
+        ahead: Some(Neighbour { gap_m: 12.0, speed_mps: 18.0, acceleration_mps2: -3.0 }),
+        behind: None,
+    };
+    let mut h: Vec<f64> = [-0.25, 4.0, 0.44, 0.6, 0.6, -0.6, -0.2, 0.0].to_vec();
+    let network = policy.network();
+    for (index, layer) in network.layers().enumerate() {
+        let (w, b) = (&network.parameters()[layer.weights()], &network.parameters()[layer.biases()]);
+        h = (0..layer.outputs)
+            .map(|j| {
+                let sum: f64 = h.iter().enumerate().map(|(i, h)| h * f64::from(w[i * layer.outputs + j])).sum::<f64>()
+                    + f64::from(b[j]);
+                if index < 2 { sum.max(0.0) } else { sum }
+            })
+            .collect();
+    }
+    let expected = -2.25 + 5.25 * h[0].tanh();
+    assert!((policy.act(&seen, &mut Workspace::default()) - expected).abs() < 1e-5);
+}
+
+#[test]
+fn files_read_back_and_have_one_form() {
+    let policy = policy(&[6, 4], 0.1, 2);
+    let bytes = policy.to_bytes().unwrap();
+    let again = Policy::from_bytes(&bytes).unwrap();
+    assert_eq!(again, policy);
+    assert_eq!(again.to_bytes().unwrap(), bytes);
+    assert_eq!(policy.digest().len(), 64);
+}
+
+#[test]
+fn refusals_name_the_reason() {
+    let refused = |change: &dyn Fn(&mut Policy)| {
+        let mut policy = policy(&[6, 4], 0.1, 2);
+        change(&mut policy);
+        Policy::from_bytes(&policy.to_bytes().unwrap()).expect_err("refused").to_string()
+    };
+    let says = |message: String, words: &str| assert!(message.contains(words), "{message}");
+    says(refused(&|p| p.header.version = 9), "version 9 is not supported");
+    says(refused(&|p| p.header.hidden = vec![6, 5]), "must have shape [6, 5], found [6, 4]");
+    says(refused(&|p| p.header.hidden = vec![6]), "is not part of the network");
+    says(refused(&|p| p.header.hidden = vec![6, 4, 4]), "actor.2.weight");
+    says(refused(&|p| p.header.hidden = vec![usize::MAX]), "1 to 4096 wide");
+    says(refused(&|p| p.header.decision_interval_s = 0.0), "decision_interval_s");
+    says(refused(&|p| p.header.action.low_mps2 = 5.0), "low_mps2 must be below");
+    says(refused(&|p| p.header.observation.scale[3] = 0.0), "observation.scale");
+    says(refused(&|p| p.network.parameters_mut()[0] = f32::NAN), "not finite");
+    says(Policy::from_bytes(b"not a policy").expect_err("refused").to_string(), "safetensors");
+    let missing = Policy::load(std::path::Path::new("no/such.safetensors")).expect_err("refused");
+    says(missing.to_string(), "no/such.safetensors");
+}

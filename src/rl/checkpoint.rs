@@ -1,0 +1,150 @@
+//! A training on disk: everything that decides how it goes on.
+
+use safetensors::SafeTensors;
+use safetensors::tensor::{Dtype, TensorView};
+use serde::{Deserialize, Serialize};
+
+use super::config::TrainingConfig;
+use super::evaluation::Evaluation;
+use super::learner::Trained;
+use super::replay::Replay;
+use super::trainer::{Best, Trainer, TrainingError};
+use crate::policy::Network;
+
+const KEY: &str = "crumple_training";
+
+/// What a checkpoint says beside its arrays.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Header {
+    version: u32,
+    config: TrainingConfig,
+    seed: u64,
+    episode: u64,
+    decisions: u64,
+    updates: u64,
+    adam_steps: Vec<u64>,
+    stored: u64,
+    best: Option<(u64, Evaluation)>,
+    mastered: bool,
+}
+
+const VERSION: u32 = 1;
+
+fn broken(problem: impl std::fmt::Display) -> TrainingError {
+    TrainingError::Checkpoint(problem.to_string())
+}
+
+impl Trainer {
+    /// The training as bytes: between two episodes, it can be taken up again from here.
+    ///
+    /// # Errors
+    /// [`TrainingError::Checkpoint`] in principle, if the writers fail.
+    pub fn to_checkpoint(&self) -> Result<Vec<u8>, TrainingError> {
+        let (stored, replay) = self.replay.to_numbers();
+        let header = Header {
+            version: VERSION,
+            config: self.config.clone(),
+            seed: self.seed,
+            episode: self.episode,
+            decisions: self.decisions,
+            updates: self.learner.updates,
+            adam_steps: self.parts().map(|(_, part)| part.adam.steps).collect(),
+            stored,
+            best: self.best.as_ref().map(|best| (best.episode, best.evaluation)),
+            mastered: self.mastered,
+        };
+        let mut arrays: Vec<(String, &[f32])> = vec![("replay".to_owned(), &replay)];
+        for (name, part) in self.parts() {
+            for (what, values) in [
+                ("network", part.network.parameters()),
+                ("target", part.target.parameters()),
+                ("first", &part.adam.first),
+                ("second", &part.adam.second),
+            ] {
+                arrays.push((format!("{name}.{what}"), values));
+            }
+        }
+        if let Some(best) = &self.best {
+            arrays.push(("best".to_owned(), best.network.parameters()));
+        }
+        let bytes: Vec<(String, Vec<u8>)> = arrays
+            .into_iter()
+            .map(|(name, values)| (name, values.iter().flat_map(|value| value.to_le_bytes()).collect()))
+            .collect();
+        let views = bytes
+            .iter()
+            .map(|(name, bytes)| Ok((name, TensorView::new(Dtype::F32, vec![bytes.len() / 4], bytes)?)))
+            .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
+            .map_err(broken)?;
+        let text = serde_json::to_string(&header).map_err(broken)?;
+        safetensors::serialize(views, Some([(KEY.to_owned(), text)].into())).map_err(broken)
+    }
+
+    /// The training that [`Trainer::to_checkpoint`] wrote, which must have been one of `config` and `seed`; only the
+    /// number of episodes may differ.
+    ///
+    /// # Errors
+    /// [`TrainingError::Checkpoint`] for anything else.
+    pub fn from_checkpoint(bytes: &[u8], config: &TrainingConfig, seed: u64) -> Result<Self, TrainingError> {
+        let (_, container) = SafeTensors::read_metadata(bytes).map_err(broken)?;
+        let text = container.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
+        let text = text.ok_or_else(|| broken("this is no checkpoint of a training"))?;
+        let header: Header = serde_json::from_str(text).map_err(broken)?;
+        if header.version != VERSION {
+            return Err(broken(format!("version {} is not supported: this release reads {VERSION}", header.version)));
+        }
+        if (TrainingConfig { episodes: config.episodes, ..header.config }, header.seed) != (config.clone(), seed) {
+            return Err(broken(format!("it is of another configuration or of seed {}, not {seed}", header.seed)));
+        }
+        let arrays = SafeTensors::deserialize(bytes).map_err(broken)?;
+        let mut trainer = Self::new(config, seed);
+        let mut adam_steps = header.adam_steps.into_iter();
+        for (name, part) in trainer.parts_mut() {
+            read(&arrays, &format!("{name}.network"), part.network.parameters_mut())?;
+            read(&arrays, &format!("{name}.target"), part.target.parameters_mut())?;
+            read(&arrays, &format!("{name}.first"), &mut part.adam.first)?;
+            read(&arrays, &format!("{name}.second"), &mut part.adam.second)?;
+            part.adam.steps = adam_steps.next().ok_or_else(|| broken("an optimiser is missing"))?;
+        }
+        let replay = numbers(&arrays, "replay")?;
+        trainer.replay = Replay::from_numbers(config.replay.capacity, header.stored, &replay)
+            .ok_or_else(|| broken("the replay memory has another size than the header says"))?;
+        if let Some((episode, evaluation)) = header.best {
+            let mut network = Network::zeros(trainer.learner.actor.network.sizes());
+            read(&arrays, "best", network.parameters_mut())?;
+            trainer.best = Some(Best { episode, evaluation, network });
+        }
+        (trainer.episode, trainer.decisions) = (header.episode, header.decisions);
+        (trainer.learner.updates, trainer.mastered) = (header.updates, header.mastered);
+        Ok(trainer)
+    }
+
+    fn parts(&self) -> impl Iterator<Item = (String, &Trained)> {
+        let critics = self.learner.critics.iter().enumerate().map(|(i, critic)| (format!("critic-{i}"), critic));
+        std::iter::once(("actor".to_owned(), &self.learner.actor)).chain(critics)
+    }
+
+    fn parts_mut(&mut self) -> impl Iterator<Item = (String, &mut Trained)> {
+        let critics = self.learner.critics.iter_mut().enumerate().map(|(i, critic)| (format!("critic-{i}"), critic));
+        std::iter::once(("actor".to_owned(), &mut self.learner.actor)).chain(critics)
+    }
+}
+
+fn numbers(arrays: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, TrainingError> {
+    let view = arrays.tensor(name).map_err(broken)?;
+    if view.dtype() != Dtype::F32 {
+        return Err(broken(format!("`{name}` must be F32, found {:?}", view.dtype())));
+    }
+    let (values, _) = view.data().as_chunks::<4>();
+    Ok(values.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect())
+}
+
+fn read(arrays: &SafeTensors<'_>, name: &str, out: &mut [f32]) -> Result<(), TrainingError> {
+    let values = numbers(arrays, name)?;
+    if values.len() != out.len() {
+        return Err(broken(format!("`{name}` must hold {} numbers, found {}", out.len(), values.len())));
+    }
+    out.copy_from_slice(&values);
+    Ok(())
+}

@@ -1,0 +1,35 @@
+//! Learning to drive: deep deterministic policy gradient on the paper's task.
+//!
+//! [`TrainingConfig`] says how, a seed decides the rest: first weights, scenarios, tried actions, draws from memory. A
+//! training is single-threaded and always does its arithmetic in the same order, so a seed gives the same policy file
+//! to the last byte, alone or beside others, in one go or resumed.
+//!
+//! The update is written out by hand ([`Learner`]) over the same products that a policy acts with. [`oracle`] is the
+//! plain formulation on candle's automatic differentiation, which it is tested against.
+
+mod adam;
+mod backprop;
+mod checkpoint;
+mod config;
+mod environment;
+mod evaluation;
+mod learner;
+pub mod oracle;
+mod replay;
+mod seeds;
+mod trainer;
+
+pub use adam::Adam;
+pub use config::{
+    ConfigError, EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS,
+    ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
+};
+pub use environment::{Consequence, Ending, Episode, bounds};
+pub use evaluation::{Evaluation, HeldOut};
+pub use learner::{Learner, Losses, Trained};
+pub use replay::{Batch, Replay, Transition};
+pub use seeds::{Event, Observer, side_by_side, train};
+pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+//! Driving trainings: one to its end, and several side by side.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use serde::Serialize;
+
+use super::evaluation::{Evaluation, HeldOut};
+use super::trainer::{EpisodeRecord, Trainer, TrainingError};
+
+/// Something a training has to tell.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Event {
+    /// An episode is over.
+    Episode(EpisodeRecord),
+    /// The actor was judged.
+    Evaluation {
+        /// Episodes done.
+        episode: u64,
+        /// Whether this is the best policy so far.
+        best: bool,
+        /// How it did.
+        result: Evaluation,
+    },
+}
+
+/// Whoever watches a training.
+pub trait Observer<E> {
+    /// Told of everything, in order.
+    ///
+    /// # Errors
+    /// Whatever makes the training stop.
+    fn event(&mut self, event: &Event) -> Result<(), E>;
+
+    /// Called between episodes where a checkpoint makes sense, and at the end.
+    ///
+    /// # Errors
+    /// Whatever makes the training stop.
+    fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), E>;
+}
+
+/// Evaluations between checkpoints: rarely enough to cost nothing, often enough to lose less than a minute.
+const EVALUATIONS_PER_CHECKPOINT: u64 = 10;
+
+/// Takes a training to its end.
+///
+/// # Errors
+/// [`TrainingError`], or what the observer reports.
+pub fn train<E: From<TrainingError>>(
+    trainer: &mut Trainer,
+    held_out: &HeldOut,
+    observer: &mut impl Observer<E>,
+) -> Result<(), E> {
+    while !trainer.is_done() {
+        let record = trainer.run_episode()?;
+        observer.event(&Event::Episode(record))?;
+        if trainer.evaluation_is_due() {
+            let result = trainer.evaluate(held_out)?;
+            let episode = trainer.episode();
+            let best = trainer.best().is_some_and(|best| best.episode == episode);
+            observer.event(&Event::Evaluation { episode, best, result })?;
+        }
+        let every = trainer.config.evaluation.every_episodes * EVALUATIONS_PER_CHECKPOINT;
+        if trainer.episode().is_multiple_of(every) && !trainer.is_done() {
+            observer.checkpoint(trainer)?;
+        }
+    }
+    observer.checkpoint(trainer)
+}
+
+/// Does `work` for each item on `threads` threads, one item a thread at a time, and returns the results in order.
+///
+/// Each thread has a pool of its own with no other threads in it: whatever runs in parallel inside `work` stays on it, and
+/// no training waits for another.
+pub fn side_by_side<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn(&I) -> R + Sync) -> Vec<R> {
+    let next = AtomicUsize::new(0);
+    let results: Mutex<Vec<(usize, R)>> = Mutex::new(Vec::with_capacity(items.len()));
+    let take_turns = || {
+        while let Some((index, item)) = {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            items.get(index).map(|item| (index, item))
+        } {
+            let result = work(item);
+            results.lock().unwrap_or_else(PoisonError::into_inner).push((index, result));
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..threads.clamp(1, items.len().max(1)) {
+            scope.spawn(|| match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+                Ok(pool) => pool.install(take_turns),
+                // Without a pool of its own the thread uses the common one: slower, with the same results.
+                Err(_) => take_turns(),
+            });
+        }
+    });
+    let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+    results.sort_unstable_by_key(|(index, _)| *index);
+    results.into_iter().map(|(_, result)| result).collect()
+}

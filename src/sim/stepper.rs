@@ -1,0 +1,242 @@
+//! One run whose steps are made one at a time, with room for somebody else to decide for a vehicle.
+
+use super::actuator::{Actuator, Disturbance, unless_at_rest};
+use super::platoon::Platoon;
+use super::recorder::{Tally, finished, summary, ttc_s};
+use super::run::{Pilot, truth};
+use super::{AfterContact, Impact, Keep, Motion, Run, Simulated, Trace};
+use crate::control::Controller;
+use crate::estimate::{EgoEstimator, Observation, TrueState};
+
+/// A run under way.
+///
+/// [`step`](Self::step) lets everybody decide and move. Before it, [`observe`](Self::observe) says what a vehicle sees and
+/// [`command`](Self::command) decides for it: its own driver is then not asked.
+pub struct Stepper<'r, 's> {
+    run: &'r Run<'s>,
+    platoon: Platoon,
+    seats: Vec<Seat<'s>>,
+    decided_mps2: Vec<f64>,
+    tallies: Vec<Tally>,
+    trace: Option<Trace>,
+    impacts: Vec<Impact>,
+    step: usize,
+    ended: bool,
+}
+
+impl<'r, 's> Stepper<'r, 's> {
+    /// The run at its start.
+    #[must_use]
+    pub fn new(run: &'r Run<'s>, keep: Keep) -> Self {
+        let platoon = run.platoon();
+        let seats: Vec<Seat<'s>> = (0..platoon.motion.len()).map(|index| Seat::new(run, index, &platoon)).collect();
+        let mut tallies = vec![Tally::NOTHING_YET; seats.len()];
+        see_ttc(&mut tallies, &platoon);
+        Self {
+            run,
+            trace: Trace::begin(keep, &platoon, run.scenario().steps() * run.substeps() + 1),
+            decided_mps2: vec![0.0; seats.len()],
+            platoon,
+            seats,
+            tallies,
+            impacts: Vec::new(),
+            step: 0,
+            ended: run.scenario().steps() == 0,
+        }
+    }
+
+    /// Steps of the scenario that were made, the one that ended in a contact included.
+    #[must_use]
+    pub fn steps_made(&self) -> usize {
+        self.step
+    }
+
+    /// Whether the scenario's time is over, or a contact ended it.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.ended
+    }
+
+    /// Whether vehicles have touched.
+    #[must_use]
+    pub fn has_touched(&self) -> bool {
+        !self.impacts.is_empty()
+    }
+
+    /// Where every vehicle is, front to rear.
+    #[must_use]
+    pub fn motion(&self) -> &[Motion] {
+        &self.platoon.motion
+    }
+
+    /// What vehicle `index` sees now; none for a vehicle that does not exist.
+    pub fn observe(&mut self, index: usize) -> Option<Observation> {
+        let seat = self.seats.get_mut(index)?;
+        Some(seat.observe(&truth(&self.platoon, index), self.run))
+    }
+
+    /// Decides the acceleration that vehicle `index` wants in the next step, in m/s².
+    pub fn command(&mut self, index: usize, acceleration_mps2: f64) {
+        if let Some(seat) = self.seats.get_mut(index) {
+            seat.command_mps2 = Some(acceleration_mps2);
+        }
+    }
+
+    /// Makes one step of the scenario; does nothing once the run has ended.
+    pub fn step(&mut self) {
+        if self.ended {
+            return;
+        }
+        let run = self.run;
+        let span_s = [run.time_s(self.step, 0), run.time_s(self.step + 1, 0)];
+        // Everybody decides on the state at the start of the step; only then does anybody move.
+        for (index, (seat, decided_mps2)) in self.seats.iter_mut().zip(&mut self.decided_mps2).enumerate() {
+            let is_stuck = self.platoon.is_stuck(index);
+            *decided_mps2 = seat.decide(&truth(&self.platoon, index), run, span_s, is_stuck);
+        }
+        for (motion, &acceleration_mps2) in self.platoon.motion.iter_mut().zip(&self.decided_mps2) {
+            motion.acceleration_mps2 = acceleration_mps2;
+        }
+        self.platoon.share_acceleration();
+        for substep in 0..run.substeps() {
+            self.advance(run.time_s(self.step, substep));
+            if self.ended {
+                break;
+            }
+        }
+        self.step += 1;
+        self.ended |= self.step == run.scenario().steps();
+    }
+
+    fn advance(&mut self, from_s: f64) {
+        let Self { platoon, tallies, trace, impacts, .. } = self;
+        if let Some(trace) = trace {
+            trace.sample(from_s, platoon.motion.iter().copied());
+        }
+        for (tally, motion) in tallies.iter_mut().zip(&platoon.motion) {
+            tally.max_brake_mps2 = tally.max_brake_mps2.max(-motion.acceleration_mps2);
+        }
+        let after_contact = self.run.options().after_contact;
+        let done_s = platoon.advance(from_s, self.run.dt_s(), after_contact, impacts);
+        see_ttc(tallies, platoon);
+        if after_contact == AfterContact::Stop && !impacts.is_empty() {
+            if let Some(trace) = trace {
+                trace.sample(from_s + done_s, platoon.motion.iter().copied());
+            }
+            self.ended = true;
+        }
+    }
+
+    /// What became of the run.
+    #[must_use]
+    pub fn finish(mut self) -> Simulated {
+        if let Some(trace) = &mut self.trace
+            && (self.impacts.is_empty() || self.run.options().after_contact == AfterContact::Continue)
+        {
+            trace.sample(self.run.time_s(self.step, 0), self.platoon.motion.iter().copied());
+        }
+        let vehicles = self.platoon.min_gap_m.iter().zip(self.tallies).zip(&self.platoon.motion);
+        let vehicles =
+            vehicles.map(|((&min_gap_m, tally), motion)| summary(min_gap_m, tally, motion.speed_mps)).collect();
+        finished(self.impacts, vehicles, self.trace)
+    }
+}
+
+fn see_ttc(tallies: &mut [Tally], platoon: &Platoon) {
+    for (rear, tally) in tallies.iter_mut().enumerate().skip(1) {
+        let closing_mps = platoon.motion[rear].speed_mps - platoon.motion[rear - 1].speed_mps;
+        tally.min_ttc_s = tally.min_ttc_s.min(ttc_s(platoon.gap_m(rear), closing_mps));
+    }
+}
+
+/// The driver's seat of one vehicle: from what is true to the acceleration the vehicle has.
+struct Seat<'s> {
+    pilot: Pilot<'s>,
+    eyes: Option<EgoEstimator>,
+    actuator: Actuator,
+    disturbance: Option<Disturbance>,
+    /// What was seen at this step, if somebody has looked: the filters take one measurement a step.
+    seen: Option<Observation>,
+    /// What somebody else decided for this step.
+    command_mps2: Option<f64>,
+}
+
+impl<'s> Seat<'s> {
+    fn new(run: &Run<'s>, index: usize, platoon: &Platoon) -> Self {
+        Self {
+            pilot: run.pilot(index),
+            eyes: run.eyes(index, platoon),
+            actuator: run.actuator(index),
+            disturbance: run.disturbance(index),
+            seen: None,
+            command_mps2: None,
+        }
+    }
+
+    fn observe(&mut self, truth: &TrueState, run: &Run<'_>) -> Observation {
+        let eyes = &mut self.eyes;
+        *self.seen.get_or_insert_with(|| match eyes {
+            Some(eyes) => eyes.observe(run.tuning(), truth),
+            None => truth.observation,
+        })
+    }
+
+    fn decide(&mut self, truth: &TrueState, run: &Run<'_>, [from_s, to_s]: [f64; 2], is_stuck: bool) -> f64 {
+        let seen = self.observe(truth, run);
+        self.seen = None;
+        let speed_mps = truth.observation.speed_mps;
+        let command_mps2 = self.command_mps2.take().unwrap_or_else(|| match &mut self.pilot {
+            Pilot::Profile(profile) => profile.acceleration_mps2(from_s, to_s, speed_mps),
+            Pilot::Controller(controller) => controller.act(&seen),
+        });
+        let acceleration_mps2 = self.actuator.respond(command_mps2);
+        let noise_mps2 = self.disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
+        if is_stuck { acceleration_mps2 + noise_mps2 } else { unless_at_rest(acceleration_mps2, noise_mps2, speed_mps) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::{AnyController, Ego};
+    use crate::scenario::{AebSettings, ControllerSpec, PaperDistribution};
+    use crate::sim::{RunOptions, simulate, simulate_batch};
+
+    #[test]
+    fn commands_from_outside_equal_the_same_controller_inside() {
+        let spec = ControllerSpec::BaselineUnlatched(AebSettings::default());
+        for index in 0..20 {
+            let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
+            let run = Run::new(&scenario, RunOptions::new(spec.clone())).unwrap();
+            let inside = simulate(&run, Keep::Trace);
+            let vehicle = &scenario.vehicles()[1];
+            let ego =
+                Ego { max_brake_mps2: vehicle.max_brake_mps2(), max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
+            let mut controller = AnyController::built_in(&spec, &ego);
+            let mut stepper = Stepper::new(&run, Keep::Trace);
+            while !stepper.has_ended() {
+                let seen = stepper.observe(1).unwrap();
+                assert_eq!(stepper.observe(1), Some(seen), "looking twice sees the same");
+                stepper.command(1, controller.act(&seen));
+                stepper.step();
+            }
+            assert_eq!(stepper.finish(), inside);
+        }
+    }
+
+    #[test]
+    fn a_policy_drives_the_same_in_both_engines() {
+        let policy = |interval_s, seed| std::sync::Arc::new(crate::policy::tests::policy(&[16, 16], interval_s, seed));
+        let policies = [policy(0.01, 1), policy(0.1, 2), policy(0.05, 3)];
+        let scenarios: Vec<_> = (0..40).map(|index| PaperDistribution { seed: 5 }.draw(index).unwrap()).collect();
+        let runs: Vec<_> = scenarios
+            .iter()
+            .enumerate()
+            .map(|(index, scenario)| Run::new(scenario, RunOptions::new(policies[index / 2 % 3].clone())).unwrap())
+            .collect();
+        let lockstep = simulate_batch(&runs, Keep::Trace, |_, simulated| simulated);
+        for (run, lockstep) in runs.iter().zip(lockstep) {
+            assert_eq!(simulate(run, Keep::Trace), lockstep);
+        }
+    }
+}

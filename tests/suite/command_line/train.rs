@@ -1,0 +1,97 @@
+//! `crumple train`: what it leaves behind, and what becomes of it when it is killed.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use super::{code, crumple, folder, stderr, stdout};
+
+/// The default preset on tiny networks, with a checkpoint every ten episodes and no early end.
+fn write_preset(folder: &Path) {
+    let mut preset = include_str!("../../../src/rl/presets/fast.toml").to_owned();
+    for (from, to) in [
+        ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
+        ("batch = 128", "batch = 8"),
+        ("random_episodes = 20", "random_episodes = 3"),
+        ("every_episodes = 5", "every_episodes = 1"),
+        ("screening_draws = 60", "screening_draws = 2"),
+        ("ranking_draws = 2000", "ranking_draws = 2"),
+        ("master_gap_m = 1.0", "master_gap_m = 0.0"),
+    ] {
+        assert!(preset.contains(from), "{from}");
+        preset = preset.replace(from, to);
+    }
+    fs::write(folder.join("tiny.toml"), preset).unwrap();
+}
+
+const FILES: [&str; 3] = ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"];
+
+fn files(folder: &Path, out: &str, seed: u64) -> [Vec<u8>; 3] {
+    FILES.map(|name| fs::read(folder.join(out).join(format!("seed-{seed}")).join(name)).unwrap())
+}
+
+#[test]
+fn a_killed_training_goes_on_to_the_same_bytes() {
+    let folder = folder();
+    write_preset(folder.path());
+    let train = |out| ["train", "--preset", "tiny.toml", "--seeds", "2", "--episodes", "45", "--out", out];
+    let through = crumple(folder.path(), &train("through"));
+    assert_eq!(code(&through), 0, "{}", stderr(&through));
+    assert!(stdout(&through).starts_with("  seed"));
+    let mut child = Command::new(env!("CARGO_BIN_EXE_crumple"))
+        .args(train("killed"))
+        .current_dir(folder.path())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let checkpoint = folder.path().join("killed/seed-0/checkpoint.safetensors");
+    let begun = Instant::now();
+    while !checkpoint.exists() && begun.elapsed() < Duration::from_secs(60) {
+        sleep(Duration::from_millis(2));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let again = crumple(folder.path(), &train("killed"));
+    assert_eq!(code(&again), 2, "an existing training is not overwritten");
+    let resumed = crumple(folder.path(), &[train("killed").as_slice(), &["--resume"]].concat());
+    assert_eq!(code(&resumed), 0, "{}", stderr(&resumed));
+    assert_eq!(stdout(&resumed), stdout(&through));
+    for seed in 0..2 {
+        for (name, (through, killed)) in FILES.iter().zip(files(folder.path(), "through", seed).into_iter().zip(files(
+            folder.path(),
+            "killed",
+            seed,
+        ))) {
+            assert!(through == killed, "seed {seed}: {name}");
+        }
+    }
+}
+
+#[test]
+fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
+    let folder = folder();
+    write_preset(folder.path());
+    let trained =
+        crumple(folder.path(), &["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", "6", "--out", "run"]);
+    assert_eq!(code(&trained), 0, "{}", stderr(&trained));
+    let policy = "run/seed-4/policy.safetensors";
+    let driven = crumple(folder.path(), &["simulate", "paper-1", "paper-3", "--controller", policy]);
+    assert_eq!(code(&driven), 0, "{}", stderr(&driven));
+    assert!(stdout(&driven).starts_with(&format!("paper-1: {policy}, estimator kalman")));
+    for name in ["training.json", "learning-curve.svg"] {
+        assert!(folder.path().join("run").join(name).exists(), "{name}");
+    }
+    let bytes = fs::read(folder.path().join(policy)).unwrap();
+    fs::write(folder.path().join("cut.safetensors"), &bytes[..bytes.len() - 9]).unwrap();
+    for (file, reason) in [("cut.safetensors", "not a whole safetensors file"), ("none.safetensors", "No such file")] {
+        let refused = crumple(folder.path(), &["simulate", "paper-1", "--controller", file]);
+        assert_eq!(code(&refused), 2);
+        assert!(stderr(&refused).contains(reason), "{}", stderr(&refused));
+    }
+    let refused = crumple(folder.path(), &["train", "--preset", "slow"]);
+    assert_eq!(code(&refused), 2);
+    assert!(stderr(&refused).contains("there is no preset `slow`"), "{}", stderr(&refused));
+}
