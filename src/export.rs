@@ -46,21 +46,20 @@ struct Row {
 }
 
 fn rows(trace: &Trace) -> Vec<Row> {
+    let gaps_m = |rear| trace.pair(rear).map_or_else(Vec::new, |pair| pair.gaps_m().collect());
+    let gaps_m: Vec<Vec<f64>> = (0..trace.vehicles.len()).map(gaps_m).collect();
     let mut rows = Vec::with_capacity(trace.len() * trace.vehicles.len());
     for (sample, &time_s) in trace.time_s.iter().enumerate() {
-        let mut rear_bumper_m = None;
-        for (vehicle, track) in trace.vehicles.iter().enumerate() {
+        for (vehicle, (track, gaps_m)) in trace.vehicles.iter().zip(&gaps_m).enumerate() {
             let at = |column: &[f64]| column.get(sample).copied().unwrap_or(f64::NAN);
-            let position_m = at(&track.position_m);
             rows.push(Row {
                 time_s,
                 vehicle: vehicle as i32,
-                position_m,
+                position_m: at(&track.position_m),
                 speed_mps: at(&track.speed_mps),
                 acceleration_mps2: at(&track.acceleration_mps2),
-                gap_m: rear_bumper_m.map(|rear_bumper_m: f64| rear_bumper_m - position_m),
+                gap_m: gaps_m.get(sample).copied(),
             });
-            rear_bumper_m = Some(position_m - track.length_m);
         }
     }
     rows
@@ -146,7 +145,10 @@ mod tests {
                 assert_eq!(from_csv[column].parse::<f64>().unwrap(), expected);
                 assert_eq!(from_parquet.get_double(column).unwrap(), expected);
             }
-            assert_eq!(from_csv[5].is_empty(), index % 3 == 0);
+            let gap_m = trace.vehicles[..index % 3]
+                .last()
+                .map(|ahead| ahead.position_m[index / 3] - ahead.length_m - track.position_m[index / 3]);
+            assert_eq!(from_csv[5].parse::<f64>().ok(), gap_m);
             assert_eq!(from_parquet.get_double(5).ok(), from_csv[5].parse::<f64>().ok());
             count += 1;
         }

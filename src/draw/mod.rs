@@ -124,6 +124,4 @@ fn identifier(text: &str) -> String {
 }
 
 #[cfg(test)]
-mod sample;
-#[cfg(test)]
 mod tests;

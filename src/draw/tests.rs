@@ -6,9 +6,34 @@ use proptest::num::f64::ANY as ANY_NUMBER;
 use proptest::prelude::*;
 use resvg::{tiny_skia, usvg};
 
-use super::sample::line;
 use super::*;
-use crate::sim::{Contact, Impact, Trace, Track};
+use crate::scenario::{AebSettings, Brake, ControllerSpec, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in};
+use crate::sim::{AfterContact, Contact, Impact, Keep, Run, RunOptions, Trace, Track, simulate};
+
+/// The paper's first scenario with these vehicles, 16 m apart.
+///
+/// Behind the leader they brake fully below a time to collision of `ttc_s`, or, without one, as the leader does and 0.1 s
+/// after the vehicle ahead.
+fn line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
+    let scenario = built_in("paper-1").unwrap().edited(|spec| {
+        let mut position_m = 36.0;
+        let vehicle = |(rank, &heavy): (usize, &bool)| {
+            let class = if heavy { VehicleClass::Heavy } else { VehicleClass::Light };
+            let driver = match (rank, ttc_s) {
+                (1.., Some(ttc_s)) => Driver::Controller(ControllerSpec::Baseline(AebSettings { ttc_s })),
+                _ => Driver::Profile(LeadProfile::Brake(Brake { onset_s: 1.0 + 0.1 * rank as f64, rate_mps2: 3.0 })),
+            };
+            let vehicle = VehicleSpec::new(class, position_m, 25.0, driver);
+            position_m -= class.length_m() + 16.0;
+            vehicle
+        };
+        spec.vehicles = heavy.iter().enumerate().map(vehicle).collect();
+    });
+    let scenario = scenario.unwrap();
+    let nobody = RunOptions::new(ControllerSpec::MatchLeader);
+    let simulated = simulate(&Run::new(&scenario, nobody.with_after_contact(after_contact)).unwrap(), Keep::Trace);
+    (simulated.trace.unwrap(), simulated.impacts)
+}
 
 fn names(count: usize) -> Vec<String> {
     (0..count).map(|index| format!("vehicle of rank {index} <&>\u{7}")).collect()
@@ -52,7 +77,8 @@ proptest! {
         heavy in proptest::collection::vec(any::<bool>(), 2..=20), ttc_s in proptest::option::of(0.8..3.0f64),
         go_on in any::<bool>(), wide in any::<bool>(),
     ) {
-        let (trace, impacts) = line(&heavy, ttc_s, go_on);
+        let after_contact = if go_on { AfterContact::Continue } else { AfterContact::Stop };
+        let (trace, impacts) = line(&heavy, ttc_s, after_contact);
         let svg = drawn(&trace, &impacts, if wide { Layout::Wide } else { Layout::Stacked });
         let mut words = Vec::new();
         word_boxes(tree(&svg).root(), &mut words);
@@ -112,7 +138,7 @@ fn plain_traces_give_figures() {
 
 #[test]
 fn the_contact_is_written_and_drawn_in_every_panel() {
-    let (trace, impacts) = line(&[false, false, true], Some(1.4), false);
+    let (trace, impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
     let svg = drawn(&trace, &impacts, Layout::Wide);
     let document = svg.document();
     let impact_speed_mps = impacts[0].contact.impact_speed_mps;
@@ -123,7 +149,7 @@ fn the_contact_is_written_and_drawn_in_every_panel() {
     let star = format!("Z\" fill=\"{}\"", Ink::Alert.hex());
     assert_eq!(document.matches(&star).count(), 4);
 
-    let (trace, impacts) = line(&[false, false, true], None, false);
+    let (trace, impacts) = line(&[false, false, true], None, AfterContact::Stop);
     let document = drawn(&trace, &impacts, Layout::Wide).document();
     assert!(document.contains(">no contact<") && document.contains(">smallest gap "));
     assert!(!document.contains(Ink::Alert.hex()));
@@ -131,7 +157,7 @@ fn the_contact_is_written_and_drawn_in_every_panel() {
 
 #[test]
 fn figures_are_the_same_every_time_and_share_no_identifier() {
-    let (trace, impacts) = line(&[false, false, true], Some(1.4), false);
+    let (trace, impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
     let labels = names(3);
     let figure = MotionFigure { prefix: "a b\"", title: "t", labels: &labels, trace: &trace, impacts: &impacts };
     let page = |prefix| motion_responsive(&MotionFigure { prefix, ..figure }).into_string();
@@ -149,7 +175,7 @@ fn figures_are_the_same_every_time_and_share_no_identifier() {
 
 #[test]
 fn a_png_has_its_size_and_shows_every_ink() {
-    let (trace, impacts) = line(&[false, false, true], Some(1.4), false);
+    let (trace, impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
     let svg = drawn(&trace, &impacts, Layout::Wide);
     let (width, height) = svg.size();
     let picture = tiny_skia::Pixmap::decode_png(&svg.to_png(PNG_SCALE).expect("drawn")).expect("a PNG");

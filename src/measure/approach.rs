@@ -1,6 +1,6 @@
 //! How a vehicle came up to the one ahead: what every measure of a pair is computed from.
 
-use crate::sim::{Contact, Impact, Pair, Trace};
+use crate::sim::{Contact, Impact, Motion, Pair, Trace, closest_gap_m};
 
 /// Samples this close to a contact, in seconds, are the contact.
 const SAME_INSTANT_S: f64 = 1e-9;
@@ -29,17 +29,13 @@ impl State {
         self.rear_speed_mps - self.front_speed_mps
     }
 
-    /// Smallest gap within the next `step_s` seconds, in metres, if it lies inside the step.
-    ///
-    /// With both accelerations held, the closing speed `c` falls at `a_f - a_r` and is zero at `t* = c / (a_f - a_r)`,
-    /// where the gap has shrunk by `c t* / 2`. A rear vehicle that stops inside the step is slower than the front one
-    /// only after `t*`; a front vehicle that stops before `t*` puts the smallest gap at the end of the step.
-    fn min_gap_inside_m(&self, step_s: f64) -> Option<f64> {
-        let opening_mps2 = self.front_acceleration_mps2 - self.rear_acceleration_mps2;
-        let turns_s = self.closing_mps() / opening_mps2;
-        let front_speed_then = self.front_speed_mps + self.front_acceleration_mps2 * turns_s;
-        let inside = self.closing_mps() > 0.0 && opening_mps2 > 0.0 && turns_s < step_s && front_speed_then >= 0.0;
-        inside.then(|| (self.gap_m - 0.5 * self.closing_mps() * turns_s).max(0.0))
+    /// Smallest gap at any instant of the next `step_s` seconds, in metres, both accelerations held.
+    fn min_gap_within_m(&self, step_s: f64) -> f64 {
+        // Where on the road they are does not matter: seen from the rear vehicle, the one ahead ends at the gap.
+        let motion = |position_m, speed_mps, acceleration_mps2| Motion { position_m, speed_mps, acceleration_mps2 };
+        let front = motion(self.gap_m, self.front_speed_mps, self.front_acceleration_mps2);
+        let rear = motion(0.0, self.rear_speed_mps, self.rear_acceleration_mps2);
+        closest_gap_m(front, rear, 0.0, step_s).max(0.0)
     }
 }
 
@@ -105,8 +101,8 @@ impl Approach {
     pub fn min_gap_m(&self) -> Option<f64> {
         let at_samples = self.states.iter().map(|state| state.gap_m);
         let steps = self.states.iter().zip(self.states.iter().skip(1));
-        let inside = steps.filter_map(|(state, next)| state.min_gap_inside_m(next.time_s - state.time_s));
-        at_samples.chain(inside).reduce(f64::min)
+        let between = steps.map(|(state, next)| state.min_gap_within_m(next.time_s - state.time_s));
+        at_samples.chain(between).reduce(f64::min)
     }
 
     /// Bumper gap at which the two came to stand, in metres; none if they touched or one of them still moves.

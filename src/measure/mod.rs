@@ -23,7 +23,7 @@ pub use comfort::{JERK_WINDOW_S, peak_brake_mps2, peak_jerk_mps3};
 pub use demand::{Imposed, drac_mps2, required_brake_mps2};
 pub use exposure::{Exposure, TTC_THRESHOLD_S};
 pub use proximity::{time_gap_s, time_headway_s, ttc_s};
-pub use severity::{delta_v_mps, impact_speed_mps, impacts_of, max_delta_v_mps};
+pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};
 
 use crate::sim::{Impact, Trace};
 
@@ -94,12 +94,6 @@ impl Measures {
     }
 }
 
-/// The measures of every vehicle of a run, front to rear.
-#[must_use]
-pub fn measure_all(trace: &Trace, impacts: &[Impact]) -> Vec<Measures> {
-    (0..trace.vehicles.len()).filter_map(|index| Measures::of(trace, impacts, index)).collect()
-}
-
 impl Ahead {
     /// How vehicle `index` did towards the one ahead; none for the leader and for a vehicle that does not exist.
     #[must_use]
@@ -128,6 +122,11 @@ mod tests {
     use super::testing::{driven, impact, trace};
     use super::*;
     use crate::sim::Track;
+
+    /// The measures of every vehicle, front to rear.
+    fn measure_all(trace: &Trace, impacts: &[Impact]) -> Vec<Measures> {
+        (0..trace.vehicles.len()).filter_map(|index| Measures::of(trace, impacts, index)).collect()
+    }
 
     #[test]
     fn what_is_undefined_is_absent() {

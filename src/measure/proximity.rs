@@ -1,6 +1,7 @@
 //! How near: time to collision, time headway and time gap.
 
 use super::approach::Approach;
+use crate::sim;
 
 /// Time to collision in seconds: how long until contact if both keep their speeds, `TTC = gap / closing speed`.
 ///
@@ -9,7 +10,7 @@ use super::approach::Approach;
 /// Source: Hayward 1972, "Near-miss determination through use of a scale of danger", Highway Research Record 384, 24-34.
 #[must_use]
 pub fn ttc_s(gap_m: f64, closing_mps: f64) -> Option<f64> {
-    (closing_mps > 0.0).then(|| gap_m.max(0.0) / closing_mps).filter(|ttc_s| ttc_s.is_finite())
+    Some(sim::ttc_s(gap_m, closing_mps)).filter(|ttc_s| ttc_s.is_finite())
 }
 
 /// Time headway in seconds: from the front bumper ahead to one's own front bumper, at one's own speed,

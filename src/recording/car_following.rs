@@ -18,6 +18,8 @@ const COLUMNS: [&str; 6] = ["event", "time_s", "gap_m", "follower_speed_mps", RE
 
 /// Largest difference between the three speeds that is put down to rounding and filtering, in m/s.
 const SPEED_AGREEMENT_MPS: f64 = 0.1;
+/// Most events of one file. Each takes about a kilobyte beside its samples, however few those are.
+const MOST_EVENTS: usize = 100_000;
 
 /// Reads what follows the column names.
 pub(super) fn read<R: Read>(table: &mut Table<'_, R>, names: &Row<'_>) -> Result<Recording, RecordingError> {
@@ -27,7 +29,8 @@ pub(super) fn read<R: Read>(table: &mut Table<'_, R>, names: &Row<'_>) -> Result
         }
     }
     if let Some(extra) = names.fields.get(COLUMNS.len()) {
-        return names.misnamed("leader_speed_mps", ColumnProblem::Expected { found: format!("{extra} after it") });
+        return names
+            .misnamed("leader_speed_mps", ColumnProblem::Expected { found: format!("{} after it", excerpt(extra)) });
     }
     let mut extent = Extent::new(&names.fields, 3);
     let mut events = Events::new();
@@ -57,6 +60,7 @@ pub(super) fn read<R: Read>(table: &mut Table<'_, R>, names: &Row<'_>) -> Result
 /// The events read so far, and the one being read.
 struct Events {
     platoons: Vec<Platoon>,
+    /// The full text: events may differ in their last letter only.
     event: Option<String>,
     clock: Clock,
     time_s: Vec<f64>,
@@ -90,9 +94,12 @@ impl Events {
         if event.is_empty() {
             return row.wrong("event", ValueProblem::Missing);
         }
-        if self.event.as_deref() != Some(excerpt(event).as_str()) {
+        if self.event.as_deref() != Some(event) {
             self.finish_event();
-            self.event = Some(excerpt(event));
+            if self.platoons.len() >= MOST_EVENTS {
+                return row.too_large(MOST_EVENTS, "events");
+            }
+            self.event = Some(event.to_owned());
         }
         let Some(now_s) = self.clock.tick(row)? else { return Ok(()) };
         let gap_m = self.gap.read(row)?;
@@ -141,7 +148,7 @@ impl Events {
         };
         let vehicles = vec![vehicle(1, "leader", &mut self.leader), vehicle(2, "follower", &mut self.follower)];
         self.platoons.push(Platoon {
-            event: Some(event),
+            event: Some(excerpt(&event)),
             time_s: mem::take(&mut self.time_s),
             line: mem::take(&mut self.line),
             vehicles,

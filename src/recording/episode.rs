@@ -12,13 +12,13 @@ use super::series::rounded;
 /// Length of a recorded car, in metres. The class's 2 m is the paper's; those who were recorded drove passenger cars.
 /// Distance of antennas less bumper spacing is 4.5 m on average over the twelve pairs of the published files tried.
 const CAR_LENGTH_M: f64 = 4.5;
-/// Step of the scenarios, in seconds; their durations are rounded up to it.
-const STEP_S: f64 = 0.01;
+/// Steps of the scenarios in a second. Durations are rounded up to whole steps.
+const STEPS_PER_S: f64 = 100.0;
 
 /// A leader's braking with the followers' start. Times count from the start of the scenario unless said otherwise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Episode {
-    /// The event it was recorded in, where the file names events.
+    /// The event it was recorded in, where the file names events; see [`Platoon::event`](super::Platoon::event).
     pub event: Option<String>,
     /// Line of the file that holds the start, from 1.
     pub line: u64,
@@ -100,9 +100,9 @@ impl Episode {
             version: SCENARIO_VERSION,
             name,
             about: self.about(file),
-            // The least whole number of hundredths, not a sum of steps, which would not round to one.
-            duration_s: (rounded(self.duration_s) / STEP_S - 1e-6).ceil() / 100.0,
-            step_s: STEP_S,
+            // A quotient, not a multiple of the step, which would not round to what a file shows.
+            duration_s: (rounded(self.duration_s) * STEPS_PER_S - 1e-6).ceil() / STEPS_PER_S,
+            step_s: 1.0 / STEPS_PER_S,
             seed: 0,
             environment: Environment::default(),
             sensors: Sensors::default(),

@@ -24,7 +24,7 @@ pub enum RecordingError {
     /// The first line is of neither format.
     #[error(
         "{}:{line}: `{found}`: neither an OpenACC recording (which starts with `Date`) nor car-following events \
-         (which start with `event,time_s,gap_m,...`)", path.display()
+         (which start with `event,time_s,gap_m,...`), both without quotation marks", path.display()
     )]
     UnknownFormat {
         /// The file.

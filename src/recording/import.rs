@@ -49,8 +49,6 @@ pub struct Source {
     pub path: PathBuf,
     /// Its format.
     pub format: Format,
-    /// Unbroken lines of vehicles in it.
-    pub platoons: usize,
     /// Scenarios made of it.
     pub scenarios: usize,
 }
@@ -107,7 +105,6 @@ impl Imported {
         self.sources.push(Source {
             path: recording.path.clone(),
             format: recording.format,
-            platoons: recording.platoons.len(),
             scenarios: self.scenarios.len() - before,
         });
         Ok(())

@@ -83,7 +83,7 @@ pub struct Platoon {
 }
 
 impl Platoon {
-    /// The event it was recorded in, where the file names events.
+    /// The event it was recorded in, where the file names events; a long name is cut after 40 characters, for display.
     #[must_use]
     pub fn event(&self) -> Option<&str> {
         self.event.as_deref()
@@ -163,7 +163,11 @@ pub fn load(path: &Path) -> Result<Recording, RecordingError> {
     read(file, path)
 }
 
-/// Reads a recording from a stream; `path` only names it. Memory is bounded: what is too large is refused.
+/// Reads a recording from a stream; `path` only names it.
+///
+/// Memory is bounded: a line of more than a mebibyte, and more than 5 million rows, 20 million speeds and gaps, 200
+/// vehicles or 100 000 events are refused. A byte order mark and carriage returns before line feeds are no part of the
+/// text.
 ///
 /// # Errors
 /// As [`load`].

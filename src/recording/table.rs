@@ -156,13 +156,15 @@ impl Row<'_> {
     }
 }
 
-/// Enough of a text to recognise it by.
+/// Enough of a text to recognise it by, on one line.
 pub(super) fn excerpt(text: &str) -> String {
     const LONGEST: usize = 40;
-    match text.char_indices().nth(LONGEST) {
-        Some((end, _)) => format!("{}...", text.get(..end).unwrap_or_default()),
-        None => text.to_owned(),
+    let visible = |letter: char| if letter.is_control() { char::REPLACEMENT_CHARACTER } else { letter };
+    let mut excerpt: String = text.chars().take(LONGEST).map(visible).collect();
+    if text.chars().nth(LONGEST).is_some() {
+        excerpt += "...";
     }
+    excerpt
 }
 
 /// A column by name and place.
@@ -188,7 +190,7 @@ impl<'h> Extent<'h> {
     pub(super) fn admit(&mut self, row: &Row<'_>) -> Result<(), RecordingError> {
         let (expected, found) = (self.names.len(), row.fields.len());
         if found != expected {
-            let column = self.names.get(found.min(expected.saturating_sub(1))).unwrap_or_default().to_owned();
+            let column = excerpt(self.names.get(found.min(expected.saturating_sub(1))).unwrap_or_default());
             let (path, line) = (row.path.to_owned(), row.line);
             return Err(RecordingError::FieldCount { path, line, column, expected, found });
         }

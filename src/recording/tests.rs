@@ -129,15 +129,28 @@ fn unusable_files_name_line_and_column() {
         (EVENTS.replace("\n", ",x\n"), "a.csv:1: leader_speed_mps: expected this column, found `x after it`"),
         (format!("{EVENTS}1,0.0,5,1,0,1\n,0.1,5,1,0,1\n"), "a.csv:3: event: must not be empty"),
         (format!("{EVENTS}1,0.0,5,1\n"), "a.csv:2: relative_speed_mps: 4 fields in a row of 6"),
+        (EVENTS.replace("event", "\"event\""), "a.csv:1: `\"event\"`: neither an OpenACC"),
+        (format!("{named}\"0.0\",1,2,3\n"), "a.csv:7: Time: must be a finite number or empty, found `\"0.0\"`"),
+        (EVENTS.replace("\n", "\r1,0.0,5,1,0,1\r"), "a.csv:1: leader_speed_mps: expected this column, found `leader_"),
+        (named.replace("Speed2", &"x".repeat(99)) + "0,1\n", "a.csv:6: IVS1: no such column"),
+        (named.replace('\n', &format!(",{}\n", "x\u{1b}".repeat(99))) + "0,1,2,3\n", "a.csv:7: x"),
         (format!("{EVENTS}1,zero,5,1,0,1\n"), "a.csv:2: time_s: must be a finite number or empty, found `zero`"),
     ];
     for (text, expected) in cases {
         let message = error_of(&text);
         assert!(message.starts_with(expected), "{message}\n  should start with\n{expected}");
+        assert!(message.len() < 250 && !message.contains(char::is_control), "one line: {message:?}");
     }
-    let bytes = [HEADER.as_bytes(), b"Time,Speed1,Sp\xffeed2,IVS1\n"].concat();
-    let message = read(&bytes[..], Path::new("a.csv")).expect_err("not text").to_string();
-    assert!(message.starts_with("a.csv:6: is not text"), "{message}");
+    let utf_16: Vec<u8> = "\u{feff}event,time_s\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let latin_1 = [HEADER.as_bytes(), b"Time,Speed1,Sp\xffeed2,IVS1\n"].concat();
+    for (bytes, expected) in [(utf_16, "a.csv:1: is not text in UTF-8"), (latin_1, "a.csv:6: is not text in UTF-8")] {
+        let message = read(&bytes[..], Path::new("a.csv")).expect_err("not text").to_string();
+        assert_eq!(message, expected);
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let message = load(folder.path()).expect_err("a folder").to_string();
+    assert!(message.starts_with(&format!("{}: ", folder.path().display())), "{message}");
+    assert!(!message.contains('\n'), "{message}");
     let missing = load(Path::new("no/such/recording.csv")).expect_err("missing").to_string();
     assert!(missing.starts_with("no/such/recording.csv: "), "{missing}");
 }
@@ -150,6 +163,9 @@ fn what_would_fill_the_memory_is_refused() {
     let endless_rows = rows.as_bytes().chain(EndlessRows(0));
     let message = read(endless_rows, Path::new("a.csv")).expect_err("endless rows").to_string();
     assert!(message.starts_with("a.csv:5000002: more than 5000000 rows"), "{message}");
+    let events: String = (1..=100_001).map(|event| format!("{event},0,5,1,0,1\n")).collect();
+    let message = error_of(&format!("{EVENTS}{events}"));
+    assert!(message.starts_with("a.csv:100002: more than 100000 events"), "{message}");
     let columns: String = (1..=201).map(|k| format!(",Speed{k}")).collect();
     let message = error_of(&format!("{HEADER}Time{columns}\n"));
     assert!(message.starts_with("a.csv:6: more than 200 vehicles"), "{message}");
@@ -181,6 +197,23 @@ fn each_car_following_event_is_a_platoon_of_two() {
     let said = dropped_of(&format!("{EVENTS}{rows}")).join("\n");
     assert!(said.contains("a.csv:5: relative_speed_mps: differs from leader_speed_mps - follower_speed_mps in 1 rows"));
     assert!(said.contains("a.csv:6: gap_m: 1 impossible spacings"), "{said}");
+}
+
+#[test]
+fn events_that_differ_in_their_last_letter_are_two() {
+    let name = "x".repeat(200);
+    let recording = read_text(&format!("{EVENTS}{name}a,0,5,1,0,1\n{name}b,1,5,1,0,1\n")).expect("readable");
+    let shown = format!("{}...", "x".repeat(40));
+    let platoons: Vec<_> = recording.platoons.iter().map(|p| (p.event(), p.time_s())).collect();
+    assert_eq!(platoons, [(Some(shown.as_str()), &[0.0][..]), (Some(shown.as_str()), &[1.0][..])]);
+}
+
+#[test]
+fn a_byte_order_mark_and_carriage_returns_change_nothing() {
+    for text in [braking_platoon(3), format!("{EVENTS}7,0.0,5,10,1,11\n7,0.1,5,,1,11\n")] {
+        let foreign = format!("\u{feff}{}", text.replace('\n', "\r\n"));
+        assert_eq!(read_text(&foreign).expect("readable"), read_text(&text).expect("readable"));
+    }
 }
 
 /// Edits the fields of some rows of a recording, which begin on line 7.

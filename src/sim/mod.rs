@@ -15,6 +15,7 @@ pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
 pub use outcome::{AfterContact, Contact, Impact, Outcome, Simulated, VehicleSummary};
 pub use recorder::Keep;
+pub(crate) use recorder::ttc_s;
 pub use run::{ControllerFactory, Run, RunError, RunOptions, UnderTest};
 pub use scalar::simulate;
 pub use stepper::Stepper;

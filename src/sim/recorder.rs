@@ -17,7 +17,7 @@ impl Tally {
 
 /// Time to collision in seconds; infinite for a gap that does not close. A gap that is negative by rounding counts as 0.
 #[inline]
-pub(super) fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
+pub(crate) fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
     if closing_mps > 0.0 { gap_m.max(0.0) / closing_mps } else { f64::INFINITY }
 }
 
