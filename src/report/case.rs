@@ -218,13 +218,11 @@ pub(super) fn run_cases(
 
 impl PileUp {
     fn of(simulated: &Simulated) -> Option<Self> {
-        let delta_v_mps = simulated.impacts.iter().flat_map(|impact| {
-            (impact.first_involved..=impact.last_involved).map(|vehicle| impact.delta_v_mps(vehicle))
-        });
+        let of = |vehicle| measure::max_delta_v_mps(&simulated.impacts, vehicle);
         (!simulated.impacts.is_empty()).then(|| Self {
             impacts: simulated.impacts.len(),
             vehicles: simulated.vehicles_involved(),
-            max_delta_v_mps: largest(delta_v_mps.map(Some)).map(Rounded::new),
+            max_delta_v_mps: largest((0..simulated.vehicles.len()).map(of)).map(Rounded::new),
         })
     }
 }

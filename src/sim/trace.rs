@@ -70,9 +70,4 @@ impl Pair<'_> {
         let length_m = self.front.length_m;
         self.front.position_m.iter().zip(&self.rear.position_m).map(move |(front, rear)| front - length_m - rear)
     }
-
-    /// Speed at which the gap closes at each sample, in m/s: positive when closing.
-    pub fn closing_speeds_mps(&self) -> impl Iterator<Item = f64> + '_ {
-        self.front.speed_mps.iter().zip(&self.rear.speed_mps).map(|(front, rear)| rear - front)
-    }
 }
