@@ -5,6 +5,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use super::output;
+use crate::recording::RecordingError;
 use crate::report::ConfigError;
 use crate::scenario::file::FileError;
 use crate::sim::RunError;
@@ -56,8 +58,20 @@ impl Failure {
     pub(super) fn report(&self) {
         match self {
             Self::NobodyListens => {}
-            Self::Gate(gate) => eprintln!("gate: {gate}"),
-            other => eprintln!("error: {other}"),
+            Self::Gate(gate) => output::note(&format!("gate: {gate}"), false),
+            other => output::note(&format!("error: {other}"), false),
+        }
+    }
+}
+
+impl Failure {
+    /// A file that could not be read: a wrong argument if it is not there or not text, otherwise the environment's fault.
+    fn unreadable(path: PathBuf, source: io::Error) -> Self {
+        match source.kind() {
+            io::ErrorKind::NotFound | io::ErrorKind::IsADirectory | io::ErrorKind::InvalidData => {
+                Self::Input(format!("{}: {source}", path.display()))
+            }
+            _ => Self::Environment { path, source },
         }
     }
 }
@@ -65,10 +79,16 @@ impl Failure {
 impl From<FileError> for Failure {
     fn from(error: FileError) -> Self {
         match error {
-            // A file that is not there is a wrong argument; one that cannot be read is the environment's fault.
-            FileError::Read { path, source } if source.kind() == io::ErrorKind::PermissionDenied => {
-                Self::Environment { path, source }
-            }
+            FileError::Read { path, source } => Self::unreadable(path, source),
+            other => Self::input(other),
+        }
+    }
+}
+
+impl From<RecordingError> for Failure {
+    fn from(error: RecordingError) -> Self {
+        match error {
+            RecordingError::Read { path, source } => Self::unreadable(path, source),
             other => Self::input(other),
         }
     }

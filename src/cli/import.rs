@@ -1,5 +1,6 @@
 //! `crumple import`: recorded platoons become scenarios.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::path::PathBuf;
 
@@ -7,7 +8,7 @@ use clap::Args;
 
 use super::Failure;
 use super::output::{self, Files};
-use crate::recording::{ImportOptions, MinBrake, RecordingError, import};
+use crate::recording::{ImportOptions, Imported, MinBrake, import};
 
 /// Turn braking episodes of recorded platoons into scenario files
 #[derive(Args)]
@@ -15,13 +16,13 @@ use crate::recording::{ImportOptions, MinBrake, RecordingError, import};
 Reads two formats, told apart by their first line: OpenACC CSV (speeds and bumper-to-bumper spacings of a platoon), and \
 car-following events (event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps). A braking episode is one \
 in which the leader's speed drops by more than --min-brake times one second within one second. Followers start at the \
-recorded gaps and speeds; who drives them is up to `crumple simulate`.")]
+recorded gaps and speeds and are under test; only the last of three or more vehicles is driven by the baseline.")]
 pub(super) struct Import {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
     /// Mean deceleration over one second that makes a braking episode, in m/s² [default: 1.3]
-    #[arg(long, value_name = "A")]
+    #[arg(long, value_name = "A", allow_hyphen_values = true)]
     min_brake: Option<f64>,
     /// Folder for the scenario files; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "episodes")]
@@ -41,6 +42,11 @@ impl Import {
             files.stage(&self.out.join(&scenario.file_name), scenario.toml.as_bytes())?;
         }
         files.commit()?;
+        let others = self.other_scenarios(&imported)?;
+        if others > 0 {
+            let out = self.out.display();
+            output::note(&format!("note: {out} also holds {others} scenario files that are not of this import"), quiet);
+        }
         for dropped in &imported.dropped {
             output::note(&dropped.to_string(), quiet);
         }
@@ -52,10 +58,13 @@ impl Import {
         }
         output::print(&text)
     }
-}
 
-impl From<RecordingError> for Failure {
-    fn from(error: RecordingError) -> Self {
-        Self::input(error)
+    /// Scenario files in the folder that this import did not write, such as those of an earlier one with another threshold.
+    fn other_scenarios(&self, imported: &Imported) -> Result<usize, Failure> {
+        let entries = fs::read_dir(&self.out).map_err(|source| Failure::environment(&self.out, source))?;
+        let written = |name: &OsStr| imported.scenarios.iter().any(|scenario| OsStr::new(&scenario.file_name) == name);
+        let is_scenario = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "toml");
+        let others = entries.flatten().map(|entry| entry.path()).filter(is_scenario);
+        Ok(others.filter(|path| path.file_name().is_some_and(|name| !written(name))).count())
     }
 }

@@ -58,7 +58,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let quiet = arguments.quiet;
     let done = match arguments.command {
         Command::Assess(command) => command.run(quiet),
-        Command::Simulate(command) => command.run(),
+        Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
         Command::List(command) => command.run(),
     };

@@ -44,10 +44,10 @@ pub(super) struct Simulate {
     #[arg(long, value_enum, default_value = "stop")]
     after_contact: AfterContact,
     /// Draw position, speed and spacing over time
-    #[arg(long, value_name = "F.svg|F.png")]
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
     /// Write the motion as a table, one row a sample and vehicle
-    #[arg(long, value_name = "F.csv|F.parquet")]
+    #[arg(long, value_name = "F.csv|F.parquet", value_parser = |path: &str| ending_in(path, ["csv", "parquet"]))]
     trace: Option<PathBuf>,
     /// Exit with 1 unless every scenario ends like this
     #[arg(long, value_enum)]
@@ -84,13 +84,19 @@ struct Report<'a> {
     seed: u64,
     outcome: Outcome,
     vehicles: &'a [VehicleSummary],
-    #[serde(skip_serializing_if = "<[_]>::is_empty")]
     impacts: &'a [Impact],
     vehicles_involved: usize,
 }
 
+/// What becomes of one run.
+struct Rendered {
+    text: String,
+    files: Vec<(PathBuf, Vec<u8>)>,
+    collided: bool,
+}
+
 impl Simulate {
-    pub(super) fn run(self) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let scenarios = self.scenarios.iter().map(|name| self.scenario(name)).collect::<Result<Vec<_>, _>>()?;
         let options = self.options();
         let runs = scenarios
@@ -100,26 +106,45 @@ impl Simulate {
                     .map_err(|error| Failure::Input(format!("{}: {error}", scenario.spec().name)))
             })
             .collect::<Result<Vec<_>, _>>()?;
+        for scenario in scenarios.iter().filter(|scenario| !scenario.has_vehicle_under_test()) {
+            let name = &scenario.spec().name;
+            output::note(&format!("note: {name} has no vehicle under test, so --controller drives nobody"), quiet);
+        }
         let keep = if self.trace.is_some() || self.plot.is_some() { Keep::Trace } else { Keep::Summary };
-        let results = simulate_batch(&runs, keep, |_, simulated| simulated);
+        let many = runs.len() > 1;
+        let results = simulate_batch(&runs, keep, |index, simulated| self.render(&runs[index], &simulated, many));
+        let results = results.into_iter().collect::<Result<Vec<_>, _>>()?;
         let mut files = Files::default();
-        let mut text = String::new();
-        for (run, result) in runs.iter().zip(&results) {
-            self.stage_files(run, result, runs.len() > 1, &mut files)?;
-            match self.format {
-                Format::Json => {
-                    let line = serde_json::to_string(&self.report(run, result)).map_err(Failure::input)?;
-                    text.push_str(&line);
-                    text.push('\n');
-                }
-                Format::Text => describe(&mut text, &self.report(run, result), run.scenario()),
-            }
+        for (path, contents) in results.iter().flat_map(|result| &result.files) {
+            files.stage(path, contents)?;
         }
         files.commit()?;
         // A gate does not hold the less because nobody reads the results.
-        let printed = output::print(&text);
+        let printed = output::print(&results.iter().map(|result| result.text.as_str()).collect::<String>());
         self.check_expectation(&runs, &results)?;
         printed
+    }
+
+    /// Everything to print and write of one run, so that its trace need not be kept.
+    fn render(&self, run: &Run<'_>, simulated: &Simulated, is_one_of_many: bool) -> Result<Rendered, Failure> {
+        let report = self.report(run, simulated);
+        let text = match self.format {
+            Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
+            Format::Text => describe(&report, run.scenario()),
+        };
+        let mut files = Vec::new();
+        if let Some(trace) = &simulated.trace {
+            let name = is_one_of_many.then_some(run.scenario().spec().name.as_str());
+            if let Some(path) = &self.plot {
+                files.push((named(path, name), self.picture(path, run.scenario(), trace, &simulated.impacts)?));
+            }
+            if let Some(path) = &self.trace {
+                let is_csv = extension(path) == Some("csv");
+                let table = if is_csv { export::csv(trace) } else { export::parquet(trace) };
+                files.push((named(path, name), table.map_err(Failure::input)?));
+            }
+        }
+        Ok(Rendered { text, files, collided: simulated.outcome != Outcome::NoCollision })
     }
 
     fn scenario(&self, name: &str) -> Result<Scenario, Failure> {
@@ -155,47 +180,23 @@ impl Simulate {
         }
     }
 
-    fn stage_files(
-        &self,
-        run: &Run<'_>,
-        result: &Simulated,
-        one_of_many: bool,
-        files: &mut Files,
-    ) -> Result<(), Failure> {
-        let name = one_of_many.then_some(run.scenario().spec().name.as_str());
-        let Some(trace) = &result.trace else { return Ok(()) };
-        if let Some(path) = &self.plot {
-            files.stage(&named(path, name), &self.picture(path, run.scenario(), trace, &result.impacts)?)?;
-        }
-        if let Some(path) = &self.trace {
-            let contents = match extension(path) {
-                Some("csv") => export::csv(trace),
-                Some("parquet") => export::parquet(trace),
-                _ => return Err(Failure::Input(format!("--trace {}: must end in .csv or .parquet", path.display()))),
-            };
-            files.stage(&named(path, name), &contents.map_err(Failure::input)?)?;
-        }
-        Ok(())
-    }
-
     fn picture(&self, path: &Path, scenario: &Scenario, trace: &Trace, impacts: &[Impact]) -> Result<Vec<u8>, Failure> {
         let title = format!("{}, {}", scenario.spec().name, self.controller.name());
         let labels = draw::vehicle_names(scenario);
         let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
         let picture = draw::motion(&figure, Layout::Wide);
         match extension(path) {
-            Some("svg") => Ok(picture.document().into_bytes()),
             Some("png") => picture.to_png(PNG_SCALE).map_err(Failure::input),
-            _ => Err(Failure::Input(format!("--plot {}: must end in .svg or .png", path.display()))),
+            _ => Ok(picture.document().into_bytes()),
         }
     }
 
-    fn check_expectation(&self, runs: &[Run<'_>], results: &[Simulated]) -> Result<(), Failure> {
+    fn check_expectation(&self, runs: &[Run<'_>], results: &[Rendered]) -> Result<(), Failure> {
         let Some(expected) = self.expect else { return Ok(()) };
         let otherwise: Vec<_> = runs
             .iter()
             .zip(results)
-            .filter(|(_, result)| (result.outcome == Outcome::NoCollision) != (expected == Expectation::Safe))
+            .filter(|(_, result)| result.collided == (expected == Expectation::Safe))
             .map(|(run, _)| run.scenario().spec().name.as_str())
             .collect();
         if otherwise.is_empty() {
@@ -204,6 +205,13 @@ impl Simulate {
         let expected = if expected == Expectation::Safe { "no collision" } else { "a collision" };
         Err(Failure::Gate(format!("expected {expected} in {}", otherwise.join(", "))))
     }
+}
+
+/// A path that ends in one of two extensions, for clap.
+fn ending_in(path: &str, extensions: [&str; 2]) -> Result<PathBuf, String> {
+    let [one, other] = extensions;
+    let known = extension(Path::new(path)).is_some_and(|found| extensions.contains(&found));
+    if known { Ok(PathBuf::from(path)) } else { Err(format!("must end in .{one} or .{other}")) }
 }
 
 fn extension(path: &Path) -> Option<&str> {
@@ -220,7 +228,8 @@ fn named(path: &Path, name: Option<&str>) -> PathBuf {
 }
 
 /// The report for a reader.
-fn describe(text: &mut String, report: &Report<'_>, scenario: &Scenario) {
+fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
+    let mut text = String::new();
     let Report { scenario: name, controller, estimator, dt_s, seed, .. } = report;
     let mut line = |line: String| {
         text.push_str(line.trim_end());
@@ -262,4 +271,5 @@ fn describe(text: &mut String, report: &Report<'_>, scenario: &Scenario) {
             if summary.stopped { "standing" } else { "moving" }
         ));
     }
+    text
 }

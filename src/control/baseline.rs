@@ -30,7 +30,8 @@ impl Controller for Baseline {
 
 /// The baseline without memory: full braking only while time to collision is below the threshold.
 ///
-/// It chatters around the threshold, and in the paper's scenarios that happens to spare the vehicle behind.
+/// It chatters around the threshold. In the paper's scenario 2 that happens to spare the vehicle behind; in scenarios 1 and
+/// 3 it does not.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BaselineUnlatched {
     aeb: Aeb,

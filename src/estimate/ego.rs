@@ -8,8 +8,8 @@ use crate::scenario::Sensors;
 
 /// Bandwidth of all three filters, in rad/s.
 ///
-/// At the default noise this gives speeds to 0.06 m/s and accelerations to 0.24 m/s² (one sigma) and follows the onset of
-/// braking within about 0.3 s. Half of it would miss the start of an emergency brake; twice would be too noisy for a
+/// At the default noise this gives closing speeds to 0.06 m/s and a neighbour's speed and acceleration to 0.07 m/s and
+/// 0.29 m/s² (one sigma), and follows the onset of braking within about 0.3 s. Half of it would miss the start of an emergency brake; twice would be too noisy for a
 /// controller that looks at accelerations.
 pub(crate) const BANDWIDTH_RAD_PER_S: f64 = 5.0;
 
@@ -57,7 +57,7 @@ pub struct TrueState {
 /// Three independent filters: own position, gap ahead, gap behind. With g the gap, its rate is the difference of two
 /// speeds, so a neighbour's speed is the own estimated speed plus (ahead) or minus (behind) the estimated rate of its gap;
 /// accelerations likewise. What TTC needs, gap and closing speed, thus comes from one filter and does not carry the
-/// error of the own speed.
+/// error of the own speed, as long as neither estimated speed is cut off at standstill.
 #[derive(Debug, Clone)]
 pub struct EgoEstimator {
     position: (Sensor, Filter),

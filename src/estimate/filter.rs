@@ -95,7 +95,11 @@ fn steady_covariance(transition: &Matrix3<f64>, process: &Matrix3<f64>, measurem
         let Some(inverse) = (Matrix3::identity() + g * h).try_inverse() else { break };
         let (next_a, next_g) = (a * inverse * a, g + a * inverse * g * a.transpose());
         let next_h = h + a.transpose() * h * inverse * a;
+        let settled = next_h == h;
         (a, g, h) = (next_a, next_g, (next_h + next_h.transpose()) * 0.5);
+        if settled {
+            break;
+        }
     }
     h
 }

@@ -3,12 +3,11 @@
 use serde::Serialize;
 
 use super::Rounded;
+use super::table::Mark;
 use crate::estimate::EstimatorKind;
-use crate::measure::Measures;
+use crate::measure::{self, Measures};
 use crate::scenario::{ControllerSpec, Driver, Scenario};
-use crate::sim::{
-    AfterContact, Contact, Impact, Keep, Outcome, Run, RunError, RunOptions, Simulated, Trace, simulate_batch,
-};
+use crate::sim::{AfterContact, Contact, Impact, Keep, Run, RunError, RunOptions, Simulated, Trace, simulate_batch};
 
 /// What came of one controller in one scenario.
 ///
@@ -40,15 +39,22 @@ pub struct Case {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Verdict {
-    /// Nobody touched anybody.
-    Safe,
+    /// Nobody touched anybody before the scenario was over.
+    Safe {
+        /// Time to collision between a vehicle under test and a neighbour when the scenario was over, in seconds, if it
+        /// was below [`STILL_CLOSING_TTC_S`]: then the scenario ended before its story did.
+        closing_ttc_s: Option<Rounded<1>>,
+    },
     /// A vehicle under test hit the one ahead.
     Hit(RoundedContact),
     /// A vehicle under test was hit from behind, by a vehicle that is not.
     WasHit(RoundedContact),
-    /// Two vehicles touched that are both not under test.
+    /// Two vehicles touched that are both not under test: this says nothing of the controller.
     Others(RoundedContact),
 }
+
+/// A run that ends with a time to collision below this is said to be still closing, in seconds.
+pub const STILL_CLOSING_TTC_S: f64 = 30.0;
 
 /// A contact with the numbers a report needs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -70,11 +76,13 @@ pub struct Towards {
     pub min_gap_m: Option<Rounded<2>>,
     /// Smallest time to collision, in seconds.
     pub min_ttc_s: Option<Rounded<2>>,
+    /// Smallest time headway, front bumper to front bumper, in seconds.
+    pub min_time_headway_s: Option<Rounded<2>>,
     /// Smallest time gap, bumper to bumper, in seconds.
     pub min_time_gap_s: Option<Rounded<2>>,
-    /// Largest deceleration rate to avoid a crash (DRAC), in m/s².
+    /// Largest deceleration rate to avoid a crash (DRAC), in m/s²; none if there was a contact.
     pub max_drac_mps2: Option<Rounded<2>>,
-    /// Largest deceleration required against the braking of the vehicle ahead, in m/s².
+    /// Largest deceleration required against the braking of the vehicle ahead, in m/s²; none if there was a contact.
     pub max_required_brake_mps2: Option<Rounded<2>>,
     /// Time exposed time to collision (TET), in seconds.
     pub tet_s: Rounded<2>,
@@ -96,21 +104,39 @@ pub struct PileUp {
 }
 
 impl Verdict {
-    pub(super) fn of(outcome: &Outcome, scenario: &Scenario) -> Self {
+    pub(super) fn of(simulated: &Simulated, scenario: &Scenario) -> Self {
         let under_test =
             |index: usize| scenario.vehicles().get(index).is_some_and(|vehicle| vehicle.driver == Driver::UnderTest);
-        match outcome.contact() {
-            None => Self::Safe,
+        match simulated.outcome.contact() {
+            None => {
+                let tested = (1..scenario.vehicles().len()).filter(|&rear| under_test(rear) || under_test(rear - 1));
+                let closing = tested.map(|rear| closing_ttc_s(simulated.trace.as_ref()?, rear));
+                Self::Safe { closing_ttc_s: smallest(closing).map(Rounded::new) }
+            }
             Some(contact) if under_test(contact.rear_vehicle) => Self::Hit(contact.into()),
             Some(contact) if under_test(contact.front_vehicle) => Self::WasHit(contact.into()),
             Some(contact) => Self::Others(contact.into()),
         }
     }
 
-    /// Whether nobody touched anybody.
+    /// Whether a vehicle under test touched or was touched.
     #[must_use]
-    pub fn is_safe(&self) -> bool {
-        *self == Self::Safe
+    pub fn is_collision(&self) -> bool {
+        matches!(self, Self::Hit(_) | Self::WasHit(_))
+    }
+
+    /// Whether the run says anything of the controller: not if others crashed first.
+    #[must_use]
+    pub fn counts(&self) -> bool {
+        !matches!(self, Self::Others(_))
+    }
+
+    pub(super) fn mark(&self) -> Mark {
+        match self {
+            Self::Safe { .. } => Mark::Good,
+            Self::Hit(_) | Self::WasHit(_) => Mark::Bad,
+            Self::Others(_) => Mark::None,
+        }
     }
 
     /// The verdict in a few words.
@@ -118,7 +144,10 @@ impl Verdict {
     pub fn words(&self) -> String {
         let at = |contact: &RoundedContact| format!("{} s, {} m/s", contact.time_s, contact.impact_speed_mps);
         match self {
-            Self::Safe => "no contact".to_owned(),
+            Self::Safe { closing_ttc_s: None } => "no contact".to_owned(),
+            Self::Safe { closing_ttc_s: Some(ttc_s) } => {
+                format!("no contact, but still closing at the end (TTC {ttc_s} s)")
+            }
             Self::Hit(contact) => format!("{} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact)),
             Self::WasHit(contact) => {
                 format!("{} hit from behind by {} at {}", contact.front_vehicle, contact.rear_vehicle, at(contact))
@@ -128,6 +157,13 @@ impl Verdict {
             }
         }
     }
+}
+
+/// Time to collision at the last sample, if it is below [`STILL_CLOSING_TTC_S`].
+fn closing_ttc_s(trace: &Trace, rear: usize) -> Option<f64> {
+    let pair = trace.pair(rear)?;
+    let closing_mps = pair.rear.speed_mps.last()? - pair.front.speed_mps.last()?;
+    measure::ttc_s(pair.gaps_m().last()?, closing_mps).filter(|&ttc_s| ttc_s < STILL_CLOSING_TTC_S)
 }
 
 impl From<&Contact> for RoundedContact {
@@ -141,28 +177,42 @@ impl From<&Contact> for RoundedContact {
     }
 }
 
+/// Whether cases keep their motion, for figures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Motion {
+    Kept,
+    Dropped,
+}
+
 /// Runs every controller in every scenario and reports scenario by scenario, in the order given.
 pub(super) fn run_cases(
     scenarios: &[&Scenario],
     controllers: &[ControllerSpec],
     estimator: EstimatorKind,
+    motion: Motion,
 ) -> Result<Vec<Vec<Case>>, RunError> {
-    let run_all = |after_contact: AfterContact| {
-        let pairs = scenarios.iter().flat_map(|&scenario| controllers.iter().map(move |c| (scenario, c)));
-        pairs
-            .map(|(scenario, controller)| {
-                let options = RunOptions::new(controller.clone());
-                Run::new(scenario, options.with_estimator(estimator).with_after_contact(after_contact))
-            })
-            .collect::<Result<Vec<_>, _>>()
+    let prepare = |scenario, controller: &ControllerSpec, after_contact| {
+        let options = RunOptions::new(controller.clone()).with_estimator(estimator).with_after_contact(after_contact);
+        Run::new(scenario, options)
     };
-    let to_contact = run_all(AfterContact::Stop)?;
-    let to_the_end = run_all(AfterContact::Continue)?;
-    let pile_ups = simulate_batch(&to_the_end, Keep::Summary, |_, simulated| PileUp::of(&simulated));
-    let cases = simulate_batch(&to_contact, Keep::Trace, |index, simulated| {
-        Case::of(to_contact[index].scenario(), &controllers[index % controllers.len()], simulated)
+    let pairs: Vec<_> = scenarios.iter().flat_map(|&s| controllers.iter().map(move |c| (s, c))).collect();
+    let runs = pairs.iter().map(|(s, c)| prepare(s, c, AfterContact::Stop)).collect::<Result<Vec<_>, _>>()?;
+    let mut cases = simulate_batch(&runs, Keep::Trace, |index, simulated| {
+        let mut case = Case::of(pairs[index].0, pairs[index].1, simulated);
+        if motion == Motion::Dropped {
+            case.motion = None;
+        }
+        case
     });
-    let mut cases = cases.into_iter().zip(pile_ups).map(|(case, pile_up)| Case { pile_up, ..case });
+    let collided = (0..cases.len()).filter(|&index| !matches!(cases[index].verdict, Verdict::Safe { .. }));
+    let collided: Vec<usize> = collided.collect();
+    let to_the_end = collided.iter().map(|&index| prepare(pairs[index].0, pairs[index].1, AfterContact::Continue));
+    let to_the_end = to_the_end.collect::<Result<Vec<_>, _>>()?;
+    let pile_ups = simulate_batch(&to_the_end, Keep::Summary, |_, simulated| PileUp::of(&simulated));
+    for (index, pile_up) in collided.into_iter().zip(pile_ups) {
+        cases[index].pile_up = pile_up;
+    }
+    let mut cases = cases.into_iter();
     Ok(scenarios.iter().map(|_| cases.by_ref().take(controllers.len()).collect()).collect())
 }
 
@@ -189,7 +239,7 @@ impl Case {
         let followers: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index + 1)).collect();
         Self {
             controller: controller.name(),
-            verdict: Verdict::of(&simulated.outcome, scenario),
+            verdict: Verdict::of(&simulated, scenario),
             ahead: Towards::worst(&own),
             behind: Towards::worst(&followers),
             peak_brake_mps2: largest(own.iter().map(|m| m.peak_brake_mps2)).map(Rounded::new),
@@ -205,12 +255,18 @@ impl Case {
 impl Towards {
     fn worst(vehicles: &[Measures]) -> Self {
         let ahead: Vec<_> = vehicles.iter().filter_map(|measures| measures.ahead).collect();
+        // At a contact the deceleration that would have avoided it grows without bound: no number is the worst one.
+        let touched = ahead.iter().any(|a| a.min_gap_m == Some(0.0));
+        let demand = |of: fn(&measure::Ahead) -> Option<f64>| {
+            if touched { None } else { largest(ahead.iter().map(of)).map(Rounded::new) }
+        };
         Self {
             min_gap_m: smallest(ahead.iter().map(|a| a.min_gap_m)).map(Rounded::new),
             min_ttc_s: smallest(ahead.iter().map(|a| a.min_ttc_s)).map(Rounded::new),
+            min_time_headway_s: smallest(ahead.iter().map(|a| a.min_time_headway_s)).map(Rounded::new),
             min_time_gap_s: smallest(ahead.iter().map(|a| a.min_time_gap_s)).map(Rounded::new),
-            max_drac_mps2: largest(ahead.iter().map(|a| a.max_drac_mps2)).map(Rounded::new),
-            max_required_brake_mps2: largest(ahead.iter().map(|a| a.max_required_brake_mps2)).map(Rounded::new),
+            max_drac_mps2: demand(|a| a.max_drac_mps2),
+            max_required_brake_mps2: demand(|a| a.max_required_brake_mps2),
             tet_s: largest(ahead.iter().map(|a| Some(a.tet_s))).unwrap_or(0.0).into(),
             tit_s2: largest(ahead.iter().map(|a| Some(a.tit_s2))).unwrap_or(0.0).into(),
             standstill_gap_m: smallest(ahead.iter().map(|a| a.standstill_gap_m)).map(Rounded::new),

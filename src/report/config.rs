@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::estimate::EstimatorKind;
 use crate::scenario::file::{self, FileError};
-use crate::scenario::{ControllerSpec, Scenario};
+use crate::scenario::{ControllerSpec, Scenario, built_in_names};
 
 /// The version of the configuration format this release reads.
 pub const CONFIG_VERSION: u32 = 1;
@@ -134,12 +134,31 @@ impl Plan {
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut traffic = Vec::new();
         for (index, named) in config.scenarios.iter().enumerate() {
-            let found = file::load_all(&folder.join(named))?;
+            let field = format!("scenarios[{index}]");
+            let found = match file::load_all(&folder.join(named)) {
+                Err(FileError::Read { path, source }) if source.kind() == std::io::ErrorKind::NotFound => {
+                    return Err(wrong(&field, format!("there is no {}", path.display())));
+                }
+                other => other?,
+            };
             if found.is_empty() {
                 let problem = format!("the folder {} holds no scenario file", named.display());
-                return Err(wrong(&format!("scenarios[{index}]"), problem));
+                return Err(wrong(&field, problem));
+            }
+            let untested = found.iter().find(|(_, scenario)| !scenario.has_vehicle_under_test());
+            if let Some((path, _)) = untested {
+                return Err(wrong(&field, format!("{}: no vehicle is under test", path.display())));
             }
             traffic.extend(found);
+        }
+        let mut names: Vec<_> = built_in_names().iter().map(|(name, _)| (*name).to_owned()).collect();
+        for (found_at, scenario) in &traffic {
+            let name = &scenario.spec().name;
+            if names.contains(name) {
+                let problem = format!("{}: the name `{name}` is taken by another scenario", found_at.display());
+                return Err(wrong("scenarios", problem));
+            }
+            names.push(name.clone());
         }
         Ok(Self { config, controllers, traffic })
     }

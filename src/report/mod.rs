@@ -16,7 +16,7 @@ use maud::Markup;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-pub use case::{Case, PileUp, RoundedContact, Towards, Verdict};
+pub use case::{Case, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards, Verdict};
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, Plan};
 pub use interval::RateInterval;
 pub use parts::{
@@ -25,6 +25,7 @@ pub use parts::{
 };
 pub use rounded::Rounded;
 
+use crate::scenario::InvalidField;
 use crate::sim::RunError;
 
 /// The version of the JSON evidence this release writes.
@@ -61,13 +62,25 @@ pub trait Part {
     fn markdown(&self) -> String;
 }
 
+/// Why an assessment could not be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum AssessError {
+    /// A scenario cannot be run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A draw of the paper's distribution is not a valid scenario.
+    #[error("a draw of the paper's distribution is invalid: {0}")]
+    Draw(#[from] InvalidField),
+}
+
 /// Gathers the evidence a plan asks for.
 ///
 /// `done` is told after each stage how many of the plan's runs are done.
 ///
 /// # Errors
-/// [`RunError`] if a scenario cannot be run, which a valid one can.
-pub fn assess(plan: &Plan, done: &dyn Fn(u64)) -> Result<Assessment, RunError> {
+/// [`AssessError`] if a scenario cannot be run or drawn.
+pub fn assess(plan: &Plan, done: &dyn Fn(u64)) -> Result<Assessment, AssessError> {
     let paper_scenarios = PaperScenarios::gather(plan)?;
     done(plan.paper_runs());
     let distribution = Distribution::gather(plan, &|draws| done(plan.paper_runs() + draws))?;

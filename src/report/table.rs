@@ -57,6 +57,10 @@ impl Cell {
         Self { text: number.to_string(), mark: Mark::Number }
     }
 
+    pub(super) fn marked(text: impl ToString, mark: Mark) -> Self {
+        Self { text: text.to_string(), mark }
+    }
+
     pub(super) fn judged(text: impl ToString, good: bool) -> Self {
         Self { text: text.to_string(), mark: if good { Mark::Good } else { Mark::Bad } }
     }

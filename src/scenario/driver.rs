@@ -315,8 +315,12 @@ impl<'de> Deserialize<'de> for Driver {
                 DriverForm::deserialize(de::value::MapAccessDeserializer::new(de::value::MapDeserializer::new(named)))
             }
 
-            fn visit_map<A: de::MapAccess<'de>>(self, map: A) -> Result<DriverForm, A::Error> {
-                DriverForm::deserialize(de::value::MapAccessDeserializer::new(map))
+            fn visit_map<A: de::MapAccess<'de>>(self, mut map: A) -> Result<DriverForm, A::Error> {
+                let driver = DriverForm::deserialize(de::value::MapAccessDeserializer::new(&mut map))?;
+                match map.next_key::<String>()? {
+                    None => Ok(driver),
+                    Some(second) => Err(de::Error::custom(format!("a vehicle has one driver, `{second}` is a second"))),
+                }
             }
         }
         deserializer.deserialize_any(NameOrTable).map(Into::into)

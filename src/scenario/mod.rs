@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 pub use driver::{AccAebSettings, AebSettings, ConstantBrakeSettings, ControllerSpec, Driver, IdmSettings};
 pub use paper::{PaperDistribution, built_in, built_in_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};
+pub(crate) use validate::whole_multiple;
 pub use validate::{InvalidField, Problem};
 pub use vehicle::{VehicleClass, VehicleSpec};
 
@@ -24,7 +25,7 @@ pub const SCENARIO_VERSION: u32 = 1;
 
 /// A scenario as a file states it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a scenario: a table of fields")]
 #[schemars(rename = "Scenario", title = "crumple scenario, version 1")]
 pub struct ScenarioSpec {
     /// Version of the file format: 1.
@@ -67,7 +68,8 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Environment {
-    /// Share of its dry-road braking that every vehicle can use: 1 is dry, about 0.3 is snow, 0.1 to 0.2 is ice.
+    /// Share of its dry-road braking that every vehicle can use, scripted ones included: 1 is dry, about 0.3 is snow, 0.1
+    /// to 0.2 is ice.
     #[schemars(range(min = 0.01, max = 1.0))]
     pub friction: f64,
 }
@@ -142,6 +144,12 @@ impl Scenario {
     #[must_use]
     pub fn vehicles(&self) -> &[VehicleSpec] {
         &self.spec.vehicles
+    }
+
+    /// Whether some vehicle's driver is left to the run.
+    #[must_use]
+    pub fn has_vehicle_under_test(&self) -> bool {
+        self.spec.vehicles.iter().any(|vehicle| vehicle.driver == Driver::UnderTest)
     }
 
     /// The number of steps of `step_s` in `duration_s`.

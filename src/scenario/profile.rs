@@ -2,7 +2,8 @@
 //!
 //! A profile is asked once a step for the acceleration to hold over that step. Where the script changes inside a step,
 //! the answer is its mean over the step, so that speeds at step boundaries are those of the script. Profiles that end
-//! at a speed look at the vehicle's own speed, which keeps them true under noise and actuator limits.
+//! at a speed look at the vehicle's own speed, which keeps them true under noise. A vehicle that follows a script has
+//! neither delay nor lag; on a slippery road it brakes as hard as the script says and the road allows.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -83,7 +84,7 @@ pub struct Pieces {
     pub accel_mps2: Vec<f64>,
 }
 
-/// Follow recorded speeds, linear between samples; the last speed is held.
+/// Follow recorded speeds, linear between samples, as closely as the vehicle's limits allow; the last speed is held.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recorded {
@@ -125,15 +126,20 @@ impl LeadProfile {
         }
     }
 
-    /// The hardest braking the profile asks for, in m/s², positive; 0 if it only follows speeds.
+    /// Lowest and highest acceleration the script asks for, in m/s².
+    ///
+    /// A recording asks for speeds: it is followed as closely as the vehicle's limits allow, and counts as `[0, 0]`.
     #[must_use]
-    pub fn hardest_brake_mps2(&self) -> f64 {
+    pub fn acceleration_range_mps2(&self) -> [f64; 2] {
         match self {
-            Self::ConstantSpeed | Self::Recorded(_) => 0.0,
-            Self::Brake(brake) => brake.rate_mps2,
-            Self::RampBrake(ramp) => ramp.rate_mps2,
-            Self::BrakeToSpeed(brake) => brake.rate_mps2,
-            Self::Pieces(pieces) => pieces.accel_mps2.iter().fold(0.0, |hardest, &a| hardest.max(-a)),
+            Self::ConstantSpeed | Self::Recorded(_) => [0.0, 0.0],
+            Self::Brake(brake) => [-brake.rate_mps2, 0.0],
+            Self::RampBrake(ramp) => [-ramp.rate_mps2, 0.0],
+            Self::BrakeToSpeed(brake) => [-brake.rate_mps2, 0.0],
+            Self::Pieces(pieces) => pieces
+                .accel_mps2
+                .iter()
+                .fold([0.0, 0.0], |[lowest, highest]: [f64; 2], &a| [lowest.min(a), highest.max(a)]),
         }
     }
 }

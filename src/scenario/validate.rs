@@ -50,6 +50,9 @@ pub enum Problem {
         /// How many there are.
         found: usize,
     },
+    /// A name that would garble a terminal.
+    #[error("must not hold control characters")]
+    ControlCharacter,
     /// Times of a profile that do not increase.
     #[error("must increase, but {found} follows {before}")]
     NotIncreasing {
@@ -86,6 +89,19 @@ pub enum Problem {
         /// What the profile asks for, in m/s².
         found: f64,
     },
+    /// A profile that asks for more acceleration than the vehicle has.
+    #[error(
+        "asks for {found} m/s² from a vehicle that can accelerate at {limit} m/s² at most: raise its max_accel_mps2"
+    )]
+    AccelBeyondLimit {
+        /// The limit of the vehicle, in m/s².
+        limit: f64,
+        /// What the profile asks for, in m/s².
+        found: f64,
+    },
+    /// A delay, lag or jerk limit on a vehicle that follows a script.
+    #[error("has no place on a vehicle that follows a script: put the delay into the script")]
+    Scripted,
     /// A duration that is not a whole number of steps.
     #[error("must be a whole number of steps of {step_s} s, found {found} s")]
     NotWholeSteps {
@@ -146,6 +162,9 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
         return root.at("version").wrong(Problem::Version { found: spec.version });
     }
     root.at("name").length(spec.name.chars().count(), 1, 200, "characters")?;
+    if spec.name.chars().any(char::is_control) {
+        return root.at("name").wrong(Problem::ControlCharacter);
+    }
     root.at("step_s").number(spec.step_s, from(1e-4, 1.0))?;
     root.at("duration_s").number(spec.duration_s, above(0.0, 1e5))?;
     if i64::try_from(spec.seed).is_err() {
@@ -182,13 +201,18 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
 }
 
 fn whole_steps(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
-    let steps = (spec.duration_s / spec.step_s).round();
-    // A tenth of a millionth of a step is far above rounding and far below intent.
-    if steps < 1.0 || (steps * spec.step_s - spec.duration_s).abs() > 1e-7 * spec.step_s.max(spec.duration_s) {
-        let problem = Problem::NotWholeSteps { step_s: spec.step_s, found: spec.duration_s };
-        return Place(String::new()).at("duration_s").wrong(problem);
+    let problem = Problem::NotWholeSteps { step_s: spec.step_s, found: spec.duration_s };
+    match whole_multiple(spec.duration_s, spec.step_s) {
+        Some(steps) => Ok(steps),
+        None => Place(String::new()).at("duration_s").wrong(problem),
     }
-    Ok(steps as usize)
+}
+
+/// How often `part` goes into `whole`, if a whole number of times up to rounding.
+pub(crate) fn whole_multiple(whole: f64, part: f64) -> Option<usize> {
+    let times = (whole / part).round();
+    let fits = (1.0..=1e9).contains(&times) && (times * part - whole).abs() <= 1e-9 * whole;
+    fits.then_some(times as usize)
 }
 
 fn check_vehicle(place: &Place, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
@@ -208,10 +232,37 @@ fn check_vehicle(place: &Place, vehicle: &VehicleSpec) -> Result<(), InvalidFiel
         Driver::UnderTest => Ok(()),
         Driver::Profile(profile) => {
             check_profile(&driver, profile)?;
-            let (limit, found) = (vehicle.max_brake_mps2(), profile.hardest_brake_mps2());
-            if found > limit { driver.wrong(Problem::BrakeBeyondLimit { limit, found }) } else { Ok(()) }
+            check_within_limits(&driver, vehicle, profile)?;
+            check_follows_at_once(place, vehicle)
         }
         Driver::Controller(controller) => check_controller(&driver, controller),
+    }
+}
+
+/// A script that the vehicle could not follow on a dry road is a mistake, not a scenario.
+fn check_within_limits(driver: &Place, vehicle: &VehicleSpec, profile: &LeadProfile) -> Result<(), InvalidField> {
+    let [lowest_mps2, highest_mps2] = profile.acceleration_range_mps2();
+    let (max_brake_mps2, max_accel_mps2) = (vehicle.max_brake_mps2(), vehicle.max_accel_mps2());
+    if -lowest_mps2 > max_brake_mps2 {
+        return driver.wrong(Problem::BrakeBeyondLimit { limit: max_brake_mps2, found: -lowest_mps2 });
+    }
+    if highest_mps2 > max_accel_mps2 {
+        return driver.wrong(Problem::AccelBeyondLimit { limit: max_accel_mps2, found: highest_mps2 });
+    }
+    Ok(())
+}
+
+/// A script says when a vehicle does what: a delay or lag on top would make the script untrue.
+fn check_follows_at_once(place: &Place, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
+    let delays = [
+        ("reaction_delay_s", vehicle.reaction_delay_s > 0.0),
+        ("actuator_lag_s", vehicle.actuator_lag_s > 0.0),
+        ("actuator_delay_s", vehicle.actuator_delay_s > 0.0),
+        ("jerk_limit_mps3", vehicle.jerk_limit_mps3.is_some()),
+    ];
+    match delays.into_iter().find(|(_, given)| *given) {
+        Some((field, _)) => place.at(field).wrong(Problem::Scripted),
+        None => Ok(()),
     }
 }
 

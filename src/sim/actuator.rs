@@ -31,12 +31,14 @@ struct Sluggish {
 impl Actuator {
     /// The actuator of vehicle `index`.
     ///
-    /// Reaction delay and actuator delay add up: every built-in driver answers what it sees in the same way at any time,
-    /// so seeing late and acting late are one thing.
+    /// Reaction delay and actuator delay add up: a controller answers what it sees in the same way at any time, so seeing
+    /// late and acting late are one thing.
     pub(super) fn new(scenario: &Scenario, index: usize) -> Self {
         let vehicle = &scenario.vehicles()[index];
         let step_s = scenario.spec().step_s;
         let delay_steps = ((vehicle.reaction_delay_s + vehicle.actuator_delay_s) / step_s).round() as usize;
+        // What is still under way when the scenario ends need not be kept.
+        let delay_steps = delay_steps.min(scenario.steps());
         let lag_s = vehicle.actuator_lag_s;
         let is_sluggish = delay_steps > 0 || lag_s > 0.0 || vehicle.jerk_limit_mps3.is_some();
         let sluggish = is_sluggish.then(|| {
@@ -78,6 +80,8 @@ pub(super) fn within(command_mps2: f64, max_brake_mps2: f64, max_accel_mps2: f64
 }
 
 /// A vehicle that stands and does not want to move is held by its brakes: nothing, noise included, moves it.
+///
+/// Not for vehicles that stick to others: what such a group does is decided on their summed forces.
 #[inline]
 pub(super) fn unless_at_rest(acceleration_mps2: f64, noise_mps2: f64, speed_mps: f64) -> f64 {
     if speed_mps == 0.0 && acceleration_mps2 <= 0.0 { 0.0 } else { acceleration_mps2 + noise_mps2 }

@@ -23,6 +23,11 @@ impl Platoon {
         self.motion[rear - 1].position_m - self.length_m[rear - 1] - self.motion[rear].position_m
     }
 
+    /// Whether a vehicle sticks to another one.
+    pub(super) fn is_stuck(&self, index: usize) -> bool {
+        [index, index + 1].into_iter().any(|rear| self.sticks.get(rear).is_some_and(|&sticks| sticks))
+    }
+
     /// Moves everybody by `dt_s`, through whatever contacts happen on the way, which are added to `impacts`.
     ///
     /// Accelerations must have been shared among vehicles that stick together. Returns how much of the step was done: all

@@ -1,6 +1,6 @@
 //! A scenario made ready to run: who drives what, through which eyes, how finely integrated.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use super::AfterContact;
 use super::actuator::{Actuator, Disturbance};
@@ -8,7 +8,7 @@ use super::motion::Motion;
 use super::platoon::Platoon;
 use crate::control::{AnyController, Controller, Ego};
 use crate::estimate::{EgoEstimator, EgoTuning, EstimatorKind, Neighbour, Observation, TrueState};
-use crate::scenario::{ControllerSpec, Driver, LeadProfile, Scenario};
+use crate::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, whole_multiple};
 
 /// Samples times vehicles beyond which a run is refused: 20 million, a trace of half a gigabyte.
 const MOST_VEHICLE_SAMPLES: usize = 20_000_000;
@@ -18,11 +18,12 @@ const MOST_VEHICLE_SAMPLES: usize = 20_000_000;
 pub enum UnderTest {
     /// A built-in controller.
     BuiltIn(ControllerSpec),
-    /// Anything else: called once for each vehicle under test.
+    /// Anything else.
     Custom(ControllerFactory),
 }
 
-/// Builds a controller for a vehicle.
+/// Builds a controller for a vehicle: called for each vehicle under test whenever a run is prepared or started, so a
+/// controller's state must begin anew with each call.
 pub type ControllerFactory = Arc<dyn Fn(&Ego) -> Box<dyn Controller> + Send + Sync>;
 
 impl From<ControllerSpec> for UnderTest {
@@ -117,7 +118,8 @@ pub struct Run<'s> {
     scenario: &'s Scenario,
     options: RunOptions,
     substeps: usize,
-    tuning: Arc<EgoTuning>,
+    /// Made when the first vehicle needs it: most runs with the true state never do.
+    tuning: OnceLock<EgoTuning>,
 }
 
 impl<'s> Run<'s> {
@@ -136,8 +138,7 @@ impl<'s> Run<'s> {
             let dt_s = options.dt_s.unwrap_or(step_s);
             return Err(RunError::TooFine { dt_s, limit: MOST_VEHICLE_SAMPLES, found });
         }
-        let run =
-            Self { scenario, options, substeps, tuning: Arc::new(EgoTuning::new(step_s, &scenario.spec().sensors)) };
+        let run = Self { scenario, options, substeps, tuning: OnceLock::new() };
         for index in 0..scenario.vehicles().len() {
             if let Pilot::Controller(controller) = run.pilot(index)
                 && let Some(interval_s) = controller.interval_s()
@@ -177,8 +178,8 @@ impl<'s> Run<'s> {
         step as f64 * self.scenario.spec().step_s + substep as f64 * self.dt_s()
     }
 
-    pub(super) fn tuning(&self) -> &Arc<EgoTuning> {
-        &self.tuning
+    pub(super) fn tuning(&self) -> &EgoTuning {
+        self.tuning.get_or_init(|| EgoTuning::new(self.scenario.spec().step_s, &self.scenario.spec().sensors))
     }
 
     fn ego(&self, index: usize) -> Ego {
@@ -210,7 +211,7 @@ impl<'s> Run<'s> {
         let estimates = vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
         estimates.then(|| {
             let spec = self.scenario.spec();
-            EgoEstimator::new(spec.seed, index, &spec.sensors, &self.tuning, &truth(platoon, index))
+            EgoEstimator::new(spec.seed, index, &spec.sensors, self.tuning(), &truth(platoon, index))
         })
     }
 
@@ -236,13 +237,6 @@ impl<'s> Run<'s> {
             min_gap_m: (0..vehicles.len()).map(|i| self.scenario.initial_gap_m(i).unwrap_or(f64::INFINITY)).collect(),
         }
     }
-}
-
-/// How often `part` goes into `whole`, if a whole number of times up to rounding.
-fn whole_multiple(whole: f64, part: f64) -> Option<usize> {
-    let times = (whole / part).round();
-    let fits = (1.0..=1e9).contains(&times) && (times * part - whole).abs() <= 1e-9 * whole;
-    fits.then_some(times as usize)
 }
 
 /// Whoever decides a vehicle's acceleration.

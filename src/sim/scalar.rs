@@ -8,7 +8,7 @@ use super::recorder::{Tally, finished, summary, ttc_s};
 use super::run::{Pilot, truth};
 use super::{AfterContact, Keep, Run, Simulated, Trace};
 use crate::control::Controller;
-use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
+use crate::estimate::{EgoEstimator, TrueState};
 
 /// Runs a scenario.
 #[must_use]
@@ -25,7 +25,7 @@ pub fn simulate(run: &Run<'_>, keep: Keep) -> Simulated {
         let decided: Vec<f64> = seats
             .iter_mut()
             .enumerate()
-            .map(|(index, seat)| seat.decide(&truth(&platoon, index), run.tuning(), span_s))
+            .map(|(index, seat)| seat.decide(&truth(&platoon, index), run, span_s, platoon.is_stuck(index)))
             .collect();
         for (motion, acceleration_mps2) in platoon.motion.iter_mut().zip(decided) {
             motion.acceleration_mps2 = acceleration_mps2;
@@ -85,9 +85,9 @@ impl<'s> Seat<'s> {
         }
     }
 
-    fn decide(&mut self, truth: &TrueState, tuning: &EgoTuning, [from_s, to_s]: [f64; 2]) -> f64 {
+    fn decide(&mut self, truth: &TrueState, run: &Run<'_>, [from_s, to_s]: [f64; 2], is_stuck: bool) -> f64 {
         let seen = match &mut self.eyes {
-            Some(eyes) => eyes.observe(tuning, truth),
+            Some(eyes) => eyes.observe(run.tuning(), truth),
             None => truth.observation,
         };
         let speed_mps = truth.observation.speed_mps;
@@ -97,6 +97,6 @@ impl<'s> Seat<'s> {
         };
         let acceleration_mps2 = self.actuator.respond(command_mps2);
         let noise_mps2 = self.disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
-        unless_at_rest(acceleration_mps2, noise_mps2, speed_mps)
+        if is_stuck { acceleration_mps2 + noise_mps2 } else { unless_at_rest(acceleration_mps2, noise_mps2, speed_mps) }
     }
 }

@@ -4,6 +4,7 @@
 //! run, 25600 runs each a hundred times longer. Failures are kept beside the suite in `proptest-regressions/`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
 
+mod architecture;
 mod command_line;
 mod controllers;
 mod engines;
@@ -11,5 +12,6 @@ mod estimation;
 mod generate;
 mod paper;
 mod physics;
+mod report;
 mod scenario_files;
 mod schema;

@@ -6,7 +6,7 @@ use serde::Serialize;
 use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
 use crate::report::case::Verdict;
 use crate::report::table::{Cell, Table};
-use crate::report::{Part, Plan, RateInterval, Rounded};
+use crate::report::{AssessError, Part, Plan, RateInterval, Rounded};
 use crate::scenario::{ControllerSpec, PaperDistribution, Scenario};
 use crate::sim::{Keep, Run, RunError, RunOptions, Simulated, simulate_batch};
 
@@ -81,18 +81,25 @@ struct Draw {
     gaps_m: [Option<f64>; 2],
 }
 
+impl Sampled {
+    /// The exact bounds on the share of collisions, not rounded.
+    pub(super) fn bounds(&self, distribution: &Distribution) -> RateInterval {
+        RateInterval::exact(self.collisions, distribution.draws, distribution.confidence)
+    }
+}
+
 impl Distribution {
-    pub(in crate::report) fn gather(plan: &Plan, done: &dyn Fn(u64)) -> Result<Self, RunError> {
+    pub(in crate::report) fn gather(plan: &Plan, done: &dyn Fn(u64)) -> Result<Self, AssessError> {
         let config = &plan.config;
         let mut tallies: Vec<Tally> = plan.controllers.iter().map(|_| Tally::default()).collect();
         for from in (0..config.draws).step_by(DRAWS_AT_ONCE as usize) {
             let to = config.draws.min(from + DRAWS_AT_ONCE);
             let distribution = PaperDistribution { seed: config.seed };
-            let scenarios: Vec<Scenario> = (from..to).filter_map(|index| distribution.draw(index).ok()).collect();
+            let scenarios = (from..to).map(|index| distribution.draw(index)).collect::<Result<Vec<_>, _>>()?;
             let mut first: Vec<bool> = Vec::new();
             for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
                 let draws = run_draws(&scenarios, controller, plan)?;
-                let collides: Vec<bool> = draws.iter().map(|draw| !draw.verdict.is_safe()).collect();
+                let collides: Vec<bool> = draws.iter().map(|draw| draw.verdict.is_collision()).collect();
                 if first.is_empty() {
                     first.clone_from(&collides);
                 }
@@ -113,7 +120,8 @@ impl Distribution {
     fn introduction(&self) -> String {
         format!(
             "{} draws (seed {}), the same for every controller: start, lead braking and its onset, the follower's class and \
-             braking, and noise on every acceleration are random. Bounds are exact (Clopper–Pearson, {} %).",
+             braking, and noise on the leader's and the follower's acceleration are random. Bounds are exact \
+             (Clopper–Pearson, {} %, each controller by itself), their ends rounded outwards.",
             self.draws,
             self.seed,
             100.0 * self.confidence
@@ -191,7 +199,7 @@ impl Draw {
     fn of(scenario: &Scenario, simulated: &Simulated) -> Self {
         let gap_m = |index: usize| simulated.vehicles.get(index).and_then(|vehicle| vehicle.min_gap_m);
         Self {
-            verdict: Verdict::of(&simulated.outcome, scenario),
+            verdict: Verdict::of(simulated, scenario),
             impact_speed_mps: simulated.outcome.contact().map(|contact| contact.impact_speed_mps),
             gaps_m: [gap_m(1), gap_m(2)],
         }
@@ -214,7 +222,7 @@ impl Tally {
     fn add(&mut self, draws: &[Draw], with_first: impl Iterator<Item = (bool, bool)>) {
         for draw in draws {
             self.draws += 1;
-            self.collisions += u64::from(!draw.verdict.is_safe());
+            self.collisions += u64::from(draw.verdict.is_collision());
             self.hit += u64::from(matches!(draw.verdict, Verdict::Hit(_)));
             self.was_hit += u64::from(matches!(draw.verdict, Verdict::WasHit(_)));
             self.impact_speed_sum_mps += draw.impact_speed_mps.unwrap_or(0.0);
@@ -243,8 +251,8 @@ impl Tally {
             was_hit: self.was_hit,
             rate_percent: Percent {
                 observed: Rounded::new(100.0 * observed),
-                lower: Rounded::new(100.0 * bounds.lower),
-                upper: Rounded::new(100.0 * bounds.upper),
+                lower: Rounded::down(100.0 * bounds.lower),
+                upper: Rounded::up(100.0 * bounds.upper),
             },
             min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
             min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),

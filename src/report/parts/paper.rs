@@ -4,10 +4,9 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use super::ScenarioCases;
-use crate::report::case::run_cases;
-use crate::report::{Part, Plan};
+use crate::report::case::{Motion, run_cases};
+use crate::report::{AssessError, Part, Plan};
 use crate::scenario::{Scenario, built_in, built_in_names};
-use crate::sim::RunError;
 
 /// Every controller in the paper's three scenarios.
 #[derive(Debug, Clone, Serialize)]
@@ -17,11 +16,14 @@ pub struct PaperScenarios {
 }
 
 impl PaperScenarios {
-    pub(in crate::report) fn gather(plan: &Plan) -> Result<Self, RunError> {
-        let scenarios: Vec<Scenario> = built_in_names().iter().filter_map(|(name, _)| built_in(name)).collect();
+    pub(in crate::report) fn gather(plan: &Plan) -> Result<Self, AssessError> {
+        let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
+        let known = built_in_names().into_iter().filter_map(|(name, _)| built_in(name));
+        let scenarios = known.map(seeded).collect::<Result<Vec<_>, _>>()?;
         let all: Vec<&Scenario> = scenarios.iter().collect();
-        let cases = run_cases(&all, &plan.controllers, plan.config.estimator)?;
-        let options = plan.simulate_options();
+        let cases = run_cases(&all, &plan.controllers, plan.config.estimator, Motion::Kept)?;
+        let seed = if plan.config.seed == 0 { String::new() } else { format!(" --seed {}", plan.config.seed) };
+        let options = plan.simulate_options() + &seed;
         let scenarios = scenarios
             .iter()
             .zip(cases)
@@ -32,8 +34,8 @@ impl PaperScenarios {
 }
 
 const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s²; behind it, at 16 m, the vehicle or vehicles under test; \
-    last, a follower whose emergency brake (the baseline's) fires at TTC < 1.4 s. Measures are those of the vehicle under \
-    test that fared worst; they end at the first contact. The pile-up is what follows when everybody drives on and \
+    last, a follower whose emergency brake (the baseline's) fires at TTC < 1.4 s. Each measure is that of the vehicle \
+    under test that fared worst by it, up to the first contact. The pile-up is what follows when everybody drives on and \
     vehicles that touch stick together.";
 
 impl Part for PaperScenarios {

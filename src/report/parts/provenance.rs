@@ -4,7 +4,6 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use crate::report::{AssessConfig, Part, Plan, sha256};
-use crate::scenario::file;
 
 /// What it takes to get the same evidence again.
 #[derive(Debug, Clone, Serialize)]
@@ -19,19 +18,26 @@ pub struct Provenance {
 
 impl Provenance {
     pub(in crate::report) fn of(plan: &Plan) -> Self {
-        let config = toml::to_string(&plan.config).unwrap_or_default();
-        let scenarios = plan.traffic.iter().map(|(_, scenario)| file::to_toml(scenario).unwrap_or_default());
-        let all = std::iter::once(config).chain(scenarios).collect::<Vec<_>>().join("\n");
+        // `Debug` writes every field of both, and cannot fail as a serializer can.
+        let scenarios = plan.traffic.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
+        let all = std::iter::once(format!("{:?}", plan.config)).chain(scenarios).collect::<Vec<_>>().join("\n");
         Self { crumple: env!("CARGO_PKG_VERSION"), config: plan.config.clone(), config_sha256: sha256(&all) }
     }
 
     fn lines(&self) -> Vec<(&'static str, String)> {
-        vec![
+        let lines = vec![
             ("crumple", self.crumple.to_owned()),
             ("estimator of the vehicles under test", self.config.estimator.name().to_owned()),
+            ("controllers", self.config.controllers.join(", ")),
+            ("draws", self.config.draws.to_string()),
             ("seed", self.config.seed.to_string()),
+            (
+                "scenarios from files",
+                self.config.scenarios.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", "),
+            ),
             ("configuration, SHA-256", self.config_sha256.clone()),
-        ]
+        ];
+        lines.into_iter().filter(|(_, value)| !value.is_empty()).collect()
     }
 }
 

@@ -52,7 +52,7 @@ impl ScenarioCases {
         ];
         self.rows(&header, |case| {
             vec![
-                Cell::judged(case.verdict.words(), case.verdict.is_safe()),
+                Cell::marked(case.verdict.words(), case.verdict.mark()),
                 Cell::number(or_dash(case.ahead.min_gap_m)),
                 Cell::number(or_dash(case.behind.min_gap_m)),
                 Cell::number(or_dash(case.ahead.min_ttc_s)),
@@ -68,6 +68,7 @@ impl ScenarioCases {
     pub(in crate::report) fn further_measures(&self) -> Table {
         let header = [
             "controller",
+            "min time headway (s)",
             "min time gap (s)",
             "max DRAC (m/s²)",
             "required brake (m/s²)",
@@ -81,6 +82,7 @@ impl ScenarioCases {
         ];
         self.rows(&header, |case| {
             vec![
+                Cell::number(or_dash(case.ahead.min_time_headway_s)),
                 Cell::number(or_dash(case.ahead.min_time_gap_s)),
                 Cell::number(or_dash(case.ahead.max_drac_mps2)),
                 Cell::number(or_dash(case.ahead.max_required_brake_mps2)),
@@ -107,7 +109,7 @@ impl ScenarioCases {
     pub(in crate::report) fn tables(&self) -> Markup {
         html! {
             (self.table().html())
-            details { summary { "further measures" } (self.further_measures().html()) }
+            details.measures { summary { "further measures" } (self.further_measures().html()) }
         }
     }
 

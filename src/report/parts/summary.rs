@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use super::{Distribution, PaperScenarios, Traffic};
-use crate::report::table::{Cell, Table};
+use crate::report::table::{Cell, Mark, Table};
 use crate::report::{Part, Plan, Rounded};
 
 /// Every claim about every controller.
@@ -33,39 +33,57 @@ pub struct Claim {
 pub enum Strength {
     /// It held whenever it was tried, so many times; that is all that is known.
     Tested {
-        /// How often it was tried.
+        /// How often it was tried, at least once.
         runs: u64,
     },
-    /// The share of failures is at most this.
+    /// The share of failures is at most this, with the stated confidence.
     Bounded {
-        /// Upper bound in percent.
+        /// Upper bound in percent, rounded up.
         upper_percent: Rounded<2>,
         /// Confidence of the bound, in percent.
         confidence_percent: Rounded<1>,
     },
-    /// The true share of failures may lie on either side of what is claimed.
-    Undecided {
-        /// Lower bound in percent.
+    /// The share of failures is more than claimed, with the stated confidence.
+    Exceeded {
+        /// Lower bound in percent, rounded down.
         lower_percent: Rounded<2>,
-        /// Upper bound in percent.
+        /// Confidence of the bound, in percent.
+        confidence_percent: Rounded<1>,
+    },
+    /// The bounds lie on both sides of what is claimed.
+    Undecided {
+        /// Lower bound in percent, rounded down.
+        lower_percent: Rounded<2>,
+        /// Upper bound in percent, rounded up.
         upper_percent: Rounded<2>,
     },
-    /// It failed.
+    /// It failed: there are runs to show for it.
     Refuted {
         /// How often.
         failures: u64,
         /// Out of how many.
         runs: u64,
     },
+    /// It was never tried.
+    Untried,
 }
 
 impl Strength {
+    /// Of the claim that nothing fails, after `failures` in `runs`.
     fn of(failures: u64, runs: u64) -> Self {
-        if failures == 0 { Self::Tested { runs } } else { Self::Refuted { failures, runs } }
+        match (failures, runs) {
+            (_, 0) => Self::Untried,
+            (0, _) => Self::Tested { runs },
+            _ => Self::Refuted { failures, runs },
+        }
     }
 
-    fn holds(&self) -> bool {
-        matches!(self, Self::Tested { .. } | Self::Bounded { .. })
+    fn mark(&self) -> Mark {
+        match self {
+            Self::Tested { .. } | Self::Bounded { .. } => Mark::Good,
+            Self::Undecided { .. } | Self::Untried => Mark::None,
+            Self::Exceeded { .. } | Self::Refuted { .. } => Mark::Bad,
+        }
     }
 
     fn words(&self) -> String {
@@ -74,10 +92,14 @@ impl Strength {
             Self::Bounded { upper_percent, confidence_percent } => {
                 format!("bounded: at most {upper_percent} %, confidence {confidence_percent} %")
             }
+            Self::Exceeded { lower_percent, confidence_percent } => {
+                format!("exceeded: at least {lower_percent} %, confidence {confidence_percent} %")
+            }
             Self::Undecided { lower_percent, upper_percent } => {
                 format!("undecided: {lower_percent} to {upper_percent} %")
             }
             Self::Refuted { failures, runs } => format!("refuted: {failures} of {runs} collide"),
+            Self::Untried => "not tried".to_owned(),
         }
     }
 }
@@ -90,7 +112,10 @@ impl Summary {
         traffic: Option<&Traffic>,
     ) -> Self {
         let mut claims = vec![
-            Claim { claim: "no contact in the paper's scenarios", strengths: in_paper(plan, paper) },
+            Claim {
+                claim: "no contact in the paper's scenarios",
+                strengths: no_contact(&paper.scenarios, plan.controllers.len()),
+            },
             Claim {
                 claim: "no contact in the paper's distribution",
                 strengths: distribution
@@ -102,11 +127,9 @@ impl Summary {
             Claim { claim: "contact in at most 1 % of the paper's distribution", strengths: rarely(distribution) },
         ];
         if let Some(traffic) = traffic {
-            let runs = traffic.scenarios.len();
-            let of = |safe: usize| Strength::of((runs - safe) as u64, runs as u64);
             claims.push(Claim {
                 claim: "no contact in recorded traffic and other scenarios",
-                strengths: traffic.safe_counts().into_iter().map(of).collect(),
+                strengths: no_contact(&traffic.scenarios, plan.controllers.len()),
             });
         }
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name()).collect();
@@ -118,20 +141,23 @@ impl Summary {
         let header: Vec<&str> = std::iter::once("claim").chain(self.controllers.iter().copied()).collect();
         let mut table = Table::new(&header);
         for claim in &self.claims {
-            let cells = claim.strengths.iter().map(|strength| Cell::judged(strength.words(), strength.holds()));
+            let cells = claim.strengths.iter().map(|strength| Cell::marked(strength.words(), strength.mark()));
             table.row(std::iter::once(Cell::text(claim.claim)).chain(cells).collect());
         }
         table
     }
 }
 
-fn in_paper(plan: &Plan, paper: &PaperScenarios) -> Vec<Strength> {
-    let runs = paper.scenarios.len() as u64;
-    let failures = |index: usize| {
-        let collides = |s: &&super::ScenarioCases| s.cases.get(index).is_some_and(|case| !case.verdict.is_safe());
-        paper.scenarios.iter().filter(collides).count() as u64
+/// Of the claim that no vehicle under test touches anybody in any of the scenarios. Runs in which others crash first say
+/// nothing and do not count.
+fn no_contact(scenarios: &[super::ScenarioCases], controllers: usize) -> Vec<Strength> {
+    let of = |index: usize| {
+        let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| case.verdict);
+        let counted: Vec<_> = verdicts.filter(crate::report::Verdict::counts).collect();
+        let failures = counted.iter().filter(|verdict| verdict.is_collision()).count();
+        Strength::of(failures as u64, counted.len() as u64)
     };
-    (0..plan.controllers.len()).map(|index| Strength::of(failures(index), runs)).collect()
+    (0..controllers).map(of).collect()
 }
 
 /// The largest share of collisions that still counts as rare, in percent.
@@ -141,21 +167,27 @@ fn rarely(distribution: &Distribution) -> Vec<Strength> {
     // Each end of a two-sided interval is a one-sided bound at half the risk.
     let confidence_percent = Rounded::new(50.0 + 50.0 * distribution.confidence);
     let strength = |sampled: &super::Sampled| {
-        let super::Percent { lower, upper, .. } = sampled.rate_percent;
-        if upper.value() <= RARE_PERCENT {
-            Strength::Bounded { upper_percent: upper, confidence_percent }
-        } else if lower.value() > RARE_PERCENT {
-            Strength::Refuted { failures: sampled.collisions, runs: distribution.draws }
+        if distribution.draws == 0 {
+            return Strength::Untried;
+        }
+        let bounds = sampled.bounds(distribution);
+        let (lower_percent, upper_percent) = (Rounded::down(100.0 * bounds.lower), Rounded::up(100.0 * bounds.upper));
+        if 100.0 * bounds.upper <= RARE_PERCENT {
+            Strength::Bounded { upper_percent, confidence_percent }
+        } else if 100.0 * bounds.lower > RARE_PERCENT {
+            Strength::Exceeded { lower_percent, confidence_percent }
         } else {
-            Strength::Undecided { lower_percent: lower, upper_percent: upper }
+            Strength::Undecided { lower_percent, upper_percent }
         }
     };
     distribution.controllers.iter().map(strength).collect()
 }
 
 fn paragraph(controllers: &[&str], claims: &[Claim], distribution: &Distribution) -> String {
-    let all_hold = |index: usize| claims.iter().all(|c| c.strengths.get(index).is_some_and(Strength::holds));
-    let (sound, failing): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(|&index| all_hold(index));
+    let collides = |&index: &usize| {
+        claims.iter().any(|claim| matches!(claim.strengths.get(index), Some(Strength::Refuted { .. })))
+    };
+    let (failing, sound): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(collides);
     let named = |indices: &[usize]| {
         let names: Vec<_> = indices.iter().filter_map(|&index| controllers.get(index).copied()).collect();
         match names.split_last() {
@@ -166,7 +198,7 @@ fn paragraph(controllers: &[&str], claims: &[Claim], distribution: &Distribution
     };
     let mut text = format!("Without a collision wherever they were tried: {}. ", named(&sound));
     text += &format!("With at least one: {}. ", named(&failing));
-    if let Some(first) = distribution.controllers.first() {
+    if let Some(first) = distribution.controllers.first().filter(|_| distribution.draws > 0) {
         text += &format!(
             "The {} collides in {} of {} draws of the paper's distribution, in {} of them because it is hit from behind. ",
             first.controller, first.collisions, distribution.draws, first.was_hit

@@ -1,10 +1,12 @@
 //! Scenarios from files: recorded traffic, and whatever else the configuration names.
 
+use std::path::Path;
+
 use maud::{Markup, html};
 use serde::Serialize;
 
 use super::ScenarioCases;
-use crate::report::case::{Case, run_cases};
+use crate::report::case::{Case, Motion, Verdict, run_cases};
 use crate::report::table::{Cell, Table};
 use crate::report::{Part, Plan};
 use crate::sim::RunError;
@@ -17,6 +19,9 @@ const MOST_FIGURES: usize = 12;
 pub struct Traffic {
     /// One entry a scenario.
     pub scenarios: Vec<ScenarioCases>,
+    /// Those shown in detail.
+    #[serde(skip)]
+    closest_first: Vec<usize>,
 }
 
 impl Traffic {
@@ -24,27 +29,23 @@ impl Traffic {
         if plan.traffic.is_empty() {
             return Ok(None);
         }
-        let scenarios: Vec<_> = plan.traffic.iter().map(|(_, scenario)| scenario).collect();
-        let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator)?;
         let options = plan.simulate_options();
-        let scenarios = plan
-            .traffic
-            .iter()
-            .zip(cases)
-            .map(|((path, scenario), cases)| {
-                ScenarioCases::new(scenario, &format!("{}{options}", path.display()), cases)
-            })
-            .collect();
-        Ok(Some(Self { scenarios }))
-    }
-
-    /// How many scenarios each controller got through, in the order of the cases.
-    pub(super) fn safe_counts(&self) -> Vec<usize> {
-        let controllers = self.scenarios.first().map_or(0, |scenario| scenario.cases.len());
-        let safe = |index: usize| {
-            self.scenarios.iter().filter(|s| s.cases.get(index).is_some_and(|case| case.verdict.is_safe())).count()
+        let run = |indices: &[usize], motion: Motion| -> Result<Vec<ScenarioCases>, RunError> {
+            let chosen: Vec<_> = indices.iter().filter_map(|&index| plan.traffic.get(index)).collect();
+            let scenarios: Vec<_> = chosen.iter().map(|(_, scenario)| scenario).collect();
+            let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
+            let named = chosen.iter().zip(cases).map(|((path, scenario), cases)| {
+                ScenarioCases::new(scenario, &format!("{}{options}", for_shell(path)), cases)
+            });
+            Ok(named.collect())
         };
-        (0..controllers).map(safe).collect()
+        let mut scenarios = run(&(0..plan.traffic.len()).collect::<Vec<_>>(), Motion::Dropped)?;
+        // Motion is kept only where it is drawn: hundreds of traces would not fit in memory.
+        let closest_first = most_telling(&scenarios);
+        for (&index, drawn) in closest_first.iter().zip(run(&closest_first, Motion::Kept)?) {
+            scenarios[index] = drawn;
+        }
+        Ok(Some(Self { scenarios, closest_first }))
     }
 
     fn overview(&self) -> Table {
@@ -52,35 +53,44 @@ impl Traffic {
         let header: Vec<&str> = std::iter::once("scenario").chain(names).collect();
         let mut table = Table::new(&header);
         for scenario in &self.scenarios {
-            let cells = scenario.cases.iter().map(|case| Cell::judged(words(case), case.verdict.is_safe()));
+            let cells = scenario.cases.iter().map(|case| Cell::marked(words(case), case.verdict.mark()));
             table.row(std::iter::once(Cell::text(&scenario.scenario)).chain(cells).collect());
         }
         table
     }
+}
 
-    /// Those with a collision first, then those in which somebody came closest.
-    fn most_telling(&self) -> Vec<&ScenarioCases> {
-        let mut scenarios: Vec<_> = self.scenarios.iter().collect();
-        let closest_m = |s: &ScenarioCases| {
-            let gaps = s.cases.iter().flat_map(|case| [case.ahead.min_gap_m, case.behind.min_gap_m]);
-            gaps.flatten().map(|gap| gap.value()).fold(f64::INFINITY, f64::min)
-        };
-        scenarios.sort_by(|a, b| closest_m(a).total_cmp(&closest_m(b)));
-        scenarios.truncate(MOST_FIGURES);
-        scenarios
-    }
+/// Indices of the scenarios to show in detail: those in which somebody came closest, contacts first.
+fn most_telling(scenarios: &[ScenarioCases]) -> Vec<usize> {
+    let closest_m = |index: &usize| {
+        let gaps = scenarios[*index].cases.iter().flat_map(|case| [case.ahead.min_gap_m, case.behind.min_gap_m]);
+        gaps.flatten().map(|gap| gap.value()).fold(f64::INFINITY, f64::min)
+    };
+    let mut indices: Vec<usize> = (0..scenarios.len()).collect();
+    indices.sort_by(|a, b| closest_m(a).total_cmp(&closest_m(b)));
+    indices.truncate(MOST_FIGURES);
+    indices
+}
+
+/// A path as a shell takes it.
+fn for_shell(path: &Path) -> String {
+    let path = path.to_string_lossy();
+    // Only a NUL cannot be quoted, and no path holds one.
+    shlex::try_quote(&path).map_or_else(|_| path.to_string(), |quoted| quoted.into_owned())
 }
 
 fn words(case: &Case) -> String {
     let gaps = [case.ahead.min_gap_m, case.behind.min_gap_m].into_iter().flatten();
-    match gaps.min_by(|a, b| a.value().total_cmp(&b.value())) {
-        Some(gap_m) if case.verdict.is_safe() => format!("{gap_m} m"),
+    match (gaps.min_by(|a, b| a.value().total_cmp(&b.value())), case.verdict) {
+        (Some(gap_m), Verdict::Safe { closing_ttc_s: None }) => format!("{gap_m} m"),
+        (Some(gap_m), Verdict::Safe { closing_ttc_s: Some(ttc_s) }) => format!("{gap_m} m, closing (TTC {ttc_s} s)"),
         _ => case.verdict.words(),
     }
 }
 
 const INTRODUCTION: &str = "Each scenario the configuration names, under every controller: the smallest gap ahead of or \
-    behind a vehicle under test, or the first contact.";
+    behind a vehicle under test, or the first contact. \"Closing\" is a run that ended while two vehicles still approached \
+    each other: the scenario was over before its story was.";
 
 impl Part for Traffic {
     fn id(&self) -> &'static str {
@@ -92,7 +102,7 @@ impl Part for Traffic {
     }
 
     fn html(&self) -> Markup {
-        let telling = self.most_telling();
+        let telling: Vec<_> = self.closest_first.iter().filter_map(|&index| self.scenarios.get(index)).collect();
         html! {
             p { (INTRODUCTION) }
             (self.overview().html())

@@ -299,15 +299,19 @@ impl<'s> Column<'s> {
                 *decided = actuator.respond(*decided);
             }
         }
-        if self.disturbances.is_empty() {
-            for (decided, &speed_mps) in decided_mps2.iter_mut().zip(&self.speed_mps) {
+        let speeds_mps = decided_mps2.iter_mut().zip(&self.speed_mps);
+        let any_stuck = lanes.iter().any(|lane| !lane.impacts.is_empty());
+        if self.disturbances.is_empty() && !any_stuck {
+            for (decided, &speed_mps) in speeds_mps {
                 *decided = unless_at_rest(*decided, 0.0, speed_mps);
             }
         } else {
-            let disturbed = self.disturbances.iter_mut().zip(&self.speed_mps);
-            for (decided, (disturbance, &speed_mps)) in decided_mps2.iter_mut().zip(disturbed) {
-                let noise_mps2 = disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
-                *decided = unless_at_rest(*decided, noise_mps2, speed_mps);
+            for (lane, (decided, &speed_mps)) in speeds_mps.enumerate() {
+                let disturbance = self.disturbances.get_mut(lane).and_then(Option::as_mut);
+                let noise_mps2 = disturbance.map_or(0.0, Disturbance::next_mps2);
+                let is_stuck = any_stuck && (self.sticks[lane] || behind.is_some_and(|behind| behind.sticks[lane]));
+                *decided =
+                    if is_stuck { *decided + noise_mps2 } else { unless_at_rest(*decided, noise_mps2, speed_mps) };
             }
         }
     }

@@ -14,8 +14,11 @@ use rayon::prelude::*;
 use self::block::Block;
 use super::{Keep, Run, Simulated, UnderTest};
 
-/// Runs in a block: enough to fill vector registers and hide latencies, few enough to stay in the first-level cache.
-const BLOCK_RUNS: usize = 64;
+/// Most runs in a block: enough to fill vector registers and hide latencies, few enough to stay in the first-level cache.
+const MOST_RUNS: usize = 64;
+
+/// The same when traces are kept: each thread holds those of a whole block.
+const MOST_TRACED_RUNS: usize = 8;
 
 /// Runs all of `runs` and hands each result to `reduce`, with the index of its run, as soon as it is there.
 ///
@@ -24,9 +27,10 @@ const BLOCK_RUNS: usize = 64;
 pub fn simulate_batch<R: Send>(runs: &[Run<'_>], keep: Keep, reduce: impl Fn(usize, Simulated) -> R + Sync) -> Vec<R> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     order.sort_by(|&a, &b| compare_shapes(&runs[a], &runs[b]).then(a.cmp(&b)));
+    let most = if keep == Keep::Trace { MOST_TRACED_RUNS } else { MOST_RUNS };
     let blocks: Vec<&[usize]> = order
         .chunk_by(|&a, &b| compare_shapes(&runs[a], &runs[b]) == Ordering::Equal)
-        .flat_map(|alike| alike.chunks(BLOCK_RUNS))
+        .flat_map(|alike| alike.chunks(alike.len().div_ceil(rayon::current_num_threads()).min(most)))
         .collect();
     let mut results: Vec<(usize, R)> = blocks
         .into_par_iter()

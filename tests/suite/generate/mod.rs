@@ -91,14 +91,25 @@ struct Place(VehicleSpec);
 impl Place {
     fn driven_by(self, driver: Driver) -> VehicleSpec {
         let mut vehicle = VehicleSpec { driver, ..self.0 };
-        if let Driver::Profile(profile) = &vehicle.driver {
-            let asked_mps2 = profile.hardest_brake_mps2();
-            if asked_mps2 > vehicle.max_brake_mps2() {
-                vehicle.max_brake_mps2 = Some(asked_mps2);
-            }
+        if let Driver::Profile(profile) = vehicle.driver.clone() {
+            script(&mut vehicle, profile);
         }
         vehicle
     }
+}
+
+/// Makes a vehicle follow a script that it is able to follow: strong enough, and without delay.
+pub(crate) fn script(vehicle: &mut VehicleSpec, profile: LeadProfile) {
+    let [lowest_mps2, highest_mps2] = profile.acceleration_range_mps2();
+    if -lowest_mps2 > vehicle.max_brake_mps2() {
+        vehicle.max_brake_mps2 = Some(-lowest_mps2);
+    }
+    if highest_mps2 > vehicle.max_accel_mps2() {
+        vehicle.max_accel_mps2 = Some(highest_mps2);
+    }
+    (vehicle.reaction_delay_s, vehicle.actuator_delay_s, vehicle.actuator_lag_s) = (0.0, 0.0, 0.0);
+    vehicle.jerk_limit_mps3 = None;
+    vehicle.driver = Driver::Profile(profile);
 }
 
 fn vehicle() -> impl Strategy<Value = Place> {

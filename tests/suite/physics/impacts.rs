@@ -1,11 +1,11 @@
 //! Impacts keep momentum, take energy away and leave vehicles stuck together.
 
-use crumple::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec};
+use crumple::scenario::{LeadProfile, Scenario, ScenarioSpec};
 use crumple::sim::{AfterContact, Impact, Trace};
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{Setup, any_scenario, cases, traced};
+use crate::generate::{Setup, any_scenario, cases, script, traced};
 
 /// A line in which some vehicles do not look and the one ahead of them is slower.
 fn pile_up() -> impl Strategy<Value = Scenario> {
@@ -15,7 +15,7 @@ fn pile_up() -> impl Strategy<Value = Scenario> {
             for (index, (vehicle, (careless, extra_mps))) in spec.vehicles.iter_mut().zip(careless).enumerate() {
                 vehicle.speed_mps = 5.0 * index as f64 + extra_mps;
                 if careless {
-                    vehicle.driver = Driver::Profile(LeadProfile::ConstantSpeed);
+                    script(vehicle, LeadProfile::ConstantSpeed);
                 }
             }
         };

@@ -7,7 +7,8 @@ use proptest::prelude::*;
 
 use super::{grazes, trace_of};
 use crate::generate::{
-    Kind, Setup, Shape, any_after_contact, any_profile, any_scenario, any_setup, cases, noise_free, scenario_of, traced,
+    Kind, Setup, Shape, any_after_contact, any_profile, any_scenario, any_setup, cases, noise_free, scenario_of,
+    script, traced,
 };
 
 /// Two runs have the same impacts, apart from the numbers of the vehicles and the time, which may differ by a shift.
@@ -121,13 +122,13 @@ proptest! {
     #[test]
     fn one_more_vehicle_far_ahead(
         scenario in any_scenario(),
-        script in (0..6_usize).prop_flat_map(any_profile),
+        profile in (0..6_usize).prop_flat_map(any_profile),
         setup in any_setup(),
         after_contact in any_after_contact(),
     ) {
         let alone = noise_free(&scenario).edited(|spec| {
             spec.vehicles[0].max_brake_mps2 = Some(9.0);
-            spec.vehicles[0].driver = Driver::Profile(script);
+            script(&mut spec.vehicles[0], profile);
         }).unwrap();
         let far = VehicleSpec::new(VehicleClass::Light, 1e5, 50.0, Driver::Profile(LeadProfile::ConstantSpeed));
         let led = alone.edited(|spec| spec.vehicles.insert(0, far)).unwrap();
