@@ -60,9 +60,11 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
     assert_eq!(code(&resumed), 0, "{}", stderr(&resumed));
     assert_eq!(stdout(&resumed), stdout(&through));
     for seed in 0..2 {
-        for (name, (through, killed)) in
-            FILES.iter().zip(files(folder.path(), "through", seed).into_iter().zip(files(folder.path(), "killed", seed)))
-        {
+        for (name, (through, killed)) in FILES.iter().zip(files(folder.path(), "through", seed).into_iter().zip(files(
+            folder.path(),
+            "killed",
+            seed,
+        ))) {
             assert!(through == killed, "seed {seed}: {name}");
         }
     }
