@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::Args;
 use indicatif::ProgressBar;
@@ -11,7 +12,10 @@ use serde::Serialize;
 
 use super::output::{self, Files};
 use super::{Failure, learning_curve, progress};
-use crate::rl::{Evaluation, Event, HeldOut, Observer, Trainer, TrainingConfig, TrainingError, side_by_side, train};
+use crate::rl::{
+    Evaluation, Event, HeldOut, Observer, Trainer, TrainingConfig, TrainingError, UNSEEN_DRAWS, side_by_side, train,
+    unseen_contacts,
+};
 
 /// Train a driving policy by reinforcement learning
 #[derive(Args)]
@@ -58,6 +62,8 @@ struct SeedResult {
     best_episode: Option<u64>,
     #[serde(flatten)]
     evaluation: Option<Evaluation>,
+    /// Contacts among 1000 draws that took no part in training or selection.
+    unseen_contacts: u64,
     policy_sha256: String,
 }
 
@@ -153,12 +159,14 @@ fn train_seed(
     let mut scribe = Scribe::new(folder, trainer.episode(), bar)?;
     train::<Failure>(&mut trainer, held_out, &mut scribe)?;
     bar.inc(config.episodes.saturating_sub(trainer.episode()));
+    let policy = Arc::new(trainer.policy()?);
     Ok(SeedResult {
         seed,
         episodes: trainer.episode(),
         best_episode: trainer.best().map(|best| best.episode),
         evaluation: trainer.best().map(|best| best.evaluation),
-        policy_sha256: trainer.policy().map_err(Failure::from)?.digest(),
+        unseen_contacts: unseen_contacts(&policy, config.environment.estimator)?,
+        policy_sha256: policy.digest(),
     })
 }
 
@@ -224,28 +232,31 @@ impl Observer<Failure> for Scribe<'_> {
 /// The result for a reader.
 fn table(results: &[SeedResult]) -> String {
     let mut text = format!(
-        "{:>6} {:>9} {:>6} {:>7} {:>7} {:>7} {:>7} {:>10} {:>8}  policy\n",
-        "seed", "episodes", "best", "paper-1", "paper-2", "paper-3", "safe", "contacts", "gap m"
+        "{:>6} {:>8} {:>6}  {:<8} {:<8} {:<8} {:>10} {:>10} {:>7}  {}\n",
+        "seed", "episodes", "best", "paper-1", "paper-2", "paper-3", "held out", "unseen", "gap m", "policy"
     );
     for result in results {
         let Some(found) = &result.evaluation else { continue };
         let paper = found.paper_safe.map(|safe| if safe { "safe" } else { "CONTACT" });
-        let contacts = found.ranking_contacts.map_or("-".to_owned(), |contacts| contacts.to_string());
+        let held_out = match found.ranking_contacts {
+            Some(contacts) => format!("{contacts}"),
+            None => format!("{:.0} % safe", 100.0 * found.safe_share),
+        };
         text += &format!(
-            "{:>6} {:>9} {:>6} {:>7} {:>7} {:>7} {:>6.1}% {:>10} {:>8.2}  {}\n",
+            "{:>6} {:>8} {:>6}  {:<8} {:<8} {:<8} {held_out:>10} {:>10} {:>7.2}  {}\n",
             result.seed,
             result.episodes,
             result.best_episode.unwrap_or_default(),
             paper[0],
             paper[1],
             paper[2],
-            100.0 * found.safe_share,
-            contacts,
+            format!("{}/{UNSEEN_DRAWS}", result.unseen_contacts),
             found.smallest_gap_m,
             result.policy_sha256.get(..12).unwrap_or_default()
         );
     }
-    text
+    text + "held out, unseen: contacts in draws that select the policy, and in draws that had no part in it; gap: smallest \
+            over all but the unseen\n"
 }
 
 impl From<TrainingError> for Failure {

@@ -120,6 +120,22 @@ impl HeldOut {
     }
 }
 
+/// Draws in the final test of a policy.
+pub const UNSEEN_DRAWS: u64 = 1000;
+
+/// Seed of those draws: what `crumple assess` draws unless it is told otherwise. Neither training nor evaluation sees them.
+const UNSEEN_SEED: u64 = 0;
+
+/// Contacts among [`UNSEEN_DRAWS`] draws of the paper's distribution that took no part in training or selection.
+///
+/// # Errors
+/// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
+pub fn unseen_contacts(policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<u64, RunError> {
+    let draws = PaperDistribution { seed: UNSEEN_SEED };
+    let scenarios: Vec<_> = (0..UNSEEN_DRAWS).filter_map(|index| draws.draw(index).ok()).collect();
+    Ok(drive(&scenarios, policy, estimator)?.iter().filter(|run| run.contact_s.is_some()).count() as u64)
+}
+
 /// One evaluated run.
 struct Driven {
     contact_s: Option<f64>,

@@ -25,7 +25,7 @@ pub use config::{
     ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
 };
 pub use environment::{Consequence, Ending, Episode, bounds};
-pub use evaluation::{Evaluation, HeldOut};
+pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
 pub use learner::{Learner, Losses, Trained};
 pub use replay::{Batch, Replay, Transition};
 pub use seeds::{Event, Observer, side_by_side, train};

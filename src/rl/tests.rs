@@ -310,6 +310,8 @@ fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
     use crate::sim::{Keep, Outcome, Run, RunOptions, simulate_batch};
 
     let policy = Policy::reference();
+    let fast = serde_json::to_value(TrainingConfig::preset("fast").unwrap()).unwrap();
+    assert_eq!(policy.header().training, fast, "the committed preset reproduces the committed policy");
     let contacts = |scenarios: &[Scenario], estimator| {
         let options = RunOptions::new(Arc::clone(&policy)).with_estimator(estimator);
         let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, options.clone()).unwrap()).collect();
