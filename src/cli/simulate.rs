@@ -12,7 +12,7 @@ use crate::estimate::EstimatorKind;
 use crate::export;
 use crate::scenario::{Driver, Scenario};
 use crate::sim::{
-    AfterContact, Impact, Keep, Outcome, Run, RunOptions, Simulated, Trace, VehicleSummary, simulate_batch,
+    AfterContact, Contender, Impact, Keep, Outcome, Run, RunOptions, Simulated, Trace, VehicleSummary, simulate_batch,
 };
 
 /// Run scenarios and say what happened
@@ -30,7 +30,7 @@ pub(super) struct Simulate {
     scenarios: Vec<String>,
     /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = subject::controller)]
-    controller: subject::Subject,
+    controller: Contender,
     /// What the vehicles under test look through
     #[arg(long, value_enum, default_value = "kalman")]
     estimator: EstimatorKind,

@@ -6,8 +6,10 @@ use super::Rounded;
 use super::table::Mark;
 use crate::estimate::EstimatorKind;
 use crate::measure::{self, Measures};
-use crate::scenario::{ControllerSpec, Driver, Scenario};
-use crate::sim::{AfterContact, Contact, Impact, Keep, Run, RunError, RunOptions, Simulated, Trace, simulate_batch};
+use crate::scenario::{Driver, Scenario};
+use crate::sim::{
+    AfterContact, Contact, Contender, Impact, Keep, Run, RunError, RunOptions, Simulated, Trace, simulate_batch,
+};
 
 /// What came of one controller in one scenario.
 ///
@@ -15,7 +17,7 @@ use crate::sim::{AfterContact, Contact, Impact, Keep, Run, RunError, RunOptions,
 #[derive(Debug, Clone, Serialize)]
 pub struct Case {
     /// The controller's name.
-    pub controller: &'static str,
+    pub controller: String,
     /// Whether and how vehicles touched.
     pub verdict: Verdict,
     /// Towards the vehicle ahead of a vehicle under test.
@@ -187,12 +189,13 @@ pub(super) enum Motion {
 /// Runs every controller in every scenario and reports scenario by scenario, in the order given.
 pub(super) fn run_cases(
     scenarios: &[&Scenario],
-    controllers: &[ControllerSpec],
+    controllers: &[Contender],
     estimator: EstimatorKind,
     motion: Motion,
 ) -> Result<Vec<Vec<Case>>, RunError> {
-    let prepare = |scenario, controller: &ControllerSpec, after_contact| {
-        let options = RunOptions::new(controller.clone()).with_estimator(estimator).with_after_contact(after_contact);
+    let prepare = |scenario, controller: &Contender, after_contact| {
+        let options =
+            RunOptions::new(controller.controller.clone()).with_estimator(estimator).with_after_contact(after_contact);
         Run::new(scenario, options)
     };
     let pairs: Vec<_> = scenarios.iter().flat_map(|&s| controllers.iter().map(move |c| (s, c))).collect();
@@ -228,7 +231,7 @@ impl PileUp {
 }
 
 impl Case {
-    fn of(scenario: &Scenario, controller: &ControllerSpec, simulated: Simulated) -> Self {
+    fn of(scenario: &Scenario, controller: &Contender, simulated: Simulated) -> Self {
         let trace = simulated.trace.as_ref();
         let measured = |index: usize| trace.and_then(|trace| Measures::of(trace, &simulated.impacts, index));
         let under_test = scenario.vehicles().iter().enumerate().filter(|(_, v)| v.driver == Driver::UnderTest);
@@ -236,7 +239,7 @@ impl Case {
         let own: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index)).collect();
         let followers: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index + 1)).collect();
         Self {
-            controller: controller.name(),
+            controller: controller.name.clone(),
             verdict: Verdict::of(&simulated, scenario),
             ahead: Towards::worst(&own),
             behind: Towards::worst(&followers),

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::estimate::EstimatorKind;
 use crate::scenario::file::{self, FileError};
 use crate::scenario::{ControllerSpec, Scenario, built_in_names};
+use crate::sim::Contender;
 
 /// The version of the configuration format this release reads.
 pub const CONFIG_VERSION: u32 = 1;
@@ -22,7 +23,7 @@ const MOST_DRAWS: u64 = 10_000_000;
 pub struct AssessConfig {
     /// Version of the file format: 1.
     pub version: u32,
-    /// Controllers to compare, the baseline first. Default: all built-in ones.
+    /// Controllers to compare, built-in names or policy files, the baseline first. Default: all built-in ones.
     #[serde(default = "all_controllers")]
     pub controllers: Vec<String>,
     /// What the vehicles under test look through. Default: the Kalman filter.
@@ -85,7 +86,7 @@ pub enum ConfigError {
 #[derive(Debug, Clone)]
 pub struct Plan {
     pub(super) config: AssessConfig,
-    pub(super) controllers: Vec<ControllerSpec>,
+    pub(super) controllers: Vec<Contender>,
     /// Scenarios from files, in order of their paths, with the path as the configuration reaches it.
     pub(super) traffic: Vec<(PathBuf, Scenario)>,
 }
@@ -94,7 +95,7 @@ impl Plan {
     /// The built-in assessment.
     #[must_use]
     pub fn built_in() -> Self {
-        Self { config: AssessConfig::default(), controllers: ControllerSpec::built_in(), traffic: Vec::new() }
+        Self { config: AssessConfig::default(), controllers: Contender::built_in(), traffic: Vec::new() }
     }
 
     /// Reads a configuration file and the scenarios it names.
@@ -120,18 +121,16 @@ impl Plan {
         if config.controllers.is_empty() {
             return Err(wrong("controllers", "must name at least one controller".to_owned()));
         }
+        let folder = path.parent().unwrap_or(Path::new(""));
         let mut controllers = Vec::new();
         for (index, name) in config.controllers.iter().enumerate() {
             let field = format!("controllers[{index}]");
-            let controller = ControllerSpec::named(name).ok_or_else(|| {
-                wrong(&field, format!("there is no controller `{name}`: see `crumple list controllers`"))
-            })?;
-            if controllers.contains(&controller) {
+            let controller = Contender::find(name, folder).map_err(|error| wrong(&field, error.to_string()))?;
+            if controllers.iter().any(|known: &Contender| known.name == controller.name) {
                 return Err(wrong(&field, format!("`{name}` is named twice")));
             }
             controllers.push(controller);
         }
-        let folder = path.parent().unwrap_or(Path::new(""));
         let mut traffic = Vec::new();
         for (index, named) in config.scenarios.iter().enumerate() {
             let field = format!("scenarios[{index}]");

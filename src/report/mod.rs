@@ -20,8 +20,8 @@ pub use case::{Case, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards, Verdi
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, Plan};
 pub use interval::RateInterval;
 pub use parts::{
-    Claim, Distribution, Limits, Paired, PaperScenarios, Percent, Provenance, Sampled, ScenarioCases, Strength,
-    Summary, Traffic,
+    BRAKING_MPS2, Braking, Claim, Distribution, Learned, LearnedPolicy, Limits, Paired, PaperScenarios, Percent,
+    Provenance, Sampled, ScenarioCases, Strength, Summary, Traffic,
 };
 pub use rounded::Rounded;
 
@@ -44,6 +44,8 @@ pub struct Assessment {
     pub distribution: Distribution,
     /// Scenarios from files; none if the configuration names none.
     pub traffic: Option<Traffic>,
+    /// How the learned policies drive; none if there are none among the controllers.
+    pub learned: Option<Learned>,
     /// What this does not show.
     pub limits: Limits,
     /// Where the evidence comes from.
@@ -90,6 +92,7 @@ pub fn assess(plan: &Plan, done: &dyn Fn(u64)) -> Result<Assessment, AssessError
     Ok(Assessment {
         version: EVIDENCE_VERSION,
         summary: Summary::of(plan, &paper_scenarios, &distribution, traffic.as_ref()),
+        learned: Learned::of(plan, &paper_scenarios),
         limits: Limits::of(plan),
         provenance: Provenance::of(plan),
         paper_scenarios,
@@ -120,6 +123,7 @@ impl Assessment {
     pub fn parts(&self) -> Vec<&dyn Part> {
         let mut parts: Vec<&dyn Part> = vec![&self.summary, &self.paper_scenarios, &self.distribution];
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
+        parts.extend(self.learned.as_ref().map(|learned| learned as &dyn Part));
         parts.extend([&self.limits as &dyn Part, &self.provenance]);
         parts
     }

@@ -1,6 +1,7 @@
 //! How it happens: exact motion, contact by root finding, and two engines with one meaning.
 
 mod actuator;
+mod contender;
 mod lockstep;
 mod motion;
 mod outcome;
@@ -11,6 +12,7 @@ mod scalar;
 mod stepper;
 mod trace;
 
+pub use contender::{Contender, UnknownContender};
 pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
 pub use outcome::{AfterContact, Contact, Impact, Outcome, Simulated, VehicleSummary};

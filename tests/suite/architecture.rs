@@ -4,8 +4,21 @@ use std::fs;
 use std::path::Path;
 
 /// From the ground up.
-const ORDER: [&str; 11] =
-    ["random", "scenario", "estimate", "control", "sim", "measure", "recording", "export", "draw", "report", "cli"];
+const ORDER: [&str; 13] = [
+    "random",
+    "scenario",
+    "estimate",
+    "policy",
+    "control",
+    "sim",
+    "measure",
+    "recording",
+    "export",
+    "draw",
+    "rl",
+    "report",
+    "cli",
+];
 
 #[test]
 fn modules_depend_downwards_only() {

@@ -7,8 +7,8 @@ use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
 use crate::report::case::Verdict;
 use crate::report::table::{Cell, Table};
 use crate::report::{AssessError, Part, Plan, RateInterval, Rounded};
-use crate::scenario::{ControllerSpec, PaperDistribution, Scenario};
-use crate::sim::{Keep, Run, RunError, RunOptions, Simulated, simulate_batch};
+use crate::scenario::{PaperDistribution, Scenario};
+use crate::sim::{Contender, Keep, Run, RunError, RunOptions, Simulated, simulate_batch};
 
 /// Confidence of the intervals.
 const CONFIDENCE: f64 = 0.95;
@@ -33,7 +33,7 @@ pub struct Distribution {
 #[derive(Debug, Clone, Serialize)]
 pub struct Sampled {
     /// The controller's name.
-    pub controller: &'static str,
+    pub controller: String,
     /// Draws in which vehicles touched.
     pub collisions: u64,
     /// Draws in which a vehicle under test hit the one ahead first.
@@ -129,7 +129,7 @@ impl Distribution {
     }
 
     fn table(&self) -> Table {
-        let first = self.controllers.first().map_or("", |sampled| sampled.controller);
+        let first = self.controllers.first().map_or("", |sampled| sampled.controller.as_str());
         let paired = [format!("only {first} collides"), "only this one".to_owned()];
         let mut table = Table::new(&[
             "controller",
@@ -149,7 +149,7 @@ impl Distribution {
             let pair = |of: fn(&Paired) -> u64| sampled.paired.as_ref().map_or("–".to_owned(), |p| of(p).to_string());
             let dash = |value: Option<Rounded<2>>| value.map_or("–".to_owned(), |value| value.to_string());
             table.row(vec![
-                Cell::text(sampled.controller),
+                Cell::text(&sampled.controller),
                 Cell::judged(sampled.collisions, sampled.collisions == 0),
                 Cell::number(rate.observed),
                 Cell::number(format!("{} – {}", rate.lower, rate.upper)),
@@ -166,7 +166,7 @@ impl Distribution {
     }
 
     fn figure(&self) -> Svg {
-        let names: Vec<_> = self.controllers.iter().map(|sampled| sampled.controller).collect();
+        let names: Vec<_> = self.controllers.iter().map(|sampled| sampled.controller.as_str()).collect();
         let left = names.iter().map(|name| text_width(name, crate::draw::SMALL)).fold(0.0, f64::max) + 16.0;
         let (width, height) = (480.0, 30.0 * names.len() as f64);
         let frame = Frame { left, top: crate::draw::HEADING, width: width - left - 24.0, height };
@@ -188,8 +188,8 @@ impl Distribution {
     }
 }
 
-fn run_draws(scenarios: &[Scenario], controller: &ControllerSpec, plan: &Plan) -> Result<Vec<Draw>, RunError> {
-    let options = RunOptions::new(controller.clone()).with_estimator(plan.config.estimator);
+fn run_draws(scenarios: &[Scenario], controller: &Contender, plan: &Plan) -> Result<Vec<Draw>, RunError> {
+    let options = RunOptions::new(controller.controller.clone()).with_estimator(plan.config.estimator);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
     Ok(simulate_batch(&runs, Keep::Summary, |index, simulated| Draw::of(runs[index].scenario(), &simulated)))
 }
@@ -240,12 +240,12 @@ impl Tally {
         }
     }
 
-    fn finish(self, controller: &ControllerSpec, is_paired: bool) -> Sampled {
+    fn finish(self, controller: &Contender, is_paired: bool) -> Sampled {
         let bounds = RateInterval::exact(self.collisions, self.draws, CONFIDENCE);
         let observed = if self.draws == 0 { 0.0 } else { self.collisions as f64 / self.draws as f64 };
         let mean_impact_mps = self.impact_speed_sum_mps / self.collisions as f64;
         Sampled {
-            controller: controller.name(),
+            controller: controller.name.clone(),
             collisions: self.collisions,
             hit: self.hit,
             was_hit: self.was_hit,

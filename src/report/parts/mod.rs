@@ -1,6 +1,7 @@
 //! The parts of an assessment, one file each.
 
 mod distribution;
+mod learned;
 mod limits;
 mod paper;
 mod provenance;
@@ -9,6 +10,7 @@ mod summary;
 mod traffic;
 
 pub use distribution::{Distribution, Paired, Percent, Sampled};
+pub use learned::{BRAKING_MPS2, Braking, Learned, LearnedPolicy};
 pub use limits::Limits;
 pub use paper::PaperScenarios;
 pub use provenance::Provenance;

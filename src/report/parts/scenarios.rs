@@ -100,7 +100,7 @@ impl ScenarioCases {
     fn rows(&self, header: &[&str], cells: impl Fn(&Case) -> Vec<Cell>) -> Table {
         let mut table = Table::new(header);
         for case in &self.cases {
-            table.row(std::iter::once(Cell::text(case.controller)).chain(cells(case)).collect());
+            table.row(std::iter::once(Cell::text(&case.controller)).chain(cells(case)).collect());
         }
         table
     }

@@ -13,7 +13,7 @@ pub struct Summary {
     /// The verdict in a paragraph.
     pub paragraph: String,
     /// Names of the controllers, in the order of each claim's strengths.
-    pub controllers: Vec<&'static str>,
+    pub controllers: Vec<String>,
     /// The claims.
     pub claims: Vec<Claim>,
 }
@@ -132,13 +132,13 @@ impl Summary {
                 strengths: no_contact(&traffic.scenarios, plan.controllers.len()),
             });
         }
-        let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name()).collect();
+        let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
         let paragraph = paragraph(&controllers, &claims, distribution);
         Self { paragraph, controllers, claims }
     }
 
     fn table(&self) -> Table {
-        let header: Vec<&str> = std::iter::once("claim").chain(self.controllers.iter().copied()).collect();
+        let header: Vec<&str> = std::iter::once("claim").chain(self.controllers.iter().map(String::as_str)).collect();
         let mut table = Table::new(&header);
         for claim in &self.claims {
             let cells = claim.strengths.iter().map(|strength| Cell::marked(strength.words(), strength.mark()));
@@ -183,13 +183,13 @@ fn rarely(distribution: &Distribution) -> Vec<Strength> {
     distribution.controllers.iter().map(strength).collect()
 }
 
-fn paragraph(controllers: &[&str], claims: &[Claim], distribution: &Distribution) -> String {
+fn paragraph(controllers: &[String], claims: &[Claim], distribution: &Distribution) -> String {
     let collides = |&index: &usize| {
         claims.iter().any(|claim| matches!(claim.strengths.get(index), Some(Strength::Refuted { .. })))
     };
     let (failing, sound): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(collides);
     let named = |indices: &[usize]| {
-        let names: Vec<_> = indices.iter().filter_map(|&index| controllers.get(index).copied()).collect();
+        let names: Vec<_> = indices.iter().filter_map(|&index| controllers.get(index).map(String::as_str)).collect();
         match names.split_last() {
             None => "none".to_owned(),
             Some((last, [])) => (*last).to_owned(),
@@ -204,7 +204,7 @@ fn paragraph(controllers: &[&str], claims: &[Claim], distribution: &Distribution
             first.controller, first.collisions, distribution.draws, first.was_hit
         );
     }
-    text + "No learned controller is part of this assessment yet."
+    text.trim_end().to_owned()
 }
 
 impl Part for Summary {

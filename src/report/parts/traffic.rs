@@ -49,7 +49,8 @@ impl Traffic {
     }
 
     fn overview(&self) -> Table {
-        let names = self.scenarios.first().map_or(&[][..], |scenario| &scenario.cases).iter().map(|c| c.controller);
+        let names =
+            self.scenarios.first().map_or(&[][..], |scenario| &scenario.cases).iter().map(|c| c.controller.as_str());
         let header: Vec<&str> = std::iter::once("scenario").chain(names).collect();
         let mut table = Table::new(&header);
         for scenario in &self.scenarios {
