@@ -224,7 +224,7 @@ mod tests {
         let chi_squared: f64 = counts.iter().map(|&n| (f64::from(n) - 1000.0).powi(2) / 1000.0).sum();
         assert!(chi_squared < 111.0, "{chi_squared}");
         replay.sample(&mut stream(1, Purpose::ReplayDraw, 0), 1000, 0.25, &mut batch);
-        let contacts = batch.rewards.iter().take(250).filter(|&&number| number as usize % 7 == 0).count();
+        let contacts = batch.rewards.iter().take(250).filter(|&&number| (number as usize).is_multiple_of(7)).count();
         assert_eq!((contacts, batch.len()), (250, 1000));
     }
 }
