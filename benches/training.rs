@@ -1,7 +1,7 @@
 //! Training and acting: time of one update and of one decision.
 //!
 //! `cargo bench --bench training`. `update` compares, in one run on one thread: the update by hand, the plain formulation
-//! on candle, and the matrix products that an update contains, made by candle and by this library.
+//! on candle, and the matrix products that an update contains, made by candle.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 

@@ -51,7 +51,10 @@ pub(super) fn draw(preset: &str, logs: &[String]) -> Svg {
     let last = episodes.last().map_or(1.0, |&episode| episode as f64);
     let low = points.iter().map(|(_, mean, deviation)| mean - deviation).fold(0.0, f64::min);
     let frame = Frame { left: LEFT + 24.0, top: HEADING, width: WIDTH - LEFT - 40.0, height: HEIGHT };
-    let title = format!("Reward in evaluation, preset {preset}: mean and standard deviation over {} seeds", logs.len());
+    let title = format!(
+        "Reward in evaluation, {preset}: mean and standard deviation over {} seeds; one that has ended keeps its best",
+        logs.len()
+    );
     let x = Axis::numbers("episode", (0.0, last), 8);
     let y = Axis::numbers("", (low, PERFECT * 1.06), 6);
     let mut panel = Panel::new(frame, &title, x, y);
@@ -59,7 +62,7 @@ pub(super) fn draw(preset: &str, logs: &[String]) -> Svg {
     panel.band(&line(&|p| p.1 + p.2), &line(&|p| p.1 - p.2), Ink::Series(0));
     panel.rule_y(PERFECT, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
     panel.line(&line(&|p| p.1), Stroke::series(0));
-    panel.note((last * 0.995, PERFECT * 0.965), Anchor::End, "22 500: no contact", Ink::Muted);
+    panel.note((last * 0.995, PERFECT * 0.94), Anchor::End, "22 500: no contact", Ink::Muted);
     let content = panel.draw(&Svg::id("learning-curve", "frame"));
     let description = "The mean line rises towards 22 500, the reward of an episode without contact.";
     Svg::new("learning-curve", (WIDTH, HEADING + HEIGHT + BELOW), &title, description, content)

@@ -1,6 +1,6 @@
 //! The learned policy: an actor network, the file it lives in, and acting with it, one state or many.
 //!
-//! Acting is plain single-precision arithmetic in a fixed order ([`product`]): a state gets the same bits alone or among
+//! Acting is plain single-precision arithmetic in a fixed order: a state gets the same bits alone or among
 //! others, and on any machine. No learning framework is needed to drive.
 
 mod file;

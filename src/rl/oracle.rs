@@ -1,6 +1,6 @@
 //! The same update, stated plainly on candle's tensors and automatic differentiation.
 //!
-//! Slow and easy to believe: what [`Learner`](super::Learner) computes by hand is tested against this, and its speed is
+//! Slow and easy to believe: what [`Learner`] computes by hand is tested against this, and its speed is
 //! measured against it. Plain DDPG only, without TD3's options.
 
 use candle_core::{DType, Device, Result, Tensor, Var};
