@@ -98,8 +98,18 @@ impl Train {
             result
         });
         bar.finish_and_clear();
-        let results = results.into_iter().collect::<Result<Vec<_>, Failure>>()?;
-        self.write_results(&config, &results, quiet)
+        // A seed that failed takes nothing from the others.
+        let (mut done, mut failure) = (Vec::new(), None);
+        for result in results {
+            match result {
+                Ok(result) => done.push(result),
+                Err(first) => failure = failure.or(Some(first)),
+            }
+        }
+        if !done.is_empty() {
+            self.write_results(&config, &done, quiet)?;
+        }
+        failure.map_or(Ok(()), Err)
     }
 
     fn config(&self) -> Result<TrainingConfig, Failure> {
@@ -156,7 +166,7 @@ fn train_seed(
         }
         _ => Trainer::new(config, seed),
     };
-    let mut scribe = Scribe::new(folder, trainer.episode(), bar)?;
+    let mut scribe = Scribe::new(folder, &trainer, bar)?;
     train::<Failure>(&mut trainer, held_out, &mut scribe)?;
     bar.inc(config.episodes.saturating_sub(trainer.episode()));
     let policy = Arc::new(trainer.policy()?);
@@ -172,6 +182,7 @@ fn train_seed(
 
 /// Writes one seed's log and checkpoints, and tells the progress bar.
 struct Scribe<'a> {
+    seed: u64,
     folder: &'a Path,
     log: File,
     bar: &'a ProgressBar,
@@ -183,9 +194,9 @@ struct Scribe<'a> {
 const RECENT: usize = 20;
 
 impl<'a> Scribe<'a> {
-    /// A log that begins empty, or goes on after the entries of the first `episode` episodes.
-    fn new(folder: &'a Path, episode: u64, bar: &'a ProgressBar) -> Result<Self, Failure> {
-        let path = folder.join(LOG);
+    /// A log that begins empty, or goes on after the entries of the episodes that the training has done.
+    fn new(folder: &'a Path, trainer: &Trainer, bar: &'a ProgressBar) -> Result<Self, Failure> {
+        let (path, episode) = (folder.join(LOG), trainer.episode());
         let before = if episode > 0 { fs::read_to_string(&path).unwrap_or_default() } else { String::new() };
         let kept: String = before
             .split_inclusive('\n')
@@ -196,7 +207,7 @@ impl<'a> Scribe<'a> {
         files.commit()?;
         bar.inc(episode);
         let log = OpenOptions::new().append(true).open(&path).map_err(|e| Failure::environment(&path, e))?;
-        Ok(Self { folder, log, bar, rewards: VecDeque::new(), safe_share: None })
+        Ok(Self { seed: trainer.seed(), folder, log, bar, rewards: VecDeque::new(), safe_share: None })
     }
 }
 
@@ -212,7 +223,10 @@ impl Observer<Failure> for Scribe<'_> {
                 }
                 let mean = self.rewards.iter().sum::<f64>() / self.rewards.len() as f64;
                 let safe = self.safe_share.map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
-                self.bar.set_message(format!("episode {}, mean reward {mean:.0}, safe {safe}", record.episode));
+                self.bar.set_message(format!(
+                    "seed {} episode {}, mean reward {mean:.0}, safe {safe}",
+                    self.seed, record.episode
+                ));
                 self.bar.inc(1);
             }
             Event::Evaluation { result, .. } => self.safe_share = Some(result.safe_share),
