@@ -3,7 +3,6 @@
 mod assess;
 mod failure;
 mod import;
-mod learning_curve;
 mod list;
 mod output;
 mod progress;

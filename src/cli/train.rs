@@ -11,10 +11,10 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::output::{self, Files};
-use super::{Failure, learning_curve, progress};
+use super::{Failure, progress};
 use crate::rl::{
-    Evaluation, Event, HeldOut, Observer, Trainer, TrainingConfig, TrainingError, UNSEEN_DRAWS, side_by_side, train,
-    unseen_contacts,
+    Evaluation, Event, HeldOut, LearningCurve, Observer, Trainer, TrainingConfig, TrainingError, UNSEEN_DRAWS, curve,
+    side_by_side, train, unseen_contacts,
 };
 
 /// Train a driving policy by reinforcement learning
@@ -136,8 +136,10 @@ impl Train {
                 fs::read_to_string(&path).map_err(|source| Failure::environment(&path, source))
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let curve = learning_curve::draw(&config.name, &logs);
-        files.stage(&self.out.join("learning-curve.svg"), curve.document().as_bytes())?;
+        let curve = LearningCurve::from_logs(&config.name, &logs);
+        let json = serde_json::to_string_pretty(&curve).map_err(Failure::input)?;
+        files.stage(&self.out.join("learning-curve.json"), format!("{json}\n").as_bytes())?;
+        files.stage(&self.out.join("learning-curve.svg"), curve.figure().document().as_bytes())?;
         files.commit()?;
         let curve = self.out.join("learning-curve.svg");
         output::note(&format!("wrote {} (and training.json)", curve.display()), quiet);
@@ -200,7 +202,7 @@ impl<'a> Scribe<'a> {
         let before = if episode > 0 { fs::read_to_string(&path).unwrap_or_default() } else { String::new() };
         let kept: String = before
             .split_inclusive('\n')
-            .take_while(|line| line.ends_with('\n') && learning_curve::episode_of(line).is_some_and(|e| e <= episode))
+            .take_while(|line| line.ends_with('\n') && curve::episode_of(line).is_some_and(|e| e <= episode))
             .collect();
         let mut files = Files::default();
         files.stage(&path, kept.as_bytes())?;

@@ -11,6 +11,7 @@ mod adam;
 mod backprop;
 mod checkpoint;
 mod config;
+pub(crate) mod curve;
 mod environment;
 mod evaluation;
 mod learner;
@@ -24,6 +25,7 @@ pub use config::{
     ConfigError, EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS,
     ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
 };
+pub use curve::{CurvePoint, LearningCurve};
 pub use environment::{Consequence, Ending, Episode, bounds};
 pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
 pub use learner::{Learner, Losses, Trained};

@@ -10,6 +10,8 @@ use crate::report::case::Case;
 use crate::report::rounded::or_dash;
 use crate::report::table::{Cell, Table};
 use crate::report::{Part, Plan, Rounded};
+use crate::rl::LearningCurve;
+use crate::scenario::ControllerSpec;
 use crate::sim::{Trace, Track};
 
 /// The learned policies among the controllers.
@@ -19,9 +21,14 @@ pub struct Learned {
     pub policies: Vec<LearnedPolicy>,
     /// When each policy brakes in the paper's scenarios, with the first controller beside it.
     pub braking: Vec<Braking>,
+    /// How the preset behind the reference policy learns, seed after seed; none if that policy is not among the controllers.
+    pub learning_curve: Option<LearningCurve>,
     #[serde(skip)]
     figures: Vec<(String, Svg)>,
 }
+
+/// The curve of `crumple train --preset fast --seeds 30`; `corpora/policy/README.md` says how it was made.
+const REFERENCE_CURVE: &str = include_str!("../../../corpora/policy/learning-curve.json");
 
 /// A policy and its origin.
 #[derive(Debug, Clone, Serialize)]
@@ -77,7 +84,9 @@ impl Learned {
             }
         }
         let policies = learned.iter().map(|(name, policy)| LearnedPolicy::of(name, policy)).collect();
-        Some(Self { policies, braking, figures })
+        let has_reference = learned.iter().any(|(name, _)| name == ControllerSpec::Policy.name());
+        let learning_curve = has_reference.then(|| serde_json::from_str(REFERENCE_CURVE).ok()).flatten();
+        Some(Self { policies, braking, learning_curve, figures })
     }
 
     fn origins(&self) -> Table {
@@ -204,6 +213,7 @@ impl Part for Learned {
     fn html(&self) -> Markup {
         html! {
             (self.origins().html())
+            @if let Some(curve) = &self.learning_curve { figure { (curve.figure()) } }
             p { (INTRODUCTION) }
             (self.times().html())
             @for (name, figure) in &self.figures {
@@ -213,6 +223,10 @@ impl Part for Learned {
     }
 
     fn markdown(&self) -> String {
-        format!("{}\n{INTRODUCTION}\n\n{}", self.origins().markdown(), self.times().markdown())
+        let curve = self.learning_curve.as_ref().map_or(String::new(), |curve| {
+            let last = curve.points.last().map_or(0.0, |point| point.mean_reward);
+            format!("{} seeds of preset {} reach a mean reward of {last} of 22500.\n\n", curve.seeds, curve.preset)
+        });
+        format!("{}\n{curve}{INTRODUCTION}\n\n{}", self.origins().markdown(), self.times().markdown())
     }
 }
