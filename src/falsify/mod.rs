@@ -1,0 +1,3 @@
+//! How it is attacked.
+
+pub mod chasing_cars;

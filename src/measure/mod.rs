@@ -1,0 +1,3 @@
+//! How it was: surrogate safety measures and formulas over traces.
+
+pub mod stl;
