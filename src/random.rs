@@ -26,6 +26,10 @@ pub enum Purpose {
     FirstEstimate = 5,
     /// One draw from a distribution of scenarios.
     ScenarioDraw = 6,
+    /// Proposals of a search method; the index tells methods of one search apart.
+    Search = 7,
+    /// Digit permutations of a quasi-random sequence, one coordinate each.
+    QuasiRandom = 8,
 }
 
 /// The stream for `purpose`, for the `index`-th consumer of its kind (a vehicle, a draw), under `seed`.

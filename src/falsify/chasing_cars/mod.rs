@@ -13,7 +13,13 @@
 //!
 //! The sign of y' in the last two is as published. Each step is the exact solution of its mode.
 
+mod benchmark;
+mod replay;
+
 use crate::measure::stl::{Formula, MonitorError, ParseError, Signals, SignalsError};
+
+pub use benchmark::{Benchmark, Counterexample, Row, Run, benchmark};
+pub use replay::replayed_robustness;
 
 /// Time step in seconds.
 pub const STEP_S: f64 = 0.01;
@@ -44,6 +50,15 @@ pub struct Inputs {
     pub throttle: [f64; PIECES],
     /// Brake over each 5 s.
     pub brake: [f64; PIECES],
+}
+
+impl Inputs {
+    /// Inputs from a point of the unit cube: throttle first, then brake; what is missing is 0.
+    #[must_use]
+    pub fn from_unit(point: &[f64]) -> Self {
+        let at = |index: usize| point.get(index).copied().unwrap_or(0.0);
+        Self { throttle: std::array::from_fn(at), brake: std::array::from_fn(|piece| at(PIECES + piece)) }
+    }
 }
 
 /// Positions of the five cars at each of the 10 001 samples.
