@@ -13,26 +13,28 @@ use crate::random::{Purpose, Stream, stream};
 
 /// Largest population after restarts, as a multiple of the first one.
 const LARGEST_GROWTH: usize = 32;
+/// First step size, in parts of the cube: the tutorial's 0.3 of the range.
+pub(super) const FIRST_SIGMA: f64 = 0.3;
 /// Where the covariance is worse conditioned than this, it is numerically useless.
 const WORST_CONDITION: f64 = 1e14;
 
-/// CMA-ES with restarts.
-///
-/// Points outside the cube are moved to its surface, and learned from where they were evaluated: the extreme inputs that
-/// falsification looks for are thus reached exactly. The first run starts at the centre, later ones anywhere.
+/// CMA-ES with restarts. The first run starts at the centre, later ones anywhere.
 #[derive(Debug)]
 pub(super) struct CmaEs {
     random: Stream,
     first_population: usize,
     growth: usize,
     run: Run,
-    asked: Vec<DVector<f64>>,
 }
 
 /// One run, from a start to stagnation.
+///
+/// Points outside the cube are moved to its surface, and learned from where they were evaluated: the extreme inputs that
+/// falsification looks for are thus reached exactly.
 #[derive(Debug)]
-struct Run {
+pub(super) struct Run {
     population: usize,
+    asked: Vec<DVector<f64>>,
     mean: DVector<f64>,
     sigma: f64,
     first_sigma: f64,
@@ -80,50 +82,43 @@ impl Constants {
 impl CmaEs {
     pub(super) fn new(cube: &Cube, seed: u64) -> Self {
         let dimension = cube.dimension();
-        let population = 4 + (3.0 * (dimension as f64).ln()) as usize;
-        let start = DVector::from_element(dimension, 0.5);
+        let population = default_population(dimension);
         Self {
             random: stream(seed, Purpose::Search, 0),
             first_population: population,
             growth: 1,
-            run: Run::new(start, 0.3, population),
-            asked: Vec::new(),
+            run: Run::new(vec![0.5; dimension], FIRST_SIGMA, population),
         }
-    }
-
-    fn restart(&mut self) {
-        self.growth = (2 * self.growth).min(LARGEST_GROWTH);
-        let start = DVector::from_fn(self.run.mean.len(), |_, _| self.random.random());
-        self.run = Run::new(start, 0.3, self.first_population * self.growth);
     }
 }
 
 impl Search for CmaEs {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         if self.run.has_stagnated() {
-            self.restart();
+            self.growth = (2 * self.growth).min(LARGEST_GROWTH);
+            let start = self.run.mean.iter().map(|_| self.random.random()).collect();
+            self.run = Run::new(start, FIRST_SIGMA, self.first_population * self.growth);
         }
-        self.asked = (0..self.run.population).map(|_| self.run.sample(&mut self.random)).collect();
-        self.asked.iter().map(|point| point.iter().copied().collect()).collect()
+        self.run.ask(&mut self.random)
     }
 
     fn tell(&mut self, robustness: &[f64]) {
-        let mut ranked: Vec<(f64, &DVector<f64>)> =
-            robustness.iter().map(|&value| rankable(value)).zip(&self.asked).collect();
-        ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
-        // A generation cut short by the budget teaches nothing more.
-        if ranked.len() == self.run.population {
-            self.run.learn(&ranked);
-        }
+        self.run.tell(robustness);
     }
 }
 
+/// The default of the tutorial, equation 48.
+pub(super) fn default_population(dimension: usize) -> usize {
+    4 + (3.0 * (dimension as f64).ln()) as usize
+}
+
 impl Run {
-    fn new(mean: DVector<f64>, sigma: f64, population: usize) -> Self {
-        let n = mean.len();
+    pub(super) fn new(start: Vec<f64>, sigma: f64, population: usize) -> Self {
+        let n = start.len();
         Self {
             population,
-            mean,
+            asked: Vec::new(),
+            mean: DVector::from_vec(start),
             sigma,
             first_sigma: sigma,
             covariance: DMatrix::identity(n, n),
@@ -134,6 +129,23 @@ impl Run {
             generation: 0,
             best_of_recent: Vec::new(),
         }
+    }
+
+    pub(super) fn ask(&mut self, random: &mut Stream) -> Vec<Vec<f64>> {
+        self.asked = (0..self.population).map(|_| self.sample(random)).collect();
+        self.asked.iter().map(|point| point.iter().copied().collect()).collect()
+    }
+
+    pub(super) fn tell(&mut self, robustness: &[f64]) {
+        // A generation cut short by the budget teaches nothing more.
+        if robustness.len() < self.population {
+            return;
+        }
+        let asked = std::mem::take(&mut self.asked);
+        let mut ranked: Vec<(f64, &DVector<f64>)> =
+            robustness.iter().map(|&value| rankable(value)).zip(&asked).collect();
+        ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self.learn(&ranked);
     }
 
     fn sample(&self, random: &mut Stream) -> DVector<f64> {
@@ -185,7 +197,7 @@ impl Run {
     }
 
     /// The termination criteria of the IPOP paper that make sense in a unit cube.
-    fn has_stagnated(&self) -> bool {
+    pub(super) fn has_stagnated(&self) -> bool {
         let spread = self.lengths.max() * self.sigma;
         let condition = (self.lengths.max() / self.lengths.min()).powi(2);
         let window = 10 + 30 * self.mean.len() / self.population;

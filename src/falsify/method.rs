@@ -4,10 +4,12 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::annealing::Annealing;
+use super::auto::Auto;
 use super::cma_es::CmaEs;
 use super::cross_entropy::CrossEntropy;
 use super::cube::Cube;
 use super::halton::Halton;
+use super::signals::Signals;
 use super::uniform::Uniform;
 
 /// A search for the smallest robustness in a unit cube.
@@ -33,6 +35,10 @@ pub enum Method {
     CrossEntropy,
     /// Simulated annealing.
     Annealing,
+    /// Signals of few pieces with bang-bang moves.
+    Signals,
+    /// A portfolio.
+    Auto,
 }
 
 /// A name that is not that of a method.
@@ -45,7 +51,7 @@ pub struct UnknownMethod {
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 5] = [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Annealing];
+    pub const ALL: [Self; 7] = [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Annealing, Self::Signals, Self::Auto];
 
     /// The name used on the command line and in files.
     #[must_use]
@@ -56,6 +62,8 @@ impl Method {
             Self::CmaEs => "cma-es",
             Self::CrossEntropy => "cross-entropy",
             Self::Annealing => "annealing",
+            Self::Signals => "signals",
+            Self::Auto => "auto",
         }
     }
 
@@ -68,6 +76,8 @@ impl Method {
             Self::CmaEs => Box::new(CmaEs::new(cube, seed)),
             Self::CrossEntropy => Box::new(CrossEntropy::new(cube, seed)),
             Self::Annealing => Box::new(Annealing::new(cube, seed)),
+            Self::Signals => Box::new(Signals::new(cube, seed)),
+            Self::Auto => Box::new(Auto::new(cube, seed)),
         }
     }
 }

@@ -6,12 +6,17 @@
 //! result; and a search is resumed by asking and telling again what an earlier run has logged.
 
 mod annealing;
+mod auto;
 pub mod chasing_cars;
+mod climb;
 mod cma_es;
 mod cross_entropy;
 mod cube;
+mod edge;
 mod halton;
 mod method;
+mod shape;
+mod signals;
 mod uniform;
 
 pub use cube::{Cube, EmptyBlock};
