@@ -7,34 +7,48 @@ use super::cma_es::{FIRST_SIGMA, Run, default_population};
 use super::edge::{Plateaus, Segment};
 use super::method::rankable;
 use super::shape::simple_point;
+use super::surrogate::Surrogate;
 use super::{Cube, Search};
 use crate::random::{Purpose, Stream, stream};
 
 /// Simple points before anything else: problems that give in to extreme inputs end here.
-const FIRST_POINTS: usize = 24;
-/// Signals of the descent have at most so many pieces.
+const FIRST_POINTS: usize = 12;
+/// Signals of a descent have at most so many pieces.
 const DESCENT_PIECES: usize = 10;
-/// Step of a descent that starts at a known good point.
+/// Step of a descent that starts at one of the best points, and how many of them it may start from.
 const LOCAL_SIGMA: f64 = 0.15;
-/// Generations without improvement after which a descent has met a plateau.
-const PATIENCE: usize = 5;
+const STARTS: usize = 5;
+/// A descent has met a plateau after so many generations without a gain of this share of its best value.
+const PATIENCE: usize = 4;
+const GAIN: f64 = 0.1;
+/// Candidates of which the most promising one is evaluated.
+const SCREENED: usize = 16;
+/// Latest points the surrogate is fitted to: its cost grows with their cube.
+const MOST_KNOWN: usize = 150;
 /// What goes along with each generation of a descent.
-const BESIDE_DESCENT: Share = Share { simple: 3, edges: 0, climbs: 0 };
+const BESIDE_DESCENT: Share = Share { screened: 2, simple: 0, edges: 0 };
 /// A batch while no descent runs.
-const EXPLORATION: Share = Share { simple: 4, edges: 6, climbs: 2 };
+const EXPLORATION: Share = Share { screened: 1, simple: 4, edges: 7 };
 
+/// How many points of each kind a batch holds.
 #[derive(Debug, Clone, Copy)]
 struct Share {
+    screened: usize,
     simple: usize,
     edges: usize,
-    climbs: usize,
 }
 
-/// The portfolio.
+/// The portfolio. It knows the cube and the values, nothing else.
 ///
-/// It starts with simple points and goes on in turns. A *descent* is a run of CMA-ES on signals of ten pieces, for as long
-/// as it improves. *Exploration* lasts for as many evaluations as the descent before it: simple points, the edges of
-/// plateaus, and climbs from the best points. So at most half of the budget is ever spent on a plateau.
+/// It starts with a few simple points (`shape`). Then two kinds of work take turns:
+///
+/// - A *descent* is a run of CMA-ES on signals of at most ten pieces, each generation screened by a surrogate, for as long
+///   as the best value comes notably nearer to violation. The first one starts at the centre, later ones at the best points.
+/// - *Exploration* draws simple points, some of them screened, and halves segments towards the edges of plateaus (`edge`).
+///   Where no two values are equal there is no plateau, and the climbs of `signals` take that share.
+///
+/// After the k-th descent exploration lasts k times as long as the descent did: the first descents decide easy problems
+/// soon, and on deceptive slopes their share of the budget falls.
 #[derive(Debug)]
 pub(super) struct Auto {
     cube: Cube,
@@ -47,6 +61,9 @@ pub(super) struct Auto {
     descent: Option<Descent>,
     descents: usize,
     exploration_left: usize,
+    /// Coarse points and their values, in the order they were evaluated.
+    known: Vec<(Vec<f64>, f64)>,
+    surrogate: Option<Surrogate>,
     asked: Vec<Asked>,
 }
 
@@ -61,6 +78,7 @@ struct Descent {
 #[derive(Debug)]
 enum Asked {
     Simple(Vec<f64>),
+    Screened(Vec<f64>),
     Descent(Vec<f64>),
     Edge(Segment),
     Climb(Move),
@@ -79,19 +97,19 @@ impl Auto {
             descent: None,
             descents: 0,
             exploration_left: 0,
+            known: Vec::new(),
+            surrogate: None,
             asked: Vec::new(),
         }
     }
 
     fn ask_share(&mut self, share: Share) {
         for _ in 0..share.edges {
-            let segment = self.segments.pop().or_else(|| self.plateaus.segment(&self.cube, &mut self.random));
-            let next = segment.map_or_else(|| self.simple(), Asked::Edge);
+            let next = self.edge();
             self.asked.push(next);
         }
-        for _ in 0..share.climbs {
-            let proposal = self.climbs.next(&self.cube, &mut self.random);
-            let next = proposal.map_or_else(|| self.simple(), Asked::Climb);
+        for _ in 0..share.screened {
+            let next = self.screened();
             self.asked.push(next);
         }
         for _ in 0..share.simple {
@@ -100,8 +118,28 @@ impl Auto {
         }
     }
 
+    fn edge(&mut self) -> Asked {
+        let segment = self.segments.pop().or_else(|| self.plateaus.segment(&self.cube, &mut self.random));
+        if let Some(segment) = segment {
+            return Asked::Edge(segment);
+        }
+        match self.climbs.next(&self.cube, &mut self.random) {
+            Some(proposal) => Asked::Climb(proposal),
+            None => self.simple(),
+        }
+    }
+
     fn simple(&mut self) -> Asked {
         Asked::Simple(simple_point(&self.cube, &mut self.random))
+    }
+
+    /// The most promising of several simple points.
+    fn screened(&mut self) -> Asked {
+        let Some(surrogate) = &self.surrogate else { return self.simple() };
+        let candidates = (0..SCREENED).map(|_| simple_point(&self.cube, &mut self.random));
+        let scored = candidates.map(|point| (surrogate.score(&self.cube.coarsen(&self.coarse, &point)), point));
+        let best = scored.min_by(|a, b| a.0.total_cmp(&b.0));
+        Asked::Screened(best.map(|(_, point)| point).unwrap_or_default())
     }
 
     /// The first descent starts at the centre, later ones at one of the best points.
@@ -111,7 +149,7 @@ impl Auto {
             (vec![0.5; self.coarse.dimension()], FIRST_SIGMA)
         } else {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let among = self.good_points.len().min(20);
+            let among = self.good_points.len().min(STARTS);
             let chosen = self.good_points.swap_remove(self.random.random_range(0..among));
             (self.cube.coarsen(&self.coarse, &chosen.1), LOCAL_SIGMA)
         };
@@ -124,8 +162,10 @@ impl Search for Auto {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         self.climbs.rank();
         self.asked.clear();
+        let recent = self.known.len().saturating_sub(MOST_KNOWN);
+        self.surrogate = Surrogate::fit(self.known.get(recent..).unwrap_or_default());
         if self.good_points.len() + self.descents == 0 {
-            self.ask_share(Share { simple: FIRST_POINTS, edges: 0, climbs: 0 });
+            self.ask_share(Share { screened: 0, simple: FIRST_POINTS, edges: 0 });
         } else if self.exploration_left > 0 {
             self.ask_share(EXPLORATION);
         } else {
@@ -133,13 +173,17 @@ impl Search for Auto {
                 Some(descent) => descent,
                 None => self.next_descent(),
             };
-            let generation = descent.run.ask(&mut self.random);
-            self.asked.extend(generation.into_iter().map(|point| Asked::Descent(self.cube.refine(&self.coarse, &point))));
+            let generation = match &self.surrogate {
+                Some(surrogate) => descent.run.ask_screened(&mut self.random, SCREENED, |point| surrogate.score(point)),
+                None => descent.run.ask(&mut self.random),
+            };
+            self.asked
+                .extend(generation.into_iter().map(|point| Asked::Descent(self.cube.refine(&self.coarse, &point))));
             self.descent = Some(descent);
             self.ask_share(BESIDE_DESCENT);
         }
         let point = |asked: &Asked| match asked {
-            Asked::Simple(point) | Asked::Descent(point) => point.clone(),
+            Asked::Simple(point) | Asked::Screened(point) | Asked::Descent(point) => point.clone(),
             Asked::Edge(segment) => segment.middle(),
             Asked::Climb(proposal) => proposal.point.clone(),
         };
@@ -152,12 +196,20 @@ impl Search for Auto {
         let asked = std::mem::take(&mut self.asked);
         for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| rankable(value))) {
             match asked {
+                Asked::Screened(point) => {
+                    self.known.push((self.cube.coarsen(&self.coarse, &point), value));
+                    self.good_points.push((value, point));
+                }
                 Asked::Simple(point) => {
+                    self.known.push((self.cube.coarsen(&self.coarse, &point), value));
                     self.plateaus.add(point.clone(), value);
                     self.climbs.start(point.clone(), value);
                     self.good_points.push((value, point));
                 }
-                Asked::Descent(_) => generation.push(value),
+                Asked::Descent(point) => {
+                    self.known.push((self.cube.coarsen(&self.coarse, &point), value));
+                    generation.push(value);
+                }
                 Asked::Edge(segment) => self.segments.extend(segment.halved(value)),
                 Asked::Climb(proposal) => self.climbs.tell(proposal, value),
             }
@@ -165,11 +217,12 @@ impl Search for Auto {
         if let Some(mut descent) = self.descent.take() {
             let least = generation.iter().copied().fold(f64::INFINITY, f64::min);
             descent.evaluations += generation.len();
-            descent.fruitless = if least < descent.best { 0 } else { descent.fruitless + 1 };
-            descent.best = descent.best.min(least);
+            let gained = descent.best == f64::INFINITY || least < descent.best - GAIN * descent.best.abs();
+            descent.fruitless = if gained { 0 } else { descent.fruitless + 1 };
+            descent.best = if gained { least } else { descent.best };
             descent.run.tell(&generation);
             if descent.fruitless >= PATIENCE || descent.run.has_stagnated() {
-                self.exploration_left = descent.evaluations;
+                self.exploration_left = self.descents * descent.evaluations;
             } else {
                 self.descent = Some(descent);
             }

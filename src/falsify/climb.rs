@@ -1,7 +1,7 @@
 //! Many short climbs at once, the promising ones continued.
 
-use crate::falsify::shape::neighbour;
 use crate::falsify::Cube;
+use crate::falsify::shape::neighbour;
 use crate::random::Stream;
 
 /// Fruitless moves that weigh as much as one place in the ranking.

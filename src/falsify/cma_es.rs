@@ -136,6 +136,23 @@ impl Run {
         self.asked.iter().map(|point| point.iter().copied().collect()).collect()
     }
 
+    /// As [`Run::ask`], but each point is the best of `among` by `score`.
+    pub(super) fn ask_screened(
+        &mut self,
+        random: &mut Stream,
+        among: usize,
+        score: impl Fn(&[f64]) -> f64,
+    ) -> Vec<Vec<f64>> {
+        let mut candidates: Vec<(f64, DVector<f64>)> = (0..self.population * among)
+            .map(|_| self.sample(random))
+            .map(|point| (score(point.as_slice()), point))
+            .collect();
+        candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
+        candidates.truncate(self.population);
+        self.asked = candidates.into_iter().map(|(_, point)| point).collect();
+        self.asked.iter().map(|point| point.iter().copied().collect()).collect()
+    }
+
     pub(super) fn tell(&mut self, robustness: &[f64]) {
         // A generation cut short by the budget teaches nothing more.
         if robustness.len() < self.population {

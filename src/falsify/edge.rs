@@ -12,10 +12,10 @@ use rand::RngExt;
 use super::Cube;
 use crate::random::Stream;
 
-/// Halvings of a segment: to a thousandth of the way.
-const HALVINGS: u32 = 10;
+/// Halvings of a segment: to half a hundredth of the way.
+const HALVINGS: u32 = 8;
 /// Points outside among which the nearest one is taken.
-const NEAREST_OF: usize = 20;
+const NEAREST_OF: usize = 60;
 
 /// Independent points with their values, by whether others have the same value.
 #[derive(Debug, Default)]

@@ -51,7 +51,8 @@ pub struct UnknownMethod {
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 7] = [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Annealing, Self::Signals, Self::Auto];
+    pub const ALL: [Self; 7] =
+        [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Annealing, Self::Signals, Self::Auto];
 
     /// The name used on the command line and in files.
     #[must_use]

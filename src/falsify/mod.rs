@@ -17,6 +17,7 @@ mod halton;
 mod method;
 mod shape;
 mod signals;
+mod surrogate;
 mod uniform;
 
 pub use cube::{Cube, EmptyBlock};

@@ -14,8 +14,8 @@ use crate::random::Stream;
 
 /// Numbers of pieces drawn with equal probability, where a signal has as many.
 const PIECES: [usize; 8] = [1, 2, 3, 4, 5, 6, 8, 10];
-/// The share of extreme values differs from point to point: from mostly inner values to mostly extreme ones.
-const EXTREME: Range<f64> = 0.3..0.8;
+/// The share of extreme values differs from point to point: from half to nearly all.
+const EXTREME: Range<f64> = 0.5..0.9;
 
 /// A point whose signals have few pieces and whose values are often 0 or 1.
 pub(super) fn simple_point(cube: &Cube, random: &mut Stream) -> Vec<f64> {
