@@ -1,5 +1,7 @@
 //! What monitoring costs: each Chasing Cars specification on one trace of 10 001 samples, beside the simulation.
 
+#![allow(clippy::expect_used, reason = "a bench that cannot start must say so")]
+
 use crumple::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, simulate};
 use crumple::measure::stl::Formula;
 use divan::Bencher;

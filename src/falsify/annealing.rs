@@ -87,7 +87,8 @@ impl Search for Annealing {
             return;
         }
         let rise = least.0 - self.current.0;
-        let accepted = !(rise > 0.0) || self.random.random::<f64>() < (-rise / self.temperature()).exp();
+        // From one infinite value to another there is no rise.
+        let accepted = rise <= 0.0 || rise.is_nan() || self.random.random::<f64>() < (-rise / self.temperature()).exp();
         if accepted {
             self.current = least;
         }

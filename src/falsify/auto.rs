@@ -21,6 +21,10 @@ const STARTS: usize = 5;
 /// A descent has met a plateau after so many generations without a gain of this share of its best value.
 const PATIENCE: usize = 4;
 const GAIN: f64 = 0.1;
+/// Most evaluations of exploration for each one of the descent before: a quarter of the budget always descends.
+const MOST_EXPLORATION: usize = 3;
+/// Below this spread a descent is on its own: the surrogate shows the way from afar and would mislead it near by.
+const FINE: f64 = 0.1;
 /// Candidates of which the most promising one is evaluated.
 const SCREENED: usize = 16;
 /// Latest points the surrogate is fitted to: its cost grows with their cube.
@@ -43,12 +47,12 @@ struct Share {
 /// It starts with a few simple points (`shape`). Then two kinds of work take turns:
 ///
 /// - A *descent* is a run of CMA-ES on signals of at most ten pieces, each generation screened by a surrogate, for as long
-///   as the best value comes notably nearer to violation. The first one starts at the centre, later ones at the best points.
+///   as the best value comes notably nearer to violation; broken off, it may be continued later.
 /// - *Exploration* draws simple points, some of them screened, and halves segments towards the edges of plateaus (`edge`).
 ///   Where no two values are equal there is no plateau, and the climbs of `signals` take that share.
 ///
-/// After the k-th descent exploration lasts k times as long as the descent did: the first descents decide easy problems
-/// soon, and on deceptive slopes their share of the budget falls.
+/// After the k-th descent exploration lasts k times as long as the descent did, up to three times: the first descents decide
+/// easy problems soon, and on deceptive slopes their share of the budget falls.
 #[derive(Debug)]
 pub(super) struct Auto {
     cube: Cube,
@@ -60,6 +64,7 @@ pub(super) struct Auto {
     good_points: Vec<(f64, Vec<f64>)>,
     descent: Option<Descent>,
     descents: usize,
+    paused: Vec<Descent>,
     exploration_left: usize,
     /// Coarse points and their values, in the order they were evaluated.
     known: Vec<(Vec<f64>, f64)>,
@@ -96,6 +101,7 @@ impl Auto {
             good_points: Vec::new(),
             descent: None,
             descents: 0,
+            paused: Vec::new(),
             exploration_left: 0,
             known: Vec::new(),
             surrogate: None,
@@ -142,10 +148,20 @@ impl Auto {
         Asked::Screened(best.map(|(_, point)| point).unwrap_or_default())
     }
 
-    /// The first descent starts at the centre, later ones at one of the best points.
+    /// The first two descents start at the centre; then the best one that was broken off continues, and new ones start at
+    /// the best points, by turns.
     fn next_descent(&mut self) -> Descent {
+        self.descents += 1;
+        let best_paused = self.paused.iter().enumerate().min_by(|a, b| a.1.best.total_cmp(&b.1.best));
+        if self.descents > 2
+            && self.descents % 2 == 1
+            && let Some((index, _)) = best_paused
+        {
+            let paused = self.paused.swap_remove(index);
+            return Descent { evaluations: 0, fruitless: 0, ..paused };
+        }
         let population = default_population(self.coarse.dimension());
-        let (start, sigma) = if self.descents == 0 || self.good_points.is_empty() {
+        let (start, sigma) = if self.descents <= 2 || self.good_points.is_empty() {
             (vec![0.5; self.coarse.dimension()], FIRST_SIGMA)
         } else {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -153,8 +169,18 @@ impl Auto {
             let chosen = self.good_points.swap_remove(self.random.random_range(0..among));
             (self.cube.coarsen(&self.coarse, &chosen.1), LOCAL_SIGMA)
         };
-        self.descents += 1;
         Descent { run: Run::new(start, sigma, population), best: f64::INFINITY, evaluations: 0, fruitless: 0 }
+    }
+}
+
+impl Descent {
+    fn learn(&mut self, generation: &[f64]) {
+        let least = generation.iter().copied().fold(f64::INFINITY, f64::min);
+        let gained = self.best == f64::INFINITY || least < self.best - GAIN * self.best.abs();
+        self.fruitless = if gained { 0 } else { self.fruitless + 1 };
+        self.best = if gained { least } else { self.best };
+        self.evaluations += generation.len();
+        self.run.tell(generation);
     }
 }
 
@@ -174,8 +200,10 @@ impl Search for Auto {
                 None => self.next_descent(),
             };
             let generation = match &self.surrogate {
-                Some(surrogate) => descent.run.ask_screened(&mut self.random, SCREENED, |point| surrogate.score(point)),
-                None => descent.run.ask(&mut self.random),
+                Some(surrogate) if descent.run.spread() > FINE => {
+                    descent.run.ask_screened(&mut self.random, SCREENED, |point| surrogate.score(point))
+                }
+                _ => descent.run.ask(&mut self.random),
             };
             self.asked
                 .extend(generation.into_iter().map(|point| Asked::Descent(self.cube.refine(&self.coarse, &point))));
@@ -215,16 +243,13 @@ impl Search for Auto {
             }
         }
         if let Some(mut descent) = self.descent.take() {
-            let least = generation.iter().copied().fold(f64::INFINITY, f64::min);
-            descent.evaluations += generation.len();
-            let gained = descent.best == f64::INFINITY || least < descent.best - GAIN * descent.best.abs();
-            descent.fruitless = if gained { 0 } else { descent.fruitless + 1 };
-            descent.best = if gained { least } else { descent.best };
-            descent.run.tell(&generation);
-            if descent.fruitless >= PATIENCE || descent.run.has_stagnated() {
-                self.exploration_left = self.descents * descent.evaluations;
-            } else {
+            descent.learn(&generation);
+            let stagnated = descent.run.has_stagnated();
+            if descent.fruitless < PATIENCE && !stagnated {
                 self.descent = Some(descent);
+            } else {
+                self.exploration_left = self.descents.min(MOST_EXPLORATION) * descent.evaluations;
+                self.paused.extend((!stagnated).then_some(descent));
             }
         }
     }

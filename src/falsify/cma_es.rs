@@ -213,9 +213,14 @@ impl Run {
         }
     }
 
+    /// Largest standard deviation in any direction.
+    pub(super) fn spread(&self) -> f64 {
+        self.lengths.max() * self.sigma
+    }
+
     /// The termination criteria of the IPOP paper that make sense in a unit cube.
     pub(super) fn has_stagnated(&self) -> bool {
-        let spread = self.lengths.max() * self.sigma;
+        let spread = self.spread();
         let condition = (self.lengths.max() / self.lengths.min()).powi(2);
         let window = 10 + 30 * self.mean.len() / self.population;
         let recent = self.best_of_recent.iter().rev().take(window);

@@ -102,3 +102,43 @@ impl FromStr for Method {
 pub(super) fn rankable(robustness: f64) -> f64 {
     if robustness.is_nan() { f64::INFINITY } else { robustness }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn every_method_stays_in_the_cube_and_repeats_itself(
+            lengths in prop::collection::vec(prop_oneof![Just(1usize), 2usize..22], 1..4),
+            seed in any::<u64>(),
+            values in prop::collection::vec(
+                prop_oneof![Just(f64::NAN), Just(f64::INFINITY), Just(f64::NEG_INFINITY), Just(1.0), -1.0..1.0f64],
+                20,
+            ),
+        ) {
+            let cube = Cube::new(lengths).unwrap();
+            for method in Method::ALL {
+                prop_assert_eq!(method.name().parse::<Method>(), Ok(method));
+                let (mut one, mut other) = (method.start(&cube, seed), method.start(&cube, seed));
+                for round in 0..25 {
+                    let points = one.ask();
+                    prop_assert_eq!(&points, &other.ask(), "{}", method);
+                    prop_assert!(!points.is_empty());
+                    for point in &points {
+                        prop_assert_eq!(point.len(), cube.dimension());
+                        prop_assert!(point.iter().all(|x| (0.0..=1.0).contains(x)), "{}: {:?}", method, point);
+                    }
+                    let told: Vec<f64> = (0..points.len()).map(|i| values[(7 * i + round) % values.len()]).collect();
+                    one.tell(&told);
+                    other.tell(&told);
+                }
+                // A budget that ends in the middle of a batch.
+                let points = one.ask();
+                one.tell(&vec![1.0; points.len() / 2]);
+                prop_assert!(!one.ask().is_empty());
+            }
+        }
+    }
+}

@@ -8,6 +8,8 @@
 mod annealing;
 mod auto;
 pub mod chasing_cars;
+#[cfg(test)]
+mod classic;
 mod climb;
 mod cma_es;
 mod cross_entropy;

@@ -123,3 +123,31 @@ fn run(method: Method, formula: &Formula, budget: usize, seed: u64) -> Result<Ru
     }
     Ok(run)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_portfolio_falsifies_all_six_whatever_the_number_of_threads() {
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| benchmark(Method::Auto, 1500, 3).unwrap())
+        };
+        let result = on(2);
+        for row in &result.rows {
+            assert_eq!(row.successes, 3, "{}", row.spec);
+            let most = match row.spec.as_str() {
+                "CC4" => 1500.0,
+                "CCx" => 400.0,
+                _ => 15.0,
+            };
+            assert!(row.mean_evaluations.unwrap() <= most, "{}: {:?}", row.spec, row.mean_evaluations);
+            for run in &row.runs {
+                let found = run.counterexample.as_ref().unwrap();
+                assert!((found.robustness - found.replayed_robustness).abs() < 1e-3, "{}: {found:?}", row.spec);
+            }
+        }
+        assert_eq!(result, on(1));
+    }
+}
