@@ -316,6 +316,17 @@ mod tests {
     }
 
     #[test]
+    fn the_longest_formula_that_parses_is_evaluated() {
+        let x = [1.0; 4];
+        for operator in ["and", "or", "implies"] {
+            let formula: Formula = vec!["x > 0"; 990].join(&format!(" {operator} ")).parse().unwrap();
+            assert_eq!(formula.robustness(&signals(&x, &x)).unwrap(), 1.0);
+            assert_eq!(naive_robustness(&formula, &signals(&x, &x), 0).unwrap(), 1.0);
+            assert!(formula.to_string().len() > 990);
+        }
+    }
+
+    #[test]
     fn what_cannot_be_evaluated_is_refused() {
         let x = [f64::INFINITY, 1.0];
         let signals = signals(&x, &x);
