@@ -24,10 +24,11 @@
 //! | [`policy`] | the actor network and its file: acting, one state or many |
 //! | [`control`] | who decides: one trait, one file for each controller |
 //! | [`sim`] | how it happens: exact steps, contact times, two engines with one meaning, the trace |
-//! | [`measure`] | how it was: surrogate safety measures |
-//! | [`rl`] | learning to drive: DDPG, its environment, its presets |
+//! | [`measure`] | how it was: surrogate safety measures; formulas of signal temporal logic and their monitor |
 //! | [`recording`] | recorded traffic turned into scenarios |
 //! | [`export`], [`draw`] | traces as tables and as pictures |
+//! | [`rl`] | learning to drive: DDPG, its environment, its presets |
+//! | [`falsify`] | search methods that look for failures, and the public benchmark they are measured on |
 //! | [`report`] | the assessment and its renderings |
 //! | [`cli`] | the command line |
 //!
@@ -53,6 +54,7 @@ pub mod control;
 pub mod draw;
 pub mod estimate;
 pub mod export;
+pub mod falsify;
 pub mod measure;
 pub mod policy;
 pub mod random;

@@ -34,6 +34,10 @@ pub enum Purpose {
     ReplayDraw = 9,
     /// Noise on target actions, one consumer an episode.
     TargetNoise = 10,
+    /// Proposals of a search method; the index tells methods of one search apart.
+    Search = 11,
+    /// Digit permutations of a quasi-random sequence, one coordinate each.
+    QuasiRandom = 12,
 }
 
 /// The stream for `purpose`, for the `index`-th consumer of its kind (a vehicle, a draw), under `seed`.

@@ -6,9 +6,10 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::{Failure, output};
+use crate::falsify::Method;
 use crate::scenario::{ControllerSpec, built_in_names};
 
-/// List the built-in scenarios, controllers and spaces
+/// List the built-in scenarios, controllers, spaces and search methods
 #[derive(Args)]
 pub(super) struct List {
     /// What to list; everything if nothing is named
@@ -26,6 +27,8 @@ enum Catalogue {
     Controllers,
     /// Distributions of scenarios
     Spaces,
+    /// Search methods
+    Methods,
 }
 
 #[derive(Serialize)]
@@ -40,6 +43,7 @@ impl Catalogue {
             Self::Scenarios => "scenarios",
             Self::Controllers => "controllers",
             Self::Spaces => "spaces",
+            Self::Methods => "methods",
         }
     }
 
@@ -49,6 +53,7 @@ impl Catalogue {
             Self::Scenarios => built_in_names().map(entry).into(),
             Self::Controllers => ControllerSpec::built_in().iter().map(|c| entry((c.name(), c.summary()))).collect(),
             Self::Spaces => vec![entry(("paper", "the distribution the paper trains on"))],
+            Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The command line: one file a subcommand, all of them thin.
 
 mod assess;
+mod benchmark;
 mod failure;
 mod import;
 mod list;
@@ -42,6 +43,7 @@ enum Command {
     Simulate(simulate::Simulate),
     Import(import::Import),
     Train(train::Train),
+    Benchmark(benchmark::Measure),
     List(list::List),
 }
 
@@ -63,6 +65,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
         Command::Train(command) => command.run(quiet),
+        Command::Benchmark(command) => command.run(),
         Command::List(command) => command.run(),
     };
     match done {

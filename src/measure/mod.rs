@@ -1,4 +1,4 @@
-//! How it was: surrogate safety measures of a run.
+//! How it was: surrogate safety measures of a run, and formulas of signal temporal logic ([`stl`]).
 //!
 //! A collision is a rare event; these measures say how near a run without one came to it, and how bad a run with one
 //! was. Each pointwise formula is a function of its own, with its source; [`Approach`] applies those of a pair to a
@@ -12,6 +12,7 @@ mod demand;
 mod exposure;
 mod proximity;
 mod severity;
+pub mod stl;
 #[cfg(test)]
 mod testing;
 

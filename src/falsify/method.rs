@@ -1,0 +1,158 @@
+//! What every search method can do, and their names.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::annealing::Annealing;
+use super::auto::Auto;
+use super::cma_es::CmaEs;
+use super::cross_entropy::CrossEntropy;
+use super::cube::Cube;
+use super::halton::Halton;
+use super::signals::Signals;
+use super::uniform::Uniform;
+
+/// A search for the smallest robustness in a unit cube.
+pub trait Search: fmt::Debug + Send {
+    /// The next points to evaluate, at least one, every coordinate in [0, 1].
+    fn ask(&mut self) -> Vec<Vec<f64>>;
+
+    /// The robustness of the points asked for last, in their order. Where it is shorter (the budget is used up), the
+    /// others count as never evaluated. NaN counts as +∞: whoever cannot be evaluated is no counterexample.
+    fn tell(&mut self, robustness: &[f64]);
+}
+
+/// The search methods.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Method {
+    /// Independent uniform points.
+    Uniform,
+    /// A randomised Halton sequence.
+    Halton,
+    /// Covariance matrix adaptation with restarts.
+    CmaEs,
+    /// Cross-entropy with independent normal coordinates.
+    CrossEntropy,
+    /// Simulated annealing.
+    Annealing,
+    /// Signals of few pieces with bang-bang moves.
+    Signals,
+    /// A portfolio.
+    Auto,
+}
+
+/// A name that is not that of a method.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("there is no method `{name}`; there are: {}", Method::ALL.map(Method::name).join(", "))]
+pub struct UnknownMethod {
+    /// The name.
+    pub name: String,
+}
+
+impl Method {
+    /// All methods.
+    pub const ALL: [Self; 7] =
+        [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Annealing, Self::Signals, Self::Auto];
+
+    /// The name used on the command line and in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Uniform => "uniform",
+            Self::Halton => "halton",
+            Self::CmaEs => "cma-es",
+            Self::CrossEntropy => "cross-entropy",
+            Self::Annealing => "annealing",
+            Self::Signals => "signals",
+            Self::Auto => "auto",
+        }
+    }
+
+    /// What it does, in one line.
+    #[must_use]
+    pub fn summary(self) -> &'static str {
+        match self {
+            Self::Uniform => "independent uniform points",
+            Self::Halton => "a randomised Halton sequence",
+            Self::CmaEs => "covariance matrix adaptation with restarts",
+            Self::CrossEntropy => "cross-entropy with independent normal coordinates",
+            Self::Annealing => "simulated annealing",
+            Self::Signals => "signals of few pieces with bang-bang moves",
+            Self::Auto => "a portfolio of simple inputs, screened descents and edges of plateaus",
+        }
+    }
+
+    /// A search in `cube`, decided by `seed`.
+    #[must_use]
+    pub fn start(self, cube: &Cube, seed: u64) -> Box<dyn Search> {
+        match self {
+            Self::Uniform => Box::new(Uniform::new(cube, seed)),
+            Self::Halton => Box::new(Halton::new(cube, seed)),
+            Self::CmaEs => Box::new(CmaEs::new(cube, seed)),
+            Self::CrossEntropy => Box::new(CrossEntropy::new(cube, seed)),
+            Self::Annealing => Box::new(Annealing::new(cube, seed)),
+            Self::Signals => Box::new(Signals::new(cube, seed)),
+            Self::Auto => Box::new(Auto::new(cube, seed)),
+        }
+    }
+}
+
+impl fmt::Display for Method {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(self.name())
+    }
+}
+
+impl FromStr for Method {
+    type Err = UnknownMethod;
+
+    fn from_str(name: &str) -> Result<Self, UnknownMethod> {
+        let found = Self::ALL.into_iter().find(|method| method.name() == name);
+        found.ok_or_else(|| UnknownMethod { name: name.to_owned() })
+    }
+}
+
+/// A robustness that can be ranked: NaN is worst.
+pub(super) fn rankable(robustness: f64) -> f64 {
+    if robustness.is_nan() { f64::INFINITY } else { robustness }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn every_method_stays_in_the_cube_and_repeats_itself(
+            lengths in prop::collection::vec(prop_oneof![Just(1usize), 2usize..22], 1..4),
+            seed in any::<u64>(),
+            values in prop::collection::vec(
+                prop_oneof![Just(f64::NAN), Just(f64::INFINITY), Just(f64::NEG_INFINITY), Just(1.0), -1.0..1.0f64],
+                20,
+            ),
+        ) {
+            let cube = Cube::new(lengths).unwrap();
+            for method in Method::ALL {
+                prop_assert_eq!(method.name().parse::<Method>(), Ok(method));
+                let (mut one, mut other) = (method.start(&cube, seed), method.start(&cube, seed));
+                for round in 0..25 {
+                    let points = one.ask();
+                    prop_assert_eq!(&points, &other.ask(), "{}", method);
+                    prop_assert!(!points.is_empty());
+                    for point in &points {
+                        prop_assert_eq!(point.len(), cube.dimension());
+                        prop_assert!(point.iter().all(|x| (0.0..=1.0).contains(x)), "{}: {:?}", method, point);
+                    }
+                    let told: Vec<f64> = (0..points.len()).map(|i| values[(7 * i + round) % values.len()]).collect();
+                    one.tell(&told);
+                    other.tell(&told);
+                }
+                // A budget that ends in the middle of a batch.
+                let points = one.ask();
+                one.tell(&vec![1.0; points.len() / 2]);
+                prop_assert!(!one.ask().is_empty());
+            }
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! How it is attacked: search methods that look for negative robustness, and the problems they are measured on.
+//!
+//! A search moves in a unit [`Cube`]; whoever owns the problem scales it. It proposes a batch of points ([`Search::ask`])
+//! and learns what they were worth ([`Search::tell`]). The batch is the method's choice and depends on the seed and on
+//! earlier values alone, so its points may be evaluated in any order and on any number of threads without changing a
+//! result; and a search is resumed by asking and telling again what an earlier run has logged.
+
+mod annealing;
+mod auto;
+pub mod chasing_cars;
+#[cfg(test)]
+mod classic;
+mod climb;
+mod cma_es;
+mod cross_entropy;
+mod cube;
+mod edge;
+mod halton;
+mod method;
+mod shape;
+mod signals;
+mod surrogate;
+mod uniform;
+
+pub use cube::{Cube, EmptyBlock};
+pub use method::{Method, Search, UnknownMethod};

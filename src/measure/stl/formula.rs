@@ -1,0 +1,230 @@
+//! Formulas as data.
+
+use std::fmt;
+
+use super::lex::is_signal_name;
+
+/// A formula of signal temporal logic.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Formula {
+    /// A sum of signals compared with a number.
+    Compare(Comparison),
+    /// Negation.
+    Not(Box<Formula>),
+    /// Both.
+    And(Box<Formula>, Box<Formula>),
+    /// At least one.
+    Or(Box<Formula>, Box<Formula>),
+    /// The second wherever the first.
+    Implies(Box<Formula>, Box<Formula>),
+    /// At every sample of the window.
+    Always(Interval, Box<Formula>),
+    /// At some sample of the window.
+    Eventually(Interval, Box<Formula>),
+    /// The second formula at some sample of the window, and the first one from now until just before it.
+    Until(Box<Formula>, Interval, Box<Formula>),
+}
+
+/// How a comparison compares.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Relation {
+    /// `<`
+    Below,
+    /// `<=`
+    AtMost,
+    /// `>`
+    Above,
+    /// `>=`
+    AtLeast,
+}
+
+/// A weighted sum of distinct signals compared with a number.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Comparison {
+    terms: Vec<(f64, String)>,
+    relation: Relation,
+    bound: f64,
+}
+
+/// A window of time relative to now, in seconds: `0 <= from_s <= to_s`, and `to_s` may be infinite.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Interval {
+    from_s: f64,
+    to_s: f64,
+}
+
+/// Why a part of a formula cannot be built.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum FormulaError {
+    /// Not a name that the syntax can express.
+    #[error("`{name}` is not a signal name: a letter, then letters, digits, `_` and `.`, and no keyword")]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// Not a number, or infinite.
+    #[error("a comparison needs finite numbers, found {found}")]
+    NotFinite {
+        /// The number.
+        found: f64,
+    },
+    /// A comparison in which no signal is left.
+    #[error("a comparison needs a signal, and here none is left")]
+    NoSignal,
+    /// A window that starts before now, or ends before it starts.
+    #[error("a window must have 0 <= start <= end, found [{from_s},{to_s}]")]
+    Window {
+        /// Start in seconds.
+        from_s: f64,
+        /// End in seconds.
+        to_s: f64,
+    },
+}
+
+impl Comparison {
+    /// Compares the sum of `weight * signal` with `bound`. Terms of one signal are added up, zero weights dropped.
+    ///
+    /// # Errors
+    /// [`FormulaError`] if a name cannot be written in the syntax, a number is not finite or no signal is left.
+    pub fn new(
+        terms: impl IntoIterator<Item = (f64, String)>,
+        relation: Relation,
+        bound: f64,
+    ) -> Result<Self, FormulaError> {
+        let mut sum: Vec<(f64, String)> = Vec::new();
+        for (weight, name) in terms {
+            if !is_signal_name(&name) {
+                return Err(FormulaError::Name { name });
+            }
+            match sum.iter_mut().find(|(_, known)| *known == name) {
+                Some((total, _)) => *total += weight,
+                None => sum.push((weight, name)),
+            }
+        }
+        sum.retain(|(weight, _)| *weight != 0.0);
+        if let Some(found) = sum.iter().map(|(weight, _)| *weight).chain([bound]).find(|x| !x.is_finite()) {
+            return Err(FormulaError::NotFinite { found });
+        }
+        if sum.is_empty() {
+            return Err(FormulaError::NoSignal);
+        }
+        Ok(Self { terms: sum, relation, bound })
+    }
+
+    /// The weights and names of the signals, each name once.
+    #[must_use]
+    pub fn terms(&self) -> &[(f64, String)] {
+        &self.terms
+    }
+
+    /// How the sum is compared.
+    #[must_use]
+    pub fn relation(&self) -> Relation {
+        self.relation
+    }
+
+    /// What it is compared with.
+    #[must_use]
+    pub fn bound(&self) -> f64 {
+        self.bound
+    }
+}
+
+impl Relation {
+    /// Whether equality does not satisfy it.
+    #[must_use]
+    pub fn is_strict(self) -> bool {
+        matches!(self, Self::Below | Self::Above)
+    }
+
+    /// Whether larger sums satisfy it better.
+    #[must_use]
+    pub fn wants_more(self) -> bool {
+        matches!(self, Self::Above | Self::AtLeast)
+    }
+}
+
+impl fmt::Display for Relation {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Below => "<",
+            Self::AtMost => "<=",
+            Self::Above => ">",
+            Self::AtLeast => ">=",
+        })
+    }
+}
+
+impl Interval {
+    /// From now to the end of the trace.
+    pub const ALL: Self = Self { from_s: 0.0, to_s: f64::INFINITY };
+
+    /// The window from `from_s` to `to_s`, both included.
+    ///
+    /// # Errors
+    /// [`FormulaError::Window`] unless `0 <= from_s <= to_s` and `from_s` is finite.
+    pub fn new(from_s: f64, to_s: f64) -> Result<Self, FormulaError> {
+        if from_s >= 0.0 && from_s.is_finite() && to_s >= from_s {
+            Ok(Self { from_s, to_s })
+        } else {
+            Err(FormulaError::Window { from_s, to_s })
+        }
+    }
+
+    /// Start of the window in seconds from now.
+    #[must_use]
+    pub fn from_s(self) -> f64 {
+        self.from_s
+    }
+
+    /// End of the window in seconds from now, possibly infinite.
+    #[must_use]
+    pub fn to_s(self) -> f64 {
+        self.to_s
+    }
+}
+
+impl Formula {
+    /// How long a trace must last for no window to be clipped, in seconds; infinite if a window is.
+    #[must_use]
+    pub fn horizon_s(&self) -> f64 {
+        match self {
+            Self::Compare(_) => 0.0,
+            Self::Not(inner) => inner.horizon_s(),
+            Self::And(left, right) | Self::Or(left, right) | Self::Implies(left, right) => {
+                left.horizon_s().max(right.horizon_s())
+            }
+            Self::Always(window, inner) | Self::Eventually(window, inner) => window.to_s + inner.horizon_s(),
+            Self::Until(left, window, right) => window.to_s + left.horizon_s().max(right.horizon_s()),
+        }
+    }
+
+    /// The names of the signals it refers to, in order of appearance, each once.
+    #[must_use]
+    pub fn signal_names(&self) -> Vec<&str> {
+        let mut names = Vec::new();
+        self.collect_names(&mut names);
+        names
+    }
+
+    fn collect_names<'a>(&'a self, names: &mut Vec<&'a str>) {
+        match self {
+            Self::Compare(comparison) => {
+                for (_, name) in &comparison.terms {
+                    if !names.contains(&name.as_str()) {
+                        names.push(name);
+                    }
+                }
+            }
+            Self::Not(inner) | Self::Always(_, inner) | Self::Eventually(_, inner) => inner.collect_names(names),
+            Self::And(left, right)
+            | Self::Or(left, right)
+            | Self::Implies(left, right)
+            | Self::Until(left, _, right) => {
+                left.collect_names(names);
+                right.collect_names(names);
+            }
+        }
+    }
+}

@@ -1,0 +1,162 @@
+//! From text to tokens.
+
+use super::parse::{ParseError, SyntaxProblem};
+
+/// A word or sign of the syntax.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Token {
+    Number(f64),
+    Name(String),
+    Symbol(Symbol),
+    End,
+}
+
+/// Keywords and signs, whichever way they are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Symbol {
+    Not,
+    And,
+    Or,
+    Implies,
+    Always,
+    Eventually,
+    Until,
+    Infinity,
+    Below,
+    AtMost,
+    Above,
+    AtLeast,
+    Plus,
+    Minus,
+    Times,
+    Over,
+    Open,
+    Close,
+    WindowOpen,
+    WindowClose,
+    Comma,
+}
+
+const KEYWORDS: [(&str, Symbol); 8] = [
+    ("not", Symbol::Not),
+    ("and", Symbol::And),
+    ("or", Symbol::Or),
+    ("implies", Symbol::Implies),
+    ("always", Symbol::Always),
+    ("eventually", Symbol::Eventually),
+    ("until", Symbol::Until),
+    ("inf", Symbol::Infinity),
+];
+
+/// Longer signs come before their prefixes.
+const SIGNS: [(&str, Symbol); 26] = [
+    ("<=", Symbol::AtMost),
+    (">=", Symbol::AtLeast),
+    ("->", Symbol::Implies),
+    ("=>", Symbol::Implies),
+    ("&&", Symbol::And),
+    ("||", Symbol::Or),
+    ("≤", Symbol::AtMost),
+    ("≥", Symbol::AtLeast),
+    ("→", Symbol::Implies),
+    ("∧", Symbol::And),
+    ("∨", Symbol::Or),
+    ("¬", Symbol::Not),
+    ("□", Symbol::Always),
+    ("◇", Symbol::Eventually),
+    ("!", Symbol::Not),
+    ("<", Symbol::Below),
+    (">", Symbol::Above),
+    ("+", Symbol::Plus),
+    ("-", Symbol::Minus),
+    ("*", Symbol::Times),
+    ("/", Symbol::Over),
+    ("(", Symbol::Open),
+    (")", Symbol::Close),
+    ("[", Symbol::WindowOpen),
+    ("]", Symbol::WindowClose),
+    (",", Symbol::Comma),
+];
+
+/// Whether a signal of this name can be written in a formula.
+pub(super) fn is_signal_name(text: &str) -> bool {
+    let mut letters = text.chars();
+    letters.next().is_some_and(starts_name) && letters.all(continues_name) && keyword(text).is_none()
+}
+
+fn starts_name(c: char) -> bool {
+    c.is_alphabetic() || c == '_'
+}
+
+fn continues_name(c: char) -> bool {
+    c.is_alphanumeric() || c == '_' || c == '.'
+}
+
+fn keyword(word: &str) -> Option<Symbol> {
+    KEYWORDS.iter().find(|(text, _)| *text == word).map(|(_, symbol)| *symbol)
+}
+
+/// The tokens of `text`, each with its column (from 1, in characters), and [`Token::End`] last.
+pub(super) fn tokens(text: &str) -> Result<Vec<(usize, Token)>, ParseError> {
+    let mut tokens = Vec::new();
+    let mut column = 1;
+    let mut rest = text;
+    while let Some(first) = rest.chars().next() {
+        let (length, token) = if first.is_whitespace() {
+            (first.len_utf8(), None)
+        } else if first.is_ascii_digit() || first == '.' {
+            let length = number_length(rest);
+            let written = rest.get(..length).unwrap_or_default();
+            let number = written.parse::<f64>().ok().filter(|x| x.is_finite());
+            let misread = || ParseError { column, problem: SyntaxProblem::Number { found: written.to_owned() } };
+            (length, Some(Token::Number(number.ok_or_else(misread)?)))
+        } else if starts_name(first) {
+            let length = rest.find(|c| !continues_name(c)).unwrap_or(rest.len());
+            let word = rest.get(..length).unwrap_or_default();
+            (length, Some(keyword(word).map_or_else(|| Token::Name(word.to_owned()), Token::Symbol)))
+        } else {
+            let sign = SIGNS.iter().find(|(sign, _)| rest.starts_with(sign));
+            let unknown = || ParseError { column, problem: SyntaxProblem::Character { found: first } };
+            let (sign, symbol) = sign.ok_or_else(unknown)?;
+            (sign.len(), Some(Token::Symbol(*symbol)))
+        };
+        tokens.extend(token.map(|token| (column, token)));
+        let (taken, left) = rest.split_at_checked(length).unwrap_or((rest, ""));
+        column += taken.chars().count();
+        rest = left;
+    }
+    tokens.push((column, Token::End));
+    Ok(tokens)
+}
+
+/// Length in bytes of the number at the start of `text`: digits, a point, digits, an exponent.
+fn number_length(text: &str) -> usize {
+    let bytes = text.as_bytes();
+    let digits = |from: usize| bytes.iter().skip(from).take_while(|b| b.is_ascii_digit()).count();
+    let mut length = digits(0);
+    if bytes.get(length) == Some(&b'.') {
+        length += 1 + digits(length + 1);
+    }
+    if matches!(bytes.get(length), Some(b'e' | b'E')) {
+        let sign = usize::from(matches!(bytes.get(length + 1), Some(b'+' | b'-')));
+        let exponent = digits(length + 1 + sign);
+        if exponent > 0 {
+            length += 1 + sign + exponent;
+        }
+    }
+    length
+}
+
+impl std::fmt::Display for Token {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Number(number) => write!(out, "{number}"),
+            Self::Name(name) => write!(out, "`{name}`"),
+            Self::End => write!(out, "the end"),
+            Self::Symbol(symbol) => {
+                let known = KEYWORDS.iter().chain(&SIGNS).find(|(_, s)| s == symbol);
+                write!(out, "`{}`", known.map_or("", |(text, _)| text))
+            }
+        }
+    }
+}

@@ -1,0 +1,338 @@
+//! The monitor: one pass bottom-up over the formula, linear in the trace for every operator.
+
+use super::formula::{Comparison, Formula, Interval};
+use super::signals::Signals;
+use super::window::{Extremum, Maximum, Minimum, sliding};
+
+/// Why a formula cannot be evaluated on some signals.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum MonitorError {
+    /// A signal that is not there.
+    #[error("there is no signal `{name}`; there are: {}", known.join(", "))]
+    UnknownSignal {
+        /// The name.
+        name: String,
+        /// The names there are.
+        known: Vec<String>,
+    },
+    /// A window that lies between two samples.
+    #[error("the window [{},{}] s holds no sample at a step of {step_s} s", window.from_s(), window.to_s())]
+    NoSample {
+        /// The window.
+        window: Interval,
+        /// Time between samples, in seconds.
+        step_s: f64,
+    },
+    /// A sum of signals that is infinity minus infinity somewhere.
+    #[error("`{comparison}` is undefined at {time_s} s: infinity minus infinity")]
+    Undefined {
+        /// The comparison.
+        comparison: String,
+        /// The first such instant, in seconds.
+        time_s: f64,
+    },
+}
+
+/// What a comparison contributes: its margin, or just its truth as +1 or -1.
+#[derive(Clone, Copy, PartialEq)]
+enum Reading {
+    Margin,
+    Truth,
+}
+
+impl Formula {
+    /// Robustness at the first sample: positive if satisfied, negative if violated, in the units of the comparisons.
+    ///
+    /// Time and memory are linear in the number of samples, whatever the windows.
+    ///
+    /// # Errors
+    /// [`MonitorError`] for a signal that is missing, a window between samples, or a sum that is undefined.
+    pub fn robustness(&self, signals: &Signals<'_>) -> Result<f64, MonitorError> {
+        self.first(signals, Reading::Margin)
+    }
+
+    /// Robustness at every sample.
+    ///
+    /// # Errors
+    /// As [`Formula::robustness`].
+    pub fn robustness_over_time(&self, signals: &Signals<'_>) -> Result<Vec<f64>, MonitorError> {
+        Monitor { signals, reading: Reading::Margin }.values(self, 0, signals.samples())
+    }
+
+    /// Whether the formula holds at the first sample. Agrees with the sign of the robustness wherever that is not zero.
+    ///
+    /// # Errors
+    /// As [`Formula::robustness`].
+    pub fn is_satisfied(&self, signals: &Signals<'_>) -> Result<bool, MonitorError> {
+        Ok(self.first(signals, Reading::Truth)? > 0.0)
+    }
+
+    fn first(&self, signals: &Signals<'_>, reading: Reading) -> Result<f64, MonitorError> {
+        let values = Monitor { signals, reading }.values(self, 0, 1)?;
+        Ok(values.first().copied().unwrap_or(f64::NAN))
+    }
+}
+
+impl Interval {
+    /// First and last sample of the window, relative to now; the last one is `usize::MAX` for an infinite window.
+    pub(super) fn samples(self, step_s: f64) -> Result<(usize, usize), MonitorError> {
+        // Bounds that are multiples of the step in decimal must be so in binary: allow a millionth of a step.
+        let first = (self.from_s() / step_s - 1e-6).ceil().max(0.0);
+        let last = (self.to_s() / step_s + 1e-6).floor();
+        if last < first {
+            return Err(MonitorError::NoSample { window: self, step_s });
+        }
+        // Conversion saturates.
+        Ok((first as usize, last as usize))
+    }
+}
+
+struct Monitor<'a> {
+    signals: &'a Signals<'a>,
+    reading: Reading,
+}
+
+impl Monitor<'_> {
+    /// Values at the samples from `from` to before `to`, all of which exist.
+    fn values(&self, formula: &Formula, from: usize, to: usize) -> Result<Vec<f64>, MonitorError> {
+        match formula {
+            Formula::Compare(comparison) => self.compare(comparison, from, to),
+            Formula::Not(inner) => {
+                let mut values = self.values(inner, from, to)?;
+                values.iter_mut().for_each(|value| *value = -*value);
+                Ok(values)
+            }
+            Formula::And(left, right) => self.join(left, right, from, to, Minimum::of),
+            Formula::Or(left, right) => self.join(left, right, from, to, Maximum::of),
+            Formula::Implies(left, right) => self.join(left, right, from, to, |a, b| Maximum::of(-a, b)),
+            Formula::Always(window, inner) => self.window::<Minimum>(*window, inner, from, to),
+            Formula::Eventually(window, inner) => self.window::<Maximum>(*window, inner, from, to),
+            Formula::Until(left, window, right) => self.until(left, *window, right, from, to),
+        }
+    }
+
+    fn compare(&self, comparison: &Comparison, from: usize, to: usize) -> Result<Vec<f64>, MonitorError> {
+        let sign = if comparison.relation().wants_more() { 1.0 } else { -1.0 };
+        let mut values = vec![0.0; to - from];
+        for (weight, name) in comparison.terms() {
+            let samples = self.signals.get(name).and_then(|samples| samples.get(from..to));
+            let samples = samples.ok_or_else(|| MonitorError::UnknownSignal {
+                name: name.clone(),
+                known: self.signals.names().map(str::to_owned).collect(),
+            })?;
+            let weight = sign * weight;
+            values.iter_mut().zip(samples).for_each(|(value, &sample)| *value += weight * sample);
+        }
+        let bound = sign * comparison.bound();
+        values.iter_mut().for_each(|value| *value -= bound);
+        if values.iter().fold(false, |any, value| any | value.is_nan()) {
+            let index = from + values.iter().position(|value| value.is_nan()).unwrap_or_default();
+            let time_s = index as f64 * self.signals.step_s();
+            return Err(MonitorError::Undefined { comparison: comparison.to_string(), time_s });
+        }
+        if self.reading == Reading::Truth {
+            let strict = comparison.relation().is_strict();
+            let truth = |margin: f64| if margin > 0.0 || (margin == 0.0 && !strict) { 1.0 } else { -1.0 };
+            values.iter_mut().for_each(|value| *value = truth(*value));
+        }
+        Ok(values)
+    }
+
+    fn join(
+        &self,
+        left: &Formula,
+        right: &Formula,
+        from: usize,
+        to: usize,
+        joined: impl Fn(f64, f64) -> f64,
+    ) -> Result<Vec<f64>, MonitorError> {
+        let mut values = self.values(left, from, to)?;
+        let others = self.values(right, from, to)?;
+        values.iter_mut().zip(&others).for_each(|(value, &other)| *value = joined(*value, other));
+        Ok(values)
+    }
+
+    fn window<E: Extremum>(
+        &self,
+        window: Interval,
+        inner: &Formula,
+        from: usize,
+        to: usize,
+    ) -> Result<Vec<f64>, MonitorError> {
+        let (first, last) = window.samples(self.signals.step_s())?;
+        let Some((inner_from, inner_to)) = self.reach(first, last, from, to) else {
+            return Ok(vec![E::OF_NONE; to - from]);
+        };
+        let values = self.values(inner, inner_from, inner_to)?;
+        Ok(sliding::<E>(&values, (last - first).saturating_add(1), to - from))
+    }
+
+    /// The samples that windows at `from..to` refer to, none if they all start after the end of the trace.
+    fn reach(&self, first: usize, last: usize, from: usize, to: usize) -> Option<(usize, usize)> {
+        let start = from.saturating_add(first);
+        let end = to.saturating_add(last).min(self.signals.samples());
+        (start < end).then_some((start, end))
+    }
+
+    /// By the rewriting of Donzé, Ferrère and Maler (Efficient robust monitoring for STL, CAV 2013), which holds for
+    /// robustness as it does for truth:
+    ///
+    /// `p until[a,b] q  =  eventually[a,b] q  and  always[0,a) p  and  eventually[a,a] (p until q)`.
+    fn until(
+        &self,
+        left: &Formula,
+        window: Interval,
+        right: &Formula,
+        from: usize,
+        to: usize,
+    ) -> Result<Vec<f64>, MonitorError> {
+        let (first, last) = window.samples(self.signals.step_s())?;
+        let Some((start, end)) = self.reach(first, last, from, to) else {
+            return Ok(vec![Maximum::OF_NONE; to - from]);
+        };
+        let goal = self.values(right, start, end)?;
+        // Nothing refers to the left side at the last sample.
+        let path = self.values(left, from, end - 1)?;
+        let mut result = sliding::<Maximum>(&goal, (last - first).saturating_add(1), to - from);
+        let before = if first == 0 { Vec::new() } else { sliding::<Minimum>(&path, first, to - from) };
+        result.iter_mut().zip(&before).for_each(|(value, &held)| *value = Minimum::of(*value, held));
+        // Unbounded until, from the last sample backwards: u(k) = max(q(k), min(p(k), u(k + 1))).
+        let mut unbounded = goal;
+        let mut next = Maximum::OF_NONE;
+        let path = path.iter().copied().skip(first).chain([Minimum::OF_NONE]).collect::<Vec<_>>();
+        for (value, &held) in unbounded.iter_mut().zip(&path).rev() {
+            next = Maximum::of(*value, Minimum::of(held, next));
+            *value = next;
+        }
+        let reached = unbounded.into_iter().chain(std::iter::repeat(Maximum::OF_NONE));
+        result.iter_mut().zip(reached).for_each(|(value, reached)| *value = Minimum::of(*value, reached));
+        Ok(result)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Relation, naive_robustness};
+    use super::*;
+    use proptest::prelude::*;
+
+    const STEP_S: f64 = 0.1;
+
+    fn comparison() -> impl Strategy<Value = Formula> {
+        let relation =
+            prop_oneof![Just(Relation::Below), Just(Relation::AtMost), Just(Relation::Above), Just(Relation::AtLeast)];
+        let weight = prop_oneof![Just(1.0), Just(-1.0), Just(0.5)];
+        let term = (weight, prop_oneof![Just("x"), Just("y")].prop_map(str::to_owned));
+        // Small whole numbers make margins of exactly zero common.
+        (prop::collection::vec(term, 1..3), relation, -2i32..3)
+            .prop_filter_map("no signal", |(terms, relation, c)| Comparison::new(terms, relation, f64::from(c)).ok())
+            .prop_map(Formula::Compare)
+    }
+
+    fn window() -> impl Strategy<Value = Interval> {
+        prop_oneof![
+            Just(Interval::ALL),
+            // Multiples of the step in decimal, which are not multiples in binary.
+            (0u32..12, 0u32..25)
+                .prop_map(|(a, b)| { Interval::new(f64::from(a) / 10.0, f64::from(a + b) / 10.0).unwrap() }),
+        ]
+    }
+
+    fn formula() -> impl Strategy<Value = Formula> {
+        comparison().prop_recursive(4, 12, 2, |inner| {
+            let pair = (inner.clone(), inner.clone()).prop_map(|(a, b)| (Box::new(a), Box::new(b)));
+            prop_oneof![
+                inner.clone().prop_map(|a| Formula::Not(Box::new(a))),
+                pair.clone().prop_map(|(a, b)| Formula::And(a, b)),
+                pair.clone().prop_map(|(a, b)| Formula::Or(a, b)),
+                pair.clone().prop_map(|(a, b)| Formula::Implies(a, b)),
+                (window(), inner.clone()).prop_map(|(w, a)| Formula::Always(w, Box::new(a))),
+                (window(), inner).prop_map(|(w, a)| Formula::Eventually(w, Box::new(a))),
+                (pair, window()).prop_map(|((a, b), w)| Formula::Until(a, w, b)),
+            ]
+        })
+    }
+
+    fn trace() -> impl Strategy<Value = (Vec<f64>, Vec<f64>)> {
+        let value = prop_oneof![(-3i32..4).prop_map(f64::from), -3.0..3.0f64];
+        prop::collection::vec((value.clone(), value), 1..60).prop_map(|pairs| pairs.into_iter().unzip())
+    }
+
+    fn signals<'a>(x: &'a [f64], y: &'a [f64]) -> Signals<'a> {
+        let mut signals = Signals::new(STEP_S, x.len()).unwrap();
+        signals.insert("x", x).unwrap();
+        signals.insert("y", y).unwrap();
+        signals
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        #[test]
+        fn equals_the_definition((x, y) in trace(), formula in formula()) {
+            let signals = signals(&x, &y);
+            let over_time = formula.robustness_over_time(&signals).unwrap();
+            for (k, &value) in over_time.iter().enumerate() {
+                prop_assert_eq!(value, naive_robustness(&formula, &signals, k).unwrap(), "sample {} of {}", k, &formula);
+            }
+            prop_assert_eq!(formula.robustness(&signals).unwrap(), over_time[0]);
+        }
+
+        #[test]
+        fn truth_is_the_sign_of_robustness((x, y) in trace(), formula in formula()) {
+            let signals = signals(&x, &y);
+            let (robustness, satisfied) = (formula.robustness(&signals).unwrap(), formula.is_satisfied(&signals).unwrap());
+            prop_assert!(robustness == 0.0 || satisfied == (robustness > 0.0));
+            let negated = Formula::Not(Box::new(formula));
+            prop_assert_eq!(negated.is_satisfied(&signals).unwrap(), !satisfied);
+            prop_assert_eq!(negated.robustness(&signals).unwrap(), -robustness);
+        }
+
+        #[test]
+        fn samples_after_the_horizon_do_not_matter((x, y) in trace(), formula in formula(), noise in -9.0..9.0f64) {
+            let horizon = (formula.horizon_s() / STEP_S + 1e-6).floor();
+            if horizon >= x.len() as f64 {
+                return Ok(());
+            }
+            let disturbed: Vec<f64> =
+                x.iter().enumerate().map(|(k, &v)| if k as f64 > horizon { v * noise + 1.0 } else { v }).collect();
+            let cut = horizon as usize + 1;
+            let whole = formula.robustness(&signals(&x, &y)).unwrap();
+            prop_assert_eq!(whole, formula.robustness(&signals(&disturbed, &y)).unwrap());
+            prop_assert_eq!(whole, formula.robustness(&signals(&x[..cut], &y[..cut])).unwrap());
+        }
+    }
+
+    #[test]
+    fn windows_past_the_end_are_clipped_or_empty() {
+        let x = [3.0, 2.0, 1.0];
+        let at = |text: &str| text.parse::<Formula>().unwrap().robustness(&signals(&x, &x)).unwrap();
+        assert_eq!(at("always[0.1,9] x > 0"), 1.0);
+        assert_eq!(at("eventually[0.2,9] x > 0"), 1.0);
+        assert_eq!(at("always[0.3,9] x > 0"), f64::INFINITY);
+        assert_eq!(at("not eventually[0.3,9] x > 0"), f64::INFINITY);
+        assert_eq!(at("(x > 0) until[0.3,9] (x > 0)"), f64::NEG_INFINITY);
+    }
+
+    #[test]
+    fn the_longest_formula_that_parses_is_evaluated() {
+        let x = [1.0; 4];
+        for operator in ["and", "or", "implies"] {
+            let formula: Formula = vec!["x > 0"; 990].join(&format!(" {operator} ")).parse().unwrap();
+            assert_eq!(formula.robustness(&signals(&x, &x)).unwrap(), 1.0);
+            assert_eq!(naive_robustness(&formula, &signals(&x, &x), 0).unwrap(), 1.0);
+            assert!(formula.to_string().len() > 990);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_evaluated_is_refused() {
+        let x = [f64::INFINITY, 1.0];
+        let signals = signals(&x, &x);
+        let error = |text: &str| text.parse::<Formula>().unwrap().robustness(&signals).unwrap_err().to_string();
+        assert_eq!(error("z > 0"), "there is no signal `z`; there are: x, y");
+        assert_eq!(error("always[0.11,0.19] x > 0"), "the window [0.11,0.19] s holds no sample at a step of 0.1 s");
+        assert_eq!(error("x - y > 0"), "`x - y > 0` is undefined at 0 s: infinity minus infinity");
+    }
+}

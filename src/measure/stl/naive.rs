@@ -1,0 +1,99 @@
+//! Robustness straight from the definition: the yardstick of the monitor, and the second opinion of whoever replays.
+
+use std::cell::RefCell;
+
+use super::formula::{Formula, Interval};
+use super::monitor::MonitorError;
+use super::signals::Signals;
+
+/// Robustness at sample `at`, by recursion over the definition; every window is searched from end to end.
+///
+/// Quadratic in the trace where windows are long. It shares no code with [`Formula::robustness`] but the translation of
+/// seconds to samples. A sample past the end of the trace gives NaN.
+///
+/// # Errors
+/// As [`Formula::robustness`].
+pub fn naive_robustness(formula: &Formula, signals: &Signals<'_>, at: usize) -> Result<f64, MonitorError> {
+    Node::new(formula, signals.samples()).at(signals, at)
+}
+
+/// A formula with the values found so far, so that no sample is evaluated twice.
+struct Node<'a> {
+    formula: &'a Formula,
+    inner: Vec<Node<'a>>,
+    known: RefCell<Vec<Option<f64>>>,
+}
+
+impl<'a> Node<'a> {
+    fn new(formula: &'a Formula, samples: usize) -> Self {
+        let inner: Vec<&Formula> = match formula {
+            Formula::Compare(_) => vec![],
+            Formula::Not(a) | Formula::Always(_, a) | Formula::Eventually(_, a) => vec![a],
+            Formula::And(a, b) | Formula::Or(a, b) | Formula::Implies(a, b) | Formula::Until(a, _, b) => vec![a, b],
+        };
+        let inner = inner.into_iter().map(|formula| Node::new(formula, samples)).collect();
+        Self { formula, inner, known: RefCell::new(vec![None; samples]) }
+    }
+
+    fn at(&self, signals: &Signals<'_>, k: usize) -> Result<f64, MonitorError> {
+        if let Some(value) = self.known.borrow().get(k).copied().flatten() {
+            return Ok(value);
+        }
+        let value = self.evaluate(signals, k)?;
+        if let Some(slot) = self.known.borrow_mut().get_mut(k) {
+            *slot = Some(value);
+        }
+        Ok(value)
+    }
+
+    fn evaluate(&self, signals: &Signals<'_>, k: usize) -> Result<f64, MonitorError> {
+        match (self.formula, self.inner.as_slice()) {
+            (Formula::Compare(comparison), _) => {
+                let mut sum = 0.0;
+                for (weight, name) in comparison.terms() {
+                    let samples = signals.get(name).ok_or_else(|| MonitorError::UnknownSignal {
+                        name: name.clone(),
+                        known: signals.names().map(str::to_owned).collect(),
+                    })?;
+                    sum += weight * samples.get(k).copied().unwrap_or(f64::NAN);
+                }
+                let more = sum - comparison.bound();
+                if more.is_nan() {
+                    let time_s = k as f64 * signals.step_s();
+                    return Err(MonitorError::Undefined { comparison: comparison.to_string(), time_s });
+                }
+                Ok(if comparison.relation().wants_more() { more } else { -more })
+            }
+            (Formula::Not(_), [a]) => Ok(-a.at(signals, k)?),
+            (Formula::And(..), [a, b]) => Ok(a.at(signals, k)?.min(b.at(signals, k)?)),
+            (Formula::Or(..), [a, b]) => Ok(a.at(signals, k)?.max(b.at(signals, k)?)),
+            (Formula::Implies(..), [a, b]) => Ok((-a.at(signals, k)?).max(b.at(signals, k)?)),
+            (Formula::Always(window, _), [a]) => {
+                samples(*window, signals, k)?.try_fold(f64::INFINITY, |least, j| Ok(least.min(a.at(signals, j)?)))
+            }
+            (Formula::Eventually(window, _), [a]) => {
+                samples(*window, signals, k)?.try_fold(f64::NEG_INFINITY, |most, j| Ok(most.max(a.at(signals, j)?)))
+            }
+            (Formula::Until(_, window, _), [a, b]) => {
+                let mut best = f64::NEG_INFINITY;
+                let mut held = f64::INFINITY;
+                let mut reached = k;
+                for j in samples(*window, signals, k)? {
+                    while reached < j {
+                        held = held.min(a.at(signals, reached)?);
+                        reached += 1;
+                    }
+                    best = best.max(b.at(signals, j)?.min(held));
+                }
+                Ok(best)
+            }
+            _ => Ok(f64::NAN),
+        }
+    }
+}
+
+/// The samples of a window at sample `k`, without those past the end.
+fn samples(window: Interval, signals: &Signals<'_>, k: usize) -> Result<impl Iterator<Item = usize>, MonitorError> {
+    let (first, last) = window.samples(signals.step_s())?;
+    Ok((k.saturating_add(first)..signals.samples()).take_while(move |j| j - k <= last))
+}

@@ -1,0 +1,154 @@
+//! From formulas to text that parses to the same formula.
+
+use std::fmt;
+
+use super::formula::{Comparison, Formula, Interval};
+
+impl Formula {
+    /// How tightly its outermost operator binds.
+    fn tightness(&self) -> u8 {
+        match self {
+            Self::Implies(..) => 1,
+            Self::Or(..) => 2,
+            Self::And(..) => 3,
+            Self::Until(..) => 4,
+            Self::Not(_) | Self::Always(..) | Self::Eventually(..) => 5,
+            Self::Compare(_) => 6,
+        }
+    }
+}
+
+/// A formula as an operand that must bind at least so tightly, in parentheses if it does not.
+struct Operand<'a>(&'a Formula, u8);
+
+impl fmt::Display for Operand<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(formula, tightness) = self;
+        if formula.tightness() < *tightness { write!(out, "({formula})") } else { write!(out, "{formula}") }
+    }
+}
+
+impl fmt::Display for Formula {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Compare(comparison) => write!(out, "{comparison}"),
+            Self::Not(inner) => write!(out, "not {}", Operand(inner, 5)),
+            Self::And(left, right) => write!(out, "{} and {}", Operand(left, 3), Operand(right, 4)),
+            Self::Or(left, right) => write!(out, "{} or {}", Operand(left, 2), Operand(right, 3)),
+            Self::Implies(left, right) => write!(out, "{} implies {}", Operand(left, 2), Operand(right, 1)),
+            Self::Always(window, inner) => write!(out, "always{window} {}", Operand(inner, 5)),
+            Self::Eventually(window, inner) => write!(out, "eventually{window} {}", Operand(inner, 5)),
+            Self::Until(left, window, right) => {
+                write!(out, "{} until{window} {}", Operand(left, 5), Operand(right, 5))
+            }
+        }
+    }
+}
+
+impl fmt::Display for Interval {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if *self == Self::ALL { Ok(()) } else { write!(out, "[{},{}]", self.from_s(), self.to_s()) }
+    }
+}
+
+impl fmt::Display for Comparison {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (position, (weight, name)) in self.terms().iter().enumerate() {
+            let sign = match (position, *weight < 0.0) {
+                (0, true) => "-",
+                (0, false) => "",
+                (_, true) => " - ",
+                (_, false) => " + ",
+            };
+            match weight.abs() {
+                1.0 => write!(out, "{sign}{name}")?,
+                size => write!(out, "{sign}{size} * {name}")?,
+            }
+        }
+        write!(out, " {} {}", self.relation(), self.bound())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Relation, SyntaxProblem};
+    use super::*;
+    use proptest::prelude::*;
+
+    fn comparison() -> impl Strategy<Value = Formula> {
+        let weight = prop_oneof![Just(1.0), Just(-1.0), -1e3..1e3, proptest::num::f64::NORMAL];
+        let name = prop_oneof![Just("a"), Just("b_m"), Just("ego.ttc_s"), Just("inf1"), Just("α")];
+        let relation =
+            prop_oneof![Just(Relation::Below), Just(Relation::AtMost), Just(Relation::Above), Just(Relation::AtLeast)];
+        (prop::collection::vec((weight, name.prop_map(str::to_owned)), 1..4), relation, -1e9..1e9)
+            .prop_filter_map("no signal left", |(terms, relation, bound)| Comparison::new(terms, relation, bound).ok())
+            .prop_map(Formula::Compare)
+    }
+
+    fn window() -> impl Strategy<Value = Interval> {
+        prop_oneof![
+            Just(Interval::ALL),
+            (0.0..50.0, 0.0..50.0).prop_map(|(a, b): (f64, f64)| Interval::new(a, a + b).unwrap()),
+            (0.0..50.0).prop_map(|a| Interval::new(a, f64::INFINITY).unwrap()),
+        ]
+    }
+
+    fn formula() -> impl Strategy<Value = Formula> {
+        comparison().prop_recursive(5, 30, 2, |inner| {
+            let pair = (inner.clone(), inner.clone()).prop_map(|(a, b)| (Box::new(a), Box::new(b)));
+            prop_oneof![
+                inner.clone().prop_map(|a| Formula::Not(Box::new(a))),
+                pair.clone().prop_map(|(a, b)| Formula::And(a, b)),
+                pair.clone().prop_map(|(a, b)| Formula::Or(a, b)),
+                pair.clone().prop_map(|(a, b)| Formula::Implies(a, b)),
+                (window(), inner.clone()).prop_map(|(w, a)| Formula::Always(w, Box::new(a))),
+                (window(), inner).prop_map(|(w, a)| Formula::Eventually(w, Box::new(a))),
+                (pair, window()).prop_map(|((a, b), w)| Formula::Until(a, w, b)),
+            ]
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn printed_formulas_parse_to_themselves(formula in formula()) {
+            let text = formula.to_string();
+            prop_assert_eq!(text.parse::<Formula>(), Ok(formula), "{}", text);
+        }
+
+        #[test]
+        fn no_text_makes_the_parser_panic(text in "[a-c0-9.e()\\[\\],<>=&|!*/+ -]{0,40}|(always|not|until|and|\\(|\\)|a|<|2|\\[0,1\\]| ){0,30}|.{0,30}") {
+            if let Ok(formula) = text.parse::<Formula>() {
+                prop_assert_eq!(formula.to_string().parse::<Formula>(), Ok(formula));
+            }
+        }
+    }
+
+    #[test]
+    fn both_spellings_and_loose_writing_mean_the_same() {
+        let plain: Formula =
+            "always[0,72] eventually[0,8] (a - b >= 9 implies not c < 1 and d > 2 or a > 0)".parse().unwrap();
+        let signs: Formula =
+            "□[0,72]◇[0,8]((a >= b + 9) → ((!c<1 ∧ 0.5*(2*d) > 1+1) ∨ 0 < a*3/3 - 0))".parse().unwrap();
+        // `0 < a` is kept as it is written, with the signal on its side of the sign.
+        assert_eq!(signs.to_string().replace("-a < 0", "a > 0"), plain.to_string());
+    }
+
+    #[test]
+    fn errors_point_at_the_column() {
+        let column = |text: &str| text.parse::<Formula>().unwrap_err().column;
+        assert_eq!(column("always[0,5] a - b"), 13, "a sum is no formula");
+        assert_eq!(column("always[5,2] a > 1"), 7, "a window that ends before it starts");
+        assert_eq!(column("a > 1 & b > 2"), 7, "an unknown sign");
+        assert_eq!(column("a * b > 2"), 5, "a product of signals");
+        assert_eq!(column("0 < a < 2"), 7, "a chain of comparisons");
+        assert_eq!(column("(a > 1) + 2 > 3"), 1, "a formula is no sum");
+        assert_eq!(column("a > 1 and"), 10, "the end");
+        assert_eq!(column("◇[0,1] a > "), 12, "columns are characters, not bytes");
+        assert_eq!(column("1 > 2"), 1, "no signal");
+        assert_eq!(column("a / 0 > 2"), 1, "a weight that is not finite");
+        let nested = format!("{}a > 1{}", "(".repeat(5000), ")".repeat(5000));
+        assert!(matches!(nested.parse::<Formula>().unwrap_err().problem, SyntaxProblem::TooLong { .. }));
+        let error = "always[0 5] a > 1".parse::<Formula>().unwrap_err();
+        assert_eq!(error.to_string(), "column 10: expected `,`, found 5");
+    }
+}

@@ -1,0 +1,119 @@
+//! Named signals on one uniform time grid.
+
+use std::borrow::Cow;
+
+/// Signals by name, all sampled at the same instants: sample k at `k * step_s`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Signals<'a> {
+    step_s: f64,
+    samples: usize,
+    named: Vec<(Cow<'a, str>, Cow<'a, [f64]>)>,
+}
+
+/// Why signals cannot be collected.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SignalsError {
+    /// A time step that is no time step.
+    #[error("the time step must be positive and finite, found {found} s")]
+    Step {
+        /// The step, in seconds.
+        found: f64,
+    },
+    /// No samples at all.
+    #[error("signals need at least one sample")]
+    Empty,
+    /// A signal of another length.
+    #[error("signal `{name}` has {found} samples, and the others have {expected}")]
+    Length {
+        /// The signal.
+        name: String,
+        /// Its length.
+        found: usize,
+        /// The length of the others.
+        expected: usize,
+    },
+    /// A sample that is not a number. Infinities are allowed.
+    #[error("signal `{name}`: sample {index} is not a number")]
+    NotANumber {
+        /// The signal.
+        name: String,
+        /// Index of the first such sample.
+        index: usize,
+    },
+    /// A name used twice.
+    #[error("there is a signal `{name}` already")]
+    Twice {
+        /// The name.
+        name: String,
+    },
+}
+
+impl<'a> Signals<'a> {
+    /// No signals yet, for `samples` samples `step_s` seconds apart.
+    ///
+    /// # Errors
+    /// [`SignalsError`] unless the step is positive and there is at least one sample.
+    pub fn new(step_s: f64, samples: usize) -> Result<Self, SignalsError> {
+        if !(step_s > 0.0 && step_s.is_finite()) {
+            return Err(SignalsError::Step { found: step_s });
+        }
+        if samples == 0 {
+            return Err(SignalsError::Empty);
+        }
+        Ok(Self { step_s, samples, named: Vec::new() })
+    }
+
+    /// Adds a signal, borrowed or owned.
+    ///
+    /// # Errors
+    /// [`SignalsError`] if the name is taken, the length differs or a sample is not a number.
+    pub fn insert(
+        &mut self,
+        name: impl Into<Cow<'a, str>>,
+        samples: impl Into<Cow<'a, [f64]>>,
+    ) -> Result<(), SignalsError> {
+        let (name, samples) = (name.into(), samples.into());
+        if self.get(&name).is_some() {
+            return Err(SignalsError::Twice { name: name.into_owned() });
+        }
+        if samples.len() != self.samples {
+            let (found, expected) = (samples.len(), self.samples);
+            return Err(SignalsError::Length { name: name.into_owned(), found, expected });
+        }
+        if let Some(index) = samples.iter().position(|x| x.is_nan()) {
+            return Err(SignalsError::NotANumber { name: name.into_owned(), index });
+        }
+        self.named.push((name, samples));
+        Ok(())
+    }
+
+    /// The samples of a signal.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<&[f64]> {
+        self.named.iter().find(|(known, _)| known == name).map(|(_, samples)| samples.as_ref())
+    }
+
+    /// The names, in the order they were added.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.named.iter().map(|(name, _)| name.as_ref())
+    }
+
+    /// Time between samples in seconds.
+    #[must_use]
+    pub fn step_s(&self) -> f64 {
+        self.step_s
+    }
+
+    /// Number of samples, at least one.
+    #[must_use]
+    pub fn samples(&self) -> usize {
+        self.samples
+    }
+
+    /// Time from the first to the last sample in seconds.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        (self.samples - 1) as f64 * self.step_s
+    }
+}

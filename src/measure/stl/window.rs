@@ -1,0 +1,106 @@
+//! Minimum and maximum over a sliding window, in linear time.
+//!
+//! The block method of van Herk (Pattern Recognition Letters 13, 1992) and of Gil and Werman (IEEE PAMI 15, 1993):
+//! cut the values into blocks as long as the window; any window is then the end of one block and the start of the next,
+//! and both are known from one scan backwards and one forwards. Like the queue of Lemire (Nordic Journal of Computing
+//! 13, 2006) it takes at most three comparisons a value, but without a branch that depends on the data.
+
+/// Which of the two is sought.
+pub(super) trait Extremum: Copy {
+    /// Of no values at all.
+    const OF_NONE: f64;
+    fn of(a: f64, b: f64) -> f64;
+}
+
+#[derive(Clone, Copy)]
+pub(super) struct Minimum;
+
+#[derive(Clone, Copy)]
+pub(super) struct Maximum;
+
+// Compared by hand, since `f64::min` and `f64::max` spend time on NaN, of which there is none here.
+impl Extremum for Minimum {
+    const OF_NONE: f64 = f64::INFINITY;
+    #[inline(always)]
+    fn of(a: f64, b: f64) -> f64 {
+        if a < b { a } else { b }
+    }
+}
+
+impl Extremum for Maximum {
+    const OF_NONE: f64 = f64::NEG_INFINITY;
+    #[inline(always)]
+    fn of(a: f64, b: f64) -> f64 {
+        if a > b { a } else { b }
+    }
+}
+
+/// For each of the first `outputs` positions the extremum of the `width` values from there on, fewer at the end.
+pub(super) fn sliding<E: Extremum>(values: &[f64], width: usize, outputs: usize) -> Vec<f64> {
+    let windows = outputs.min(values.len());
+    let mut result = match (width, windows) {
+        (0, _) | (_, 0) => Vec::new(),
+        (1, _) => values.iter().copied().take(windows).collect(),
+        (_, 1) => vec![extremum::<E>(values.get(..width).unwrap_or(values))],
+        _ => blocks::<E>(values, width.min(values.len()), windows),
+    };
+    result.resize(outputs, E::OF_NONE);
+    result
+}
+
+fn blocks<E: Extremum>(values: &[f64], width: usize, windows: usize) -> Vec<f64> {
+    let mut result = vec![0.0; values.len()];
+    for (ends, block) in result.chunks_mut(width).zip(values.chunks(width)) {
+        let mut end = E::OF_NONE;
+        for (slot, &value) in ends.iter_mut().zip(block).rev() {
+            end = E::of(end, value);
+            *slot = end;
+        }
+    }
+    // A window that starts inside block i ends inside block i + 1: the window at offset o takes its first o values.
+    for (ends, block) in result.chunks_mut(width).zip(values.chunks(width).skip(1)) {
+        let mut start = E::OF_NONE;
+        let mut rest = ends.iter_mut().skip(1);
+        for (&value, slot) in block.iter().zip(rest.by_ref()) {
+            start = E::of(start, value);
+            *slot = E::of(*slot, start);
+        }
+        // The last block may be shorter: windows that reach past it are clipped.
+        rest.for_each(|slot| *slot = E::of(*slot, start));
+    }
+    result.truncate(windows);
+    result
+}
+
+/// The extremum of all, in lanes that do not wait for one another.
+fn extremum<E: Extremum>(values: &[f64]) -> f64 {
+    let (groups, rest) = values.as_chunks::<16>();
+    let mut lanes = [E::OF_NONE; 16];
+    for group in groups {
+        for (lane, &value) in lanes.iter_mut().zip(group) {
+            *lane = E::of(*lane, value);
+        }
+    }
+    lanes.iter().chain(rest).fold(E::OF_NONE, |all, &value| E::of(all, value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn equals_its_definition(
+            values in prop::collection::vec(-10.0..10.0f64, 0..80),
+            width in 0usize..100,
+            outputs in 0usize..100,
+        ) {
+            let window = |k: usize| values.iter().skip(k).take(width).copied();
+            let least: Vec<f64> = (0..outputs).map(|k| window(k).fold(f64::INFINITY, f64::min)).collect();
+            let most: Vec<f64> = (0..outputs).map(|k| window(k).fold(f64::NEG_INFINITY, f64::max)).collect();
+            prop_assert_eq!(sliding::<Minimum>(&values, width, outputs), least);
+            prop_assert_eq!(sliding::<Maximum>(&values, width, outputs), most);
+        }
+    }
+}
