@@ -92,7 +92,14 @@ impl Policy {
         let header: PolicyHeader = serde_json::from_str(text).map_err(|e| PolicyError::Header(e.to_string()))?;
         check(&header)?;
         let tensors = SafeTensors::deserialize(bytes)?;
-        let mut network = Network::zeros(&sizes(&header.hidden));
+        let sizes = sizes(&header.hidden);
+        // Checked before anything is allocated: a small file cannot ask for a large network.
+        let described: usize = sizes.windows(2).map(|pair| pair.iter().product::<usize>() + pair[1]).sum();
+        if described.saturating_mul(4) > bytes.len() {
+            let problem = format!("describes a network of {described} numbers, more than the file holds");
+            return Err(PolicyError::Header(problem));
+        }
+        let mut network = Network::zeros(&sizes);
         let layers = network.layers();
         if let Some(name) = tensors.names().into_iter().find(|name| !tensor_names(layers.len()).any(|n| n == **name)) {
             return Err(wrong(name, "is not part of the network the header describes".to_owned()));

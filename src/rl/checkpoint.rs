@@ -94,8 +94,15 @@ impl Trainer {
         if header.version != VERSION {
             return Err(broken(format!("version {} is not supported: this release reads {VERSION}", header.version)));
         }
-        if (TrainingConfig { episodes: config.episodes, ..header.config }, header.seed) != (config.clone(), seed) {
-            return Err(broken(format!("it is of another configuration or of seed {}, not {seed}", header.seed)));
+        if header.seed != seed {
+            return Err(broken(format!("it is of seed {}, not {seed}", header.seed)));
+        }
+        if (TrainingConfig { episodes: config.episodes, ..header.config }) != *config {
+            return Err(broken("it is of another configuration: only the number of episodes may differ"));
+        }
+        if header.episode > config.episodes {
+            let (done, asked) = (header.episode, config.episodes);
+            return Err(broken(format!("{done} episodes are done already, more than the {asked} asked for")));
         }
         let arrays = SafeTensors::deserialize(bytes).map_err(broken)?;
         let mut trainer = Self::new(config, seed);
@@ -137,7 +144,12 @@ fn numbers(arrays: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, TrainingErr
         return Err(broken(format!("`{name}` must be F32, found {:?}", view.dtype())));
     }
     let (values, _) = view.data().as_chunks::<4>();
-    Ok(values.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect())
+    let values: Vec<f32> = values.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect();
+    if values.iter().all(|value| value.is_finite()) {
+        Ok(values)
+    } else {
+        Err(broken(format!("`{name}` holds a number that is not finite")))
+    }
 }
 
 fn read(arrays: &SafeTensors<'_>, name: &str, out: &mut [f32]) -> Result<(), TrainingError> {

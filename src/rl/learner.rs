@@ -68,6 +68,11 @@ pub struct Losses {
 }
 
 impl Learner {
+    /// Every network, targets included.
+    pub(super) fn networks(&self) -> impl Iterator<Item = &Network> {
+        std::iter::once(&self.actor).chain(&self.critics).flat_map(|part| [&part.network, &part.target])
+    }
+
     /// First weights from `seed`.
     #[must_use]
     pub fn new(network: &NetworkConfig, learning: &LearningConfig, td3: &Td3Config, seed: u64) -> Self {

@@ -6,7 +6,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-use super::config::TrainingConfig;
+use super::config::{TimeLimit, TrainingConfig};
 use super::environment::{Ending, Episode, bounds};
 use super::evaluation::{Evaluation, HeldOut};
 use super::learner::{Learner, Losses};
@@ -81,6 +81,9 @@ pub struct Best {
     /// Its actor.
     pub network: Network,
 }
+
+/// Steps of an episode without contact (paper, section "Markov decision process": 1500 steps of 0.01 s).
+const PERFECT_STEPS: f64 = 1500.0;
 
 /// A training under way.
 #[derive(Debug, Clone)]
@@ -220,9 +223,17 @@ impl Trainer {
         let environment = &self.config.environment;
         let each = environment.step_reward * f64::from(environment.decision_steps);
         let discounted = each / (1.0 - self.config.learning.discount);
-        let largest_value = environment.reward_scale * discounted.max(-environment.contact_reward);
+        // Where life ends with the episode, no value exceeds what one episode pays.
+        let paid = match environment.time_limit {
+            TimeLimit::Truncation => discounted,
+            TimeLimit::End => discounted.min(PERFECT_STEPS * environment.step_reward),
+        };
+        let largest_value = environment.reward_scale * paid.max(-environment.contact_reward);
         let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
-        if critic_loss.is_finite() && mean_value.abs() <= EXPLODED * largest_value {
+        // The rectifier turns NaN into 0, so a network can be broken while its outputs look sound.
+        let is_whole =
+            self.learner.networks().all(|network| network.parameters().iter().all(|value| value.is_finite()));
+        if is_whole && critic_loss.is_finite() && mean_value.abs() <= EXPLODED * largest_value {
             return Ok(());
         }
         let (seed, episode) = (self.seed, record.episode);
