@@ -134,12 +134,11 @@ impl Plan {
         let mut traffic = Vec::new();
         for (index, named) in config.scenarios.iter().enumerate() {
             let field = format!("scenarios[{index}]");
-            let found = match file::load_all(&folder.join(named)) {
-                Err(FileError::Read { path, source }) if source.kind() == std::io::ErrorKind::NotFound => {
-                    return Err(wrong(&field, format!("there is no {}", path.display())));
-                }
-                other => other?,
-            };
+            let at = folder.join(named);
+            if !at.exists() {
+                return Err(wrong(&field, format!("there is no {}", at.display())));
+            }
+            let found = file::load_all(&at)?;
             if found.is_empty() {
                 let problem = format!("the folder {} holds no scenario file", named.display());
                 return Err(wrong(&field, problem));

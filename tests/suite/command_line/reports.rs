@@ -1,0 +1,76 @@
+//! `crumple assess` and `crumple import` as a user meets them.
+
+use std::fs;
+use std::path::Path;
+
+use super::{code, command, crumple, folder, names_in, stderr, stdout};
+
+/// A small platoon in the OpenACC format: the leader brakes from 20 to 11 m/s at 3 m/s².
+fn platoon() -> String {
+    let mut text = "Date,1,1,2026\nVehicle_order,A,B,\nNumber_of_vehicles,2\nACC,1\nDistance_setting,S\n".to_owned();
+    text += "Time,Speed1,E1,N1,Lon1,Lat1,Alt1,Speed2,E2,N2,Lon2,Lat2,Alt2,IVS1\n";
+    for sample in 0..150 {
+        let time_s = f64::from(sample) * 0.1;
+        let speed_mps = 20.0 - 3.0 * (time_s - 3.0).clamp(0.0, 3.0);
+        text += &format!("{time_s:.1},{speed_mps:.3},,,,,,20.0,,,,,,25.0\n");
+    }
+    text
+}
+
+#[test]
+fn an_imported_episode_can_be_simulated_and_assessed() {
+    let folder = folder();
+    fs::write(folder.path().join("platoon.csv"), platoon()).unwrap();
+    let imported = crumple(folder.path(), &["import", "platoon.csv", "--out", "episodes"]);
+    assert_eq!((code(&imported), stdout(&imported)), (0, "platoon.csv: 1 scenario (openacc)\n"), "{imported:?}");
+    let episode = &names_in(&folder.path().join("episodes"))[0];
+    let simulated = crumple(folder.path(), &["simulate", &format!("episodes/{episode}"), "--expect", "safe"]);
+    assert_eq!(code(&simulated), 0, "{simulated:?}");
+    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\ndraws = 20\nscenarios = [\"episodes\"]\n";
+    fs::write(folder.path().join("a.toml"), config).unwrap();
+    for threads in ["1", "2"] {
+        let out = format!("report-{threads}");
+        let output =
+            command(folder.path(), &["assess", "a.toml", "--out", &out]).env("RAYON_NUM_THREADS", threads).output();
+        assert_eq!(code(&output.expect("starts")), 0);
+        assert_eq!(names_in(&folder.path().join(&out)), ["assessment.html", "assessment.json", "assessment.md"]);
+    }
+    for name in ["assessment.html", "assessment.json", "assessment.md"] {
+        let read = |folder_name: &str| fs::read(folder.path().join(folder_name).join(name)).unwrap();
+        assert_eq!(read("report-1"), read("report-2"), "{name} depends on the number of threads");
+    }
+    let markdown = fs::read_to_string(folder.path().join("report-1/assessment.md")).unwrap();
+    assert!(markdown.contains("openacc-platoon-01"), "recorded traffic is in the report");
+}
+
+fn refused(folder: &Path, arguments: &[&str], expected: &str) {
+    let output = crumple(folder, arguments);
+    let first = stderr(&output).lines().next().unwrap_or_default().to_owned();
+    assert_eq!(code(&output), 2, "{arguments:?}: {first}");
+    assert!(first.starts_with(expected), "{arguments:?}: {first}");
+}
+
+#[test]
+fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
+    let folder = folder();
+    let cases = [
+        ("version = 1\ndraws = \"many\"\n", "error: a.toml:2: draws: invalid type"),
+        ("version = 1\n\nspeed = 3\n", "error: a.toml:3: speed: unknown field `speed`"),
+        ("version = 2\n", "error: a.toml:1: version: version 2 is not supported"),
+        ("version = 1\ncontrollers = [\"hal\"]\n", "error: a.toml:2: controllers[0]: there is no controller `hal`"),
+        ("version = 1\ncontrollers = []\n", "error: a.toml:2: controllers: must name at least one"),
+        ("version = 1\nscenarios = [\"nowhere\"]\n", "error: a.toml:2: scenarios[0]: "),
+    ];
+    for (config, expected) in cases {
+        fs::write(folder.path().join("a.toml"), config).unwrap();
+        refused(folder.path(), &["assess", "a.toml", "--out", "report"], expected);
+    }
+    let truncated = platoon();
+    fs::write(folder.path().join("cut.csv"), &truncated[..truncated.len() - 12]).unwrap();
+    fs::write(folder.path().join("empty.csv"), "").unwrap();
+    refused(folder.path(), &["import", "cut.csv", "--out", "episodes"], "error: cut.csv:156: ");
+    refused(folder.path(), &["import", "empty.csv", "--out", "episodes"], "error: empty.csv: ");
+    refused(folder.path(), &["import", "missing.csv", "--out", "episodes"], "error: missing.csv: ");
+    refused(folder.path(), &["import", "cut.csv", "--min-brake", "-1"], "error: --min-brake: ");
+    assert_eq!(names_in(folder.path()), ["a.toml", "cut.csv", "empty.csv"], "nothing was written");
+}
