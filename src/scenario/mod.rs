@@ -5,6 +5,7 @@
 
 mod driver;
 pub mod file;
+mod invalid;
 mod paper;
 mod profile;
 mod validate;
@@ -14,10 +15,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use driver::{AccAebSettings, AebSettings, ConstantBrakeSettings, ControllerSpec, Driver, IdmSettings};
+pub use invalid::{InvalidField, Problem, Range};
 pub use paper::{PaperDistribution, built_in, built_in_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};
 pub(crate) use validate::whole_multiple;
-pub use validate::{InvalidField, Problem};
 pub use vehicle::{VehicleClass, VehicleSpec};
 
 /// The version of the scenario file format this release reads and writes.

@@ -5,6 +5,7 @@
 //! each other, so results depend neither on the packing nor on the number of threads.
 
 mod block;
+mod column;
 mod pilots;
 
 use std::cmp::Ordering;
