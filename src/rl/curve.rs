@@ -81,9 +81,7 @@ impl LearningCurve {
         let last = points.last().map_or(1.0, |point| point.episode as f64);
         let low = points.iter().map(|point| point.mean_reward - point.deviation).fold(0.0, f64::min);
         let frame = Frame { left: LEFT + 24.0, top: HEADING, width: WIDTH - LEFT - 40.0, height: HEIGHT };
-        let title = format!(
-            "Reward in evaluation, {preset}: mean and standard deviation over {seeds} seeds; one that has ended keeps its best"
-        );
+        let title = format!("Reward in evaluation, preset {preset}, {seeds} seeds: mean and standard deviation");
         let x = Axis::numbers("episode", (0.0, last), 8);
         let y = Axis::numbers("", (low, PERFECT * 1.06), 6);
         let mut panel = Panel::new(frame, &title, x, y);
@@ -94,7 +92,8 @@ impl LearningCurve {
         panel.line(&line(&|p| p.mean_reward), Stroke::series(0));
         panel.note((last * 0.995, PERFECT * 0.94), Anchor::End, "22 500: no contact", Ink::Muted);
         let content = panel.draw(&Svg::id("learning-curve", "frame"));
-        let description = "The mean line rises towards 22 500, the reward of an episode without contact.";
+        let description =
+            "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact.";
         Svg::new("learning-curve", (WIDTH, HEADING + HEIGHT + BELOW), &title, description, content)
     }
 }
@@ -132,6 +131,6 @@ mod tests {
         assert_eq!(at, [None, Some(22_500.0), Some(22_500.0), Some(100.0), Some(22_500.0)]);
         assert_eq!(log.lines().map(episode_of).collect::<Vec<_>>(), [Some(1), Some(5), Some(10)]);
         let svg = LearningCurve::from_logs("fast", &[log.to_owned(), log.to_owned()]).figure().document();
-        assert!(svg.contains("over 2 seeds") && svg.contains("22 500"));
+        assert!(svg.contains("2 seeds") && svg.contains("22 500"));
     }
 }

@@ -199,7 +199,8 @@ fn accelerations(name: &str, trace: &Trace) -> Svg {
 const INTRODUCTION: &str = "The paper reports that the learned controller brakes sharply early, which fires the follower's \
     emergency brake before it is too late, and that it may speed up again at the end to leave room behind. Whether a policy \
     here does so can be read off: when it first brakes, beside when its leader does; how hard in the second before the \
-    follower's brake fires; and whether it speeds up afterwards.";
+    follower's brake fires; and whether it speeds up afterwards. A policy that brakes before its leader does has learned the \
+    paper's scenarios rather than the road: the paper's reward asks for no contact and charges nothing for braking.";
 
 impl Part for Learned {
     fn id(&self) -> &'static str {
