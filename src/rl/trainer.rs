@@ -13,7 +13,7 @@ use super::learner::{Learner, Losses};
 use super::replay::{Batch, Replay, Transition};
 use crate::policy::{Network, ObservationScaling, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
 use crate::random::{self, Purpose};
-use crate::scenario::{ControllerSpec, InvalidField, PaperDistribution};
+use crate::scenario::{ControllerSpec, InvalidField, PAPER_STEP_S, PaperDistribution};
 use crate::sim::{Run, RunError, RunOptions};
 
 /// The critic may value a state at this many times the largest value that can be right before it counts as exploded.
@@ -269,7 +269,6 @@ impl Trainer {
     }
 
     fn policy_of(&self, network: Network, episode: u64) -> Result<Policy, TrainingError> {
-        let step_s = 0.01;
         let training = serde_json::to_value(&self.config).map_err(|e| TrainingError::Checkpoint(e.to_string()))?;
         let header = PolicyHeader {
             version: POLICY_VERSION,
@@ -277,7 +276,7 @@ impl Trainer {
             hidden: self.config.network.hidden.clone(),
             observation: ObservationScaling::default(),
             action: bounds(&self.config.environment),
-            decision_interval_s: f64::from(self.config.environment.decision_steps) * step_s,
+            decision_interval_s: f64::from(self.config.environment.decision_steps) * PAPER_STEP_S,
             estimator: self.config.environment.estimator,
             seed: self.seed,
             episode,

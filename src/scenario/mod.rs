@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 pub use driver::{AccAebSettings, AebSettings, ConstantBrakeSettings, ControllerSpec, Driver, IdmSettings};
 pub use invalid::{InvalidField, Problem, Range};
-pub use paper::{PaperDistribution, built_in, built_in_names};
+pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};
 pub(crate) use validate::whole_multiple;
 pub use vehicle::{VehicleClass, VehicleSpec};
@@ -58,7 +58,7 @@ pub struct ScenarioSpec {
 }
 
 fn paper_step_s() -> f64 {
-    paper::STEP_S
+    PAPER_STEP_S
 }
 
 fn is_default<T: Default + PartialEq>(value: &T) -> bool {

@@ -15,7 +15,7 @@ use super::{
 use crate::random::{self, Purpose};
 
 /// The paper's time step, in seconds.
-pub(super) const STEP_S: f64 = 0.01;
+pub const PAPER_STEP_S: f64 = 0.01;
 /// 1500 steps.
 const DURATION_S: f64 = 15.0;
 /// 90 km/h.
@@ -70,7 +70,7 @@ fn spec(name: String, about: String, seed: u64, vehicles: Vec<VehicleSpec>) -> S
         name,
         about,
         duration_s: DURATION_S,
-        step_s: STEP_S,
+        step_s: PAPER_STEP_S,
         seed,
         environment: Environment::default(),
         sensors: Sensors::default(),

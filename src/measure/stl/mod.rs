@@ -37,6 +37,8 @@
 //! [`Formula::horizon_s`] with [`Signals::duration_s`].
 
 mod formula;
+#[cfg(test)]
+mod generate;
 mod lex;
 mod monitor;
 mod naive;

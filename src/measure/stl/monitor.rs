@@ -213,6 +213,7 @@ impl Monitor<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::generate::any_formula;
     use super::super::{Relation, naive_robustness};
     use super::*;
     use proptest::prelude::*;
@@ -240,18 +241,7 @@ mod tests {
     }
 
     fn formula() -> impl Strategy<Value = Formula> {
-        comparison().prop_recursive(4, 12, 2, |inner| {
-            let pair = (inner.clone(), inner.clone()).prop_map(|(a, b)| (Box::new(a), Box::new(b)));
-            prop_oneof![
-                inner.clone().prop_map(|a| Formula::Not(Box::new(a))),
-                pair.clone().prop_map(|(a, b)| Formula::And(a, b)),
-                pair.clone().prop_map(|(a, b)| Formula::Or(a, b)),
-                pair.clone().prop_map(|(a, b)| Formula::Implies(a, b)),
-                (window(), inner.clone()).prop_map(|(w, a)| Formula::Always(w, Box::new(a))),
-                (window(), inner).prop_map(|(w, a)| Formula::Eventually(w, Box::new(a))),
-                (pair, window()).prop_map(|((a, b), w)| Formula::Until(a, w, b)),
-            ]
-        })
+        any_formula(comparison(), window(), 4, 12)
     }
 
     fn trace() -> impl Strategy<Value = (Vec<f64>, Vec<f64>)> {

@@ -71,6 +71,7 @@ impl fmt::Display for Comparison {
 
 #[cfg(test)]
 mod tests {
+    use super::super::generate::any_formula;
     use super::super::{Relation, SyntaxProblem};
     use super::*;
     use proptest::prelude::*;
@@ -94,18 +95,7 @@ mod tests {
     }
 
     fn formula() -> impl Strategy<Value = Formula> {
-        comparison().prop_recursive(5, 30, 2, |inner| {
-            let pair = (inner.clone(), inner.clone()).prop_map(|(a, b)| (Box::new(a), Box::new(b)));
-            prop_oneof![
-                inner.clone().prop_map(|a| Formula::Not(Box::new(a))),
-                pair.clone().prop_map(|(a, b)| Formula::And(a, b)),
-                pair.clone().prop_map(|(a, b)| Formula::Or(a, b)),
-                pair.clone().prop_map(|(a, b)| Formula::Implies(a, b)),
-                (window(), inner.clone()).prop_map(|(w, a)| Formula::Always(w, Box::new(a))),
-                (window(), inner).prop_map(|(w, a)| Formula::Eventually(w, Box::new(a))),
-                (pair, window()).prop_map(|((a, b), w)| Formula::Until(a, w, b)),
-            ]
-        })
+        any_formula(comparison(), window(), 5, 30)
     }
 
     proptest! {

@@ -1,0 +1,27 @@
+//! Random formulas for the properties of the monitor and of the printer.
+
+use proptest::prelude::*;
+
+use super::formula::{Formula, Interval};
+
+/// Formulas over given comparisons and windows, at most `depth` deep and about `size` nodes large.
+pub(super) fn any_formula(
+    comparison: impl Strategy<Value = Formula> + 'static,
+    window: impl Strategy<Value = Interval> + 'static,
+    depth: u32,
+    size: u32,
+) -> impl Strategy<Value = Formula> {
+    let window = window.boxed();
+    comparison.prop_recursive(depth, size, 2, move |inner| {
+        let pair = (inner.clone(), inner.clone()).prop_map(|(a, b)| (Box::new(a), Box::new(b)));
+        prop_oneof![
+            inner.clone().prop_map(|a| Formula::Not(Box::new(a))),
+            pair.clone().prop_map(|(a, b)| Formula::And(a, b)),
+            pair.clone().prop_map(|(a, b)| Formula::Or(a, b)),
+            pair.clone().prop_map(|(a, b)| Formula::Implies(a, b)),
+            (window.clone(), inner.clone()).prop_map(|(w, a)| Formula::Always(w, Box::new(a))),
+            (window.clone(), inner).prop_map(|(w, a)| Formula::Eventually(w, Box::new(a))),
+            (pair, window.clone()).prop_map(|((a, b), w)| Formula::Until(a, w, b)),
+        ]
+    })
+}
