@@ -4,14 +4,13 @@
 //! at most half a gap away from the exact result, so the exact result lies inside. What overflows or has no value becomes
 //! the whole line, about which nothing can be proved.
 
-use std::ops::{Add, Mul, Neg, Sub};
+use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
-use serde::de::value::MapAccessDeserializer;
-use serde::de::{Error, MapAccess, Visitor};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 /// All real numbers from `low` to `high`. In a file a plain number, or `{"low": …, "high": …}`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Written", into = "Written")]
 pub struct Interval {
     low: f64,
     high: f64,
@@ -108,23 +107,17 @@ impl Interval {
     }
 }
 
-impl From<f64> for Interval {
-    fn from(value: f64) -> Self {
-        Self::point(value)
-    }
-}
-
-impl From<u32> for Interval {
-    fn from(value: u32) -> Self {
-        Self::point(f64::from(value))
-    }
-}
-
 impl Add for Interval {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
         Self::outward(self.low + other.low, self.high + other.high)
+    }
+}
+
+impl AddAssign for Interval {
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
     }
 }
 
@@ -152,6 +145,14 @@ impl Mul for Interval {
     }
 }
 
+/// An interval as a file states it.
+#[derive(Serialize, Deserialize)]
+#[serde(untagged, expecting = "expected a number or {\"low\": number, \"high\": number}")]
+enum Written {
+    Number(f64),
+    Ends(Ends),
+}
+
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Ends {
@@ -159,43 +160,20 @@ struct Ends {
     high: f64,
 }
 
-impl Serialize for Interval {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let Self { low, high } = *self;
-        if low == high { serializer.serialize_f64(low) } else { Ends { low, high }.serialize(serializer) }
+impl TryFrom<Written> for Interval {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Self, String> {
+        let (low, high) = match written {
+            Written::Number(value) => (value, value),
+            Written::Ends(Ends { low, high }) => (low, high),
+        };
+        Self::new(low, high).ok_or_else(|| format!("an interval from {low} to {high} has no members"))
     }
 }
 
-impl<'de> Deserialize<'de> for Interval {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(NumberOrEnds)
-    }
-}
-
-struct NumberOrEnds;
-
-impl<'de> Visitor<'de> for NumberOrEnds {
-    type Value = Interval;
-
-    fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("a number or {\"low\": number, \"high\": number}")
-    }
-
-    fn visit_f64<E: Error>(self, value: f64) -> Result<Interval, E> {
-        Interval::new(value, value).ok_or_else(|| E::custom("a number that is not finite"))
-    }
-
-    fn visit_i64<E: Error>(self, value: i64) -> Result<Interval, E> {
-        self.visit_f64(value as f64)
-    }
-
-    fn visit_u64<E: Error>(self, value: u64) -> Result<Interval, E> {
-        self.visit_f64(value as f64)
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Interval, A::Error> {
-        let Ends { low, high } = Ends::deserialize(MapAccessDeserializer::new(map))?;
-        Interval::new(low, high)
-            .ok_or_else(|| A::Error::custom(format!("an interval from {low} to {high} has no members")))
+impl From<Interval> for Written {
+    fn from(Interval { low, high }: Interval) -> Self {
+        if low == high { Self::Number(low) } else { Self::Ends(Ends { low, high }) }
     }
 }
