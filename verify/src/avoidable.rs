@@ -8,7 +8,7 @@
 //! ```
 //!
 //! and once the guard is surely negative every member has fired. As firing later never moves the follower back, no member's
-//! follower is ahead of one that fires at that instant, T; it is this follower that the last ego is compared with.
+//! follower is ahead of one that fires at that instant, and it is this one that the last ego is compared with.
 //!
 //! Between two instants a gap g satisfies g'' ≤ m, where m is the most that the vehicle ahead accelerates (at least 0, as it
 //! may stop) less the least that the one behind does (at most 0). Then g(t) ≥ chord(t) - m t (h - t) / 2, hence

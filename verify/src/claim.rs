@@ -84,8 +84,11 @@ pub struct Follower {
 }
 
 impl Scene {
-    /// Whether the scene makes sense. What the checks rely on: no speed, length, limit or time is negative or infinite.
-    pub(crate) fn check(&self) -> Result<(), Rejection> {
+    /// Whether the scene makes sense: no speed, length, limit or time is negative or infinite, and sizes are bounded.
+    ///
+    /// # Errors
+    /// [`Rejection::Invalid`] names the first field that does not.
+    pub fn check(&self) -> Result<(), Rejection> {
         if !(self.step_s > 0.0 && self.step_s.is_finite()) {
             return Err(Rejection::invalid("step_s", "must be positive"));
         }
