@@ -1,0 +1,5 @@
+//! Checks certificates.
+pub mod kernel;
+pub mod polynomial;
+pub mod rate;
+pub mod rational;
