@@ -99,19 +99,3 @@ impl Mul<&Polynomial> for &BigRational {
         &Polynomial::constant(self) * other
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_binomial_formula() {
-        let [x, y, z] = Polynomial::variables();
-        let two = BigRational::from_integer(2.into());
-        let expanded = &(&x.squared() - &(&two * &(&x * &y))) + &y.squared();
-        assert_eq!((&x - &y).squared(), expanded);
-        assert!(!expanded.has_no_negative_coefficient());
-        assert!((&(&x + &z).squared() - &x.squared()).has_no_negative_coefficient());
-        assert!((&expanded - &expanded).is_zero());
-    }
-}

@@ -1,0 +1,214 @@
+//! The file.
+
+use serde::{Deserialize, Serialize};
+
+use crate::claim::{Held, Scene};
+use crate::kernel::Kernel;
+use crate::rate::{Comparison, Rate};
+
+/// The only version of the format so far.
+pub const VERSION: u32 = 1;
+
+/// Longest file that is read, in bytes.
+pub const MOST_BYTES: usize = 64 << 20;
+
+/// A statement with what it assumes and what it takes to check it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Certificate {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Where the file comes from. Nothing is concluded from it.
+    pub provenance: Provenance,
+    /// What is taken for granted: exactly what the statement needs, each once.
+    pub assumptions: Vec<Assumption>,
+    /// What is claimed, and its proof.
+    pub statement: Statement,
+}
+
+/// Where a certificate comes from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Provenance {
+    /// Version of the program that wrote it.
+    pub crumple: String,
+    /// Name of the scenario, or what else the statement speaks about.
+    pub scenario: String,
+    /// SHA-256 of the scenario file, in hexadecimal; empty if there is none.
+    pub scenario_sha256: String,
+}
+
+/// What a statement takes for granted about the world.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Assumption {
+    /// Accelerations are held over each step; a vehicle whose speed reaches zero stops there and never reverses.
+    ExactMotion,
+    /// The leader moves as its script says and reacts to nobody.
+    ScriptedLeader,
+    /// The follower has the latched emergency brake described, sees the truth, and has neither lag nor noise.
+    LatchedFollower,
+    /// No ego brakes or accelerates harder than stated.
+    EgoWithinLimits,
+    /// The egos follow the stated profile from the start, without delay, lag or noise.
+    EgoOnProfile,
+    /// The vehicle ahead never brakes harder than stated.
+    LeaderWithinLimit,
+    /// From every decision on, the own vehicle can brake at the stated rate.
+    EgoCanBrake,
+    /// Runs are independent draws, and the registration was made before the first of them.
+    RegisteredDraws,
+    /// Noise is that of the scenario's seed, contained in the stated accelerations. The only one that is optional.
+    NoiseOfSeed,
+}
+
+impl std::fmt::Display for Assumption {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(match self {
+            Self::ExactMotion => {
+                "accelerations are held over each step, and a vehicle that has stopped does not reverse"
+            }
+            Self::ScriptedLeader => "the leader moves as scripted and reacts to nobody",
+            Self::LatchedFollower => "the follower holds its speed until its latched emergency brake fires",
+            Self::EgoWithinLimits => "no vehicle under test brakes or accelerates harder than stated",
+            Self::EgoOnProfile => "the vehicles under test follow the stated profile at once",
+            Self::LeaderWithinLimit => "the vehicle ahead never brakes harder than stated",
+            Self::EgoCanBrake => "from every decision on, the own vehicle can brake at the stated rate",
+            Self::RegisteredDraws => "runs are independent draws, and were registered before the first of them",
+            Self::NoiseOfSeed => "noise is that of the scenario's seed",
+        })
+    }
+}
+
+/// What is claimed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Statement {
+    /// With one profile of ego accelerations nobody touches.
+    Avoidable(Avoidable),
+    /// With no profile of ego accelerations does nobody touch.
+    Unavoidable(Unavoidable),
+    /// From exactly these states contact can be avoided.
+    Kernel(Kernel),
+    /// A controller fails at no more than a rate.
+    Rate(Rate),
+    /// One controller fails less often than another.
+    Comparison(Comparison),
+}
+
+impl Statement {
+    /// What the statement takes for granted.
+    #[must_use]
+    pub fn assumptions(&self) -> Vec<Assumption> {
+        let (scene, about_egos) = match self {
+            Self::Avoidable(claim) => (&claim.scene, Assumption::EgoOnProfile),
+            Self::Unavoidable(claim) => (&claim.scene, Assumption::EgoWithinLimits),
+            Self::Kernel(_) => {
+                return vec![Assumption::ExactMotion, Assumption::LeaderWithinLimit, Assumption::EgoCanBrake];
+            }
+            Self::Rate(_) | Self::Comparison(_) => return vec![Assumption::RegisteredDraws],
+        };
+        let follower = scene.follower.as_ref().map(|_| Assumption::LatchedFollower);
+        [Assumption::ExactMotion, Assumption::ScriptedLeader, about_egos].into_iter().chain(follower).collect()
+    }
+}
+
+/// A profile with which nobody touches.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Avoidable {
+    /// What it speaks about.
+    pub scene: Scene,
+    /// Acceleration of each ego over each of the N steps, in m/s².
+    pub witness: Vec<Vec<Held<f64>>>,
+    /// Also claimed, if stated: no gap is ever smaller, in metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub min_gap_m_at_least: Option<f64>,
+}
+
+/// A proof that every profile ends in contact.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Unavoidable {
+    /// What it speaks about.
+    pub scene: Scene,
+    /// A proof for each range of instants at which the follower's brake may fire; one for all if there is no follower.
+    pub branches: Vec<Branch>,
+}
+
+/// Pairs of an instant, increasing, and a multiplier that is not negative. In a file `[[instant, multiplier], …]`.
+pub type Rows = Vec<(u32, f64)>;
+
+/// Multipliers for all profiles in which the follower's brake first fires at an instant from `first` to `last`.
+///
+/// Instant N means never. The rows are those of [`unavoidable`](crate::unavoidable); what is absent is empty or zero.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Branch {
+    /// Earliest firing instant.
+    pub first: u32,
+    /// Latest firing instant.
+    pub last: u32,
+    /// The first ego stays behind the leader, instants 0 to N.
+    pub front: Rows,
+    /// Ego i + 1 stays behind ego i, one list for each pair.
+    pub between: Vec<Rows>,
+    /// The last ego stays ahead of the follower, instants 0 to N.
+    pub rear: Rows,
+    /// No ego reverses, one list for each ego, instants 0 to N.
+    pub speed: Vec<Rows>,
+    /// The follower's brake has not fired, instants before `first`.
+    pub unfired: Rows,
+    /// The follower's brake fires at `first`; only where `first` = `last` < N.
+    pub fired: f64,
+}
+
+/// Why a file is not a certificate.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ParseError {
+    /// It cannot be read.
+    #[error("cannot be read: {0}")]
+    Read(#[from] std::io::Error),
+    /// It is too long.
+    #[error("is longer than {MOST_BYTES} bytes")]
+    TooLong,
+    /// It is not JSON of the right form; says what was expected, at which line and column.
+    #[error("is not a certificate: {0}")]
+    Form(#[from] serde_json::Error),
+    /// It has a version that is not known here.
+    #[error("has version {0} in field `version`, and only version {VERSION} is known")]
+    Version(u32),
+}
+
+impl Certificate {
+    /// Whether the assumptions listed are those that the statement needs, noise of the seed apart.
+    pub(crate) fn lists_its_assumptions(&self) -> bool {
+        let needed = self.statement.assumptions();
+        let noise = usize::from(self.assumptions.contains(&Assumption::NoiseOfSeed));
+        needed.iter().all(|assumption| self.assumptions.contains(assumption))
+            && self.assumptions.len() == needed.len() + noise
+    }
+
+    /// Reads a certificate from text.
+    ///
+    /// # Errors
+    /// [`ParseError`] if the text is not a certificate. One that is read may still be rejected.
+    pub fn from_json(text: &str) -> Result<Self, ParseError> {
+        if text.len() > MOST_BYTES {
+            return Err(ParseError::TooLong);
+        }
+        let certificate: Self = serde_json::from_str(text)?;
+        if certificate.version == VERSION { Ok(certificate) } else { Err(ParseError::Version(certificate.version)) }
+    }
+
+    /// Reads a certificate from a file or any other source.
+    ///
+    /// # Errors
+    /// [`ParseError`] if it cannot be read or is not a certificate.
+    pub fn from_reader(source: impl std::io::Read) -> Result<Self, ParseError> {
+        let mut text = String::new();
+        std::io::Read::read_to_string(&mut std::io::Read::take(source, MOST_BYTES as u64 + 1), &mut text)?;
+        Self::from_json(&text)
+    }
+}

@@ -1,0 +1,133 @@
+//! What a certificate speaks about: who drives where, how, and for how long.
+//!
+//! Lengths are in metres, times in seconds, speeds in m/s, accelerations in m/s². A position is a front bumper's. Where a
+//! field is an [`Interval`] the claim holds for each of its members, in any combination.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Rejection;
+use crate::interval::Interval;
+
+/// Most steps of a scene.
+pub const MOST_STEPS: u32 = 100_000;
+/// Most egos of a scene.
+pub const MOST_EGOS: usize = 16;
+
+/// A value held over a number of steps. In a file `[steps, value]`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Held<T>(pub u32, pub T);
+
+/// A line of vehicles, front to rear: the leader, the egos and at most one follower.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// h, the time between two decisions; instant k is at k h exactly.
+    pub step_s: f64,
+    /// N, the number of steps. Contact counts from instant 0 to instant N, both included.
+    pub steps: u32,
+    /// Vehicle 0.
+    pub leader: Leader,
+    /// Vehicles 1 to n, n at least 1.
+    pub egos: Vec<Ego>,
+    /// Vehicle n + 1, if there is one.
+    pub follower: Option<Follower>,
+}
+
+/// A vehicle that moves as it is told and reacts to nobody.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Leader {
+    /// Front bumper at the start.
+    pub position_m: Interval,
+    /// Bumper to bumper.
+    pub length_m: f64,
+    /// Speed at the start.
+    pub speed_mps: Interval,
+    /// Acceleration over each of the N steps.
+    pub acceleration_mps2: Vec<Held<Interval>>,
+}
+
+/// A vehicle under test. What drives it is not said: only what it is able to do.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ego {
+    /// Front bumper at the start.
+    pub position_m: Interval,
+    /// Bumper to bumper.
+    pub length_m: f64,
+    /// Speed at the start.
+    pub speed_mps: Interval,
+    /// Hardest braking on this road, not negative.
+    pub max_brake_mps2: f64,
+    /// Hardest acceleration, not negative.
+    pub max_accel_mps2: f64,
+}
+
+/// A vehicle behind the egos with a latched emergency brake.
+///
+/// It holds its speed. At the first instant k < N with gap - θ (own speed - speed ahead) < 0 its brake *fires*: from instant
+/// k + `reaction_steps` on it brakes, to standstill, whatever happens. For a positive gap the condition implies that it is
+/// closing in, and says that time to collision is below θ.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Follower {
+    /// Front bumper at the start.
+    pub position_m: Interval,
+    /// Speed at the start.
+    pub speed_mps: Interval,
+    /// How hard it brakes, not negative.
+    pub brake_mps2: Interval,
+    /// θ, the time to collision below which it brakes.
+    pub ttc_s: f64,
+    /// Steps from firing to braking.
+    pub reaction_steps: u32,
+}
+
+impl Scene {
+    /// Whether the scene makes sense: no speed, length, limit or time is negative or infinite, and sizes are bounded.
+    ///
+    /// # Errors
+    /// [`Rejection::Invalid`] names the first field that does not.
+    pub fn check(&self) -> Result<(), Rejection> {
+        if !(self.step_s > 0.0 && self.step_s.is_finite()) {
+            return Err(Rejection::invalid("step_s", "must be positive"));
+        }
+        if !(1..=MOST_STEPS).contains(&self.steps) {
+            return Err(Rejection::invalid("steps", "must be from 1 to 100 000"));
+        }
+        if !(1..=MOST_EGOS).contains(&self.egos.len()) {
+            return Err(Rejection::invalid("egos", "must be from 1 to 16"));
+        }
+        let Leader { length_m, speed_mps, acceleration_mps2, .. } = &self.leader;
+        check_range("leader", &[("length_m", *length_m), ("speed_mps", speed_mps.low())])?;
+        self.check_length(acceleration_mps2, || "leader.acceleration_mps2".into())?;
+        for (index, ego) in self.egos.iter().enumerate() {
+            let limits = [("max_brake_mps2", ego.max_brake_mps2), ("max_accel_mps2", ego.max_accel_mps2)];
+            check_range(&format!("egos[{index}]"), &limits)?;
+            check_range(&format!("egos[{index}]"), &[("length_m", ego.length_m), ("speed_mps", ego.speed_mps.low())])?;
+        }
+        if let Some(Follower { speed_mps, brake_mps2, ttc_s, .. }) = &self.follower {
+            let fields = [("speed_mps", speed_mps.low()), ("brake_mps2", brake_mps2.low()), ("ttc_s", *ttc_s)];
+            check_range("follower", &fields)?;
+        }
+        Ok(())
+    }
+
+    /// Whether a profile lasts for exactly N steps.
+    pub(crate) fn check_length<T>(&self, held: &[Held<T>], field: impl Fn() -> String) -> Result<(), Rejection> {
+        // Saturating, as 2^32 pieces of 2^32 steps would overflow; then the total is not N either.
+        let steps = held.iter().fold(0_u64, |sum, piece| sum.saturating_add(piece.0.into()));
+        if steps == u64::from(self.steps) {
+            Ok(())
+        } else {
+            Err(Rejection::invalid(field(), "must last for all N steps"))
+        }
+    }
+}
+
+fn check_range(of: &str, fields: &[(&str, f64)]) -> Result<(), Rejection> {
+    match fields.iter().find(|(_, value)| !(*value >= 0.0 && value.is_finite())) {
+        Some((name, _)) => Err(Rejection::invalid(format!("{of}.{name}"), "is negative or infinite")),
+        None => Ok(()),
+    }
+}

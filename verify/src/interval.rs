@@ -1,0 +1,179 @@
+//! Sets of real numbers with floating-point ends, and arithmetic that never loses a member.
+//!
+//! Every operation rounds to nearest and then moves each end outwards by one floating-point number. The nearest number is
+//! at most half a gap away from the exact result, so the exact result lies inside. What overflows or has no value becomes
+//! the whole line, about which nothing can be proved.
+
+use std::ops::{Add, AddAssign, Mul, Neg, Sub};
+
+use serde::{Deserialize, Serialize};
+
+/// All real numbers from `low` to `high`. In a file a plain number, or `{"low": …, "high": …}`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Written", into = "Written")]
+pub struct Interval {
+    low: f64,
+    high: f64,
+}
+
+impl Interval {
+    /// Exactly zero.
+    pub const ZERO: Self = Self { low: 0.0, high: 0.0 };
+    /// The whole line.
+    const LINE: Self = Self { low: f64::NEG_INFINITY, high: f64::INFINITY };
+
+    /// The numbers from `low` to `high`; none unless both are finite and in order.
+    #[must_use]
+    pub fn new(low: f64, high: f64) -> Option<Self> {
+        (low.is_finite() && high.is_finite() && low <= high).then_some(Self { low, high })
+    }
+
+    /// One number; the whole line if it is not finite.
+    #[must_use]
+    pub fn point(value: f64) -> Self {
+        Self::new(value, value).unwrap_or(Self::LINE)
+    }
+
+    /// Its lower end.
+    #[must_use]
+    pub fn low(self) -> f64 {
+        self.low
+    }
+
+    /// Its upper end.
+    #[must_use]
+    pub fn high(self) -> f64 {
+        self.high
+    }
+
+    /// Whether `value` is a member.
+    #[must_use]
+    pub fn contains(self, value: f64) -> bool {
+        self.low <= value && value <= self.high
+    }
+
+    /// The ends of a result that were rounded to nearest, moved outwards. A NaN is in neither order and gives the line.
+    fn outward(low: f64, high: f64) -> Self {
+        if low <= high { Self { low: low.next_down(), high: high.next_up() } } else { Self::LINE }
+    }
+
+    /// The quotient; the whole line if the divisor may be zero.
+    #[must_use]
+    pub fn over(self, divisor: Self) -> Self {
+        if divisor.contains(0.0) { Self::LINE } else { self.corners(divisor, |a, b| a / b) }
+    }
+
+    /// The square: not the product of two independent members, so never negative.
+    #[must_use]
+    pub fn sqr(self) -> Self {
+        let (a, b) = (self.low.abs(), self.high.abs());
+        let nearest = if self.contains(0.0) { 0.0 } else { a.min(b) };
+        let square = Self::outward(nearest * nearest, a.max(b) * a.max(b));
+        Self { low: square.low.max(0.0), ..square }
+    }
+
+    /// The square root of its members that are not negative; the whole line if there is none.
+    #[must_use]
+    pub fn sqrt(self) -> Self {
+        let root = Self::outward(self.low.max(0.0).sqrt(), self.high.sqrt());
+        if self.high < 0.0 { Self::LINE } else { Self { low: root.low.max(0.0), ..root } }
+    }
+
+    /// The smaller of a member of each.
+    #[must_use]
+    pub fn min(self, other: Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.min(other.high) }
+    }
+
+    /// The larger of a member of each.
+    #[must_use]
+    pub fn max(self, other: Self) -> Self {
+        Self { low: self.low.max(other.low), high: self.high.max(other.high) }
+    }
+
+    /// The smallest interval that holds both.
+    #[must_use]
+    pub fn hull(self, other: Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+    }
+
+    /// An operation that takes its extremes at the ends of both operands.
+    fn corners(self, other: Self, operation: impl Fn(f64, f64) -> f64) -> Self {
+        let [a, b] = [self.low, self.high].map(|end| [operation(end, other.low), operation(end, other.high)]);
+        if [a, b].iter().flatten().any(|value| value.is_nan()) {
+            return Self::LINE;
+        }
+        Self::outward(a[0].min(a[1]).min(b[0]).min(b[1]), a[0].max(a[1]).max(b[0]).max(b[1]))
+    }
+}
+
+impl Add for Interval {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self::outward(self.low + other.low, self.high + other.high)
+    }
+}
+
+impl AddAssign for Interval {
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl Neg for Interval {
+    type Output = Self;
+
+    fn neg(self) -> Self {
+        Self { low: -self.high, high: -self.low }
+    }
+}
+
+impl Sub for Interval {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        self + -other
+    }
+}
+
+impl Mul for Interval {
+    type Output = Self;
+
+    fn mul(self, other: Self) -> Self {
+        self.corners(other, |a, b| a * b)
+    }
+}
+
+/// An interval as a file states it.
+#[derive(Serialize, Deserialize)]
+#[serde(untagged, expecting = "expected a number or {\"low\": number, \"high\": number}")]
+enum Written {
+    Number(f64),
+    Ends(Ends),
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Ends {
+    low: f64,
+    high: f64,
+}
+
+impl TryFrom<Written> for Interval {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Self, String> {
+        let (low, high) = match written {
+            Written::Number(value) => (value, value),
+            Written::Ends(Ends { low, high }) => (low, high),
+        };
+        Self::new(low, high).ok_or_else(|| format!("an interval from {low} to {high} has no members"))
+    }
+}
+
+impl From<Interval> for Written {
+    fn from(Interval { low, high }: Interval) -> Self {
+        if low == high { Self::Number(low) } else { Self::Ends(Ends { low, high }) }
+    }
+}
