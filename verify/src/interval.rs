@@ -99,11 +99,14 @@ impl Interval {
 
     /// An operation that takes its extremes at the ends of both operands.
     fn corners(self, other: Self, operation: impl Fn(f64, f64) -> f64) -> Self {
-        let [a, b] = [self.low, self.high].map(|end| [operation(end, other.low), operation(end, other.high)]);
-        if [a, b].iter().flatten().any(|value| value.is_nan()) {
-            return Self::LINE;
+        let [a, b] = [operation(self.low, other.low), operation(self.low, other.high)];
+        let [c, d] = [operation(self.high, other.low), operation(self.high, other.high)];
+        // The sum is a NaN if one of them is, and nothing is lost if it is one for opposite infinities.
+        if (a + b + c + d).is_nan() {
+            Self::LINE
+        } else {
+            Self::outward(a.min(b).min(c.min(d)), a.max(b).max(c.max(d)))
         }
-        Self::outward(a[0].min(a[1]).min(b[0]).min(b[1]), a[0].max(a[1]).max(b[0]).max(b[1]))
     }
 }
 
@@ -147,17 +150,10 @@ impl Mul for Interval {
 
 /// An interval as a file states it.
 #[derive(Serialize, Deserialize)]
-#[serde(untagged, expecting = "expected a number or {\"low\": number, \"high\": number}")]
+#[serde(untagged, deny_unknown_fields, expecting = "expected a number or {\"low\": number, \"high\": number}")]
 enum Written {
     Number(f64),
-    Ends(Ends),
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Ends {
-    low: f64,
-    high: f64,
+    Ends { low: f64, high: f64 },
 }
 
 impl TryFrom<Written> for Interval {
@@ -166,7 +162,7 @@ impl TryFrom<Written> for Interval {
     fn try_from(written: Written) -> Result<Self, String> {
         let (low, high) = match written {
             Written::Number(value) => (value, value),
-            Written::Ends(Ends { low, high }) => (low, high),
+            Written::Ends { low, high } => (low, high),
         };
         Self::new(low, high).ok_or_else(|| format!("an interval from {low} to {high} has no members"))
     }
@@ -174,6 +170,6 @@ impl TryFrom<Written> for Interval {
 
 impl From<Interval> for Written {
     fn from(Interval { low, high }: Interval) -> Self {
-        if low == high { Self::Number(low) } else { Self::Ends(Ends { low, high }) }
+        if low == high { Self::Number(low) } else { Self::Ends { low, high } }
     }
 }

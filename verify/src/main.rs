@@ -19,7 +19,7 @@ fn main() -> ExitCode {
 
 fn judge(path: &Path) -> u8 {
     let name = path.display();
-    let certificate = match read(path) {
+    let certificate = match File::open(path).map_err(ParseError::from).and_then(Certificate::from_reader) {
         Ok(certificate) => certificate,
         Err(error) => {
             eprintln!("{name}: {error}");
@@ -40,8 +40,4 @@ fn judge(path: &Path) -> u8 {
             1
         }
     }
-}
-
-fn read(path: &Path) -> Result<Certificate, ParseError> {
-    Certificate::from_reader(File::open(path)?)
 }

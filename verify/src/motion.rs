@@ -30,13 +30,15 @@ pub fn after(speed_mps: Interval, acceleration_mps2: Interval, time_s: Interval)
 fn corner(v: f64, a: f64, t: Interval) -> (Interval, Interval) {
     let (v, a) = (Interval::point(v), Interval::point(a));
     let end = v + a * t;
-    let moving = v * t + a * t.sqr() * Interval::point(0.5);
-    if a.low() >= 0.0 || end.low() >= 0.0 {
-        return (moving, end.max(Interval::ZERO));
-    }
-    let stopped = v.sqr().over(-(a + a));
-    // Rounding may leave open whether it stops: then either formula may be the true one.
-    (if end.high() < 0.0 { stopped } else { moving.hull(stopped) }, end.max(Interval::ZERO))
+    let moving = || v * t + a * t.sqr() * Interval::point(0.5);
+    let stopped = || v.sqr().over(-(a + a));
+    let covered = match (a.low() >= 0.0 || end.low() >= 0.0, end.high() < 0.0) {
+        (true, _) => moving(),
+        (_, true) => stopped(),
+        // Rounding leaves open whether it stops: either formula may be the true one.
+        _ => moving().hull(stopped()),
+    };
+    (covered, end.max(Interval::ZERO))
 }
 
 /// The value of every step.
@@ -68,7 +70,10 @@ impl Scene {
     #[must_use]
     pub fn follower_m(&self, follower: &Follower, fires: u32, k: u32) -> Interval {
         let coasts = k.min(fires.saturating_add(follower.reaction_steps));
-        let (braking_m, _) = after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts));
-        follower.position_m + follower.speed_mps * self.time_s(coasts) + braking_m
+        let coasting_m = follower.position_m + follower.speed_mps * self.time_s(coasts);
+        if coasts == k {
+            return coasting_m;
+        }
+        coasting_m + after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).0
     }
 }

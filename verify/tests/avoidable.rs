@@ -35,7 +35,7 @@ fn calm() -> (Scene, Vec<Vec<Held<f64>>>) {
             position_m: point(10.0),
             speed_mps: point(20.0),
             brake_mps2: Interval::new(6.0, 6.5).unwrap(),
-            ttc_s: 1.4,
+            ttc_s: 3.0,
             reaction_steps: 2,
         }),
     };

@@ -88,7 +88,8 @@ fn what_has_no_value_is_the_whole_line() {
 fn files_say_what_was_expected() {
     for (text, expected) in [
         ("\"3\"", "a number or"),
-        ("[1, 2]", "a number or"),
+        ("[1]", "a number or"),
+        ("null", "a number or"),
         ("{\"low\": 1}", "a number or"),
         ("{\"low\": 1, \"high\": 2, \"middle\": 1.5}", "a number or"),
         ("{\"low\": 2, \"high\": 1}", "no members"),

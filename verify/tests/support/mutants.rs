@@ -2,13 +2,13 @@
 
 use serde_json::{Value, json};
 
+type Change<'a> = Box<dyn Fn(&mut Value) + 'a>;
+
 /// Every change of one number, one entry or one pair of neighbours: a description, and the changed certificate.
 pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
-    let mut places = Vec::new();
-    collect(original, String::new(), &mut places);
-    places.into_iter().flat_map(move |place| {
+    places(original).into_iter().flat_map(move |place| {
         let value = original.pointer(&place).unwrap_or(&Value::Null);
-        let mut changes: Vec<(String, Box<dyn Fn(&mut Value)>)> = Vec::new();
+        let mut changes: Vec<(String, Change<'_>)> = Vec::new();
         match value {
             Value::Number(number) => {
                 let x = number.as_f64().unwrap_or(0.0);
@@ -48,9 +48,8 @@ pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
                 }
             }
             Value::Object(fields) => {
-                for name in fields.keys().cloned() {
-                    let remove =
-                        move |value: &mut Value| drop(value.as_object_mut().map(|fields| fields.remove(&name)));
+                for name in fields.keys() {
+                    let remove = move |value: &mut Value| drop(value.as_object_mut().map(|fields| fields.remove(name)));
                     changes.push(("without a field".to_owned(), Box::new(remove)));
                 }
                 if let (Some(low), Some(high)) = (fields.get("low").cloned(), fields.get("high").cloned()) {
@@ -68,6 +67,13 @@ pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
             (format!("{place} {what}"), mutant)
         })
     })
+}
+
+/// A pointer to every value.
+pub fn places(value: &Value) -> Vec<String> {
+    let mut places = Vec::new();
+    collect(value, String::new(), &mut places);
+    places
 }
 
 fn array(value: &mut Value) -> &mut Vec<Value> {
