@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::{Failure, output};
 use crate::falsify::Method;
+use crate::scenario::space::BUILT_IN_SPACES;
 use crate::scenario::{ControllerSpec, built_in_names};
 
 /// List the built-in scenarios, controllers, spaces and search methods
@@ -25,7 +26,7 @@ enum Catalogue {
     Scenarios,
     /// Controllers that can be put under test
     Controllers,
-    /// Distributions of scenarios
+    /// Distributions of scenarios, to search and to draw from
     Spaces,
     /// Search methods
     Methods,
@@ -52,7 +53,7 @@ impl Catalogue {
         match self {
             Self::Scenarios => built_in_names().map(entry).into(),
             Self::Controllers => ControllerSpec::built_in().iter().map(|c| entry((c.name(), c.summary()))).collect(),
-            Self::Spaces => vec![entry(("paper", "the distribution the paper trains on"))],
+            Self::Spaces => BUILT_IN_SPACES.map(|(name, summary, _)| entry((name, summary))).into(),
             Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),
         }
     }
