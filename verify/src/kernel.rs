@@ -28,8 +28,9 @@
 //! 2. *The worst leader stands for all.* Whoever never brakes harder than c has, after s, at least the speed
 //!    max(w - c s, 0) and, as the integral of it, has covered at least P_c(w, s). P_c(w, t) does not fall in w, so D does
 //!    not rise in w. Against any such leader the gap after s is therefore no smaller, and the demanded gap no larger, than
-//!    against full braking. This holds whatever the own vehicle does meanwhile; so a test of one step against full braking of the
-//!    vehicle ahead, its inside included, implies the same for all leaders.
+//!    against full braking. This holds whatever the own vehicle does meanwhile; so a test of one step against full braking
+//!    of the vehicle ahead, its inside included, implies the same for all leaders. (Its inside does need testing: one that
+//!    brakes harder than the vehicle ahead may be closest in mid-step, and the end in K all the same.)
 //! 3. *Outside K nothing helps.* The same lower bound holds for the own vehicle: it covers at least P_b(v, t). Against full
 //!    braking the gap at the t where closing(t) is largest is at most g - D(v, w) <= 0: contact.
 //! 4. *Friction.* P_{μβ}(u, t) = P_β(u, μ t)/μ, so on a road that allows the share μ of both limits D is the same function

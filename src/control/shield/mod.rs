@@ -19,6 +19,9 @@
 //! - *Lag*: v in the kernel becomes v + τ' (r + b), see [`Frame::lag_s`].
 //! - *Noise* on accelerations: six standard deviations are taken off the own brake and added to the one ahead. That is no
 //!   certainty: each exceeds it once in 10⁹ steps.
+//!
+//! Nothing is promised to a vehicle that is pushed by the one behind, nor behind one that is stopped by an impact: no
+//! brake limit holds there.
 
 mod frame;
 mod kernel;
