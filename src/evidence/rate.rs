@@ -259,26 +259,30 @@ mod tests {
 
     #[test]
     fn a_rate_and_a_comparison_are_counted_and_accepted() {
-        let rate = plan("match-leader", None, 1500);
+        let rate = plan("idm", None, 1500);
         let tally = counted(&rate);
         assert_eq!((tally.runs, tally.failures), (1500, 0));
         let accepted = check(&rate.certificate(&tally)).unwrap();
         assert!(matches!(accepted, Accepted::Rate { at_most, .. } if at_most < 0.0031), "{accepted:?}");
 
-        let comparison = plan("match-leader", Some("baseline"), 500);
+        let comparison = plan("idm", Some("baseline"), 500);
         let tally = counted(&comparison);
         assert_eq!((tally.only_first_failed, tally.only_second_failed), (0, 500));
         assert!(matches!(check(&comparison.certificate(&tally)), Ok(Accepted::FailsLessOften { .. })));
-        let turned = plan("baseline", Some("match-leader"), 500);
+        let turned = plan("baseline", Some("idm"), 500);
         assert!(check(&turned.certificate(&counted(&turned))).is_err());
     }
 
     #[test]
     fn a_registration_says_everything_that_decides_the_count() {
-        let digests: std::collections::HashSet<_> =
-            [plan("idm", None, 10), plan("policy", None, 10), plan("idm", Some("policy"), 10), plan("idm", None, 11)]
-                .map(|plan| plan.registration().digest())
-                .into();
+        let digests: std::collections::HashSet<_> = [
+            plan("match-leader", None, 10),
+            plan("policy", None, 10),
+            plan("idm", Some("policy"), 10),
+            plan("idm", None, 11),
+        ]
+        .map(|plan| plan.registration().digest())
+        .into();
         assert_eq!(digests.len(), 4);
         assert!(plan("policy", None, 10).registration().configuration.contains_key("controller_policy_sha256"));
     }

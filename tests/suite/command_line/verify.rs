@@ -52,7 +52,7 @@ fn each_pair_of_classes_gets_a_certificate() {
 fn a_rate_is_registered_counted_resumed_and_certified() {
     let folder = folder();
     let count = |more: &[&str]| {
-        let arguments = ["verify", "rate", "--controller", "match-leader", "--estimator", "truth", "--runs", "2500"];
+        let arguments = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "2500"];
         crumple(folder.path(), &[&arguments[..], more].concat())
     };
     let whole = count(&["--out", "whole"]);
