@@ -29,6 +29,7 @@
 //! | [`export`], [`draw`] | traces as tables and as pictures |
 //! | [`rl`] | learning to drive: DDPG, its environment, its presets |
 //! | [`falsify`] | search methods that look for failures, and the public benchmark they are measured on |
+//! | [`evidence`] | claims with certificates: kernels of shields, failure rates |
 //! | [`report`] | the assessment and its renderings |
 //! | [`cli`] | the command line |
 //!
@@ -53,6 +54,7 @@ pub mod cli;
 pub mod control;
 pub mod draw;
 pub mod estimate;
+pub mod evidence;
 pub mod export;
 pub mod falsify;
 pub mod measure;

@@ -38,6 +38,8 @@ pub enum Purpose {
     Search = 11,
     /// Digit permutations of a quasi-random sequence, one coordinate each.
     QuasiRandom = 12,
+    /// Actions of a controller that acts at random, one consumer a vehicle.
+    RandomActions = 13,
 }
 
 /// The stream for `purpose`, for the `index`-th consumer of its kind (a vehicle, a draw), under `seed`.

@@ -7,7 +7,12 @@ use serde::Serialize;
 
 use super::{Failure, output};
 use crate::falsify::Method;
+use crate::scenario::space::BUILT_IN_SPACES;
 use crate::scenario::{ControllerSpec, built_in_names};
+use crate::sim::Stress;
+
+const SHIELD: (&str, &str) =
+    ("shield:policy", "policy, or full braking where it would leave no way out; shield: goes before any controller");
 
 /// List the built-in scenarios, controllers, spaces and search methods
 #[derive(Args)]
@@ -25,7 +30,7 @@ enum Catalogue {
     Scenarios,
     /// Controllers that can be put under test
     Controllers,
-    /// Distributions of scenarios
+    /// Distributions of scenarios, to search and to draw from
     Spaces,
     /// Search methods
     Methods,
@@ -51,8 +56,13 @@ impl Catalogue {
         let entry = |(name, summary)| Entry { name, summary };
         match self {
             Self::Scenarios => built_in_names().map(entry).into(),
-            Self::Controllers => ControllerSpec::built_in().iter().map(|c| entry((c.name(), c.summary()))).collect(),
-            Self::Spaces => vec![entry(("paper", "the distribution the paper trains on"))],
+            Self::Controllers => {
+                let built_in = ControllerSpec::built_in();
+                let drivers = built_in.iter().map(|driver| (driver.name(), driver.summary()));
+                let stress = Stress::ALL.map(|stress| (stress.name(), stress.summary()));
+                drivers.chain(stress).chain([SHIELD]).map(entry).collect()
+            }
+            Self::Spaces => BUILT_IN_SPACES.map(|(name, summary, _)| entry((name, summary))).into(),
             Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),
         }
     }

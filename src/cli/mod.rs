@@ -10,6 +10,7 @@ mod progress;
 mod simulate;
 mod subject;
 mod train;
+mod verify;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -44,6 +45,7 @@ enum Command {
     Import(import::Import),
     Train(train::Train),
     Benchmark(benchmark::Measure),
+    Verify(verify::Verify),
     List(list::List),
 }
 
@@ -66,6 +68,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Import(command) => command.run(quiet),
         Command::Train(command) => command.run(quiet),
         Command::Benchmark(command) => command.run(),
+        Command::Verify(command) => command.run(quiet),
         Command::List(command) => command.run(),
     };
     match done {

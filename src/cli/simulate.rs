@@ -12,7 +12,8 @@ use crate::estimate::EstimatorKind;
 use crate::export;
 use crate::scenario::{Driver, Scenario};
 use crate::sim::{
-    AfterContact, Contender, Impact, Keep, Outcome, Run, RunOptions, Simulated, Trace, VehicleSummary, simulate_batch,
+    AfterContact, Contender, Impact, Intervention, Keep, Outcome, Run, RunOptions, Simulated, Trace, VehicleSummary,
+    simulate_batch,
 };
 
 /// Run scenarios and say what happened
@@ -86,6 +87,8 @@ struct Report<'a> {
     vehicles: &'a [VehicleSummary],
     impacts: &'a [Impact],
     vehicles_involved: usize,
+    #[serde(skip_serializing_if = "<[Intervention]>::is_empty")]
+    interventions: &'a [Intervention],
 }
 
 /// What becomes of one run.
@@ -177,6 +180,7 @@ impl Simulate {
             vehicles: &result.vehicles,
             impacts: &result.impacts,
             vehicles_involved: result.vehicles_involved(),
+            interventions: &result.interventions,
         }
     }
 
@@ -255,6 +259,11 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
     if report.impacts.len() > 1 {
         line(format!("  {} of {} vehicles involved", report.vehicles_involved, report.vehicles.len()));
     }
+    for index in 0..report.vehicles.len() {
+        if let Some(said) = shield_line(report.interventions, index) {
+            line(said);
+        }
+    }
     line(format!(
         "  {:>3}  {:<6} {:<20} {:>11} {:>11} {:>15}  {}",
         "#", "class", "driver", "min gap m", "min TTC s", "max brake m/s²", "at the end"
@@ -272,4 +281,20 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
         ));
     }
     text
+}
+
+/// What the shield of a vehicle did, in a line; none if it did nothing.
+fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String> {
+    let own = || interventions.iter().filter(move |one| one.vehicle == vehicle);
+    let first_s = own().next()?.from_s;
+    let braked_s: f64 = own().map(|one| one.to_s - one.from_s).sum();
+    let times = match own().count() {
+        1 => "once".to_owned(),
+        n => format!("{n} times"),
+    };
+    let outside = if own().any(|one| one.outside_kernel) { "; nothing could be promised any more" } else { "" };
+    let rear = if own().any(|one| one.rear_conflict) { "; the vehicle behind could not avoid it" } else { "" };
+    Some(format!(
+        "  the shield of vehicle {vehicle} braked {times}, {braked_s:.2} s in all, first at {first_s:.2} s{outside}{rear}"
+    ))
 }

@@ -10,6 +10,8 @@ mod idm;
 mod match_leader;
 mod paced;
 mod policy;
+mod shield;
+mod stress;
 
 pub use acc_aeb::AccAeb;
 pub use baseline::{Baseline, BaselineUnlatched};
@@ -18,6 +20,8 @@ pub use idm::Idm;
 pub use match_leader::MatchLeader;
 pub use paced::Paced;
 pub use policy::PolicyDriver;
+pub use shield::{Behind, ErrorBounds, Frame, Kernel, MARGIN_M, Override, Shield, ShieldSettings};
+pub use stress::{FullThrottle, RandomActions};
 
 use std::sync::Arc;
 
@@ -76,6 +80,8 @@ pub enum AnyController {
     AccAeb(AccAeb),
     /// A learned policy.
     Policy(PolicyDriver),
+    /// Any of them behind a shield.
+    Shielded(Shield),
     /// Somebody else's.
     Custom(Box<dyn Controller>),
 }
@@ -124,6 +130,7 @@ impl Controller for AnyController {
             Self::Idm(controller) => controller.act(seen),
             Self::AccAeb(controller) => controller.act(seen),
             Self::Policy(controller) => controller.act(seen),
+            Self::Shielded(controller) => controller.act(seen),
             Self::Custom(controller) => controller.act(seen),
         }
     }
@@ -131,6 +138,7 @@ impl Controller for AnyController {
     fn interval_s(&self) -> Option<f64> {
         match self {
             Self::Policy(controller) => controller.interval_s(),
+            Self::Shielded(controller) => controller.interval_s(),
             Self::Custom(controller) => controller.interval_s(),
             _ => None,
         }

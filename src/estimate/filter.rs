@@ -13,6 +13,9 @@ use nalgebra::{Matrix3, Vector3};
 /// Doublings of the horizon after which the covariance is steady: 2²⁴ steps.
 const DOUBLINGS: usize = 24;
 
+/// Steps after which the response to a manoeuvre has faded, whatever the tuning: a hundred thousand.
+const MOST_STEPS_TO_FADE: f64 = 1e5;
+
 /// A filter's constants: computed once, shared by all filters of one kind.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tuning {
@@ -63,6 +66,35 @@ impl Tuning {
     #[must_use]
     pub fn steady_deviations(&self) -> [f64; 3] {
         [0, 1, 2].map(|i| self.steady[(i, i)].sqrt())
+    }
+
+    /// Time between measurements, in seconds.
+    pub(super) fn step_s(&self) -> f64 {
+        self.step_s
+    }
+
+    /// Largest errors of distance and rate that an acceleration between -1 and 1 m/s² can cause, changing as it pleases from
+    /// step to step: in s² and s.
+    ///
+    /// The error is linear in the acceleration, and what it keeps of one step's is the response to a single step of unit
+    /// acceleration; the largest error is the sum of its absolute values. A constant acceleration leaves no error, so only
+    /// half the width of a range of accelerations counts, not where it lies.
+    #[must_use]
+    pub fn manoeuvre_errors(&self) -> [f64; 2] {
+        let h = self.step_s;
+        let mut filter = Filter::running(self, 0.0, 0.0, [0.0; 3]);
+        filter.update(self, Some(0.0));
+        let (mut distance_m, mut worst) = (0.5 * h * h, [0.0; 2]);
+        loop {
+            let estimate = filter.update(self, Some(distance_m));
+            let errors = [distance_m - estimate.distance_m, h - estimate.rate_mps].map(f64::abs);
+            worst = [worst[0] + errors[0], worst[1] + errors[1]];
+            distance_m += h * h;
+            let faded = errors[1] < 1e-12 * h && errors[0] < 1e-12 * h * h;
+            if faded || distance_m > MOST_STEPS_TO_FADE * h * h {
+                return worst;
+            }
+        }
     }
 
     fn gain(&self, covariance: &Matrix3<f64>) -> Vector3<f64> {

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use crate::scenario::space::Space;
+
 /// The unit cube, with its coordinates in blocks: a block of one is a number by itself, a longer one a piecewise constant
 /// signal, piece after piece in time.
 ///
@@ -94,6 +96,16 @@ impl Cube {
             a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum::<f64>() / block.len() as f64
         };
         self.blocks.iter().map(of_block).sum()
+    }
+}
+
+impl Space {
+    /// The cube that a search in this space moves in: a block for each parameter, a signal's as long as it has pieces.
+    ///
+    /// # Errors
+    /// None: a space has at least one parameter, and each has a coordinate.
+    pub fn cube(&self) -> Result<Cube, EmptyBlock> {
+        Cube::new(self.parameters().iter().map(|parameter| parameter.coordinates().len()))
     }
 }
 

@@ -8,6 +8,7 @@ pub mod file;
 mod invalid;
 mod paper;
 mod profile;
+pub mod space;
 mod validate;
 mod vehicle;
 

@@ -16,7 +16,7 @@ const MOST_VEHICLE_STEPS: usize = 20_000_000;
 
 /// Checks a spec and returns its number of steps.
 pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
-    let root = Place(String::new());
+    let root = Place::ROOT;
     if spec.version != SCENARIO_VERSION {
         return root.at("version").wrong(Problem::Version { found: spec.version });
     }
@@ -41,14 +41,15 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     if found > MOST_VEHICLE_STEPS {
         return root.at("duration_s").wrong(Problem::TooLong { limit: MOST_VEHICLE_STEPS, found });
     }
+    let vehicles = root.at("vehicles");
     for (index, vehicle) in spec.vehicles.iter().enumerate() {
-        check_vehicle(&root.at(&format!("vehicles[{index}]")), vehicle)?;
+        check_vehicle(&vehicles.item(index), vehicle)?;
     }
     for (index, pair) in spec.vehicles.windows(2).enumerate() {
         if let [ahead, behind] = pair {
             let rear_bumper_m = ahead.position_m - ahead.length_m();
             if behind.position_m >= rear_bumper_m {
-                return root.at(&format!("vehicles[{}].position_m", index + 1)).wrong(Problem::Overlap {
+                return vehicles.item(index + 1).at("position_m").wrong(Problem::Overlap {
                     ahead: index,
                     rear_bumper_m,
                     found: behind.position_m,
@@ -63,7 +64,7 @@ fn whole_steps(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     let problem = Problem::NotWholeSteps { step_s: spec.step_s, found: spec.duration_s };
     match whole_multiple(spec.duration_s, spec.step_s) {
         Some(steps) => Ok(steps),
-        None => Place(String::new()).at("duration_s").wrong(problem),
+        None => Place::ROOT.at("duration_s").wrong(problem),
     }
 }
 
@@ -74,7 +75,7 @@ pub(crate) fn whole_multiple(whole: f64, part: f64) -> Option<usize> {
     fits.then_some(times as usize)
 }
 
-fn check_vehicle(place: &Place, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
+fn check_vehicle(place: &Place<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
     place.at("position_m").number(vehicle.position_m, from(-1e6, 1e6))?;
     place.at("speed_mps").number(vehicle.speed_mps, from(0.0, 100.0))?;
     place.at("length_m").optional(vehicle.length_m, from(0.1, 100.0))?;
@@ -86,7 +87,8 @@ fn check_vehicle(place: &Place, vehicle: &VehicleSpec) -> Result<(), InvalidFiel
     place.at("actuator_lag_s").number(vehicle.actuator_lag_s, from(0.0, 10.0))?;
     place.at("actuator_delay_s").number(vehicle.actuator_delay_s, from(0.0, 10.0))?;
     place.at("jerk_limit_mps3").optional(vehicle.jerk_limit_mps3, from(0.1, 1e4))?;
-    let driver = place.at("driver").at(vehicle.driver.name());
+    let driver = place.at("driver");
+    let driver = driver.at(vehicle.driver.name());
     match &vehicle.driver {
         Driver::UnderTest => Ok(()),
         Driver::Profile(profile) => {
@@ -99,7 +101,7 @@ fn check_vehicle(place: &Place, vehicle: &VehicleSpec) -> Result<(), InvalidFiel
 }
 
 /// A script that the vehicle could not follow on a dry road is a mistake, not a scenario.
-fn check_within_limits(driver: &Place, vehicle: &VehicleSpec, profile: &LeadProfile) -> Result<(), InvalidField> {
+fn check_within_limits(driver: &Place<'_>, vehicle: &VehicleSpec, profile: &LeadProfile) -> Result<(), InvalidField> {
     let [lowest_mps2, highest_mps2] = profile.acceleration_range_mps2();
     let (max_brake_mps2, max_accel_mps2) = (vehicle.max_brake_mps2(), vehicle.max_accel_mps2());
     if -lowest_mps2 > max_brake_mps2 {
@@ -112,7 +114,7 @@ fn check_within_limits(driver: &Place, vehicle: &VehicleSpec, profile: &LeadProf
 }
 
 /// A script says when a vehicle does what: a delay or lag on top would make the script untrue.
-fn check_follows_at_once(place: &Place, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
+fn check_follows_at_once(place: &Place<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
     let delays = [
         ("reaction_delay_s", vehicle.reaction_delay_s > 0.0),
         ("actuator_lag_s", vehicle.actuator_lag_s > 0.0),
@@ -129,7 +131,7 @@ const TIME_S: Range = from(0.0, 1e5);
 const RATE_MPS2: Range = from(0.0, 30.0);
 const SPEED_MPS: Range = from(0.0, 100.0);
 
-fn check_profile(place: &Place, profile: &LeadProfile) -> Result<(), InvalidField> {
+fn check_profile(place: &Place<'_>, profile: &LeadProfile) -> Result<(), InvalidField> {
     match profile {
         LeadProfile::ConstantSpeed => Ok(()),
         LeadProfile::Brake(brake) => {
@@ -156,7 +158,7 @@ fn check_profile(place: &Place, profile: &LeadProfile) -> Result<(), InvalidFiel
     }
 }
 
-fn check_controller(place: &Place, controller: &ControllerSpec) -> Result<(), InvalidField> {
+fn check_controller(place: &Place<'_>, controller: &ControllerSpec) -> Result<(), InvalidField> {
     let ttc_s = from(0.0, 100.0);
     match controller {
         ControllerSpec::MatchLeader | ControllerSpec::Policy => Ok(()),
@@ -187,16 +189,42 @@ fn check_controller(place: &Place, controller: &ControllerSpec) -> Result<(), In
     }
 }
 
-/// A place in the file, from which its fields are checked.
-struct Place(String);
+/// A place in the file, from which its fields are checked. Its path is put together only if something is wrong there:
+/// searches check millions of scenarios that are right.
+#[derive(Clone, Copy)]
+struct Place<'a> {
+    within: Option<&'a Self>,
+    step: Step<'a>,
+}
 
-impl Place {
-    fn at(&self, field: &str) -> Self {
-        if self.0.is_empty() { Self(field.to_owned()) } else { Self(format!("{}.{field}", self.0)) }
+#[derive(Clone, Copy)]
+enum Step<'a> {
+    Field(&'a str),
+    Item(usize),
+}
+
+impl<'a> Place<'a> {
+    const ROOT: Self = Self { within: None, step: Step::Field("") };
+
+    fn at(&'a self, field: &'a str) -> Self {
+        Self { within: Some(self), step: Step::Field(field) }
+    }
+
+    fn item(&'a self, index: usize) -> Self {
+        Self { within: Some(self), step: Step::Item(index) }
+    }
+
+    fn path(&self) -> String {
+        let before = self.within.map(Self::path).unwrap_or_default();
+        match self.step {
+            Step::Field(field) if before.is_empty() => field.to_owned(),
+            Step::Field(field) => format!("{before}.{field}"),
+            Step::Item(index) => format!("{before}[{index}]"),
+        }
     }
 
     fn wrong<T>(&self, problem: Problem) -> Result<T, InvalidField> {
-        Err(InvalidField { field: self.0.clone(), problem })
+        Err(InvalidField { field: self.path(), problem })
     }
 
     fn number(&self, found: f64, range: Range) -> Result<(), InvalidField> {
@@ -222,21 +250,21 @@ impl Place {
         (values_name, values): (&str, &[f64]),
         range: Range,
     ) -> Result<(), InvalidField> {
-        self.at(times_name).length(times.len(), 1, 1_000_000, "entries")?;
+        let (times_at, values_at) = (self.at(times_name), self.at(values_name));
+        times_at.length(times.len(), 1, 1_000_000, "entries")?;
         if values.len() != times.len() {
             let (expected, found) = (times.len(), values.len());
-            return self.at(values_name).wrong(Problem::LengthMismatch { other: times_name, expected, found });
+            return values_at.wrong(Problem::LengthMismatch { other: times_name, expected, found });
         }
         for (index, (&time, &value)) in times.iter().zip(values).enumerate() {
-            self.at(&format!("{times_name}[{index}]")).number(time, TIME_S)?;
-            self.at(&format!("{values_name}[{index}]")).number(value, range)?;
+            times_at.item(index).number(time, TIME_S)?;
+            values_at.item(index).number(value, range)?;
         }
         for (index, pair) in times.windows(2).enumerate() {
             if let [before, found] = *pair
                 && found <= before
             {
-                let place = self.at(&format!("{times_name}[{}]", index + 1));
-                return place.wrong(Problem::NotIncreasing { before, found });
+                return times_at.item(index + 1).wrong(Problem::NotIncreasing { before, found });
             }
         }
         Ok(())

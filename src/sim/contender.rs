@@ -4,7 +4,8 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::UnderTest;
+use super::{Shielded, Stress, UnderTest};
+use crate::control::{ErrorBounds, ShieldSettings};
 use crate::policy::{Policy, PolicyError};
 use crate::scenario::ControllerSpec;
 
@@ -22,12 +23,21 @@ pub struct Contender {
 #[non_exhaustive]
 pub enum UnknownContender {
     /// Neither a built-in name nor a file.
-    #[error("there is no controller `{name}`: there are {known}, and policy files")]
+    #[error("there is no controller `{name}`: there are {known}, policy files, and `shield:` before any of them")]
     Name {
         /// What was asked for.
         name: String,
         /// Built-in names.
         known: String,
+    },
+    /// A shield that is set wrongly.
+    #[error(
+        "`{setting}` is no setting of a shield: there are ahead, gap-error, speed-error and ahead-speed-error, each with a \
+         number, as in `shield,ahead=7.5,gap-error=0.2:policy`"
+    )]
+    Shield {
+        /// What was found.
+        setting: String,
     },
     /// A file that is no policy.
     #[error(transparent)]
@@ -43,14 +53,27 @@ impl Contender {
 
     /// The built-in controller of that name, or the policy in a file; a relative path starts at `folder`.
     ///
+    /// `shield:C` is controller C behind a shield. `shield,ahead=A:C` assumes that the vehicle ahead never brakes harder than
+    /// A m/s² on a dry road, instead of its own limit; `gap-error` (m), `speed-error` and `ahead-speed-error` (m/s) bound what
+    /// is seen, and those that are not given are then 0.
+    ///
     /// # Errors
     /// [`UnknownContender`] if there is neither, or the file holds no usable policy.
     pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownContender> {
         if let Some(spec) = ControllerSpec::named(name) {
             return Ok(spec.into());
         }
+        if let Some(stress) = Stress::ALL.into_iter().find(|stress| stress.name() == name) {
+            return Ok(Self { name: name.to_owned(), controller: UnderTest::Stress(stress) });
+        }
+        if let Some((settings, inner)) = name.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
+            let settings = shield_settings(settings)?;
+            let controller = Self::find(inner, folder)?.controller;
+            return Ok(Self { name: name.to_owned(), controller: Shielded { controller, settings }.into() });
+        }
         if Path::new(name).extension().is_none() {
-            let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
+            let stress = Stress::ALL.map(Stress::name);
+            let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).chain(stress).collect();
             return Err(UnknownContender::Name { name: name.to_owned(), known: known.join(", ") });
         }
         let policy = Policy::load(&folder.join(name))?;
@@ -60,12 +83,43 @@ impl Contender {
     /// The policy, if it is a learned one.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
-        match &self.controller {
-            UnderTest::BuiltIn(ControllerSpec::Policy) => Some(Policy::reference()),
-            UnderTest::Policy(policy) => Some(Arc::clone(policy)),
-            UnderTest::BuiltIn(_) | UnderTest::Custom(_) => None,
+        policy_of(&self.controller)
+    }
+}
+
+fn policy_of(controller: &UnderTest) -> Option<Arc<Policy>> {
+    match controller {
+        UnderTest::BuiltIn(ControllerSpec::Policy) => Some(Policy::reference()),
+        UnderTest::Policy(policy) => Some(Arc::clone(policy)),
+        UnderTest::Shielded(shielded) => policy_of(&shielded.controller),
+        UnderTest::BuiltIn(_) | UnderTest::Stress(_) | UnderTest::Custom(_) => None,
+    }
+}
+
+/// Settings as they stand between `shield` and the colon: nothing, or each with a comma before it.
+fn shield_settings(text: &str) -> Result<ShieldSettings, UnknownContender> {
+    let mut settings = ShieldSettings::default();
+    let mut parts = text.split(',');
+    let unknown = |setting: &str| UnknownContender::Shield { setting: setting.to_owned() };
+    if let Some(before) = parts.next().filter(|before| !before.is_empty()) {
+        return Err(unknown(before));
+    }
+    for part in parts {
+        let (name, value) = part.split_once('=').ok_or_else(|| unknown(part))?;
+        let value: f64 = value.parse().map_err(|_| unknown(part))?;
+        if !(value >= 0.0 && value.is_finite()) {
+            return Err(unknown(part));
+        }
+        let errors = settings.errors.unwrap_or_default();
+        match name {
+            "ahead" if value > 0.0 => settings.ahead_brake_mps2 = Some(value),
+            "gap-error" => settings.errors = Some(ErrorBounds { gap_m: value, ..errors }),
+            "speed-error" => settings.errors = Some(ErrorBounds { speed_mps: value, ..errors }),
+            "ahead-speed-error" => settings.errors = Some(ErrorBounds { ahead_speed_mps: value, ..errors }),
+            _ => return Err(unknown(part)),
         }
     }
+    Ok(settings)
 }
 
 impl fmt::Debug for Contender {

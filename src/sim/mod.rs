@@ -9,6 +9,7 @@ mod platoon;
 mod recorder;
 mod run;
 mod scalar;
+mod shielding;
 mod stepper;
 mod trace;
 
@@ -18,7 +19,8 @@ pub use motion::{Motion, closest_gap_m, first_contact};
 pub use outcome::{AfterContact, Contact, Impact, Outcome, Simulated, VehicleSummary};
 pub use recorder::Keep;
 pub(crate) use recorder::ttc_s;
-pub use run::{ControllerFactory, Run, RunError, RunOptions, UnderTest};
+pub use run::{ControllerFactory, Run, RunError, RunOptions, Stress, UnderTest};
 pub use scalar::simulate;
+pub use shielding::{Intervention, ShieldRefusal, Shielded};
 pub use stepper::Stepper;
 pub use trace::{Pair, Trace, Track};

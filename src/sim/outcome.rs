@@ -102,6 +102,8 @@ pub struct Simulated {
     pub impacts: Vec<Impact>,
     /// One entry a vehicle, front to rear.
     pub vehicles: Vec<VehicleSummary>,
+    /// When shields braked instead of their controllers, by vehicle and time.
+    pub interventions: Vec<super::Intervention>,
     /// The recorded motion, where it was asked for.
     pub trace: Option<super::Trace>,
 }

@@ -2,7 +2,7 @@
 
 use super::motion::Motion;
 use super::platoon::Platoon;
-use super::{Impact, Outcome, Simulated, Trace, Track, VehicleSummary};
+use super::{Impact, Intervention, Outcome, Simulated, Trace, Track, VehicleSummary};
 
 /// Smallest time to collision and hardest braking of one vehicle so far.
 #[derive(Debug, Clone, Copy)]
@@ -34,9 +34,14 @@ pub(super) fn summary(min_gap_m: f64, tally: Tally, speed_mps: f64) -> VehicleSu
 }
 
 /// A finished run.
-pub(super) fn finished(impacts: Vec<Impact>, vehicles: Vec<VehicleSummary>, trace: Option<Trace>) -> Simulated {
+pub(super) fn finished(
+    impacts: Vec<Impact>,
+    vehicles: Vec<VehicleSummary>,
+    interventions: Vec<Intervention>,
+    trace: Option<Trace>,
+) -> Simulated {
     let outcome = impacts.first().map_or(Outcome::NoCollision, |impact| Outcome::Collision(impact.contact));
-    Simulated { outcome, impacts, vehicles, trace }
+    Simulated { outcome, impacts, vehicles, interventions, trace }
 }
 
 /// Whether a run keeps the motion of all vehicles.

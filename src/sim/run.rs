@@ -6,10 +6,12 @@ use super::AfterContact;
 use super::actuator::{Actuator, Disturbance};
 use super::motion::Motion;
 use super::platoon::Platoon;
-use crate::control::{AnyController, Controller, Ego};
+use super::shielding::{ShieldRefusal, Shielded};
+use crate::control::{AnyController, Controller, Ego, Frame, FullThrottle, RandomActions, Shield};
 use crate::estimate::{EgoEstimator, EgoTuning, EstimatorKind, Neighbour, Observation, TrueState};
 use crate::policy::Policy;
-use crate::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, whole_multiple};
+use crate::random::{self, Purpose};
+use crate::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, VehicleSpec, whole_multiple};
 
 /// Samples times vehicles beyond which a run is refused: 20 million, a trace of half a gigabyte.
 const MOST_VEHICLE_SAMPLES: usize = 20_000_000;
@@ -21,8 +23,56 @@ pub enum UnderTest {
     BuiltIn(ControllerSpec),
     /// A learned policy.
     Policy(Arc<Policy>),
+    /// A controller nobody would drive with.
+    Stress(Stress),
+    /// Any of these behind a shield.
+    Shielded(Arc<Shielded>),
     /// Anything else.
     Custom(ControllerFactory),
+}
+
+/// Controllers that show what a shield is worth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stress {
+    /// Full acceleration at all times.
+    FullThrottle,
+    /// A random action each step, from the scenario's seed.
+    RandomActions,
+}
+
+impl Stress {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::FullThrottle, Self::RandomActions];
+
+    /// The name used on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::FullThrottle => "full-throttle",
+            Self::RandomActions => "random-actions",
+        }
+    }
+
+    /// What it does, in one line.
+    #[must_use]
+    pub fn summary(self) -> &'static str {
+        match self {
+            Self::FullThrottle => "full acceleration at all times, to show what a shield is worth",
+            Self::RandomActions => "a random action each step, for the same purpose",
+        }
+    }
+}
+
+impl From<Stress> for UnderTest {
+    fn from(stress: Stress) -> Self {
+        Self::Stress(stress)
+    }
+}
+
+impl From<Shielded> for UnderTest {
+    fn from(shielded: Shielded) -> Self {
+        Self::Shielded(Arc::new(shielded))
+    }
 }
 
 /// Builds a controller for a vehicle: called for each vehicle under test whenever a run is prepared or started, so a
@@ -120,6 +170,14 @@ pub enum RunError {
         /// The scenario's step, in seconds.
         step_s: f64,
     },
+    /// A shield cannot vouch for a vehicle under test.
+    #[error("a shield cannot vouch for vehicle {vehicle}: {why}")]
+    Shield {
+        /// Index of the vehicle.
+        vehicle: usize,
+        /// Why.
+        why: ShieldRefusal,
+    },
 }
 
 /// A scenario ready to run.
@@ -129,6 +187,8 @@ pub struct Run<'s> {
     substeps: usize,
     /// Made when the first vehicle needs it: most runs with the true state never do.
     tuning: OnceLock<EgoTuning>,
+    /// What shields take for granted, an entry a vehicle; none for one that is not shielded.
+    frames: Vec<Option<Frame>>,
 }
 
 impl<'s> Run<'s> {
@@ -147,7 +207,8 @@ impl<'s> Run<'s> {
             let dt_s = options.dt_s.unwrap_or(step_s);
             return Err(RunError::TooFine { dt_s, limit: MOST_VEHICLE_SAMPLES, found });
         }
-        let run = Self { scenario, options, substeps, tuning: OnceLock::new() };
+        let mut run = Self { scenario, options, substeps, tuning: OnceLock::new(), frames: Vec::new() };
+        run.frames = run.shield_frames()?;
         for index in 0..scenario.vehicles().len() {
             if let Pilot::Controller(controller) = run.pilot(index)
                 && let Some(interval_s) = controller.interval_s()
@@ -191,6 +252,18 @@ impl<'s> Run<'s> {
         self.tuning.get_or_init(|| EgoTuning::new(self.scenario.spec().step_s, &self.scenario.spec().sensors))
     }
 
+    fn shield_frames(&self) -> Result<Vec<Option<Frame>>, RunError> {
+        let vehicles = self.scenario.vehicles();
+        let UnderTest::Shielded(shielded) = &self.options.controller else { return Ok(vec![None; vehicles.len()]) };
+        let frame = |(vehicle, spec): (usize, &VehicleSpec)| match spec.driver {
+            Driver::UnderTest => {
+                self.frame(vehicle, &shielded.settings).map(Some).map_err(|why| RunError::Shield { vehicle, why })
+            }
+            _ => Ok(None),
+        };
+        vehicles.iter().enumerate().map(frame).collect()
+    }
+
     fn ego(&self, index: usize) -> Ego {
         let vehicle = &self.scenario.vehicles()[index];
         Ego {
@@ -203,16 +276,32 @@ impl<'s> Run<'s> {
 
     /// Who drives vehicle `index`.
     pub(super) fn pilot(&self, index: usize) -> Pilot<'s> {
+        match &self.scenario.vehicles()[index].driver {
+            Driver::Profile(profile) => Pilot::Profile(profile),
+            Driver::Controller(spec) => Pilot::Controller(AnyController::built_in(spec, &self.ego(index))),
+            Driver::UnderTest => Pilot::Controller(self.under_test(index, &self.options.controller)),
+        }
+    }
+
+    fn under_test(&self, index: usize, what: &UnderTest) -> AnyController {
         let ego = self.ego(index);
-        let controller = match (&self.scenario.vehicles()[index].driver, &self.options.controller) {
-            (Driver::Profile(profile), _) => return Pilot::Profile(profile),
-            (Driver::Controller(spec), _) | (Driver::UnderTest, UnderTest::BuiltIn(spec)) => {
-                AnyController::built_in(spec, &ego)
+        match what {
+            UnderTest::BuiltIn(spec) => AnyController::built_in(spec, &ego),
+            UnderTest::Policy(policy) => AnyController::policy(Arc::clone(policy), &ego),
+            UnderTest::Stress(Stress::FullThrottle) => AnyController::Custom(Box::new(FullThrottle::new(&ego))),
+            UnderTest::Stress(Stress::RandomActions) => {
+                let stream = random::stream(self.scenario.spec().seed, Purpose::RandomActions, index as u64);
+                AnyController::Custom(Box::new(RandomActions::new(&ego, stream)))
             }
-            (Driver::UnderTest, UnderTest::Policy(policy)) => AnyController::policy(Arc::clone(policy), &ego),
-            (Driver::UnderTest, UnderTest::Custom(build)) => AnyController::custom(build(&ego), &ego),
-        };
-        Pilot::Controller(controller)
+            UnderTest::Shielded(shielded) => {
+                let controller = self.under_test(index, &shielded.controller);
+                match self.frames.get(index).copied().flatten() {
+                    Some(frame) => AnyController::Shielded(Shield::new(controller, frame)),
+                    None => controller,
+                }
+            }
+            UnderTest::Custom(build) => AnyController::custom(build(&ego), &ego),
+        }
     }
 
     /// Sensors and filters of vehicle `index`; none if it sees the truth.

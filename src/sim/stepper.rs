@@ -4,6 +4,7 @@ use super::actuator::{Actuator, Disturbance, unless_at_rest};
 use super::platoon::Platoon;
 use super::recorder::{Tally, finished, summary, ttc_s};
 use super::run::{Pilot, truth};
+use super::shielding::interventions;
 use super::{AfterContact, Impact, Keep, Motion, Run, Simulated, Trace};
 use crate::control::Controller;
 use crate::estimate::{EgoEstimator, Observation, TrueState};
@@ -135,10 +136,16 @@ impl<'r, 's> Stepper<'r, 's> {
         {
             trace.sample(self.run.time_s(self.step, 0), self.platoon.motion.iter().copied());
         }
+        let step_s = self.run.scenario().spec().step_s;
+        let interventions = self.seats.iter().enumerate().flat_map(|(index, seat)| match &seat.pilot {
+            Pilot::Controller(controller) => interventions(controller, index, step_s),
+            Pilot::Profile(_) => Vec::new(),
+        });
+        let interventions = interventions.collect();
         let vehicles = self.platoon.min_gap_m.iter().zip(self.tallies).zip(&self.platoon.motion);
         let vehicles =
             vehicles.map(|((&min_gap_m, tally), motion)| summary(min_gap_m, tally, motion.speed_mps)).collect();
-        finished(self.impacts, vehicles, self.trace)
+        finished(self.impacts, vehicles, interventions, self.trace)
     }
 }
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 /// From the ground up.
-const ORDER: [&str; 14] = [
+const ORDER: [&str; 15] = [
     "random",
     "scenario",
     "estimate",
@@ -17,6 +17,7 @@ const ORDER: [&str; 14] = [
     "draw",
     "rl",
     "falsify",
+    "evidence",
     "report",
     "cli",
 ];

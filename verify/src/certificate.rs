@@ -3,6 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::claim::{Held, Scene};
+use crate::kernel::Kernel;
+use crate::rate::{Comparison, Rate};
 
 /// The only version of the format so far.
 pub const VERSION: u32 = 1;
@@ -30,9 +32,9 @@ pub struct Certificate {
 pub struct Provenance {
     /// Version of the program that wrote it.
     pub crumple: String,
-    /// Name of the scenario.
+    /// Name of the scenario, or what else the statement speaks about.
     pub scenario: String,
-    /// SHA-256 of the scenario file, in hexadecimal.
+    /// SHA-256 of the scenario file, in hexadecimal; empty if there is none.
     pub scenario_sha256: String,
 }
 
@@ -50,6 +52,12 @@ pub enum Assumption {
     EgoWithinLimits,
     /// The egos follow the stated profile from the start, without delay, lag or noise.
     EgoOnProfile,
+    /// The vehicle ahead never brakes harder than stated.
+    LeaderWithinLimit,
+    /// From every decision on, the own vehicle can brake at the stated rate.
+    EgoCanBrake,
+    /// Runs are independent draws, and the registration was made before the first of them.
+    RegisteredDraws,
     /// Noise is that of the scenario's seed, contained in the stated accelerations. The only one that is optional.
     NoiseOfSeed,
 }
@@ -64,6 +72,9 @@ impl std::fmt::Display for Assumption {
             Self::LatchedFollower => "the follower holds its speed until its latched emergency brake fires",
             Self::EgoWithinLimits => "no vehicle under test brakes or accelerates harder than stated",
             Self::EgoOnProfile => "the vehicles under test follow the stated profile at once",
+            Self::LeaderWithinLimit => "the vehicle ahead never brakes harder than stated",
+            Self::EgoCanBrake => "from every decision on, the own vehicle can brake at the stated rate",
+            Self::RegisteredDraws => "runs are independent draws, and were registered before the first of them",
             Self::NoiseOfSeed => "noise is that of the scenario's seed",
         })
     }
@@ -77,6 +88,12 @@ pub enum Statement {
     Avoidable(Avoidable),
     /// With no profile of ego accelerations does nobody touch.
     Unavoidable(Unavoidable),
+    /// From exactly these states contact can be avoided.
+    Kernel(Kernel),
+    /// A controller fails at no more than a rate.
+    Rate(Rate),
+    /// One controller fails less often than another.
+    Comparison(Comparison),
 }
 
 impl Statement {
@@ -86,6 +103,10 @@ impl Statement {
         let (scene, about_egos) = match self {
             Self::Avoidable(claim) => (&claim.scene, Assumption::EgoOnProfile),
             Self::Unavoidable(claim) => (&claim.scene, Assumption::EgoWithinLimits),
+            Self::Kernel(_) => {
+                return vec![Assumption::ExactMotion, Assumption::LeaderWithinLimit, Assumption::EgoCanBrake];
+            }
+            Self::Rate(_) | Self::Comparison(_) => return vec![Assumption::RegisteredDraws],
         };
         let follower = scene.follower.as_ref().map(|_| Assumption::LatchedFollower);
         [Assumption::ExactMotion, Assumption::ScriptedLeader, about_egos].into_iter().chain(follower).collect()

@@ -7,7 +7,9 @@
 //! 2. [`claim`]: what a scene is; [`motion`]: where its vehicles are;
 //! 3. [`avoidable`]: a profile is replayed, and nobody touches;
 //! 4. [`unavoidable`]: whatever is done, somebody touches;
-//! 5. [`certificate`]: the file.
+//! 5. [`kernel`]: from which states contact can be avoided for ever; [`polynomial`] is its arithmetic;
+//! 6. [`rate`]: what counted failures show;
+//! 7. [`certificate`]: the file.
 //!
 //! # What is claimed
 //! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test; behind them, perhaps, a follower
@@ -16,6 +18,7 @@
 //!
 //! - *Avoidable*: if the egos follow the stated profile, which is within their limits, nobody touches.
 //! - *Unavoidable*: for no accelerations of the egos within their limits, however they are decided, does nobody touch.
+//! - *Kernel*, *rate*, *fails less often*: about no one scene; said where they are checked.
 //!
 //! # What is assumed
 //! What the certificate lists as [`Assumption`]s, and has to list. The numbers are those in the file, read as the nearest
@@ -54,7 +57,10 @@ pub mod avoidable;
 pub mod certificate;
 pub mod claim;
 pub mod interval;
+pub mod kernel;
 pub mod motion;
+pub mod polynomial;
+pub mod rate;
 pub mod unavoidable;
 
 pub use certificate::{
@@ -62,6 +68,8 @@ pub use certificate::{
 };
 pub use claim::{Ego, Follower, Held, Leader, Scene};
 pub use interval::Interval;
+pub use kernel::Kernel;
+pub use rate::{Comparison, Rate, Registration};
 
 /// What has been proved.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,6 +85,20 @@ pub enum Accepted {
         /// Whatever they do, two vehicles would overlap by at least this if they could, in metres.
         overlap_m: f64,
     },
+    /// The stated kernel is exactly the set of states that can be kept free of contact.
+    Kernel,
+    /// A failure rate is bounded.
+    Rate {
+        /// The bound.
+        at_most: f64,
+        /// Its confidence.
+        confidence: f64,
+    },
+    /// The first of two controllers fails less often than the second.
+    FailsLessOften {
+        /// With this confidence.
+        confidence: f64,
+    },
 }
 
 impl std::fmt::Display for Accepted {
@@ -87,6 +109,14 @@ impl std::fmt::Display for Accepted {
             }
             Self::Unavoidable { overlap_m } => {
                 write!(formatter, "unavoidable: whatever is done, two vehicles would overlap by {overlap_m} m or more")
+            }
+            Self::Kernel => formatter
+                .write_str("kernel: full braking keeps every state of it free of contact, and nothing any other"),
+            Self::Rate { at_most, confidence } => {
+                write!(formatter, "rate: at most {at_most} at confidence {confidence}")
+            }
+            Self::FailsLessOften { confidence } => {
+                write!(formatter, "comparison: the first controller fails less often, at confidence {confidence}")
             }
         }
     }
@@ -144,6 +174,16 @@ pub enum Rejection {
         /// The lower bound found, in metres.
         sum_m: f64,
     },
+    /// What was observed is not rare enough where the claim is false.
+    #[error(
+        "what was observed, or better, may have probability {tail:e} if the claim is false, and {allowed:e} is allowed"
+    )]
+    TooLikely {
+        /// Upper bound of the probability.
+        tail: f64,
+        /// 1 - confidence.
+        allowed: f64,
+    },
 }
 
 impl Rejection {
@@ -163,5 +203,8 @@ pub fn check(certificate: &Certificate) -> Result<Accepted, Rejection> {
     match &certificate.statement {
         Statement::Avoidable(claim) => avoidable::check(claim),
         Statement::Unavoidable(claim) => unavoidable::check(claim),
+        Statement::Kernel(claim) => kernel::check(claim),
+        Statement::Rate(claim) => rate::check_rate(claim),
+        Statement::Comparison(claim) => rate::check_comparison(claim),
     }
 }

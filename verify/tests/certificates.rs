@@ -73,6 +73,7 @@ fn holds_up(certificate: &Certificate) -> bool {
         Statement::Unavoidable(claim) => {
             corners.iter().all(|&corner| !some_escape(&claim.scene, &member(&claim.scene, || corner), 5))
         }
+        _ => panic!("a statement about no scene"),
     }
 }
 
@@ -228,6 +229,7 @@ proptest! {
             let scene = match &certificate.statement {
                 Statement::Avoidable(claim) => &claim.scene,
                 Statement::Unavoidable(claim) => &claim.scene,
+                _ => panic!("a statement about no scene"),
             };
             // The plain simulation overflows where the check does not.
             let position_m = scene.leader.position_m;

@@ -157,13 +157,16 @@ impl<'a, 's> Block<'a, 's> {
 
     /// Takes a run out of the block.
     fn finish(&mut self, lane: usize, done: &mut impl FnMut(usize, Simulated)) {
-        let Lane { index, impacts, trace, .. } = self.lanes.swap_remove(lane);
+        let Lane { index, run, impacts, trace } = self.lanes.swap_remove(lane);
+        let step_s = run.scenario().spec().step_s;
         self.care.swap_remove(lane);
         for decided_mps2 in &mut self.decided_mps2 {
             decided_mps2.swap_remove(lane);
         }
+        let columns = self.columns.iter().enumerate();
+        let interventions = columns.flat_map(|(vehicle, column)| column.interventions(lane, vehicle, step_s)).collect();
         let vehicles = self.columns.iter_mut().map(|column| column.finish(lane)).collect();
-        done(index, finished(impacts, vehicles, trace));
+        done(index, finished(impacts, vehicles, interventions, trace));
     }
 
     /// One run as a platoon, for the exact treatment.

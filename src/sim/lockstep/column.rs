@@ -3,11 +3,12 @@
 use super::block::Lane;
 use super::pilots::Pilots;
 use crate::estimate::{EgoEstimator, Neighbour, Observation, TrueState};
-use crate::sim::VehicleSummary;
 use crate::sim::actuator::{Actuator, Disturbance, unless_at_rest, within};
 use crate::sim::motion::{Motion, advance, needs_care};
 use crate::sim::platoon::Platoon;
 use crate::sim::recorder::{Tally, summary, ttc_s};
+use crate::sim::shielding::interventions;
+use crate::sim::{Intervention, VehicleSummary};
 
 /// One vehicle position in all runs.
 pub(super) struct Column<'s> {
@@ -166,6 +167,11 @@ impl<'s> Column<'s> {
             let ttc_s = ttc_s(gap_m, rear_mps[lane] - front_mps[lane]);
             self.min_ttc_s[lane] = self.min_ttc_s[lane].min(ttc_s);
         }
+    }
+
+    /// What a shield of this vehicle, number `vehicle` of the line, did in a run.
+    pub(super) fn interventions(&self, lane: usize, vehicle: usize, step_s: f64) -> Vec<Intervention> {
+        self.pilots.shielded(lane).map_or_else(Vec::new, |controller| interventions(controller, vehicle, step_s))
     }
 
     /// Takes a run out of the column.

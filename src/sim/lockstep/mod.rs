@@ -59,6 +59,8 @@ fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
     let under_test = match &run.options().controller {
         UnderTest::BuiltIn(spec) => spec.name(),
         UnderTest::Policy(_) => ControllerSpec::Policy.name(),
+        UnderTest::Stress(stress) => stress.name(),
+        UnderTest::Shielded(_) => "shielded",
         UnderTest::Custom(_) => "custom",
     };
     let spec = run.scenario().spec();

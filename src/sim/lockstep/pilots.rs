@@ -102,6 +102,17 @@ impl<'s> Pilots<'s> {
         }
     }
 
+    /// The driver of run `run`, if it may have a shield.
+    pub(super) fn shielded(&self, run: usize) -> Option<&AnyController> {
+        match self {
+            Self::Mixed(pilots) => match pilots.get(run) {
+                Some(Pilot::Controller(controller)) => Some(controller),
+                _ => None,
+            },
+            _ => None,
+        }
+    }
+
     /// Forgets run `run`; the last one takes its place.
     pub(super) fn swap_remove(&mut self, run: usize) {
         match self {

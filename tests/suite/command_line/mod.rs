@@ -3,6 +3,7 @@
 mod bad_input;
 mod reports;
 mod train;
+mod verify;
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};

@@ -1,0 +1,196 @@
+//! `crumple verify`: claims with certificates.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+use crumple_verify::{Certificate, Registration, check};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::output::{self, Files};
+use super::{Failure, progress, subject};
+use crate::estimate::EstimatorKind;
+use crate::evidence::{Plan, PlanDriver, Tally, shipped_kernels};
+use crate::scenario::space::Space;
+use crate::sim::Contender;
+
+/// Make claims and write certificates that `crumple check` accepts by itself
+#[derive(Args)]
+pub(super) struct Verify {
+    #[command(subcommand)]
+    claim: Claim,
+}
+
+#[derive(Subcommand)]
+enum Claim {
+    Shield(Shield),
+    Rate(Box<Rate>),
+}
+
+/// The kernel a shield relies on, one certificate for each pair of vehicle classes
+#[derive(Args)]
+#[command(after_long_help = "\
+A road that scales both brake limits by a friction scales the demanded gaps by its inverse, so the certificates for a dry road \
+speak for every other.")]
+struct Shield {
+    /// Where certificates go
+    #[arg(long, value_name = "DIR", default_value = "crumple-shield")]
+    out: PathBuf,
+}
+
+/// How often a controller fails at most, or that it fails less often than another
+#[derive(Args)]
+#[command(after_long_help = "\
+What decides the count (controllers, space, seed, runs, confidence) is written to DIR/registration.json, with its digest on \
+standard error, before the first run. Draws are counted in order; an interrupted count goes on with --resume. A run fails if \
+vehicles touch.
+
+Example:
+  crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999")]
+struct Rate {
+    /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
+    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    controller: Contender,
+    /// Another controller on the same draws: show that the first fails less often
+    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    against: Option<Contender>,
+    /// Space that runs are drawn from (see `crumple list spaces`), or a space file
+    #[arg(long, value_name = "S", default_value = "paper", value_parser = subject::space)]
+    space: (String, Space),
+    /// Number of runs, fixed beforehand
+    #[arg(long, value_name = "N")]
+    runs: u64,
+    /// Confidence of the claim
+    #[arg(long, value_name = "c", default_value_t = 0.999)]
+    confidence: f64,
+    /// Seed of all draws
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// What the vehicles under test look through
+    #[arg(long, value_enum, default_value = "kalman")]
+    estimator: EstimatorKind,
+    /// Where registration, progress and certificate go
+    #[arg(long, value_name = "DIR", default_value = "crumple-rate")]
+    out: PathBuf,
+    /// Go on with an interrupted count
+    #[arg(long)]
+    resume: bool,
+}
+
+impl Verify {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        match self.claim {
+            Claim::Shield(shield) => shield.run(),
+            Claim::Rate(rate) => rate.run(quiet),
+        }
+    }
+}
+
+impl Shield {
+    fn run(self) -> Result<(), Failure> {
+        make_folder(&self.out)?;
+        let mut text = String::new();
+        for (name, certificate) in shipped_kernels() {
+            let path = self.out.join(format!("{name}.json"));
+            write(&path, &certificate)?;
+            text += &judged(&path, &certificate)?;
+        }
+        output::print(&text)
+    }
+}
+
+impl Rate {
+    fn run(self, quiet: bool) -> Result<(), Failure> {
+        let [registered, counted, proved] =
+            ["registration", "progress", "certificate"].map(|name| self.out.join(format!("{name}.json")));
+        let plan = Plan::new(PlanDriver {
+            controllers: (self.controller, self.against),
+            space: self.space,
+            seed: self.seed,
+            estimator: self.estimator,
+            runs: self.runs,
+            confidence: self.confidence,
+        })
+        .map_err(Failure::input)?;
+        let (registration, runs) = (plan.registration(), plan.registration().runs);
+        make_folder(&self.out)?;
+        let mut tally = plan.tally();
+        match (registered.exists(), self.resume) {
+            (false, _) => write(&registered, registration)?,
+            (true, false) => {
+                let place = registered.display();
+                return Err(Failure::Input(format!(
+                    "{place}: something is registered there: --resume goes on with it"
+                )));
+            }
+            (true, true) => {
+                if read::<Registration>(&registered)? != *registration {
+                    let place = registered.display();
+                    return Err(Failure::Input(format!("{place}: something else was registered")));
+                }
+                if counted.exists() {
+                    let found: Tally = read(&counted)?;
+                    if found.registration_sha256 != tally.registration_sha256 || found.runs > runs {
+                        let place = counted.display();
+                        return Err(Failure::Input(format!("{place}: registration_sha256: not of this registration")));
+                    }
+                    tally = found;
+                }
+            }
+        }
+        output::note(&format!("registered as {}", registration.digest()), quiet);
+        let bar = progress::bar("counting", runs, quiet);
+        while tally.runs < runs {
+            bar.set_position(tally.runs);
+            plan.count_block(&mut tally).map_err(Failure::input)?;
+            write(&counted, &tally)?;
+        }
+        bar.finish_and_clear();
+        let certificate = plan.certificate(&tally);
+        let said = match check(&certificate) {
+            Ok(_) => judged(&proved, &certificate)?,
+            Err(rejection) => {
+                return Err(Failure::Gate(format!("nothing is shown by {}: {rejection}", counted.display())));
+            }
+        };
+        write(&proved, &certificate)?;
+        let Tally { runs, failures, only_first_failed, only_second_failed, .. } = tally;
+        let counts = match certificate.statement {
+            crumple_verify::Statement::Comparison(_) => {
+                format!("{only_first_failed} runs in which only the first failed, {only_second_failed} only the second")
+            }
+            _ => format!("{failures} failures"),
+        };
+        output::print(&format!("{counts}, of {runs} runs\n{said}"))
+    }
+}
+
+/// What the checker says of a certificate that goes to `path`.
+fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
+    let name = path.display();
+    match check(certificate) {
+        Ok(accepted) => Ok(format!("{name}: accepted: {accepted}\n")),
+        Err(rejection) => Err(Failure::Gate(format!("{name}: rejected: {rejection}"))),
+    }
+}
+
+fn make_folder(path: &Path) -> Result<(), Failure> {
+    fs::create_dir_all(path).map_err(|source| Failure::environment(path, source))
+}
+
+fn write(path: &Path, contents: &impl Serialize) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(contents).map_err(Failure::input)? + "\n";
+    let mut files = Files::default();
+    files.stage(path, text.as_bytes())?;
+    files.commit()
+}
+
+fn read<T: DeserializeOwned>(path: &Path) -> Result<T, Failure> {
+    let text = fs::read_to_string(path).map_err(|source| match source.kind() {
+        io::ErrorKind::InvalidData => Failure::Input(format!("{}: {source}", path.display())),
+        _ => Failure::environment(path, source),
+    })?;
+    serde_json::from_str(&text).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))
+}

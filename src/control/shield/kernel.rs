@@ -1,0 +1,91 @@
+//! The gap that must not be undercut: a vehicle that brakes fully behind one that brakes fully.
+//!
+//! The mathematics, and the check of the closed form in exact arithmetic, are in `crumple_verify::kernel`.
+
+/// Brake limits of two successive vehicles, and which states they can leave without contact.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Kernel {
+    /// b, what the rear vehicle can brake at, in m/s², positive.
+    pub own_brake_mps2: f64,
+    /// c, what the front vehicle never brakes harder than, in m/s², positive.
+    pub ahead_brake_mps2: f64,
+}
+
+impl Kernel {
+    /// D(v, w), in metres: the rear vehicle at `speed_mps` can avoid the one ahead at `ahead_mps`, whatever that does,
+    /// exactly where the gap is larger.
+    ///
+    /// max(0, v²/2b - w²/2c) if b <= c or v/b >= w/c, max(0, v - w)²/2(b - c) otherwise. The first alone is the distance of
+    /// Shalev-Shwartz, Shammah and Shashua (arXiv:1708.06374, definition 1, without response time): where the rear vehicle
+    /// brakes harder and stops first, the two are closest before either stands.
+    #[must_use]
+    pub fn demanded_gap_m(&self, speed_mps: f64, ahead_mps: f64) -> f64 {
+        let Self { own_brake_mps2: b, ahead_brake_mps2: c } = *self;
+        let (v, w) = (speed_mps, ahead_mps);
+        if b <= c || v * c >= w * b {
+            (v * v / (2.0 * b) - w * w / (2.0 * c)).max(0.0)
+        } else {
+            let closing_mps = (v - w).max(0.0);
+            closing_mps * closing_mps / (2.0 * (b - c))
+        }
+    }
+}
+
+/// Distance covered and speed after `dt_s` from `speed_mps` under a held acceleration; nobody reverses.
+pub(super) fn moved(speed_mps: f64, acceleration_mps2: f64, dt_s: f64) -> [f64; 2] {
+    let end_mps = speed_mps + acceleration_mps2 * dt_s;
+    if end_mps < 0.0 {
+        [speed_mps * speed_mps / (-2.0 * acceleration_mps2), 0.0]
+    } else {
+        [speed_mps * dt_s + 0.5 * acceleration_mps2 * dt_s * dt_s, end_mps]
+    }
+}
+
+/// How far the gap closes at most at any instant within `dt_s`, in metres, if the front vehicle brakes at `ahead_brake_mps2`
+/// and the rear one holds `acceleration_mps2`.
+///
+/// The closing speed is linear until a vehicle stops; it turns from positive to negative only while both move.
+pub(super) fn largest_closing_m(
+    speed_mps: f64,
+    acceleration_mps2: f64,
+    ahead_mps: f64,
+    ahead_brake_mps2: f64,
+    dt_s: f64,
+) -> f64 {
+    let closing_m = |t: f64| moved(speed_mps, acceleration_mps2, t)[0] - moved(ahead_mps, -ahead_brake_mps2, t)[0];
+    let at_end_m = closing_m(dt_s).max(0.0);
+    let turn_s = (speed_mps - ahead_mps) / (-acceleration_mps2 - ahead_brake_mps2);
+    let turns_inside = speed_mps > ahead_mps && turn_s > 0.0 && turn_s < dt_s.min(ahead_mps / ahead_brake_mps2);
+    if turns_inside { at_end_m.max(closing_m(turn_s)) } else { at_end_m }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_harder_braking_car_behind_a_truck_needs_4_17_m_where_the_familiar_distance_needs_none() {
+        let kernel = Kernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 };
+        assert!((kernel.demanded_gap_m(25.0, 20.0) - 25.0 / 6.0).abs() < 1e-12);
+        assert!(25.0_f64.powi(2) / 16.0 < 20.0_f64.powi(2) / 10.0, "familiar distance");
+    }
+
+    proptest! {
+        /// Brute force over time brackets both closed forms.
+        #[test]
+        fn closed_forms_are_the_largest_closing(v in 0.0..40.0_f64, w in 0.0..40.0_f64, b in 0.5..10.0_f64,
+                                                c in 0.5..10.0_f64, a in -10.0..4.0_f64, dt in 0.01..2.0_f64) {
+            let until_standstill_s = (v / b).max(w / c) + 0.01;
+            for (rate, horizon_s, claimed) in [
+                (-b, until_standstill_s, Kernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w)),
+                (a, dt, largest_closing_m(v, a, w, c, dt)),
+            ] {
+                let closing = |t: f64| moved(v, rate, t)[0] - moved(w, -c, t)[0];
+                let brute = (0..=4000).map(|k| closing(horizon_s * f64::from(k) / 4000.0)).fold(0.0, f64::max);
+                prop_assert!(claimed >= brute - 1e-9, "{claimed} {brute}");
+                prop_assert!(claimed <= brute + 20.0 * (horizon_s / 4000.0).powi(2) + 1e-9, "{claimed} {brute}");
+            }
+        }
+    }
+}

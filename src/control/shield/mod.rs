@@ -1,0 +1,199 @@
+//! A shield: any controller's actions, as long as they leave a way out; full braking otherwise.
+//!
+//! A state is (g, v, w): gap, own speed, speed of the vehicle ahead. K = { g > D(v, w) } is exactly the set of states from
+//! which contact can still be avoided against every leader that respects its brake limit ([`Kernel`]). An action passes if,
+//! against the hardest braking of the vehicle ahead,
+//!
+//! - the state after the step is in K, and
+//! - the gap stays open at every instant inside the step.
+//!
+//! The second is not implied by the first: a vehicle that brakes harder than the one ahead can be closest in mid-step. With
+//! a test at step ends alone the gap could fall short by up to 0.046 (b - c) h², seven micrometres for a car behind a
+//! truck at 0.01 s; contact all the same. Full braking needs no test: it keeps K at every instant.
+//!
+//! What else stands between a decision and the road:
+//!
+//! - *Estimation error*: the test uses the worst gap and speeds within the bounds. If the true state was in K it stays there.
+//! - *Delay*: commands under way are carried out first, the vehicle ahead braking hardest meanwhile; the test is made of
+//!   the state in which the command will act.
+//! - *Lag*: v in the kernel becomes v + τ' (r + b), see [`Frame::lag_s`].
+//! - *Noise* on accelerations: six standard deviations are taken off the own brake and added to the one ahead. That is no
+//!   certainty: each exceeds it once in 10⁹ steps.
+//!
+//! Nothing is promised to a vehicle that is pushed by the one behind, nor behind one that is stopped by an impact: no
+//! brake limit holds there.
+
+mod frame;
+mod kernel;
+
+pub use frame::{Behind, ErrorBounds, Frame, MARGIN_M, ShieldSettings};
+pub use kernel::Kernel;
+
+use std::collections::VecDeque;
+
+use super::{AnyController, Controller};
+use crate::estimate::Observation;
+use kernel::{largest_closing_m, moved};
+
+/// Successive steps in which a shield braked instead of doing what its controller wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Override {
+    /// First step.
+    pub first_step: usize,
+    /// Last step.
+    pub last_step: usize,
+    /// Whether the state was outside the kernel in one of them: contact could then no longer be ruled out.
+    pub outside_kernel: bool,
+    /// Whether in one of them the vehicle behind could not avoid the braking vehicle: no action suited both.
+    pub rear_conflict: bool,
+}
+
+/// A controller behind a shield.
+pub struct Shield {
+    controller: Box<AnyController>,
+    frame: Frame,
+    /// Commands under way to the actuator, oldest first.
+    pending: VecDeque<f64>,
+    /// What the actuator makes of the commands so far, in m/s².
+    response_mps2: f64,
+    step: usize,
+    overrides: Vec<Override>,
+}
+
+/// Gap and speeds at one instant, with the own actuator's response.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct State {
+    gap_m: f64,
+    speed_mps: f64,
+    ahead_mps: f64,
+    response_mps2: f64,
+}
+
+impl Shield {
+    /// Puts a controller behind a shield.
+    #[must_use]
+    pub fn new(controller: AnyController, frame: Frame) -> Self {
+        Self {
+            controller: Box::new(controller),
+            pending: VecDeque::from(vec![0.0; frame.delay_steps]),
+            frame,
+            response_mps2: 0.0,
+            step: 0,
+            overrides: Vec::new(),
+        }
+    }
+
+    /// When the shield braked instead, in order.
+    #[must_use]
+    pub fn overrides(&self) -> &[Override] {
+        &self.overrides
+    }
+
+    /// The worst state within the error bounds in which a command given now will act; none on an open road.
+    fn worst_state(&self, seen: &Observation) -> Option<State> {
+        let ahead = seen.ahead?;
+        let ErrorBounds { gap_m, speed_mps, ahead_speed_mps } = self.frame.errors;
+        let mut state = State {
+            gap_m: ahead.gap_m - gap_m,
+            speed_mps: seen.speed_mps + speed_mps,
+            ahead_mps: (ahead.speed_mps - ahead_speed_mps).max(0.0),
+            response_mps2: self.response_mps2,
+        };
+        for &command_mps2 in &self.pending {
+            state = self.frame.after(state, command_mps2);
+        }
+        Some(state)
+    }
+
+    fn note_override(&mut self, outside_kernel: bool, rear_conflict: bool) {
+        let step = self.step;
+        match self.overrides.last_mut().filter(|last| last.last_step + 1 == step) {
+            Some(last) => {
+                last.last_step = step;
+                last.outside_kernel |= outside_kernel;
+                last.rear_conflict |= rear_conflict;
+            }
+            None => {
+                self.overrides.push(Override { first_step: step, last_step: step, outside_kernel, rear_conflict });
+            }
+        }
+    }
+}
+
+impl Controller for Shield {
+    fn act(&mut self, seen: &Observation) -> f64 {
+        let wanted_mps2 = self.frame.within(self.controller.act(seen));
+        let mut command_mps2 = wanted_mps2;
+        if let Some(state) = self.worst_state(seen)
+            && !self.frame.admits(state, wanted_mps2)
+        {
+            command_mps2 = -self.frame.brake_mps2;
+            // A controller that brakes fully by itself is not overruled.
+            if wanted_mps2 > command_mps2 {
+                self.note_override(self.frame.margin_m(state) < 0.0, self.frame.endangers_rear(seen));
+            }
+        }
+        self.pending.push_back(command_mps2);
+        let due_mps2 = self.pending.pop_front().unwrap_or(command_mps2);
+        self.response_mps2 = self.frame.response_mps2(self.response_mps2, due_mps2);
+        self.step += 1;
+        command_mps2
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        self.controller.interval_s()
+    }
+}
+
+impl Frame {
+    /// A command cut to what the vehicle can do; NaN counts as 0, as it does for the actuator.
+    fn within(&self, command_mps2: f64) -> f64 {
+        if command_mps2.is_nan() { 0.0 } else { command_mps2.max(-self.brake_mps2).min(self.accel_mps2) }
+    }
+
+    fn response_mps2(&self, response_mps2: f64, due_mps2: f64) -> f64 {
+        response_mps2 + self.share * (self.within(due_mps2) - response_mps2)
+    }
+
+    /// The fastest the vehicle may accelerate over a step; a vehicle that stands and does not want to move is held.
+    fn acceleration_mps2(&self, state: State, response_mps2: f64) -> f64 {
+        let is_held = state.speed_mps == 0.0 && response_mps2 <= 0.0;
+        if is_held { 0.0 } else { response_mps2 + self.noise_mps2 }
+    }
+
+    /// The state a step later, the vehicle ahead braking hardest.
+    fn after(&self, state: State, due_mps2: f64) -> State {
+        let response_mps2 = self.response_mps2(state.response_mps2, due_mps2);
+        let [covered_m, speed_mps] = moved(state.speed_mps, self.acceleration_mps2(state, response_mps2), self.step_s);
+        let [ahead_m, ahead_mps] = moved(state.ahead_mps, -self.ahead_brake_mps2, self.step_s);
+        State { gap_m: state.gap_m + ahead_m - covered_m, speed_mps, ahead_mps, response_mps2 }
+    }
+
+    /// How much more gap there is than the kernel and the margin demand, in metres. Full braking never makes it smaller.
+    fn margin_m(&self, state: State) -> f64 {
+        let stands = state.speed_mps == 0.0 && state.response_mps2 <= 0.0;
+        let still_to_lose_mps = self.lag_s() * (state.response_mps2 + self.brake_mps2);
+        let speed_mps = if stands { 0.0 } else { state.speed_mps + still_to_lose_mps };
+        state.gap_m - self.kernel().demanded_gap_m(speed_mps, state.ahead_mps) - self.margin_m
+    }
+
+    /// Whether an action leaves a way out against every reaction of the vehicle ahead.
+    fn admits(&self, state: State, wanted_mps2: f64) -> bool {
+        let response_mps2 = self.response_mps2(state.response_mps2, wanted_mps2);
+        let acceleration_mps2 = self.acceleration_mps2(state, response_mps2);
+        let State { speed_mps, ahead_mps, .. } = state;
+        let closing_m = largest_closing_m(speed_mps, acceleration_mps2, ahead_mps, self.ahead_brake_mps2, self.step_s);
+        state.gap_m - closing_m >= self.margin_m && self.margin_m(self.after(state, wanted_mps2)) >= 0.0
+    }
+
+    /// Whether full braking from now on cannot be avoided by the vehicle behind, which holds its speed until it reacts.
+    ///
+    /// The gap behind is concave while it holds its speed and the own vehicle brakes, so it is smallest at an end of that.
+    fn endangers_rear(&self, seen: &Observation) -> bool {
+        let (Some(rear), Some(Behind { brake_mps2, reaction_s })) = (seen.behind, self.behind) else { return false };
+        let [covered_m, speed_mps] = moved(seen.speed_mps, -self.brake_mps2, reaction_s);
+        let kernel = Kernel { own_brake_mps2: brake_mps2, ahead_brake_mps2: self.brake_mps2 };
+        let gap_m = rear.gap_m + covered_m - rear.speed_mps * reaction_s;
+        gap_m <= kernel.demanded_gap_m(rear.speed_mps, speed_mps)
+    }
+}

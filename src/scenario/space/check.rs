@@ -1,0 +1,287 @@
+//! From a space file's data to a space: every mistake is found here, so that every point of the space is a scenario.
+
+use std::path::Path;
+
+use super::field::{Field, Target};
+use super::marginal::Marginal;
+use super::spec::{Base, Choice, Distribution, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value};
+use super::{Parameter, Space};
+use crate::scenario::{InvalidField, Scenario, VehicleClass, built_in, file};
+use statrs::distribution::{ContinuousCDF, Normal as Gauss};
+
+/// What makes a space unusable: where it is and what is wrong with it.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{field}: {problem}")]
+pub struct InvalidSpace {
+    /// Path of the field in the file, such as `parameters[1].distribution`.
+    pub field: String,
+    /// What is wrong.
+    pub problem: String,
+}
+
+const MOST_PARAMETERS: usize = 200;
+const MOST_COORDINATES: usize = 1000;
+/// Corners that are tried where several parameters together decide whether a vehicle fits: 2 to this power.
+const MOST_TOGETHER: usize = 14;
+/// Least share of a normal distribution that must lie in its range.
+const LEAST_MASS: f64 = 1e-6;
+
+fn wrong<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, InvalidSpace> {
+    Err(InvalidSpace { field: field.into(), problem: problem.into() })
+}
+
+impl Space {
+    /// Accepts a spec if every point of it is a valid scenario. A base scenario named as a file is looked for in `folder`.
+    ///
+    /// # Errors
+    /// [`InvalidSpace`] names the first field that is wrong.
+    pub fn new(mut spec: SpaceSpec, folder: &Path) -> Result<Self, InvalidSpace> {
+        if spec.version != SPACE_VERSION {
+            let found = spec.version;
+            return wrong(
+                "version",
+                format!("version {found} is not supported: this release reads version {SPACE_VERSION}"),
+            );
+        }
+        if spec.name.is_empty() || spec.name.chars().count() > 100 || spec.name.chars().any(char::is_control) {
+            return wrong("name", "must have 1 to 100 characters, none of them a control character");
+        }
+        let base = base(&spec.base, folder)?;
+        spec.base = Base::Inline(Box::new(base.spec().clone()));
+        if !(1..=MOST_PARAMETERS).contains(&spec.parameters.len()) {
+            let found = spec.parameters.len();
+            return wrong("parameters", format!("must be 1 to {MOST_PARAMETERS}, found {found}"));
+        }
+        let is_place = |parameter: &ParameterSpec| parameter.field.ends_with(".position_m");
+        let lines_up = !spec.parameters.iter().any(is_place);
+        let mut template = base.spec().clone();
+        if lines_up {
+            for (index, vehicle) in template.vehicles.iter_mut().enumerate() {
+                vehicle.position_m = base.initial_gap_m(index).unwrap_or(vehicle.position_m);
+            }
+        }
+        let mut space = Self { spec, template, lines_up, parameters: Vec::new(), order: Vec::new() };
+        let mut written: Vec<(String, String)> = Vec::new();
+        for index in 0..space.spec.parameters.len() {
+            space.add(index, &mut written)?;
+        }
+        if space.dimension() > MOST_COORDINATES {
+            let found = space.dimension();
+            return wrong("parameters", format!("must have at most {MOST_COORDINATES} coordinates, found {found}"));
+        }
+        space.order = (0..space.parameters.len()).collect();
+        space.order.sort_by_key(|&index| space.parameters.get(index).map(|p| p.target.stage()));
+        space.check_each()?;
+        space.check_together()?;
+        Ok(space)
+    }
+
+    /// Adds parameter `index` of the file.
+    fn add(&mut self, index: usize, written: &mut Vec<(String, String)>) -> Result<(), InvalidSpace> {
+        let at = |field: &str| format!("parameters[{index}].{field}");
+        let Some(spec) = self.spec.parameters.get(index) else { return Ok(()) };
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
+        if !(1..=60).contains(&spec.name.len()) || !spec.name.chars().all(is_plain) {
+            return wrong(at("name"), "must be 1 to 60 letters, digits and underscores");
+        }
+        if self.parameters.iter().any(|known| known.name == spec.name) {
+            return wrong(at("name"), format!("`{}` is the name of another parameter", spec.name));
+        }
+        let field =
+            Field::find(&spec.field, &self.template).map_err(|problem| InvalidSpace { field: at("field"), problem })?;
+        if matches!(field.target, Target::Gap(_)) && !self.lines_up {
+            return wrong(at("field"), "a space has gaps or positions, not both");
+        }
+        if spec.unit != field.unit {
+            let problem = format!("the unit of `{}` is `{}`, found `{}`", spec.field, field.unit, spec.unit);
+            return wrong(at("unit"), problem);
+        }
+        for write in &field.writes {
+            if let Some((_, other)) = written.iter().find(|(known, _)| known == write) {
+                return wrong(at("field"), format!("`{write}` is set by the parameter `{other}` already"));
+            }
+        }
+        written.extend(field.writes.iter().map(|write| (write.clone(), spec.name.clone())));
+        let is_class = matches!(field.target, Target::Class(_));
+        let marginal = spec
+            .distribution
+            .marginal()
+            .map_err(|(field, problem)| InvalidSpace { field: at(&format!("distribution{field}")), problem })?;
+        if is_class != spec.distribution.has_classes() {
+            let problem = if is_class { "a class is a choice of `light` and `heavy`" } else { "a number is expected" };
+            return wrong(at("distribution"), problem);
+        }
+        let nominal = match spec.nominal {
+            None => field.target.get(&self.template),
+            Some(value) => vec![value.number(); field.length],
+        };
+        let fits = |value: &f64| marginal.value(marginal.coordinate(*value)) - value;
+        if let Some(value) = nominal.iter().find(|value| fits(value).abs() > 1e-9 * (1.0 + value.abs())) {
+            let problem = match marginal {
+                Marginal::Choice { .. } => format!("{value} is none of the values of the distribution"),
+                _ => format!("must be from {} to {}, found {value}", marginal.low(), marginal.high()),
+            };
+            let from = if spec.nominal.is_some() { "" } else { " in the base scenario" };
+            return wrong(at("nominal"), problem + from);
+        }
+        let start = self.dimension();
+        self.parameters.push(Parameter {
+            name: spec.name.clone(),
+            unit: field.unit,
+            target: field.target,
+            marginal,
+            coordinates: start..start + field.length,
+            nominal,
+        });
+        Ok(())
+    }
+
+    /// Both ends of each range, with everything else nominal: fields are checked one by one, and each against a range.
+    fn check_each(&self) -> Result<(), InvalidSpace> {
+        let nominal = self.nominal();
+        for (index, parameter) in self.parameters.iter().enumerate() {
+            for end in parameter.ends() {
+                let mut values = nominal.clone();
+                values.get_mut(parameter.coordinates.clone()).unwrap_or_default().fill(end);
+                if let Err(invalid) = self.scenario(&values)
+                    && (matches!(parameter.target, Target::Gap(_)) || !together(&invalid))
+                {
+                    let name = &parameter.name;
+                    return wrong(format!("parameters[{index}].distribution"), format!("{name} = {end}: {invalid}"));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Where several fields decide together (places and lengths; what a script asks for and what the vehicle can do) each
+    /// is at its worst at an end of its range: all corners are tried.
+    fn check_together(&self) -> Result<(), InvalidSpace> {
+        for vehicle in 0..self.template.vehicles.len() {
+            let near = |parameter: &&Parameter| {
+                let touched = parameter.target.touches();
+                let of_all = matches!(parameter.target, Target::Vehicle(None, _));
+                of_all || touched.is_some_and(|touched| touched == vehicle || touched + 1 == vehicle)
+            };
+            let parameters: Vec<&Parameter> = self.parameters.iter().filter(near).collect();
+            if parameters.len() > MOST_TOGETHER {
+                let found = parameters.len();
+                let problem = format!("at most {MOST_TOGETHER} may vary on two successive vehicles, found {found}");
+                return wrong("parameters", problem);
+            }
+            for corner in 0..1_usize << parameters.len() {
+                let mut values = self.nominal();
+                for (bit, parameter) in parameters.iter().enumerate() {
+                    let [low, high] = parameter.ends();
+                    let end = if corner >> bit & 1 == 0 { low } else { high };
+                    values.get_mut(parameter.coordinates.clone()).unwrap_or_default().fill(end);
+                }
+                if let Err(invalid) = self.scenario(&values) {
+                    let names: Vec<_> = parameters.iter().map(|p| format!("`{}`", p.name)).collect();
+                    return wrong("parameters", format!("{} do not fit together: {invalid}", names.join(", ")));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Whether a problem can come from several fields together.
+fn together(invalid: &InvalidField) -> bool {
+    use crate::scenario::Problem as P;
+    matches!(invalid.problem, P::Overlap { .. } | P::BrakeBeyondLimit { .. } | P::AccelBeyondLimit { .. })
+}
+
+fn base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
+    match base {
+        Base::Inline(spec) => Scenario::new((**spec).clone()).map_err(|InvalidField { field, problem }| InvalidSpace {
+            field: format!("base.{field}"),
+            problem: problem.to_string(),
+        }),
+        Base::Named(name) => match built_in(name) {
+            Some(scenario) => Ok(scenario),
+            None => file::load(&folder.join(name)).or_else(|error| wrong("base", error.to_string())),
+        },
+    }
+}
+
+impl Value {
+    /// The number itself, or that of a class.
+    fn number(self) -> f64 {
+        match self {
+            Self::Number(number) => number,
+            Self::Class(class) => f64::from(u8::from(class == VehicleClass::Heavy)),
+        }
+    }
+}
+
+impl Distribution {
+    fn has_classes(&self) -> bool {
+        match self {
+            Self::Choice(choice) => choice.values.iter().any(|value| matches!(value, Value::Class(_))),
+            _ => false,
+        }
+    }
+
+    /// The distribution ready for use, or which field of it is wrong and why.
+    pub(super) fn marginal(&self) -> Result<Marginal, (&'static str, String)> {
+        let range = |low: f64, high: f64, kind: &'static str| {
+            if low.is_finite() && high.is_finite() && low < high {
+                Ok(())
+            } else {
+                Err((kind, format!("low must be below high, found {low} and {high}")))
+            }
+        };
+        match self {
+            Self::Uniform(Uniform { low, high }) => {
+                range(*low, *high, ".uniform")?;
+                Ok(Marginal::Uniform { low: *low, high: *high })
+            }
+            Self::LogUniform(Uniform { low, high }) => {
+                range(*low, *high, ".log-uniform")?;
+                if *low <= 0.0 {
+                    return Err((".log-uniform.low", format!("must be above 0, found {low}")));
+                }
+                Ok(Marginal::LogUniform { low: *low, high: *high })
+            }
+            Self::Normal(normal) => {
+                let (low, high) = (normal.low, normal.high);
+                range(low, high, ".normal")?;
+                let gauss = Gauss::new(normal.mean, normal.deviation).ok().filter(|_| normal.deviation > 0.0);
+                let Some(gauss) = gauss else {
+                    return Err((".normal", "needs a finite mean and a deviation above 0".to_owned()));
+                };
+                let below = gauss.cdf(low);
+                let mass = gauss.cdf(high) - below;
+                if mass.is_nan() || mass < LEAST_MASS {
+                    return Err((".normal", format!("a share of only {mass} lies between {low} and {high}")));
+                }
+                Ok(Marginal::Normal { low, high, gauss, below, mass })
+            }
+            Self::Choice(choice) => choice_of(choice),
+        }
+    }
+}
+
+fn choice_of(choice: &Choice) -> Result<Marginal, (&'static str, String)> {
+    let values: Vec<f64> = choice.values.iter().map(|value| value.number()).collect();
+    let is_class = |value: &Value| matches!(value, Value::Class(_));
+    let repeats = values.iter().enumerate().any(|(index, value)| values.iter().take(index).any(|v| v == value));
+    let mixed = choice.values.iter().any(is_class) && !choice.values.iter().all(is_class);
+    if values.is_empty() || repeats || mixed || !values.iter().all(|value| value.is_finite()) {
+        return Err((".choice.values", "must be one or more different numbers, or classes".to_owned()));
+    }
+    let weights = choice.weights.clone().unwrap_or_else(|| vec![1.0; values.len()]);
+    let total: f64 = weights.iter().sum();
+    let usable = weights.len() == values.len() && weights.iter().all(|w| *w >= 0.0) && total > 0.0 && total.is_finite();
+    if !usable {
+        return Err((".choice.weights", "must be one number a value, none negative, not all 0".to_owned()));
+    }
+    Ok(Marginal::Choice { values, shares: weights.iter().map(|weight| weight / total).collect() })
+}
+
+impl Parameter {
+    fn ends(&self) -> [f64; 2] {
+        [self.marginal.low(), self.marginal.high()]
+    }
+}

@@ -1,0 +1,341 @@
+//! Which field of a scenario a parameter sets: paths looked up once, then typed access.
+
+use crate::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, ScenarioSpec, VehicleClass, VehicleSpec};
+
+/// A field, ready to be set.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Target {
+    /// A number of the whole scenario.
+    Scenario(fn(&mut ScenarioSpec) -> &mut f64),
+    /// A number of one vehicle, or of all of them.
+    Vehicle(Option<usize>, fn(&mut VehicleSpec) -> &mut f64),
+    /// A number among a driver's settings.
+    Driver(usize, fn(&mut Driver) -> Option<&mut f64>),
+    /// A list among a driver's settings: a signal.
+    Signal(usize, fn(&mut Driver) -> Option<&mut [f64]>),
+    /// The class.
+    Class(usize),
+    /// The bumper gap ahead.
+    Gap(usize),
+    /// Mass relative to that of the class, and the braking it leaves.
+    Load(usize),
+    /// Deceleration at most, relative to that of the class.
+    BrakeOffset(usize),
+    /// Deceleration of a braking script, as a share of what the vehicle can do on this road.
+    RateShare(usize),
+    /// The same for every piece of a script.
+    PiecesShare(usize),
+    /// Start of the first piece; the others keep their distance.
+    PiecesOnset(usize),
+}
+
+/// What a path stands for.
+#[derive(Debug, Clone)]
+pub(super) struct Field {
+    pub(super) target: Target,
+    pub(super) unit: &'static str,
+    /// Coordinates: one, or one for each piece of a signal.
+    pub(super) length: usize,
+    /// Fields of the file that it sets, so that no two parameters set the same one.
+    pub(super) writes: Vec<String>,
+}
+
+/// The part of a path behind `vehicles[i].`, its unit, and how to reach the number.
+type VehicleNumber = (&'static str, &'static str, fn(&mut VehicleSpec) -> &mut f64);
+
+const VEHICLE_NUMBERS: [VehicleNumber; 11] = [
+    ("position_m", "m", |v| &mut v.position_m),
+    ("speed_mps", "m/s", |v| &mut v.speed_mps),
+    ("length_m", "m", |v| v.length_m.get_or_insert(v.class.length_m())),
+    ("mass_kg", "kg", |v| v.mass_kg.get_or_insert(v.class.mass_kg())),
+    ("max_brake_mps2", "m/s²", |v| v.max_brake_mps2.get_or_insert(v.class.max_brake_mps2())),
+    ("max_accel_mps2", "m/s²", |v| v.max_accel_mps2.get_or_insert(v.class.max_accel_mps2())),
+    ("acceleration_noise_mps2", "m/s²", |v| &mut v.acceleration_noise_mps2),
+    ("reaction_delay_s", "s", |v| &mut v.reaction_delay_s),
+    ("actuator_lag_s", "s", |v| &mut v.actuator_lag_s),
+    ("actuator_delay_s", "s", |v| &mut v.actuator_delay_s),
+    ("jerk_limit_mps3", "m/s³", |v| v.jerk_limit_mps3.get_or_insert(1e4)),
+];
+
+type ScenarioNumber = (&'static str, &'static str, fn(&mut ScenarioSpec) -> &mut f64);
+
+const SCENARIO_NUMBERS: [ScenarioNumber; 4] = [
+    ("environment.friction", "1", |s| &mut s.environment.friction),
+    ("sensors.position_noise_m", "m", |s| &mut s.sensors.position_noise_m),
+    ("sensors.gap_noise_m", "m", |s| &mut s.sensors.gap_noise_m),
+    ("sensors.dropout", "1", |s| &mut s.sensors.dropout),
+];
+
+type DriverNumber = (&'static str, &'static str, fn(&mut Driver) -> Option<&mut f64>);
+
+/// `driver.NAME.SETTING` of a script or a controller.
+macro_rules! setting {
+    ($path:literal, $unit:literal, Profile $kind:ident, $field:ident) => {
+        ($path, $unit, |driver| match driver {
+            Driver::Profile(LeadProfile::$kind(settings)) => Some(&mut settings.$field),
+            _ => None,
+        })
+    };
+    ($path:literal, $unit:literal, Controller $kind:ident, $field:ident) => {
+        ($path, $unit, |driver| match driver {
+            Driver::Controller(ControllerSpec::$kind(settings)) => Some(&mut settings.$field),
+            _ => None,
+        })
+    };
+}
+
+const DRIVER_NUMBERS: [DriverNumber; 26] = [
+    setting!("driver.brake.onset_s", "s", Profile Brake, onset_s),
+    setting!("driver.brake.rate_mps2", "m/s²", Profile Brake, rate_mps2),
+    setting!("driver.ramp-brake.onset_s", "s", Profile RampBrake, onset_s),
+    setting!("driver.ramp-brake.rate_mps2", "m/s²", Profile RampBrake, rate_mps2),
+    setting!("driver.ramp-brake.ramp_s", "s", Profile RampBrake, ramp_s),
+    setting!("driver.ramp-brake.release_s", "s", Profile RampBrake, release_s),
+    setting!("driver.brake-to-speed.onset_s", "s", Profile BrakeToSpeed, onset_s),
+    setting!("driver.brake-to-speed.rate_mps2", "m/s²", Profile BrakeToSpeed, rate_mps2),
+    setting!("driver.brake-to-speed.final_speed_mps", "m/s", Profile BrakeToSpeed, final_speed_mps),
+    setting!("driver.baseline.ttc_s", "s", Controller Baseline, ttc_s),
+    setting!("driver.baseline-unlatched.ttc_s", "s", Controller BaselineUnlatched, ttc_s),
+    setting!("driver.constant-brake.rate_mps2", "m/s²", Controller ConstantBrake, rate_mps2),
+    setting!("driver.constant-brake.trigger_mps2", "m/s²", Controller ConstantBrake, trigger_mps2),
+    setting!("driver.constant-brake.delay_s", "s", Controller ConstantBrake, delay_s),
+    setting!("driver.idm.desired_speed_mps", "m/s", Controller Idm, desired_speed_mps),
+    setting!("driver.idm.time_headway_s", "s", Controller Idm, time_headway_s),
+    setting!("driver.idm.standstill_gap_m", "m", Controller Idm, standstill_gap_m),
+    setting!("driver.idm.accel_mps2", "m/s²", Controller Idm, accel_mps2),
+    setting!("driver.idm.comfortable_brake_mps2", "m/s²", Controller Idm, comfortable_brake_mps2),
+    setting!("driver.acc-aeb.time_headway_s", "s", Controller AccAeb, time_headway_s),
+    setting!("driver.acc-aeb.standstill_gap_m", "m", Controller AccAeb, standstill_gap_m),
+    setting!("driver.acc-aeb.gap_gain_per_s2", "1/s²", Controller AccAeb, gap_gain_per_s2),
+    setting!("driver.acc-aeb.speed_gain_per_s", "1/s", Controller AccAeb, speed_gain_per_s),
+    setting!("driver.acc-aeb.comfort_brake_mps2", "m/s²", Controller AccAeb, comfort_brake_mps2),
+    setting!("driver.acc-aeb.comfort_accel_mps2", "m/s²", Controller AccAeb, comfort_accel_mps2),
+    setting!("driver.acc-aeb.ttc_s", "s", Controller AccAeb, ttc_s),
+];
+
+fn pieces(driver: &mut Driver) -> Option<&mut Pieces> {
+    match driver {
+        Driver::Profile(LeadProfile::Pieces(pieces)) => Some(pieces),
+        _ => None,
+    }
+}
+
+fn accelerations(driver: &mut Driver) -> Option<&mut [f64]> {
+    pieces(driver).map(|pieces| pieces.accel_mps2.as_mut_slice())
+}
+
+fn recorded_speeds(driver: &mut Driver) -> Option<&mut [f64]> {
+    match driver {
+        Driver::Profile(LeadProfile::Recorded(recorded)) => Some(recorded.speed_mps.as_mut_slice()),
+        _ => None,
+    }
+}
+
+/// The deceleration of a braking script.
+fn rate(driver: &mut Driver) -> Option<&mut f64> {
+    match driver {
+        Driver::Profile(LeadProfile::Brake(brake)) => Some(&mut brake.rate_mps2),
+        Driver::Profile(LeadProfile::RampBrake(brake)) => Some(&mut brake.rate_mps2),
+        Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => Some(&mut brake.rate_mps2),
+        _ => None,
+    }
+}
+
+/// Mass relative to that of the class. The brake force is that of the class: above its mass deceleration falls in
+/// proportion, below it the tyres limit deceleration to that of the class.
+fn load(vehicle: &mut VehicleSpec, load: f64) {
+    vehicle.mass_kg = Some(load * vehicle.class.mass_kg());
+    vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() / load.max(1.0));
+}
+
+impl Field {
+    /// The field of a path in a base scenario.
+    pub(super) fn find(path: &str, base: &ScenarioSpec) -> Result<Self, String> {
+        if let Some((_, unit, access)) = SCENARIO_NUMBERS.iter().find(|(known, ..)| *known == path) {
+            return Ok(Self::number(Target::Scenario(*access), unit, path));
+        }
+        let unknown = || format!("there is no field `{path}` that may vary");
+        let (index, rest) = path
+            .strip_prefix("vehicles[")
+            .and_then(|rest| rest.split_once("]."))
+            .ok_or_else(|| format!("{}; {}", unknown(), known_fields()))?;
+        if index == "*" {
+            let number = VEHICLE_NUMBERS.iter().find(|(known, ..)| *known == rest && *known != "position_m");
+            let (_, unit, access) = number.ok_or_else(unknown)?;
+            return Ok(Self::number(Target::Vehicle(None, *access), unit, path));
+        }
+        let index: usize = index.parse().map_err(|_| unknown())?;
+        let count = base.vehicles.len();
+        let vehicle = base.vehicles.get(index).ok_or_else(|| format!("the base scenario has {count} vehicles"))?;
+        if let Some((_, unit, access)) = VEHICLE_NUMBERS.iter().find(|(known, ..)| *known == rest) {
+            return Ok(Self::number(Target::Vehicle(Some(index), *access), unit, path));
+        }
+        let sets = |fields: &[&str]| fields.iter().map(|field| format!("vehicles[{index}].{field}")).collect();
+        let field = |target, unit, length, writes| Self { target, unit, length, writes };
+        match rest {
+            "class" => return Ok(field(Target::Class(index), "", 1, sets(&["class"]))),
+            "gap_m" if index == 0 => return Err("nobody is ahead of vehicle 0".to_owned()),
+            "gap_m" => return Ok(field(Target::Gap(index), "m", 1, sets(&["position_m"]))),
+            "load" => return Ok(field(Target::Load(index), "1", 1, sets(&["mass_kg", "max_brake_mps2"]))),
+            "brake_offset_mps2" => {
+                return Ok(field(Target::BrakeOffset(index), "m/s²", 1, sets(&["max_brake_mps2"])));
+            }
+            _ => {}
+        }
+        let mut driver = vehicle.driver.clone();
+        let name = driver.name();
+        let setting = rest.strip_prefix("driver.").ok_or_else(|| format!("{}; {}", unknown(), known_fields()))?;
+        let (kind, setting) = setting.split_once('.').ok_or_else(unknown)?;
+        if kind != name {
+            return Err(format!("vehicle {index} of the base scenario is driven by `{name}`, not by `{kind}`"));
+        }
+        let own = sets(&[rest]);
+        if let Some((_, unit, access)) = DRIVER_NUMBERS.iter().find(|(known, ..)| *known == rest) {
+            return Ok(field(Target::Driver(index, *access), unit, 1, own));
+        }
+        let list = |signal: Option<&mut [f64]>| signal.map_or(0, |signal| signal.len());
+        match (kind, setting) {
+            ("pieces", "accel_mps2") => {
+                Ok(field(Target::Signal(index, accelerations), "m/s²", list(accelerations(&mut driver)), own))
+            }
+            ("pieces", "brake_share") => {
+                let length = list(accelerations(&mut driver));
+                Ok(field(Target::PiecesShare(index), "1", length, sets(&["driver.pieces.accel_mps2"])))
+            }
+            ("pieces", "onset_s") => Ok(field(Target::PiecesOnset(index), "s", 1, own)),
+            ("recorded", "speed_mps") => {
+                Ok(field(Target::Signal(index, recorded_speeds), "m/s", list(recorded_speeds(&mut driver)), own))
+            }
+            (_, "rate_share") if rate(&mut driver).is_some() => {
+                Ok(field(Target::RateShare(index), "1", 1, sets(&[&format!("driver.{kind}.rate_mps2")])))
+            }
+            _ => Err(unknown()),
+        }
+    }
+
+    fn number(target: Target, unit: &'static str, path: &str) -> Self {
+        Self { target, unit, length: 1, writes: vec![path.to_owned()] }
+    }
+}
+
+fn known_fields() -> String {
+    let scenario = SCENARIO_NUMBERS.iter().map(|(name, ..)| *name);
+    let vehicle = VEHICLE_NUMBERS.iter().map(|(name, ..)| *name).chain(["class", "gap_m", "load", "brake_offset_mps2"]);
+    let (scenario, vehicle) = (scenario.collect::<Vec<_>>().join(", "), vehicle.collect::<Vec<_>>().join(", "));
+    format!("there are {scenario}, and in vehicles[i]: {vehicle}, driver.NAME.SETTING")
+}
+
+impl Target {
+    /// When it is set: what others build on comes first.
+    pub(super) fn stage(self) -> u8 {
+        match self {
+            Self::Class(_) => 0,
+            Self::Vehicle(None, _) => 1,
+            Self::RateShare(_) | Self::PiecesShare(_) => 3,
+            _ => 2,
+        }
+    }
+
+    /// Sets the field. In a scenario that is lined up afterwards, `position_m` holds the gap ahead until then.
+    #[inline]
+    pub(super) fn set(self, spec: &mut ScenarioSpec, values: &[f64]) {
+        let Some(&value) = values.first() else { return };
+        let friction = spec.environment.friction;
+        match self {
+            Self::Scenario(access) => *access(spec) = value,
+            Self::Vehicle(None, access) => spec.vehicles.iter_mut().for_each(|vehicle| *access(vehicle) = value),
+            Self::Vehicle(Some(index), access) => with(spec, index, |vehicle| *access(vehicle) = value),
+            Self::Driver(index, access) => with(spec, index, |vehicle| {
+                if let Some(number) = access(&mut vehicle.driver) {
+                    *number = value;
+                }
+            }),
+            Self::Signal(index, access) => with(spec, index, |vehicle| {
+                if let Some(signal) = access(&mut vehicle.driver) {
+                    signal.iter_mut().zip(values).for_each(|(piece, value)| *piece = *value);
+                }
+            }),
+            Self::Class(index) => with(spec, index, |vehicle| {
+                let class = VehicleClass::ALL.get(value as usize).copied();
+                vehicle.class = class.unwrap_or(vehicle.class);
+            }),
+            Self::Gap(index) => with(spec, index, |vehicle| vehicle.position_m = value),
+            Self::Load(index) => with(spec, index, |vehicle| load(vehicle, value)),
+            Self::BrakeOffset(index) => with(spec, index, |vehicle| {
+                vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() + value);
+            }),
+            Self::RateShare(index) => with(spec, index, |vehicle| {
+                let usable_mps2 = vehicle.max_brake_mps2() * friction;
+                if let Some(rate) = rate(&mut vehicle.driver) {
+                    *rate = value * usable_mps2;
+                }
+            }),
+            Self::PiecesShare(index) => with(spec, index, |vehicle| {
+                let usable_mps2 = vehicle.max_brake_mps2() * friction;
+                if let Some(signal) = accelerations(&mut vehicle.driver) {
+                    signal.iter_mut().zip(values).for_each(|(piece, share)| *piece = -share * usable_mps2);
+                }
+            }),
+            Self::PiecesOnset(index) => with(spec, index, |vehicle| {
+                if let Some(pieces) = pieces(&mut vehicle.driver) {
+                    let later_s = value - pieces.from_s.first().copied().unwrap_or(0.0);
+                    pieces.from_s.iter_mut().for_each(|from_s| *from_s += later_s);
+                }
+            }),
+        }
+    }
+
+    /// What the field is in a scenario with gaps in place of positions where `lines_up`.
+    pub(super) fn get(self, spec: &ScenarioSpec) -> Vec<f64> {
+        let mut spec = spec.clone();
+        let friction = spec.environment.friction;
+        let of = |index: usize| spec.vehicles.get(index);
+        let one = |value: Option<f64>| value.into_iter().collect();
+        match self {
+            Self::Scenario(access) => vec![*access(&mut spec)],
+            Self::Vehicle(index, access) => one(spec.vehicles.get_mut(index.unwrap_or(0)).map(|v| *access(v))),
+            Self::Driver(index, access) => {
+                one(spec.vehicles.get_mut(index).and_then(|v| access(&mut v.driver).copied()))
+            }
+            Self::Signal(index, access) => {
+                let signal = spec.vehicles.get_mut(index).and_then(|v| access(&mut v.driver));
+                signal.map_or_else(Vec::new, |signal| signal.to_vec())
+            }
+            Self::Class(index) => one(of(index).map(|v| f64::from(u8::from(v.class == VehicleClass::Heavy)))),
+            Self::Gap(index) => one(of(index).map(|v| v.position_m)),
+            Self::Load(index) => one(of(index).map(|v| v.mass_kg() / v.class.mass_kg())),
+            Self::BrakeOffset(index) => one(of(index).map(|v| v.max_brake_mps2() - v.class.max_brake_mps2())),
+            Self::RateShare(index) => one(spec.vehicles.get_mut(index).and_then(|v| {
+                let usable_mps2 = v.max_brake_mps2() * friction;
+                rate(&mut v.driver).map(|rate| *rate / usable_mps2)
+            })),
+            Self::PiecesShare(index) => spec.vehicles.get_mut(index).map_or_else(Vec::new, |v| {
+                let usable_mps2 = v.max_brake_mps2() * friction;
+                let signal = accelerations(&mut v.driver).unwrap_or_default();
+                signal.iter().map(|accel_mps2| -accel_mps2 / usable_mps2).collect()
+            }),
+            Self::PiecesOnset(index) => one(spec
+                .vehicles
+                .get_mut(index)
+                .and_then(|v| pieces(&mut v.driver).and_then(|pieces| pieces.from_s.first().copied()))),
+        }
+    }
+
+    /// The vehicle whose limits or place it changes, where that can make a scenario invalid.
+    pub(super) fn touches(self) -> Option<usize> {
+        match self {
+            Self::Class(i) | Self::Load(i) | Self::BrakeOffset(i) | Self::RateShare(i) | Self::PiecesShare(i) => {
+                Some(i)
+            }
+            Self::Signal(i, _) | Self::Driver(i, _) => Some(i),
+            Self::Vehicle(i, _) => i,
+            Self::Scenario(_) | Self::Gap(_) | Self::PiecesOnset(_) => None,
+        }
+    }
+}
+
+fn with(spec: &mut ScenarioSpec, index: usize, change: impl FnOnce(&mut VehicleSpec)) {
+    if let Some(vehicle) = spec.vehicles.get_mut(index) {
+        change(vehicle);
+    }
+}

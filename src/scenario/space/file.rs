@@ -1,0 +1,36 @@
+//! Space files: TOML, with errors that name file, line and field.
+
+use std::path::Path;
+
+use super::{InvalidSpace, Space, SpaceSpec};
+use crate::scenario::file::{FileError, line_in_toml, parse_toml, read};
+
+/// Reads and checks a space file.
+///
+/// # Errors
+/// [`FileError`] for a file that cannot be read, parsed or accepted.
+pub fn load(path: &Path) -> Result<Space, FileError> {
+    from_toml(&read(path)?, path)
+}
+
+/// Reads a space from TOML text. `path` names it in errors, and a base scenario in a file is looked for beside it.
+///
+/// # Errors
+/// [`FileError`] for text that is not a valid space.
+pub fn from_toml(text: &str, path: &Path) -> Result<Space, FileError> {
+    let spec: SpaceSpec = parse_toml(text, path)?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    Space::new(spec, folder).map_err(|InvalidSpace { field, problem }| FileError::Syntax {
+        path: path.to_owned(),
+        line: line_in_toml(text, &field),
+        message: format!("{field}: {problem}"),
+    })
+}
+
+/// The space as TOML text, its base scenario spelled out.
+///
+/// # Errors
+/// None for a valid space; the serializer's error is passed on rather than hidden.
+pub fn to_toml(space: &Space) -> Result<String, toml::ser::Error> {
+    toml::to_string(space.spec())
+}

@@ -1,0 +1,146 @@
+//! One coordinate: from the unit interval to values of a parameter, by range and by distribution.
+
+use statrs::distribution::{Continuous, ContinuousCDF, Normal as Gauss};
+
+/// The distribution of one coordinate over its range.
+///
+/// A *coordinate* lies in [0, 1] and runs evenly over the range (over the logarithm of the range, for a logarithmic
+/// distribution; over equal slices, one a value, for a choice). Classes are numbered.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Marginal {
+    Uniform { low: f64, high: f64 },
+    LogUniform { low: f64, high: f64 },
+    Normal { low: f64, high: f64, gauss: Gauss, below: f64, mass: f64 },
+    Choice { values: Vec<f64>, shares: Vec<f64> },
+}
+
+impl Marginal {
+    pub(super) fn low(&self) -> f64 {
+        match self {
+            Self::Uniform { low, .. } | Self::LogUniform { low, .. } | Self::Normal { low, .. } => *low,
+            Self::Choice { values, .. } => values.iter().copied().fold(f64::INFINITY, f64::min),
+        }
+    }
+
+    pub(super) fn high(&self) -> f64 {
+        match self {
+            Self::Uniform { high, .. } | Self::LogUniform { high, .. } | Self::Normal { high, .. } => *high,
+            Self::Choice { values, .. } => values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+        }
+    }
+
+    /// The value at a coordinate.
+    #[inline]
+    pub(super) fn value(&self, coordinate: f64) -> f64 {
+        let u = coordinate.clamp(0.0, 1.0);
+        match self {
+            Self::Uniform { low, high } | Self::Normal { low, high, .. } => (low + u * (high - low)).clamp(*low, *high),
+            Self::LogUniform { low, high } => (low * libm::pow(high / low, u)).clamp(*low, *high),
+            Self::Choice { values, .. } => {
+                let index = ((u * values.len() as f64) as usize).min(values.len() - 1);
+                values.get(index).copied().unwrap_or(f64::NAN)
+            }
+        }
+    }
+
+    /// A coordinate at which the value is taken; of a choice, the middle of its slice.
+    pub(super) fn coordinate(&self, value: f64) -> f64 {
+        match self {
+            Self::Uniform { low, high } | Self::Normal { low, high, .. } => {
+                ((value - low) / (high - low)).clamp(0.0, 1.0)
+            }
+            Self::LogUniform { low, high } => (libm::log(value / low) / libm::log(high / low)).clamp(0.0, 1.0),
+            Self::Choice { values, .. } => {
+                let distance = |index: &usize| values.get(*index).map_or(f64::INFINITY, |v| (v - value).abs());
+                let nearest = (0..values.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
+                (nearest as f64 + 0.5) / values.len() as f64
+            }
+        }
+    }
+
+    /// The coordinate below which a share `u` of the distribution lies: the inverse of its CDF.
+    #[inline]
+    pub(super) fn quantile(&self, u: f64) -> f64 {
+        let u = u.clamp(0.0, 1.0);
+        match self {
+            Self::Uniform { .. } | Self::LogUniform { .. } => u,
+            Self::Normal { low, high, gauss, below, mass } => {
+                let value = gauss.inverse_cdf((below + u * mass).clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON));
+                ((value - low) / (high - low)).clamp(0.0, 1.0)
+            }
+            Self::Choice { shares, .. } => {
+                let mut before = 0.0;
+                for (index, share) in shares.iter().enumerate() {
+                    if u < before + share || index + 1 == shares.len() {
+                        let within = if *share > 0.0 { ((u - before) / share).clamp(0.0, 1.0) } else { 0.5 };
+                        return (index as f64 + within.min(1.0 - f64::EPSILON)) / shares.len() as f64;
+                    }
+                    before += share;
+                }
+                1.0
+            }
+        }
+    }
+
+    /// Logarithm of the density at a coordinate, with respect to coordinates: 0 where the distribution is as dense as if it
+    /// were even over the range.
+    #[inline]
+    pub(super) fn ln_density(&self, coordinate: f64) -> f64 {
+        match self {
+            Self::Uniform { .. } | Self::LogUniform { .. } => 0.0,
+            Self::Normal { low, high, gauss, mass, .. } => {
+                gauss.ln_pdf(self.value(coordinate)) - mass.ln() + (high - low).ln()
+            }
+            Self::Choice { shares, .. } => {
+                let index = ((coordinate.clamp(0.0, 1.0) * shares.len() as f64) as usize).min(shares.len() - 1);
+                (shares.get(index).copied().unwrap_or(0.0) * shares.len() as f64).ln()
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::spec::{Choice, Distribution, Normal, Uniform, Value};
+    use super::*;
+    use proptest::prelude::*;
+
+    fn any_marginal() -> impl Strategy<Value = Marginal> {
+        let range = (-50.0..50.0f64, 0.1..60.0f64);
+        let normal = (range.clone(), -0.3..1.3f64, 0.15..2.0f64).prop_map(|((low, width), at, deviation)| {
+            let (mean, deviation) = (low + at * width, deviation * width);
+            Distribution::Normal(Normal { mean, deviation, low, high: low + width })
+        });
+        let weights = prop::collection::vec(0.01..5.0f64, 1..6);
+        prop_oneof![
+            range.prop_map(|(low, width)| Distribution::Uniform(Uniform { low, high: low + width })),
+            (0.01..5.0f64, 1.1..50.0f64)
+                .prop_map(|(low, times)| Distribution::LogUniform(Uniform { low, high: low * times })),
+            normal,
+            weights.prop_map(|weights| {
+                let values = (0..weights.len()).map(|i| Value::Number(1.5 * i as f64 - 2.0)).collect();
+                Distribution::Choice(Choice { values, weights: Some(weights) })
+            }),
+        ]
+        .prop_map(|distribution| distribution.marginal().expect("valid"))
+    }
+
+    proptest! {
+        /// The density integrates to one, its integral is the inverse of the quantile, and values survive the way to a
+        /// coordinate and back.
+        #[test]
+        fn density_quantile_and_value_belong_together(marginal in any_marginal(), u in 0.001..0.999f64) {
+            const CELLS: usize = 20_000;
+            let cell = |i: usize| marginal.ln_density((i as f64 + 0.5) / CELLS as f64).exp() / CELLS as f64;
+            prop_assert!(((0..CELLS).map(cell).sum::<f64>() - 1.0).abs() < 2e-3);
+            let at = marginal.quantile(u);
+            prop_assert!((0.0..=1.0).contains(&at));
+            let below: f64 = (0..(at * CELLS as f64) as usize).map(cell).sum();
+            prop_assert!((below - u).abs() < 2e-3, "{below} instead of {u}");
+            let value = marginal.value(at);
+            prop_assert!(value >= marginal.low() && value <= marginal.high());
+            let again = marginal.value(marginal.coordinate(value));
+            prop_assert!((again - value).abs() <= 1e-9 * (1.0 + value.abs()));
+        }
+    }
+}

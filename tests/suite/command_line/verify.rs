@@ -1,0 +1,89 @@
+//! `crumple verify` and shields on the command line.
+
+use serde_json::Value;
+
+use super::{code, crumple, folder, names_in, objects, stderr, stdout};
+
+#[test]
+fn a_shield_says_when_it_braked_and_what_that_did_to_the_vehicle_behind() {
+    let folder = folder();
+    let arguments = ["simulate", "paper-1", "--controller", "shield:full-throttle", "--estimator", "truth"];
+    let shielded = &objects(&crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat()))[0];
+    let first = &shielded["interventions"][0];
+    assert_eq!((&first["vehicle"], &first["outside_kernel"]), (&1.into(), &false.into()), "{shielded}");
+    assert!(first["to_s"].as_f64() > first["from_s"].as_f64());
+    assert_eq!(shielded["outcome"]["rear_vehicle"], 2);
+    let text = crumple(folder.path(), &arguments);
+    assert!(stdout(&text).contains("the shield of vehicle 1 braked"), "{}", stdout(&text));
+    let bare = ["simulate", "paper-1", "--controller", "full-throttle", "--estimator", "truth", "--format", "json"];
+    let bare = &objects(&crumple(folder.path(), &bare))[0];
+    assert_eq!((&bare["outcome"]["rear_vehicle"], bare.get("interventions")), (&1.into(), None));
+}
+
+#[test]
+fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
+    let folder = folder();
+    for (controller, said) in [
+        ("shield:nobody", "there is no controller `nobody`"),
+        ("shield,ahead=0:idm", "`ahead=0` is no setting of a shield"),
+        ("shield,gap-error:idm", "`gap-error` is no setting of a shield"),
+        ("shield,colour=1:idm", "`colour=1` is no setting of a shield"),
+    ] {
+        let output = crumple(folder.path(), &["simulate", "paper-1", "--controller", controller]);
+        assert_eq!(code(&output), 2);
+        assert!(stderr(&output).contains(said), "{}", stderr(&output));
+    }
+}
+
+#[test]
+fn each_pair_of_classes_gets_a_certificate() {
+    let folder = folder();
+    let output = crumple(folder.path(), &["verify", "shield", "--out", "kernels"]);
+    assert_eq!((code(&output), stderr(&output)), (0, ""));
+    assert_eq!(stdout(&output).lines().filter(|line| line.contains("accepted: kernel")).count(), 4);
+    let names = names_in(&folder.path().join("kernels"));
+    assert_eq!(names.len(), 4);
+    let text = std::fs::read_to_string(folder.path().join("kernels/light-behind-heavy.json")).unwrap();
+    let certificate: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(certificate["statement"]["kernel"]["catching_up_squared"], "1/3");
+}
+
+#[test]
+fn a_rate_is_registered_counted_resumed_and_certified() {
+    let folder = folder();
+    let count = |more: &[&str]| {
+        let arguments = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "2500"];
+        crumple(folder.path(), &[&arguments[..], more].concat())
+    };
+    let whole = count(&["--out", "whole"]);
+    assert_eq!(code(&whole), 0, "{}", stderr(&whole));
+    assert!(stderr(&whole).starts_with("registered as ") && stdout(&whole).starts_with("0 failures, of 2500 runs"));
+    let file = |path: &str| std::fs::read_to_string(folder.path().join(path)).unwrap();
+    let certificate: Value = serde_json::from_str(&file("whole/certificate.json")).unwrap();
+    let at_most = certificate["statement"]["rate"]["rate_at_most"].as_f64().unwrap();
+    let exact = 1.0 - 0.001_f64.powf(1.0 / 2500.0);
+    assert!((at_most / exact - 1.0).abs() < 1e-6, "{at_most} {exact}");
+
+    // As an interrupted count leaves it.
+    std::fs::create_dir(folder.path().join("part")).unwrap();
+    std::fs::write(folder.path().join("part/registration.json"), file("whole/registration.json")).unwrap();
+    let progress = file("whole/progress.json").replace("2500", "1000");
+    std::fs::write(folder.path().join("part/progress.json"), progress).unwrap();
+    assert_eq!(code(&count(&["--out", "part"])), 2, "not without --resume");
+    assert_eq!(code(&count(&["--out", "part", "--resume", "--seed", "1"])), 2, "something else was registered");
+    assert_eq!(code(&count(&["--out", "part", "--resume"])), 0);
+    assert_eq!(file("part/certificate.json"), file("whole/certificate.json"));
+}
+
+#[test]
+fn two_controllers_are_compared_on_the_same_draws() {
+    let folder = folder();
+    let compare = |first: &str, second: &str, out: &str| {
+        let arguments = ["verify", "rate", "--controller", first, "--against", second, "--runs", "300", "--out", out];
+        crumple(folder.path(), &arguments)
+    };
+    let better = compare("match-leader", "baseline", "better");
+    assert_eq!(code(&better), 0, "{}", stderr(&better));
+    assert!(stdout(&better).contains("accepted: comparison"), "{}", stdout(&better));
+    assert_eq!(code(&compare("baseline", "match-leader", "worse")), 1);
+}

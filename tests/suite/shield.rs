@@ -1,0 +1,254 @@
+//! Behind a shield nobody hits the vehicle ahead, whatever that one does within its brake limit.
+
+use crumple::control::{ErrorBounds, Kernel, ShieldSettings};
+use crumple::estimate::EstimatorKind;
+use crumple::scenario::{
+    ControllerSpec, Driver, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+};
+use crumple::sim::{
+    Keep, Outcome, Run, RunError, RunOptions, ShieldRefusal, Shielded, Simulated, Stress, UnderTest, simulate,
+    simulate_batch,
+};
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
+
+use crate::generate::cases;
+
+/// A leader that does as it pleases, and a vehicle under test that could just avoid it.
+#[derive(Debug, Clone)]
+struct Chase {
+    classes: [VehicleClass; 2],
+    speeds_mps: [f64; 2],
+    /// Gap beyond what the kernel demands.
+    spare_m: f64,
+    friction: f64,
+    delay_s: f64,
+    lag_s: f64,
+    leader: Pieces,
+    seed: u64,
+}
+
+/// Mostly hard braking and full acceleration, in pieces of a few steps to a second: what a leader can do to a follower.
+fn leader() -> impl Strategy<Value = Pieces> {
+    let action = prop_oneof![3 => Just(0.0_f64), 1 => Just(1.0_f64), 2 => 0.0..1.0_f64];
+    let pieces = prop::collection::vec((prop_oneof![1..100_u32, 1..8_u32], action), 1..16);
+    pieces.prop_map(|pieces| {
+        let (mut from_s, mut accel_mps2) = (vec![0.0], vec![0.0]);
+        for (steps, share) in pieces {
+            from_s.push(from_s.last().unwrap() + 0.01 * f64::from(steps));
+            // Every class can do this much; the shield must expect the leader's own limits.
+            accel_mps2.push(-6.0 + 7.5 * share);
+        }
+        Pieces { from_s, accel_mps2 }
+    })
+}
+
+prop_compose! {
+    fn chase(sluggish: bool)(
+        classes in prop::array::uniform2(prop::sample::select(VehicleClass::ALL.to_vec())),
+        speeds_mps in prop::array::uniform2(prop_oneof![4 => 0.0..35.0_f64, 1 => Just(0.0)]),
+        spare_m in prop_oneof![Just(1e-4), 1e-4..0.1_f64, 0.0..30.0_f64],
+        friction in prop_oneof![Just(1.0), 0.1..1.0_f64],
+        (delay_s, lag_s) in (prop_oneof![Just(0.0), 0.0..0.5_f64], prop_oneof![Just(0.0), 0.01..0.6_f64]),
+        leader in leader(),
+        at_limit in any::<bool>(),
+        seed in 0..1_u64 << 40,
+    ) -> Chase {
+        let mut leader = leader;
+        if at_limit {
+            for a in leader.accel_mps2.iter_mut().filter(|a| **a == -6.0) {
+                *a = -classes[0].max_brake_mps2();
+            }
+        }
+        let (delay_s, lag_s) = if sluggish { ((delay_s * 100.0_f64).round() / 100.0, lag_s) } else { (0.0, 0.0) };
+        Chase { classes, speeds_mps, spare_m, friction, delay_s, lag_s, leader, seed }
+    }
+}
+
+impl Chase {
+    /// The gap from which contact can just be avoided: the vehicle coasts for the delay, and the lag costs speed.
+    fn demanded_gap_m(&self) -> f64 {
+        let [ahead, own] = self.classes.map(|class| class.max_brake_mps2() * self.friction);
+        let [w, v] = self.speeds_mps;
+        let kernel = Kernel { own_brake_mps2: own, ahead_brake_mps2: ahead };
+        let until_s = self.delay_s.min(w / ahead);
+        let covered_m = w * until_s - 0.5 * ahead * until_s * until_s;
+        let later_mps = w - ahead * until_s;
+        self.delay_s * v - covered_m + kernel.demanded_gap_m(v + self.lag_s * own, later_mps)
+    }
+
+    fn scenario(&self) -> Scenario {
+        let gap_m = self.demanded_gap_m().max(0.0) + self.spare_m;
+        let [ahead, own] = self.classes;
+        let profile = Driver::Profile(LeadProfile::Pieces(self.leader.clone()));
+        let mut vehicles = vec![
+            VehicleSpec::new(ahead, 1000.0, self.speeds_mps[0], profile),
+            VehicleSpec::new(own, 1000.0 - ahead.length_m() - gap_m, self.speeds_mps[1], Driver::UnderTest),
+        ];
+        vehicles[1].reaction_delay_s = self.delay_s;
+        vehicles[1].actuator_lag_s = self.lag_s;
+        let spec = ScenarioSpec {
+            version: SCENARIO_VERSION,
+            name: "chase".to_owned(),
+            about: String::new(),
+            duration_s: 15.0,
+            step_s: 0.01,
+            seed: self.seed,
+            environment: crumple::scenario::Environment { friction: self.friction },
+            sensors: crumple::scenario::Sensors::default(),
+            vehicles,
+        };
+        Scenario::new(spec).unwrap()
+    }
+}
+
+fn shielded(controller: UnderTest, settings: ShieldSettings) -> UnderTest {
+    Shielded { controller, settings }.into()
+}
+
+/// Who drives: the reckless ones, and the learned one.
+fn drivers() -> [UnderTest; 3] {
+    [Stress::FullThrottle.into(), Stress::RandomActions.into(), ControllerSpec::Policy.into()]
+}
+
+fn with_truth(scenario: &Scenario, controller: UnderTest) -> Simulated {
+    let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
+    simulate(&Run::new(scenario, options).unwrap(), Keep::Summary)
+}
+
+proptest! {
+    #![proptest_config(cases(192))]
+
+    #[test]
+    fn nobody_hits_the_vehicle_ahead_from_behind_a_shield(chase in chase(false)) {
+        let scenario = chase.scenario();
+        for driver in drivers() {
+            let result = with_truth(&scenario, shielded(driver, ShieldSettings::default()));
+            prop_assert_eq!(result.outcome, Outcome::NoCollision);
+            prop_assert!(result.interventions.iter().all(|one| !one.outside_kernel));
+        }
+    }
+
+    #[test]
+    fn nor_with_a_delay_and_a_lag(chase in chase(true)) {
+        let scenario = chase.scenario();
+        for driver in drivers() {
+            let result = with_truth(&scenario, shielded(driver, ShieldSettings::default()));
+            prop_assert_eq!(result.outcome, Outcome::NoCollision);
+            prop_assert!(result.interventions.iter().all(|one| !one.outside_kernel));
+        }
+    }
+
+    /// Noise up to six standard deviations and every manoeuvre are inside the bounds the shield takes for the filter.
+    #[test]
+    fn nor_through_the_kalman_filter(chase in chase(false)) {
+        let scenario = chase.scenario();
+        for driver in drivers() {
+            let options = RunOptions::new(shielded(driver, ShieldSettings::default()));
+            let result = simulate(&Run::new(&scenario, options).unwrap(), Keep::Summary);
+            prop_assert_eq!(result.outcome, Outcome::NoCollision);
+        }
+    }
+
+    /// A shield that expects too little of the vehicle ahead is worth less, one that expects too much no less.
+    #[test]
+    fn a_cautious_assumption_is_safe_too(chase in chase(false), more_mps2 in 0.0..5.0_f64) {
+        let settings = ShieldSettings {
+            ahead_brake_mps2: Some(chase.classes[0].max_brake_mps2() + more_mps2),
+            errors: Some(ErrorBounds { gap_m: 0.2, speed_mps: 0.1, ahead_speed_mps: 0.3 }),
+        };
+        let result = with_truth(&chase.scenario(), shielded(Stress::FullThrottle.into(), settings));
+        prop_assert_eq!(result.outcome, Outcome::NoCollision);
+    }
+
+    /// Both engines make the same of a shield.
+    #[test]
+    fn engines_agree_about_shields(chases in prop::collection::vec(chase(true), 2..6)) {
+        let scenarios: Vec<_> = chases.iter().map(Chase::scenario).collect();
+        for driver in drivers() {
+            let controller = shielded(driver, ShieldSettings::default());
+            let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, RunOptions::new(controller.clone())).unwrap()).collect();
+            let together = simulate_batch(&runs, Keep::Trace, |_, result| result);
+            for (run, result) in runs.iter().zip(together) {
+                prop_assert_eq!(&simulate(run, Keep::Trace), &result);
+            }
+        }
+    }
+}
+
+fn draws(count: usize) -> impl Iterator<Item = Chase> {
+    let mut runner = TestRunner::deterministic();
+    (0..count).map(move |_| chase(false).new_tree(&mut runner).unwrap().current())
+}
+
+#[test]
+fn without_the_shield_they_do() {
+    let scenarios: Vec<_> = draws(200).map(|chase| chase.scenario()).collect();
+    let contacts = drivers().map(|driver| {
+        let hits = scenarios.iter().filter(|s| with_truth(s, driver.clone()).outcome != Outcome::NoCollision);
+        hits.count()
+    });
+    assert!(contacts[0] > 150 && contacts[1] > 50 && contacts[2] > 20, "{contacts:?} of 200");
+}
+
+/// A million scenarios a driver: `SHIELD_RUNS=1000000 cargo test --release --test suite -- --ignored a_campaign --nocapture`.
+#[test]
+#[ignore = "a campaign, not a test: minutes"]
+fn a_campaign() {
+    let runs: usize = std::env::var("SHIELD_RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(10_000);
+    let names = ["full-throttle", "random-actions", "policy"];
+    let mut draws = draws(runs);
+    let (mut hits, mut bare_hits, mut overridden) = ([0; 3], [0; 3], [0; 3]);
+    loop {
+        let scenarios: Vec<_> = draws.by_ref().take(10_000).map(|chase| chase.scenario()).collect();
+        if scenarios.is_empty() {
+            break;
+        }
+        for (index, driver) in drivers().into_iter().enumerate() {
+            for (controller, hits) in [
+                (shielded(driver.clone(), ShieldSettings::default()), &mut hits[index]),
+                (driver, &mut bare_hits[index]),
+            ] {
+                let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
+                let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, options.clone()).unwrap()).collect();
+                let done = simulate_batch(&runs, Keep::Summary, |_, result| {
+                    (result.outcome != Outcome::NoCollision, !result.interventions.is_empty())
+                });
+                *hits += done.iter().filter(|(hit, _)| *hit).count();
+                overridden[index] += done.iter().filter(|(_, overridden)| *overridden).count();
+            }
+        }
+    }
+    for (index, name) in names.into_iter().enumerate() {
+        let (hits, bare, overridden) = (hits[index], bare_hits[index], overridden[index]);
+        println!("{name}: {hits} contacts of {runs} with the shield ({overridden} with interventions), {bare} without");
+    }
+    assert_eq!(hits, [0; 3]);
+}
+
+#[test]
+fn what_a_shield_cannot_vouch_for_is_refused() {
+    let scenario = draws(1).next().unwrap().scenario();
+    let refusal = |change: &dyn Fn(&mut ScenarioSpec)| {
+        let changed = scenario.edited(|spec| change(spec)).unwrap();
+        let options = RunOptions::new(shielded(Stress::FullThrottle.into(), ShieldSettings::default()));
+        match Run::new(&changed, options) {
+            Err(RunError::Shield { vehicle: 1, why }) => why,
+            _ => panic!("not refused"),
+        }
+    };
+    assert_eq!(refusal(&|spec| spec.vehicles[1].jerk_limit_mps3 = Some(10.0)), ShieldRefusal::Jerk);
+    assert_eq!(refusal(&|spec| spec.sensors.dropout = 0.1), ShieldRefusal::Dropout);
+    let noisy = refusal(&|spec| spec.vehicles[1].acceleration_noise_mps2 = 2.0);
+    assert!(matches!(noisy, ShieldRefusal::Noise { .. }));
+}
+
+/// In the paper's first scenario the truck behind cannot stop for a car that must: the shield says so.
+#[test]
+fn a_conflict_with_the_vehicle_behind_is_reported() {
+    let scenario = crumple::scenario::built_in("paper-1").unwrap();
+    let result = with_truth(&scenario, shielded(Stress::FullThrottle.into(), ShieldSettings::default()));
+    assert!(result.outcome.contact().is_some_and(|contact| contact.rear_vehicle == 2), "{:?}", result.outcome);
+    assert!(result.interventions.iter().any(|one| one.rear_conflict && one.vehicle == 1));
+}

@@ -1,0 +1,40 @@
+//! Space files: the schema tells the truth.
+
+use std::path::PathBuf;
+
+use crumple::scenario::space::{BUILT_IN_SPACES, built_in_space, json_schema};
+
+use crate::schema::validate;
+
+/// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
+#[test]
+fn the_committed_space_schema_is_that_of_the_types() {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src/scenario/space/space.schema.json");
+    let generated = format!("{}\n", serde_json::to_string_pretty(&json_schema()).unwrap());
+    if std::env::var_os("UPDATE_SCHEMA").is_some() {
+        std::fs::write(&path, &generated).unwrap();
+    }
+    let committed = std::fs::read_to_string(&path).unwrap();
+    assert!(committed == generated, "outdated: run UPDATE_SCHEMA=1 cargo test --test suite schema");
+}
+
+#[test]
+fn the_space_schema_accepts_the_built_in_spaces_and_refuses_nonsense() {
+    let schema = json_schema();
+    for (name, ..) in BUILT_IN_SPACES {
+        let space = serde_json::to_value(built_in_space(name).unwrap().spec()).unwrap();
+        validate(&schema, &schema, &space, "space").unwrap();
+        for (place, value) in [
+            ("/version", serde_json::json!("one")),
+            ("/base", serde_json::json!(3)),
+            ("/base/vehicles/0/speed_mps", serde_json::json!(-1)),
+            ("/parameters", serde_json::json!([])),
+            ("/parameters/0/distribution", serde_json::json!({ "even": { "low": 0, "high": 1 } })),
+            ("/parameters/0/distribution", serde_json::json!({ "uniform": { "low": 0 } })),
+        ] {
+            let mut changed = space.clone();
+            *changed.pointer_mut(place).expect("there") = value;
+            assert!(validate(&schema, &schema, &changed, "space").is_err(), "{name}{place}");
+        }
+    }
+}

@@ -1,0 +1,15 @@
+; At every instant s inside a step of any length, full braking has not lessened the margin g - D, whatever acceleration
+; a >= -c the vehicle ahead holds. Refuted: it has.
+(set-info :status unsat)
+(declare-const g Real)
+(declare-const v Real)
+(declare-const w Real)
+(declare-const s Real)
+(declare-const a Real)
+(declare-const w2 Real)
+(declare-const y Real)
+(assert (and (>= v 0.0) (>= w 0.0) (>= s 0.0)))
+(assert (>= a (- c)))
+(assert (moves w a s w2 y))
+(assert (< (- (- (+ g y) (covered v b s)) (D (braked v b s) w2)) (- g (D v w))))
+(check-sat)

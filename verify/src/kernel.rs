@@ -1,0 +1,212 @@
+//! The states from which a vehicle can still avoid the one ahead: a proof that needs no solver.
+//!
+//! # What is claimed
+//!
+//! A state is (g, v, w): bumper gap, own speed, speed of the vehicle ahead. The own vehicle can brake at b, the vehicle
+//! ahead never brakes harder than c; both stop and stay, and contact is g <= 0. For a vehicle that brakes at rate β from
+//! speed u to standstill let P_β(u, t) = u t - β t²/2 until t = u/β, and u²/2β from then on. With
+//!
+//! ```text
+//! closing(t) = P_b(v, t) - P_c(w, t),         D(v, w) = the largest closing(t) over t >= 0,
+//! K = { g > D(v, w) }
+//! ```
+//!
+//! the claim is that K is *exactly* the set of states that can be kept free of contact, and that D has the closed form
+//! whose coefficients p, q and r the certificate states:
+//!
+//! ```text
+//! D = max(0, p v² + q w²)        if b <= c or v/b >= w/c     (p = 1/2b, q = -1/2c)
+//! D = r max(0, v - w)²           otherwise                   (r = 1/2(b - c))
+//! ```
+//!
+//! # What holds for all constants
+//!
+//! 1. *Full braking keeps K, at every instant.* While both brake fully for a time s, whatever stops on the way, the
+//!    motion from (v_s, w_s) on is the rest of the motion from (v, w): P_β(u, s + t) = P_β(u, s) + P_β(u_s, t). So
+//!    D(v_s, w_s) = max over t >= s of closing(t), less closing(s), which is at most D(v, w) - closing(s). The gap after s is
+//!    g - closing(s). Hence **the margin g - D never falls**; it need not be a step's end, and s may lie past any stop.
+//! 2. *The worst leader stands for all.* Whoever never brakes harder than c has, after s, at least the speed
+//!    max(w - c s, 0) and, as the integral of it, has covered at least P_c(w, s). P_c(w, t) does not fall in w, so D does
+//!    not rise in w. Against any such leader the gap after s is therefore no smaller, and the demanded gap no larger, than
+//!    against full braking. This holds whatever the own vehicle does meanwhile; so a test of one step against full braking
+//!    of the vehicle ahead, its inside included, implies the same for all leaders. (Its inside does need testing: one that
+//!    brakes harder than the vehicle ahead may be closest in mid-step, and the end in K all the same.)
+//! 3. *Outside K nothing helps.* The same lower bound holds for the own vehicle: it covers at least P_b(v, t). Against full
+//!    braking the gap at the t where closing(t) is largest is at most g - D(v, w) <= 0: contact.
+//! 4. *Friction.* P_{μβ}(u, t) = P_β(u, μ t)/μ, so on a road that allows the share μ of both limits D is the same function
+//!    divided by μ, and 1 to 3 hold again. Where limits scale unlike, the certificate is for the scaled limits.
+//!
+//! A margin m > 0, demanded on top of D, pays for floating-point evaluation; by 1 full braking keeps it too.
+//!
+//! # What is checked for the constants
+//!
+//! That the closed form *is* the largest closing(t). With A = v/b and B = w/c, the times to standstill, everything is a
+//! polynomial; each case orders 0, t, A and B, writes the differences as variables x, y, z >= 0, and expands exactly. A
+//! polynomial without negative coefficients is then nonnegative. One case needs a perfect square besides.
+
+use num_rational::BigRational;
+use num_traits::Signed;
+use serde::{Deserialize, Serialize};
+
+use crate::polynomial::Polynomial;
+use crate::{Accepted, Rejection};
+
+/// Longest number that is read, in characters.
+const MOST_CHARACTERS: usize = 100;
+
+/// A kernel for one pair of brake limits. Numbers are exact quotients: `"15/2"` or `"6"`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Kernel {
+    /// b, what the own vehicle can brake at, in m/s².
+    pub ego_brake_mps2: String,
+    /// c, what the vehicle ahead never brakes harder than, in m/s².
+    pub leader_brake_mps2: String,
+    /// Time between two decisions, in seconds. The proof holds for any; a shield is built for one.
+    pub step_s: String,
+    /// m, demanded on top of D, in metres.
+    pub margin_m: String,
+    /// p, in s²/m.
+    pub stopping_own_squared: String,
+    /// q, in s²/m.
+    pub stopping_ahead_squared: String,
+    /// r, in s²/m; only where the own vehicle brakes harder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub catching_up_squared: Option<String>,
+}
+
+/// Checks a kernel.
+///
+/// # Errors
+/// [`Rejection`] names the field that is no number or not positive, or the first case in which the proof fails.
+pub(crate) fn check(kernel: &Kernel) -> Result<Accepted, Rejection> {
+    let positive = |field, text| match number(field, text)? {
+        value if value.is_positive() => Ok(value),
+        _ => Err(Rejection::invalid(field, "must be positive")),
+    };
+    let b = positive("ego_brake_mps2", &kernel.ego_brake_mps2)?;
+    let c = positive("leader_brake_mps2", &kernel.leader_brake_mps2)?;
+    positive("step_s", &kernel.step_s)?;
+    positive("margin_m", &kernel.margin_m)?;
+    let p = number("stopping_own_squared", &kernel.stopping_own_squared)?;
+    let q = number("stopping_ahead_squared", &kernel.stopping_ahead_squared)?;
+    let r = kernel.catching_up_squared.as_ref().map(|text| number("catching_up_squared", text)).transpose()?;
+    let pair = Pair { b: &b, c: &c, stopping: [&p, &q] };
+    let cases = match (r, b > c) {
+        (Some(r), true) => [&pair.stops_last()[..], &[pair.brakes_harder()], &pair.catches_up(&r)].concat(),
+        (None, false) => [&pair.stops_last()[..], &pair.brakes_softer()].concat(),
+        _ => return Err(Rejection::invalid("catching_up_squared", "must be there exactly where b > c")),
+    };
+    match cases.into_iter().find(|(_, holds)| !holds) {
+        Some((case, _)) => Err(Rejection::invalid("kernel", case)),
+        None => Ok(Accepted::Kernel),
+    }
+}
+
+fn number(field: &'static str, text: &str) -> Result<BigRational, Rejection> {
+    let read = if text.len() > MOST_CHARACTERS { None } else { text.parse().ok() };
+    read.ok_or_else(|| Rejection::invalid(field, "must be a number such as \"15/2\""))
+}
+
+/// What happens in a case, and whether the closed form is right there.
+type Case = (&'static str, bool);
+
+/// The two limits, and the polynomials they make. `a` and `b` are times to standstill, `t` an instant.
+struct Pair<'a> {
+    b: &'a BigRational,
+    c: &'a BigRational,
+    /// p and q.
+    stopping: [&'a BigRational; 2],
+}
+
+impl Pair<'_> {
+    /// What is covered up to t while braking at `rate` with `stop` to go: rate (stop t - t²/2).
+    fn moving(rate: &BigRational, stop: &Polynomial, t: &Polynomial) -> Polynomial {
+        let half = BigRational::new(1.into(), 2.into());
+        rate * &(&(stop * t) - &(&half * &t.squared()))
+    }
+
+    /// closing(t) while both move: b (A t - t²/2) - c (B t - t²/2). A vehicle that stands has t = its own stop.
+    fn closing(&self, [a, ta]: [&Polynomial; 2], [b, tb]: [&Polynomial; 2]) -> Polynomial {
+        &Self::moving(self.b, a, ta) - &Self::moving(self.c, b, tb)
+    }
+
+    /// S = p v² + q w² with v = b A and w = c B.
+    fn difference_of_stops(&self, a: &Polynomial, b: &Polynomial) -> Polynomial {
+        let (v, w) = (self.b * a, self.c * b);
+        &(self.stopping[0] * &v.squared()) + &(self.stopping[1] * &w.squared())
+    }
+
+    /// S is what closing comes to in the end, and bounds it from the leader's stop on; A and B in any order.
+    fn stops_last(&self) -> [Case; 2] {
+        let [x, y, z] = Polynomial::variables();
+        let s_of = |a: &Polynomial, b: &Polynomial| self.difference_of_stops(a, b);
+        // Both stand: A = x, B = y. Where S >= 0 this is also the instant at which D = S is reached; else D = 0 at t = 0.
+        let both_stand = &s_of(&x, &y) - &self.closing([&x, &x], [&y, &y]);
+        // Only the leader stands: B = x, t = x + y, A = x + y + z.
+        let (t, a) = (&x + &y, &(&x + &y) + &z);
+        let leader_stands = &s_of(&a, &x) - &self.closing([&a, &t], [&x, &x]);
+        [
+            ("fails where both stand", both_stand.is_zero()),
+            ("fails where only the vehicle ahead stands", leader_stands.has_no_negative_coefficient()),
+        ]
+    }
+
+    /// b > c, and the own vehicle stops last: S also bounds what comes before the leader's stop.
+    fn brakes_harder(&self) -> Case {
+        let [x, y, z] = Polynomial::variables();
+        // t = x, B = x + y, A = x + y + z: what is still to come is never negative.
+        let (b, a) = (&x + &y, &(&x + &y) + &z);
+        let at_end = self.closing([&a, &a], [&b, &b]);
+        let to_come = &at_end - &self.closing([&a, &x], [&b, &x]);
+        ("fails where both move, the own vehicle brakes harder and stops last", to_come.has_no_negative_coefficient())
+    }
+
+    /// b > c, and the own vehicle stops first: D = r (v - w)² where v > w, else 0.
+    fn catches_up(&self, r: &BigRational) -> [Case; 4] {
+        let [x, y, z] = Polynomial::variables();
+        let harder = self.b - self.c;
+        let half_harder = &harder / BigRational::from_integer(2.into());
+        // Both move. Free of the order of t, A and B: D - closing = (b - c)/2 · (t - t*)², t* = (v - w)/(b - c).
+        let (t, a, b) = (&x, &y, &z);
+        let (v, w) = (self.b * a, self.c * b);
+        let demanded = r * &(&v - &w).squared();
+        let turn = &harder.recip() * &(&v - &w);
+        let short_by = &demanded - &self.closing([a, t], [b, t]);
+        let both_move = &short_by - &(&half_harder * &(t - &turn).squared());
+        // The square is 0 at t = t*, so D is reached there, if 0 <= t* <= A: with A = x and B = x + y the latter is
+        let before_stop = &x - &(&harder.recip() * &(&(self.b * &x) - &(self.c * &(&x + &y))));
+        // Where w = v + z, closing is never positive before the own stop: A = x, t = y, c B = b x + z.
+        let ahead = &self.c.recip() * &(&(self.b * &x) + &z);
+        let falling_back = -&self.closing([&x, &y], [&ahead, &y]);
+        // Only the own vehicle stands: A = x, t = x + y, B = x + y + z. Closing has not grown since its stop.
+        let (t, b) = (&x + &y, &(&x + &y) + &z);
+        let since_stop = &self.closing([&x, &x], [&b, &x]) - &self.closing([&x, &x], [&b, &t]);
+        [
+            ("fails where both move, the own vehicle brakes harder and stops first", both_move.is_zero()),
+            ("fails where closing turns round after the own stop", before_stop.has_no_negative_coefficient()),
+            ("fails where the own vehicle is slower", falling_back.has_no_negative_coefficient()),
+            ("fails where only the own vehicle stands, having braked harder", since_stop.has_no_negative_coefficient()),
+        ]
+    }
+
+    /// b <= c: D = max(0, S), whoever stops first.
+    fn brakes_softer(&self) -> [Case; 4] {
+        let [x, y, z] = Polynomial::variables();
+        // Both move, the leader stops first: t = x, B = x + y, A = x + y + z. closing <= (t/B) S, as t S - B closing >= 0.
+        let (b, a) = (&x + &y, &(&x + &y) + &z);
+        let stop_ahead = &(&x * &self.difference_of_stops(&a, &b)) - &(&b * &self.closing([&a, &x], [&b, &x]));
+        // The own vehicle stops first: closing <= 0 throughout. Both move: t = x, A = x + y, B = x + y + z.
+        let both_move = -&self.closing([&b, &x], [&a, &x]);
+        // Only the own vehicle stands: A = x, t = x + y, B = x + y + z.
+        let own_stands = -&self.closing([&x, &x], [&a, &b]);
+        // Both stand: A = x, B = x + y.
+        let both_stand = -&self.closing([&x, &x], [&b, &b]);
+        [
+            ("fails where both move, the own vehicle stops last", stop_ahead.has_no_negative_coefficient()),
+            ("fails where both move, the own vehicle stops first", both_move.has_no_negative_coefficient()),
+            ("fails where only the own vehicle stands", own_stands.has_no_negative_coefficient()),
+            ("fails where both stand, the own vehicle stopped first", both_stand.has_no_negative_coefficient()),
+        ]
+    }
+}

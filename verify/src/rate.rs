@@ -1,0 +1,151 @@
+//! Failure rates that were observed, and what they show about the rate behind them.
+//!
+//! If each of n independent runs fails with probability p, then k failures or fewer happen with probability
+//!
+//! ```text
+//! F(k; n, p) = Σ over i <= k of C(n, i) pⁱ (1 - p)ⁿ⁻ⁱ,
+//! ```
+//!
+//! which falls as p rises. The claim "p <= p₀ at confidence γ" after k failures is the one-sided bound of Clopper and
+//! Pearson (Biometrika 26, 1934): it is made exactly where F(k; n, p₀) <= 1 - γ, so whatever the true p is, a false claim is
+//! made with probability 1 - γ at most. That holds only if n, γ and the distribution of runs were fixed beforehand: the
+//! certificate therefore carries its registration, whose digest can be held by somebody else before the first run.
+//!
+//! Two controllers that drove the same draws are compared by the sign test (McNemar's test, exact): of the d draws in which
+//! exactly one of them fails, the first one fails in k. If it failed as often as the second, k would be binomial with rate
+//! 1/2; so F(k; d, 1/2) <= 1 - γ shows that it fails less often.
+//!
+//! The tail is evaluated upwards: every factor is positive, every operation rounds to nearest and then moves up by one
+//! floating-point number, so the result is an upper bound of F.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::{Accepted, Rejection};
+
+/// Most runs a certificate may speak about: evaluating its tail takes as many multiplications.
+pub const MOST_RUNS: u64 = 100_000_000;
+
+/// What was fixed before the first run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Registration {
+    /// What was to be run: controllers, policy, space, seed, version. Nothing is concluded from it.
+    pub configuration: BTreeMap<String, String>,
+    /// n, the number of runs.
+    pub runs: u64,
+    /// γ, above 1/2, read as the nearest floating-point number.
+    pub confidence: f64,
+}
+
+impl Registration {
+    /// SHA-256 of the registration as compact JSON, fields in the order of this type, in hexadecimal.
+    #[must_use]
+    pub fn digest(&self) -> String {
+        // A struct of strings and numbers always has a JSON form.
+        let json = serde_json::to_vec(self).unwrap_or_default();
+        Sha256::digest(json).iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// The claim that a controller fails in a space at no more than a rate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rate {
+    /// What was fixed before the first run.
+    pub registration: Registration,
+    /// Its digest, as it was published.
+    pub registration_sha256: String,
+    /// k, the runs that failed.
+    pub failures: u64,
+    /// p₀, read as the nearest floating-point number.
+    pub rate_at_most: f64,
+}
+
+/// The claim that the first of two controllers fails less often than the second, in the same draws.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Comparison {
+    /// What was fixed before the first run.
+    pub registration: Registration,
+    /// Its digest, as it was published.
+    pub registration_sha256: String,
+    /// k, the runs in which the first fails and the second does not.
+    pub only_first_failed: u64,
+    /// d - k, the runs in which the second fails and the first does not.
+    pub only_second_failed: u64,
+}
+
+pub(crate) fn check_rate(claim: &Rate) -> Result<Accepted, Rejection> {
+    let registration = &claim.registration;
+    check_registration(registration, &claim.registration_sha256)?;
+    if !(claim.rate_at_most > 0.0 && claim.rate_at_most < 1.0) {
+        return Err(Rejection::invalid("rate_at_most", "must be between 0 and 1"));
+    }
+    check_rare(claim.failures, registration.runs, claim.rate_at_most, registration.confidence)?;
+    Ok(Accepted::Rate { at_most: claim.rate_at_most, confidence: registration.confidence })
+}
+
+pub(crate) fn check_comparison(claim: &Comparison) -> Result<Accepted, Rejection> {
+    let registration = &claim.registration;
+    check_registration(registration, &claim.registration_sha256)?;
+    let differ = claim.only_first_failed.saturating_add(claim.only_second_failed);
+    if differ > registration.runs {
+        return Err(Rejection::invalid("only_first_failed", "and `only_second_failed` must not exceed the runs"));
+    }
+    check_rare(claim.only_first_failed, differ, 0.5, registration.confidence)?;
+    Ok(Accepted::FailsLessOften { confidence: registration.confidence })
+}
+
+fn check_registration(registration: &Registration, published: &str) -> Result<(), Rejection> {
+    if registration.digest() != published {
+        return Err(Rejection::invalid("registration_sha256", "is not the digest of `registration`"));
+    }
+    if !(1..=MOST_RUNS).contains(&registration.runs) {
+        return Err(Rejection::invalid("registration.runs", "must be from 1 to 100 million"));
+    }
+    // For γ between 1/2 and 1 the subtraction 1 - γ does not round.
+    if !(registration.confidence > 0.5 && registration.confidence < 1.0) {
+        return Err(Rejection::invalid("registration.confidence", "must be between 1/2 and 1"));
+    }
+    Ok(())
+}
+
+fn check_rare(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<(), Rejection> {
+    let (tail, allowed) = (tail_at_most(failures, runs, rate), 1.0 - confidence);
+    if tail <= allowed { Ok(()) } else { Err(Rejection::TooLikely { tail, allowed }) }
+}
+
+/// An upper bound of F(k; n, p) for 0 < p < 1, within about n · 4e-16 of it.
+#[must_use]
+pub fn tail_at_most(failures: u64, runs: u64, rate: f64) -> f64 {
+    let up = |rounded: f64| rounded.next_up();
+    if failures >= runs {
+        return 1.0;
+    }
+    let (k, n) = (failures, runs);
+    let q = up(1.0 - rate);
+    // The last term, C(n, k) pᵏ qⁿ⁻ᵏ, by k factors p (n - k + i)/i and n - k factors q. A large factor is taken whenever the
+    // product is below one and a small one otherwise, so that it neither overflows nor vanishes before its time.
+    let mut term = 1.0_f64;
+    let (mut taken, mut damped) = (0, 0);
+    while taken < k || damped < n - k {
+        if taken < k && (term < 1.0 || damped == n - k) {
+            taken += 1;
+            term = up(term * up(up(rate * (n - k + taken) as f64) / taken as f64));
+        } else {
+            damped += 1;
+            term = up(term * q);
+        }
+    }
+    // The terms before it, each from the next: C(n, i-1)/C(n, i) = i/(n - i + 1).
+    let odds = up(q / rate);
+    let mut sum = term;
+    for i in (1..=k).rev() {
+        term = up(term * up(up(i as f64 / (n - i + 1) as f64) * odds));
+        sum = up(sum + term);
+    }
+    sum.min(1.0)
+}

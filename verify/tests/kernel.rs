@@ -1,0 +1,137 @@
+//! A kernel is accepted exactly where its closed form is right.
+#![allow(clippy::unwrap_used)]
+
+use crumple_verify::polynomial::Polynomial;
+use crumple_verify::{Accepted, Assumption, Certificate, Kernel, Provenance, Rejection, Statement, check};
+use num_rational::BigRational;
+
+fn checked(kernel: &Kernel) -> Result<Accepted, Rejection> {
+    let statement = Statement::Kernel(kernel.clone());
+    let nobody = Provenance { crumple: String::new(), scenario: String::new(), scenario_sha256: String::new() };
+    let mut certificate =
+        Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement };
+    let text = serde_json::to_string(&certificate).unwrap();
+    assert_eq!(Certificate::from_json(&text).unwrap(), certificate);
+    let result = check(&certificate);
+    certificate.assumptions.retain(|assumption| *assumption != Assumption::LeaderWithinLimit);
+    assert!(check(&certificate).is_err());
+    result
+}
+
+fn number(text: &str) -> BigRational {
+    text.parse().unwrap()
+}
+
+/// The closed form for a pair of limits.
+fn kernel(b: &str, c: &str) -> Kernel {
+    let (b, c, half) = (number(b), number(c), number("1/2"));
+    Kernel {
+        ego_brake_mps2: b.to_string(),
+        leader_brake_mps2: c.to_string(),
+        step_s: "1/100".to_owned(),
+        margin_m: "1/1000000".to_owned(),
+        stopping_own_squared: (&half / &b).to_string(),
+        stopping_ahead_squared: (-&half / &c).to_string(),
+        catching_up_squared: (b > c).then(|| (half / (b - c)).to_string()),
+    }
+}
+
+/// D(v, w) as a kernel states it.
+fn demanded_gap_m(kernel: &Kernel, v: &BigRational, w: &BigRational) -> BigRational {
+    let zero = number("0");
+    match &kernel.catching_up_squared {
+        Some(r) if v * number(&kernel.leader_brake_mps2) < w * number(&kernel.ego_brake_mps2) => {
+            let closing = (v - w).max(zero);
+            number(r) * &closing * &closing
+        }
+        _ => {
+            let [p, q] = [&kernel.stopping_own_squared, &kernel.stopping_ahead_squared].map(|text| number(text));
+            (p * v * v + q * w * w).max(zero)
+        }
+    }
+}
+
+#[test]
+fn closed_forms_are_accepted_whatever_the_limits() {
+    for (b, c) in
+        [("15/2", "15/2"), ("15/2", "6"), ("6", "15/2"), ("6", "6"), ("8", "5"), ("3/40", "30"), ("30", "1/10")]
+    {
+        assert_eq!(checked(&kernel(b, c)), Ok(Accepted::Kernel), "{b} {c}");
+    }
+}
+
+#[test]
+fn a_change_of_any_number_that_matters_is_rejected() {
+    for (b, c) in [("15/2", "15/2"), ("15/2", "6"), ("6", "15/2"), ("8", "5")] {
+        let json = serde_json::to_value(kernel(b, c)).unwrap();
+        let mut rejected = 0;
+        for path in [
+            "/ego_brake_mps2",
+            "/leader_brake_mps2",
+            "/stopping_own_squared",
+            "/stopping_ahead_squared",
+            "/catching_up_squared",
+        ] {
+            for factor in ["2", "101/100", "999999/1000000", "0", "-1"] {
+                let mut mutant = json.clone();
+                let Some(value) = mutant.pointer_mut(path) else { continue };
+                let changed = number(value.as_str().unwrap()) * number(factor);
+                *value = changed.to_string().into();
+                let mutant: Kernel = serde_json::from_value(mutant).unwrap();
+                assert!(checked(&mutant).is_err(), "{b} {c} {path} times {factor}");
+                rejected += 1;
+            }
+        }
+        assert_eq!(rejected, if json.get("catching_up_squared").is_some() { 25 } else { 20 });
+    }
+}
+
+#[test]
+fn the_familiar_distance_alone_is_rejected_where_the_own_vehicle_brakes_harder() {
+    let rss = Kernel { catching_up_squared: None, ..kernel("8", "5") };
+    assert!(checked(&rss).unwrap_err().to_string().contains("catching_up_squared"));
+    let needless = Kernel { catching_up_squared: kernel("8", "5").catching_up_squared, ..kernel("5", "8") };
+    assert!(checked(&needless).unwrap_err().to_string().contains("catching_up_squared"));
+    let none = Kernel { margin_m: "0".to_owned(), ..kernel("8", "5") };
+    assert_eq!(checked(&none).unwrap_err().to_string(), "`margin_m` must be positive");
+}
+
+/// The argument's conclusion, tried out by brute force over time with exact numbers.
+#[test]
+fn the_demanded_gap_is_the_largest_closing_distance() {
+    let distance = |u: &BigRational, rate: &BigRational, t: &BigRational| {
+        let until = t.clone().min(u / rate);
+        u * &until - rate * &until * &until / number("2")
+    };
+    for (b, c) in [("15/2", "6"), ("6", "15/2"), ("6", "6"), ("8", "5")] {
+        let kernel = kernel(b, c);
+        let (b, c) = (number(b), number(c));
+        for (v, w) in [("25", "20"), ("20", "25"), ("25", "24"), ("30", "3"), ("0", "4"), ("9", "0"), ("25", "23")] {
+            let (v, w) = (number(v), number(w));
+            let demanded = demanded_gap_m(&kernel, &v, &w);
+            let sixtieths = 0..60 * 60;
+            let closing = sixtieths.map(|k| {
+                let t = BigRational::new(k.into(), 600.into());
+                distance(&v, &b, &t) - distance(&w, &c, &t)
+            });
+            let largest = closing.max().unwrap();
+            assert!(largest <= demanded && demanded < &largest + number("1/100000"), "{demanded} {largest}");
+        }
+    }
+}
+
+#[test]
+fn the_note_s_example_demands_4_17_m() {
+    assert_eq!(demanded_gap_m(&kernel("8", "5"), &number("25"), &number("20")), number("25/6"));
+}
+
+#[test]
+fn the_binomial_formula() {
+    let [x, y, z] = Polynomial::variables();
+    let two = BigRational::from_integer(2.into());
+    let expanded = &(&x.squared() - &(&two * &(&x * &y))) + &y.squared();
+    assert_eq!((&x - &y).squared(), expanded);
+    assert!(!expanded.has_no_negative_coefficient());
+    assert!((&(&x + &z).squared() - &x.squared()).has_no_negative_coefficient());
+    assert!((&expanded - &expanded).is_zero());
+}

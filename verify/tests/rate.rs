@@ -1,0 +1,106 @@
+//! Rates and comparisons are shown exactly where the binomial tail says so.
+#![allow(clippy::unwrap_used)]
+
+use std::collections::BTreeMap;
+
+use crumple_verify::rate::tail_at_most;
+use crumple_verify::{Accepted, Certificate, Comparison, Provenance, Rate, Registration, Rejection, Statement, check};
+
+fn checked(statement: Statement) -> Result<Accepted, Rejection> {
+    let nobody = Provenance { crumple: String::new(), scenario: String::new(), scenario_sha256: String::new() };
+    check(&Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement })
+}
+
+fn registration(runs: u64, confidence: f64) -> Registration {
+    let configuration = BTreeMap::from([("controller".to_owned(), "policy".to_owned())]);
+    Registration { configuration, runs, confidence }
+}
+
+fn rate(failures: u64, runs: u64, rate_at_most: f64, confidence: f64) -> Rate {
+    let registration = registration(runs, confidence);
+    Rate { registration_sha256: registration.digest(), registration, failures, rate_at_most }
+}
+
+fn is_shown(rate: Rate) -> bool {
+    match checked(Statement::Rate(rate)) {
+        Ok(accepted) => matches!(accepted, Accepted::Rate { .. }),
+        Err(rejection) => !matches!(rejection, Rejection::TooLikely { .. }),
+    }
+}
+
+#[test]
+fn one_in_ten_thousand_takes_138_149_clean_runs() {
+    let confidence = 1.0 - 1e-6;
+    assert!(is_shown(rate(0, 138_149, 1e-4, confidence)));
+    assert!(!is_shown(rate(0, 138_148, 1e-4, confidence)));
+    assert!(!is_shown(rate(1, 138_149, 1e-4, confidence)));
+    assert!(is_shown(rate(0, 1_000_000, 1.382e-5, confidence)));
+    assert!(!is_shown(rate(0, 1_000_000, 1.381e-5, confidence)));
+}
+
+#[test]
+fn the_tail_is_above_the_exact_one_and_close() {
+    use num_rational::BigRational;
+    use num_traits::{One, Zero};
+    for (k, n, p) in [(0, 1, 0.5), (3, 10, 0.25), (0, 200, 0.01), (7, 120, 0.125), (59, 60, 0.9), (50, 100, 0.5)] {
+        let exact = BigRational::from_float(p).unwrap();
+        let rest = BigRational::one() - &exact;
+        let (mut sum, mut choose) = (BigRational::zero(), BigRational::one());
+        for i in 0..=k {
+            sum += &choose * exact.pow(i) * rest.pow(n - i);
+            choose = choose * BigRational::from_integer((n - i).into()) / BigRational::from_integer((i + 1).into());
+        }
+        let tail = tail_at_most(k as u64, n as u64, p);
+        let bound = BigRational::from_float(tail).unwrap();
+        assert!(bound >= sum, "{k} {n} {p}");
+        assert!(bound <= sum * BigRational::from_float(1.0 + 1e-12).unwrap(), "{k} {n} {p}");
+    }
+}
+
+#[test]
+fn no_term_vanishes_or_overflows_for_large_counts() {
+    // Median of a binomial with mean 500 000: between its mean less one and its mean plus one.
+    let tail = tail_at_most(500_000, 1_000_000, 0.5);
+    assert!((0.5..0.501).contains(&tail), "{tail}");
+    assert!(tail_at_most(9_000, 1_000_000, 0.01) < 1e-20);
+}
+
+#[test]
+fn a_change_of_any_number_that_matters_is_rejected() {
+    let sound = serde_json::to_value(rate(3, 1000, 0.0201, 0.999)).unwrap();
+    let judge = |value: &serde_json::Value| checked(Statement::Rate(serde_json::from_value(value.clone()).unwrap()));
+    assert_eq!(judge(&sound), Ok(Accepted::Rate { at_most: 0.0201, confidence: 0.999 }));
+    for (path, worse) in [
+        ("/failures", 9.into()),
+        ("/failures", 1001.into()),
+        ("/rate_at_most", 0.01.into()),
+        ("/rate_at_most", 0.0.into()),
+        ("/registration/runs", 999.into()),
+        ("/registration/confidence", 0.9999.into()),
+        ("/registration/configuration/controller", "idm".into()),
+        ("/registration_sha256", "".into()),
+    ] {
+        let mut mutant = sound.clone();
+        *mutant.pointer_mut(path).unwrap() = worse;
+        assert!(judge(&mutant).is_err(), "{path}");
+    }
+}
+
+#[test]
+fn the_better_of_two_is_told_by_the_draws_that_tell_them_apart() {
+    let registration = registration(100_000, 0.99);
+    let shown = |only_first_failed, only_second_failed| {
+        let comparison = Comparison {
+            registration_sha256: registration.digest(),
+            registration: registration.clone(),
+            only_first_failed,
+            only_second_failed,
+        };
+        checked(Statement::Comparison(comparison)).is_ok()
+    };
+    assert!(shown(0, 7), "1/128 is below 1 %");
+    assert!(!shown(0, 6), "1/64 is not");
+    assert!(!shown(7, 0));
+    assert!(!shown(0, 0));
+    assert!(shown(400, 500));
+}
