@@ -63,3 +63,4 @@ pub mod report;
 pub mod rl;
 pub mod scenario;
 pub mod sim;
+pub mod worst_case;

@@ -1,0 +1,167 @@
+//! Could anyone have avoided it?
+
+use crumple_verify::Certificate;
+
+use super::branches::Search;
+use super::certificate;
+use super::program::Grid;
+use super::reason::Reason;
+use super::situation::{Side, Situation};
+use super::witness::Escape;
+use crate::scenario::{Scenario, whole_multiple};
+
+/// How to search for an escape.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AvoidOptions {
+    /// Time over which the accelerations of an escape are held, in seconds: a multiple of the scenario's step. Where it is too
+    /// coarse to decide, the step itself is used. None for about a tenth of a second.
+    pub grid_s: Option<f64>,
+}
+
+/// Why a search cannot begin.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum AvoidError {
+    /// The grid does not fit the scenario.
+    #[error("a grid of {grid_s} s is not a multiple of the scenario's step of {step_s} s")]
+    Grid {
+        /// The grid asked for, in seconds.
+        grid_s: f64,
+        /// The scenario's step, in seconds.
+        step_s: f64,
+    },
+}
+
+/// What was found out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Avoidance {
+    /// The answer.
+    pub verdict: Verdict,
+    /// No escape has a larger smallest gap, in metres: a bound over every controller. None if there is no bound, or no escape.
+    pub min_gap_bound_m: Option<f64>,
+    /// Convex programs solved.
+    pub programs: usize,
+}
+
+/// Whether anyone could have avoided it.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Verdict {
+    /// Yes, like this.
+    Avoidable(Box<Escape>),
+    /// Nobody, and here is the proof; the checker has accepted it.
+    Unavoidable(Box<Certificate>),
+    /// Neither was shown.
+    Undecided(Reason),
+}
+
+impl Verdict {
+    /// The name used in results.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Avoidable(_) => "avoidable",
+            Self::Unavoidable(_) => "unavoidable",
+            Self::Undecided(_) => "undecided",
+        }
+    }
+
+    /// The escape, if there is one.
+    #[must_use]
+    pub fn escape(&self) -> Option<&Escape> {
+        match self {
+            Self::Avoidable(escape) => Some(escape),
+            Self::Unavoidable(_) | Self::Undecided(_) => None,
+        }
+    }
+}
+
+/// Most programs on a grid, coarse and fine.
+const MOST_PROGRAMS: [usize; 2] = [64, 24];
+
+/// Decides whether the vehicles under test could have avoided a collision, and by how much.
+///
+/// # Errors
+/// [`AvoidError`] if the options do not fit the scenario.
+pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
+    let cells = cells(scenario, options)?;
+    let situation = match Situation::new(scenario) {
+        Ok(situation) => situation,
+        Err(reason) => {
+            return Ok(Avoidance { verdict: Verdict::Undecided(reason), min_gap_bound_m: None, programs: 0 });
+        }
+    };
+    let mut search = Search::new(&situation);
+    let mut undecided = None;
+    for (cell, most) in cells.into_iter().zip(MOST_PROGRAMS) {
+        search.explore(&Grid::uniform(&situation, cell), most);
+        undecided = match conclude(scenario, &situation, &search) {
+            Ok(verdict) => return Ok(found(&situation, &search, verdict)),
+            Err(reason) => Some(reason),
+        };
+    }
+    let (low_m, high_m) = (search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m), search.bound_m());
+    let reason = undecided.unwrap_or(Reason::TooClose { low_m, high_m });
+    Ok(found(&situation, &search, Verdict::Undecided(reason)))
+}
+
+fn found(situation: &Situation, search: &Search<'_>, verdict: Verdict) -> Avoidance {
+    let bound_m = search.bound_m().min(situation.first_gap_m(Side::Loose));
+    let min_gap_bound_m = (bound_m > 0.0).then_some(bound_m);
+    Avoidance { verdict, min_gap_bound_m, programs: search.programs }
+}
+
+/// The control grids to try, in steps.
+fn cells(scenario: &Scenario, options: AvoidOptions) -> Result<Vec<usize>, AvoidError> {
+    let step_s = scenario.spec().step_s;
+    let first = match options.grid_s {
+        Some(grid_s) => whole_multiple(grid_s, step_s).ok_or(AvoidError::Grid { grid_s, step_s })?,
+        None => (0.1 / step_s).round().max(1.0) as usize,
+    };
+    Ok(if first > 1 { vec![first, 1] } else { vec![1] })
+}
+
+/// The verdict of what a search has found so far, or why there is none yet.
+fn conclude(scenario: &Scenario, situation: &Situation, search: &Search<'_>) -> Result<Verdict, Reason> {
+    let best_m = search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m);
+    if let Some(best) = search.best.as_ref().filter(|best| best.gap_m > 0.0) {
+        if let Some(Reason::EgoResponse { vehicle }) = situation.escape_caveat {
+            return Err(Reason::EgoResponse { vehicle });
+        }
+        let escape = Escape::replay(scenario, situation, best);
+        let caveat = || situation.escape_caveat.clone().unwrap_or(Reason::Replay);
+        return escape.map(|escape| Verdict::Avoidable(Box::new(escape))).ok_or_else(caveat);
+    }
+    let high_m = search.bound_m();
+    if high_m >= 0.0 {
+        return Err(match &search.trouble {
+            Some(status) => Reason::Solver { status: status.clone() },
+            None => Reason::TooClose { low_m: best_m, high_m },
+        });
+    }
+    if let Some(reason) = &situation.proof_caveat {
+        return Err(reason.clone());
+    }
+    let proof = certificate::unavoidable(scenario, situation, search);
+    let proof = proof.ok_or(Reason::TooClose { low_m: best_m, high_m })?;
+    match crumple_verify::check(&proof) {
+        Ok(_) => Ok(Verdict::Unavoidable(Box::new(proof))),
+        Err(rejection) => Err(Reason::Rejected { why: rejection.to_string() }),
+    }
+}
+
+/// The certificate that an escape of a scenario is one, claiming its smallest gap less a hundredth.
+///
+/// # Errors
+/// The [`Reason`] why the scenario cannot be stated in a certificate.
+pub fn certify(scenario: &Scenario, escape: &Escape) -> Result<Certificate, Reason> {
+    let situation = Situation::new(scenario)?;
+    if let Some(reason) = situation.escape_caveat.clone().or_else(|| situation.proof_caveat.clone()) {
+        return Err(reason);
+    }
+    let least_m = Some(0.99 * escape.min_gap_m);
+    let certificate = certificate::avoidable(scenario, &situation, &escape.acceleration_mps2, least_m);
+    match crumple_verify::check(&certificate) {
+        Ok(_) => Ok(certificate),
+        Err(rejection) => Err(Reason::Rejected { why: rejection.to_string() }),
+    }
+}

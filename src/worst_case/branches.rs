@@ -1,0 +1,129 @@
+//! The search over the steps at which the follower's brake may fire.
+//!
+//! Every program that is solved leaves multipliers, and those bound the programs of all other firings as well (see
+//! [`super::multipliers`]) at a thousandth of the price. So the search is one of cuts: solve the firing whose bound is
+//! highest, lower the bounds of all others, drop those that cannot beat the best escape so far, and go on until nothing is
+//! left. If no escape is found, what is left of it is a proof.
+
+use super::multipliers::{Multipliers, Proof};
+use super::program::{self, Answer, Grid, Objective, Wanted};
+use super::situation::{Side, Situation};
+
+/// An escape of the model.
+#[derive(Debug, Clone)]
+pub(super) struct Found {
+    /// The step by which the follower's brake fires; the number of steps for never.
+    pub(super) firing: usize,
+    /// The smallest gap at the instants of the grid, in metres.
+    pub(super) gap_m: f64,
+    /// Acceleration of each ego in each cell, in m/s².
+    pub(super) acceleration_mps2: Vec<Vec<f64>>,
+    pub(super) grid: Grid,
+}
+
+/// The state of a search.
+pub(super) struct Search<'a> {
+    situation: &'a Situation,
+    pub(super) proofs: Vec<Proof>,
+    /// What no escape with that firing exceeds, in metres.
+    bounds_m: Vec<f64>,
+    solved: Vec<bool>,
+    pub(super) best: Option<Found>,
+    pub(super) programs: usize,
+    pub(super) trouble: Option<String>,
+}
+
+/// A larger smallest gap than the best one by less than this is not searched for, in metres.
+const WORTH_M: f64 = 1e-3;
+
+impl<'a> Search<'a> {
+    /// Nothing solved yet.
+    pub(super) fn new(situation: &'a Situation) -> Self {
+        let firings = situation.firings();
+        let mut search = Self {
+            situation,
+            proofs: Vec::new(),
+            bounds_m: vec![situation.first_gap_m(Side::Loose); firings],
+            solved: vec![false; firings],
+            best: None,
+            programs: 0,
+            trouble: None,
+        };
+        if situation.follower.is_some() {
+            // Where not even full braking makes the brake fire, there is nothing to solve.
+            search.cut(Multipliers::of_firing(situation));
+        }
+        search
+    }
+
+    /// What no escape exceeds, in metres, whenever the brake fires.
+    pub(super) fn bound_m(&self) -> f64 {
+        self.bounds_m.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// What no escape of one firing exceeds, in metres.
+    pub(super) fn bound_of_m(&self, firing: usize) -> f64 {
+        self.bounds_m.get(firing).copied().unwrap_or(f64::NEG_INFINITY)
+    }
+
+    /// Solves programs on a grid until no firing promises more than what was found, or `most` have been solved.
+    pub(super) fn explore(&mut self, grid: &Grid, most: usize) {
+        self.solved.fill(false);
+        let mut slack_m = 0.0_f64;
+        for _ in 0..most {
+            let floor_m = self.best.as_ref().map_or(0.0, |best| (best.gap_m + WORTH_M + slack_m).max(0.0));
+            let Some(firing) = self.most_promising(floor_m) else { return };
+            self.solved[firing] = true;
+            if let Some(gap_m) = self.solve(grid, firing) {
+                // What the grid costs against continuous time is not worth more programs on the same grid.
+                slack_m = slack_m.max(self.bounds_m[firing] - gap_m);
+            }
+        }
+    }
+
+    /// The unsolved firing with the highest bound above `floor_m`; the middle one of the first that share it.
+    fn most_promising(&self, floor_m: f64) -> Option<usize> {
+        let open = || self.bounds_m.iter().enumerate().filter(|(firing, bound)| !self.solved[*firing] && **bound > floor_m);
+        let highest_m = open().map(|(_, bound)| *bound).fold(f64::NEG_INFINITY, f64::max);
+        let first = open().find(|(_, bound)| **bound >= highest_m)?.0;
+        let alike = (first..self.bounds_m.len()).take_while(|&at| self.bounds_m[at] >= highest_m && !self.solved[at]);
+        Some(first + alike.count() / 2)
+    }
+
+    /// Solves one program, learns from it, and says how large a gap it found.
+    fn solve(&mut self, grid: &Grid, firing: usize) -> Option<f64> {
+        self.programs += 1;
+        let wanted = Wanted { objective: Objective::LargestGap, side: Side::Tight, jerk_mps3: None };
+        match program::solve(self.situation, grid, firing, wanted) {
+            Answer::Profile { gap_m, acceleration_mps2, multipliers } => {
+                self.cut(multipliers);
+                if self.best.as_ref().is_none_or(|best| gap_m > best.gap_m) {
+                    self.best = Some(Found { firing, gap_m, acceleration_mps2, grid: grid.clone() });
+                }
+                Some(gap_m)
+            }
+            Answer::Empty(multipliers) => {
+                self.cut(multipliers);
+                None
+            }
+            Answer::Trouble(status) => {
+                self.trouble = Some(status);
+                None
+            }
+        }
+    }
+
+    /// Lowers every bound that multipliers lower.
+    fn cut(&mut self, multipliers: Multipliers) {
+        let proof = Proof::new(self.situation, multipliers);
+        let never = self.situation.never();
+        let floor_m = self.best.as_ref().map_or(0.0, |best| best.gap_m.max(0.0));
+        for (firing, bound_m) in self.bounds_m.iter_mut().enumerate() {
+            // What cannot win any more need not be bounded better.
+            if *bound_m >= floor_m {
+                *bound_m = bound_m.min(proof.gap_bound_m(self.situation, firing, firing < never));
+            }
+        }
+        self.proofs.push(proof);
+    }
+}
