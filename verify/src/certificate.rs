@@ -54,6 +54,21 @@ pub enum Assumption {
     NoiseOfSeed,
 }
 
+impl std::fmt::Display for Assumption {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(match self {
+            Self::ExactMotion => {
+                "accelerations are held over each step, and a vehicle that has stopped does not reverse"
+            }
+            Self::ScriptedLeader => "the leader moves as scripted and reacts to nobody",
+            Self::LatchedFollower => "the follower holds its speed until its latched emergency brake fires",
+            Self::EgoWithinLimits => "no vehicle under test brakes or accelerates harder than stated",
+            Self::EgoOnProfile => "the vehicles under test follow the stated profile at once",
+            Self::NoiseOfSeed => "noise is that of the scenario's seed",
+        })
+    }
+}
+
 /// What is claimed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -62,6 +77,19 @@ pub enum Statement {
     Avoidable(Avoidable),
     /// With no profile of ego accelerations does nobody touch.
     Unavoidable(Unavoidable),
+}
+
+impl Statement {
+    /// What the statement takes for granted.
+    #[must_use]
+    pub fn assumptions(&self) -> Vec<Assumption> {
+        let (scene, about_egos) = match self {
+            Self::Avoidable(claim) => (&claim.scene, Assumption::EgoOnProfile),
+            Self::Unavoidable(claim) => (&claim.scene, Assumption::EgoWithinLimits),
+        };
+        let follower = scene.follower.as_ref().map(|_| Assumption::LatchedFollower);
+        [Assumption::ExactMotion, Assumption::ScriptedLeader, about_egos].into_iter().chain(follower).collect()
+    }
 }
 
 /// A profile with which nobody touches.
@@ -92,36 +120,26 @@ pub type Rows = Vec<(u32, f64)>;
 
 /// Multipliers for all profiles in which the follower's brake first fires at an instant from `first` to `last`.
 ///
-/// Instant N means never. The rows are those of [`unavoidable`](crate::unavoidable); an absent list is empty.
+/// Instant N means never. The rows are those of [`unavoidable`](crate::unavoidable); what is absent is empty or zero.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct Branch {
     /// Earliest firing instant.
     pub first: u32,
     /// Latest firing instant.
     pub last: u32,
     /// The first ego stays behind the leader, instants 0 to N.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub front: Rows,
     /// Ego i + 1 stays behind ego i, one list for each pair.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub between: Vec<Rows>,
     /// The last ego stays ahead of the follower, instants 0 to N.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rear: Rows,
     /// No ego reverses, one list for each ego, instants 0 to N.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub speed: Vec<Rows>,
     /// The follower's brake has not fired, instants before `first`.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unfired: Rows,
     /// The follower's brake fires at `first`; only where `first` = `last` < N.
-    #[serde(default, skip_serializing_if = "is_zero")]
     pub fired: f64,
-}
-
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 /// Why a file is not a certificate.
@@ -143,6 +161,14 @@ pub enum ParseError {
 }
 
 impl Certificate {
+    /// Whether the assumptions listed are those that the statement needs, noise of the seed apart.
+    pub(crate) fn lists_its_assumptions(&self) -> bool {
+        let needed = self.statement.assumptions();
+        let noise = usize::from(self.assumptions.contains(&Assumption::NoiseOfSeed));
+        needed.iter().all(|assumption| self.assumptions.contains(assumption))
+            && self.assumptions.len() == needed.len() + noise
+    }
+
     /// Reads a certificate from text.
     ///
     /// # Errors

@@ -5,7 +5,13 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::Rejection;
 use crate::interval::Interval;
+
+/// Most steps of a scene.
+pub const MOST_STEPS: u32 = 100_000;
+/// Most egos of a scene.
+pub const MOST_EGOS: usize = 16;
 
 /// A value held over a number of steps. In a file `[steps, value]`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -75,4 +81,53 @@ pub struct Follower {
     pub ttc_s: f64,
     /// Steps from firing to braking.
     pub reaction_steps: u32,
+}
+
+impl Scene {
+    /// Whether the scene makes sense: no speed, length, limit or time is negative or infinite, and sizes are bounded.
+    ///
+    /// # Errors
+    /// [`Rejection::Invalid`] names the first field that does not.
+    pub fn check(&self) -> Result<(), Rejection> {
+        if !(self.step_s > 0.0 && self.step_s.is_finite()) {
+            return Err(Rejection::invalid("step_s", "must be positive"));
+        }
+        if !(1..=MOST_STEPS).contains(&self.steps) {
+            return Err(Rejection::invalid("steps", "must be from 1 to 100 000"));
+        }
+        if !(1..=MOST_EGOS).contains(&self.egos.len()) {
+            return Err(Rejection::invalid("egos", "must be from 1 to 16"));
+        }
+        let Leader { length_m, speed_mps, acceleration_mps2, .. } = &self.leader;
+        check_range("leader", &[("length_m", *length_m), ("speed_mps", speed_mps.low())])?;
+        self.check_length(acceleration_mps2, || "leader.acceleration_mps2".into())?;
+        for (index, ego) in self.egos.iter().enumerate() {
+            let limits = [("max_brake_mps2", ego.max_brake_mps2), ("max_accel_mps2", ego.max_accel_mps2)];
+            check_range(&format!("egos[{index}]"), &limits)?;
+            check_range(&format!("egos[{index}]"), &[("length_m", ego.length_m), ("speed_mps", ego.speed_mps.low())])?;
+        }
+        if let Some(Follower { speed_mps, brake_mps2, ttc_s, .. }) = &self.follower {
+            let fields = [("speed_mps", speed_mps.low()), ("brake_mps2", brake_mps2.low()), ("ttc_s", *ttc_s)];
+            check_range("follower", &fields)?;
+        }
+        Ok(())
+    }
+
+    /// Whether a profile lasts for exactly N steps.
+    pub(crate) fn check_length<T>(&self, held: &[Held<T>], field: impl Fn() -> String) -> Result<(), Rejection> {
+        // Saturating, as 2^32 pieces of 2^32 steps would overflow; then the total is not N either.
+        let steps = held.iter().fold(0_u64, |sum, piece| sum.saturating_add(piece.0.into()));
+        if steps == u64::from(self.steps) {
+            Ok(())
+        } else {
+            Err(Rejection::invalid(field(), "must last for all N steps"))
+        }
+    }
+}
+
+fn check_range(of: &str, fields: &[(&str, f64)]) -> Result<(), Rejection> {
+    match fields.iter().find(|(_, value)| !(*value >= 0.0 && value.is_finite())) {
+        Some((name, _)) => Err(Rejection::invalid(format!("{of}.{name}"), "is negative or infinite")),
+        None => Ok(()),
+    }
 }

@@ -4,14 +4,13 @@
 //! at most half a gap away from the exact result, so the exact result lies inside. What overflows or has no value becomes
 //! the whole line, about which nothing can be proved.
 
-use std::ops::{Add, Mul, Neg, Sub};
+use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
-use serde::de::value::MapAccessDeserializer;
-use serde::de::{Error, MapAccess, Visitor};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 /// All real numbers from `low` to `high`. In a file a plain number, or `{"low": …, "high": …}`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Written", into = "Written")]
 pub struct Interval {
     low: f64,
     high: f64,
@@ -100,23 +99,14 @@ impl Interval {
 
     /// An operation that takes its extremes at the ends of both operands.
     fn corners(self, other: Self, operation: impl Fn(f64, f64) -> f64) -> Self {
-        let [a, b] = [self.low, self.high].map(|end| [operation(end, other.low), operation(end, other.high)]);
-        if [a, b].iter().flatten().any(|value| value.is_nan()) {
-            return Self::LINE;
+        let [a, b] = [operation(self.low, other.low), operation(self.low, other.high)];
+        let [c, d] = [operation(self.high, other.low), operation(self.high, other.high)];
+        // The sum is a NaN if one of them is, and nothing is lost if it is one for opposite infinities.
+        if (a + b + c + d).is_nan() {
+            Self::LINE
+        } else {
+            Self::outward(a.min(b).min(c.min(d)), a.max(b).max(c.max(d)))
         }
-        Self::outward(a[0].min(a[1]).min(b[0]).min(b[1]), a[0].max(a[1]).max(b[0]).max(b[1]))
-    }
-}
-
-impl From<f64> for Interval {
-    fn from(value: f64) -> Self {
-        Self::point(value)
-    }
-}
-
-impl From<u32> for Interval {
-    fn from(value: u32) -> Self {
-        Self::point(f64::from(value))
     }
 }
 
@@ -125,6 +115,12 @@ impl Add for Interval {
 
     fn add(self, other: Self) -> Self {
         Self::outward(self.low + other.low, self.high + other.high)
+    }
+}
+
+impl AddAssign for Interval {
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
     }
 }
 
@@ -152,50 +148,28 @@ impl Mul for Interval {
     }
 }
 
+/// An interval as a file states it.
 #[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Ends {
-    low: f64,
-    high: f64,
+#[serde(untagged, deny_unknown_fields, expecting = "expected a number or {\"low\": number, \"high\": number}")]
+enum Written {
+    Number(f64),
+    Ends { low: f64, high: f64 },
 }
 
-impl Serialize for Interval {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let Self { low, high } = *self;
-        if low == high { serializer.serialize_f64(low) } else { Ends { low, high }.serialize(serializer) }
+impl TryFrom<Written> for Interval {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Self, String> {
+        let (low, high) = match written {
+            Written::Number(value) => (value, value),
+            Written::Ends { low, high } => (low, high),
+        };
+        Self::new(low, high).ok_or_else(|| format!("an interval from {low} to {high} has no members"))
     }
 }
 
-impl<'de> Deserialize<'de> for Interval {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(NumberOrEnds)
-    }
-}
-
-struct NumberOrEnds;
-
-impl<'de> Visitor<'de> for NumberOrEnds {
-    type Value = Interval;
-
-    fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("a number or {\"low\": number, \"high\": number}")
-    }
-
-    fn visit_f64<E: Error>(self, value: f64) -> Result<Interval, E> {
-        Interval::new(value, value).ok_or_else(|| E::custom("a number that is not finite"))
-    }
-
-    fn visit_i64<E: Error>(self, value: i64) -> Result<Interval, E> {
-        self.visit_f64(value as f64)
-    }
-
-    fn visit_u64<E: Error>(self, value: u64) -> Result<Interval, E> {
-        self.visit_f64(value as f64)
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Interval, A::Error> {
-        let Ends { low, high } = Ends::deserialize(MapAccessDeserializer::new(map))?;
-        Interval::new(low, high)
-            .ok_or_else(|| A::Error::custom(format!("an interval from {low} to {high} has no members")))
+impl From<Interval> for Written {
+    fn from(Interval { low, high }: Interval) -> Self {
+        if low == high { Self::Number(low) } else { Self::Ends { low, high } }
     }
 }

@@ -1,7 +1,61 @@
-//! Checks what crumple claims to have proved.
+//! Checks what crumple claims to have proved about a traffic scene, sharing no code with it.
+//!
+//! crumple simulates, searches and solves convex programs. What it concludes is written to a file together with a proof, and
+//! this crate accepts or rejects the file. It depends on no simulator, solver or random number. Read it in this order:
+//!
+//! 1. [`interval`]: numbers that are never wrong, only wide;
+//! 2. [`claim`]: what a scene is; [`motion`]: where its vehicles are;
+//! 3. [`avoidable`]: a profile is replayed, and nobody touches;
+//! 4. [`unavoidable`]: whatever is done, somebody touches;
+//! 5. [`certificate`]: the file.
+//!
+//! # What is claimed
+//! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test; behind them, perhaps, a follower
+//! with a latched emergency brake. Two vehicles touch when the gap between them is zero or less at any time from instant 0
+//! to instant N. A claim over intervals holds for every member: every start, every acceleration within its bounds.
+//!
+//! - *Avoidable*: if the egos follow the stated profile, which is within their limits, nobody touches.
+//! - *Unavoidable*: for no accelerations of the egos within their limits, however they are decided, does nobody touch.
+//!
+//! # What is assumed
+//! What the certificate lists as [`Assumption`]s, and has to list. The numbers are those in the file, read as the nearest
+//! 64-bit floating-point numbers; that they describe the scenario named there is not checked here. Motion is that of real
+//! numbers: a simulator rounds, by about 1e-12 m. The rest is trust in this crate, its compiler, and IEEE 754 arithmetic.
+//!
+//! # Checking by hand
+//! A car at 20 m/s that can brake at 8 m/s², 1 m behind a standing vehicle of 2 m, steps of 0.1 s. One row says it all: at
+//! instant 1 the car must be behind the bumper, x_1 ≤ 1. With multiplier 1 on it q falls from 0.1 to 0, never below, so the
+//! sum is least for full braking: L = 20 · 0.1 - 8 · 0.1² / 2 - 1 = 0.96 > 0. Nobody could have avoided it.
+//!
+//! ```
+//! let text = r#"{
+//!     "version": 1,
+//!     "provenance": {"crumple": "0.1.0", "scenario": "by hand", "scenario_sha256": ""},
+//!     "assumptions": ["exact-motion", "scripted-leader", "ego-within-limits"],
+//!     "statement": {"unavoidable": {
+//!         "scene": {
+//!             "step_s": 0.1, "steps": 10,
+//!             "leader": {"position_m": 3, "length_m": 2, "speed_mps": 0, "acceleration_mps2": [[10, 0]]},
+//!             "egos": [{"position_m": 0, "length_m": 2, "speed_mps": 20, "max_brake_mps2": 8, "max_accel_mps2": 3}],
+//!             "follower": null
+//!         },
+//!         "branches": [{"first": 0, "last": 10, "front": [[1, 1]]}]
+//!     }}
+//! }"#;
+//! let certificate = crumple_verify::Certificate::from_json(text)?;
+//! match crumple_verify::check(&certificate) {
+//!     Ok(crumple_verify::Accepted::Unavoidable { overlap_m }) => assert!((overlap_m - 0.96).abs() < 1e-12),
+//!     other => panic!("{other:?}"),
+//! }
+//! # Ok::<(), crumple_verify::ParseError>(())
+//! ```
+
+pub mod avoidable;
 pub mod certificate;
 pub mod claim;
 pub mod interval;
+pub mod motion;
+pub mod unavoidable;
 
 pub use certificate::{
     Assumption, Avoidable, Branch, Certificate, ParseError, Provenance, Rows, Statement, Unavoidable,
@@ -10,7 +64,7 @@ pub use claim::{Ego, Follower, Held, Leader, Scene};
 pub use interval::Interval;
 
 /// What has been proved.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Accepted {
     /// With the stated profile nobody touches.
@@ -20,24 +74,94 @@ pub enum Accepted {
     },
     /// Whatever the egos do, somebody touches.
     Unavoidable {
-        /// Any profile would make two vehicles overlap by at least this, in metres; infinite if every branch is empty.
+        /// Whatever they do, two vehicles would overlap by at least this if they could, in metres.
         overlap_m: f64,
     },
+}
+
+impl std::fmt::Display for Accepted {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Avoidable { smallest_gap_m } => {
+                write!(formatter, "avoidable: on the stated profile no gap is ever smaller than {smallest_gap_m} m")
+            }
+            Self::Unavoidable { overlap_m } => {
+                write!(formatter, "unavoidable: whatever is done, two vehicles would overlap by {overlap_m} m or more")
+            }
+        }
+    }
 }
 
 /// Why a certificate proves nothing.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Rejection {
-    /// Not built yet.
-    #[error("the check is not built yet")]
-    Unbuilt,
+    /// A field has a value that makes no sense.
+    #[error("`{field}` {problem}")]
+    Invalid {
+        /// Where.
+        field: String,
+        /// What is wrong.
+        problem: &'static str,
+    },
+    /// The assumptions are not those that the statement needs.
+    #[error("`assumptions` must be {needed:?}, and at most noise-of-seed besides")]
+    Assumptions {
+        /// What it needs.
+        needed: Vec<Assumption>,
+    },
+    /// On the stated profile two vehicles may touch.
+    #[error(
+        "vehicle {front_vehicle} and the one behind it may touch in step {step}: only a gap of {gap_m} m is proved"
+    )]
+    MayTouch {
+        /// The vehicle ahead, 0 for the leader.
+        front_vehicle: usize,
+        /// The step, 0 for the first.
+        step: u32,
+        /// What is proved of the gap, in metres.
+        gap_m: f64,
+    },
+    /// The smallest gap is not proved to be as large as stated.
+    #[error("`min_gap_m_at_least` is {stated_m}, and only {smallest_gap_m} m is proved")]
+    SmallestGap {
+        /// What is stated, in metres.
+        stated_m: f64,
+        /// What is proved, in metres.
+        smallest_gap_m: f64,
+    },
+    /// The branches do not cover the firing instants one after the other.
+    #[error("`branches[{branch}]` must begin where the one before ends, and end no later than instant N")]
+    Tiling {
+        /// Which branch.
+        branch: usize,
+    },
+    /// The multipliers of a branch prove nothing.
+    #[error("`branches[{branch}]` is not proved: its sum may be as low as {sum_m} m")]
+    Unproved {
+        /// Which branch.
+        branch: usize,
+        /// The lower bound found, in metres.
+        sum_m: f64,
+    },
+}
+
+impl Rejection {
+    fn invalid(field: impl Into<String>, problem: &'static str) -> Self {
+        Self::Invalid { field: field.into(), problem }
+    }
 }
 
 /// Checks a certificate.
 ///
 /// # Errors
 /// [`Rejection`] if it does not prove what it states.
-pub fn check(_certificate: &Certificate) -> Result<Accepted, Rejection> {
-    Err(Rejection::Unbuilt)
+pub fn check(certificate: &Certificate) -> Result<Accepted, Rejection> {
+    if !certificate.lists_its_assumptions() {
+        return Err(Rejection::Assumptions { needed: certificate.statement.assumptions() });
+    }
+    match &certificate.statement {
+        Statement::Avoidable(claim) => avoidable::check(claim),
+        Statement::Unavoidable(claim) => unavoidable::check(claim),
+    }
 }

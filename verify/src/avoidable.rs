@@ -1,0 +1,112 @@
+//! Nobody touches: the stated profile is replayed over the whole box.
+//!
+//! Leader and egos move as [`motion`](crate::motion) says. The follower fires at an instant that may differ from member to
+//! member of the box. Before it has fired it coasts, so whether it fires at instant k if it has not before is decided by
+//!
+//! ```text
+//! guard = (x_k - L - r_k) - θ (v_r - v_k),   r_k = r_0 + v_r k h,
+//! ```
+//!
+//! and once the guard is surely negative every member has fired. As firing later never moves the follower back, no member's
+//! follower is ahead of one that fires at that instant, and it is this one that the last ego is compared with.
+//!
+//! Between two instants a gap g satisfies g'' ≤ m, where m is the most that the vehicle ahead accelerates (at least 0, as it
+//! may stop) less the least that the one behind does (at most 0). Then g(t) ≥ chord(t) - m t (h - t) / 2, hence
+//!
+//! ```text
+//! g ≥ min(g at begin, g at end) - m h² / 8   throughout the step.
+//! ```
+//!
+//! The profile is accepted if this is positive for every pair in every step.
+
+use crate::certificate::Avoidable;
+use crate::claim::Scene;
+use crate::interval::Interval;
+use crate::motion::{after, expand};
+use crate::{Accepted, Rejection};
+
+pub(crate) fn check(claim: &Avoidable) -> Result<Accepted, Rejection> {
+    claim.scene.check()?;
+    check_profiles(claim)?;
+    let smallest_gap_m = smallest_gap_m(claim)?;
+    let stated_m = claim.min_gap_m_at_least.unwrap_or(0.0);
+    if smallest_gap_m >= stated_m {
+        Ok(Accepted::Avoidable { smallest_gap_m })
+    } else {
+        Err(Rejection::SmallestGap { stated_m, smallest_gap_m })
+    }
+}
+
+fn check_profiles(Avoidable { scene, witness, .. }: &Avoidable) -> Result<(), Rejection> {
+    if witness.len() != scene.egos.len() {
+        return Err(Rejection::invalid("witness", "must hold one profile for each ego"));
+    }
+    for (index, (profile, ego)) in witness.iter().zip(&scene.egos).enumerate() {
+        scene.check_length(profile, || format!("witness[{index}]"))?;
+        let is_able = |a: f64| -ego.max_brake_mps2 <= a && a <= ego.max_accel_mps2;
+        if let Some(piece) = profile.iter().position(|held| !is_able(held.1)) {
+            return Err(Rejection::invalid(
+                format!("witness[{index}][{piece}]"),
+                "is beyond what the ego is able to do",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// A lower bound of every gap at every time, in metres.
+fn smallest_gap_m(Avoidable { scene, witness, .. }: &Avoidable) -> Result<f64, Rejection> {
+    let profiles: Vec<Vec<Interval>> = std::iter::once(expand(&scene.leader.acceleration_mps2).collect())
+        .chain(witness.iter().map(|profile| expand(profile).map(Interval::point).collect()))
+        .collect();
+    let mut line: Vec<(Interval, Interval)> = std::iter::once((scene.leader.position_m, scene.leader.speed_mps))
+        .chain(scene.egos.iter().map(|ego| (ego.position_m, ego.speed_mps)))
+        .collect();
+    let step_s = Interval::point(scene.step_s);
+    let eighth = step_s.sqr() * Interval::point(0.125);
+    let mut fires = scene.steps;
+    let mut smallest_m = f64::INFINITY;
+    let mut before = gaps_m(scene, &line, fires, 0);
+    for k in 0..scene.steps {
+        if fires == scene.steps && surely_fires(scene, &line, k) {
+            fires = k;
+        }
+        let mut accelerations: Vec<Interval> = profiles.iter().map(|profile| profile[k as usize]).collect();
+        for ((x, v), &a) in line.iter_mut().zip(&accelerations) {
+            let (covered_m, speed_mps) = after(*v, a, step_s);
+            (*x, *v) = (*x + covered_m, speed_mps);
+        }
+        accelerations.extend(scene.follower.as_ref().map(|follower| -follower.brake_mps2));
+        let now = gaps_m(scene, &line, fires, k + 1);
+        for (front, (begin, end)) in before.iter().zip(&now).enumerate() {
+            let (ahead, behind) =
+                (accelerations[front].max(Interval::ZERO), accelerations[front + 1].min(Interval::ZERO));
+            let gap_m = (begin.min(*end) - (ahead - behind) * eighth).low();
+            if gap_m > 0.0 {
+                smallest_m = smallest_m.min(gap_m);
+            } else {
+                return Err(Rejection::MayTouch { front_vehicle: front, step: k, gap_m });
+            }
+        }
+        before = now;
+    }
+    Ok(smallest_m)
+}
+
+/// The gaps at instant `k`, front to rear, the last one to a follower that fires at `fires`.
+fn gaps_m(scene: &Scene, line: &[(Interval, Interval)], fires: u32, k: u32) -> Vec<Interval> {
+    let lengths_m = std::iter::once(scene.leader.length_m).chain(scene.egos.iter().map(|ego| ego.length_m));
+    let rears = line.iter().zip(lengths_m).map(|((x, _), length_m)| *x - Interval::point(length_m));
+    let follower = scene.follower.as_ref().map(|follower| scene.follower_m(follower, fires, k));
+    let fronts = line.iter().skip(1).map(|(x, _)| *x).chain(follower);
+    rears.zip(fronts).map(|(rear, front)| rear - front).collect()
+}
+
+/// Whether at instant `k` the guard is negative in every member in which it was not before.
+fn surely_fires(scene: &Scene, line: &[(Interval, Interval)], k: u32) -> bool {
+    let (Some(follower), Some(ego), Some((x, v))) = (&scene.follower, scene.egos.last(), line.last()) else {
+        return false;
+    };
+    let gap = *x - Interval::point(ego.length_m) - scene.follower_m(follower, scene.steps, k);
+    (gap - Interval::point(follower.ttc_s) * (follower.speed_mps - *v)).high() < 0.0
+}

@@ -1,0 +1,79 @@
+//! Where vehicles are, without loss.
+//!
+//! A vehicle at speed v ≥ 0 that holds the acceleration a has the speed max(0, v + a s) after s seconds: it does not
+//! reverse, and once it stands with a < 0 it stays. So after t seconds it has covered
+//!
+//! ```text
+//! d(v, a, t) = ∫ max(0, v + a s) ds from 0 to t  =  v t + a t²/2    if v + a t ≥ 0
+//!                                                =  v² / (-2 a)     otherwise: it stopped on the way
+//! ```
+//!
+//! The integrand grows with v and with a, hence so do d and the speed, whether it stops or not. Over a box of speeds and
+//! accelerations both are therefore least where v and a are least, and largest where they are largest: no case of a stop
+//! in some members only needs to be told apart. The same comparison holds for an acceleration that changes within its
+//! bounds during the step.
+//!
+//! Firing later never moves the follower back, for the same reason: its acceleration is nowhere less.
+
+use crate::claim::{Follower, Held, Scene};
+use crate::interval::Interval;
+
+/// Distance covered in metres, and speed in m/s, after `time_s` seconds at a held acceleration. Speeds and times are not
+/// negative.
+#[must_use]
+pub fn after(speed_mps: Interval, acceleration_mps2: Interval, time_s: Interval) -> (Interval, Interval) {
+    let (least_m, least_mps) = corner(speed_mps.low(), acceleration_mps2.low(), time_s);
+    let (most_m, most_mps) = corner(speed_mps.high(), acceleration_mps2.high(), time_s);
+    (least_m.hull(most_m), least_mps.hull(most_mps))
+}
+
+fn corner(v: f64, a: f64, t: Interval) -> (Interval, Interval) {
+    let (v, a) = (Interval::point(v), Interval::point(a));
+    let end = v + a * t;
+    let moving = || v * t + a * t.sqr() * Interval::point(0.5);
+    let stopped = || v.sqr().over(-(a + a));
+    let covered = match (a.low() >= 0.0 || end.low() >= 0.0, end.high() < 0.0) {
+        (true, _) => moving(),
+        (_, true) => stopped(),
+        // Rounding leaves open whether it stops: either formula may be the true one.
+        _ => moving().hull(stopped()),
+    };
+    (covered, end.max(Interval::ZERO))
+}
+
+/// The value of every step.
+pub(crate) fn expand<T: Copy>(held: &[Held<T>]) -> impl Iterator<Item = T> {
+    held.iter().flat_map(|&Held(steps, value)| std::iter::repeat_n(value, steps as usize))
+}
+
+impl Scene {
+    /// Instant `k`, in seconds.
+    #[must_use]
+    pub fn time_s(&self, k: u32) -> Interval {
+        Interval::point(f64::from(k)) * Interval::point(self.step_s)
+    }
+
+    /// The leader's rear bumper at the instants 0 to N, in metres.
+    #[must_use]
+    pub fn leader_rear_m(&self) -> Vec<Interval> {
+        let rear_m = self.leader.position_m - Interval::point(self.leader.length_m);
+        let step_s = Interval::point(self.step_s);
+        let moves = expand(&self.leader.acceleration_mps2).scan((rear_m, self.leader.speed_mps), |(x, v), a| {
+            let (covered_m, speed_mps) = after(*v, a, step_s);
+            (*x, *v) = (*x + covered_m, speed_mps);
+            Some(*x)
+        });
+        std::iter::once(rear_m).chain(moves).collect()
+    }
+
+    /// The follower's front bumper in metres at instant `k`, at most N, if its brake fires at instant `fires`; N means never.
+    #[must_use]
+    pub fn follower_m(&self, follower: &Follower, fires: u32, k: u32) -> Interval {
+        let coasts = k.min(fires.saturating_add(follower.reaction_steps));
+        let coasting_m = follower.position_m + follower.speed_mps * self.time_s(coasts);
+        if coasts == k {
+            return coasting_m;
+        }
+        coasting_m + after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).0
+    }
+}

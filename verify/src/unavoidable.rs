@@ -1,0 +1,221 @@
+//! Somebody touches whatever the egos do: a weighted sum of what an escape would have to satisfy cannot be satisfied.
+//!
+//! # What an escape satisfies
+//! Let a be the egos' accelerations, any measurable functions of time within [-b, A]. Fix a member of the box and suppose
+//! that nobody touches. The follower's brake first fires at some instant τ (N: never), which lies in exactly one branch
+//! [τ1, τ2]. As it moves no further back by firing later, it is at least at R_k, where it would be had it fired at τ1. With
+//! x_k, v_k for position and speed of an ego at instant k, L its length, F_k for the leader's rear bumper, and r_k = r_0 +
+//! v_r k h for the coasting follower, each of these *rows* is at most zero:
+//!
+//! ```text
+//! front    x¹_k - F_k                               the first ego
+//! between  xⁱ⁺¹_k - xⁱ_k + Lⁱ                       each ego and the next
+//! rear     R_k + L - x_k                            the last ego
+//! speed    -v_k                                     each ego
+//! unfired  -[(x_k - L - r_k) - θ (v_r - v_k)]       the last ego, k < τ1: the brake has not fired
+//! fired    +[(x_τ - L - r_τ) - θ (v_r - v_τ)]       the last ego, only if τ1 = τ2 = τ < N
+//! ```
+//!
+//! # Why that is impossible
+//! Multiplied by numbers that are not negative and summed, the rows are still at most zero. The sum is, ego by ego,
+//!
+//! ```text
+//! constant + Σ_k (w_k x_k + s_k v_k),   x_k = x_0 + v_0 t_k + ∫ (t_k - t)⁺ a dt,   v_k = v_0 + ∫ [t < t_k] a dt
+//! = constant + x_0 Σ w_k + v_0 Σ (w_k t_k + s_k) + ∫ q(t) a(t) dt,   q(t) = Σ over t_k > t of (w_k (t_k - t) + s_k).
+//! ```
+//!
+//! q is linear inside each step, and q a ≥ φ(q) = min(-b q, A q). So the sum is at least L, which replaces the integrand by
+//! φ(q). If L > 0 over the whole box there is no escape in this branch; if this holds in every branch there is none. No
+//! equation that a solver has solved has to hold: any multipliers prove something or nothing.
+//!
+//! A branch whose sum is L with contact multipliers (front, between, rear) adding up to Y shows more: some contact row is
+//! at least L / Y, so that two vehicles would overlap by that many metres if they could pass through each other.
+//!
+//! # Why this covers the simulator, and every car
+//! What an ego does there is a measurable acceleration within [-b, A]: held over steps, zero once it stands, late, lagging,
+//! limited in jerk, decided by whatever it sees. Delay, lag and noise of the sensors only take freedom away.
+
+use crate::certificate::{Branch, Rows, Unavoidable};
+use crate::claim::{Ego, Scene};
+use crate::interval::Interval;
+use crate::{Accepted, Rejection};
+
+/// Most branches times egos times instants.
+const MOST_WORK: u64 = 100_000_000;
+
+pub(crate) fn check(Unavoidable { scene, branches }: &Unavoidable) -> Result<Accepted, Rejection> {
+    scene.check()?;
+    check_tiling(scene, branches)?;
+    let mut overlaps_m = branches.iter().enumerate().map(|(index, branch)| check_branch(scene, branch, index));
+    let overlap_m = overlaps_m.try_fold(f64::INFINITY, |least_m, overlap_m| Ok(overlap_m?.min(least_m)))?;
+    Ok(Accepted::Unavoidable { overlap_m })
+}
+
+/// The overlap in metres that branch number `index` proves; infinite if no profile fires there at all.
+///
+/// # Errors
+/// [`Rejection`] if the scene or the branch makes no sense, or the branch proves nothing.
+pub fn check_branch(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
+    scene.check()?;
+    check_rows(scene, branch, index)?;
+    let (sum_m, contact) = least_sum(scene, branch);
+    let overlap_m = if contact == Interval::ZERO { f64::INFINITY } else { Interval::point(sum_m).over(contact).low() };
+    if sum_m > 0.0 && overlap_m > 0.0 { Ok(overlap_m) } else { Err(Rejection::Unproved { branch: index, sum_m }) }
+}
+
+/// The branches cover 0 to N, in order, each instant once; without a follower there is one.
+fn check_tiling(scene: &Scene, branches: &[Branch]) -> Result<(), Rejection> {
+    let work = (u64::from(scene.steps) + 1) * scene.egos.len() as u64 * branches.len() as u64;
+    if work > MOST_WORK {
+        return Err(Rejection::invalid("branches", "times egos times steps are too many to check"));
+    }
+    let mut next = Some(0);
+    for (index, &Branch { first, last, .. }) in branches.iter().enumerate() {
+        if Some(first) != next || last < first || last > scene.steps {
+            return Err(Rejection::Tiling { branch: index });
+        }
+        next = last.checked_add(1);
+    }
+    if branches.last().is_none_or(|branch| branch.last != scene.steps) {
+        return Err(Rejection::invalid("branches", "must end with the last instant, N"));
+    }
+    if scene.follower.is_none() && branches.len() != 1 {
+        return Err(Rejection::invalid("branches", "must be one if there is no follower"));
+    }
+    Ok(())
+}
+
+/// Every multiplier belongs to a row that exists, is named once, and is not negative.
+fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Rejection> {
+    let place = |name: &str| format!("branches[{index}].{name}");
+    // The rows that mention the follower do not exist without one.
+    let with_follower = |end: u32| if scene.follower.is_some() { end } else { 0 };
+    let end = scene.steps + 1;
+    check_list(&branch.front, end, || place("front"))?;
+    check_list(&branch.rear, with_follower(end), || place("rear"))?;
+    check_list(&branch.unfired, with_follower(branch.first), || place("unfired"))?;
+    let egos = scene.egos.len();
+    for (name, lists, wanted) in [("between", &branch.between, egos - 1), ("speed", &branch.speed, egos)] {
+        if !lists.is_empty() && lists.len() != wanted {
+            return Err(Rejection::invalid(place(name), "has a wrong number of lists"));
+        }
+        for (list, rows) in lists.iter().enumerate() {
+            check_list(rows, end, || format!("{}[{list}]", place(name)))?;
+        }
+    }
+    let may_fire = with_follower(scene.steps) > branch.first && branch.first == branch.last;
+    if branch.fired == 0.0 || may_fire && branch.fired > 0.0 && branch.fired.is_finite() {
+        return Ok(());
+    }
+    Err(Rejection::invalid(place("fired"), "must be 0 except for a single firing instant, and not negative"))
+}
+
+/// Instants increase and are less than `end`.
+fn check_list(rows: &Rows, end: u32, place: impl Fn() -> String) -> Result<(), Rejection> {
+    let mut next = 0;
+    for (entry, &(k, multiplier)) in rows.iter().enumerate() {
+        if k < next || k >= end {
+            return Err(Rejection::invalid(format!("{}[{entry}]", place()), "is out of order, or has no such row"));
+        }
+        if !(multiplier >= 0.0 && multiplier.is_finite()) {
+            return Err(Rejection::invalid(format!("{}[{entry}]", place()), "has a negative or infinite multiplier"));
+        }
+        next = k + 1;
+    }
+    Ok(())
+}
+
+/// A lower bound of the weighted sum in metres, over the box and all profiles, and the sum of the contact multipliers.
+fn least_sum(scene: &Scene, branch: &Branch) -> (f64, Interval) {
+    let egos = &scene.egos;
+    let leader_rear_m = scene.leader_rear_m();
+    let last = egos.len() - 1;
+    let mut weights = vec![vec![[Interval::ZERO; 2]; scene.steps as usize + 1]; egos.len()];
+    let (mut constant, mut contact) = (Interval::ZERO, Interval::ZERO);
+    for (k, y) in each(&branch.front) {
+        weights[0][k][POSITION] += y;
+        constant += -(y * leader_rear_m[k]);
+        contact += y;
+    }
+    for (ahead, rows) in branch.between.iter().enumerate() {
+        for (k, y) in each(rows) {
+            weights[ahead + 1][k][POSITION] += y;
+            weights[ahead][k][POSITION] += -y;
+            constant += y * Interval::point(egos[ahead].length_m);
+            contact += y;
+        }
+    }
+    for (ego, rows) in branch.speed.iter().enumerate() {
+        for (k, y) in each(rows) {
+            weights[ego][k][SPEED] += -y;
+        }
+    }
+    if let Some(follower) = &scene.follower {
+        let length_m = Interval::point(egos[last].length_m);
+        for (k, y) in each(&branch.rear) {
+            weights[last][k][POSITION] += -y;
+            constant += y * (scene.follower_m(follower, branch.first, k as u32) + length_m);
+            contact += y;
+        }
+        // The row `fired` is the negative of what `unfired` would be at that instant.
+        let ttc_s = Interval::point(follower.ttc_s);
+        let fired = each(&[(branch.first, branch.fired)]).map(|(k, y)| (k, -y)).next();
+        for (k, y) in each(&branch.unfired).chain(fired) {
+            weights[last][k][POSITION] += -y;
+            weights[last][k][SPEED] += -(y * ttc_s);
+            let coasting_m = scene.follower_m(follower, scene.steps, k as u32);
+            constant += y * (coasting_m + length_m + ttc_s * follower.speed_mps);
+        }
+    }
+    let step_s = Interval::point(scene.step_s);
+    let sum = egos.iter().zip(&weights).fold(constant, |sum, (ego, weights)| sum + least_of_ego(ego, weights, step_s));
+    (sum.low(), contact)
+}
+
+const POSITION: usize = 0;
+const SPEED: usize = 1;
+
+/// Rows with a multiplier other than zero.
+fn each(rows: &[(u32, f64)]) -> impl Iterator<Item = (usize, Interval)> {
+    rows.iter().filter(|row| row.1 != 0.0).map(|&(k, multiplier)| (k as usize, Interval::point(multiplier)))
+}
+
+/// A lower bound of x_0 Σ w_k + v_0 Σ (w_k t_k + s_k) + ∫ φ(q): only its lower end means anything.
+///
+/// Going back from the last instant, `slope` is the sum of the w so far, and `q` the value of q just before the instant;
+/// at the start they are the factors of x_0 and v_0.
+fn least_of_ego(ego: &Ego, weights: &[[Interval; 2]], step_s: Interval) -> Interval {
+    let Some(end) = weights.iter().rposition(|weight| *weight != [Interval::ZERO; 2]) else {
+        return Interval::ZERO;
+    };
+    let (mut slope, mut q, mut sum) = (Interval::ZERO, Interval::ZERO, Interval::ZERO);
+    for (k, &[on_position, on_speed]) in weights.iter().enumerate().take(end + 1).rev() {
+        slope += on_position;
+        q += on_speed;
+        if k > 0 {
+            let begin = q + slope * step_s;
+            sum += least_over_step(ego, begin, q, step_s);
+            q = begin;
+        }
+    }
+    sum + slope * ego.position_m + q * ego.speed_mps
+}
+
+/// A lower bound of ∫ φ(q) over a step in which q goes linearly from `begin` to `end`.
+///
+/// Where q surely changes sign, the two triangles are integrated: p² b / (p + n) and n² A / (p + n) times -h/2, for the
+/// values p > 0 and -n < 0. Otherwise φ(q(t)) is concave, so its integral is at least the trapezoid's; without a change of
+/// sign it is the trapezoid's.
+fn least_over_step(ego: &Ego, begin: Interval, end: Interval, step_s: Interval) -> Interval {
+    let (brake, accel) = (Interval::point(ego.max_brake_mps2), Interval::point(ego.max_accel_mps2));
+    let half = step_s * Interval::point(0.5);
+    let triangles = |p: Interval, n: Interval| -half * (brake * p.sqr() + accel * n.sqr()).over(p + n);
+    let phi = |q: Interval| (-brake * q).min(accel * q);
+    if begin.low() > 0.0 && end.high() < 0.0 {
+        triangles(begin, -end)
+    } else if begin.high() < 0.0 && end.low() > 0.0 {
+        triangles(end, -begin)
+    } else {
+        half * (phi(begin) + phi(end))
+    }
+}

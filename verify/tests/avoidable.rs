@@ -1,0 +1,157 @@
+//! What is accepted as avoidable was avoided, in every member.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod support;
+
+use crumple_verify::*;
+use proptest::prelude::*;
+use support::{SUBSTEPS, drive, member, scenes};
+
+fn certificate(scene: &Scene, witness: Vec<Vec<Held<f64>>>) -> Certificate {
+    support::certificate(Statement::Avoidable(Avoidable { scene: scene.clone(), witness, min_gap_m_at_least: None }))
+}
+
+/// Two cars of which the second is followed by a truck; everybody at 20 m/s and the leader brakes after 1 s.
+fn calm() -> (Scene, Vec<Vec<Held<f64>>>) {
+    let point = Interval::point;
+    let ego = |x: f64| Ego {
+        position_m: Interval::new(x - 0.5, x + 0.5).unwrap(),
+        length_m: 2.0,
+        speed_mps: Interval::new(19.9, 20.1).unwrap(),
+        max_brake_mps2: 7.5,
+        max_accel_mps2: 3.0,
+    };
+    let scene = Scene {
+        step_s: 0.1,
+        steps: 100,
+        leader: Leader {
+            position_m: point(100.0),
+            length_m: 2.0,
+            speed_mps: point(20.0),
+            acceleration_mps2: vec![Held(10, point(0.0)), Held(90, Interval::new(-4.1, -3.9).unwrap())],
+        },
+        egos: vec![ego(60.0), ego(40.0)],
+        follower: Some(Follower {
+            position_m: point(10.0),
+            speed_mps: point(20.0),
+            brake_mps2: Interval::new(6.0, 6.5).unwrap(),
+            ttc_s: 3.0,
+            reaction_steps: 2,
+        }),
+    };
+    (scene, vec![vec![Held(15, 0.0), Held(85, -4.0)], vec![Held(10, 0.0), Held(20, -2.0), Held(70, -4.0)]])
+}
+
+#[test]
+fn a_calm_stop_is_accepted_and_each_fault_is_named() {
+    let (scene, witness) = calm();
+    let Ok(Accepted::Avoidable { smallest_gap_m }) = check(&certificate(&scene, witness.clone())) else {
+        panic!("{:?}", check(&certificate(&scene, witness)));
+    };
+    assert!(smallest_gap_m > 0.1, "{smallest_gap_m}");
+    let faulty = |change: &dyn Fn(&mut Avoidable)| {
+        let mut certificate = certificate(&scene, witness.clone());
+        if let Statement::Avoidable(claim) = &mut certificate.statement {
+            change(claim);
+        }
+        check(&certificate).unwrap_err()
+    };
+    let stated = faulty(&|claim| claim.min_gap_m_at_least = Some(smallest_gap_m.next_up()));
+    assert_eq!(stated, Rejection::SmallestGap { stated_m: smallest_gap_m.next_up(), smallest_gap_m });
+    for stated_m in [f64::NAN, f64::INFINITY] {
+        assert!(matches!(faulty(&|claim| claim.min_gap_m_at_least = Some(stated_m)), Rejection::SmallestGap { .. }));
+    }
+    let front = faulty(&|claim| claim.witness[0] = vec![Held(100, 0.0)]);
+    assert!(matches!(front, Rejection::MayTouch { front_vehicle: 0, .. }), "{front}");
+    let rear = faulty(&|claim| claim.witness[1] = vec![Held(100, -7.5)]);
+    assert!(matches!(rear, Rejection::MayTouch { front_vehicle: 2, .. }), "{rear}");
+    for a in [-7.6, 3.1, f64::NAN] {
+        let beyond = faulty(&|claim| claim.witness[1][2].1 = a);
+        assert!(beyond.to_string().contains("`witness[1][2]`"), "{beyond}");
+    }
+    assert!(faulty(&|claim| claim.witness[0][0].0 = 14).to_string().contains("`witness[0]`"));
+    assert!(faulty(&|claim| drop(claim.witness.pop())).to_string().contains("`witness`"));
+    let touching = faulty(&|claim| claim.scene.egos[0].position_m = Interval::new(60.0, 98.0).unwrap());
+    assert!(matches!(touching, Rejection::MayTouch { front_vehicle: 0, step: 0, .. }), "{touching}");
+}
+
+/// Without a follower that reacts the smallest gap is a closed form: here the parabola's vertex, inside a step.
+#[test]
+fn a_near_miss_inside_a_step_is_seen() {
+    let scene = |gap: f64| Scene {
+        step_s: 1.0,
+        steps: 1,
+        leader: Leader {
+            position_m: Interval::point(gap + 2.0),
+            length_m: 2.0,
+            speed_mps: Interval::point(10.0),
+            acceleration_mps2: vec![Held(1, Interval::ZERO)],
+        },
+        egos: vec![Ego {
+            position_m: Interval::ZERO,
+            length_m: 2.0,
+            speed_mps: Interval::point(12.0),
+            max_brake_mps2: 4.0,
+            max_accel_mps2: 0.0,
+        }],
+        follower: None,
+    };
+    // The gap is gap - 2 t + 2 t², at least gap - 0.5.
+    let witness = vec![vec![Held(1, -4.0)]];
+    let Ok(Accepted::Avoidable { smallest_gap_m }) = check(&certificate(&scene(0.51), witness.clone())) else {
+        panic!("not accepted");
+    };
+    assert!((smallest_gap_m - 0.01).abs() < 1e-12);
+    assert!(check(&certificate(&scene(0.5), witness)).is_err());
+}
+
+/// A scene and a witness of two pieces.
+fn witnessed(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<Held<f64>>>)> {
+    (scenes(egos), prop::collection::vec((0.0..=1.0_f64, 0.0..=1.0_f64), egos)).prop_map(|(scene, levels)| {
+        let of = |(ego, (first, then)): (&Ego, (f64, f64))| {
+            let a = |level: f64| {
+                let a = level * (ego.max_accel_mps2 + ego.max_brake_mps2) - ego.max_brake_mps2;
+                a.clamp(-ego.max_brake_mps2, ego.max_accel_mps2)
+            };
+            vec![Held(1, a(first)), Held(scene.steps - 1, a(then))]
+        };
+        let witness = scene.egos.iter().zip(levels).map(of).collect();
+        (scene, witness)
+    })
+}
+
+fn expanded(witness: &[Vec<Held<f64>>]) -> Vec<Vec<f64>> {
+    let of =
+        |profile: &Vec<Held<f64>>| profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect();
+    witness.iter().map(of).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 4000, max_global_rejects: 100_000, ..ProptestConfig::default() })]
+
+    #[test]
+    fn every_member_keeps_the_gap_that_was_proved(
+        (scene, witness) in (1..3_usize).prop_flat_map(witnessed), picks in prop::collection::vec(0.0..=1.0_f64, 64),
+    ) {
+        let accepted = check(&certificate(&scene, witness.clone()));
+        let profiles = expanded(&witness);
+        let mut picks = picks.into_iter().cycle();
+        let mut least_m = f64::INFINITY;
+        for corner in 0..8 {
+            let member = member(&scene, || { let p = picks.next().unwrap(); if corner < 4 { p.round() } else { p } });
+            least_m = least_m.min(drive(&scene, &member, &profiles).min_gap_m);
+        }
+        match accepted {
+            Ok(Accepted::Avoidable { smallest_gap_m }) => prop_assert!(smallest_gap_m <= least_m + 1e-9),
+            Ok(other) => prop_assert!(false, "{other}"),
+            Err(Rejection::MayTouch { gap_m, .. }) => {
+                // For a point nothing is lost but the bow inside a step: at most the larger acceleration over h² / 8.
+                let is_point = scene.leader.position_m.low() == scene.leader.position_m.high();
+                prop_assume!(is_point);
+                let bow_m = 20.0 * scene.step_s * scene.step_s / 8.0;
+                prop_assert!(least_m <= bow_m + 1e-9, "{least_m} is clear, yet only {gap_m} is proved");
+            }
+            Err(other) => prop_assert!(false, "{other}"),
+        }
+    }
+}

@@ -1,0 +1,296 @@
+//! Files: what is read, what is refused, and what survives a change of one number.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod support;
+
+use std::process::Command;
+
+use crumple_verify::*;
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
+use serde_json::{Value, json};
+use support::mutants::mutants;
+use support::{SUBSTEPS, certificate, drive, member, proofs, some_escape};
+
+/// A car between a standing leader and a follower that brakes late, over a small box.
+fn unavoidable_file() -> Value {
+    // What random guesses prove, with the boxes and the follower that make most fields matter.
+    let mut runner = TestRunner::deterministic();
+    let is_rich = |scene: &Scene, branches: &[Branch]| {
+        let uses = |used: &dyn Fn(&Branch) -> bool| branches.iter().any(used);
+        scene.steps <= 5
+            && scene.leader.position_m.low() < scene.leader.position_m.high()
+            && uses(&|branch| !branch.rear.is_empty() && !branch.front.is_empty())
+            && uses(&|branch| !branch.unfired.is_empty())
+            && uses(&|branch| branch.fired > 0.0)
+    };
+    loop {
+        let (scene, branches) = proofs(1).new_tree(&mut runner).unwrap().current();
+        if is_rich(&scene, &branches) {
+            let certificate = certificate(Statement::Unavoidable(Unavoidable { scene, branches }));
+            if check(&certificate).is_ok() {
+                return serde_json::to_value(certificate).unwrap();
+            }
+        }
+    }
+}
+
+fn avoidable_file() -> Value {
+    json!({
+        "version": 1,
+        "provenance": {"crumple": "0.1.0", "scenario": "a calm stop", "scenario_sha256": ""},
+        "assumptions": ["exact-motion", "scripted-leader", "latched-follower", "ego-on-profile"],
+        "statement": {"avoidable": {
+            "scene": {
+                "step_s": 0.25, "steps": 20,
+                "leader": {
+                    "position_m": {"low": 24.9, "high": 25.1}, "length_m": 2, "speed_mps": 10,
+                    "acceleration_mps2": [[4, 0], [16, {"low": -4.1, "high": -3.9}]]
+                },
+                "egos": [{"position_m": 10, "length_m": 2, "speed_mps": {"low": 9.9, "high": 10.1},
+                          "max_brake_mps2": 5.0, "max_accel_mps2": 3}],
+                "follower": {"position_m": -20, "speed_mps": 10, "brake_mps2": 6, "ttc_s": 1.4, "reaction_steps": 1}
+            },
+            "witness": [[[5, 0.0], [15, -5.0]]],
+            "min_gap_m_at_least": 1.0
+        }}
+    })
+}
+
+/// Whether what an accepted certificate states holds where it is tried.
+fn holds_up(certificate: &Certificate) -> bool {
+    let corners = [0.0, 0.5, 1.0];
+    match &certificate.statement {
+        Statement::Avoidable(claim) => corners.iter().all(|&corner| {
+            let expand = |profile: &Vec<Held<f64>>| {
+                profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect()
+            };
+            let profiles: Vec<Vec<f64>> = claim.witness.iter().map(expand).collect();
+            let min_gap_m = drive(&claim.scene, &member(&claim.scene, || corner), &profiles).min_gap_m;
+            min_gap_m > 0.0 && min_gap_m >= claim.min_gap_m_at_least.unwrap_or(0.0) - 1e-9
+        }),
+        Statement::Unavoidable(claim) => {
+            corners.iter().all(|&corner| !some_escape(&claim.scene, &member(&claim.scene, || corner), 5))
+        }
+    }
+}
+
+#[test]
+fn what_survives_a_change_is_true() {
+    for (original, least_rejected) in [(avoidable_file(), 0.5), (unavoidable_file(), 0.3)] {
+        let read = |value: &Value| Certificate::from_json(&value.to_string());
+        check(&read(&original).unwrap()).unwrap();
+        let (mut accepted, mut rejected) = (0, 0);
+        for (change, mutant) in mutants(&original) {
+            match read(&mutant) {
+                Ok(certificate) if check(&certificate).is_ok() => {
+                    accepted += 1;
+                    assert!(holds_up(&certificate), "{change} was accepted");
+                }
+                _ => rejected += 1,
+            }
+        }
+        let share = f64::from(rejected) / f64::from(rejected + accepted);
+        println!("{accepted} accepted, {rejected} rejected");
+        assert!(accepted > 10 && share > least_rejected, "{accepted} accepted, {rejected} rejected");
+    }
+}
+
+/// The mutants reach every field: a check that looked away from one would be seen above.
+#[test]
+fn mutants_change_every_number_once_or_more() {
+    let original = avoidable_file();
+    for place in ["/statement/avoidable/scene/follower/brake_mps2", "/statement/avoidable/witness/0/1/1", "/version"] {
+        assert!(mutants(&original).any(|(change, _)| change.starts_with(place)), "{place}");
+    }
+    assert!(mutants(&original).all(|(_, mutant)| mutant != original));
+}
+
+#[test]
+fn assumptions_are_those_of_the_statement() {
+    let with = |assumptions: Value| {
+        let mut file = avoidable_file();
+        file["assumptions"] = assumptions;
+        check(&Certificate::from_json(&file.to_string()).unwrap()).is_ok()
+    };
+    assert!(with(json!(["ego-on-profile", "latched-follower", "scripted-leader", "exact-motion", "noise-of-seed"])));
+    assert!(!with(json!(["ego-on-profile", "scripted-leader", "exact-motion"])));
+    assert!(!with(json!(["ego-on-profile", "scripted-leader", "exact-motion", "noise-of-seed"])));
+    assert!(!with(json!(["ego-on-profile", "scripted-leader", "exact-motion", "exact-motion"])));
+    assert!(!with(json!(["ego-within-limits", "latched-follower", "scripted-leader", "exact-motion"])));
+}
+
+#[test]
+fn files_that_are_no_certificates_say_where() {
+    let text = serde_json::to_string_pretty(&avoidable_file()).unwrap();
+    assert!(Certificate::from_json(&text).is_ok());
+    for (from, to, expected) in [
+        ("\"version\": 1", "\"version\": 2", "version 2"),
+        ("\"max_brake_mps2\": 5.0", "\"max_brake_mps2\": 1e400", "line"),
+        ("\"max_brake_mps2\": 5.0", "\"max_brake_mps2\": NaN", "line"),
+        ("\"max_brake_mps2\": 5.0", "\"max_brake_mps2\": null", "line"),
+        (
+            "\"max_brake_mps2\": 5.0",
+            "\"max_brake_mps2\": 5.0, \"max_brake_mps2\": 6.0",
+            "duplicate field `max_brake_mps2`",
+        ),
+        ("\"max_brake_mps2\"", "\"strongest_brake_mps2\"", "unknown field `strongest_brake_mps2`"),
+        ("\"length_m\"", "\"position_m\"", "duplicate field"),
+        ("\"steps\": 20", "\"steps\": 20.5", "expected u32"),
+        ("\"steps\": 20", "\"steps\": -20", "expected u32"),
+        ("\"low\"", "\"lowest\"", "{\"low\": number, \"high\": number}"),
+    ] {
+        assert!(text.contains(from), "{from}");
+        let message = Certificate::from_json(&text.replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(message.contains(expected), "{to}: {message}");
+    }
+    assert!(Certificate::from_json(&format!("{text} 1")).is_err(), "something follows");
+    assert!(matches!(Certificate::from_reader(&b"\xff"[..]), Err(ParseError::Read(_))));
+    assert!(matches!(Certificate::from_reader(std::io::repeat(b' ')), Err(ParseError::TooLong)));
+}
+
+#[test]
+fn exit_codes() {
+    let folder = std::env::temp_dir().join(format!("crumple-verify-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let mut false_claim = avoidable_file();
+    false_claim["statement"]["avoidable"]["min_gap_m_at_least"] = json!(9.0);
+    let paths = [("true", avoidable_file()), ("false", false_claim), ("other", json!({}))].map(|(name, file)| {
+        let path = folder.join(name);
+        std::fs::write(&path, file.to_string()).unwrap();
+        path
+    });
+    let run = |paths: &[&std::path::PathBuf]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_crumple-verify")).args(paths).output().unwrap();
+        (output.status.code().unwrap(), String::from_utf8(output.stdout).unwrap())
+    };
+    let (code, text) = run(&[&paths[0]]);
+    assert!(code == 0 && text.contains("accepted: avoidable") && text.contains("assuming that"), "{text}");
+    let (code, text) = run(&[&paths[0], &paths[1]]);
+    assert!(code == 1 && text.contains("rejected: `min_gap_m_at_least` is 9"), "{text}");
+    assert_eq!(run(&[&paths[1], &paths[2], &paths[0]]).0, 2);
+    assert_eq!((run(&[]).0, run(&[&folder.join("absent")]).0), (2, 2));
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+/// Any JSON, of any shape.
+fn any_json() -> impl Strategy<Value = Value> {
+    let number = prop_oneof![
+        any::<f64>().prop_map(|x| json!(x)),
+        any::<u64>().prop_map(|x| json!(x)),
+        (0..9_u32).prop_map(|x| json!(x))
+    ];
+    let leaf = prop_oneof![4 => number, 1 => Just(Value::Null), 1 => any::<bool>().prop_map(Value::from)];
+    leaf.prop_recursive(3, 16, 4, |inner| {
+        let name = prop::sample::select(vec!["low", "high", "first", "last", "front", "scene", "steps", "speed"]);
+        prop_oneof![
+            prop::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
+            prop::collection::vec((name, inner), 0..4)
+                .prop_map(|fields| fields.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()),
+        ]
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(3000))]
+
+    /// Anything anywhere in a file: an answer, never a panic.
+    #[test]
+    fn no_file_brings_the_check_down(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any_json()), 1..4), which in any::<bool>(),
+    ) {
+        thread_local!(static FILES: [Value; 2] = [avoidable_file(), unavoidable_file()]);
+        let mut file = FILES.with(|files| files[usize::from(which)].clone());
+        for (place, value) in changes {
+            let places = support::mutants::places(&file);
+            let place = place.get(&places).clone();
+            *file.pointer_mut(&place).unwrap() = value;
+        }
+        if let Ok(certificate) = Certificate::from_json(&file.to_string()) {
+            let _ = check(&certificate);
+        }
+    }
+
+    /// Numbers of any size, which JSON can hold: what is accepted is true.
+    #[test]
+    fn huge_and_tiny_numbers_prove_nothing_false(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<f64>()), 1..4), which in any::<bool>(),
+    ) {
+        thread_local!(static FILES: [Value; 2] = [avoidable_file(), unavoidable_file()]);
+        let mut file = FILES.with(|files| files[usize::from(which)].clone());
+        let places: Vec<String> =
+            support::mutants::places(&file).into_iter().filter(|place| file.pointer(place).unwrap().is_f64()).collect();
+        for (place, value) in changes {
+            *file.pointer_mut(place.get(&places).as_str()).unwrap() = json!(value);
+        }
+        if let Ok(certificate) = Certificate::from_json(&file.to_string()) && check(&certificate).is_ok() {
+            let scene = match &certificate.statement {
+                Statement::Avoidable(claim) => &claim.scene,
+                Statement::Unavoidable(claim) => &claim.scene,
+            };
+            // The plain simulation overflows where the check does not.
+            let position_m = scene.leader.position_m;
+            prop_assume!(position_m.high().abs() < 1e9 && scene.egos[0].position_m.high().abs() < 1e9);
+            prop_assert!(holds_up(&certificate), "{}", file);
+        }
+    }
+
+    #[test]
+    fn written_and_read_again_it_is_the_same((scene, branches) in proofs(2)) {
+        let certificate = certificate(Statement::Unavoidable(Unavoidable { scene, branches }));
+        let text = serde_json::to_string(&certificate).unwrap();
+        prop_assert_eq!(Certificate::from_json(&text).unwrap(), certificate);
+    }
+}
+
+/// 1500 steps in 30 branches with every multiplier in use; the time is for optimised builds.
+#[test]
+fn a_long_certificate_is_quick_to_check() {
+    let follower = Follower {
+        position_m: Interval::point(-10.0),
+        speed_mps: Interval::point(20.0),
+        brake_mps2: Interval::point(6.0),
+        ttc_s: 1.4,
+        reaction_steps: 0,
+    };
+    let scene = Scene {
+        step_s: 0.01,
+        steps: 1500,
+        leader: Leader {
+            position_m: Interval::point(3.0),
+            length_m: 2.0,
+            speed_mps: Interval::point(10.0),
+            acceleration_mps2: vec![Held(1500, Interval::point(-7.0))],
+        },
+        egos: vec![Ego {
+            position_m: Interval::ZERO,
+            length_m: 2.0,
+            speed_mps: Interval::point(40.0),
+            max_brake_mps2: 7.5,
+            max_accel_mps2: 3.0,
+        }],
+        follower: Some(follower),
+    };
+    let rows = |end: u32| -> Rows { (0..end).map(|k| (k, 1e-6)).collect() };
+    let branch = |i: u32| Branch {
+        first: 50 * i,
+        last: if i == 29 { 1500 } else { 50 * i + 49 },
+        front: rows(1501).into_iter().map(|(k, y)| (k, if k == 400 { 1.0 } else { y })).collect(),
+        rear: rows(1501).into_iter().map(|(k, y)| (k, y * 1e-3)).collect(),
+        speed: vec![rows(1501).into_iter().map(|(k, y)| (k, y * 1e-3)).collect()],
+        unfired: rows(50 * i).into_iter().map(|(k, y)| (k, y * 1e-3)).collect(),
+        ..Branch::default()
+    };
+    let branches = (0..30).map(branch).collect();
+    let text = serde_json::to_string(&certificate(Statement::Unavoidable(Unavoidable { scene, branches }))).unwrap();
+    let certificate = Certificate::from_json(&text).unwrap();
+    let timed = |_| {
+        let begin = std::time::Instant::now();
+        check(&certificate).unwrap();
+        begin.elapsed()
+    };
+    let least = (0..20).map(timed).min().unwrap();
+    println!("checked in {least:?}");
+    assert!(least.as_millis() < 250, "{least:?}");
+}

@@ -1,0 +1,102 @@
+//! No operation loses a member, by comparison with rational arithmetic.
+#![allow(clippy::unwrap_used)]
+
+use crumple_verify::Interval;
+use num_rational::BigRational;
+use num_traits::FromPrimitive;
+use proptest::prelude::*;
+
+fn exact(value: f64) -> BigRational {
+    BigRational::from_f64(value).unwrap()
+}
+
+/// Whether an interval holds a rational number; infinite ends hold everything.
+fn holds(interval: Interval, value: &BigRational) -> bool {
+    (interval.low() == f64::NEG_INFINITY || exact(interval.low()) <= *value)
+        && (interval.high() == f64::INFINITY || exact(interval.high()) >= *value)
+}
+
+fn number() -> impl Strategy<Value = f64> {
+    let any = any::<f64>().prop_filter("finite", |x| x.is_finite());
+    prop_oneof![4 => -100.0..100.0, 2 => any, 1 => Just(0.0), 1 => Just(-0.0), 1 => Just(f64::MAX), 1 => Just(5e-324)]
+}
+
+prop_compose! {
+    /// An interval and two of its members.
+    fn interval()(a in number(), b in number(), inside in 0.0..=1.0_f64) -> (Interval, [f64; 2]) {
+        let (low, high) = (a.min(b), a.max(b));
+        let member = (low + inside * (high / 2.0 - low / 2.0) * 2.0).clamp(low, high);
+        (Interval::new(low, high).unwrap(), [member, low])
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn results_hold_all_exact_results((x, of_x) in interval(), (y, of_y) in interval()) {
+        for a in of_x {
+            for b in of_y {
+                prop_assert!(holds(x + y, &(exact(a) + exact(b))));
+                prop_assert!(holds(x - y, &(exact(a) - exact(b))));
+                prop_assert!(holds(x * y, &(exact(a) * exact(b))));
+                prop_assert!(holds(-x, &-exact(a)));
+                prop_assert!(x.min(y).contains(a.min(b)) && x.max(y).contains(a.max(b)));
+                prop_assert!(x.hull(y).contains(a) && x.hull(y).contains(b));
+                if b != 0.0 {
+                    prop_assert!(holds(x.over(y), &(exact(a) / exact(b))));
+                }
+            }
+            prop_assert!(holds(x.sqr(), &(exact(a) * exact(a))) && x.sqr().low() >= 0.0);
+            if a >= 0.0 {
+                // The root lies between r1 and r2 if r1² <= a <= r2².
+                let root = x.sqrt();
+                let square = |end: f64| exact(end) * exact(end);
+                prop_assert!(root.low() >= 0.0 && square(root.low()) <= exact(a));
+                prop_assert!(root.high() == f64::INFINITY || square(root.high()) >= exact(a));
+            }
+        }
+    }
+
+    #[test]
+    fn results_are_as_narrow_as_rounding_allows(a in -100.0..100.0_f64, b in 0.1..100.0_f64) {
+        let (x, y) = (Interval::point(a), Interval::point(b));
+        for result in [x + y, x - y, x * y, x.over(y), x.sqr(), y.sqrt()] {
+            prop_assert!(result.high() - result.low() <= 4.0 * f64::EPSILON * result.high().abs().max(1e-300));
+        }
+    }
+
+    #[test]
+    fn files_keep_every_bit((x, _) in interval()) {
+        let text = serde_json::to_string(&x).unwrap();
+        prop_assert_eq!(serde_json::from_str::<Interval>(&text).unwrap(), x);
+    }
+}
+
+#[test]
+fn what_has_no_value_is_the_whole_line() {
+    let everything = |interval: Interval| interval.low() == f64::NEG_INFINITY && interval.high() == f64::INFINITY;
+    let (zero, huge) = (Interval::ZERO, Interval::point(f64::MAX));
+    assert!(everything(Interval::point(f64::NAN)) && everything(Interval::point(f64::INFINITY)));
+    assert!(everything(huge.over(zero)) && everything(zero.over(zero)));
+    assert!(everything((huge * huge) - (huge * huge)));
+    assert!(everything((huge * huge) * zero) && everything(Interval::point(-1.0).sqrt()));
+    assert_eq!((huge + huge).low(), f64::MAX);
+}
+
+#[test]
+fn files_say_what_was_expected() {
+    for (text, expected) in [
+        ("\"3\"", "a number or"),
+        ("[1]", "a number or"),
+        ("null", "a number or"),
+        ("{\"low\": 1}", "a number or"),
+        ("{\"low\": 1, \"high\": 2, \"middle\": 1.5}", "a number or"),
+        ("{\"low\": 2, \"high\": 1}", "no members"),
+        ("1e400", "out of range"),
+    ] {
+        let message = serde_json::from_str::<Vec<Interval>>(&format!("[\n{text}]")).unwrap_err().to_string();
+        assert!(message.contains(expected) && message.contains("line 2 column"), "{text}: {message}");
+    }
+    assert_eq!(serde_json::from_str::<Interval>("3").unwrap(), Interval::point(3.0));
+}

@@ -1,0 +1,94 @@
+//! Certificates that were changed in one place. It needs nothing but `serde_json`, so that others can include it.
+
+use serde_json::{Value, json};
+
+type Change<'a> = Box<dyn Fn(&mut Value) + 'a>;
+
+/// Every change of one number, one entry or one pair of neighbours: a description, and the changed certificate.
+pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
+    places(original).into_iter().flat_map(move |place| {
+        let value = original.pointer(&place).unwrap_or(&Value::Null);
+        let mut changes: Vec<(String, Change<'_>)> = Vec::new();
+        match value {
+            Value::Number(number) => {
+                let x = number.as_f64().unwrap_or(0.0);
+                for (what, changed) in [
+                    ("negated", -x),
+                    ("slightly more", x * (1.0 + 1e-3)),
+                    ("slightly less", x * (1.0 - 1e-3)),
+                    ("plus 1", x + 1.0),
+                    ("minus 1", x - 1.0),
+                    ("doubled", x * 2.0),
+                    ("zero", 0.0),
+                    ("huge", 1e300),
+                ] {
+                    // A count stays a count, or no change of it would be read at all.
+                    let changed = if number.is_u64() && changed >= 0.0 && changed.fract() == 0.0 && changed < 1e9 {
+                        json!(changed as u64)
+                    } else {
+                        json!(changed)
+                    };
+                    if changed != *value {
+                        changes.push((what.to_owned(), Box::new(move |value| *value = changed.clone())));
+                    }
+                }
+            }
+            Value::Array(list) => {
+                for i in 0..list.len() {
+                    changes.push((format!("without entry {i}"), Box::new(move |value| drop(array(value).remove(i)))));
+                    let twice = move |value: &mut Value| {
+                        let entry = array(value)[i].clone();
+                        array(value).insert(i, entry);
+                    };
+                    changes.push((format!("with entry {i} twice"), Box::new(twice)));
+                    if i > 0 && list[i - 1] != list[i] {
+                        let swap = move |value: &mut Value| array(value).swap(i - 1, i);
+                        changes.push((format!("with entry {i} before its predecessor"), Box::new(swap)));
+                    }
+                }
+            }
+            Value::Object(fields) => {
+                for name in fields.keys() {
+                    let remove = move |value: &mut Value| drop(value.as_object_mut().map(|fields| fields.remove(name)));
+                    changes.push(("without a field".to_owned(), Box::new(remove)));
+                }
+                if let (Some(low), Some(high)) = (fields.get("low").cloned(), fields.get("high").cloned()) {
+                    let swap = move |value: &mut Value| *value = json!({"low": high, "high": low});
+                    changes.push(("turned around".to_owned(), Box::new(swap)));
+                }
+            }
+            _ => {}
+        }
+        changes.into_iter().map(move |(what, change)| {
+            let mut mutant = original.clone();
+            if let Some(value) = mutant.pointer_mut(&place) {
+                change(value);
+            }
+            (format!("{place} {what}"), mutant)
+        })
+    })
+}
+
+/// A pointer to every value.
+pub fn places(value: &Value) -> Vec<String> {
+    let mut places = Vec::new();
+    collect(value, String::new(), &mut places);
+    places
+}
+
+fn array(value: &mut Value) -> &mut Vec<Value> {
+    value.as_array_mut().expect("an array")
+}
+
+fn collect(value: &Value, place: String, places: &mut Vec<String>) {
+    match value {
+        Value::Array(list) => {
+            list.iter().enumerate().for_each(|(i, entry)| collect(entry, format!("{place}/{i}"), places));
+        }
+        Value::Object(fields) => {
+            fields.iter().for_each(|(name, field)| collect(field, format!("{place}/{name}"), places));
+        }
+        _ => {}
+    }
+    places.push(place);
+}

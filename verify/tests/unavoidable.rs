@@ -1,0 +1,220 @@
+//! What is accepted as unavoidable cannot be avoided.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod support;
+
+use crumple_verify::unavoidable::check_branch;
+use crumple_verify::*;
+use proptest::prelude::*;
+use support::{branches, certificate, drive, member, profiles, proofs, rows, scenes, some_escape};
+
+prop_compose! {
+    fn cases(egos: usize)(scene in scenes(egos))(
+        branch in branches(&scene), profiles in profiles(&scene), picks in prop::collection::vec(0.0..=1.0_f64, 32),
+        corners in any::<bool>(), scene in Just(scene),
+    ) -> (Scene, Branch, support::Member, Vec<Vec<f64>>) {
+        let mut picks = picks.into_iter().cycle();
+        let member = member(&scene, || { let p = picks.next().unwrap(); if corners { p.round() } else { p } });
+        (scene, branch, member, profiles)
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 6000, max_global_rejects: 1_000_000, ..ProptestConfig::default() })]
+
+    /// The bound: no member and no profile has a smaller sum than the least one found.
+    #[test]
+    fn no_profile_is_below_the_bound((scene, branch, member, profiles) in (1..4_usize).prop_flat_map(cases)) {
+        let drive = drive(&scene, &member, &profiles);
+        let rows = rows(&scene, &member, &drive, &branch);
+        let sum_m: f64 = rows.iter().map(|(y, value, _)| y * value).sum();
+        match check_branch(&scene, &branch, 3) {
+            Ok(overlap_m) => {
+                let most_m = rows.iter().filter(|row| row.2).map(|row| row.1).fold(f64::NEG_INFINITY, f64::max);
+                let contact: f64 = rows.iter().filter(|row| row.2).map(|row| row.0).sum();
+                prop_assert!(contact == 0.0 || sum_m >= overlap_m * contact - 1e-6);
+                let is_branch = (branch.first..=branch.last).contains(&drive.fired);
+                prop_assert!(!is_branch || most_m >= overlap_m - 1e-6, "overlap {most_m}, {overlap_m} proved");
+            }
+            Err(Rejection::Unproved { branch: 3, sum_m: least_m }) => prop_assert!(sum_m >= least_m - 1e-6),
+            Err(other) => prop_assert!(false, "{other}"),
+        }
+    }
+
+    /// The rows: whoever escapes satisfies each of them.
+    #[test]
+    fn every_escape_satisfies_every_row((scene, branch, member, profiles) in (1..3_usize).prop_flat_map(cases)) {
+        let drive = drive(&scene, &member, &profiles);
+        prop_assume!(drive.min_gap_m > 0.0);
+        prop_assume!((branch.first..=branch.last).contains(&drive.fired));
+        for (_, value, _) in rows(&scene, &member, &drive, &branch) {
+            prop_assert!(value <= 1e-9);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 500, max_global_rejects: 100_000, ..ProptestConfig::default() })]
+
+    /// Random multipliers prove something or nothing, never something false.
+    #[test]
+    fn no_profile_escapes_what_is_accepted(
+        (scene, branches) in prop_oneof![3 => Just(1), 1 => Just(2)].prop_flat_map(proofs),
+        picks in prop::collection::vec(0.0..=1.0_f64, 32),
+    ) {
+        let accepted = check(&certificate(Statement::Unavoidable(Unavoidable { scene: scene.clone(), branches })));
+        prop_assume!(accepted.is_ok());
+        let mut picks = picks.into_iter().cycle();
+        let member = member(&scene, || picks.next().unwrap());
+        let blocks = if scene.egos.len() == 1 { 6 } else { 3 };
+        prop_assert!(!some_escape(&scene, &member, blocks));
+    }
+}
+
+/// Without stops and with the speed rows absent nothing is lost: the bound is what the best profile attains.
+#[test]
+fn the_bound_is_attained() {
+    let scene = standing_leader(1.0);
+    let proved = |front: Rows| check_branch(&scene, &Branch { last: 10, front, ..Branch::default() }, 0);
+    // 20 t - 4 t² - 1 at t = 0.1, and the mean of that at 0.1 and 0.2.
+    assert!((proved(vec![(1, 1.0)]).unwrap() - 0.96).abs() < 1e-12);
+    assert!((proved(vec![(1, 5.0), (2, 5.0)]).unwrap() - (0.96 + 2.84) / 2.0).abs() < 1e-12);
+    // q changes sign: ahead of 1 m at 0.1 s and behind 0 m (a follower would be) at 0.2 s needs another scene.
+    assert!(matches!(proved(vec![(0, 1.0)]), Err(Rejection::Unproved { branch: 0, sum_m }) if sum_m + 1.0 < 1e-12));
+}
+
+/// A car at 20 m/s behind a standing one; a car that can brake at 8 and accelerate at 3.
+fn standing_leader(gap_m: f64) -> Scene {
+    Scene {
+        step_s: 0.1,
+        steps: 10,
+        leader: Leader {
+            position_m: Interval::point(gap_m + 2.0),
+            length_m: 2.0,
+            speed_mps: Interval::ZERO,
+            acceleration_mps2: vec![Held(10, Interval::ZERO)],
+        },
+        egos: vec![Ego {
+            position_m: Interval::ZERO,
+            length_m: 2.0,
+            speed_mps: Interval::point(20.0),
+            max_brake_mps2: 8.0,
+            max_accel_mps2: 3.0,
+        }],
+        follower: None,
+    }
+}
+
+/// Ahead at 0.1 s, behind at 0.2 s: q = (0.2 - t)⁺ y2 - (0.1 - t)⁺ y1 with y1 = 3, y2 = 1 changes sign at 0.05 s.
+#[test]
+fn a_change_of_sign_inside_a_step_is_integrated_exactly() {
+    let follower = Follower {
+        position_m: Interval::point(-2.0),
+        speed_mps: Interval::ZERO,
+        brake_mps2: Interval::point(6.0),
+        ttc_s: 1.0,
+        reaction_steps: 0,
+    };
+    let scene = Scene { follower: Some(follower), ..standing_leader(1.0) };
+    let branch = Branch { last: 10, front: vec![(2, 1.0)], rear: vec![(1, 3.0)], ..Branch::default() };
+    // Constant: -1 from the leader, 3 (-2 + 2) from the follower; x0 = 0; v0 (0.2 - 0.3) = -2.
+    // ∫ min(-8 q, 3 q): q from -0.1 to 0.1 over 0.1 s, then from 0.1 to 0: -(8 + 3) 0.05 · 0.1 / 2 - 8 · 0.1 · 0.1 / 2.
+    let expected_m = -1.0 - 2.0 - 11.0 * 0.0025 - 0.04;
+    match check_branch(&scene, &branch, 0) {
+        Err(Rejection::Unproved { sum_m, .. }) => assert!((sum_m - expected_m).abs() < 1e-12, "{sum_m} {expected_m}"),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn what_would_prove_anything_is_refused() {
+    let follower = Follower {
+        position_m: Interval::point(-9.0),
+        speed_mps: Interval::point(20.0),
+        brake_mps2: Interval::point(6.0),
+        ttc_s: 1.0,
+        reaction_steps: 0,
+    };
+    let sound = |scene: Scene| Unavoidable {
+        branches: match scene.follower {
+            None => vec![Branch { last: 10, front: vec![(1, 1.0)], ..Branch::default() }],
+            Some(_) => [(0, 0), (1, 4), (5, 10)]
+                .map(|(first, last)| Branch { first, last, front: vec![(1, 1.0), (2, 1.0)], ..Branch::default() })
+                .into(),
+        },
+        scene,
+    };
+    let result = |change: &dyn Fn(&mut Unavoidable), follower: Option<&Follower>| {
+        let mut claim = sound(Scene { follower: follower.cloned(), ..standing_leader(1.0) });
+        change(&mut claim);
+        check(&certificate(Statement::Unavoidable(claim)))
+    };
+    assert!(result(&|_| {}, None).is_ok());
+    let refused = |expected: &str, change: &dyn Fn(&mut Unavoidable)| {
+        let message = result(change, Some(&follower)).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message} instead of {expected}");
+    };
+    assert!(result(&|_| {}, Some(&follower)).is_ok());
+    // Branches that leave an instant out, overlap, or go beyond the end.
+    refused("`branches[1]`", &|claim| claim.branches[1].first = 2);
+    refused("`branches[2]`", &|claim| claim.branches[1].last = 3);
+    refused("`branches[2]`", &|claim| claim.branches[1].last = 5);
+    refused("`branches[1]`", &|claim| drop(claim.branches.remove(1)));
+    refused("must end", &|claim| drop(claim.branches.pop()));
+    refused("must end", &|claim| claim.branches.clear());
+    refused("must end", &|claim| claim.branches[2].last = 9);
+    refused("`branches[2]`", &|claim| claim.branches[2].last = 11);
+    refused("`branches[2]`", &|claim| claim.branches[2].last = u32::MAX);
+    refused("`branches[1]`", &|claim| (claim.branches[1].first, claim.branches[1].last) = (4, 1));
+    // Multipliers.
+    refused("front[1]", &|claim| claim.branches[1].front[1].0 = 1);
+    refused("front[1]", &|claim| claim.branches[1].front[1].0 = 0);
+    refused("front[1]", &|claim| claim.branches[1].front[1].0 = 11);
+    for y in [-1e-300, f64::NAN, f64::INFINITY] {
+        refused("branches[2].front[1]", &|claim| claim.branches[2].front[1].1 = y);
+        refused("branches[0].fired", &|claim| claim.branches[0].fired = y);
+        refused("branches[0].rear[0]", &|claim| claim.branches[0].rear = vec![(3, y)]);
+        refused("branches[0].speed[0][0]", &|claim| claim.branches[0].speed = vec![vec![(3, y)]]);
+    }
+    refused("branches[1].unfired[0]", &|claim| claim.branches[1].unfired = vec![(1, 1.0)]);
+    refused("branches[1].fired", &|claim| claim.branches[1].fired = 1.0);
+    refused("branches[3].fired", &|claim| {
+        claim.branches[2].last = 9;
+        claim.branches.push(Branch { first: 10, last: 10, fired: 1.0, ..Branch::default() });
+    });
+    refused("branches[0].between", &|claim| claim.branches[0].between = vec![vec![]]);
+    refused("branches[0].speed", &|claim| claim.branches[0].speed = vec![vec![], vec![]]);
+    // Overflow proves nothing.
+    refused("`branches[0]` is not proved", &|claim| claim.branches[0].front[1].1 = 1e308);
+    refused("is not proved", &|claim| claim.scene.leader.position_m = Interval::new(-1.7e308, 1.7e308).unwrap());
+    refused("is not proved", &|claim| claim.scene.egos[0].max_brake_mps2 = 1e308);
+    // Rows of a follower that is not there.
+    for change in [
+        (&|claim: &mut Unavoidable| claim.branches[0].rear = vec![(1, 0.0)]) as &dyn Fn(&mut Unavoidable),
+        &|claim| claim.branches[0].unfired = vec![(0, 0.0)],
+        &|claim| claim.branches[0].fired = 1.0,
+    ] {
+        assert!(matches!(result(change, None), Err(Rejection::Invalid { .. })));
+    }
+    // Scenes that make no sense.
+    refused("`steps`", &|claim| claim.scene.steps = 0);
+    refused("`steps`", &|claim| claim.scene.steps = u32::MAX);
+    for h in [0.0, -0.1, f64::NAN, f64::INFINITY] {
+        refused("`step_s`", &|claim| claim.scene.step_s = h);
+    }
+    refused("`egos`", &|claim| claim.scene.egos.clear());
+    refused("egos[0].speed_mps", &|claim| claim.scene.egos[0].speed_mps = Interval::new(-1.0, 20.0).unwrap());
+    refused("egos[0].max_brake_mps2", &|claim| claim.scene.egos[0].max_brake_mps2 = -8.0);
+    refused("egos[0].max_accel_mps2", &|claim| claim.scene.egos[0].max_accel_mps2 = f64::NAN);
+    refused("leader.acceleration_mps2", &|claim| claim.scene.leader.acceleration_mps2[0].0 = 9);
+    refused("leader.speed_mps", &|claim| claim.scene.leader.speed_mps = Interval::point(f64::NAN));
+    refused("follower.ttc_s", &|claim| claim.scene.follower.as_mut().unwrap().ttc_s = f64::NAN);
+}
+
+/// Who touches at the start touches: without motion, without a follower, whatever the rest.
+#[test]
+fn contact_at_the_start_is_unavoidable() {
+    let scene = standing_leader(-0.5);
+    let branch = Branch { last: 10, front: vec![(0, 2.0)], ..Branch::default() };
+    assert!((check_branch(&scene, &branch, 0).unwrap() - 0.5).abs() < 1e-12);
+}
