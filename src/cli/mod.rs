@@ -1,7 +1,9 @@
 //! The command line: one file a subcommand, all of them thin.
 
 mod assess;
+mod avoid;
 mod benchmark;
+mod check;
 mod failure;
 mod import;
 mod list;
@@ -21,7 +23,7 @@ pub use failure::Failure;
 const EXIT_CODES: &str = "\
 Exit codes:
   0    done
-  1    a gate did not hold: --expect was not met, a training diverged
+  1    a gate did not hold: --expect was not met, a training diverged, a certificate was rejected
   2    unusable arguments or input; the message names file, line and field
   3    the environment failed: disk, permission
   130  interrupted";
@@ -43,6 +45,8 @@ enum Command {
     Simulate(simulate::Simulate),
     Import(import::Import),
     Train(train::Train),
+    Avoid(avoid::Avoid),
+    Check(check::Check),
     Benchmark(benchmark::Measure),
     List(list::List),
 }
@@ -65,6 +69,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
         Command::Train(command) => command.run(quiet),
+        Command::Avoid(command) => command.run(quiet),
+        Command::Check(command) => command.run(),
         Command::Benchmark(command) => command.run(),
         Command::List(command) => command.run(),
     };

@@ -1,9 +1,10 @@
 //! Could anyone have avoided it?
 
-use crumple_verify::Certificate;
+use crumple_verify::{Accepted, Certificate};
 
 use super::branches::Search;
 use super::certificate;
+use super::family::Family;
 use super::program::Grid;
 use super::reason::Reason;
 use super::situation::{Side, Situation};
@@ -75,16 +76,27 @@ impl Verdict {
     }
 }
 
-/// Most programs on a grid, coarse and fine.
-const MOST_PROGRAMS: [usize; 2] = [64, 24];
+/// Most programs on the finest grid.
+const MOST_FINE: usize = 64;
+/// Most programs on each coarser one.
+const MOST_COARSE: usize = 64;
 
 /// Decides whether the vehicles under test could have avoided a collision, and by how much.
 ///
 /// # Errors
 /// [`AvoidError`] if the options do not fit the scenario.
 pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
-    let cells = cells(scenario, options)?;
-    let situation = match Situation::new(scenario) {
+    avoid_all(&Family::point(scenario), options)
+}
+
+/// The same for every scenario of a box: avoidable if one profile is an escape from each of them, which the checker has to
+/// accept; unavoidable if none of them has an escape.
+///
+/// # Errors
+/// [`AvoidError`] if the options do not fit the scenario.
+pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
+    let (cells, first) = cells(family.centre(), options)?;
+    let situation = match Situation::new(family) {
         Ok(situation) => situation,
         Err(reason) => {
             return Ok(Avoidance { verdict: Verdict::Undecided(reason), min_gap_bound_m: None, programs: 0 });
@@ -92,9 +104,13 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
     };
     let mut search = Search::new(&situation);
     let mut undecided = None;
-    for (cell, most) in cells.into_iter().zip(MOST_PROGRAMS) {
-        search.explore(&Grid::uniform(&situation, cell), most);
-        undecided = match conclude(scenario, &situation, &search) {
+    for (index, &cell) in cells.iter().enumerate() {
+        let is_last = index + 1 == cells.len();
+        search.explore(&Grid::new(&situation, cell), if is_last { MOST_FINE } else { MOST_COARSE });
+        if index < first && search.bound_m() >= 0.0 {
+            continue;
+        }
+        undecided = match conclude(family, &situation, &search) {
             Ok(verdict) => return Ok(found(&situation, &search, verdict)),
             Err(reason) => Some(reason),
         };
@@ -110,38 +126,50 @@ fn found(situation: &Situation, search: &Search<'_>, verdict: Verdict) -> Avoida
     Avoidance { verdict, min_gap_bound_m, programs: search.programs }
 }
 
-/// The control grids to try, in steps.
-fn cells(scenario: &Scenario, options: AvoidOptions) -> Result<Vec<usize>, AvoidError> {
+/// The control grids to try, in steps, coarse before fine, and which of them is the first that may give the answer.
+///
+/// A coarse grid costs a tenth of a fine one and leaves bounds that hold on every grid.
+fn cells(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usize>, usize), AvoidError> {
     let step_s = scenario.spec().step_s;
-    let first = match options.grid_s {
+    let coarse = (0.1 / step_s).round().max(1.0) as usize;
+    let wanted = match options.grid_s {
         Some(grid_s) => whole_multiple(grid_s, step_s).ok_or(AvoidError::Grid { grid_s, step_s })?,
-        None => (0.1 / step_s).round().max(1.0) as usize,
+        None => coarse,
     };
-    Ok(if first > 1 { vec![first, 1] } else { vec![1] })
+    let mut cells = vec![coarse.max(wanted), wanted, 1];
+    cells.dedup();
+    let first = cells.iter().position(|&cell| cell == wanted).unwrap_or(0);
+    Ok((cells, first))
 }
 
 /// The verdict of what a search has found so far, or why there is none yet.
-fn conclude(scenario: &Scenario, situation: &Situation, search: &Search<'_>) -> Result<Verdict, Reason> {
+fn conclude(family: &Family, situation: &Situation, search: &Search<'_>) -> Result<Verdict, Reason> {
     let best_m = search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m);
     if let Some(best) = search.best.as_ref().filter(|best| best.gap_m > 0.0) {
         if let Some(Reason::EgoResponse { vehicle }) = situation.escape_caveat {
             return Err(Reason::EgoResponse { vehicle });
         }
-        let escape = Escape::replay(scenario, situation, best);
-        let caveat = || situation.escape_caveat.clone().unwrap_or(Reason::Replay);
-        return escape.map(|escape| Verdict::Avoidable(Box::new(escape))).ok_or_else(caveat);
+        let escape = Escape::replay(family.centre(), situation, best);
+        let escape = escape.ok_or_else(|| situation.escape_caveat.clone().unwrap_or(Reason::Replay))?;
+        if !family.is_point() {
+            certify(family, &escape)?;
+        }
+        return Ok(Verdict::Avoidable(Box::new(escape)));
     }
     let high_m = search.bound_m();
     if high_m >= 0.0 {
-        return Err(match &search.trouble {
-            Some(status) => Reason::Solver { status: status.clone() },
-            None => Reason::TooClose { low_m: best_m, high_m },
+        let late = situation.egos.iter().position(|ego| ego.dead_steps > 0);
+        return Err(match (&search.trouble, late) {
+            (Some(status), _) => Reason::Solver { status: status.clone() },
+            // A proof is about drivers who answer at once, an escape about those who do not.
+            (None, Some(ego)) => Reason::EgoResponse { vehicle: ego + 1 },
+            (None, None) => Reason::TooClose { low_m: best_m, high_m },
         });
     }
     if let Some(reason) = &situation.proof_caveat {
         return Err(reason.clone());
     }
-    let proof = certificate::unavoidable(scenario, situation, search);
+    let proof = certificate::unavoidable(family.centre(), situation, search);
     let proof = proof.ok_or(Reason::TooClose { low_m: best_m, high_m })?;
     match crumple_verify::check(&proof) {
         Ok(_) => Ok(Verdict::Unavoidable(Box::new(proof))),
@@ -149,19 +177,22 @@ fn conclude(scenario: &Scenario, situation: &Situation, search: &Search<'_>) -> 
     }
 }
 
-/// The certificate that an escape of a scenario is one, claiming its smallest gap less a hundredth.
+/// The certificate that an escape is one from every scenario of a family, with the smallest gap that the checker confirms.
 ///
 /// # Errors
-/// The [`Reason`] why the scenario cannot be stated in a certificate.
-pub fn certify(scenario: &Scenario, escape: &Escape) -> Result<Certificate, Reason> {
-    let situation = Situation::new(scenario)?;
+/// The [`Reason`] why there is none.
+pub fn certify(family: &Family, escape: &Escape) -> Result<Certificate, Reason> {
+    let situation = Situation::new(family)?;
     if let Some(reason) = situation.escape_caveat.clone().or_else(|| situation.proof_caveat.clone()) {
         return Err(reason);
     }
-    let least_m = Some(0.99 * escape.min_gap_m);
-    let certificate = certificate::avoidable(scenario, &situation, &escape.acceleration_mps2, least_m);
-    match crumple_verify::check(&certificate) {
-        Ok(_) => Ok(certificate),
-        Err(rejection) => Err(Reason::Rejected { why: rejection.to_string() }),
-    }
+    let stating = |least_m| certificate::avoidable(family.centre(), &situation, &escape.acceleration_mps2, least_m);
+    let rejected = |rejection: crumple_verify::Rejection| Reason::Rejected { why: rejection.to_string() };
+    let least_m = match crumple_verify::check(&stating(None)).map_err(rejected)? {
+        Accepted::Avoidable { smallest_gap_m } => Some(smallest_gap_m),
+        _ => None,
+    };
+    let certificate = stating(least_m);
+    crumple_verify::check(&certificate).map_err(rejected)?;
+    Ok(certificate)
 }

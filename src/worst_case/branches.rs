@@ -5,7 +5,7 @@
 //! highest, lower the bounds of all others, drop those that cannot beat the best escape so far, and go on until nothing is
 //! left. If no escape is found, what is left of it is a proof.
 
-use super::multipliers::{Multipliers, Proof};
+use super::multipliers::{Multipliers, Proof, SURELY};
 use super::program::{self, Answer, Grid, Objective, Wanted};
 use super::situation::{Side, Situation};
 
@@ -34,7 +34,7 @@ pub(super) struct Search<'a> {
 }
 
 /// A larger smallest gap than the best one by less than this is not searched for, in metres.
-const WORTH_M: f64 = 1e-3;
+const WORTH_M: f64 = 2e-3;
 
 impl<'a> Search<'a> {
     /// Nothing solved yet.
@@ -52,6 +52,7 @@ impl<'a> Search<'a> {
         if situation.follower.is_some() {
             // Where not even full braking makes the brake fire, there is nothing to solve.
             search.cut(Multipliers::of_firing(situation));
+            search.cut_standing();
         }
         search
     }
@@ -61,37 +62,38 @@ impl<'a> Search<'a> {
         self.bounds_m.iter().copied().fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// What no escape of one firing exceeds, in metres.
-    pub(super) fn bound_of_m(&self, firing: usize) -> f64 {
-        self.bounds_m.get(firing).copied().unwrap_or(f64::NEG_INFINITY)
-    }
-
     /// Solves programs on a grid until no firing promises more than what was found, or `most` have been solved.
     pub(super) fn explore(&mut self, grid: &Grid, most: usize) {
         self.solved.fill(false);
-        let mut slack_m = 0.0_f64;
         for _ in 0..most {
-            let floor_m = self.best.as_ref().map_or(0.0, |best| (best.gap_m + WORTH_M + slack_m).max(0.0));
-            let Some(firing) = self.most_promising(floor_m) else { return };
+            let Some(firing) = self.most_promising(self.floor_m()) else { return };
             self.solved[firing] = true;
-            if let Some(gap_m) = self.solve(grid, firing) {
-                // What the grid costs against continuous time is not worth more programs on the same grid.
-                slack_m = slack_m.max(self.bounds_m[firing] - gap_m);
-            }
+            self.solve(grid, firing);
         }
+    }
+
+    /// What a bound must exceed for its firing to be worth a program.
+    fn floor_m(&self) -> f64 {
+        let escape = self.best.as_ref().filter(|best| best.gap_m > 0.0);
+        escape.map_or(0.0, |best| {
+            // What the grid costs against continuous time is not worth more programs on the same grid.
+            let slack_m = (self.bounds_m[best.firing] - best.gap_m).max(0.0);
+            best.gap_m + slack_m + WORTH_M
+        })
     }
 
     /// The unsolved firing with the highest bound above `floor_m`; the middle one of the first that share it.
     fn most_promising(&self, floor_m: f64) -> Option<usize> {
-        let open = || self.bounds_m.iter().enumerate().filter(|(firing, bound)| !self.solved[*firing] && **bound > floor_m);
+        let open =
+            || self.bounds_m.iter().enumerate().filter(|(firing, bound)| !self.solved[*firing] && **bound > floor_m);
         let highest_m = open().map(|(_, bound)| *bound).fold(f64::NEG_INFINITY, f64::max);
         let first = open().find(|(_, bound)| **bound >= highest_m)?.0;
         let alike = (first..self.bounds_m.len()).take_while(|&at| self.bounds_m[at] >= highest_m && !self.solved[at]);
         Some(first + alike.count() / 2)
     }
 
-    /// Solves one program, learns from it, and says how large a gap it found.
-    fn solve(&mut self, grid: &Grid, firing: usize) -> Option<f64> {
+    /// Solves one program and learns from it.
+    fn solve(&mut self, grid: &Grid, firing: usize) {
         self.programs += 1;
         let wanted = Wanted { objective: Objective::LargestGap, side: Side::Tight, jerk_mps3: None };
         match program::solve(self.situation, grid, firing, wanted) {
@@ -100,16 +102,26 @@ impl<'a> Search<'a> {
                 if self.best.as_ref().is_none_or(|best| gap_m > best.gap_m) {
                     self.best = Some(Found { firing, gap_m, acceleration_mps2, grid: grid.clone() });
                 }
-                Some(gap_m)
             }
-            Answer::Empty(multipliers) => {
-                self.cut(multipliers);
-                None
-            }
-            Answer::Trouble(status) => {
-                self.trouble = Some(status);
-                None
-            }
+            Answer::Empty(multipliers) => self.cut(multipliers),
+            Answer::Trouble(status) => self.trouble = Some(status),
+        }
+    }
+
+    /// Drops the firings that not even a standing ego brings about: up to some step, since the follower only comes closer.
+    fn cut_standing(&mut self) {
+        let stands_from = Multipliers::stands_from(self.situation);
+        let empty = |firing: usize| {
+            let proof = Proof::new(self.situation, Multipliers::of_standing(self.situation, firing, 1));
+            proof.infimum(self.situation, firing, true) > SURELY
+        };
+        let (mut below, mut above) = (stands_from, self.situation.never());
+        while below < above {
+            let middle = usize::midpoint(below, above);
+            if empty(middle) { below = middle + 1 } else { above = middle }
+        }
+        for bound_m in self.bounds_m.iter_mut().take(below).skip(stands_from) {
+            *bound_m = f64::NEG_INFINITY;
         }
     }
 

@@ -7,6 +7,7 @@ use crumple_verify::{
 use sha2::{Digest, Sha256};
 
 use super::branches::Search;
+use super::family::Family;
 use super::multipliers::{Multipliers, Proof, SURELY, Weighted};
 use super::situation::Situation;
 use crate::scenario::{Scenario, file};
@@ -52,23 +53,26 @@ pub(super) fn avoidable(
 ) -> Certificate {
     let witness = acceleration_mps2.iter().map(|each| held(each)).collect();
     let statement = Avoidable { scene: scene(situation), witness, min_gap_m_at_least };
-    wrapped(scenario, situation, Assumption::EgoOnProfile, Statement::Avoidable(statement))
+    wrapped(scenario, Statement::Avoidable(statement))
 }
 
 /// The certificate that there is no escape; none if the search has not closed every branch.
 pub(super) fn unavoidable(scenario: &Scenario, situation: &Situation, search: &Search<'_>) -> Option<Certificate> {
     let statement = Unavoidable { scene: scene(situation), branches: branches(situation, search)? };
-    Some(wrapped(scenario, situation, Assumption::EgoWithinLimits, Statement::Unavoidable(statement)))
+    Some(wrapped(scenario, Statement::Unavoidable(statement)))
 }
 
-fn wrapped(scenario: &Scenario, situation: &Situation, of_ego: Assumption, statement: Statement) -> Certificate {
-    let mut assumptions = vec![Assumption::ExactMotion, Assumption::ScriptedLeader];
-    assumptions.extend(situation.follower.as_ref().map(|_| Assumption::LatchedFollower));
-    assumptions.push(of_ego);
+fn wrapped(scenario: &Scenario, statement: Statement) -> Certificate {
+    let mut assumptions = statement.assumptions();
     if scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 > 0.0) {
         assumptions.push(Assumption::NoiseOfSeed);
     }
-    Certificate { version: crumple_verify::certificate::VERSION, provenance: provenance(scenario), assumptions, statement }
+    Certificate {
+        version: crumple_verify::certificate::VERSION,
+        provenance: provenance(scenario),
+        assumptions,
+        statement,
+    }
 }
 
 /// Where a certificate about a scenario comes from.
@@ -106,9 +110,15 @@ fn branches(situation: &Situation, search: &Search<'_>) -> Option<Vec<Branch>> {
     let mut last_used: Option<&Proof> = None;
     for firing in 0..first_late {
         let mut candidates = last_used.into_iter().chain(&search.proofs);
-        let proof = candidates.find(|proof| closes(proof, firing, true))?;
-        branches.push(branch(situation, proof, [firing, firing], true));
-        last_used = Some(proof);
+        if let Some(proof) = candidates.find(|proof| closes(proof, firing, true)) {
+            branches.push(branch(situation, proof, [firing, firing], true));
+            last_used = Some(proof);
+        } else {
+            let standing = [100, 20, 5, 1].map(|spacing| Multipliers::of_standing(situation, firing, spacing));
+            let mut standing = standing.into_iter().map(|multipliers| Proof::new(situation, multipliers));
+            let proof = standing.find(|proof| closes(proof, firing, true))?;
+            branches.push(branch(situation, &proof, [firing, firing], true));
+        }
     }
     // Without a follower there is one branch for everything.
     branches.push(branch(situation, late, [first_late, situation.steps], false));
@@ -167,7 +177,8 @@ pub fn is_about(certificate: &Certificate, scenario: &Scenario) -> bool {
         Statement::Avoidable(avoidable) => &avoidable.scene,
         Statement::Unavoidable(unavoidable) => &unavoidable.scene,
     };
-    Situation::new(scenario).is_ok_and(|situation| covers(claimed, &scene(&situation)))
+    let Ok(situation) = Situation::new(&Family::point(scenario)) else { return false };
+    covers(claimed, &scene(&situation))
 }
 
 /// Whether everything of `inner` lies in `outer`.

@@ -1,34 +1,30 @@
 //! Convex programs: could anyone have avoided it, and how little does it take to make a controller fail.
+//!
+//! **Could anyone have avoided it?** A leader follows its script; the vehicles under test may do what they like within
+//! their limits, knowing the future; the vehicle behind them coasts until its latched emergency brake fires. For each step
+//! at which that brake may fire the question is a linear program (`program`), and few of them have to be solved, since the
+//! multipliers of one bound all others (`multipliers`, `branches`). [`avoid()`] ends in one of three verdicts:
+//!
+//! - *avoidable*, with a profile that the ordinary simulation replays without contact at two step sizes (`witness`);
+//! - *unavoidable*, with multipliers that prove it about every driver and in continuous time, accepted by
+//!   `crumple_verify::check` (`certificate`);
+//! - *undecided*, with the [`Reason`].
+//!
+//! Nothing a solver says is believed: a profile is replayed, and multipliers prove what they prove.
 
 mod avoid;
 mod branches;
 mod certificate;
 mod cone;
+mod family;
 mod multipliers;
 mod program;
 mod reason;
 mod situation;
 mod witness;
 
-pub use avoid::{AvoidError, AvoidOptions, Avoidance, Verdict, avoid, certify};
+pub use avoid::{AvoidError, AvoidOptions, Avoidance, Verdict, avoid, avoid_all, certify};
 pub use certificate::is_about;
+pub use family::{Family, FamilyError, FieldRange, Ranges};
 pub use reason::Reason;
 pub use witness::Escape;
-
-
-#[doc(hidden)]
-#[allow(missing_docs, clippy::all)]
-pub fn probe() {
-    use branches::Search;
-    use program::Grid;
-    use situation::Situation;
-        for name in ["paper-1", "paper-2", "paper-3"] {
-        for cell in [10, 1] {
-            let s = Situation::new(&crate::scenario::built_in(name).unwrap()).unwrap();
-            let t = std::time::Instant::now();
-            let mut search = Search::new(&s);
-            println!("{name} {:?}", t.elapsed());
-            search.explore(&Grid::uniform(&s, cell), 60);
-            println!("{:?} programs {} bound {} best {:?} trouble {:?}", t.elapsed(), search.programs, search.bound_m(), search.best.as_ref().map(|b| (b.firing, b.gap_m)), search.trouble);
-        }}
-}

@@ -30,16 +30,41 @@ impl Multipliers {
     /// No multipliers.
     pub(super) fn none(situation: &Situation) -> Self {
         let egos = situation.egos.len();
-        Self {
-            between: vec![Vec::new(); egos.saturating_sub(1)],
-            speed: vec![Vec::new(); egos],
-            ..Self::default()
-        }
+        Self { between: vec![Vec::new(); egos.saturating_sub(1)], speed: vec![Vec::new(); egos], ..Self::default() }
     }
 
     /// Only that the brake fires.
     pub(super) fn of_firing(situation: &Situation) -> Self {
         Self { fired: 1.0, ..Self::none(situation) }
+    }
+
+    /// The first step at which a last ego that brakes fully stands.
+    pub(super) fn stands_from(situation: &Situation) -> usize {
+        situation.egos.last().map_or(0, |ego| {
+            let braking_s = ego.speed_mps.high() / ego.max_brake_mps2;
+            ((braking_s / situation.step_s).ceil() as usize).min(situation.steps)
+        })
+    }
+
+    /// That the brake fires, and that the last ego, once it stands, does not reverse to make it fire.
+    ///
+    /// With φ = 1 at τ the coefficient is q(t) = t_τ - t + θ; subtracting the spacing at every so many steps from standstill
+    /// on keeps it near zero there, and the closer the steps, the nearer.
+    pub(super) fn of_standing(situation: &Situation, firing: usize, spacing: usize) -> Self {
+        let mut multipliers = Self::of_firing(situation);
+        let theta_s = situation.follower.as_ref().map_or(0.0, |follower| follower.ttc_s);
+        let over_s = spacing as f64 * situation.step_s;
+        let mut list = vec![(firing, theta_s + 0.5 * over_s)];
+        let mut step = firing;
+        while step > Self::stands_from(situation) + spacing {
+            step -= spacing;
+            list.push((step, over_s));
+        }
+        list.reverse();
+        if let Some(last) = multipliers.speed.last_mut() {
+            *last = list;
+        }
+        multipliers
     }
 
     fn lists(&self) -> impl Iterator<Item = &Vec<Weighted>> {
@@ -145,7 +170,9 @@ impl Proof {
     /// What the smallest gap of an escape cannot exceed, in metres; minus infinity if there is none at all.
     pub(super) fn gap_bound_m(&self, situation: &Situation, firing: usize, fired: bool) -> f64 {
         let infimum = self.infimum(situation, firing, fired);
-        if infimum > SURELY && self.weight <= 1e-9 * infimum { return f64::NEG_INFINITY }
+        if infimum > SURELY && self.weight <= 1e-9 * infimum {
+            return f64::NEG_INFINITY;
+        }
         if self.weight > 0.0 { -infimum / self.weight } else { f64::INFINITY }
     }
 }

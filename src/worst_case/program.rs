@@ -69,9 +69,16 @@ pub(super) enum Answer {
 const FIRED_BY_M: f64 = 1e-5;
 
 impl Grid {
-    /// Cells of `cell` steps; the last one may be shorter.
-    pub(super) fn uniform(situation: &Situation, cell: usize) -> Self {
-        let mut steps: Vec<usize> = (0..situation.steps).step_by(cell.max(1)).collect();
+    /// Cells of `cell` steps, five times as long once the leader stands for good and nothing urgent can happen; the last one
+    /// may be shorter.
+    pub(super) fn new(situation: &Situation, cell: usize) -> Self {
+        let calm = situation.leader_rests_from();
+        let mut steps = Vec::new();
+        let mut step = 0;
+        while step < situation.steps {
+            steps.push(step);
+            step += if step >= calm { 5 * cell.max(1) } else { cell.max(1) };
+        }
         steps.push(situation.steps);
         Self { steps }
     }
@@ -201,16 +208,21 @@ impl<'a> Program<'a> {
         let (situation, side) = (self.situation, self.wanted.side);
         self.at_most(Row::Other, &[(GAP, 1.0)], situation.first_gap_m(side));
         let last = situation.egos.len() - 1;
+        let (leader_rests, follower_rests) = (situation.leader_rests_from(), situation.follower_rests_from(firing));
         for instant in 1..=self.grid.cells() {
             let step = self.grid.steps[instant];
             let d = |program: &Self, ego: usize| program.speed(ego, instant) + 1;
-            let terms = [(d(self, 0), 1.0), (GAP, 1.0)];
-            self.at_most(Row::Front(step), &terms, situation.front_slack_m(step, side));
+            // Behind a standing leader the last instant says it all, since nobody reverses; likewise ahead of a follower
+            // that stands.
+            if step <= leader_rests || instant == self.grid.cells() {
+                let terms = [(d(self, 0), 1.0), (GAP, 1.0)];
+                self.at_most(Row::Front(step), &terms, situation.front_slack_m(step, side));
+            }
             for ahead in 0..last {
                 let terms = [(d(self, ahead + 1), 1.0), (d(self, ahead), -1.0), (GAP, 1.0)];
                 self.at_most(Row::Pair(ahead, step), &terms, situation.pair_slack_m(ahead, step, side));
             }
-            if situation.follower.is_some() {
+            if situation.follower.is_some() && self.grid.steps[instant - 1] <= follower_rests {
                 let terms = [(d(self, last), -1.0), (GAP, 1.0)];
                 self.at_most(Row::Rear(step), &terms, situation.rear_slack_m(firing, step, side));
             }

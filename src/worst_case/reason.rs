@@ -14,7 +14,9 @@ pub enum Reason {
     #[error("the vehicles under test are not those directly behind the leader")]
     NoEgo,
     /// The vehicle behind those under test is not driven by the latched emergency brake.
-    #[error("vehicle {vehicle} is driven by {driver}, and only a latched emergency brake without lag is modelled there")]
+    #[error(
+        "vehicle {vehicle} is driven by {driver}, and only a latched emergency brake without lag is modelled there"
+    )]
     Follower {
         /// Its index.
         vehicle: usize,
@@ -27,8 +29,8 @@ pub enum Reason {
         /// The first of them.
         vehicle: usize,
     },
-    /// A vehicle under test that does not do at once what it wants.
-    #[error("vehicle {vehicle} answers with lag or limited jerk, which an escape does not account for")]
+    /// A vehicle under test that does not do at once what it wants: one that did might escape, and whether this one does is open.
+    #[error("what decides is how late or sluggishly vehicle {vehicle} answers, which is not modelled")]
     EgoResponse {
         /// Its index.
         vehicle: usize,
@@ -39,9 +41,6 @@ pub enum Reason {
         /// Its index.
         vehicle: usize,
     },
-    /// The corners of the box differ in more than positions, speeds and the leader's script, or have noise.
-    #[error("the scenarios of the box may differ in positions, speeds and the leader's script alone, and have no noise")]
-    NotABox,
     /// The two answers are closer together than the arithmetic.
     #[error("the best smallest gap lies between {low_m:.6} and {high_m:.6} m, which decides nothing")]
     TooClose {

@@ -7,8 +7,9 @@
 
 use crumple_verify::Interval;
 
+use super::family::Family;
 use super::reason::Reason;
-use crate::scenario::{ControllerSpec, Driver, Scenario, VehicleSpec};
+use crate::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, VehicleClass, VehicleSpec};
 use crate::sim::{Keep, Motion, Run, RunOptions, simulate};
 
 /// Which bound of the slacks over the box.
@@ -39,6 +40,7 @@ pub(super) struct Leader {
     pub(super) acceleration_mps2: Vec<Interval>,
     /// Rear bumper at each instant.
     rear_m: Vec<Interval>,
+    rests_from: usize,
 }
 
 /// A vehicle that chooses its acceleration.
@@ -80,24 +82,18 @@ pub(super) struct Situation {
 }
 
 impl Situation {
-    /// Reads a scenario.
+    /// Reads a scenario, or a box of them.
     ///
     /// # Errors
-    /// The [`Reason`] why neither verdict can be reached for it.
-    pub(super) fn new(scenario: &Scenario) -> Result<Self, Reason> {
-        Self::of_box(scenario, scenario)
-    }
-
-    /// Reads all scenarios between two that differ in positions, speeds and the leader's script alone.
-    ///
-    /// # Errors
-    /// The [`Reason`] why no verdict can be reached, [`Reason::NotABox`] if they differ in more.
-    pub(super) fn of_box(low: &Scenario, high: &Scenario) -> Result<Self, Reason> {
-        let is_point = low == high;
+    /// The [`Reason`] why neither verdict can be reached.
+    pub(super) fn new(family: &Family) -> Result<Self, Reason> {
+        let [low, high] = family.ends();
         let vehicles = low.vehicles();
         let last_ego = last_ego(low)?;
-        if !is_point && (!alike(low, high) || vehicles.iter().any(|v| v.acceleration_noise_mps2 > 0.0)) {
-            return Err(Reason::NotABox);
+        if !family.is_point()
+            && let Some(vehicle) = vehicles.iter().position(|v| v.acceleration_noise_mps2 > 0.0)
+        {
+            return Err(Reason::Noise { vehicle });
         }
         let spans = |of: fn(&VehicleSpec) -> f64, index: usize| {
             let of = |scenario: &Scenario| scenario.vehicles().get(index).map_or(0.0, of);
@@ -117,7 +113,8 @@ impl Situation {
         let egos: Vec<Ego> = (1..=last_ego).map(ego).collect();
         let has_lag = |v: &VehicleSpec| v.actuator_lag_s > 0.0 || v.jerk_limit_mps3.is_some();
         let under_test = || (1..=last_ego).filter_map(|index| Some((index, vehicles.get(index)?)));
-        let mut escape_caveat = under_test().find(|(_, v)| has_lag(v)).map(|(vehicle, _)| Reason::EgoResponse { vehicle });
+        let mut escape_caveat =
+            under_test().find(|(_, v)| has_lag(v)).map(|(vehicle, _)| Reason::EgoResponse { vehicle });
         let mut proof_caveat =
             under_test().find(|(_, v)| v.acceleration_noise_mps2 > 0.0).map(|(vehicle, _)| Reason::Noise { vehicle });
         let behind = last_ego + 1;
@@ -169,6 +166,20 @@ impl Situation {
     /// The firing that stands for never.
     pub(super) fn never(&self) -> usize {
         if self.follower.is_some() { self.steps } else { 0 }
+    }
+
+    /// The first step from which the leader stands for good, in every scenario of the box; the number of steps if it does not.
+    pub(super) fn leader_rests_from(&self) -> usize {
+        self.leader.rests_from
+    }
+
+    /// The same of a follower whose brake fires at `firing`.
+    pub(super) fn follower_rests_from(&self, firing: usize) -> usize {
+        self.follower.as_ref().map_or(0, |follower| {
+            let braking_s = follower.speed_mps.high() / follower.brake_mps2.low();
+            let rests = (firing + follower.reaction_steps) as f64 + (braking_s / self.step_s).ceil();
+            if rests < self.steps as f64 { rests as usize } else { self.steps }
+        })
     }
 
     /// Bound on d of the first ego behind the leader: its slack to the leader's rear bumper, in metres.
@@ -233,9 +244,7 @@ impl Situation {
 impl Leader {
     fn new(low: &Scenario, high: &Scenario) -> Self {
         let (one, other) = (alone_mps2(low), alone_mps2(high));
-        let at = |values: &[f64], step: usize| values.get(step).copied().unwrap_or(0.0);
-        let acceleration_mps2: Vec<Interval> =
-            (0..low.steps()).map(|step| between(at(&one, step), at(&other, step))).collect();
+        let acceleration_mps2: Vec<Interval> = one.iter().zip(&other).map(|(&a, &b)| between(a, b)).collect();
         let first = |of: fn(&VehicleSpec) -> f64| {
             let of = |scenario: &Scenario| scenario.vehicles().first().map_or(0.0, of);
             between(of(low), of(high))
@@ -253,8 +262,10 @@ impl Leader {
             rear_m
         };
         let (rearmost, foremost) = (drive(Interval::low), drive(Interval::high));
-        let rear_m = rearmost.iter().zip(&foremost).map(|(&low, &high)| between(low, high)).collect();
-        Self { position_m, speed_mps, length_m, acceleration_mps2, rear_m }
+        let rear_m: Vec<Interval> = rearmost.iter().zip(&foremost).map(|(&low, &high)| between(low, high)).collect();
+        let moves = rear_m.windows(2).rposition(|pair| pair.first() != pair.last());
+        let rests_from = moves.map_or(0, |step| step + 1);
+        Self { position_m, speed_mps, length_m, acceleration_mps2, rear_m, rests_from }
     }
 }
 
@@ -262,7 +273,10 @@ impl Follower {
     /// Front bumper at a step, in metres: coasting until `firing` and the reaction time, then braking to standstill.
     fn position_m(&self, situation: &Situation, firing: usize, step: usize, side: Side) -> f64 {
         let brakes_from = (firing + self.reaction_steps).min(step);
-        let (x, v) = (side.of(self.position_m.low(), self.position_m.high()), side.of(self.speed_mps.low(), self.speed_mps.high()));
+        let (x, v) = (
+            side.of(self.position_m.low(), self.position_m.high()),
+            side.of(self.speed_mps.low(), self.speed_mps.high()),
+        );
         let brake_mps2 = side.of(self.brake_mps2.high(), self.brake_mps2.low());
         let coasting_s = situation.time_s(brakes_from);
         let braking_s = ((step - brakes_from) as f64 * situation.step_s).min(v / brake_mps2);
@@ -289,40 +303,46 @@ fn last_ego(scenario: &Scenario) -> Result<usize, Reason> {
     Ok(egos)
 }
 
-/// Whether two scenarios differ in nothing but positions, speeds and the leader's script.
-fn alike(low: &Scenario, high: &Scenario) -> bool {
-    low.edited(|spec| {
-        for (vehicle, other) in spec.vehicles.iter_mut().zip(high.vehicles()) {
-            (vehicle.position_m, vehicle.speed_mps) = (other.position_m, other.speed_mps);
-        }
-        if let (Some(leader), Some(other)) = (spec.vehicles.first_mut(), high.vehicles().first()) {
-            leader.driver = other.driver.clone();
-            leader.max_brake_mps2 = other.max_brake_mps2;
-        }
-        (spec.name, spec.about) = (high.spec().name.clone(), high.spec().about.clone());
-    })
-    .is_ok_and(|changed| changed == *high)
-}
-
 /// Reaction and actuator delay in whole steps, as the simulation counts them.
 fn delay_steps(scenario: &Scenario, vehicle: &VehicleSpec) -> usize {
     let delay_s = vehicle.reaction_delay_s + vehicle.actuator_delay_s;
     ((delay_s / scenario.spec().step_s).round() as usize).min(scenario.steps())
 }
 
-/// The acceleration the scripted leader has in each step, its noise included: it reacts to nobody, so it drives alone.
+/// The acceleration of the scripted leader in each step, its noise included: it reacts to nobody, so it drives alone.
+///
+/// Without noise it is what the script asks for, also of a leader that stands: in a box another one may still be moving. A
+/// script asks the faster of two vehicles for no more acceleration than the slower, so whatever starts between the ends of
+/// a box is asked for something between.
 fn alone_mps2(scenario: &Scenario) -> Vec<f64> {
+    let Some(leader) = scenario.vehicles().first() else { return Vec::new() };
+    let Driver::Profile(profile) = &leader.driver else { return Vec::new() };
+    if leader.acceleration_noise_mps2 > 0.0 {
+        return simulated_mps2(scenario);
+    }
+    let step_s = scenario.spec().step_s;
+    let mut motion = Motion { position_m: 0.0, speed_mps: leader.speed_mps, acceleration_mps2: 0.0 };
+    let of_step = |step: usize| {
+        let asked = profile.acceleration_mps2(step as f64 * step_s, (step + 1) as f64 * step_s, motion.speed_mps);
+        let acceleration_mps2 = asked.max(-scenario.usable_brake_mps2(0)).min(leader.max_accel_mps2());
+        motion = Motion { acceleration_mps2, ..motion }.after(step_s);
+        acceleration_mps2
+    };
+    (0..scenario.steps()).map(of_step).collect()
+}
+
+/// The same by simulation.
+fn simulated_mps2(scenario: &Scenario) -> Vec<f64> {
     let alone = scenario.edited(|spec| {
         spec.vehicles.truncate(2);
         if let Some(other) = spec.vehicles.get_mut(1) {
             // Far behind and standing.
-            (other.position_m, other.speed_mps) = (-1e6, 0.0);
-            other.driver = Driver::Controller(ControllerSpec::MatchLeader);
-            other.acceleration_noise_mps2 = 0.0;
+            *other = VehicleSpec::new(VehicleClass::Light, -1e6, 0.0, Driver::Profile(LeadProfile::ConstantSpeed));
         }
     });
     let Ok(alone) = alone else { return Vec::new() };
     let Ok(run) = Run::new(&alone, RunOptions::new(ControllerSpec::MatchLeader)) else { return Vec::new() };
     let trace = simulate(&run, Keep::Trace).trace;
-    trace.and_then(|trace| trace.vehicles.into_iter().next()).map_or(Vec::new(), |track| track.acceleration_mps2)
+    let leader = trace.and_then(|trace| trace.vehicles.into_iter().next());
+    leader.map_or(Vec::new(), |track| track.acceleration_mps2.into_iter().take(scenario.steps()).collect())
 }
