@@ -16,20 +16,23 @@ fn main() {
 #[divan::bench(args = [("paper-1", 0.1), ("paper-1", 0.01), ("paper-2", 0.1), ("paper-2", 0.01), ("paper-3", 0.1), ("paper-3", 0.01)], sample_count = 10)]
 fn decide(bencher: Bencher<'_, '_>, (name, grid_s): (&str, f64)) {
     let scenario = built_in(name).expect("built in");
-    bencher.bench_local(|| avoid(&scenario, AvoidOptions { grid_s: Some(grid_s) }).expect("the grid fits"));
+    bencher.bench_local(|| {
+        avoid(&scenario, AvoidOptions { grid_s: Some(grid_s), ..AvoidOptions::default() }).expect("the grid fits")
+    });
 }
 
 /// A follower too close and too fast for anybody.
 #[divan::bench(sample_count = 10)]
 fn prove_unavoidable(bencher: Bencher<'_, '_>) {
     let hopeless = hopeless();
-    bencher.bench_local(|| avoid(&hopeless, AvoidOptions { grid_s: None }).expect("the grid fits"));
+    bencher.bench_local(|| avoid(&hopeless, AvoidOptions::default()).expect("the grid fits"));
 }
 
 #[divan::bench(sample_count = 20)]
 fn check_escape(bencher: Bencher<'_, '_>) {
     let scenario = built_in("paper-1").expect("built in");
-    let avoidance = avoid(&scenario, AvoidOptions { grid_s: Some(0.01) }).expect("the grid fits");
+    let avoidance =
+        avoid(&scenario, AvoidOptions { grid_s: Some(0.01), ..AvoidOptions::default() }).expect("the grid fits");
     let escape = avoidance.verdict.escape().expect("avoidable").clone();
     let certificate = certify(&Family::point(&scenario), &escape).expect("accepted");
     bencher.bench_local(|| crumple_verify::check(&certificate).expect("accepted"));
@@ -37,7 +40,7 @@ fn check_escape(bencher: Bencher<'_, '_>) {
 
 #[divan::bench(sample_count = 20)]
 fn check_proof(bencher: Bencher<'_, '_>) {
-    let verdict = avoid(&hopeless(), AvoidOptions { grid_s: None }).expect("the grid fits").verdict;
+    let verdict = avoid(&hopeless(), AvoidOptions::default()).expect("the grid fits").verdict;
     let Verdict::Unavoidable(proof) = verdict else { return };
     bencher.bench_local(|| crumple_verify::check(&proof).expect("accepted"));
 }

@@ -11,7 +11,9 @@ use super::simulate::{self, Format};
 use super::{Failure, subject};
 use crate::scenario::{Scenario, file};
 use crate::sim::Simulated;
-use crate::worst_case::{AvoidOptions, Avoidance, Escape, Family, Ranges, Reason, Verdict, avoid_all, certify};
+use crate::worst_case::{
+    AvoidOptions, Avoidance, Escape, EscapeKind, Family, Ranges, Reason, Verdict, avoid_all, certify,
+};
 
 /// Say whether anyone could have avoided a collision: by an escape, or by a proof that there is none
 #[derive(Args)]
@@ -44,6 +46,9 @@ pub(super) struct Avoid {
     /// Hold the accelerations of an escape for S seconds, a multiple of the scenario's step; default about 0.1
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     grid: Option<f64>,
+    /// Which escape to show; the verdict does not depend on it
+    #[arg(long, value_enum, default_value = "largest-gap")]
+    escape: EscapeKind,
     /// Write what `crumple check` accepts: the escape or the proof
     #[arg(long, value_name = "F.json")]
     certificate: Option<PathBuf>,
@@ -74,7 +79,7 @@ struct Report<'a> {
 impl Avoid {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let family = self.family()?;
-        let options = AvoidOptions { grid_s: self.grid };
+        let options = AvoidOptions { grid_s: self.grid, escape: self.escape };
         let avoidance = avoid_all(&family, options).map_err(Failure::input)?;
         let mut files = Files::default();
         self.write_certificate(&family, &avoidance, &mut files, quiet)?;
@@ -166,7 +171,7 @@ fn describe(report: &Report<'_>) -> String {
     let mut text = format!("{scenario}: {verdict}\n");
     // Writing to a string cannot fail.
     if let Some(gap_m) = best_min_gap_m {
-        let _ = writeln!(text, "  best smallest gap {gap_m:.2} m");
+        let _ = writeln!(text, "  smallest gap of the escape {gap_m:.2} m");
     }
     if let Some(bound_m) = min_gap_bound_m {
         let _ = writeln!(text, "  no driver keeps more than {bound_m:.2} m");

@@ -50,8 +50,8 @@ struct Report<'a> {
 impl Check {
     pub(super) fn run(self) -> Result<(), Failure> {
         let scenario = self.scenario.as_deref().map(subject::scenario).transpose()?;
-        let read = |path: &PathBuf| certificate(path).map(|certificate| (path, certificate));
-        let certificates = self.certificates.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+        let read = self.certificates.iter().map(|path| Ok((path, certificate(path)?)));
+        let certificates = read.collect::<Result<Vec<_>, Failure>>()?;
         let mut text = String::new();
         let mut refused = Vec::new();
         for (path, certificate) in &certificates {

@@ -12,6 +12,7 @@ mod progress;
 mod simulate;
 mod subject;
 mod train;
+mod worst_case;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -47,6 +48,7 @@ enum Command {
     Train(train::Train),
     Avoid(avoid::Avoid),
     Check(check::Check),
+    WorstCase(worst_case::WorstCase),
     Benchmark(benchmark::Measure),
     List(list::List),
 }
@@ -71,6 +73,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Train(command) => command.run(quiet),
         Command::Avoid(command) => command.run(quiet),
         Command::Check(command) => command.run(),
+        Command::WorstCase(command) => command.run(quiet),
         Command::Benchmark(command) => command.run(),
         Command::List(command) => command.run(),
     };

@@ -5,18 +5,32 @@ use crumple_verify::{Accepted, Certificate};
 use super::branches::Search;
 use super::certificate;
 use super::family::Family;
-use super::program::Grid;
+use super::program::{Grid, Objective};
 use super::reason::Reason;
 use super::situation::{Side, Situation};
 use super::witness::Escape;
 use crate::scenario::{Scenario, whole_multiple};
 
 /// How to search for an escape.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AvoidOptions {
     /// Time over which the accelerations of an escape are held, in seconds: a multiple of the scenario's step. Where it is too
     /// coarse to decide, the step itself is used. None for about a tenth of a second.
     pub grid_s: Option<f64>,
+    /// Which escape to show.
+    pub escape: EscapeKind,
+}
+
+/// Which of all escapes is shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum EscapeKind {
+    /// The one with the largest smallest gap
+    #[default]
+    LargestGap,
+    /// The one with the least ∫ a² that keeps half that gap, for the same firing of the brake behind
+    Gentlest,
+    /// Likewise the one whose acceleration changes least
+    LeastJerk,
 }
 
 /// Why a search cannot begin.
@@ -110,7 +124,7 @@ pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, Av
         if index < first && search.bound_m() >= 0.0 {
             continue;
         }
-        undecided = match conclude(family, &situation, &search) {
+        undecided = match conclude(family, &situation, &search, options.escape) {
             Ok(verdict) => return Ok(found(&situation, &search, verdict)),
             Err(reason) => Some(reason),
         };
@@ -143,13 +157,18 @@ fn cells(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usize>, usiz
 }
 
 /// The verdict of what a search has found so far, or why there is none yet.
-fn conclude(family: &Family, situation: &Situation, search: &Search<'_>) -> Result<Verdict, Reason> {
+fn conclude(family: &Family, situation: &Situation, search: &Search<'_>, kind: EscapeKind) -> Result<Verdict, Reason> {
     let best_m = search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m);
     if let Some(best) = search.best.as_ref().filter(|best| best.gap_m > 0.0) {
         if let Some(Reason::EgoResponse { vehicle }) = situation.escape_caveat {
             return Err(Reason::EgoResponse { vehicle });
         }
-        let escape = Escape::replay(family.centre(), situation, best);
+        let smoothed = match kind {
+            EscapeKind::LargestGap => None,
+            EscapeKind::Gentlest => search.smoothed(best, Objective::GentlestEscape),
+            EscapeKind::LeastJerk => search.smoothed(best, Objective::LeastJerk),
+        };
+        let escape = Escape::replay(family.centre(), situation, smoothed.as_ref().unwrap_or(best));
         let escape = escape.ok_or_else(|| situation.escape_caveat.clone().unwrap_or(Reason::Replay))?;
         if !family.is_point() {
             certify(family, &escape)?;

@@ -95,7 +95,7 @@ impl<'a> Search<'a> {
     /// Solves one program and learns from it.
     fn solve(&mut self, grid: &Grid, firing: usize) {
         self.programs += 1;
-        let wanted = Wanted { objective: Objective::LargestGap, side: Side::Tight, jerk_mps3: None };
+        let wanted = Wanted { objective: Objective::LargestGap, side: Side::Tight };
         match program::solve(self.situation, grid, firing, wanted) {
             Answer::Profile { gap_m, acceleration_mps2, multipliers } => {
                 self.cut(multipliers);
@@ -105,6 +105,17 @@ impl<'a> Search<'a> {
             }
             Answer::Empty(multipliers) => self.cut(multipliers),
             Answer::Trouble(status) => self.trouble = Some(status),
+        }
+    }
+
+    /// The same escape made smoother: for its firing, with half its smallest gap kept.
+    pub(super) fn smoothed(&self, best: &Found, objective: impl Fn(f64) -> Objective) -> Option<Found> {
+        let wanted = Wanted { objective: objective(0.5 * best.gap_m), side: Side::Tight };
+        match program::solve(self.situation, &best.grid, best.firing, wanted) {
+            Answer::Profile { gap_m, acceleration_mps2, .. } => {
+                Some(Found { firing: best.firing, gap_m, acceleration_mps2, grid: best.grid.clone() })
+            }
+            Answer::Empty(_) | Answer::Trouble(_) => None,
         }
     }
 

@@ -10,20 +10,29 @@
 //!   `crumple_verify::check` (`certificate`);
 //! - *undecided*, with the [`Reason`].
 //!
+//! **How little does it take?** [`attack()`] looks for the mildest braking of the leader that makes a controller collide, or
+//! the severest impact: exactly for the baseline, whose motion is known once it is known when it fires (`exact`), by
+//! sequential convex programming for every other controller (`sequential`). What it returns has been simulated.
+//!
 //! Nothing a solver says is believed: a profile is replayed, and multipliers prove what they prove.
 
+mod attack;
 mod avoid;
 mod branches;
 mod certificate;
 mod cone;
+mod exact;
 mod family;
+mod lead;
 mod multipliers;
 mod program;
 mod reason;
+mod sequential;
 mod situation;
 mod witness;
 
-pub use avoid::{AvoidError, AvoidOptions, Avoidance, Verdict, avoid, avoid_all, certify};
+pub use attack::{Aim, Attack, AttackError, Envelope, Way, attack};
+pub use avoid::{AvoidError, AvoidOptions, Avoidance, EscapeKind, Verdict, avoid, avoid_all, certify};
 pub use certificate::is_about;
 pub use family::{Family, FamilyError, FieldRange, Ranges};
 pub use reason::Reason;

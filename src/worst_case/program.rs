@@ -43,8 +43,6 @@ pub(super) enum Objective {
 pub(super) struct Wanted {
     pub(super) objective: Objective,
     pub(super) side: Side,
-    /// Most change of acceleration between cells over the time between their centres, in m/s³.
-    pub(super) jerk_mps3: Option<f64>,
 }
 
 /// What became of a program.
@@ -175,9 +173,6 @@ impl<'a> Program<'a> {
                 }
                 let step = self.grid.steps[instant];
                 self.at_most(Row::Speed(ego, step), &[(w, -1.0)], self.situation.speed_slack_mps(ego, side));
-                if let Some(jerk_mps3) = self.wanted.jerk_mps3 {
-                    self.jerk(ego, instant, jerk_mps3);
-                }
             }
         }
     }
@@ -195,13 +190,6 @@ impl<'a> Program<'a> {
             apart_s += 0.5 * self.cell_s(instant - 1);
         }
         (terms, apart_s)
-    }
-
-    fn jerk(&mut self, ego: usize, instant: usize, jerk_mps3: f64) {
-        let (terms, apart_s) = self.jump(ego, instant);
-        let back: Vec<_> = terms.iter().map(|&(variable, c)| (variable, -c)).collect();
-        self.at_most(Row::Other, &terms, jerk_mps3 * apart_s);
-        self.at_most(Row::Other, &back, jerk_mps3 * apart_s);
     }
 
     fn gaps(&mut self, firing: usize) {

@@ -1,5 +1,6 @@
 //! Whether anyone could have avoided it: against the paper, brute force, every controller, and the checker.
 
+mod attacks;
 #[path = "../../../verify/tests/support/mutants.rs"]
 mod mutants;
 mod scenes;
@@ -8,7 +9,8 @@ use crumple::estimate::EstimatorKind;
 use crumple::scenario::{ControllerSpec, Scenario, built_in, file};
 use crumple::sim::{Keep, Outcome, Run, RunOptions, Simulated, simulate};
 use crumple::worst_case::{
-    AvoidOptions, Avoidance, Family, FieldRange, Ranges, Reason, Verdict, avoid, avoid_all, certify, is_about,
+    AvoidOptions, Avoidance, EscapeKind, Family, FieldRange, Ranges, Reason, Verdict, avoid, avoid_all, certify,
+    is_about,
 };
 use crumple_verify::{Accepted, Certificate, Statement};
 use serde_json::Value;
@@ -16,7 +18,7 @@ use serde_json::Value;
 use scenes::{random, scenario_of, small, with_profile};
 
 fn decide(scenario: &Scenario) -> Avoidance {
-    avoid(scenario, AvoidOptions { grid_s: None }).expect("the default grid fits")
+    avoid(scenario, AvoidOptions::default()).expect("the default grid fits")
 }
 
 fn run(scenario: &Scenario, controller: &ControllerSpec, estimator: EstimatorKind, parts: f64) -> Simulated {
@@ -65,10 +67,24 @@ fn the_papers_collisions_were_avoidable() {
 #[test]
 fn a_finer_grid_closes_the_bracket() {
     let scenario = built_in("paper-1").unwrap();
-    let avoidance = avoid(&scenario, AvoidOptions { grid_s: Some(0.01) }).unwrap();
+    let avoidance = avoid(&scenario, AvoidOptions { grid_s: Some(0.01), ..AvoidOptions::default() }).unwrap();
     let gap_m = avoidance.verdict.escape().unwrap().min_gap_m;
     assert!((avoidance.min_gap_bound_m.unwrap() - gap_m).abs() < 0.02, "{avoidance:?}");
-    assert!(avoid(&scenario, AvoidOptions { grid_s: Some(0.015) }).is_err());
+    assert!(avoid(&scenario, AvoidOptions { grid_s: Some(0.015), ..AvoidOptions::default() }).is_err());
+}
+
+#[test]
+fn smoother_escapes_cost_less_and_keep_half_the_gap() {
+    let scenario = built_in("paper-1").unwrap();
+    let effort = |escape| {
+        let avoidance = avoid(&scenario, AvoidOptions { escape, ..AvoidOptions::default() }).unwrap();
+        let escape = avoidance.verdict.escape().expect("avoidable").clone();
+        assert!(escape.min_gap_m > 4.0, "{}", escape.min_gap_m);
+        escape.effort_m2ps3()
+    };
+    let [largest, gentlest, smoothest] =
+        [EscapeKind::LargestGap, EscapeKind::Gentlest, EscapeKind::LeastJerk].map(effort);
+    assert!(gentlest < largest && gentlest <= smoothest, "{largest} {gentlest} {smoothest}");
 }
 
 /// Every choice among full braking, coasting and full acceleration, changed once in half a second.
@@ -109,7 +125,7 @@ fn brute_force_m(scenario: &Scenario) -> f64 {
 /// Whoever survives an unavoidable scenario, or keeps more than the bound, refutes it.
 #[test]
 fn no_controller_contradicts_a_verdict() {
-    let count: u64 = std::env::var("PROPTEST_CASES").ok().and_then(|cases| cases.parse().ok()).unwrap_or(256) / 2;
+    let count: u64 = 100 * u64::from(crate::generate::cases(256).cases) / 256;
     let (mut undecided, mut avoidable, mut unavoidable) = (Vec::new(), 0, 0);
     for seed in 0..count {
         let scenario = random(seed);
@@ -201,7 +217,7 @@ fn a_box_is_decided_as_a_whole() {
         ],
     };
     let family = Family::new(&paper_1, &ranges(2.9, 3.1)).unwrap();
-    let avoidance = avoid_all(&family, AvoidOptions { grid_s: None }).unwrap();
+    let avoidance = avoid_all(&family, AvoidOptions::default()).unwrap();
     let Verdict::Avoidable(escape) = &avoidance.verdict else { panic!("{:?}", avoidance.verdict) };
     let certificate = certify(&family, escape).unwrap();
     check(&certificate);
@@ -224,9 +240,7 @@ fn a_box_is_decided_as_a_whole() {
     // Nobody stops a car from 25 m/s in 16 m behind a wall, wherever in the box it stands.
     let wall = paper_1.edited(|s| s.vehicles[0].speed_mps = 0.0).unwrap();
     let hopeless = Family::new(&wall, &ranges(0.0, 3.0)).unwrap();
-    let Verdict::Unavoidable(proof) = avoid_all(&hopeless, AvoidOptions { grid_s: None }).unwrap().verdict else {
-        panic!()
-    };
+    let Verdict::Unavoidable(proof) = avoid_all(&hopeless, AvoidOptions::default()).unwrap().verdict else { panic!() };
     check(&proof);
     let bad = Ranges { version: 1, ranges: vec![FieldRange { field: "seed".into(), low: 0.0, high: 1.0 }] };
     assert!(Family::new(&paper_1, &bad).is_err());

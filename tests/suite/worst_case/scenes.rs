@@ -8,10 +8,10 @@ use crumple::scenario::{
 use crumple_verify::{Held, Scene};
 
 /// Numbers between 0 and 1 that depend on a seed alone.
-struct Dice(u64);
+pub(crate) struct Dice(pub(crate) u64);
 
 impl Dice {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
         self.0 = derived_seed(self.0, 1);
         low + (high - low) * (self.0 >> 10) as f64 / (1_u64 << 53) as f64
     }
