@@ -3,6 +3,7 @@
 mod bad_input;
 mod reports;
 mod train;
+mod worst_case;
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};

@@ -1,6 +1,7 @@
 //! Whether anyone could have avoided it: against the paper, brute force, every controller, and the checker.
 
 mod attacks;
+#[allow(unreachable_pub, reason = "shared with the tests of the checker")]
 #[path = "../../../verify/tests/support/mutants.rs"]
 mod mutants;
 mod scenes;
