@@ -28,6 +28,7 @@
 //! | [`recording`] | recorded traffic turned into scenarios |
 //! | [`export`], [`draw`] | traces as tables and as pictures |
 //! | [`rl`] | learning to drive: DDPG, its environment, its presets |
+//! | [`worst_case`] | convex programs: could anyone have avoided it, how little does it take; certificates |
 //! | [`falsify`] | search methods that look for failures, and the public benchmark they are measured on |
 //! | [`evidence`] | claims with certificates: kernels of shields, failure rates |
 //! | [`report`] | the assessment and its renderings |
@@ -65,3 +66,4 @@ pub mod report;
 pub mod rl;
 pub mod scenario;
 pub mod sim;
+pub mod worst_case;

@@ -66,7 +66,7 @@ impl Failure {
 
 impl Failure {
     /// A file that could not be read: a wrong argument if it is not there or not text, otherwise the environment's fault.
-    fn unreadable(path: PathBuf, source: io::Error) -> Self {
+    pub(super) fn unreadable(path: PathBuf, source: io::Error) -> Self {
         match source.kind() {
             io::ErrorKind::NotFound | io::ErrorKind::IsADirectory | io::ErrorKind::InvalidData => {
                 Self::Input(format!("{}: {source}", path.display()))

@@ -1,7 +1,9 @@
 //! The command line: one file a subcommand, all of them thin.
 
 mod assess;
+mod avoid;
 mod benchmark;
+mod check;
 mod failure;
 mod import;
 mod list;
@@ -11,6 +13,7 @@ mod simulate;
 mod subject;
 mod train;
 mod verify;
+mod worst_case;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -22,7 +25,7 @@ pub use failure::Failure;
 const EXIT_CODES: &str = "\
 Exit codes:
   0    done
-  1    a gate did not hold: --expect was not met, a training diverged
+  1    a gate did not hold: --expect was not met, a training diverged, a certificate was rejected
   2    unusable arguments or input; the message names file, line and field
   3    the environment failed: disk, permission
   130  interrupted";
@@ -44,6 +47,9 @@ enum Command {
     Simulate(simulate::Simulate),
     Import(import::Import),
     Train(train::Train),
+    Avoid(avoid::Avoid),
+    Check(check::Check),
+    WorstCase(worst_case::WorstCase),
     Benchmark(benchmark::Measure),
     Verify(verify::Verify),
     List(list::List),
@@ -67,6 +73,9 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
         Command::Train(command) => command.run(quiet),
+        Command::Avoid(command) => command.run(quiet),
+        Command::Check(command) => command.run(),
+        Command::WorstCase(command) => command.run(quiet),
         Command::Benchmark(command) => command.run(),
         Command::Verify(command) => command.run(quiet),
         Command::List(command) => command.run(),

@@ -139,7 +139,10 @@ impl Simulate {
         if let Some(trace) = &simulated.trace {
             let name = is_one_of_many.then_some(run.scenario().spec().name.as_str());
             if let Some(path) = &self.plot {
-                files.push((named(path, name), self.picture(path, run.scenario(), trace, &simulated.impacts)?));
+                files.push((
+                    named(path, name),
+                    picture(path, run.scenario(), &self.controller.name, trace, &simulated.impacts)?,
+                ));
             }
             if let Some(path) = &self.trace {
                 let is_csv = extension(path) == Some("csv");
@@ -184,17 +187,6 @@ impl Simulate {
         }
     }
 
-    fn picture(&self, path: &Path, scenario: &Scenario, trace: &Trace, impacts: &[Impact]) -> Result<Vec<u8>, Failure> {
-        let title = format!("{}, {}", scenario.spec().name, self.controller.name);
-        let labels = draw::vehicle_names(scenario);
-        let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
-        let picture = draw::motion(&figure, Layout::Wide);
-        match extension(path) {
-            Some("png") => picture.to_png(PNG_SCALE).map_err(Failure::input),
-            _ => Ok(picture.document().into_bytes()),
-        }
-    }
-
     fn check_expectation(&self, runs: &[Run<'_>], results: &[Rendered]) -> Result<(), Failure> {
         let Some(expected) = self.expect else { return Ok(()) };
         let otherwise: Vec<_> = runs
@@ -211,8 +203,26 @@ impl Simulate {
     }
 }
 
+/// The three diagrams of a run, as the file's extension says.
+pub(super) fn picture(
+    path: &Path,
+    scenario: &Scenario,
+    controller: &str,
+    trace: &Trace,
+    impacts: &[Impact],
+) -> Result<Vec<u8>, Failure> {
+    let title = format!("{}, {controller}", scenario.spec().name);
+    let labels = draw::vehicle_names(scenario);
+    let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
+    let picture = draw::motion(&figure, Layout::Wide);
+    match extension(path) {
+        Some("png") => picture.to_png(PNG_SCALE).map_err(Failure::input),
+        _ => Ok(picture.document().into_bytes()),
+    }
+}
+
 /// A path that ends in one of two extensions, for clap.
-fn ending_in(path: &str, extensions: [&str; 2]) -> Result<PathBuf, String> {
+pub(super) fn ending_in(path: &str, extensions: [&str; 2]) -> Result<PathBuf, String> {
     let [one, other] = extensions;
     let known = extension(Path::new(path)).is_some_and(|found| extensions.contains(&found));
     if known { Ok(PathBuf::from(path)) } else { Err(format!("must end in .{one} or .{other}")) }

@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use super::Failure;
+use crate::estimate::EstimatorKind;
 use crate::scenario::space::{self, BUILT_IN_SPACES, Space, built_in_space};
-use crate::scenario::{Scenario, built_in, built_in_names, file};
-use crate::sim::Contender;
+use crate::scenario::{ControllerSpec, Scenario, built_in, built_in_names, file};
+use crate::sim::{Contender, Keep, Run, RunOptions, Simulated, simulate};
 
 /// A built-in scenario, or the one in a file.
 pub(super) fn scenario(name_or_path: &str) -> Result<Scenario, Failure> {
@@ -39,4 +40,10 @@ pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
 /// A built-in controller or a policy file, for clap.
 pub(super) fn controller(name: &str) -> Result<Contender, String> {
     Contender::find(name, Path::new("")).map_err(|error| error.to_string())
+}
+
+/// What a scenario of scripts and fixed drivers does.
+pub(super) fn replay(scenario: &Scenario) -> Result<Simulated, Failure> {
+    let run = Run::new(scenario, RunOptions::new(ControllerSpec::MatchLeader).with_estimator(EstimatorKind::Truth))?;
+    Ok(simulate(&run, Keep::Trace))
 }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 /// From the ground up.
-const ORDER: [&str; 15] = [
+const ORDER: [&str; 16] = [
     "random",
     "scenario",
     "estimate",
@@ -16,6 +16,7 @@ const ORDER: [&str; 15] = [
     "export",
     "draw",
     "rl",
+    "worst_case",
     "falsify",
     "evidence",
     "report",

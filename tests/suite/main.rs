@@ -18,3 +18,4 @@ mod scenario_files;
 mod schema;
 mod shield;
 mod spaces;
+mod worst_case;

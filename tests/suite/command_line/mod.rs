@@ -4,6 +4,7 @@ mod bad_input;
 mod reports;
 mod train;
 mod verify;
+mod worst_case;
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};

@@ -1,0 +1,55 @@
+//! Time to decide whether a collision was avoidable, on one core, and to check what was found.
+//!
+//! `cargo bench --bench avoid`. Grids are those of the accelerations of an escape; firings of the follower's brake are told
+//! apart by the scenario's step in all of them. The search is sequential, so one core is all it uses.
+
+#![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
+
+use crumple::scenario::built_in;
+use crumple::worst_case::{AvoidOptions, Family, Verdict, avoid, certify};
+use divan::Bencher;
+
+fn main() {
+    divan::main();
+}
+
+#[divan::bench(args = [("paper-1", 0.1), ("paper-1", 0.01), ("paper-2", 0.1), ("paper-2", 0.01), ("paper-3", 0.1), ("paper-3", 0.01)], sample_count = 10)]
+fn decide(bencher: Bencher<'_, '_>, (name, grid_s): (&str, f64)) {
+    let scenario = built_in(name).expect("built in");
+    bencher.bench_local(|| {
+        avoid(&scenario, AvoidOptions { grid_s: Some(grid_s), ..AvoidOptions::default() }).expect("the grid fits")
+    });
+}
+
+/// A follower too close and too fast for anybody.
+#[divan::bench(sample_count = 10)]
+fn prove_unavoidable(bencher: Bencher<'_, '_>) {
+    let hopeless = hopeless();
+    bencher.bench_local(|| avoid(&hopeless, AvoidOptions::default()).expect("the grid fits"));
+}
+
+#[divan::bench(sample_count = 20)]
+fn check_escape(bencher: Bencher<'_, '_>) {
+    let scenario = built_in("paper-1").expect("built in");
+    let avoidance =
+        avoid(&scenario, AvoidOptions { grid_s: Some(0.01), ..AvoidOptions::default() }).expect("the grid fits");
+    let escape = avoidance.verdict.escape().expect("avoidable").clone();
+    let certificate = certify(&Family::point(&scenario), &escape).expect("accepted");
+    bencher.bench_local(|| crumple_verify::check(&certificate).expect("accepted"));
+}
+
+#[divan::bench(sample_count = 20)]
+fn check_proof(bencher: Bencher<'_, '_>) {
+    let verdict = avoid(&hopeless(), AvoidOptions::default()).expect("the grid fits").verdict;
+    let Verdict::Unavoidable(proof) = verdict else { return };
+    bencher.bench_local(|| crumple_verify::check(&proof).expect("accepted"));
+}
+
+fn hopeless() -> crumple::scenario::Scenario {
+    let paper_1 = built_in("paper-1").expect("built in");
+    let closer = paper_1.edited(|spec| {
+        spec.vehicles[2].position_m += 12.0;
+        spec.vehicles[2].speed_mps = 40.0;
+    });
+    closer.expect("still valid")
+}

@@ -1,0 +1,191 @@
+//! `crumple avoid`: could anyone have avoided it?
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+
+use super::output::{self, Files};
+use super::simulate::{self, Format};
+use super::{Failure, subject};
+use crate::scenario::{Scenario, file};
+use crate::sim::Simulated;
+use crate::worst_case::{
+    AvoidOptions, Avoidance, Escape, EscapeKind, Family, Ranges, Reason, Verdict, avoid_all, certify,
+};
+
+/// Say whether anyone could have avoided a collision: by an escape, or by a proof that there is none
+#[derive(Args)]
+#[command(after_long_help = "\
+The vehicles under test may accelerate and brake as they like within their limits, knowing the future; the leader follows its \
+script and the vehicle behind them its latched emergency brake. `avoidable` comes with the accelerations that leave the \
+largest smallest gap, replayed without contact at the scenario's step and at a tenth of it. `unavoidable` comes with a proof \
+about every possible driver, accepted by the checker behind `crumple check`. Everything else is `undecided`, with the reason.
+
+A file of ranges makes a box of the scenario; `avoidable` then means that one profile is an escape from all of it:
+  version = 1
+  [[ranges]]
+  field = \"vehicles[0].driver.brake.rate_mps2\"
+  low = 2.8
+  high = 3.2
+Fields are vehicles[i].position_m, vehicles[i].speed_mps and, of a leader that brakes, vehicles[0].driver.brake.rate_mps2 and \
+vehicles[0].driver.brake.onset_s.
+
+Examples:
+  crumple avoid paper-1
+  crumple avoid paper-1 --out escape.toml --plot escape.svg
+  crumple avoid my-scenario.toml --certificate proof.json --format json")]
+pub(super) struct Avoid {
+    /// Built-in scenario (see `crumple list scenarios`) or scenario file
+    #[arg(value_name = "SCENARIO")]
+    scenario: String,
+    /// Ranges in place of some numbers of the scenario: decide for all of them at once
+    #[arg(long = "box", value_name = "F.toml")]
+    ranges: Option<PathBuf>,
+    /// Hold the accelerations of an escape for S seconds, a multiple of the scenario's step; default about 0.1
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    grid: Option<f64>,
+    /// Which escape to show; the verdict does not depend on it
+    #[arg(long, value_enum, default_value = "largest-gap")]
+    escape: EscapeKind,
+    /// Write what `crumple check` accepts: the escape or the proof
+    #[arg(long, value_name = "F.json")]
+    certificate: Option<PathBuf>,
+    /// Write the escape as a scenario that `crumple simulate` runs without contact
+    #[arg(long, value_name = "F.toml")]
+    out: Option<PathBuf>,
+    /// Draw the escape
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]))]
+    plot: Option<PathBuf>,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+/// What `--format json` prints.
+#[derive(Serialize)]
+struct Report<'a> {
+    scenario: &'a str,
+    verdict: &'static str,
+    best_min_gap_m: Option<f64>,
+    min_gap_bound_m: Option<f64>,
+    trigger_time_s: Option<f64>,
+    effort_m2ps3: Option<f64>,
+    programs: usize,
+    reason: Option<&'a Reason>,
+}
+
+impl Avoid {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let family = self.family()?;
+        let options = AvoidOptions { grid_s: self.grid, escape: self.escape };
+        let avoidance = avoid_all(&family, options).map_err(Failure::input)?;
+        let mut files = Files::default();
+        self.write_certificate(&family, &avoidance, &mut files, quiet)?;
+        match avoidance.verdict.escape() {
+            Some(escape) => self.write_escape(escape, &mut files)?,
+            None if self.out.is_some() || self.plot.is_some() => {
+                output::note("note: there is no escape to write or draw", quiet);
+            }
+            None => {}
+        }
+        files.commit()?;
+        let report = report(family.centre(), &avoidance);
+        output::print(&match self.format {
+            Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
+            Format::Text => describe(&report),
+        })
+    }
+
+    fn family(&self) -> Result<Family, Failure> {
+        let scenario = subject::scenario(&self.scenario)?;
+        let Some(path) = &self.ranges else { return Ok(Family::point(&scenario)) };
+        let ranges: Ranges = file::parse_toml(&file::read(path)?, path)?;
+        Family::new(&scenario, &ranges).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))
+    }
+
+    fn write_certificate(
+        &self,
+        family: &Family,
+        avoidance: &Avoidance,
+        files: &mut Files,
+        quiet: bool,
+    ) -> Result<(), Failure> {
+        let Some(path) = &self.certificate else { return Ok(()) };
+        let certificate = match &avoidance.verdict {
+            Verdict::Avoidable(escape) => certify(family, escape),
+            Verdict::Unavoidable(certificate) => Ok((**certificate).clone()),
+            Verdict::Undecided(reason) => Err(reason.clone()),
+        };
+        match certificate {
+            Ok(certificate) => {
+                files.stage(path, (serde_json::to_string(&certificate).map_err(Failure::input)? + "\n").as_bytes())
+            }
+            Err(reason) => {
+                output::note(&format!("note: there is no certificate: {reason}"), quiet);
+                Ok(())
+            }
+        }
+    }
+
+    fn write_escape(&self, escape: &Escape, files: &mut Files) -> Result<(), Failure> {
+        if let Some(path) = &self.out {
+            files.stage(path, file::to_toml(&escape.scenario).map_err(Failure::input)?.as_bytes())?;
+        }
+        if let Some(path) = &self.plot {
+            files.stage(path, &picture(path, &escape.scenario, "escape", &subject::replay(&escape.scenario)?)?)?;
+        }
+        Ok(())
+    }
+}
+
+/// The three diagrams of a run.
+pub(super) fn picture(path: &Path, scenario: &Scenario, driver: &str, run: &Simulated) -> Result<Vec<u8>, Failure> {
+    match &run.trace {
+        Some(trace) => simulate::picture(path, scenario, driver, trace, &run.impacts),
+        None => Ok(Vec::new()),
+    }
+}
+
+fn report<'a>(scenario: &'a Scenario, avoidance: &'a Avoidance) -> Report<'a> {
+    let escape = avoidance.verdict.escape();
+    let reason = match &avoidance.verdict {
+        Verdict::Undecided(reason) => Some(reason),
+        Verdict::Avoidable(_) | Verdict::Unavoidable(_) => None,
+    };
+    Report {
+        scenario: &scenario.spec().name,
+        verdict: avoidance.verdict.name(),
+        best_min_gap_m: escape.map(|escape| escape.min_gap_m),
+        min_gap_bound_m: avoidance.min_gap_bound_m,
+        trigger_time_s: escape.and_then(|escape| escape.trigger_time_s),
+        effort_m2ps3: escape.map(Escape::effort_m2ps3),
+        programs: avoidance.programs,
+        reason,
+    }
+}
+
+fn describe(report: &Report<'_>) -> String {
+    let Report { scenario, verdict, best_min_gap_m, min_gap_bound_m, trigger_time_s, programs, reason, .. } = report;
+    let mut text = format!("{scenario}: {verdict}\n");
+    // Writing to a string cannot fail.
+    if let Some(gap_m) = best_min_gap_m {
+        let _ = writeln!(text, "  smallest gap of the escape {gap_m:.2} m");
+    }
+    if let Some(bound_m) = min_gap_bound_m {
+        let _ = writeln!(text, "  no driver keeps more than {bound_m:.2} m");
+    }
+    match (trigger_time_s, best_min_gap_m) {
+        (Some(time_s), _) => {
+            let _ = writeln!(text, "  the follower's emergency brake fires at {time_s:.2} s");
+        }
+        (None, Some(_)) => text.push_str("  no emergency brake behind fires\n"),
+        (None, None) => {}
+    }
+    if let Some(reason) = reason {
+        let _ = writeln!(text, "  {reason}");
+    }
+    let _ = writeln!(text, "  {programs} convex programs");
+    text
+}

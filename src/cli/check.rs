@@ -1,0 +1,137 @@
+//! `crumple check`: accept or reject certificates, by the checker alone.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use crumple_verify::{Accepted, Certificate, ParseError, Rejection};
+use serde::Serialize;
+
+use super::simulate::Format;
+use super::{Failure, output, subject};
+use crate::scenario::Scenario;
+use crate::worst_case::is_about;
+
+/// Accept or reject certificates with the small checker alone
+#[derive(Args)]
+#[command(after_long_help = "\
+The checker (crate crumple-verify) shares no code with the simulation, the search or the solver: it reads the file and \
+recomputes everything in outward-rounded interval arithmetic. Exit code 1 if a certificate is rejected, or is not about the \
+scenario named with --scenario; 2 if a file is no certificate.
+
+Examples:
+  crumple avoid paper-1 --certificate paper-1.json
+  crumple check paper-1.json --scenario paper-1")]
+pub(super) struct Check {
+    /// Certificates
+    #[arg(required = true, value_name = "CERTIFICATE")]
+    certificates: Vec<PathBuf>,
+    /// Also check that the certificates speak about this scenario
+    #[arg(long, value_name = "S")]
+    scenario: Option<String>,
+    /// How to print: for a reader, or one JSON object a certificate
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+/// One line of `--format json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    certificate: String,
+    accepted: bool,
+    claim: &'static str,
+    scenario: &'a str,
+    smallest_gap_m: Option<f64>,
+    overlap_m: Option<f64>,
+    rejection: Option<String>,
+    about_scenario: Option<bool>,
+}
+
+impl Check {
+    pub(super) fn run(self) -> Result<(), Failure> {
+        let scenario = self.scenario.as_deref().map(subject::scenario).transpose()?;
+        let read = self.certificates.iter().map(|path| Ok((path, certificate(path)?)));
+        let certificates = read.collect::<Result<Vec<_>, Failure>>()?;
+        let mut text = String::new();
+        let mut refused = Vec::new();
+        for (path, certificate) in &certificates {
+            let checked = crumple_verify::check(certificate);
+            let about = scenario.as_ref().map(|scenario| is_about(certificate, scenario));
+            if checked.is_err() || about == Some(false) {
+                refused.push(path.display().to_string());
+            }
+            text += &match self.format {
+                Format::Json => {
+                    let report = report(path, certificate, &checked, about);
+                    serde_json::to_string(&report).map_err(Failure::input)? + "\n"
+                }
+                Format::Text => describe(path, certificate, &checked, scenario.as_ref(), about),
+            };
+        }
+        output::print(&text)?;
+        if refused.is_empty() { Ok(()) } else { Err(Failure::Gate(format!("rejected: {}", refused.join(", ")))) }
+    }
+}
+
+fn certificate(path: &Path) -> Result<Certificate, Failure> {
+    let file = File::open(path).map_err(|source| Failure::unreadable(path.to_owned(), source))?;
+    Certificate::from_reader(file).map_err(|error| match error {
+        ParseError::Read(source) => Failure::unreadable(path.to_owned(), source),
+        other => Failure::Input(format!("{}: {other}", path.display())),
+    })
+}
+
+fn claim(certificate: &Certificate) -> &'static str {
+    match certificate.statement {
+        crumple_verify::Statement::Avoidable(_) => "avoidable",
+        crumple_verify::Statement::Unavoidable(_) => "unavoidable",
+    }
+}
+
+fn report<'a>(
+    path: &Path,
+    certificate: &'a Certificate,
+    checked: &Result<Accepted, Rejection>,
+    about_scenario: Option<bool>,
+) -> Report<'a> {
+    let (smallest_gap_m, overlap_m) = match checked {
+        Ok(Accepted::Avoidable { smallest_gap_m }) => (Some(*smallest_gap_m), None),
+        Ok(Accepted::Unavoidable { overlap_m }) => (None, Some(*overlap_m)),
+        _ => (None, None),
+    };
+    Report {
+        certificate: path.display().to_string(),
+        accepted: checked.is_ok(),
+        claim: claim(certificate),
+        scenario: &certificate.provenance.scenario,
+        smallest_gap_m,
+        // JSON has no infinity: an overlap of any size.
+        overlap_m: overlap_m.filter(|overlap| overlap.is_finite()),
+        rejection: checked.as_ref().err().map(ToString::to_string),
+        about_scenario,
+    }
+}
+
+fn describe(
+    path: &Path,
+    certificate: &Certificate,
+    checked: &Result<Accepted, Rejection>,
+    scenario: Option<&Scenario>,
+    about: Option<bool>,
+) -> String {
+    let name = path.display();
+    let mut text = match checked {
+        Ok(accepted) => format!("{name}: accepted: {accepted}\n"),
+        Err(rejection) => format!("{name}: rejected: {} is not proved: {rejection}\n", claim(certificate)),
+    };
+    if let (Some(scenario), Some(about)) = (scenario, about) {
+        let verb = if about { "is about" } else { "is NOT about" };
+        text += &format!("  {verb} {}\n", scenario.spec().name);
+    }
+    if checked.is_ok() {
+        for assumption in &certificate.assumptions {
+            text += &format!("  assuming that {assumption}\n");
+        }
+    }
+    text
+}

@@ -1,0 +1,161 @@
+//! `crumple worst-case`: how little lead braking makes a controller collide.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use super::output::{self, Files};
+use super::simulate::{self, Format};
+use super::{Failure, subject};
+use crate::estimate::EstimatorKind;
+use crate::scenario::file;
+use crate::sim::{Contender, Keep, Outcome, Run, RunOptions, simulate};
+use crate::worst_case::{Aim, Attack, Envelope, Way, attack};
+
+/// Find the mildest braking of the leader that makes a controller collide, or the severest impact
+#[derive(Args)]
+#[command(after_long_help = "\
+Whatever the leader's script was, another takes its place: braking only, within --max-brake and --jerk. For the baseline the \
+answer is exact on a grid of 0.1 s, by enumerating when its brake fires; for any other controller it is the local optimum of \
+sequential convex programming along rollouts. The profile is simulated before it is reported, beside what the last program \
+predicted. A margin is the smallest gap or, after a contact at v m/s, minus v²/10.
+
+Examples:
+  crumple worst-case paper-1 --controller baseline
+  crumple worst-case paper-1 --controller policy --out worst.toml --plot worst.svg
+  crumple worst-case paper-2 --controller idm --aim severest --max-brake 6 --format json")]
+pub(super) struct WorstCase {
+    /// Built-in scenario (see `crumple list scenarios`) or scenario file
+    #[arg(value_name = "SCENARIO")]
+    scenario: String,
+    /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
+    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    controller: Contender,
+    /// What the vehicles under test look through
+    #[arg(long, value_enum, default_value = "kalman")]
+    estimator: EstimatorKind,
+    /// What to look for: least ∫a², least peak, or the fastest impact
+    #[arg(long, value_enum, default_value = "mildest")]
+    aim: Aim,
+    /// Hardest braking of the leader in m/s²; default all it has on this road
+    #[arg(long, value_name = "A", allow_negative_numbers = true)]
+    max_brake: Option<f64>,
+    /// Fastest change of the leader's acceleration in m/s³
+    #[arg(long, value_name = "J", default_value_t = Envelope::JERK_MPS3, allow_negative_numbers = true)]
+    jerk: f64,
+    /// Most simulations, roughly
+    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    budget: u32,
+    /// Write the scenario with the profile as the leader's script
+    #[arg(long, value_name = "F.toml")]
+    out: Option<PathBuf>,
+    /// Draw what happens
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]))]
+    plot: Option<PathBuf>,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+/// What `--format json` prints.
+#[derive(Serialize)]
+struct Report<'a> {
+    scenario: &'a str,
+    controller: &'a str,
+    estimator: &'static str,
+    aim: String,
+    found: bool,
+    way: Option<Way>,
+    outcome: Option<Outcome>,
+    effort_m2ps3: Option<f64>,
+    peak_brake_mps2: Option<f64>,
+    predicted_margin_m: Option<f64>,
+    margin_m: Option<f64>,
+    evaluations: Option<usize>,
+    programs: Option<usize>,
+}
+
+impl WorstCase {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let scenario = subject::scenario(&self.scenario)?;
+        let envelope = Envelope {
+            max_brake_mps2: self.max_brake.unwrap_or(Envelope::of(&scenario).max_brake_mps2),
+            jerk_mps3: self.jerk,
+        };
+        let options = RunOptions::new(self.controller.controller.clone()).with_estimator(self.estimator);
+        let found = attack(&scenario, &options, self.aim, envelope, self.budget as usize).map_err(Failure::input)?;
+        let mut files = Files::default();
+        match &found {
+            Some(attack) => self.write(attack, &options, &mut files)?,
+            None if self.out.is_some() || self.plot.is_some() => {
+                output::note("note: no collision was found, so there is nothing to write or draw", quiet);
+            }
+            None => {}
+        }
+        files.commit()?;
+        let report = self.report(&scenario.spec().name, found.as_ref());
+        output::print(&match self.format {
+            Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
+            Format::Text => describe(&report),
+        })
+    }
+
+    fn write(&self, attack: &Attack, options: &RunOptions, files: &mut Files) -> Result<(), Failure> {
+        if let Some(path) = &self.out {
+            files.stage(path, file::to_toml(&attack.scenario).map_err(Failure::input)?.as_bytes())?;
+        }
+        if let Some(path) = &self.plot {
+            let simulated = simulate(&Run::new(&attack.scenario, options.clone())?, Keep::Trace);
+            if let Some(trace) = &simulated.trace {
+                let name = &self.controller.name;
+                let picture = simulate::picture(path, &attack.scenario, name, trace, &simulated.impacts)?;
+                files.stage(path, &picture)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn report<'a>(&'a self, scenario: &'a str, found: Option<&Attack>) -> Report<'a> {
+        Report {
+            scenario,
+            controller: &self.controller.name,
+            estimator: self.estimator.name(),
+            aim: self.aim.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned()),
+            found: found.is_some(),
+            way: found.map(|attack| attack.way),
+            outcome: found.map(|attack| attack.outcome),
+            effort_m2ps3: found.map(|attack| attack.effort_m2ps3),
+            peak_brake_mps2: found.map(|attack| attack.peak_brake_mps2),
+            predicted_margin_m: found.map(|attack| attack.predicted_margin_m),
+            margin_m: found.map(|attack| attack.margin_m),
+            evaluations: found.map(|attack| attack.evaluations),
+            programs: found.map(|attack| attack.programs),
+        }
+    }
+}
+
+fn describe(report: &Report<'_>) -> String {
+    let Report { scenario, controller, estimator, aim, .. } = report;
+    let mut text = format!("{scenario}: {controller}, estimator {estimator}, {aim}\n");
+    let (Some(effort), Some(peak), Some(way)) = (report.effort_m2ps3, report.peak_brake_mps2, report.way) else {
+        return text + "  no collision found\n";
+    };
+    // Writing to a string cannot fail.
+    if let Some(Outcome::Collision(contact)) = report.outcome {
+        let _ = writeln!(
+            text,
+            "  COLLISION at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
+            contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
+        );
+    }
+    let _ = writeln!(text, "  lead braking: ∫a² {effort:.3} m²/s³, peak {peak:.2} m/s²");
+    if let (Some(predicted), Some(margin)) = (report.predicted_margin_m, report.margin_m) {
+        let _ = writeln!(text, "  margin {margin:.3} m; the last program predicted {predicted:.3} m");
+    }
+    let way = if way == Way::Exact { "exact on this grid" } else { "a local optimum" };
+    let (evaluations, programs) = (report.evaluations.unwrap_or(0), report.programs.unwrap_or(0));
+    let _ = writeln!(text, "  {way}; {evaluations} simulations, {programs} convex programs");
+    text
+}

@@ -1,0 +1,147 @@
+//! A thin layer over the solver: rows in, a point and multipliers out.
+
+use clarabel::algebra::CscMatrix;
+use clarabel::solver::SupportedConeT::{NonnegativeConeT, ZeroConeT};
+use clarabel::solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus};
+
+/// Minimise ½ xᵀ P x + qᵀ x over x with A x = b in the first rows and A x <= b in the others.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Cone {
+    variables: usize,
+    cost: Vec<f64>,
+    /// Upper triangle: row, column, value.
+    curvature: Vec<(usize, usize, f64)>,
+    equal: Rows,
+    at_most: Rows,
+}
+
+/// Sparse rows and their right-hand sides.
+#[derive(Debug, Clone, Default)]
+struct Rows {
+    row: Vec<usize>,
+    column: Vec<usize>,
+    value: Vec<f64>,
+    bound: Vec<f64>,
+}
+
+/// What the solver made of a program.
+#[derive(Debug, Clone)]
+pub(super) enum Solved {
+    /// A minimum, and a multiplier for each inequality.
+    Optimal {
+        /// The point.
+        at: Vec<f64>,
+        /// One for each inequality, in the order they were added, not negative.
+        multipliers: Vec<f64>,
+    },
+    /// No point satisfies all rows, as these multipliers of the inequalities show.
+    Infeasible(Vec<f64>),
+    /// Neither was reached.
+    Trouble(String),
+}
+
+impl Cone {
+    /// No rows and no cost.
+    pub(super) fn new(variables: usize) -> Self {
+        Self { variables, cost: vec![0.0; variables], ..Self::default() }
+    }
+
+    /// Adds to the linear cost.
+    pub(super) fn cost(&mut self, variable: usize, value: f64) {
+        if let Some(cost) = self.cost.get_mut(variable) {
+            *cost += value;
+        }
+    }
+
+    /// Adds `weight` (Σ cᵢ xᵢ)² to the cost.
+    pub(super) fn square(&mut self, terms: &[(usize, f64)], weight: f64) {
+        for &(i, c) in terms {
+            for &(j, d) in terms.iter().filter(|(j, _)| i <= *j) {
+                self.curvature.push((i, j, 2.0 * weight * c * d));
+            }
+        }
+    }
+
+    /// Adds Σ cᵢ xᵢ = bound.
+    pub(super) fn equal(&mut self, terms: &[(usize, f64)], bound: f64) {
+        self.equal.add(terms, bound);
+    }
+
+    /// Adds Σ cᵢ xᵢ <= bound.
+    pub(super) fn at_most(&mut self, terms: &[(usize, f64)], bound: f64) {
+        self.at_most.add(terms, bound);
+    }
+
+    /// Solves.
+    pub(super) fn solve(&self) -> Solved {
+        let equalities = self.equal.bound.len();
+        let n = self.variables;
+        let rows = equalities + self.at_most.bound.len();
+        let below = self.at_most.row.iter().map(|row| row + equalities);
+        let matrix = CscMatrix::new_from_triplets(
+            rows,
+            n,
+            self.equal.row.iter().copied().chain(below).collect(),
+            [&self.equal.column[..], &self.at_most.column].concat(),
+            [&self.equal.value[..], &self.at_most.value].concat(),
+        );
+        let (mut i, mut j, mut v) = (Vec::new(), Vec::new(), Vec::new());
+        for &(row, column, value) in &self.curvature {
+            i.push(row);
+            j.push(column);
+            v.push(value);
+        }
+        let curvature = CscMatrix::new_from_triplets(n, n, i, j, v);
+        let bound = [&self.equal.bound[..], &self.at_most.bound].concat();
+        let cones = [ZeroConeT(equalities), NonnegativeConeT(rows - equalities)];
+        let settings = DefaultSettingsBuilder::default().verbose(false).max_iter(100).presolve_enable(false).build();
+        let Ok(settings) = settings else { return Solved::Trouble("settings".to_owned()) };
+        let mut solver = match DefaultSolver::new(&curvature, &self.cost, &matrix, &bound, &cones, settings) {
+            Ok(solver) => solver,
+            Err(error) => return Solved::Trouble(error.to_string()),
+        };
+        solver.solve();
+        let solution = &solver.solution;
+        let multipliers = || solution.z.iter().skip(equalities).map(|z| z.max(0.0)).collect();
+        match solution.status {
+            // What is almost solved is checked by whoever uses it.
+            SolverStatus::Solved | SolverStatus::AlmostSolved => {
+                Solved::Optimal { at: solution.x.clone(), multipliers: multipliers() }
+            }
+            SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => Solved::Infeasible(multipliers()),
+            status => Solved::Trouble(format!("{status:?}")),
+        }
+    }
+}
+
+impl Rows {
+    fn add(&mut self, terms: &[(usize, f64)], bound: f64) {
+        let row = self.bound.len();
+        for &(column, value) in terms {
+            self.row.push(row);
+            self.column.push(column);
+            self.value.push(value);
+        }
+        self.bound.push(bound);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_small_program_has_the_minimum_and_multiplier_of_the_textbook() {
+        // Minimise x² + y² with x + y = 2 and x >= 1.5: at (1.5, 0.5); the multiplier of the bound is 2 (1.5 - 0.5).
+        let mut cone = Cone::new(2);
+        cone.square(&[(0, 1.0)], 1.0);
+        cone.square(&[(1, 1.0)], 1.0);
+        cone.equal(&[(0, 1.0), (1, 1.0)], 2.0);
+        cone.at_most(&[(0, -1.0)], -1.5);
+        let Solved::Optimal { at, multipliers } = cone.solve() else { panic!("solvable") };
+        assert!((at[0] - 1.5).abs() < 1e-6 && (at[1] - 0.5).abs() < 1e-6, "{at:?}");
+        assert!((multipliers[0] - 2.0).abs() < 1e-5, "{multipliers:?}");
+        cone.at_most(&[(0, 1.0)], 1.0);
+        assert!(matches!(cone.solve(), Solved::Infeasible(_)));
+    }
+}

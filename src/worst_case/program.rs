@@ -1,0 +1,303 @@
+//! The convex program of one firing of the follower's brake.
+//!
+//! Variables are the smallest gap m and, for every ego and instant of a control grid, the change of speed w and the
+//! displacement d from coasting (see [`super::situation`]). Eliminating them would make every row dense: with 150 cells the
+//! sparse form is about thirty times faster. For a firing at step τ the rows are
+//!
+//! ```text
+//! d⁺ - d = H (w + w⁺) / 2          exact for an acceleration (w⁺ - w) / H held over the cell
+//! -b H <= w⁺ - w <= a H            limits
+//! w >= -v₀                         nobody reverses
+//! d + m <= front slack             behind the leader
+//! d₂ - d₁ + m <= pair slack        behind the ego ahead
+//! -d + m <= rear slack of τ        ahead of the follower
+//! d + θ w <= fired slack, at τ     by τ the brake has fired
+//! ```
+//! A profile that fires earlier than τ makes the follower brake earlier, which leaves more room: it is an escape as well,
+//! so nothing need say that the brake has not fired before τ.
+
+use super::cone::{Cone, Solved};
+use super::multipliers::Multipliers;
+use super::situation::{Side, Situation};
+
+/// Instants, in steps, between which accelerations are held.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Grid {
+    /// Increasing, from 0 to the number of steps.
+    pub(super) steps: Vec<usize>,
+}
+
+/// What to minimise.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Objective {
+    /// The negative of the smallest gap.
+    LargestGap,
+    /// ∫ a² with all gaps at least this many metres.
+    GentlestEscape(f64),
+    /// The sum of squared changes of acceleration over time, likewise.
+    LeastJerk(f64),
+}
+
+/// What is wanted of an escape.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Wanted {
+    pub(super) objective: Objective,
+    pub(super) side: Side,
+}
+
+/// What became of a program.
+#[derive(Debug, Clone)]
+pub(super) enum Answer {
+    /// A profile, and the multipliers that bound how much better any other can be.
+    Profile {
+        /// m, in metres.
+        gap_m: f64,
+        /// Acceleration of each ego in each cell, in m/s².
+        acceleration_mps2: Vec<Vec<f64>>,
+        /// One for each row that is a matter of gaps, speeds or firing.
+        multipliers: Multipliers,
+    },
+    /// No profile makes the brake fire there.
+    Empty(Multipliers),
+    /// The solver gave up.
+    Trouble(String),
+}
+
+/// The guard is to have fired by this much, in metres, so that rounding cannot undo it.
+const FIRED_BY_M: f64 = 1e-5;
+
+impl Grid {
+    /// Cells of `cell` steps, five times as long once the leader stands for good and nothing urgent can happen; the last one
+    /// may be shorter.
+    pub(super) fn new(situation: &Situation, cell: usize) -> Self {
+        let calm = situation.leader_rests_from();
+        let mut steps = Vec::new();
+        let mut step = 0;
+        while step < situation.steps {
+            steps.push(step);
+            step += if step >= calm { 5 * cell.max(1) } else { cell.max(1) };
+        }
+        steps.push(situation.steps);
+        Self { steps }
+    }
+
+    fn cells(&self) -> usize {
+        self.steps.len() - 1
+    }
+}
+
+/// What a row is about.
+#[derive(Debug, Clone, Copy)]
+enum Row {
+    Front(usize),
+    Pair(usize, usize),
+    Rear(usize),
+    Speed(usize, usize),
+    Fired,
+    Other,
+}
+
+/// The largest smallest gap, or the best escape, if the follower's brake fires by step `firing`.
+pub(super) fn solve(situation: &Situation, grid: &Grid, firing: usize, wanted: Wanted) -> Answer {
+    let mut program = Program::new(situation, grid, wanted);
+    program.motion();
+    program.gaps(firing);
+    program.objective();
+    let (at, multipliers) = match program.cone.solve() {
+        Solved::Optimal { at, multipliers } => (at, multipliers),
+        Solved::Infeasible(multipliers) => return Answer::Empty(program.multipliers(&multipliers)),
+        Solved::Trouble(status) => return Answer::Trouble(status),
+    };
+    let acceleration_mps2 = (0..situation.egos.len()).map(|ego| program.accelerations(&at, ego)).collect();
+    let gap_m = at.first().copied().unwrap_or(f64::NAN);
+    Answer::Profile { gap_m, acceleration_mps2, multipliers: program.multipliers(&multipliers) }
+}
+
+struct Program<'a> {
+    situation: &'a Situation,
+    grid: &'a Grid,
+    wanted: Wanted,
+    cone: Cone,
+    rows: Vec<Row>,
+}
+
+/// The variable m.
+const GAP: usize = 0;
+
+impl<'a> Program<'a> {
+    fn new(situation: &'a Situation, grid: &'a Grid, wanted: Wanted) -> Self {
+        let variables = 1 + 2 * situation.egos.len() * grid.cells();
+        Self { situation, grid, wanted, cone: Cone::new(variables), rows: Vec::new() }
+    }
+
+    /// The variable w of an ego at a grid instant after the first; d is the next one.
+    fn speed(&self, ego: usize, instant: usize) -> usize {
+        1 + 2 * ((instant - 1) * self.situation.egos.len() + ego)
+    }
+
+    /// The length of the cell before an instant, in seconds.
+    fn cell_s(&self, instant: usize) -> f64 {
+        (self.grid.steps[instant] - self.grid.steps[instant - 1]) as f64 * self.situation.step_s
+    }
+
+    /// The acceleration in the cell before an instant, times its length.
+    fn change(&self, ego: usize, instant: usize) -> Vec<(usize, f64)> {
+        let w = self.speed(ego, instant);
+        if instant > 1 { vec![(w, 1.0), (self.speed(ego, instant - 1), -1.0)] } else { vec![(w, 1.0)] }
+    }
+
+    fn at_most(&mut self, row: Row, terms: &[(usize, f64)], bound: f64) {
+        self.cone.at_most(terms, bound);
+        self.rows.push(row);
+    }
+
+    fn motion(&mut self) {
+        let side = self.wanted.side;
+        for instant in 1..=self.grid.cells() {
+            let cell_s = self.cell_s(instant);
+            for (ego, limits) in self.situation.egos.iter().enumerate() {
+                let w = self.speed(ego, instant);
+                let mut travel = vec![(w + 1, 1.0), (w, -0.5 * cell_s)];
+                if instant > 1 {
+                    let before = self.speed(ego, instant - 1);
+                    travel.extend([(before + 1, -1.0), (before, -0.5 * cell_s)]);
+                }
+                self.cone.equal(&travel, 0.0);
+                let change = self.change(ego, instant);
+                if self.grid.steps[instant - 1] < limits.dead_steps {
+                    self.cone.equal(&change, 0.0);
+                } else {
+                    let back: Vec<_> = change.iter().map(|&(variable, c)| (variable, -c)).collect();
+                    self.at_most(Row::Other, &change, limits.max_accel_mps2 * cell_s);
+                    self.at_most(Row::Other, &back, limits.max_brake_mps2 * cell_s);
+                }
+                let step = self.grid.steps[instant];
+                self.at_most(Row::Speed(ego, step), &[(w, -1.0)], self.situation.speed_slack_mps(ego, side));
+            }
+        }
+    }
+
+    /// The change of acceleration from the cell before, or from none at the start.
+    fn jump(&self, ego: usize, instant: usize) -> (Vec<(usize, f64)>, f64) {
+        let scaled = |instant: usize, by: f64| {
+            let cell_s = self.cell_s(instant);
+            self.change(ego, instant).into_iter().map(move |(variable, c)| (variable, by * c / cell_s))
+        };
+        let mut terms: Vec<_> = scaled(instant, 1.0).collect();
+        let mut apart_s = 0.5 * self.cell_s(instant);
+        if instant > 1 {
+            terms.extend(scaled(instant - 1, -1.0));
+            apart_s += 0.5 * self.cell_s(instant - 1);
+        }
+        (terms, apart_s)
+    }
+
+    fn gaps(&mut self, firing: usize) {
+        let (situation, side) = (self.situation, self.wanted.side);
+        self.at_most(Row::Other, &[(GAP, 1.0)], situation.first_gap_m(side));
+        let last = situation.egos.len() - 1;
+        let (leader_rests, follower_rests) = (situation.leader_rests_from(), situation.follower_rests_from(firing));
+        for instant in 1..=self.grid.cells() {
+            let step = self.grid.steps[instant];
+            let d = |program: &Self, ego: usize| program.speed(ego, instant) + 1;
+            // Behind a standing leader the last instant says it all, since nobody reverses; likewise ahead of a follower
+            // that stands.
+            if step <= leader_rests || instant == self.grid.cells() {
+                let terms = [(d(self, 0), 1.0), (GAP, 1.0)];
+                self.at_most(Row::Front(step), &terms, situation.front_slack_m(step, side));
+            }
+            for ahead in 0..last {
+                let terms = [(d(self, ahead + 1), 1.0), (d(self, ahead), -1.0), (GAP, 1.0)];
+                self.at_most(Row::Pair(ahead, step), &terms, situation.pair_slack_m(ahead, step, side));
+            }
+            if situation.follower.is_some() && self.grid.steps[instant - 1] <= follower_rests {
+                let terms = [(d(self, last), -1.0), (GAP, 1.0)];
+                self.at_most(Row::Rear(step), &terms, situation.rear_slack_m(firing, step, side));
+            }
+        }
+        if let Some(follower) = &situation.follower
+            && firing < situation.never()
+        {
+            let terms = self.guard(firing, follower.ttc_s);
+            self.at_most(Row::Fired, &terms, situation.fired_slack_m(firing, side) - FIRED_BY_M);
+        }
+    }
+
+    /// d + θ w of the last ego at a step, which may lie inside a cell.
+    fn guard(&self, step: usize, theta_s: f64) -> Vec<(usize, f64)> {
+        if step == 0 {
+            return Vec::new();
+        }
+        let last = self.situation.egos.len() - 1;
+        let instant = self.grid.steps.partition_point(|&at| at < step);
+        let into_s = (step - self.grid.steps[instant - 1]) as f64 * self.situation.step_s;
+        let share = into_s / self.cell_s(instant);
+        // w(s) = w + (w⁺ - w) s / H and d(s) = d + w s + (w⁺ - w) s² / 2 H.
+        let of_after = theta_s * share + 0.5 * into_s * share;
+        let mut terms = vec![(self.speed(last, instant), of_after)];
+        if instant > 1 {
+            let before = self.speed(last, instant - 1);
+            terms.extend([(before + 1, 1.0), (before, theta_s + into_s - of_after)]);
+        }
+        terms
+    }
+
+    fn objective(&mut self) {
+        let (least_m, of_jumps) = match self.wanted.objective {
+            Objective::LargestGap => return self.cone.cost(GAP, -1.0),
+            Objective::GentlestEscape(least_m) => (least_m, false),
+            Objective::LeastJerk(least_m) => (least_m, true),
+        };
+        self.at_most(Row::Other, &[(GAP, -1.0)], -least_m);
+        for instant in 1..=self.grid.cells() {
+            for ego in 0..self.situation.egos.len() {
+                if of_jumps {
+                    let (terms, apart_s) = self.jump(ego, instant);
+                    self.cone.square(&terms, 1.0 / apart_s);
+                } else {
+                    self.cone.square(&self.change(ego, instant), 1.0 / self.cell_s(instant));
+                }
+            }
+        }
+    }
+
+    /// The accelerations of a solution, within the limits whatever the solver's accuracy.
+    fn accelerations(&self, at: &[f64], ego: usize) -> Vec<f64> {
+        let limits = &self.situation.egos[ego];
+        let lowest_mps = -self.situation.speed_slack_mps(ego, Side::Tight);
+        let mut before = 0.0;
+        let cells = 1..=self.grid.cells();
+        let of_cell = cells.map(|instant| {
+            if self.grid.steps[instant - 1] < limits.dead_steps {
+                return 0.0;
+            }
+            let wanted = at.get(self.speed(ego, instant)).copied().unwrap_or(before);
+            // A vehicle that hardly moves stands.
+            let wanted = if wanted - lowest_mps < REST_MPS { lowest_mps } else { wanted };
+            let cell_s = self.cell_s(instant);
+            let held = ((wanted - before) / cell_s).clamp(-limits.max_brake_mps2, limits.max_accel_mps2);
+            before += held * cell_s;
+            held
+        });
+        of_cell.collect()
+    }
+
+    /// The multipliers of the rows that a proof may use.
+    fn multipliers(&self, values: &[f64]) -> Multipliers {
+        let mut multipliers = Multipliers::none(self.situation);
+        for (row, &value) in self.rows.iter().zip(values) {
+            match *row {
+                Row::Front(step) => multipliers.front.push((step, value)),
+                Row::Rear(step) => multipliers.rear.push((step, value)),
+                Row::Pair(ahead, step) => multipliers.between[ahead].push((step, value)),
+                Row::Speed(ego, step) => multipliers.speed[ego].push((step, value)),
+                Row::Fired => multipliers.fired = value,
+                Row::Other => {}
+            }
+        }
+        multipliers.without_dust()
+    }
+}
+
+/// Speed below which a vehicle of a solution counts as standing, in m/s.
+const REST_MPS: f64 = 1e-5;

@@ -1,0 +1,40 @@
+//! `avoid`, `check` and `worst-case` as a user meets them.
+
+use super::{code, crumple, folder, objects, stdout};
+
+#[test]
+fn an_escape_is_written_replayed_and_checked() {
+    let folder = folder();
+    let run = |arguments: &[&str]| crumple(folder.path(), arguments);
+    let files = ["--certificate", "proof.json", "--out", "escape.toml", "--plot", "escape.svg", "--format", "json"];
+    let avoided = run(&[&["avoid", "paper-1"], &files[..]].concat());
+    assert_eq!(code(&avoided), 0);
+    let report = objects(&avoided).remove(0);
+    assert_eq!(report["verdict"], "avoidable");
+    assert!((report["best_min_gap_m"].as_f64().unwrap() - 8.4).abs() < 0.2, "{report}");
+    assert!((report["trigger_time_s"].as_f64().unwrap() - 3.2).abs() < 0.2, "{report}");
+    assert_eq!(code(&run(&["simulate", "escape.toml", "--dt", "0.001", "--expect", "safe"])), 0);
+    assert_eq!(code(&run(&["check", "proof.json", "--scenario", "paper-1"])), 0);
+    assert_eq!(code(&run(&["check", "proof.json", "--scenario", "paper-2"])), 1);
+    let proof = std::fs::read_to_string(folder.path().join("proof.json")).unwrap();
+    std::fs::write(folder.path().join("forged.json"), proof.replace("\"ttc_s\":1.4", "\"ttc_s\":0.4")).unwrap();
+    let forged = run(&["check", "forged.json"]);
+    assert_eq!(code(&forged), 1, "{}", stdout(&forged));
+    std::fs::write(folder.path().join("other.json"), "{}").unwrap();
+    assert_eq!(code(&run(&["check", "other.json"])), 2);
+    assert_eq!(code(&run(&["avoid", "paper-1", "--grid", "0.015"])), 2);
+}
+
+#[test]
+fn a_worst_case_is_written_and_collides() {
+    let folder = folder();
+    let found = crumple(
+        folder.path(),
+        &["worst-case", "paper-1", "--controller", "idm", "--budget", "500", "--out", "worst.toml", "--format", "json"],
+    );
+    assert_eq!(code(&found), 0);
+    let report = objects(&found).remove(0);
+    assert_eq!((&report["found"], &report["way"]), (&true.into(), &"sequential".into()));
+    let replayed = crumple(folder.path(), &["simulate", "worst.toml", "--controller", "idm", "--expect", "collision"]);
+    assert_eq!(code(&replayed), 0);
+}

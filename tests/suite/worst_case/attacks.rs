@@ -1,0 +1,110 @@
+//! How little it takes: against samples, and replayed from files.
+
+use std::path::Path;
+
+use crumple::estimate::EstimatorKind;
+use crumple::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, Scenario, built_in, file};
+use crumple::sim::{Keep, Outcome, Run, RunOptions, simulate, simulate_batch};
+use crumple::worst_case::{Aim, Envelope, Way, attack};
+
+use super::scenes::Dice;
+
+fn options(controller: &str) -> RunOptions {
+    RunOptions::new(ControllerSpec::named(controller).expect("built in")).with_estimator(EstimatorKind::Truth)
+}
+
+/// Random braking within the envelope, one acceleration a tenth of a second, and its ∫ a².
+fn sample(scenario: &Scenario, envelope: Envelope, dice: &mut Dice) -> (f64, Scenario) {
+    let cells = scenario.steps().div_ceil(10);
+    let (mut from_s, mut accel_mps2) = (Vec::new(), Vec::new());
+    let (mut now, mut aim, mut until) = (0.0_f64, 0.0, 0);
+    let scale = envelope.max_brake_mps2 * dice.between(0.0, 1.0);
+    for cell in 0..cells {
+        if cell == until {
+            aim = -scale * dice.between(0.0, 1.0);
+            until = cell + 1 + (dice.between(0.0, 5.0) * 10.0) as usize;
+        }
+        now += (aim - now).clamp(-0.1 * envelope.jerk_mps3, 0.1 * envelope.jerk_mps3);
+        from_s.push(cell as f64 * 0.1);
+        accel_mps2.push(now);
+    }
+    let effort = accel_mps2.iter().map(|a| a * a * 0.1).sum();
+    let script = Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2 }));
+    (effort, scenario.edited(|spec| spec.vehicles[0].driver = script).expect("within the envelope"))
+}
+
+#[test]
+fn the_mildest_profile_is_milder_than_any_sample() {
+    for name in ["paper-1", "paper-2"] {
+        let scenario = built_in(name).unwrap();
+        let envelope = Envelope::of(&scenario);
+        let mildest = attack(&scenario, &options("baseline"), Aim::Mildest, envelope, 0).unwrap().expect("collides");
+        assert_eq!(mildest.way, Way::Exact);
+        assert!(mildest.outcome.contact().is_some());
+        let mut dice = Dice(7);
+        let samples: Vec<_> = (0..4000).map(|_| sample(&scenario, envelope, &mut dice)).collect();
+        let runs: Vec<_> = samples.iter().map(|(_, s)| Run::new(s, options("baseline")).unwrap()).collect();
+        let collided = simulate_batch(&runs, Keep::Summary, |_, result| result.outcome != Outcome::NoCollision);
+        let collided = samples.iter().zip(collided).filter(|(_, collided)| *collided);
+        let least = collided.map(|((effort, _), _)| *effort).fold(f64::INFINITY, f64::min);
+        assert!(least.is_finite(), "some samples collide");
+        assert!(mildest.effort_m2ps3 < least, "{name}: {} against {least} of samples", mildest.effort_m2ps3);
+        let peak = attack(&scenario, &options("baseline"), Aim::LeastPeak, envelope, 0).unwrap().expect("collides");
+        assert!(peak.peak_brake_mps2 <= mildest.peak_brake_mps2 + 1e-6);
+        assert!(peak.effort_m2ps3 >= mildest.effort_m2ps3 - 1e-6);
+    }
+}
+
+/// Against controllers of which nothing is known but what they do.
+#[test]
+fn every_controller_has_a_worst_case_that_replays_from_its_file() {
+    let scenario = built_in("paper-1").unwrap();
+    let envelope = Envelope::of(&scenario);
+    for controller in ["baseline", "match-leader", "idm", "policy"] {
+        for aim in [Aim::Mildest, Aim::Severest] {
+            let found = attack(&scenario, &options(controller), aim, envelope, 1500).unwrap();
+            let found = found.unwrap_or_else(|| panic!("{controller}: nothing found"));
+            let text = file::to_toml(&found.scenario).unwrap();
+            let read = file::from_toml(&text, Path::new("worst.toml")).unwrap();
+            let replayed = simulate(&Run::new(&read, options(controller)).unwrap(), Keep::Summary);
+            assert_eq!(replayed.outcome, found.outcome, "{controller}");
+            assert!(found.outcome.contact().is_some(), "{controller}");
+            let Driver::Profile(LeadProfile::Pieces(pieces)) = &read.vehicles()[0].driver else { panic!() };
+            let most = pieces.accel_mps2.iter().fold(0.0_f64, |most, a| most.max(-a));
+            assert!(most <= envelope.max_brake_mps2 && (most - found.peak_brake_mps2).abs() < 1e-12);
+            assert!(pieces.accel_mps2.iter().all(|a| *a <= 0.0), "the leader only brakes");
+        }
+    }
+}
+
+/// The sequential program knows nothing of the baseline's rule, and comes no lower than the exact one.
+#[test]
+fn nothing_is_milder_than_the_exact_profile() {
+    let scenario = built_in("paper-1").unwrap().edited(|spec| spec.duration_s = 8.0).unwrap();
+    let envelope = Envelope::of(&scenario);
+    let exact = attack(&scenario, &options("baseline"), Aim::Mildest, envelope, 0).unwrap().expect("collides");
+    // The same controller from outside takes the other way.
+    let build = std::sync::Arc::new(|ego: &crumple::control::Ego| {
+        Box::new(crumple::control::Baseline::new(&crumple::scenario::AebSettings::default(), ego))
+            as Box<dyn crumple::control::Controller>
+    });
+    let custom = RunOptions { controller: crumple::sim::UnderTest::Custom(build), ..options("baseline") };
+    let found = attack(&scenario, &custom, Aim::Mildest, envelope, 3000).unwrap().expect("collides");
+    assert_eq!((exact.way, found.way), (Way::Exact, Way::Sequential));
+    assert!(found.effort_m2ps3 > 0.95 * exact.effort_m2ps3, "{} against {}", found.effort_m2ps3, exact.effort_m2ps3);
+}
+
+#[test]
+fn nonsense_is_refused() {
+    let scenario = built_in("paper-1").unwrap();
+    let none = Envelope { max_brake_mps2: 0.0, jerk_mps3: 10.0 };
+    assert!(attack(&scenario, &options("idm"), Aim::Mildest, none, 100).is_err());
+    let reacting = scenario.edited(|spec| {
+        spec.vehicles[0].driver = Driver::Controller(ControllerSpec::named("idm").expect("built in"));
+    });
+    assert!(attack(&reacting.unwrap(), &options("idm"), Aim::Mildest, Envelope::of(&scenario), 100).is_err());
+    // Nothing to hit and nobody behind: a single pair that matches its leader.
+    let pair = scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap();
+    let gentle = Envelope { max_brake_mps2: 1.0, jerk_mps3: 10.0 };
+    assert!(attack(&pair, &options("match-leader"), Aim::Mildest, gentle, 500).unwrap().is_none());
+}

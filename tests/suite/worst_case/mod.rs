@@ -1,0 +1,268 @@
+//! Whether anyone could have avoided it: against the paper, brute force, every controller, and the checker.
+
+mod attacks;
+#[allow(unreachable_pub, reason = "shared with the tests of the checker")]
+#[path = "../../../verify/tests/support/mutants.rs"]
+mod mutants;
+mod scenes;
+
+use crumple::estimate::EstimatorKind;
+use crumple::scenario::{ControllerSpec, Scenario, built_in, file};
+use crumple::sim::{Keep, Outcome, Run, RunOptions, Simulated, simulate};
+use crumple::worst_case::{
+    AvoidOptions, Avoidance, EscapeKind, Family, FieldRange, Ranges, Reason, Verdict, avoid, avoid_all, certify,
+    is_about,
+};
+use crumple_verify::{Accepted, Certificate, Statement};
+use serde_json::Value;
+
+use scenes::{random, scenario_of, small, with_profile};
+
+fn decide(scenario: &Scenario) -> Avoidance {
+    avoid(scenario, AvoidOptions::default()).expect("the default grid fits")
+}
+
+fn run(scenario: &Scenario, controller: &ControllerSpec, estimator: EstimatorKind, parts: f64) -> Simulated {
+    let options = RunOptions::new(controller.clone()).with_estimator(estimator);
+    let options = options.with_dt_s(scenario.spec().step_s / parts);
+    simulate(&Run::new(scenario, options).expect("fits"), Keep::Summary)
+}
+
+fn smallest_gap_m(simulated: &Simulated) -> f64 {
+    simulated.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min)
+}
+
+fn check(certificate: &Certificate) -> Accepted {
+    // What counts is what stands in the file.
+    let text = serde_json::to_string(certificate).expect("plain data");
+    let read = Certificate::from_json(&text).expect("our own file");
+    assert_eq!(read, *certificate);
+    crumple_verify::check(&read).expect("our own proof")
+}
+
+/// Figures of a prototype in another language.
+#[test]
+fn the_papers_collisions_were_avoidable() {
+    for (name, gap_m, trigger_s) in [("paper-1", 8.4, Some(3.2)), ("paper-2", 9.2, None), ("paper-3", 8.7, None)] {
+        let scenario = built_in(name).unwrap();
+        let avoidance = decide(&scenario);
+        let escape = avoidance.verdict.escape().unwrap_or_else(|| panic!("{name}: {:?}", avoidance.verdict));
+        assert!((escape.min_gap_m - gap_m).abs() < 0.2, "{name}: {} m", escape.min_gap_m);
+        assert!(avoidance.min_gap_bound_m.unwrap() >= escape.min_gap_m, "{name}");
+        assert!(avoidance.min_gap_bound_m.unwrap() < gap_m + 0.6, "{name}: {avoidance:?}");
+        let fired_s = escape.trigger_time_s.expect("the gap is worth braking for");
+        assert!(trigger_s.is_none_or(|expected: f64| (fired_s - expected).abs() < 0.2), "{name}: {fired_s} s");
+        let text = file::to_toml(&escape.scenario).unwrap();
+        let escape_file = file::from_toml(&text, "escape.toml".as_ref()).unwrap();
+        for parts in [1.0, 10.0] {
+            let replayed = run(&escape_file, &ControllerSpec::MatchLeader, EstimatorKind::Truth, parts);
+            assert_eq!(replayed.outcome, Outcome::NoCollision, "{name}");
+        }
+        let certificate = certify(&Family::point(&scenario), escape).expect("accepted");
+        assert!(matches!(check(&certificate), Accepted::Avoidable { smallest_gap_m } if smallest_gap_m > gap_m - 0.3));
+        assert!(is_about(&certificate, &scenario));
+        assert!(!is_about(&certificate, &scenario.edited(|s| s.vehicles[1].position_m += 0.001).unwrap()));
+    }
+}
+
+#[test]
+fn a_finer_grid_closes_the_bracket() {
+    let scenario = built_in("paper-1").unwrap();
+    let avoidance = avoid(&scenario, AvoidOptions { grid_s: Some(0.01), ..AvoidOptions::default() }).unwrap();
+    let gap_m = avoidance.verdict.escape().unwrap().min_gap_m;
+    assert!((avoidance.min_gap_bound_m.unwrap() - gap_m).abs() < 0.02, "{avoidance:?}");
+    assert!(avoid(&scenario, AvoidOptions { grid_s: Some(0.015), ..AvoidOptions::default() }).is_err());
+}
+
+#[test]
+fn smoother_escapes_cost_less_and_keep_half_the_gap() {
+    let scenario = built_in("paper-1").unwrap();
+    let effort = |escape| {
+        let avoidance = avoid(&scenario, AvoidOptions { escape, ..AvoidOptions::default() }).unwrap();
+        let escape = avoidance.verdict.escape().expect("avoidable").clone();
+        assert!(escape.min_gap_m > 4.0, "{}", escape.min_gap_m);
+        escape.effort_m2ps3()
+    };
+    let [largest, gentlest, smoothest] =
+        [EscapeKind::LargestGap, EscapeKind::Gentlest, EscapeKind::LeastJerk].map(effort);
+    assert!(gentlest < largest && gentlest <= smoothest, "{largest} {gentlest} {smoothest}");
+}
+
+/// Every choice among full braking, coasting and full acceleration, changed once in half a second.
+#[test]
+fn brute_force_never_does_better() {
+    let mut escaped = 0;
+    for seed in 0..60 {
+        let scenario = small(seed);
+        let avoidance = decide(&scenario);
+        let brute_m = brute_force_m(&scenario);
+        match &avoidance.verdict {
+            Verdict::Unavoidable(_) => assert!(brute_m <= 0.0, "{seed}: brute force keeps {brute_m} m"),
+            _ if brute_m > 0.0 => {
+                escaped += 1;
+                let bound_m = avoidance.min_gap_bound_m.expect("an escape needs a bound");
+                assert!(
+                    brute_m <= bound_m + 1e-6,
+                    "{seed}: brute force keeps {brute_m} m, and {bound_m} m is the bound"
+                );
+            }
+            _ => {}
+        }
+    }
+    assert!((10..55).contains(&escaped), "{escaped}: the scenarios are too easy or too hard to tell anything");
+}
+
+fn brute_force_m(scenario: &Scenario) -> f64 {
+    let choices = [-scenario.usable_brake_mps2(1), 0.0, scenario.vehicles()[1].max_accel_mps2()];
+    let spans = scenario.steps() / 5;
+    let gap_m = |code: usize| {
+        let pieces = (0..spans).map(|span| choices[code / 3_usize.pow(span as u32) % 3]).collect();
+        let scripted = with_profile(scenario, pieces, 0.5);
+        smallest_gap_m(&run(&scripted, &ControllerSpec::MatchLeader, EstimatorKind::Truth, 1.0))
+    };
+    (0..3_usize.pow(spans as u32)).map(gap_m).fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// Whoever survives an unavoidable scenario, or keeps more than the bound, refutes it.
+#[test]
+fn no_controller_contradicts_a_verdict() {
+    let count: u64 = 100 * u64::from(crate::generate::cases(256).cases) / 256;
+    let (mut undecided, mut avoidable, mut unavoidable) = (Vec::new(), 0, 0);
+    for seed in 0..count {
+        let scenario = random(seed);
+        let avoidance = decide(&scenario);
+        let kept_m = ControllerSpec::built_in().into_iter().map(|controller| {
+            let results =
+                [EstimatorKind::Truth, EstimatorKind::Kalman].map(|eyes| run(&scenario, &controller, eyes, 1.0));
+            (controller.name(), results.iter().map(smallest_gap_m).fold(0.0, f64::max))
+        });
+        match &avoidance.verdict {
+            Verdict::Avoidable(escape) => {
+                avoidable += 1;
+                let bound_m = avoidance.min_gap_bound_m.expect("an escape needs a bound");
+                for (name, kept_m) in kept_m {
+                    assert!(kept_m <= bound_m + 1e-9, "{seed}: {name} keeps {kept_m} m, and {bound_m} m is the bound");
+                }
+                check(&certify(&Family::point(&scenario), escape).unwrap_or_else(|why| panic!("{seed}: {why}")));
+            }
+            Verdict::Unavoidable(certificate) => {
+                unavoidable += 1;
+                for (name, kept_m) in kept_m {
+                    assert!(kept_m <= 0.0, "{seed}: {name} survives what nobody can");
+                }
+                assert!(matches!(check(certificate), Accepted::Unavoidable { overlap_m } if overlap_m > 0.0));
+                assert!(is_about(certificate, &scenario));
+            }
+            Verdict::Undecided(reason) => undecided.push((seed, reason.clone())),
+        }
+    }
+    println!("{avoidable} avoidable, {unavoidable} unavoidable, undecided: {undecided:?}");
+    assert!(undecided.len() as u64 * 50 <= count, "{undecided:?}");
+    assert!(avoidable * 5 > count && unavoidable * 20 > count, "{avoidable} and {unavoidable}: nothing to tell apart");
+}
+
+/// Whatever single change of a file the checker accepts is a true statement: it is solved or replayed anew.
+#[test]
+fn what_survives_mutation_is_true() {
+    let verdicts = (0..40).map(|seed| (small(seed), decide(&small(seed)).verdict));
+    let (mut accepted, mut rejected, mut kinds) = (0, 0, [0, 0]);
+    for (scenario, verdict) in verdicts {
+        let (kind, certificate) = match verdict {
+            Verdict::Avoidable(escape) => (0, certify(&Family::point(&scenario), &escape).expect("accepted")),
+            Verdict::Unavoidable(certificate) => (1, *certificate),
+            Verdict::Undecided(_) => continue,
+        };
+        if kinds[kind] == 2 {
+            continue;
+        }
+        kinds[kind] += 1;
+        let original = serde_json::to_value(&certificate).expect("plain data");
+        for (change, mutant) in mutants::mutants(&original) {
+            if serde_json::from_value::<Certificate>(mutant.clone())
+                .is_ok_and(|file| crumple_verify::check(&file).is_ok())
+            {
+                accepted += 1;
+                assert!(is_true(&certificate, &mutant), "{}: {change}", scenario.spec().name);
+            } else {
+                rejected += 1;
+            }
+        }
+    }
+    println!("{accepted} mutants are accepted, {rejected} rejected");
+    assert_eq!(kinds, [2, 2]);
+    assert!(rejected > accepted && accepted > 0, "{accepted} accepted, {rejected} rejected");
+}
+
+fn is_true(original: &Certificate, mutant: &Value) -> bool {
+    let mutant: Certificate = serde_json::from_value(mutant.clone()).expect("was read before");
+    match (&original.statement, &mutant.statement) {
+        // The same claim with another proof.
+        (Statement::Unavoidable(before), Statement::Unavoidable(after)) if before.scene == after.scene => true,
+        (_, Statement::Unavoidable(claim)) => scenario_of(&claim.scene, &[])
+            .is_none_or(|scenario| !matches!(decide(&scenario).verdict, Verdict::Avoidable(_))),
+        (_, Statement::Avoidable(claim)) => scenario_of(&claim.scene, &claim.witness).is_none_or(|scenario| {
+            let replayed = run(&scenario, &ControllerSpec::MatchLeader, EstimatorKind::Truth, 10.0);
+            smallest_gap_m(&replayed) >= claim.min_gap_m_at_least.unwrap_or(0.0).max(1e-12)
+        }),
+    }
+}
+
+#[test]
+fn a_box_is_decided_as_a_whole() {
+    let paper_1 = built_in("paper-1").unwrap();
+    let ranges = |low, high| Ranges {
+        version: 1,
+        ranges: vec![
+            FieldRange { field: "vehicles[0].driver.brake.rate_mps2".into(), low, high },
+            FieldRange { field: "vehicles[1].position_m".into(), low: 17.9, high: 18.1 },
+        ],
+    };
+    let family = Family::new(&paper_1, &ranges(2.9, 3.1)).unwrap();
+    let avoidance = avoid_all(&family, AvoidOptions::default()).unwrap();
+    let Verdict::Avoidable(escape) = &avoidance.verdict else { panic!("{:?}", avoidance.verdict) };
+    let certificate = certify(&family, escape).unwrap();
+    check(&certificate);
+    assert!(is_about(&certificate, &paper_1), "a scenario of the box");
+    for rate_mps2 in [2.9, 3.0, 3.1] {
+        let scenario = Family::new(
+            &escape.scenario,
+            &Ranges {
+                version: 1,
+                ranges: vec![FieldRange {
+                    field: "vehicles[0].driver.brake.rate_mps2".into(),
+                    low: rate_mps2,
+                    high: rate_mps2,
+                }],
+            },
+        );
+        let replayed = run(scenario.unwrap().centre(), &ControllerSpec::MatchLeader, EstimatorKind::Truth, 10.0);
+        assert_eq!(replayed.outcome, Outcome::NoCollision);
+    }
+    // Nobody stops a car from 25 m/s in 16 m behind a wall, wherever in the box it stands.
+    let wall = paper_1.edited(|s| s.vehicles[0].speed_mps = 0.0).unwrap();
+    let hopeless = Family::new(&wall, &ranges(0.0, 3.0)).unwrap();
+    let Verdict::Unavoidable(proof) = avoid_all(&hopeless, AvoidOptions::default()).unwrap().verdict else { panic!() };
+    check(&proof);
+    let bad = Ranges { version: 1, ranges: vec![FieldRange { field: "seed".into(), low: 0.0, high: 1.0 }] };
+    assert!(Family::new(&paper_1, &bad).is_err());
+}
+
+#[test]
+fn what_is_not_modelled_is_undecided_or_still_proved() {
+    let reason = |change: &dyn Fn(&mut crumple::scenario::ScenarioSpec)| {
+        let changed = built_in("paper-1").unwrap().edited(|spec| change(spec)).unwrap();
+        match decide(&changed).verdict {
+            Verdict::Undecided(reason) => Some(reason),
+            _ => None,
+        }
+    };
+    let idm = ControllerSpec::named("idm").unwrap();
+    let idm = crumple::scenario::Driver::Controller(idm);
+    assert_eq!(reason(&|s| s.vehicles[0].driver = idm.clone()), Some(Reason::Leader));
+    assert_eq!(reason(&|s| s.vehicles[1].driver = idm.clone()), Some(Reason::NoEgo));
+    assert_eq!(reason(&|s| s.vehicles[1].actuator_lag_s = 0.2), Some(Reason::EgoResponse { vehicle: 1 }));
+    // A delay of the ego is part of the escape; nobody helps a car that runs into a wall, lag or not.
+    assert_eq!(reason(&|s| s.vehicles[1].reaction_delay_s = 0.2), None);
+    assert_eq!(reason(&|s| (s.vehicles[0].speed_mps, s.vehicles[1].actuator_lag_s) = (0.0, 0.2)), None);
+    assert_eq!(reason(&|s| s.vehicles[0].acceleration_noise_mps2 = 0.01), None);
+}
