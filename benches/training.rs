@@ -57,9 +57,9 @@ fn update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usi
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
 fn update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
     let config = config(width, count);
-    let mut oracle = Oracle::new(&learner(&config), &config.learning).expect("tensors");
-    let batch = batch(count);
-    bencher.bench_local(|| oracle.update(&batch).expect("tensors"));
+    let mut oracle = Oracle::new(&learner(&config), &config.learning, &config.td3).expect("tensors");
+    let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
+    bencher.bench_local(|| oracle.update(&batch, &mut noise).expect("tensors"));
 }
 
 /// The products of one update as (rows, inner, columns).

@@ -97,7 +97,7 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
         learner.update(&batch(seed, 16), &mut stream(0, Purpose::TargetNoise, 0));
     }
     let batch = batch(9, 24);
-    let (critic_found, actor_found) = learner.gradients(&batch);
+    let (critics_found, actor_found) = learner.gradients(&batch, &mut stream(0, Purpose::TargetNoise, 0));
     let critic = &learner.critics[0];
     let (actor_sizes, critic_sizes) = (learner.actor.network.sizes(), critic.network.sizes());
     let [actor, actor_target] = [&learner.actor.network, &learner.actor.target].map(|n| double(n.parameters()));
@@ -127,7 +127,7 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
         });
         each.sum::<f64>() / n
     };
-    agree(&critic_found, &differences(&critic, critic_loss), 2e-4);
+    agree(&critics_found[0], &differences(&critic, critic_loss), 2e-4);
     agree(&actor_found, &differences(&actor, actor_loss), 2e-4);
 }
 
@@ -136,27 +136,40 @@ proptest! {
 
     /// Gradients and, over several updates, parameters, targets and losses of the plain formulation.
     #[test]
-    fn updates_agree_with_candle(seed: u64, hidden in proptest::collection::vec(1..70_usize, 1..4), count in 1..70_usize) {
-        let config = config(&hidden);
+    fn updates_agree_with_candle(
+        seed: u64,
+        hidden in proptest::collection::vec(1..70_usize, 1..4),
+        count in 1..70_usize,
+        twin_critic: bool,
+        actor_every in 1..4_u32,
+        target_noise in prop_oneof![Just(0.0_f32), 0.05..0.5_f32],
+    ) {
+        let mut config = config(&hidden);
+        config.td3 = Td3Config { twin_critic, actor_every, target_noise, target_noise_limit: 0.3 };
         let mut learner = learner(&config, seed);
-        let mut oracle = Oracle::new(&learner, &config.learning).unwrap();
-        let mut noise = stream(0, Purpose::TargetNoise, 0);
+        let mut oracle = Oracle::new(&learner, &config.learning, &config.td3).unwrap();
+        let noises = || [0; 2].map(|_| stream(seed, Purpose::TargetNoise, 0));
         let close = |found: &[f32], expected: &[f32], tolerance: f32| {
             let largest = expected.iter().fold(1e-3_f32, |largest, value| largest.max(value.abs()));
             found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= tolerance * largest)
         };
         let first = batch(seed, count);
-        let (critic, actor) = learner.gradients(&first);
-        let (oracle_critic, oracle_actor) = oracle.gradients(&first).unwrap();
-        prop_assert!(close(&critic, &oracle_critic, 1e-4) && close(&actor, &oracle_actor, 1e-4));
-        for index in 0..5 {
+        let [mut noise, mut oracle_noise] = noises();
+        let (critics, actor) = learner.gradients(&first, &mut noise);
+        let (oracle_critics, oracle_actor) = oracle.gradients(&first, &mut oracle_noise).unwrap();
+        prop_assert_eq!((critics.len(), oracle_critics.len()), (1 + usize::from(twin_critic), critics.len()));
+        prop_assert!(critics.iter().zip(&oracle_critics).all(|(found, expected)| close(found, expected, 1e-4)));
+        prop_assert!(close(&actor, &oracle_actor, 1e-4));
+        let [mut noise, mut oracle_noise] = noises();
+        for index in 0..6 {
             let batch = batch(seed ^ index, count);
-            let (found, expected) = (learner.update(&batch, &mut noise), oracle.update(&batch).unwrap());
+            let found = learner.update(&batch, &mut noise);
+            let expected = oracle.update(&batch, &mut oracle_noise).unwrap();
             prop_assert!((found.critic - expected.critic).abs() <= 2e-2 * expected.critic.max(0.01));
         }
-        let critic = &learner.critics[0];
-        let networks = [&critic.network, &critic.target, &learner.actor.network, &learner.actor.target];
-        for (found, expected) in networks.map(Network::parameters).into_iter().zip(oracle.parameters().unwrap()) {
+        let expected = oracle.parameters().unwrap();
+        prop_assert_eq!(learner.networks().count(), expected.len());
+        for (found, expected) in learner.networks().map(Network::parameters).zip(expected) {
             // Adam divides by the gradient's size, so a gradient near 0 may step either way by the rate.
             let apart = found.iter().zip(&expected).filter(|(a, b)| (*a - *b).abs() > 1e-4).count();
             prop_assert!(apart * 20 <= expected.len().max(20), "{apart} of {}", expected.len());
