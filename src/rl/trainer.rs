@@ -170,10 +170,18 @@ impl Trainer {
             (self.config.exploration.noise * decay) as f32
         });
         let (mut sums, mut updates) = (Losses::default(), 0_u32);
+        let decisions_held =
+            u64::from(self.config.exploration.random_hold_steps / self.config.environment.decision_steps).max(1);
+        let (decisions_before, mut held) = (self.decisions, 0.0);
         let mut state = episode.state();
         let ending = loop {
             let action = match noise {
-                None => trials.random_range(-1.0..=1.0),
+                None => {
+                    if (self.decisions - decisions_before).is_multiple_of(decisions_held) {
+                        held = trials.random_range(-1.0..=1.0);
+                    }
+                    held
+                }
                 Some(noise) => {
                     let normal: f32 = StandardNormal.sample(&mut trials);
                     let chosen = self.learner.act(&state).first().copied().unwrap_or_default();
