@@ -142,7 +142,7 @@ pub struct EvaluationConfig {
     pub every_episodes: u64,
     /// Held-out draws that every evaluation drives, beside the paper's three scenarios.
     pub screening_draws: u64,
-    /// Held-out draws that rank a policy which survives all of those.
+    /// Held-out draws that rank a policy which survives all of those; without any, no policy counts as having mastered the task.
     pub ranking_draws: u64,
     /// Training ends once a policy survives all of these too and keeps this distance everywhere, in metres; 0 never ends it.
     pub master_gap_m: f64,

@@ -134,7 +134,8 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
-    /// Gradients and, over several updates, parameters, targets and losses of the plain formulation.
+    /// Gradients and, over several updates, parameters, targets and losses of the plain formulation: DDPG, and TD3 with any
+    /// of its options.
     #[test]
     fn updates_agree_with_candle(
         seed: u64,
@@ -151,7 +152,8 @@ proptest! {
         let noises = || [0; 2].map(|_| stream(seed, Purpose::TargetNoise, 0));
         let close = |found: &[f32], expected: &[f32], tolerance: f32| {
             let largest = expected.iter().fold(1e-3_f32, |largest, value| largest.max(value.abs()));
-            found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= tolerance * largest)
+            found.len() == expected.len()
+                && found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= tolerance * largest)
         };
         let first = batch(seed, count);
         let [mut noise, mut oracle_noise] = noises();
@@ -172,7 +174,7 @@ proptest! {
         for (found, expected) in learner.networks().map(Network::parameters).zip(expected) {
             // Adam divides by the gradient's size, so a gradient near 0 may step either way by the rate.
             let apart = found.iter().zip(&expected).filter(|(a, b)| (*a - *b).abs() > 1e-4).count();
-            prop_assert!(apart * 20 <= expected.len().max(20), "{apart} of {}", expected.len());
+            prop_assert!(apart * 20 <= expected.len().max(20), "{} of {}", apart, expected.len());
         }
     }
 }
@@ -254,6 +256,8 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
     for stop in [2, 5, 9] {
         let mut first = Trainer::new(&TrainingConfig { episodes: stop, ..config.clone() }, 8);
         let mut events = Diary::default();
+        let result = first.evaluate(&held_out).unwrap();
+        events.events.push(Event::Evaluation { episode: 0, best: true, result });
         while first.episode() < stop {
             events.events.push(Event::Episode(first.run_episode().unwrap()));
             if first.episode() > 4 && first.episode().is_multiple_of(3) {
@@ -265,7 +269,8 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
         train(&mut second, &held_out, &mut events).unwrap();
         assert!(second.to_checkpoint().unwrap() == through.to_checkpoint().unwrap(), "stopped after {stop}");
         assert!(second.policy().unwrap() == through.policy().unwrap(), "stopped after {stop}");
-        assert!(diary.events.ends_with(&events.events[stop as usize..]), "stopped after {stop}");
+        assert_eq!(diary.events[0], events.events[0], "the untrained policy is judged first");
+        assert!(diary.events.ends_with(&events.events[1 + stop as usize..]), "stopped after {stop}");
     }
 }
 
@@ -280,6 +285,50 @@ fn checkpoints_of_another_training_are_refused() {
         assert!(matches!(Trainer::from_checkpoint(&bytes, config, seed), Err(TrainingError::Checkpoint(_))));
     }
     assert!(Trainer::from_checkpoint(&bytes[..bytes.len() / 2], &config, 1).is_err());
+    let says = |bytes: &[u8], words: &str| {
+        let error = Trainer::from_checkpoint(bytes, &config, 1).err().unwrap().to_string();
+        assert!(error.contains(words), "{error}");
+    };
+    // Any byte of the arrays, and numbers of the header that no array depends on.
+    for place in [bytes.len() - 1, bytes.len() / 2] {
+        let mut changed = bytes.clone();
+        changed[place] ^= 1;
+        says(&changed, "does not match its SHA-256");
+    }
+    let edited = |from: &str, to: &str| {
+        let place = bytes.windows(from.len()).position(|window| window == from.as_bytes()).unwrap();
+        [&bytes[..place], to.as_bytes(), &bytes[place + from.len()..]].concat()
+    };
+    says(&edited(r#"\"decisions\":0"#, r#"\"decisions\":7"#), "does not match its SHA-256");
+    says(&edited(r#"\"version\":2"#, r#"\"version\":1"#), "version 1 is not supported: this release reads 2");
+    let release = concat!(r#"\"crumple\":\""#, env!("CARGO_PKG_VERSION"));
+    says(&edited(release, &release.replace('0', "9")), "wrote it");
+}
+
+#[test]
+fn a_random_action_is_held_and_then_more_episodes_end_in_contact() {
+    let contacts = |hold| {
+        let mut config = TrainingConfig::preset("paper").unwrap();
+        config.network.hidden = vec![4];
+        config.exploration.random_hold_steps = hold;
+        let mut trainer = Trainer::new(&config, 3);
+        (0..20).filter(|_| trainer.run_episode().unwrap().ending == Ending::Contact).count()
+    };
+    let (each_step, each_second) = (contacts(1), contacts(100));
+    assert!(each_step <= 5 && each_second >= 12, "{each_step} {each_second} of 20");
+}
+
+#[test]
+fn without_ranking_draws_nothing_is_mastered() {
+    let mut config = TrainingConfig::preset("fast").unwrap();
+    config.evaluation.screening_draws = 4;
+    let master_gap_m = config.evaluation.master_gap_m;
+    for (ranking_draws, contacts) in [(4, Some(0)), (0, None)] {
+        config.evaluation.ranking_draws = ranking_draws;
+        let held_out = HeldOut::new(&config.evaluation, &config.environment);
+        let found = held_out.evaluate(&crate::policy::Policy::reference()).unwrap();
+        assert_eq!((found.ranking_contacts, found.is_mastered(master_gap_m)), (contacts, contacts.is_some()));
+    }
 }
 
 #[test]

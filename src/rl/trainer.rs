@@ -248,7 +248,8 @@ impl Trainer {
         Err(TrainingError::Diverged { seed, episode, critic_loss, mean_value, largest_value })
     }
 
-    /// Judges the actor as it is, and keeps it if it is the best so far.
+    /// Judges the actor as it is, and keeps it if it is the best so far. An untrained one can be the best, but does not end
+    /// the training.
     ///
     /// # Errors
     /// [`TrainingError::Run`] and [`TrainingError::Policy`], for a configuration that does not fit the scenarios.
@@ -261,7 +262,7 @@ impl Trainer {
             self.best = Some(Best { episode: self.episode, evaluation, network });
         }
         let master_gap_m = self.config.evaluation.master_gap_m;
-        self.mastered |= master_gap_m > 0.0 && evaluation.is_mastered(master_gap_m);
+        self.mastered |= self.episode > 0 && master_gap_m > 0.0 && evaluation.is_mastered(master_gap_m);
         Ok(evaluation)
     }
 
