@@ -1,5 +1,7 @@
 //! A training on disk: everything that decides how it goes on.
 
+use std::sync::Arc;
+
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
@@ -9,6 +11,7 @@ use super::config::TrainingConfig;
 use super::evaluation::Evaluation;
 use super::learner::Trained;
 use super::replay::Replay;
+use super::source::{PaperDraws, ScenarioSource};
 use super::trainer::{Best, Trainer, TrainingError};
 use crate::policy::Network;
 
@@ -25,6 +28,8 @@ struct Header {
     sha256: String,
     config: TrainingConfig,
     seed: u64,
+    /// Where its scenarios come from, unless it is the paper's distribution.
+    scenarios: Option<String>,
     episode: u64,
     decisions: u64,
     updates: u64,
@@ -86,6 +91,7 @@ impl Trainer {
             sha256: String::new(),
             config: self.config.clone(),
             seed: self.seed,
+            scenarios: self.source.identity(),
             episode: self.episode,
             decisions: self.decisions,
             updates: self.learner.updates,
@@ -130,6 +136,19 @@ impl Trainer {
     /// [`TrainingError::Checkpoint`] for anything else: another release's, another training's, a truncated one, or one whose
     /// content is not what was written.
     pub fn from_checkpoint(bytes: &[u8], config: &TrainingConfig, seed: u64) -> Result<Self, TrainingError> {
+        Self::from_checkpoint_with(bytes, config, seed, Arc::new(PaperDraws))
+    }
+
+    /// The same for a training on scenarios of `source`.
+    ///
+    /// # Errors
+    /// [`TrainingError::Checkpoint`] as above, and if it was of another source.
+    pub fn from_checkpoint_with(
+        bytes: &[u8],
+        config: &TrainingConfig,
+        seed: u64,
+        source: Arc<dyn ScenarioSource>,
+    ) -> Result<Self, TrainingError> {
         let (_, container) = SafeTensors::read_metadata(bytes).map_err(broken)?;
         let text = container.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
         let text = text.ok_or_else(|| broken("this is no checkpoint of a training"))?;
@@ -148,11 +167,16 @@ impl Trainer {
         if (TrainingConfig { episodes: config.episodes, ..header.config }) != *config {
             return Err(broken("it is of another configuration: only the number of episodes may differ"));
         }
+        if header.scenarios != source.identity() {
+            let name = |source: Option<String>| source.unwrap_or_else(|| "the paper's distribution".to_owned());
+            let (found, asked) = (name(header.scenarios), name(source.identity()));
+            return Err(broken(format!("it is of a training on {found}, not on {asked}")));
+        }
         if header.episode > config.episodes {
             let (done, asked) = (header.episode, config.episodes);
             return Err(broken(format!("{done} episodes are done already, more than the {asked} asked for")));
         }
-        let mut trainer = Self::new(config, seed);
+        let mut trainer = Self::with_source(config, seed, source);
         let mut adam_steps = header.adam_steps.into_iter();
         for (name, part) in trainer.parts_mut() {
             read(&arrays, &format!("{name}.network"), part.network.parameters_mut())?;

@@ -306,6 +306,28 @@ fn checkpoints_of_another_training_are_refused() {
 }
 
 #[test]
+fn a_training_on_other_scenarios_says_so_and_is_not_mixed_up() {
+    let config = small();
+    let source = |name| -> Arc<dyn ScenarioSource> {
+        Arc::new(Mixed::new(vec![crate::scenario::built_in(name).unwrap()], 0.5, Arc::new(PaperDraws)))
+    };
+    let mut trainer = Trainer::with_source(&config, 1, source("paper-1"));
+    trainer.run_episode().unwrap();
+    assert!(trainer.policy().unwrap().header().training["scenarios"].as_str().unwrap().contains("0.5 of 1 cases"));
+    let bytes = trainer.to_checkpoint().unwrap();
+    assert!(Trainer::from_checkpoint_with(&bytes, &config, 1, source("paper-1")).is_ok());
+    for refused in [
+        Trainer::from_checkpoint(&bytes, &config, 1),
+        Trainer::from_checkpoint_with(&bytes, &config, 1, source("paper-2")),
+    ] {
+        assert!(refused.err().unwrap().to_string().contains("it is of a training on a share of 0.5"));
+    }
+    let mut unsuited = Trainer::with_source(&config, 1, source("paper-3"));
+    let error = (0..12).find_map(|_| unsuited.run_episode().err()).unwrap();
+    assert!(error.to_string().contains("`paper-3` cannot be trained on"), "{error}");
+}
+
+#[test]
 fn a_random_action_is_held_and_then_more_episodes_end_in_contact() {
     let contacts = |hold| {
         let mut config = TrainingConfig::preset("paper").unwrap();
