@@ -1,18 +1,26 @@
 //! Training and acting: time of one update and of one decision.
 //!
-//! `cargo bench --bench training`. `update` compares, in one run on one thread: the update by hand, the plain formulation
-//! on candle, and the matrix products that an update contains, made by candle.
+//! `cargo bench --bench training`. Compared in one run, on one thread unless it says otherwise: the update by hand, the plain
+//! formulation on candle, and the matrix products that an update contains, made by candle. The item counted is a floating-point
+//! operation of the matrix products, so that speeds can be set against three upper bounds: multiply-adds in registers, which
+//! nothing exceeds, and one large product by candle and by the project's own routine.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
+use std::sync::Arc;
+
 use candle_core::{Device, Tensor};
-use crumple::estimate::{Neighbour, Observation};
+use crumple::estimate::{EstimatorKind, Neighbour, Observation};
 use crumple::policy::{
     ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE, Workspace,
 };
 use crumple::random::{Purpose, stream};
-use crumple::rl::{Batch, Learner, TrainingConfig, Transition, oracle::Oracle};
+use crumple::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition, oracle::Oracle};
+use crumple::scenario::{PAPER_STEP_S, PaperDistribution};
+use crumple::sim::{Keep, Run, RunOptions, Simulated, simulate_batch};
 use divan::Bencher;
+use divan::counter::ItemsCount;
+use pulp::{Arch, Simd, WithSimd};
 use rand::RngExt;
 
 fn main() {
@@ -47,52 +55,147 @@ fn batch(count: usize) -> Batch {
     batch
 }
 
+/// The matrix products of one update as (rows, inner, columns).
+///
+/// Forward: actor', each critic' and critic, actor, first critic again. Backward: inputs and weights of critics and actor, and
+/// inputs of the first critic once more for the actor's slope; the first layers' inputs need no slope. The output layers are
+/// products with a vector, and not counted.
+fn products(width: usize, count: usize, critics: usize) -> Vec<[usize; 3]> {
+    let forward = |inputs: usize| vec![[count, inputs, width], [count, width, width], [count, width, width]];
+    let hidden_inputs = vec![[count, width, width]; 2];
+    let weights = |inputs: usize| vec![[inputs, count, width], [width, count, width], [width, count, width]];
+    let (actor, critic) = (STATE, STATE + 1);
+    let mut all = [forward(actor), forward(actor), forward(critic), hidden_inputs.clone()].concat();
+    all.extend([hidden_inputs.clone(), weights(actor)].concat());
+    for _ in 0..critics {
+        all.extend([forward(critic), forward(critic), hidden_inputs.clone(), weights(critic)].concat());
+    }
+    all
+}
+
+fn operations(products: &[[usize; 3]]) -> ItemsCount {
+    ItemsCount::new(products.iter().map(|[m, k, n]| 2 * m * k * n).sum::<usize>())
+}
+
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
 fn update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
     let mut learner = learner(&config(width, count));
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
-    bencher.bench_local(|| learner.update(&batch, &mut noise));
+    bencher.counter(operations(&products(width, count, 1))).bench_local(|| learner.update(&batch, &mut noise));
+}
+
+/// Two critics, target smoothing, and the actor in every update.
+fn td3(width: usize, count: usize) -> TrainingConfig {
+    let mut config = config(width, count);
+    config.td3 = Td3Config { twin_critic: true, actor_every: 1, target_noise: 0.2, target_noise_limit: 0.5 };
+    config
+}
+
+#[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
+fn td3_update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
+    let mut learner = learner(&td3(width, count));
+    let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
+    bencher.counter(operations(&products(width, count, 2))).bench_local(|| learner.update(&batch, &mut noise));
+}
+
+/// Two trainings side by side, an update each: twice the operations of one.
+#[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
+fn two_updates_on_two_cores(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
+    /// Multiply-adds of each training, at least: starting threads must not count.
+    const WORK: usize = 200 << 20;
+    let one = products(width, count, 1);
+    let each = WORK.div_ceil(one.iter().map(|[m, k, n]| m * k * n).sum());
+    let mut learners = [0; 2].map(|_| (learner(&config(width, count)), stream(1, Purpose::TargetNoise, 0)));
+    let batch = batch(count);
+    bencher.counter(operations(&vec![one; 2 * each].concat())).bench_local(|| {
+        std::thread::scope(|scope| {
+            for (learner, noise) in &mut learners {
+                scope.spawn(|| (0..each).for_each(|_| _ = divan::black_box(learner.update(&batch, noise))));
+            }
+        });
+    });
 }
 
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
 fn update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
     let config = config(width, count);
-    let mut oracle = Oracle::new(&learner(&config), &config.learning).expect("tensors");
-    let batch = batch(count);
-    bencher.bench_local(|| oracle.update(&batch).expect("tensors"));
+    let mut oracle = Oracle::new(&learner(&config), &config.learning, &config.td3).expect("tensors");
+    let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
+    let counter = operations(&products(width, count, 1));
+    bencher.counter(counter).bench_local(|| oracle.update(&batch, &mut noise).expect("tensors"));
 }
 
-/// The products of one update as (rows, inner, columns).
-///
-/// Forward: actor', critic', critic, actor, critic again. Backward: inputs and weights of critic and actor, and inputs of
-/// the critic once more for the actor's slope; the first layers' inputs need no slope.
-fn products(width: usize, count: usize) -> Vec<[usize; 3]> {
-    let forward = |inputs: usize| vec![[count, inputs, width], [count, width, width], [count, width, width]];
-    let hidden_inputs = vec![[count, width, width]; 2];
-    let weights = |inputs: usize| vec![[inputs, count, width], [width, count, width], [width, count, width]];
-    let (actor, critic) = (STATE, STATE + 1);
-    let mut all = Vec::new();
-    for inputs in [actor, critic, critic, actor, critic] {
-        all.extend(forward(inputs));
-    }
-    for _ in 0..3 {
-        all.extend(hidden_inputs.clone());
-    }
-    all.extend(weights(critic));
-    all.extend(weights(actor));
-    all
+fn random(rows: usize, columns: usize) -> Tensor {
+    Tensor::rand(-1.0_f32, 1.0, (rows, columns), &Device::Cpu).expect("a tensor")
 }
 
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
 fn products_of_an_update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
-    let random =
-        |rows: usize, columns: usize| Tensor::rand(-1.0_f32, 1.0, (rows, columns), &Device::Cpu).expect("a tensor");
-    let factors: Vec<_> = products(width, count).into_iter().map(|[m, k, n]| (random(m, k), random(k, n))).collect();
-    bencher.bench_local(|| {
+    let products = products(width, count, 1);
+    let factors: Vec<_> = products.iter().map(|&[m, k, n]| (random(m, k), random(k, n))).collect();
+    bencher.counter(operations(&products)).bench_local(|| {
         for (left, right) in &factors {
             divan::black_box(left.matmul(right).expect("shapes fit"));
         }
     });
+}
+
+const LARGE: usize = 1024;
+
+#[divan::bench(sample_count = 20, sample_size = 1)]
+fn a_large_product_on_candle(bencher: Bencher<'_, '_>) {
+    let (left, right) = (random(LARGE, LARGE), random(LARGE, LARGE));
+    bencher.counter(operations(&[[LARGE; 3]])).bench_local(|| left.matmul(&right).expect("shapes fit"));
+}
+
+/// A wide network acts on many states: one large product, and little else.
+#[divan::bench(sample_count = 20, sample_size = 1)]
+fn a_large_product_by_hand(bencher: Bencher<'_, '_>) {
+    let mut config = config(LARGE, LARGE);
+    config.network.hidden = vec![LARGE; 2];
+    let (mut learner, states) = (learner(&config), vec![0.5; LARGE * STATE]);
+    let counter = operations(&[[LARGE, STATE, LARGE], [LARGE; 3]]);
+    bencher.counter(counter).bench_local(|| learner.act(&states)[0]);
+}
+
+/// Multiply-adds with all operands in registers, in as many independent sums as hide their latency.
+struct InRegisters(usize);
+
+/// Independent sums.
+const SUMS: usize = 16;
+
+impl WithSimd for InRegisters {
+    type Output = f32;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f32 {
+        let (factor, term) = divan::black_box((simd.splat_f32s(0.999), simd.splat_f32s(0.5)));
+        let mut sums = [simd.splat_f32s(1.0); SUMS];
+        for _ in 0..self.0 {
+            sums = sums.map(|sum| simd.mul_add_f32s(sum, factor, term));
+        }
+        sums.into_iter().map(|sum| simd.reduce_sum_f32s(sum)).sum()
+    }
+}
+
+/// How many numbers a vector register of this machine holds.
+struct Lanes;
+
+impl WithSimd for Lanes {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        S::F32_LANES
+    }
+}
+
+#[divan::bench(sample_count = 20, sample_size = 1)]
+fn multiply_adds_in_registers(bencher: Bencher<'_, '_>) {
+    const ROUNDS: usize = 1 << 20;
+    bencher
+        .counter(ItemsCount::new(2 * Arch::new().dispatch(Lanes) * SUMS * ROUNDS))
+        .bench_local(|| Arch::new().dispatch(InRegisters(ROUNDS)));
 }
 
 fn policy(width: usize) -> Policy {
@@ -106,8 +209,8 @@ fn policy(width: usize) -> Policy {
         hidden,
         observation: ObservationScaling::default(),
         action: ActionBounds::default(),
-        decision_interval_s: 0.1,
-        estimator: crumple::estimate::EstimatorKind::Kalman,
+        decision_interval_s: PAPER_STEP_S,
+        estimator: EstimatorKind::Kalman,
         seed: 1,
         episode: 0,
         training: serde_json::Value::Null,
@@ -127,15 +230,38 @@ fn seen(count: usize) -> Vec<Observation> {
         .collect()
 }
 
+/// Operations of an actor's matrix products on one state.
+fn acting(width: usize) -> usize {
+    2 * (STATE * width + 2 * width * width)
+}
+
 #[divan::bench(args = [64, 256])]
 fn act_on_one_state(bencher: Bencher<'_, '_>, width: usize) {
     let (policy, seen, mut space) = (policy(width), seen(1), Workspace::default());
-    bencher.bench_local(|| policy.act(&seen[0], &mut space));
+    bencher.counter(ItemsCount::new(acting(width))).bench_local(|| policy.act(&seen[0], &mut space));
 }
 
 #[divan::bench(args = [64, 256])]
 fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
     let (policy, seen, mut space) = (policy(width), seen(512), Workspace::default());
     let mut commands_mps2 = vec![0.0; seen.len()];
-    bencher.bench_local(|| policy.act_all(&seen, &mut space, &mut commands_mps2));
+    let counter = ItemsCount::new(seen.len() * acting(width));
+    bencher.counter(counter).bench_local(|| policy.act_all(&seen, &mut space, &mut commands_mps2));
+}
+
+/// 512 runs of the paper's distribution in lockstep, a decision every step, everything included but the draw of the scenarios.
+#[divan::bench(args = [64, 256], sample_count = 5, sample_size = 1)]
+fn lockstep_rollouts(bencher: Bencher<'_, '_>, width: usize) {
+    let policy = Arc::new(policy(width));
+    let draws: Vec<_> = (0..512).map(|i| PaperDistribution { seed: 1 }.draw(i).expect("valid")).collect();
+    let options = RunOptions::new(policy).with_estimator(EstimatorKind::Truth);
+    let runs: Vec<_> = draws.iter().map(|draw| Run::new(draw, options.clone()).expect("valid")).collect();
+    let steps = |index: usize, result: Simulated| match result.outcome.contact() {
+        Some(contact) => (contact.time_s / PAPER_STEP_S) as usize + 1,
+        None => draws[index].steps(),
+    };
+    let acts: usize = simulate_batch(&runs, Keep::Summary, steps).into_iter().sum();
+    bencher
+        .counter(ItemsCount::new(acts * acting(width)))
+        .bench_local(|| simulate_batch(&runs, Keep::Summary, |_, result| result.outcome));
 }

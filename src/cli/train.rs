@@ -143,7 +143,7 @@ impl Train {
         files.commit()?;
         let curve = self.out.join("learning-curve.svg");
         output::note(&format!("wrote {} (and training.json)", curve.display()), quiet);
-        output::print(&table(results))
+        output::print(&table(results, config.evaluation.ranking_draws))
     }
 }
 
@@ -246,7 +246,7 @@ impl Observer<Failure> for Scribe<'_> {
 }
 
 /// The result for a reader.
-fn table(results: &[SeedResult]) -> String {
+fn table(results: &[SeedResult], ranking_draws: u64) -> String {
     let mut text = format!(
         "{:>6} {:>8} {:>6}  {:<8} {:<8} {:<8} {:>10} {:>10} {:>7}  {}\n",
         "seed", "episodes", "best", "paper-1", "paper-2", "paper-3", "held out", "unseen", "gap m", "policy"
@@ -255,7 +255,7 @@ fn table(results: &[SeedResult]) -> String {
         let Some(found) = &result.evaluation else { continue };
         let paper = found.paper_safe.map(|safe| if safe { "safe" } else { "CONTACT" });
         let held_out = match found.ranking_contacts {
-            Some(contacts) => format!("{contacts}"),
+            Some(contacts) => format!("{contacts}/{ranking_draws}"),
             None => format!("{:.0} % safe", 100.0 * found.safe_share),
         };
         text += &format!(

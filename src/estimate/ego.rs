@@ -2,7 +2,7 @@
 
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{Estimate, Filter, Neighbour, Observation, Sensor, Tuning};
+use super::{Estimate, Filter, Inertia, KnownChange, Neighbour, Observation, Sensor, Tuning};
 use crate::random::{self, Purpose};
 use crate::scenario::Sensors;
 
@@ -78,15 +78,19 @@ pub struct TrueState {
 /// speeds, so a neighbour's speed is the own estimated speed plus (ahead) or minus (behind) the estimated rate of its gap;
 /// accelerations likewise. What TTC needs, gap and closing speed, thus comes from one filter and does not carry the
 /// error of the own speed, as long as neither estimated speed is cut off at standstill.
+///
+/// What the ego feels of its own motion is fed forward into all three, so that only the neighbours can surprise them.
 #[derive(Debug, Clone)]
 pub struct EgoEstimator {
+    inertia: Inertia,
     position: (Sensor, Filter),
     ahead: Option<(Sensor, Filter)>,
     behind: Option<(Sensor, Filter)>,
 }
 
 impl EgoEstimator {
-    /// Sensors and filters of vehicle `vehicle` that have been running before the scenario starts in state `truth`.
+    /// Sensors and filters of vehicle `vehicle` that have been running before the scenario starts in state `truth`, at constant
+    /// speed until then.
     #[must_use]
     pub fn new(seed: u64, vehicle: usize, sensors: &Sensors, tuning: &EgoTuning, truth: &TrueState) -> Self {
         let mut first = random::stream(seed, Purpose::FirstEstimate, vehicle as u64);
@@ -98,6 +102,7 @@ impl EgoEstimator {
         let own = &truth.observation;
         let gap_noise_m = sensors.gap_noise_m;
         Self {
+            inertia: Inertia::cruising(own.speed_mps),
             position: channel(
                 Purpose::PositionSensor,
                 sensors.position_noise_m,
@@ -119,7 +124,9 @@ impl EgoEstimator {
     /// Measures the true state of this step and returns what the ego makes of it.
     #[inline]
     pub fn observe(&mut self, tuning: &EgoTuning, truth: &TrueState) -> Observation {
-        let own = measure(&mut self.position, &tuning.position, truth.position_m);
+        let truly = &truth.observation;
+        let felt = self.inertia.felt(tuning.position.step_s(), truly.speed_mps, truly.acceleration_mps2);
+        let own = measure(&mut self.position, &tuning.position, truth.position_m, (&felt, 1.0));
         let neighbour = |gap: Estimate, sign: f64| Neighbour {
             gap_m: gap.distance_m,
             speed_mps: (own.rate_mps + sign * gap.rate_mps).max(0.0),
@@ -132,17 +139,23 @@ impl EgoEstimator {
                 .ahead
                 .as_mut()
                 .zip(truth.observation.ahead)
-                .map(|(channel, ahead)| neighbour(measure(channel, &tuning.gap, ahead.gap_m), 1.0)),
+                .map(|(channel, ahead)| neighbour(measure(channel, &tuning.gap, ahead.gap_m, (&felt, -1.0)), 1.0)),
             behind: self
                 .behind
                 .as_mut()
                 .zip(truth.observation.behind)
-                .map(|(channel, behind)| neighbour(measure(channel, &tuning.gap, behind.gap_m), -1.0)),
+                .map(|(channel, behind)| neighbour(measure(channel, &tuning.gap, behind.gap_m, (&felt, 1.0)), -1.0)),
         }
     }
 }
 
 #[inline]
-fn measure((sensor, filter): &mut (Sensor, Filter), tuning: &Tuning, distance_m: f64) -> Estimate {
+fn measure(
+    (sensor, filter): &mut (Sensor, Filter),
+    tuning: &Tuning,
+    distance_m: f64,
+    (felt, sign): (&KnownChange, f64),
+) -> Estimate {
+    filter.feed_forward(tuning, felt, sign);
     filter.update(tuning, sensor.measure(distance_m))
 }

@@ -7,6 +7,9 @@
 //! Tuning by one number: the filter's bandwidth ω. In steady state its poles form a third-order Butterworth pattern at
 //! ω = (q / (σ² h))^(1/6), and the standard deviations are sqrt(3 ω³ σ² h) for the rate and sqrt(2 ω⁵ σ² h) for the
 //! acceleration. A larger ω follows a braking vehicle sooner and is noisier.
+//!
+//! Jumps of the acceleration are not white jerk. Where somebody knows of one, as a vehicle knows of its own, it is fed
+//! forward ([`Filter::feed_forward`]) and leaves the covariance as it is: a known input adds no uncertainty.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -60,6 +63,12 @@ impl Tuning {
             steady_gain: steady.column(0) / (steady[(0, 0)] + measurement_variance),
             steady_root: steady.cholesky().map(|root| root.l()).unwrap_or_default(),
         }
+    }
+
+    /// Time between measurements, in seconds.
+    #[must_use]
+    pub fn step_s(&self) -> f64 {
+        self.step_s
     }
 
     /// Standard deviations in steady state before a measurement: distance (m), rate (m/s), acceleration (m/s²).
@@ -156,6 +165,15 @@ pub struct Estimate {
     pub acceleration_mps2: f64,
 }
 
+/// What is known to have changed the motion over the step that ends now, beyond the acceleration that the step began with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownChange {
+    /// Change of the rate, in m/s.
+    pub rate_mps: f64,
+    /// Change of the acceleration, in m/s².
+    pub acceleration_mps2: f64,
+}
+
 /// The running filter of one distance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Filter {
@@ -184,6 +202,16 @@ impl Filter {
             residual_m: measured_m - self.predicted.distance_m,
             variance_m2: covariance[(0, 0)] + tuning.measurement_variance,
         }
+    }
+
+    /// Takes a known change of motion into the prediction of this instant, `sign` times: the filter's control input.
+    ///
+    /// The change is spread evenly over the step, so half of its rate counts for the distance.
+    #[inline]
+    pub fn feed_forward(&mut self, tuning: &Tuning, change: &KnownChange, sign: f64) {
+        self.predicted.distance_m += sign * (0.5 * tuning.step_s * change.rate_mps);
+        self.predicted.rate_mps += sign * change.rate_mps;
+        self.predicted.acceleration_mps2 += sign * change.acceleration_mps2;
     }
 
     /// Takes in this step's measurement, or goes without if it was lost, and moves on to the next step.

@@ -1,18 +1,20 @@
 //! What the ego knows: noisy sensors and the Kalman filter behind the eight numbers a controller may see.
 //!
-//! The ego measures its own position and the bumper gaps ahead and behind, once a step. Speeds and accelerations are
-//! estimated (paper, section "Markov decision process", paragraph S). The alternative, [`EstimatorKind::Truth`], hands the true
+//! The ego measures its own position and the bumper gaps ahead and behind, once a step, and knows what its own brakes and
+//! engine do to it. Speeds and accelerations are estimated (paper, section "Markov decision process", paragraph S). The alternative, [`EstimatorKind::Truth`], hands the true
 //! numbers over; every result says which of the two it used.
 
 mod ego;
 mod filter;
+mod inertia;
 mod sensor;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use ego::{EgoEstimator, EgoTuning, TrueState};
-pub use filter::{Estimate, Filter, Innovation, Tuning};
+pub use filter::{Estimate, Filter, Innovation, KnownChange, Tuning};
+pub use inertia::Inertia;
 pub use sensor::Sensor;
 
 /// Which estimator the vehicles under test look through.

@@ -49,6 +49,14 @@ pub enum PolicyError {
     /// The header is missing, or does not say what it should.
     #[error("header `{KEY}`: {0}")]
     Header(String),
+    /// The network's numbers are finite, but too large to be calculated with.
+    #[error(
+        "layer {layer} can overflow on a state within the observation's limit: its numbers are too large to drive with"
+    )]
+    Overflow {
+        /// Index of the layer, from 0.
+        layer: usize,
+    },
     /// A tensor is missing, superfluous, or not what the header says.
     #[error("tensor `{tensor}`: {problem}")]
     Tensor {
@@ -63,7 +71,8 @@ impl Policy {
     /// Reads a policy file.
     ///
     /// # Errors
-    /// [`PolicyError`] for a file that is missing, truncated, corrupt, or whose tensors are not what its header says.
+    /// [`PolicyError`] for a file that is missing, truncated, corrupt, whose tensors are not what its header says, or whose
+    /// network could answer with something that is no number.
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
         let failed = |source| PolicyError::Read { path: path.to_owned(), source };
         let mut bytes = Vec::new();
@@ -110,7 +119,7 @@ impl Policy {
             read_tensor(&tensors, &weight_name(index), &[layer.inputs, layer.outputs], &mut parameters[weights])?;
             read_tensor(&tensors, &bias_name(index), &[layer.outputs], &mut parameters[biases])?;
         }
-        Ok(Self::ready(header, network))
+        Self::ready(header, network)
     }
 
     /// The bytes of the policy file: the same for the same policy.
@@ -210,8 +219,11 @@ pub(super) fn check(header: &PolicyHeader) -> Result<(), PolicyError> {
         }
     }
     let action = header.action;
-    if !(action.low_mps2.is_finite() && action.high_mps2.is_finite() && action.low_mps2 < action.high_mps2) {
+    if action.low_mps2.is_nan() || action.high_mps2.is_nan() || action.low_mps2 >= action.high_mps2 {
         return wrong("action", "low_mps2 must be below high_mps2".to_owned());
+    }
+    if !(action.low_mps2 - action.high_mps2).is_finite() || !(action.low_mps2 + action.high_mps2).is_finite() {
+        return wrong("action", "the bounds must be finite, and so their sum and difference".to_owned());
     }
     Ok(())
 }

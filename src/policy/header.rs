@@ -104,6 +104,14 @@ impl Default for ActionBounds {
 }
 
 impl ActionBounds {
+    /// The acceleration for what the network answers, before its tanh. No number at all, which no policy that was accepted
+    /// answers with, would mean full braking: a vehicle must not coast because its controller failed.
+    #[must_use]
+    #[inline]
+    pub fn of_output(&self, raw: f32) -> f64 {
+        if raw.is_nan() { self.low_mps2 } else { self.acceleration_mps2(libm::tanhf(raw)) }
+    }
+
     /// The acceleration of an action between -1 and 1, in m/s²: linear between the bounds.
     #[must_use]
     #[inline]

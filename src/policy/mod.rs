@@ -28,6 +28,9 @@ static REFERENCE: LazyLock<Arc<Policy>> =
     LazyLock::new(|| Arc::new(Policy::from_bytes(REFERENCE_BYTES).expect("the reference policy is whole")));
 
 /// An actor that can drive.
+///
+/// Its answers are numbers: an observation is cut to the header's limit before the network sees it, and a network that could
+/// overflow on any state within that limit is refused ([`PolicyError::Overflow`]), not driven with.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Policy {
     header: PolicyHeader,
@@ -48,14 +51,18 @@ impl Policy {
             return Err(PolicyError::Header(problem));
         }
         if network.parameters().iter().all(|value| value.is_finite()) {
-            Ok(Self::ready(header, network))
+            Self::ready(header, network)
         } else {
             Err(PolicyError::Header("the network holds a number that is not finite".to_owned()))
         }
     }
 
-    fn ready(header: PolicyHeader, network: Network) -> Self {
-        Self { header, acting: Acting::new(&network), network }
+    /// A policy of parts that fit each other.
+    fn ready(header: PolicyHeader, network: Network) -> Result<Self, PolicyError> {
+        match network.overflowing_layer(header.observation.limit) {
+            None => Ok(Self { header, acting: Acting::new(&network), network }),
+            Some(layer) => Err(PolicyError::Overflow { layer }),
+        }
     }
 
     /// The committed reference policy.
@@ -83,12 +90,14 @@ impl Policy {
         Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// The acceleration wanted for one observation, in m/s².
+    /// The acceleration wanted for one observation, in m/s²: a number within the action's bounds, whatever is seen.
     #[must_use]
     pub fn act(&self, seen: &Observation, space: &mut Workspace) -> f64 {
         let state = self.header.observation.state(seen);
-        let [action] = *self.acting.forward(&state, 1, space) else { return 0.0 };
-        self.header.action.acceleration_mps2(libm::tanhf(action))
+        match *self.acting.forward(&state, 1, space) {
+            [raw] => self.header.action.of_output(raw),
+            _ => self.header.action.low_mps2,
+        }
     }
 
     /// What [`Policy::act`] answers for each of many observations, as one matrix product a layer.
@@ -96,7 +105,7 @@ impl Policy {
         let states: Vec<f32> = seen.iter().flat_map(|seen| self.header.observation.state(seen)).collect();
         let actions = self.acting.forward(&states, seen.len(), space);
         for (command_mps2, &action) in commands_mps2.iter_mut().zip(actions) {
-            *command_mps2 = self.header.action.acceleration_mps2(libm::tanhf(action));
+            *command_mps2 = self.header.action.of_output(action);
         }
     }
 }

@@ -74,6 +74,29 @@ impl Network {
         layers.into_iter()
     }
 
+    /// The first layer whose output could leave single precision for an input within plus and minus `limit`, by the bound
+    /// |h W + b| <= |h| |W| + |b|, which holds for every partial sum too.
+    pub(crate) fn overflowing_layer(&self, limit: f64) -> Option<usize> {
+        // Half of the range is left for rounding.
+        let highest = 0.5 * f64::from(f32::MAX);
+        let mut bounds = vec![limit; self.sizes.first().copied().unwrap_or_default()];
+        if limit > highest {
+            return Some(0);
+        }
+        for (index, layer) in self.layers().enumerate() {
+            let size = |value: &f32| f64::from(value.abs());
+            let mut next: Vec<f64> = self.parameters[layer.biases()].iter().map(size).collect();
+            for (bound, row) in bounds.iter().zip(self.parameters[layer.weights()].chunks_exact(layer.outputs)) {
+                next.iter_mut().zip(row).for_each(|(sum, weight)| *sum += bound * size(weight));
+            }
+            if !next.iter().all(|&bound| bound <= highest) {
+                return Some(index);
+            }
+            bounds = next;
+        }
+        None
+    }
+
     /// One layer for `batch` rows of `input`, into `out`; `panels` is working space.
     pub(crate) fn layer_forward(
         &self,

@@ -123,7 +123,37 @@ fn refusals_name_the_reason() {
     says(refused(&|p| p.header.action.low_mps2 = 5.0), "low_mps2 must be below");
     says(refused(&|p| p.header.observation.scale[3] = 0.0), "observation.scale");
     says(refused(&|p| p.network.parameters_mut()[0] = f32::NAN), "not finite");
+    says(
+        refused(&|p| (p.header.action.low_mps2, p.header.action.high_mps2) = (f64::MIN, f64::MAX)),
+        "the bounds must be finite",
+    );
+    says(refused(&|p| p.header.observation.limit = 1e39), "layer 0 can overflow");
+    says(refused(&|p| p.network.parameters_mut()[8 * 6 + 6..].fill(-1e38)), "layer 1 can overflow");
     says(Policy::from_bytes(b"not a policy").expect_err("refused").to_string(), "safetensors");
     let missing = Policy::load(std::path::Path::new("no/such.safetensors")).expect_err("refused");
     says(missing.to_string(), "no/such.safetensors");
+}
+
+#[test]
+fn no_number_at_all_means_full_braking() {
+    assert_eq!(ActionBounds::default().of_output(f32::NAN), -7.5);
+    assert_eq!(ActionBounds::default().of_output(f32::INFINITY), 3.0);
+}
+
+proptest! {
+    /// Weights of any size, up to the largest numbers there are: refused, or driven with to an answer within the bounds.
+    #[test]
+    fn what_is_accepted_answers_with_a_number(seen in any_observation(), seed: u64, exponent in 0..39_i32, layer in 0..3_usize) {
+        let Policy { header, mut network, .. } = policy(&[6, 4], 0.1, seed);
+        let layer = network.layers().nth(layer).unwrap();
+        let factor = 10.0_f32.powi(exponent);
+        network.parameters_mut()[layer.from..layer.biases().end].iter_mut().for_each(|value| *value *= factor);
+        match Policy::new(header, network) {
+            Ok(policy) => {
+                let raw = policy.acting.forward(&policy.header.observation.state(&seen), 1, &mut Workspace::default())[0];
+                prop_assert!(raw.is_finite());
+            }
+            Err(error) => prop_assert!(exponent > 30 && error.to_string().contains("overflow"), "{}", error),
+        }
+    }
 }

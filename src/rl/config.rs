@@ -101,6 +101,9 @@ pub struct LearningConfig {
 pub struct ExplorationConfig {
     /// Episodes of uniformly random actions before learning begins: the stage rich in collisions.
     pub random_episodes: u64,
+    /// Steps of 0.01 s for which a random action is held; at least until the next decision. Held longer, random actions
+    /// average out less, and more episodes end in contact.
+    pub random_hold_steps: u32,
     /// Standard deviation of the noise on actions between -1 and 1, after that stage.
     pub noise: f64,
     /// Factor on it after each episode; 0.9995 in the paper.
@@ -139,7 +142,7 @@ pub struct EvaluationConfig {
     pub every_episodes: u64,
     /// Held-out draws that every evaluation drives, beside the paper's three scenarios.
     pub screening_draws: u64,
-    /// Held-out draws that rank a policy which survives all of those.
+    /// Held-out draws that rank a policy which survives all of those; without any, no policy counts as having mastered the task.
     pub ranking_draws: u64,
     /// Training ends once a policy survives all of these too and keeps this distance everywhere, in metres; 0 never ends it.
     pub master_gap_m: f64,
@@ -226,6 +229,7 @@ impl TrainingConfig {
         within("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
         within("learning.decisions_per_update", f64::from(self.learning.decisions_per_update), [1.0, 1e6])?;
         within("learning.saturation_penalty", f64::from(self.learning.saturation_penalty), [0.0, 1e3])?;
+        within("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
         within("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
         within("exploration.noise_decay", self.exploration.noise_decay, [0.0, 1.0])?;
         within("replay.capacity", self.replay.capacity as f64, [self.learning.batch as f64, 1e8])?;

@@ -5,7 +5,7 @@ use crate::policy::{ActionBounds, ObservationScaling, STATE};
 use crate::sim::{Keep, Run, Stepper};
 
 /// Index of the vehicle the agent drives.
-const EGO: usize = 1;
+pub(super) const EGO: usize = 1;
 
 /// All vehicles must have stood for this long before the rest of an episode counts as decided, in seconds: the agent has
 /// then chosen to stay where it is more than once.

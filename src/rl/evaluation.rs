@@ -34,7 +34,7 @@ pub struct Evaluation {
     pub safe_share: f64,
     /// Mean reward over screening draws, as the paper counts it.
     pub mean_reward: f64,
-    /// Ranking draws that ended in contact; none if ranking was not reached.
+    /// Ranking draws that ended in contact; none if ranking was not reached, or there are no such draws.
     pub ranking_contacts: Option<u64>,
     /// Smallest gap between any two vehicles over everything that was driven, in metres.
     pub smallest_gap_m: f64,
@@ -54,7 +54,8 @@ impl Evaluation {
         ]
     }
 
-    /// Whether nothing touched anything, paper-3 included, and the margin is at least `gap_m`.
+    /// Whether nothing touched anything, paper-3 included, and the margin is at least `gap_m`. Without ranking draws nothing is
+    /// mastered: the few screening draws cannot tell.
     #[must_use]
     pub fn is_mastered(&self, gap_m: f64) -> bool {
         self.paper_safe == [true; 3] && self.ranking_contacts == Some(0) && self.smallest_gap_m >= gap_m
@@ -100,7 +101,7 @@ impl HeldOut {
             ranking_contacts: None,
             smallest_gap_m: smallest_gap_m.min(smallest(&draws)),
         };
-        if safe == draws.len() && paper_safe[..2] == [true; 2] {
+        if safe == draws.len() && paper_safe[..2] == [true; 2] && !self.ranking.is_empty() {
             let ranked = drive(&self.ranking, policy, of)?;
             let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
             evaluation.ranking_contacts = Some(contacts as u64);

@@ -198,13 +198,17 @@ impl Learner {
         actor.backward(&self.actor.network, slopes, actor_gradients);
     }
 
-    /// Gradients of critic and actor at the present weights, without changing them: for tests against other formulations.
-    pub fn gradients(&mut self, batch: &Batch) -> (Vec<f32>, Vec<f32>) {
-        let mut no_noise = random::stream(0, Purpose::TargetNoise, 0);
-        self.set_goals(batch, &mut no_noise);
-        self.critic_gradient(0, batch);
+    /// Gradients of each critic and of the actor at the present weights, without changing them: for tests against other
+    /// formulations.
+    pub fn gradients(&mut self, batch: &Batch, noise: &mut Stream) -> (Vec<Vec<f32>>, Vec<f32>) {
+        self.set_goals(batch, noise);
+        let mut critics = Vec::new();
+        for index in 0..self.critics.len() {
+            self.critic_gradient(index, batch);
+            critics.push(self.space.critic_gradients.clone());
+        }
         self.actor_gradient(batch);
-        (self.space.critic_gradients.clone(), self.space.actor_gradients.clone())
+        (critics, self.space.actor_gradients.clone())
     }
 }
 

@@ -18,6 +18,7 @@ mod learner;
 pub mod oracle;
 mod replay;
 mod seeds;
+mod source;
 mod trainer;
 
 pub use adam::Adam;
@@ -31,6 +32,7 @@ pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
 pub use learner::{Learner, Losses, Trained};
 pub use replay::{Batch, Replay, Transition};
 pub use seeds::{Event, Observer, side_by_side, train};
+pub use source::{Mixed, PaperDraws, ScenarioSource};
 pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
 
 #[cfg(test)]

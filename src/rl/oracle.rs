@@ -1,25 +1,42 @@
 //! The same update, stated plainly on candle's tensors and automatic differentiation.
 //!
 //! Slow and easy to believe: what [`Learner`] computes by hand is tested against this, and its speed is
-//! measured against it. Plain DDPG only, without TD3's options.
+//! measured against it. TD3's options included.
 
 use candle_core::{DType, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Linear, Module, Optimizer, ParamsAdamW};
 
-use super::config::LearningConfig;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::config::{LearningConfig, Td3Config};
 use super::learner::{Learner, Losses, Trained};
 use super::replay::Batch;
 use crate::policy::{Network, STATE};
+use crate::random::Stream;
 
-/// Actor, critic and targets as candle sees them.
+/// Actor, critics and targets as candle sees them.
 pub struct Oracle {
-    actor: Mlp,
-    actor_target: Mlp,
-    critic: Mlp,
-    critic_target: Mlp,
-    actor_optimiser: AdamW,
-    critic_optimiser: AdamW,
+    actor: Pair,
+    critics: Vec<Pair>,
     learning: LearningConfig,
+    td3: Td3Config,
+    updates: u64,
+}
+
+/// A network, its target and its optimiser.
+struct Pair {
+    network: Mlp,
+    target: Mlp,
+    optimiser: AdamW,
+}
+
+impl Pair {
+    fn new(trained: &Trained, rate: f32) -> Result<Self> {
+        let network = Mlp::new(&trained.network)?;
+        let params = ParamsAdamW { lr: f64::from(rate), weight_decay: 0.0, ..ParamsAdamW::default() };
+        let optimiser = AdamW::new(network.vars.clone(), params)?;
+        Ok(Self { network, target: Mlp::new(&trained.target)?, optimiser })
+    }
 }
 
 /// A network whose variables are kept in order, weights and biases by turns.
@@ -98,69 +115,94 @@ impl Rows {
     }
 }
 
+/// Gradients of each critic, and of the actor.
+type Gradients = (Vec<Vec<f32>>, Vec<f32>);
+
 impl Oracle {
     /// The networks of a learner that has made no update.
     ///
     /// # Errors
     /// candle's, in principle.
-    pub fn new(learner: &Learner, learning: &LearningConfig) -> Result<Self> {
-        let critic = |of: fn(&Trained) -> &Network| match learner.critics.first() {
-            Some(critic) => Mlp::new(of(critic)),
-            None => Err(candle_core::Error::Msg("the learner has no critic".to_owned())),
-        };
-        let (actor, critic_network) = (Mlp::new(&learner.actor.network)?, critic(|c| &c.network)?);
-        let optimiser = |vars: &[Var], rate: f32| {
-            let params = ParamsAdamW { lr: f64::from(rate), weight_decay: 0.0, ..ParamsAdamW::default() };
-            AdamW::new(vars.to_vec(), params)
-        };
+    pub fn new(learner: &Learner, learning: &LearningConfig, td3: &Td3Config) -> Result<Self> {
         Ok(Self {
-            actor_optimiser: optimiser(&actor.vars, learning.actor_rate)?,
-            critic_optimiser: optimiser(&critic_network.vars, learning.critic_rate)?,
-            actor,
-            actor_target: Mlp::new(&learner.actor.target)?,
-            critic: critic_network,
-            critic_target: critic(|c| &c.target)?,
+            actor: Pair::new(&learner.actor, learning.actor_rate)?,
+            critics: learner.critics.iter().map(|c| Pair::new(c, learning.critic_rate)).collect::<Result<_>>()?,
             learning: learning.clone(),
+            td3: td3.clone(),
+            updates: 0,
         })
     }
 
-    fn critic_loss(&self, rows: &Rows) -> Result<(Tensor, Tensor)> {
-        let next_actions = self.actor_target.forward(&rows.next_states)?.tanh()?;
-        let next_values = self.critic_target.forward(&Tensor::cat(&[&rows.next_states, &next_actions], 1)?)?;
-        let goals = (&rows.rewards + (&rows.continues * (next_values * self.learning.discount)?)?)?.detach();
-        let values = self.critic.forward(&Tensor::cat(&[&rows.states, &rows.actions], 1)?)?;
+    /// y: the reward, and the discounted value of what follows by the least of the critics' targets, at the actor target's
+    /// action with a little noise.
+    fn goals(&self, rows: &Rows, noise: &mut Stream) -> Result<Tensor> {
+        let mut actions = self.actor.target.forward(&rows.next_states)?.tanh()?;
+        if self.td3.target_noise > 0.0 {
+            let normals: Vec<f32> = (0..actions.dim(0)?).map(|_| StandardNormal.sample(noise)).collect();
+            let normals = Tensor::from_vec(normals, actions.shape(), &Device::Cpu)?;
+            let limit = self.td3.target_noise_limit;
+            let smoothing = (normals * f64::from(self.td3.target_noise))?.clamp(-limit, limit)?;
+            actions = (actions + smoothing)?.clamp(-1_f32, 1_f32)?;
+        }
+        let states_and_actions = Tensor::cat(&[&rows.next_states, &actions], 1)?;
+        let mut values: Option<Tensor> = None;
+        for critic in &self.critics {
+            let value = critic.target.forward(&states_and_actions)?;
+            values = Some(match values {
+                Some(least) => least.minimum(&value)?,
+                None => value,
+            });
+        }
+        let values = values.ok_or_else(|| candle_core::Error::Msg("the learner has no critic".to_owned()))?;
+        Ok((&rows.rewards + (&rows.continues * (values * self.learning.discount)?)?)?.detach())
+    }
+
+    fn critic_loss(&self, critic: &Pair, rows: &Rows, goals: &Tensor) -> Result<(Tensor, Tensor)> {
+        let values = critic.network.forward(&Tensor::cat(&[&rows.states, &rows.actions], 1)?)?;
         Ok(((&values - goals)?.sqr()?.mean_all()?, values))
     }
 
     fn actor_loss(&self, rows: &Rows) -> Result<Tensor> {
-        let raw = self.actor.forward(&rows.states)?;
-        let values = self.critic.forward(&Tensor::cat(&[&rows.states, &raw.tanh()?], 1)?)?;
+        let raw = self.actor.network.forward(&rows.states)?;
+        let values = self.critics[0].network.forward(&Tensor::cat(&[&rows.states, &raw.tanh()?], 1)?)?;
         let beyond = (raw.abs()? - 1.0)?.relu()?.sqr()?.mean_all()?;
         (beyond * f64::from(self.learning.saturation_penalty))? - values.mean_all()?
     }
 
-    /// One update.
+    /// One update. `noise` feeds target smoothing, one normal number a transition, in order.
     ///
     /// # Errors
     /// candle's, in principle.
-    pub fn update(&mut self, batch: &Batch) -> Result<Losses> {
+    pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Result<Losses> {
         let rows = Rows::new(batch)?;
-        let (loss, values) = self.critic_loss(&rows)?;
-        self.critic_optimiser.backward_step(&loss)?;
-        self.actor_optimiser.backward_step(&self.actor_loss(&rows)?)?;
-        let share = f64::from(self.learning.soft_update);
-        self.critic_target.follow(&self.critic, share)?;
-        self.actor_target.follow(&self.actor, share)?;
+        let goals = self.goals(&rows, noise)?;
         let number = |tensor: Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();
-        Ok(Losses { critic: number(loss)?, mean_value: number(values.mean_all()?)? })
+        let mut losses = Losses::default();
+        for index in 0..self.critics.len() {
+            let (loss, values) = self.critic_loss(&self.critics[index], &rows, &goals)?;
+            self.critics[index].optimiser.backward_step(&loss)?;
+            if index == 0 {
+                losses = Losses { critic: number(loss)?, mean_value: number(values.mean_all()?)? };
+            }
+        }
+        self.updates += 1;
+        if self.updates.is_multiple_of(u64::from(self.td3.actor_every)) {
+            self.actor.optimiser.backward_step(&self.actor_loss(&rows)?)?;
+            let share = f64::from(self.learning.soft_update);
+            for pair in self.pairs() {
+                pair.target.follow(&pair.network, share)?;
+            }
+        }
+        Ok(losses)
     }
 
-    /// Gradients of critic and actor at the present weights.
+    /// Gradients of each critic and of the actor at the present weights.
     ///
     /// # Errors
     /// candle's, in principle.
-    pub fn gradients(&self, batch: &Batch) -> Result<(Vec<f32>, Vec<f32>)> {
+    pub fn gradients(&self, batch: &Batch, noise: &mut Stream) -> Result<Gradients> {
         let rows = Rows::new(batch)?;
+        let goals = self.goals(&rows, noise)?;
         let of = |network: &Mlp, loss: Tensor| {
             let found = loss.backward()?;
             network.flat(|var| match found.get(var) {
@@ -168,15 +210,20 @@ impl Oracle {
                 None => var.zeros_like(),
             })
         };
-        Ok((of(&self.critic, self.critic_loss(&rows)?.0)?, of(&self.actor, self.actor_loss(&rows)?)?))
+        let critics = self.critics.iter().map(|critic| of(&critic.network, self.critic_loss(critic, &rows, &goals)?.0));
+        Ok((critics.collect::<Result<_>>()?, of(&self.actor.network, self.actor_loss(&rows)?)?))
     }
 
-    /// Parameters of critic, critic target, actor and actor target.
+    /// Parameters of every network, each followed by its target's: the actor, then the critics.
     ///
     /// # Errors
     /// candle's, in principle.
-    pub fn parameters(&self) -> Result<[Vec<f32>; 4]> {
-        let of = |network: &Mlp| network.flat(|var| Ok(var.as_tensor().clone()));
-        Ok([of(&self.critic)?, of(&self.critic_target)?, of(&self.actor)?, of(&self.actor_target)?])
+    pub fn parameters(&self) -> Result<Vec<Vec<f32>>> {
+        let networks = self.pairs().flat_map(|pair| [&pair.network, &pair.target]);
+        networks.map(|network| network.flat(|var| Ok(var.as_tensor().clone()))).collect()
+    }
+
+    fn pairs(&self) -> impl Iterator<Item = &Pair> {
+        std::iter::once(&self.actor).chain(&self.critics)
     }
 }

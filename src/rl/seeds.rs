@@ -52,14 +52,15 @@ pub fn train<E: From<TrainingError>>(
     held_out: &HeldOut,
     observer: &mut impl Observer<E>,
 ) -> Result<(), E> {
+    // The untrained policy is judged first: what training is worth shows against it.
+    if trainer.episode() == 0 {
+        judge(trainer, held_out, observer)?;
+    }
     while !trainer.is_done() {
         let record = trainer.run_episode()?;
         observer.event(&Event::Episode(record))?;
         if trainer.evaluation_is_due() {
-            let result = trainer.evaluate(held_out)?;
-            let episode = trainer.episode();
-            let best = trainer.best().is_some_and(|best| best.episode == episode);
-            observer.event(&Event::Evaluation { episode, best, result })?;
+            judge(trainer, held_out, observer)?;
         }
         let every = trainer.config.evaluation.every_episodes * EVALUATIONS_PER_CHECKPOINT;
         if trainer.episode().is_multiple_of(every) && !trainer.is_done() {
@@ -67,6 +68,17 @@ pub fn train<E: From<TrainingError>>(
         }
     }
     observer.checkpoint(trainer)
+}
+
+fn judge<E: From<TrainingError>>(
+    trainer: &mut Trainer,
+    held_out: &HeldOut,
+    observer: &mut impl Observer<E>,
+) -> Result<(), E> {
+    let result = trainer.evaluate(held_out)?;
+    let episode = trainer.episode();
+    let best = trainer.best().is_some_and(|best| best.episode == episode);
+    observer.event(&Event::Evaluation { episode, best, result })
 }
 
 /// Does `work` for each item on `threads` threads, one item a thread at a time, and returns the results in order.

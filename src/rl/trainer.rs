@@ -11,9 +11,10 @@ use super::environment::{Ending, Episode, bounds};
 use super::evaluation::{Evaluation, HeldOut};
 use super::learner::{Learner, Losses};
 use super::replay::{Batch, Replay, Transition};
+use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crate::policy::{Network, ObservationScaling, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
 use crate::random::{self, Purpose};
-use crate::scenario::{ControllerSpec, InvalidField, PAPER_STEP_S, PaperDistribution};
+use crate::scenario::{ControllerSpec, InvalidField, PAPER_STEP_S};
 use crate::sim::{Run, RunError, RunOptions};
 
 /// The critic may value a state at this many times the largest value that can be right before it counts as exploded.
@@ -39,6 +40,14 @@ pub enum TrainingError {
         mean_value: f64,
         /// Largest value that can be right.
         largest_value: f64,
+    },
+    /// The agent cannot be trained on a scenario that was drawn.
+    #[error("scenario `{name}` cannot be trained on: {problem}")]
+    Unsuited {
+        /// Name of the scenario.
+        name: String,
+        /// What is wrong.
+        problem: String,
     },
     /// A scenario cannot be drawn.
     #[error(transparent)]
@@ -82,9 +91,6 @@ pub struct Best {
     pub network: Network,
 }
 
-/// Steps of an episode without contact (paper, section "Markov decision process": 1500 steps of 0.01 s).
-const PERFECT_STEPS: f64 = 1500.0;
-
 /// A training under way.
 #[derive(Debug, Clone)]
 pub struct Trainer {
@@ -96,13 +102,20 @@ pub struct Trainer {
     pub(super) decisions: u64,
     pub(super) best: Option<Best>,
     pub(super) mastered: bool,
+    pub(super) source: Arc<dyn ScenarioSource>,
     batch: Batch,
 }
 
 impl Trainer {
-    /// A training at its start.
+    /// A training on the paper's distribution, at its start.
     #[must_use]
     pub fn new(config: &TrainingConfig, seed: u64) -> Self {
+        Self::with_source(config, seed, Arc::new(PaperDraws))
+    }
+
+    /// A training on scenarios from anywhere, at its start.
+    #[must_use]
+    pub fn with_source(config: &TrainingConfig, seed: u64, source: Arc<dyn ScenarioSource>) -> Self {
         Self {
             learner: Learner::new(&config.network, &config.learning, &config.td3, seed),
             replay: Replay::new(config.replay.capacity),
@@ -112,6 +125,7 @@ impl Trainer {
             decisions: 0,
             best: None,
             mastered: false,
+            source,
             batch: Batch::default(),
         }
     }
@@ -151,12 +165,15 @@ impl Trainer {
     /// Drives and learns from one episode.
     ///
     /// # Errors
-    /// [`TrainingError::Diverged`] if learning went astray.
+    /// [`TrainingError::Diverged`] if learning went astray; [`TrainingError::Scenario`] and [`TrainingError::Unsuited`] for a
+    /// source that draws what cannot be trained on.
     pub fn run_episode(&mut self) -> Result<EpisodeRecord, TrainingError> {
         let index = self.episode;
         // The stream of training draws has a seed of its own, apart from every seed a user may assess with.
-        let draws = PaperDistribution { seed: random::derived_seed(self.seed, u64::MAX) };
-        let scenario = draws.draw(index)?;
+        let scenario = self.source.draw(random::derived_seed(self.seed, u64::MAX), index)?;
+        if let Some(problem) = unsuited(&scenario) {
+            return Err(TrainingError::Unsuited { name: scenario.spec().name.clone(), problem });
+        }
         // The ego's own controller is never asked: every step is commanded.
         let options = RunOptions::new(ControllerSpec::MatchLeader).with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;
@@ -170,10 +187,18 @@ impl Trainer {
             (self.config.exploration.noise * decay) as f32
         });
         let (mut sums, mut updates) = (Losses::default(), 0_u32);
+        let decisions_held =
+            u64::from(self.config.exploration.random_hold_steps / self.config.environment.decision_steps).max(1);
+        let (decisions_before, mut held) = (self.decisions, 0.0);
         let mut state = episode.state();
         let ending = loop {
             let action = match noise {
-                None => trials.random_range(-1.0..=1.0),
+                None => {
+                    if (self.decisions - decisions_before).is_multiple_of(decisions_held) {
+                        held = trials.random_range(-1.0..=1.0);
+                    }
+                    held
+                }
                 Some(noise) => {
                     let normal: f32 = StandardNormal.sample(&mut trials);
                     let chosen = self.learner.act(&state).first().copied().unwrap_or_default();
@@ -215,18 +240,18 @@ impl Trainer {
             critic_loss: sums.critic / n,
             mean_value: sums.mean_value / n,
         };
-        self.check_divergence(&record)?;
+        self.check_divergence(&record, scenario.steps())?;
         Ok(record)
     }
 
-    fn check_divergence(&self, record: &EpisodeRecord) -> Result<(), TrainingError> {
+    fn check_divergence(&self, record: &EpisodeRecord, steps: usize) -> Result<(), TrainingError> {
         let environment = &self.config.environment;
         let each = environment.step_reward * f64::from(environment.decision_steps);
         let discounted = each / (1.0 - self.config.learning.discount);
         // Where life ends with the episode, no value exceeds what one episode pays.
         let paid = match environment.time_limit {
             TimeLimit::Truncation => discounted,
-            TimeLimit::End => discounted.min(PERFECT_STEPS * environment.step_reward),
+            TimeLimit::End => discounted.min(steps as f64 * environment.step_reward),
         };
         let largest_value = environment.reward_scale * paid.max(-environment.contact_reward);
         let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
@@ -240,7 +265,8 @@ impl Trainer {
         Err(TrainingError::Diverged { seed, episode, critic_loss, mean_value, largest_value })
     }
 
-    /// Judges the actor as it is, and keeps it if it is the best so far.
+    /// Judges the actor as it is, and keeps it if it is the best so far. An untrained one can be the best, but does not end
+    /// the training.
     ///
     /// # Errors
     /// [`TrainingError::Run`] and [`TrainingError::Policy`], for a configuration that does not fit the scenarios.
@@ -253,7 +279,7 @@ impl Trainer {
             self.best = Some(Best { episode: self.episode, evaluation, network });
         }
         let master_gap_m = self.config.evaluation.master_gap_m;
-        self.mastered |= master_gap_m > 0.0 && evaluation.is_mastered(master_gap_m);
+        self.mastered |= self.episode > 0 && master_gap_m > 0.0 && evaluation.is_mastered(master_gap_m);
         Ok(evaluation)
     }
 
@@ -269,7 +295,10 @@ impl Trainer {
     }
 
     fn policy_of(&self, network: Network, episode: u64) -> Result<Policy, TrainingError> {
-        let training = serde_json::to_value(&self.config).map_err(|e| TrainingError::Checkpoint(e.to_string()))?;
+        let mut training = serde_json::to_value(&self.config).map_err(|e| TrainingError::Checkpoint(e.to_string()))?;
+        if let (Some(training), Some(source)) = (training.as_object_mut(), self.source.identity()) {
+            training.insert("scenarios".to_owned(), source.into());
+        }
         let header = PolicyHeader {
             version: POLICY_VERSION,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),

@@ -19,8 +19,9 @@ impl Limits {
             EstimatorKind::Kalman => {
                 "Vehicles under test see through noisy sensors (range noise 0.03 m, position noise 0.02 m unless a scenario \
                  says otherwise) and a Kalman filter. Noise is white and normal; real sensors also have biases, false \
-                 targets and correlated errors. The filter's model is white jerk: while a brake is being slammed on, for \
-                 about a second, it lags and is more certain than it should be."
+                 targets and correlated errors. A vehicle's filter knows its own acceleration exactly, as no accelerometer does; \
+                 of its neighbours' it assumes white jerk: when one of them slams on its brakes, the filter lags for about a \
+                 second and is more certain than it should be."
             }
             EstimatorKind::Truth => "Vehicles under test see the true state: no sensor is that good.",
         };
