@@ -30,6 +30,7 @@
 //! | [`rl`] | learning to drive: DDPG, its environment, its presets |
 //! | [`falsify`] | search methods that look for failures, and the public benchmark they are measured on |
 //! | [`report`] | the assessment and its renderings |
+//! | [`trial`] | crash tests of crumple itself: any scenario, and laws that hold in it |
 //! | [`cli`] | the command line |
 //!
 //! ## Example
@@ -63,3 +64,5 @@ pub mod report;
 pub mod rl;
 pub mod scenario;
 pub mod sim;
+#[doc(hidden)]
+pub mod trial;

@@ -11,6 +11,7 @@ mod sensor;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub(crate) use ego::BANDWIDTH_RAD_PER_S;
 pub use ego::{EgoEstimator, EgoTuning, TrueState};
 pub use filter::{Estimate, Filter, Innovation, Tuning};
 pub use sensor::Sensor;

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 /// From the ground up.
-const ORDER: [&str; 14] = [
+const ORDER: [&str; 15] = [
     "random",
     "scenario",
     "estimate",
@@ -18,6 +18,7 @@ const ORDER: [&str; 14] = [
     "rl",
     "falsify",
     "report",
+    "trial",
     "cli",
 ];
 

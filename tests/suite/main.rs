@@ -15,3 +15,4 @@ mod physics;
 mod report;
 mod scenario_files;
 mod schema;
+mod trials;

@@ -1,0 +1,21 @@
+//! Prints the scenario in an input of `cargo fuzz run scenario`, with the command that runs it:
+//!
+//! ```text
+//! cargo run --release --example scenario_of_input -- fuzz/artifacts/scenario/crash-1234 > found.toml
+//! ```
+//!
+//! `CRUMPLE_CONTROLLER` is what it was for the fuzzer: `baseline` if it is not set, `any` for the input's own choice.
+
+use std::error::Error;
+
+use crumple::trial::{Candidate, Trial};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let path = std::env::args().nth(1).ok_or("name the input, a file under fuzz/artifacts or fuzz/corpus")?;
+    let bytes = std::fs::read(&path).map_err(|error| format!("{path}: {error}"))?;
+    let trial = Trial::of_bytes(&bytes);
+    let controller = std::env::var("CRUMPLE_CONTROLLER").unwrap_or_else(|_| "baseline".to_owned());
+    let trial = if controller == "any" { trial } else { trial.under_test(Candidate::named(&controller)?) };
+    print!("{}", trial.reproducer());
+    Ok(())
+}
