@@ -8,14 +8,12 @@
 
 use std::error::Error;
 
-use crumple::trial::{Candidate, Trial};
+use crumple::trial::Hunt;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let path = std::env::args().nth(1).ok_or("name the input, a file under fuzz/artifacts or fuzz/corpus")?;
     let bytes = std::fs::read(&path).map_err(|error| format!("{path}: {error}"))?;
-    let trial = Trial::of_bytes(&bytes);
     let controller = std::env::var("CRUMPLE_CONTROLLER").unwrap_or_else(|_| "baseline".to_owned());
-    let trial = if controller == "any" { trial } else { trial.under_test(Candidate::named(&controller)?) };
-    print!("{}", trial.reproducer());
+    print!("{}", Hunt::new(&controller, None)?.trial(&bytes).reproducer());
     Ok(())
 }

@@ -6,38 +6,29 @@ use std::path::Path;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use crumple::trial::{Candidate, Collection, Crumple, Trial, Violation, behaviour};
-use libfuzzer_sys::fuzz_target;
+use crumple::trial::{Hunt, TRIAL_BYTES, behaviour};
+use libfuzzer_sys::{Corpus, fuzz_target};
 
 /// What libFuzzer reads beside the code that was reached; it sets all to zero before each run.
 #[unsafe(link_section = "__libfuzzer_extra_counters")]
 static BEHAVIOUR: [AtomicU8; behaviour::FEATURES] = [const { AtomicU8::new(0) }; behaviour::FEATURES];
 
-static CONTROLLER: LazyLock<Option<Candidate>> = LazyLock::new(|| {
-    let name = std::env::var("CRUMPLE_CONTROLLER").unwrap_or_else(|_| "baseline".to_owned());
-    let named = || Candidate::named(&name).unwrap_or_else(|error| panic!("CRUMPLE_CONTROLLER: {error}"));
-    (name != "any").then(named)
+static HUNT: LazyLock<Hunt> = LazyLock::new(|| {
+    let named = |name: &str| std::env::var(name).ok();
+    let (controller, folder) = (named("CRUMPLE_CONTROLLER"), named("CRUMPLE_COLLISIONS"));
+    let hunt = Hunt::new(controller.as_deref().unwrap_or("baseline"), folder.as_deref().map(Path::new));
+    hunt.unwrap_or_else(|error| panic!("{error}"))
 });
 
-static COLLISIONS: LazyLock<Option<Collection>> = LazyLock::new(|| {
-    let folder = std::env::var("CRUMPLE_COLLISIONS").ok()?;
-    Some(Collection::in_folder(Path::new(&folder)).unwrap_or_else(|error| panic!("{folder}: {error}")))
-});
+static FEEDBACK: LazyLock<bool> = LazyLock::new(|| std::env::var_os("CRUMPLE_NO_FEEDBACK").is_none());
 
-static WITHOUT_FEEDBACK: LazyLock<bool> = LazyLock::new(|| std::env::var_os("CRUMPLE_NO_FEEDBACK").is_some());
-
-fuzz_target!(|bytes: &[u8]| {
-    let mut trial = Trial::of_bytes(bytes);
-    if let Some(controller) = CONTROLLER.clone() {
-        trial = trial.under_test(controller);
+fuzz_target!(|bytes: &[u8]| -> Corpus {
+    if bytes.len() > TRIAL_BYTES {
+        return Corpus::Reject;
     }
-    let result = trial.examine(&Crumple).unwrap_or_else(|violation: Violation| violation.panic());
-    if !*WITHOUT_FEEDBACK {
-        for feature in behaviour::features(&trial, &result) {
-            BEHAVIOUR[feature].store(1, Ordering::Relaxed);
-        }
+    let features = HUNT.take(bytes).unwrap_or_else(|error| panic!("{error}"));
+    for feature in features.into_iter().filter(|_| *FEEDBACK) {
+        BEHAVIOUR[feature].store(1, Ordering::Relaxed);
     }
-    if let Some(collisions) = &*COLLISIONS {
-        collisions.keep(&trial, &result).unwrap_or_else(|error| panic!("CRUMPLE_COLLISIONS: {error}"));
-    }
+    Corpus::Keep
 });

@@ -13,6 +13,7 @@ mod choices;
 mod collection;
 mod driver;
 mod formula;
+mod hunt;
 pub mod oracle;
 mod scenario;
 mod setup;
@@ -27,7 +28,8 @@ use arbitrary::{Arbitrary, Unstructured};
 
 pub use collection::Collection;
 pub use driver::{controller, profile, script};
-pub use oracle::{Checked, ORACLES, Oracle, Question};
+pub use hunt::{Hunt, HuntError};
+pub use oracle::{Checked, ORACLES, ORACLES_OF_A_RUN, Oracle, Question};
 pub use scenario::{SCENARIO_BYTES, scenario, scenario_of};
 pub use setup::{Candidate, SETUP_BYTES, Setup};
 pub use shape::{Kind, Shape};
@@ -85,8 +87,20 @@ impl Trial {
     /// # Errors
     /// The first [`Violation`] found.
     pub fn examine(&self, system: &dyn System) -> Result<Simulated, Violation> {
+        self.ask_all(&ORACLES, system)
+    }
+
+    /// Asks the oracles that look at one run only, which costs little more than the run.
+    ///
+    /// # Errors
+    /// The first [`Violation`] found.
+    pub fn examine_run(&self, system: &dyn System) -> Result<Simulated, Violation> {
+        self.ask_all(&ORACLES[..ORACLES_OF_A_RUN], system)
+    }
+
+    fn ask_all(&self, oracles: &[Oracle], system: &dyn System) -> Result<Simulated, Violation> {
         let question = Question::new(self, system)?;
-        for oracle in ORACLES {
+        for &oracle in oracles {
             question.ask(oracle)?;
         }
         Ok(question.result)

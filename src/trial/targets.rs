@@ -29,7 +29,7 @@ const MOST_VEHICLE_STEPS: usize = 20_000;
 /// Samples that formulas are judged on.
 const SAMPLES: usize = 16;
 
-/// Any trial, and every oracle.
+/// Any trial, and every oracle. The fuzz target does the same in a [`super::Hunt`], which remembers and collects.
 ///
 /// # Errors
 /// What an oracle found.

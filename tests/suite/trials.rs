@@ -13,7 +13,7 @@ use crumple::trial::oracle::{
     one_story, step_size_decides_nothing,
 };
 use crumple::trial::targets::{self, TARGETS};
-use crumple::trial::{Crumple, FileFormat, Oracle, Sight, System, TRIAL_BYTES, Trial};
+use crumple::trial::{Crumple, FileFormat, Hunt, Oracle, Sight, System, TRIAL_BYTES, Trial, behaviour};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
@@ -266,4 +266,24 @@ fn a_violation_brings_a_scenario_file() {
     assert_eq!(read, trial.scenario);
     assert!(violation.reproducer.starts_with("# crumple simulate THIS-FILE.toml --controller baseline\n"));
     assert!(violation.to_string().contains("tell one story"), "{violation}");
+}
+
+/// A hunt keeps one scenario file for each kind of collision, which collides when it is run, and tells the fuzzer
+/// something of every run.
+#[test]
+fn a_hunt_keeps_collisions_as_scenario_files() {
+    let folder = tempfile::tempdir().expect("a place for temporary files");
+    let hunt = Hunt::new("baseline", Some(folder.path())).expect("built in");
+    for input in [&[][..], &[0], &[3], &[0; 100]] {
+        let features = hunt.take(input).expect("no law is broken");
+        assert!(!features.is_empty() && features.iter().all(|&feature| feature < behaviour::FEATURES));
+    }
+    let mut files = crumple::scenario::file::load_all(folder.path()).expect("scenario files");
+    assert_eq!(files.len(), 2, "the paper's scenario 1 once, and scenario 3");
+    let (path, scenario) = files.remove(0);
+    assert_eq!(path.file_name().unwrap(), "baseline-1-of-3-hit-by-baseline-at-10-mps.toml");
+    let baseline = crumple::scenario::ControllerSpec::named("baseline").unwrap();
+    let run = Run::new(&scenario, RunOptions::new(baseline)).unwrap();
+    assert!(simulate(&run, Keep::Summary).outcome.contact().is_some());
+    assert!(Hunt::new("nobody", None).is_err());
 }

@@ -51,6 +51,9 @@ pub const ORACLES: [Oracle; 8] = [
     step_size_decides_nothing,
 ];
 
+/// How many of them, the first ones, look at one run only.
+pub const ORACLES_OF_A_RUN: usize = 3;
+
 /// A trial, the system that is questioned about it, and the run it made of it.
 pub struct Question<'t> {
     /// The trial.
