@@ -71,7 +71,7 @@ impl Hunt {
         let is_new = |&feature: &usize| self.seen.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
         // Every feature is marked, so no short cut.
         let news = features.iter().filter(|feature| is_new(feature)).count();
-        if self.inputs.fetch_add(1, Ordering::Relaxed) % EVERY == 0 || news > 0 {
+        if news > 0 || self.inputs.fetch_add(1, Ordering::Relaxed).is_multiple_of(EVERY) {
             trial.examine(&Crumple)?;
         }
         if let Some(collisions) = &self.collisions {

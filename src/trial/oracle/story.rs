@@ -42,11 +42,17 @@ pub fn one_story(question: &Question<'_>) -> Finding {
         let min_gap_m = summary.min_gap_m.unwrap_or(f64::NAN);
         let below = min_gap_m <= sampled_m.max(0.0) + ROUNDING_M;
         story(below, &|| format!("vehicle {index}: smallest gap {min_gap_m} m, but a sample has {sampled_m} m"))?;
+        let ends_m = pair.gaps_m().last().unwrap_or(f64::NAN);
+        story(min_gap_m >= 0.0, &|| format!("vehicle {index}: a smallest gap of {min_gap_m} m is told"))?;
         let touches = result.impacts.iter().any(|impact| impact.contact.rear_vehicle == index);
+        // A run ends at its first contact, the foremost if there are several at one instant: the others are not told.
+        let at_once = stops && first.is_some() && !touches && ends_m.abs() < ROUNDING_M;
+        if at_once {
+            continue;
+        }
         story(touches == (min_gap_m == 0.0), &|| format!("vehicle {index} touches: {touches}, gap {min_gap_m} m"))?;
         let through = !touches && sampled_m <= 0.0 && !grazes(result);
         story(!through, &|| format!("vehicle {index} passes through another: a gap of {sampled_m} m, and no contact"))?;
-        let ends_m = pair.gaps_m().last().unwrap_or(f64::NAN);
         let in_contact = !touches || ends_m.abs() < ROUNDING_M;
         story(in_contact, &|| format!("vehicle {index} touches, but is {ends_m} m away"))?;
     }
