@@ -32,6 +32,7 @@
 //! | [`falsify`] | search methods that look for failures, and the public benchmark they are measured on |
 //! | [`evidence`] | claims with certificates: kernels of shields, failure rates |
 //! | [`report`] | the assessment and its renderings |
+//! | [`trial`] | crash tests of crumple itself: any scenario, and laws that hold in it |
 //! | [`cli`] | the command line |
 //!
 //! ## Example
@@ -66,4 +67,6 @@ pub mod report;
 pub mod rl;
 pub mod scenario;
 pub mod sim;
+#[doc(hidden)]
+pub mod trial;
 pub mod worst_case;

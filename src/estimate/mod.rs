@@ -12,6 +12,7 @@ mod sensor;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub(crate) use ego::BANDWIDTH_RAD_PER_S;
 pub use ego::{EgoEstimator, EgoTuning, TrueState};
 pub use filter::{Estimate, Filter, Innovation, KnownChange, Tuning};
 pub use inertia::Inertia;

@@ -106,7 +106,9 @@ pub struct PileUp {
 }
 
 impl Verdict {
-    pub(super) fn of(simulated: &Simulated, scenario: &Scenario) -> Self {
+    /// The verdict on a run of a scenario; without a trace nothing is said of what was still closing.
+    #[must_use]
+    pub fn of(simulated: &Simulated, scenario: &Scenario) -> Self {
         let under_test =
             |index: usize| scenario.vehicles().get(index).is_some_and(|vehicle| vehicle.driver == Driver::UnderTest);
         match simulated.outcome.contact() {

@@ -24,7 +24,8 @@ pub struct Track {
     pub position_m: Vec<f64>,
     /// Speed at each sample in m/s, never negative.
     pub speed_mps: Vec<f64>,
-    /// Acceleration held from each sample to the next, in m/s²; the last entry repeats the one before.
+    /// Acceleration held from each sample to the next, in m/s²; the last entry repeats the one before, or is
+    /// what an impact in between made of it.
     ///
     /// In a step in which the vehicle stops it is the acceleration until it stops; it is 0 from the next step on while the
     /// vehicle stands, whatever is commanded. Changes of speed in impacts are not part of it.

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 /// From the ground up.
-const ORDER: [&str; 16] = [
+const ORDER: [&str; 17] = [
     "random",
     "scenario",
     "estimate",
@@ -20,6 +20,7 @@ const ORDER: [&str; 16] = [
     "falsify",
     "evidence",
     "report",
+    "trial",
     "cli",
 ];
 

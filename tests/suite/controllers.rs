@@ -33,7 +33,7 @@ proptest! {
     /// Commands are numbers.
     #[test]
     fn commands_are_finite(
-        spec in (0..6_usize).prop_flat_map(any_controller),
+        spec in (0..6_u8).prop_flat_map(any_controller),
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..20),
     ) {
@@ -63,7 +63,7 @@ proptest! {
     /// No built-in controller cares for who is behind.
     #[test]
     fn built_in_controllers_look_ahead_only(
-        spec in (0..6_usize).prop_flat_map(any_controller),
+        spec in (0..6_u8).prop_flat_map(any_controller),
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..10),
     ) {

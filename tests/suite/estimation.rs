@@ -12,10 +12,12 @@ use crumple::estimate::{
 use crumple::random::Purpose;
 use crumple::scenario::{ControllerSpec, PaperDistribution, Scenario, Sensors, built_in};
 use crumple::sim::{Keep, Run, RunOptions, Stepper};
+use crumple::trial::oracle::estimates_are_sane;
+use proptest::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use self::world::WhiteJerk;
-use crate::generate::traced;
+use crate::generate::{any_trial, ask, cases, traced};
 
 /// Whether a sum of `count` squared standard normal numbers lies within the band that holds a `share` of such sums.
 fn in_band(sum: f64, count: usize, share: f64) -> bool {
@@ -265,5 +267,16 @@ fn losing_one_measurement_in_five_changes_no_verdict() {
                 }
             }
         }
+    }
+}
+
+proptest! {
+    #![proptest_config(cases(512))]
+
+    /// Whatever happens, estimates are finite, speeds are not negative, and where no measurement is lost errors are what
+    /// noise and lag explain. Who sees the truth sees the truth.
+    #[test]
+    fn what_is_seen_is_near_the_truth(trial in any_trial()) {
+        ask(&trial, estimates_are_sane)?;
     }
 }

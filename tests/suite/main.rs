@@ -18,4 +18,5 @@ mod scenario_files;
 mod schema;
 mod shield;
 mod spaces;
+mod trials;
 mod worst_case;

@@ -4,11 +4,12 @@ use crumple::scenario::{
     Brake, Driver, Environment, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
     VehicleSpec,
 };
-use crumple::sim::{AfterContact, Simulated};
+use crumple::sim::Simulated;
+use crumple::trial::Setup;
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{Setup, any_profile, cases, traced};
+use crate::generate::{any_profile, cases, traced};
 
 /// One vehicle at constant acceleration from time 0, with no step in it: x(t) and v(t) by formula.
 #[derive(Debug, Clone, Copy)]
@@ -84,7 +85,7 @@ fn scenario(front: Body, rear: Body, step_s: f64, steps: u32) -> Scenario {
 }
 
 fn run(scenario: &Scenario) -> Simulated {
-    traced(scenario, &Setup::truthful().options(scenario.spec().step_s, AfterContact::Stop))
+    traced(scenario, &Setup::truthful().options(scenario.spec().step_s))
 }
 
 /// A script that a vehicle at `v` can keep: one that does not ease off, and recorded speeds that start at the vehicle's and
@@ -172,7 +173,7 @@ proptest! {
     #[test]
     fn scripts_are_kept_at_every_step_boundary(
         v in 0.0..40.0_f64,
-        profile in (1..6_usize).prop_flat_map(any_profile),
+        profile in (1..6_u8).prop_flat_map(any_profile),
         step_s in prop::sample::select(vec![0.01, 0.05, 0.1]),
     ) {
         let (v, profile) = feasible(v, profile);

@@ -1,0 +1,34 @@
+//! Any scenario under CRUMPLE_CONTROLLER (`baseline` unless it says otherwise; `any`: the input chooses). Collisions go to
+//! the folder CRUMPLE_COLLISIONS, one file for each kind; broken laws are crashes.
+#![no_main]
+
+use std::path::Path;
+use std::sync::LazyLock;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use crumple::trial::{Hunt, TRIAL_BYTES, behaviour};
+use libfuzzer_sys::{Corpus, fuzz_target};
+
+/// What libFuzzer reads beside the code that was reached; it sets all to zero before each run.
+#[unsafe(link_section = "__libfuzzer_extra_counters")]
+static BEHAVIOUR: [AtomicU8; behaviour::FEATURES] = [const { AtomicU8::new(0) }; behaviour::FEATURES];
+
+static HUNT: LazyLock<Hunt> = LazyLock::new(|| {
+    let named = |name: &str| std::env::var(name).ok();
+    let (controller, folder) = (named("CRUMPLE_CONTROLLER"), named("CRUMPLE_COLLISIONS"));
+    let hunt = Hunt::new(controller.as_deref().unwrap_or("baseline"), folder.as_deref().map(Path::new));
+    hunt.unwrap_or_else(|error| panic!("{error}"))
+});
+
+static FEEDBACK: LazyLock<bool> = LazyLock::new(|| std::env::var_os("CRUMPLE_NO_FEEDBACK").is_none());
+
+fuzz_target!(|bytes: &[u8]| -> Corpus {
+    if bytes.len() > TRIAL_BYTES {
+        return Corpus::Reject;
+    }
+    let features = HUNT.take(bytes).unwrap_or_else(|error| panic!("{error}"));
+    for feature in features.into_iter().filter(|_| *FEEDBACK) {
+        BEHAVIOUR[feature].store(1, Ordering::Relaxed);
+    }
+    Corpus::Keep
+});

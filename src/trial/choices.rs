@@ -1,0 +1,94 @@
+//! Bytes read as departures from what is nominal.
+
+use arbitrary::Unstructured;
+
+/// Bytes from which choices are made, one after the other.
+///
+/// A zero byte, and any byte after the last, chooses what is nominal; the larger a number is, the farther away it leads.
+/// Whoever shrinks bytes towards zero and cuts them short walks towards the nominal case.
+pub(super) struct Choices<'b>(Unstructured<'b>);
+
+impl<'b> Choices<'b> {
+    pub(super) fn new(bytes: &'b [u8]) -> Self {
+        Self(Unstructured::new(bytes))
+    }
+
+    /// The next `bytes` bytes by themselves: however many of them are used, what follows stays in its place.
+    pub(super) fn block(from: &mut Unstructured<'b>, bytes: usize) -> Self {
+        Self::new(from.bytes(bytes.min(from.len())).unwrap_or_default())
+    }
+
+    pub(super) fn sub_block(&mut self, bytes: usize) -> Self {
+        Self::block(&mut self.0, bytes)
+    }
+
+    pub(super) fn byte(&mut self) -> u8 {
+        self.0.arbitrary().unwrap_or_default()
+    }
+
+    pub(super) fn seed(&mut self) -> u64 {
+        // Scenario files hold signed integers.
+        self.0.arbitrary::<u64>().unwrap_or_default() >> 1
+    }
+
+    /// From 0 to 1.
+    fn share(&mut self) -> f64 {
+        f64::from(self.0.arbitrary::<u16>().unwrap_or_default()) / f64::from(u16::MAX)
+    }
+
+    /// From 0, which is nominal, to `most`.
+    pub(super) fn up_to(&mut self, most: f64) -> f64 {
+        most * self.share()
+    }
+
+    /// A number about `nominal`, up to either end of a range: the lowest bit says to which side.
+    pub(super) fn about(&mut self, nominal: f64, [least, most]: [f64; 2]) -> f64 {
+        let bits = self.0.arbitrary::<u16>().unwrap_or_default();
+        let share = f64::from(bits >> 1) / f64::from(u16::MAX >> 1);
+        let end = if bits & 1 == 0 { most } else { least };
+        // At the ends rounding could lead beyond them.
+        (nominal + share * (end - nominal)).clamp(least, most)
+    }
+
+    /// Whether something happens that is not nominal, in about `times` of 256 cases.
+    pub(super) fn happens(&mut self, times: u8) -> bool {
+        self.byte() > u8::MAX - times
+    }
+
+    /// A value instead of the nominal none, in about `times` of 256 cases.
+    pub(super) fn sometimes(&mut self, times: u8, value: impl FnOnce(&mut Self) -> f64) -> Option<f64> {
+        let happens = self.happens(times);
+        let value = value(self);
+        happens.then_some(value)
+    }
+
+    /// One of `all`, the first of which is nominal.
+    pub(super) fn one_of<T: Copy>(&mut self, all: &[T]) -> Option<T> {
+        all.get(usize::from(self.byte()) % all.len().max(1)).copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_bytes_and_zero_bytes_are_nominal() {
+        for bytes in [&[][..], &[0; 20]] {
+            let mut choices = Choices::new(bytes);
+            assert_eq!(choices.about(25.0, [0.0, 45.0]), 25.0);
+            assert_eq!(choices.up_to(3.0), 0.0);
+            assert_eq!(choices.sometimes(200, |choices| choices.up_to(1.0)), None);
+            assert_eq!(choices.one_of(&[7, 8]), Some(7));
+            assert_eq!(choices.seed(), 0);
+        }
+    }
+
+    #[test]
+    fn small_bytes_stay_near_and_large_ones_reach_the_ends() {
+        let about = |bits: u16| Choices::new(&bits.to_le_bytes()).about(25.0, [0.0, 45.0]);
+        assert_eq!((about(u16::MAX), about(u16::MAX - 1)), (0.0, 45.0));
+        assert!((1..100).all(|bits| (about(bits) - 25.0).abs() < 0.1));
+        assert_eq!(Choices::new(&[255, 255, 255]).sometimes(1, |choices| choices.up_to(2.0)), Some(2.0));
+    }
+}

@@ -1,0 +1,67 @@
+//! The two engines are one.
+
+use super::{Checked, Finding, Question, must};
+use crate::scenario::Scenario;
+use crate::sim::{Keep, Run, Simulated, Track};
+use crate::trial::Law;
+
+/// The batch engine gives the scalar engine's results to the last bit, whatever shares a block with a run: here the trial
+/// itself twice, and the same line of vehicles with other noise, slower, on another road.
+///
+/// # Errors
+/// [`Law::Engines`].
+pub fn engines_agree(question: &Question<'_>) -> Finding {
+    let scenario = &question.trial.scenario;
+    let others = [
+        scenario.edited(|spec| (spec.seed, spec.duration_s) = (spec.seed ^ 1, spec.duration_s + spec.step_s)),
+        scenario.edited(|spec| {
+            spec.environment.friction = 0.5;
+            spec.vehicles.iter_mut().for_each(|vehicle| vehicle.speed_mps *= 0.75);
+        }),
+    ];
+    let others: Vec<Scenario> = others.into_iter().flatten().collect();
+    let scenarios = [scenario].into_iter().chain(&others).chain([scenario]);
+    let runs = scenarios.map(|scenario| Run::new(scenario, question.run.options().clone()));
+    let runs = runs.collect::<Result<Vec<_>, _>>().map_err(|error| (Law::Engines, error.to_string()))?;
+    let traced = question.system.simulate_batch(&runs, Keep::Trace);
+    let summed = question.system.simulate_batch(&runs, Keep::Summary);
+    let results = [traced.len(), summed.len()];
+    must(results == [runs.len(); 2], Law::Engines, || format!("{results:?} results of {} runs", runs.len()))?;
+    for (index, ((run, traced), summed)) in runs.iter().zip(&traced).zip(&summed).enumerate() {
+        let is_the_trial = std::ptr::eq(run.scenario(), scenario);
+        let mut alone = if is_the_trial { question.result.clone() } else { question.system.simulate(run, Keep::Trace) };
+        must(bits(&alone) == bits(traced), Law::Engines, || {
+            format!("run {index}: alone {:?}, in the batch {:?}", alone.outcome, traced.outcome)
+        })?;
+        alone.trace = None;
+        must(bits(&alone) == bits(summed), Law::Engines, || {
+            format!("run {index} without trace: {:?}, in the batch {:?}", alone.outcome, summed.outcome)
+        })?;
+    }
+    Ok(Checked::Holds)
+}
+
+/// Everything a result holds, as bits: 0 and -0 are different here.
+#[must_use]
+pub fn bits(result: &Simulated) -> Vec<u64> {
+    let mut numbers: Vec<f64> = Vec::new();
+    for impact in &result.impacts {
+        let contact = &impact.contact;
+        let indices = [contact.front_vehicle, contact.rear_vehicle, impact.first_involved, impact.last_involved];
+        numbers.extend(indices.map(|index| index as f64));
+        numbers.extend([contact.time_s, contact.front_speed_mps, contact.rear_speed_mps]);
+        numbers.extend([contact.impact_speed_mps, impact.common_speed_mps]);
+    }
+    for vehicle in &result.vehicles {
+        let absent = f64::from_bits(u64::MAX);
+        numbers.extend([vehicle.min_gap_m.unwrap_or(absent), vehicle.min_ttc_s.unwrap_or(absent)]);
+        numbers.extend([vehicle.max_brake_mps2, f64::from(vehicle.stopped)]);
+    }
+    if let Some(trace) = &result.trace {
+        numbers.extend(&trace.time_s);
+        for Track { position_m, speed_mps, acceleration_mps2, .. } in &trace.vehicles {
+            numbers.extend([position_m, speed_mps, acceleration_mps2].into_iter().flatten());
+        }
+    }
+    numbers.into_iter().map(f64::to_bits).collect()
+}

@@ -1,0 +1,80 @@
+//! What scenarios of one batch have in common: the step, and who drives.
+
+use arbitrary::Unstructured;
+
+use super::choices::Choices;
+
+/// Steps of scenarios, in seconds; the paper's first.
+const STEPS_S: [f64; 4] = [0.01, 0.02, 0.05, 0.1];
+/// Numbers of vehicles; the paper's first.
+const COUNTS: [usize; 5] = [3, 2, 4, 5, 6];
+/// The most vehicles in a scenario.
+pub(super) const MOST_VEHICLES: usize = 6;
+/// Sorts of lead profiles and of controllers.
+const PROFILES: u8 = 6;
+const CONTROLLERS: u8 = 7;
+
+/// What sort of driver sits in a seat.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// The controller under test.
+    UnderTest,
+    /// A script, by its place in [`super::profile`].
+    Profile(u8),
+    /// A controller of the scenario's own, by its place in [`super::controller`].
+    Controller(u8),
+}
+
+/// The step of a scenario and who drives its vehicles, front to rear.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shape {
+    /// The scenario's step, in seconds.
+    pub step_s: f64,
+    /// One entry a vehicle, at least two.
+    pub drivers: Vec<Kind>,
+}
+
+impl Kind {
+    /// The braking leader of the paper, and its baseline.
+    const BRAKE: Self = Self::Profile(1);
+    const BASELINE: Self = Self::Controller(0);
+
+    /// Who drives vehicle `index` of `count` unless something else is chosen: a braking leader, vehicles under test, and a
+    /// follower with the baseline if there is a place for one.
+    fn nominal(index: usize, count: usize) -> Self {
+        match index {
+            0 => Self::BRAKE,
+            index if index + 1 == count && count > 2 => Self::BASELINE,
+            _ => Self::UnderTest,
+        }
+    }
+
+    /// Any sort of driver but the nominal one: a third under test, a third scripts, a third controllers.
+    #[must_use]
+    pub fn any(byte: u8) -> Self {
+        match byte % 3 {
+            0 => Self::UnderTest,
+            1 => Self::Profile(byte / 3 % PROFILES),
+            _ => Self::Controller(byte / 3 % CONTROLLERS),
+        }
+    }
+
+    /// The sort a byte stands for: nominal if it is zero.
+    pub(super) fn of(byte: u8, index: usize, count: usize) -> Self {
+        byte.checked_sub(1).map_or_else(|| Self::nominal(index, count), Self::any)
+    }
+}
+
+impl Shape {
+    /// Bytes that a shape is read from.
+    pub const BYTES: usize = 2 + MOST_VEHICLES;
+
+    /// Reads a shape; no bytes are the paper's.
+    pub fn read(from: &mut Unstructured<'_>) -> Self {
+        let mut choices = Choices::block(from, Self::BYTES);
+        let count = choices.one_of(&COUNTS).unwrap_or(COUNTS[0]);
+        let step_s = choices.one_of(&STEPS_S).unwrap_or(STEPS_S[0]);
+        let drivers = (0..count).map(|index| Kind::of(choices.byte(), index, count)).collect();
+        Self { step_s, drivers }
+    }
+}

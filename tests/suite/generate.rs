@@ -1,0 +1,94 @@
+//! Random scenarios for the property tests, and how many of them to try.
+//!
+//! Everything is read from random bytes by [`crumple::trial`], as the fuzzer reads it: one definition of what can happen.
+//! Bytes shrink to zero, and zero bytes are the paper's scenario 1.
+
+use arbitrary::Unstructured;
+use crumple::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, ScenarioSpec};
+use crumple::sim::{AfterContact, Keep, Run, RunOptions, Simulated, simulate};
+use crumple::trial::{self, Checked, Crumple, Oracle, SCENARIO_BYTES, SETUP_BYTES, Setup, Shape, TRIAL_BYTES, Trial};
+use proptest::prelude::*;
+
+/// A configuration for `normal` cases, scaled by `PROPTEST_CASES` as every other one is.
+pub(crate) fn cases(normal: u32) -> ProptestConfig {
+    let config = ProptestConfig::default();
+    let scaled = u64::from(normal) * u64::from(config.cases) / 256;
+    ProptestConfig { cases: scaled.max(1) as u32, max_shrink_iters: 2000, ..config }
+}
+
+/// Runs a scenario with everything recorded.
+pub(crate) fn traced(scenario: &Scenario, options: &RunOptions) -> Simulated {
+    simulate(&Run::new(scenario, options.clone()).expect("fits"), Keep::Trace)
+}
+
+/// Asks an oracle; a trial that rounding decides does not count.
+pub(crate) fn ask(trial: &Trial, oracle: Oracle) -> Result<(), TestCaseError> {
+    match trial.ask(oracle, &Crumple) {
+        Ok(Checked::Holds) => Ok(()),
+        Ok(Checked::Undecided) => Err(TestCaseError::reject("rounding decides it")),
+        Err(violation) => Err(TestCaseError::fail(violation.to_string())),
+    }
+}
+
+/// Random bytes, always as many: what shrinks is their values.
+pub(crate) fn bytes(count: usize) -> impl Strategy<Value = Vec<u8>> {
+    prop::collection::vec(any::<u8>(), count)
+}
+
+/// Any trial.
+pub(crate) fn any_trial() -> impl Strategy<Value = Trial> {
+    bytes(TRIAL_BYTES).prop_map(|bytes| Trial::of_bytes(&bytes))
+}
+
+/// Any valid scenario, with all that a file can say.
+pub(crate) fn any_scenario() -> impl Strategy<Value = Scenario> {
+    bytes(SCENARIO_BYTES).prop_map(|bytes| trial::scenario(&mut Unstructured::new(&bytes)))
+}
+
+/// Any scenario of a shape.
+pub(crate) fn scenario_of(shape: &Shape) -> impl Strategy<Value = Scenario> + use<> {
+    let shape = shape.clone();
+    bytes(SCENARIO_BYTES).prop_map(move |bytes| trial::scenario_of(&shape, &mut Unstructured::new(&bytes)))
+}
+
+/// Any shape: 2 to 6 vehicles driven by anything.
+pub(crate) fn any_shape() -> impl Strategy<Value = Shape> {
+    bytes(Shape::BYTES).prop_map(|bytes| Shape::read(&mut Unstructured::new(&bytes)))
+}
+
+/// Any controller under test, either estimator, the scenario's step or a finer one, either rule for contacts.
+pub(crate) fn any_setup() -> impl Strategy<Value = Setup> {
+    bytes(SETUP_BYTES).prop_map(|bytes| Setup::read(&mut Unstructured::new(&bytes)))
+}
+
+/// Either rule for contacts.
+pub(crate) fn any_after_contact() -> impl Strategy<Value = AfterContact> {
+    prop_oneof![Just(AfterContact::Stop), Just(AfterContact::Continue)]
+}
+
+/// The `index`-th sort of lead profile.
+pub(crate) fn any_profile(index: u8) -> impl Strategy<Value = LeadProfile> {
+    bytes(32).prop_map(move |bytes| trial::profile(index, &bytes))
+}
+
+/// The `index`-th built-in controller, with any sensible settings.
+pub(crate) fn any_controller(index: u8) -> impl Strategy<Value = ControllerSpec> {
+    bytes(32).prop_map(move |bytes| trial::controller(index, &bytes))
+}
+
+/// A scenario without noise, reaction or actuator delays left as they are.
+pub(crate) fn noise_free(scenario: &Scenario) -> Scenario {
+    let quiet = |spec: &mut ScenarioSpec| spec.vehicles.iter_mut().for_each(|v| v.acceleration_noise_mps2 = 0.0);
+    scenario.edited(quiet).expect("still valid")
+}
+
+/// A scenario without learned drivers, who look behind and round to single precision.
+pub(crate) fn unlearned(scenario: &Scenario) -> Scenario {
+    let learned = Driver::Controller(ControllerSpec::Policy);
+    let replace = |spec: &mut ScenarioSpec| {
+        for vehicle in spec.vehicles.iter_mut().filter(|vehicle| vehicle.driver == learned) {
+            vehicle.driver = Driver::Controller(ControllerSpec::MatchLeader);
+        }
+    };
+    scenario.edited(replace).expect("still valid")
+}
