@@ -43,6 +43,8 @@ struct Report<'a> {
     scenario: &'a str,
     smallest_gap_m: Option<f64>,
     overlap_m: Option<f64>,
+    rate_at_most: Option<f64>,
+    confidence: Option<f64>,
     rejection: Option<String>,
     about_scenario: Option<bool>,
 }
@@ -81,32 +83,32 @@ fn certificate(path: &Path) -> Result<Certificate, Failure> {
     })
 }
 
-fn claim(certificate: &Certificate) -> &'static str {
-    match certificate.statement {
-        crumple_verify::Statement::Avoidable(_) => "avoidable",
-        crumple_verify::Statement::Unavoidable(_) => "unavoidable",
-    }
-}
-
 fn report<'a>(
     path: &Path,
     certificate: &'a Certificate,
     checked: &Result<Accepted, Rejection>,
     about_scenario: Option<bool>,
 ) -> Report<'a> {
-    let (smallest_gap_m, overlap_m) = match checked {
-        Ok(Accepted::Avoidable { smallest_gap_m }) => (Some(*smallest_gap_m), None),
-        Ok(Accepted::Unavoidable { overlap_m }) => (None, Some(*overlap_m)),
-        _ => (None, None),
-    };
+    let (mut smallest_gap_m, mut overlap_m, mut rate_at_most, mut with_confidence) = (None, None, None, None);
+    match *checked {
+        Ok(Accepted::Avoidable { smallest_gap_m: gap_m }) => smallest_gap_m = Some(gap_m),
+        // JSON has no infinity: an overlap of any size.
+        Ok(Accepted::Unavoidable { overlap_m: metres }) => overlap_m = Some(metres).filter(|metres| metres.is_finite()),
+        Ok(Accepted::Rate { at_most, confidence }) => {
+            (rate_at_most, with_confidence) = (Some(at_most), Some(confidence));
+        }
+        Ok(Accepted::FailsLessOften { confidence }) => with_confidence = Some(confidence),
+        Ok(_) | Err(_) => {}
+    }
     Report {
         certificate: path.display().to_string(),
         accepted: checked.is_ok(),
-        claim: claim(certificate),
+        claim: certificate.statement.name(),
         scenario: &certificate.provenance.scenario,
         smallest_gap_m,
-        // JSON has no infinity: an overlap of any size.
-        overlap_m: overlap_m.filter(|overlap| overlap.is_finite()),
+        overlap_m,
+        rate_at_most,
+        confidence: with_confidence,
         rejection: checked.as_ref().err().map(ToString::to_string),
         about_scenario,
     }
@@ -122,7 +124,7 @@ fn describe(
     let name = path.display();
     let mut text = match checked {
         Ok(accepted) => format!("{name}: accepted: {accepted}\n"),
-        Err(rejection) => format!("{name}: rejected: {} is not proved: {rejection}\n", claim(certificate)),
+        Err(rejection) => format!("{name}: rejected: {} is not proved: {rejection}\n", certificate.statement.name()),
     };
     if let (Some(scenario), Some(about)) = (scenario, about) {
         let verb = if about { "is about" } else { "is NOT about" };

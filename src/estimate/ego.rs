@@ -33,8 +33,9 @@ impl EgoTuning {
     /// Bounds of the errors of gap ahead (m), own speed and speed ahead (m/s), when no measurement is lost.
     ///
     /// `spans_mps2` are the widths of the ranges in which the own acceleration and the one ahead may change as they please;
-    /// noise counts up to `deviations` standard deviations, each in steady state. A vehicle that stops inside a step counts
-    /// with its mean acceleration over the step; what that leaves out in position is less than a h²/8.
+    /// noise counts up to `deviations` standard deviations, each in steady state. The own acceleration is felt and fed
+    /// forward, so only the one ahead can mislead a filter. A vehicle that stops inside a step counts with its mean
+    /// acceleration over the step; what that leaves out in position is less than a h²/8.
     #[must_use]
     pub fn worst_errors(&self, spans_mps2: [f64; 2], deviations: f64) -> [f64; 3] {
         let [own_mps2, ahead_mps2] = spans_mps2;
@@ -43,11 +44,10 @@ impl EgoTuning {
             let [distance_s2, rate_s] = tuning.manoeuvre_errors();
             [0.5 * span_mps2 * distance_s2 + deviations * distance, 0.5 * span_mps2 * rate_s + deviations * rate]
         };
-        let both_mps2 = own_mps2 + ahead_mps2;
-        let [_, speed_mps] = worst(&self.position, own_mps2);
-        let [gap_m, rate_mps] = worst(&self.gap, both_mps2);
-        let stop_mps2 = both_mps2 * self.gap.step_s();
-        [gap_m + stop_mps2 * self.gap.step_s(), speed_mps + stop_mps2, speed_mps + rate_mps + 2.0 * stop_mps2]
+        let [_, speed_mps] = worst(&self.position, 0.0);
+        let [gap_m, rate_mps] = worst(&self.gap, ahead_mps2);
+        let stop_mps = (own_mps2 + ahead_mps2) * self.gap.step_s();
+        [gap_m + stop_mps * self.gap.step_s(), speed_mps + stop_mps, speed_mps + rate_mps + 2.0 * stop_mps]
     }
 
     /// The constants of the filter of the own position.

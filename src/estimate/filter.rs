@@ -77,11 +77,6 @@ impl Tuning {
         [0, 1, 2].map(|i| self.steady[(i, i)].sqrt())
     }
 
-    /// Time between measurements, in seconds.
-    pub(super) fn step_s(&self) -> f64 {
-        self.step_s
-    }
-
     /// Largest errors of distance and rate that an acceleration between -1 and 1 m/s² can cause, changing as it pleases from
     /// step to step: in s² and s.
     ///

@@ -31,7 +31,7 @@ pub use driver::{controller, profile, script};
 pub use hunt::{Hunt, HuntError};
 pub use oracle::{Checked, ORACLES, ORACLES_OF_A_RUN, Oracle, Question};
 pub use scenario::{SCENARIO_BYTES, scenario, scenario_of};
-pub use setup::{Candidate, SETUP_BYTES, Setup};
+pub use setup::{Candidate, Found, SETUP_BYTES, Setup};
 pub use shape::{Kind, Shape};
 pub use system::{Crumple, FileFormat, Sight, System};
 pub use violation::{Law, Violation};

@@ -1,5 +1,6 @@
 //! How a scenario is run: what is under test, through which eyes, how finely.
 
+use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -9,7 +10,6 @@ use super::choices::Choices;
 use super::driver::{DRIVER_BYTES, controller};
 use crate::control::{Controller, Ego};
 use crate::estimate::{EstimatorKind, Observation};
-use crate::policy::Policy;
 use crate::scenario::{AebSettings, ControllerSpec};
 use crate::sim::{AfterContact, Contender, RunOptions, UnderTest, UnknownContender};
 
@@ -34,10 +34,26 @@ pub struct Setup {
 pub enum Candidate {
     /// A built-in controller.
     BuiltIn(ControllerSpec),
-    /// A policy file, by its path.
-    Policy(String, Arc<Policy>),
+    /// Anything else the command line knows by name: a policy file, a controller behind a shield.
+    Named(Found),
     /// A controller from outside that uses all it may see, deciding every so many steps; at every step if 0.
     Opinionated(u32),
+}
+
+/// A controller that was found by its name, which stands for it.
+#[derive(Clone)]
+pub struct Found(Contender);
+
+impl PartialEq for Found {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.name == other.0.name
+    }
+}
+
+impl fmt::Debug for Found {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(&self.0.name)
+    }
 }
 
 impl Setup {
@@ -84,7 +100,11 @@ impl Setup {
     /// Whether the controller is a network, which rounds what it sees to single precision.
     #[must_use]
     pub fn is_learned(&self) -> bool {
-        matches!(&self.controller, Candidate::Policy(..) | Candidate::BuiltIn(ControllerSpec::Policy))
+        match &self.controller {
+            Candidate::BuiltIn(spec) => *spec == ControllerSpec::Policy,
+            Candidate::Named(Found(found)) => found.policy().is_some(),
+            Candidate::Opinionated(_) => false,
+        }
     }
 
     /// Whether the controller cares for nobody behind.
@@ -98,7 +118,7 @@ impl Setup {
     pub fn options(&self, step_s: f64) -> RunOptions {
         let controller = match &self.controller {
             Candidate::BuiltIn(spec) => UnderTest::from(spec.clone()),
-            Candidate::Policy(_, policy) => UnderTest::from(Arc::clone(policy)),
+            Candidate::Named(Found(found)) => found.controller.clone(),
             Candidate::Opinionated(steps) => opinionated(*steps),
         };
         let options = RunOptions::new(controller).with_estimator(self.estimator).with_after_contact(self.after_contact);
@@ -112,11 +132,10 @@ impl Candidate {
     /// # Errors
     /// [`UnknownContender`] if there is none.
     pub fn named(name: &str) -> Result<Self, UnknownContender> {
-        let Contender { name, controller } = Contender::find(name, Path::new(""))?;
-        Ok(match controller {
+        let found = Contender::find(name, Path::new(""))?;
+        Ok(match found.controller {
             UnderTest::BuiltIn(spec) => Self::BuiltIn(spec),
-            UnderTest::Policy(policy) => Self::Policy(name, policy),
-            UnderTest::Custom(_) => Self::Opinionated(0),
+            _ => Self::Named(Found(found)),
         })
     }
 
@@ -125,7 +144,7 @@ impl Candidate {
     pub fn name(&self) -> &str {
         match self {
             Self::BuiltIn(spec) => spec.name(),
-            Self::Policy(path, _) => path,
+            Self::Named(Found(found)) => &found.name,
             Self::Opinionated(_) => "opinionated",
         }
     }

@@ -97,7 +97,7 @@ impl Trial {
         let name = setup.controller.name();
         let as_named = match &setup.controller {
             Candidate::BuiltIn(spec) => ControllerSpec::named(name).as_ref() == Some(spec),
-            Candidate::Policy(..) => true,
+            Candidate::Named(_) => true,
             Candidate::Opinionated(_) => false,
         };
         let mut scenario = scenario.clone();

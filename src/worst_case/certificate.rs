@@ -173,10 +173,7 @@ fn count(steps: usize) -> u32 {
 /// Whether a certificate's claim is about a scenario: the same scene, whatever the file says of its origin.
 #[must_use]
 pub fn is_about(certificate: &Certificate, scenario: &Scenario) -> bool {
-    let claimed = match &certificate.statement {
-        Statement::Avoidable(avoidable) => &avoidable.scene,
-        Statement::Unavoidable(unavoidable) => &unavoidable.scene,
-    };
+    let Some(claimed) = certificate.statement.scene() else { return false };
     let Ok(situation) = Situation::new(&Family::point(scenario)) else { return false };
     covers(claimed, &scene(&situation))
 }

@@ -97,6 +97,28 @@ pub enum Statement {
 }
 
 impl Statement {
+    /// Its name in a file.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Avoidable(_) => "avoidable",
+            Self::Unavoidable(_) => "unavoidable",
+            Self::Kernel(_) => "kernel",
+            Self::Rate(_) => "rate",
+            Self::Comparison(_) => "comparison",
+        }
+    }
+
+    /// The scene it speaks about, if it speaks about one.
+    #[must_use]
+    pub fn scene(&self) -> Option<&Scene> {
+        match self {
+            Self::Avoidable(claim) => Some(&claim.scene),
+            Self::Unavoidable(claim) => Some(&claim.scene),
+            Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) => None,
+        }
+    }
+
     /// What the statement takes for granted.
     #[must_use]
     pub fn assumptions(&self) -> Vec<Assumption> {
