@@ -37,9 +37,8 @@ pub fn step_size_decides_nothing(question: &Question<'_>) -> Finding {
     if apart_m < APART_M {
         return Ok(Checked::Holds);
     }
-    must(disturbed_m(question) >= EXPLAINS * apart_m, Law::StepSize, || {
-        format!("{apart_m} m apart; {:?} became {:?}", coarse.outcome, fine.outcome)
-    })?;
+    let explained = woken_by_noise(question, fine_trace) || disturbed_m(question) >= EXPLAINS * apart_m;
+    must(explained, Law::StepSize, || format!("{apart_m} m apart; {:?} became {:?}", coarse.outcome, fine.outcome))?;
     Ok(Checked::Undecided)
 }
 
@@ -84,6 +83,24 @@ fn apart_m(coarse: &Simulated, fine: &Simulated, finer: usize) -> f64 {
         samples.take(coarse.len().saturating_sub(1))
     });
     samples.map(|(x, y)| (x - y).abs()).fold(impacts_m, f64::max)
+}
+
+/// Whether the first vehicle to move differently is one with noise that stood.
+///
+/// A vehicle that stands and does not want to move is held, noise included; one that wants to move by as little as
+/// rounding is at the mercy of its noise.
+fn woken_by_noise(question: &Question<'_>, fine: &Trace) -> bool {
+    let Some(coarse) = &question.result.trace else { return false };
+    let first_differences =
+        coarse.vehicles.iter().zip(&fine.vehicles).enumerate().filter_map(|(index, (track, fine))| {
+            let fine_mps = fine.speed_mps.iter().step_by(FINER);
+            let differs = track.speed_mps.iter().zip(fine_mps).position(|(v, w)| (v - w).abs() > APART_M)?;
+            Some((differs, index))
+        });
+    let Some((sample, index)) = first_differences.min() else { return false };
+    let before_mps = sample.checked_sub(1).and_then(|before| coarse.vehicles.get(index)?.speed_mps.get(before));
+    let noisy = question.trial.scenario.vehicles().get(index).is_some_and(|v| v.acceleration_noise_mps2 > 0.0);
+    noisy && before_mps == Some(&0.0)
 }
 
 /// How far the run goes elsewhere when all gaps, or all speeds, are changed by next to nothing, in metres.
