@@ -204,6 +204,7 @@ fn is_true(original: &Certificate, mutant: &Value) -> bool {
             let replayed = run(&scenario, &ControllerSpec::MatchLeader, EstimatorKind::Truth, 10.0);
             smallest_gap_m(&replayed) >= claim.min_gap_m_at_least.unwrap_or(0.0).max(1e-12)
         }),
+        (_, other) => panic!("a mutant of another kind: {}", other.name()),
     }
 }
 

@@ -74,7 +74,11 @@ pub(crate) fn small(seed: u64) -> Scenario {
 
 /// Positions are still the gaps ahead.
 fn scenario(name: String, step_s: f64, duration_s: f64, friction: f64, mut vehicles: Vec<VehicleSpec>) -> Scenario {
-    crate::generate::line_up(&mut vehicles, 0.0);
+    let mut rear_bumper_m = 0.0;
+    for vehicle in &mut vehicles {
+        vehicle.position_m = rear_bumper_m - vehicle.position_m;
+        rear_bumper_m = vehicle.position_m - vehicle.length_m();
+    }
     let spec = ScenarioSpec {
         version: SCENARIO_VERSION,
         name,
