@@ -7,12 +7,12 @@ use super::cma_es::{FIRST_SIGMA, Run, default_population};
 use super::edge::{Plateaus, Segment};
 use super::method::rankable;
 use super::shape::simple_point;
-use super::surrogate::Surrogate;
+use super::surrogate::{Chosen, Surrogate};
 use super::{Cube, Search};
 use crate::random::{Purpose, Stream, stream};
 
 /// Simple points before anything else: problems that give in to extreme inputs end here.
-const FIRST_POINTS: usize = 12;
+const FIRST_POINTS: usize = 16;
 /// Signals of a descent have at most so many pieces.
 const DESCENT_PIECES: usize = 10;
 /// Step of a descent that starts at one of the best points, and how many of them it may start from.
@@ -25,6 +25,8 @@ const GAIN: f64 = 0.1;
 const MOST_EXPLORATION: usize = 3;
 /// Below this spread a descent is on its own: the surrogate shows the way from afar and would mislead it near by.
 const FINE: f64 = 0.1;
+/// Since its points are screened, a descent makes do with half the usual population, but not with fewer than this.
+const SMALLEST_POPULATION: usize = 4;
 /// Candidates of which the most promising one is evaluated.
 const SCREENED: usize = 16;
 /// Latest points the surrogate is fitted to: its cost grows with their cube.
@@ -69,6 +71,7 @@ pub(super) struct Auto {
     /// Coarse points and their values, in the order they were evaluated.
     known: Vec<(Vec<f64>, f64)>,
     surrogate: Option<Surrogate>,
+    metric: Chosen,
     asked: Vec<Asked>,
 }
 
@@ -105,6 +108,7 @@ impl Auto {
             exploration_left: 0,
             known: Vec::new(),
             surrogate: None,
+            metric: Chosen::default(),
             asked: Vec::new(),
         }
     }
@@ -160,7 +164,7 @@ impl Auto {
             let paused = self.paused.swap_remove(index);
             return Descent { evaluations: 0, fruitless: 0, ..paused };
         }
-        let population = default_population(self.coarse.dimension());
+        let population = (default_population(self.coarse.dimension()) / 2).max(SMALLEST_POPULATION);
         let (start, sigma) = if self.descents <= 2 || self.good_points.is_empty() {
             (vec![0.5; self.coarse.dimension()], FIRST_SIGMA)
         } else {
@@ -189,7 +193,8 @@ impl Search for Auto {
         self.climbs.rank();
         self.asked.clear();
         let recent = self.known.len().saturating_sub(MOST_KNOWN);
-        self.surrogate = Surrogate::fit(self.known.get(recent..).unwrap_or_default());
+        let data = self.known.get(recent..).unwrap_or_default();
+        self.surrogate = Surrogate::fit(&self.coarse, data, self.known.len(), &mut self.metric);
         if self.good_points.len() + self.descents == 0 {
             self.ask_share(Share { screened: 0, simple: FIRST_POINTS, edges: 0 });
         } else if self.exploration_left > 0 {

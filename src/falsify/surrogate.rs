@@ -2,52 +2,147 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// Characteristic lengths that are tried, relative to the root of the dimension.
-const LENGTHS: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
+use super::Cube;
+
 /// Variance of the noise relative to that of the signal: near points with unlike values must not bend the fit.
 const NOISE: f64 = 0.05;
+/// The metric is chosen anew when there are so many times as many points.
+const GROWTH: f64 = 1.25;
 
-/// Kriging (a Gaussian process) with the Matérn 5/2 kernel through the ranks of earlier values, its length chosen by
+/// Kriging (a Gaussian process) with the Matérn 5/2 kernel through the ranks of earlier values, its metric chosen by
 /// likelihood (Rasmussen and Williams, Gaussian processes for machine learning, 2006, equations 2.25, 2.30 and 4.17).
 ///
 /// Ranks, since robustness jumps and has outliers, while only order matters for choosing among candidates.
 #[derive(Debug)]
 pub(super) struct Surrogate {
-    points: Vec<Vec<f64>>,
-    length: f64,
+    cube: Cube,
+    metric: Metric,
+    features: Vec<Vec<f64>>,
     weights: DVector<f64>,
 }
 
-impl Surrogate {
-    /// A fit to points and their values; none if there are too few or the numbers do not allow it.
-    pub(super) fn fit(data: &[(Vec<f64>, f64)]) -> Option<Self> {
-        let dimension = data.first()?.0.len() as f64;
-        let points: Vec<Vec<f64>> = data.iter().map(|(point, _)| point.clone()).collect();
-        let scores = DVector::from_vec(scores(data));
-        let n = points.len();
-        let squares = DMatrix::from_fn(n, n, |i, j| match (points.get(i), points.get(j)) {
-            (Some(a), Some(b)) => square_distance(a, b),
-            _ => 0.0,
-        });
-        let mut best: Option<(f64, f64, DVector<f64>)> = None;
-        for length in LENGTHS.map(|share| share * dimension.sqrt()) {
-            let covariance = squares.map(|square| matern(square, length)) + DMatrix::identity(n, n) * NOISE;
-            let Some(factor) = Cholesky::<f64, Dyn>::new(covariance) else { continue };
-            let weights = factor.solve(&scores);
-            let variance = scores.dot(&weights) / n as f64;
-            let log_determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
-            let likelihood = -0.5 * n as f64 * variance.ln() - log_determinant;
-            if best.as_ref().is_none_or(|(most, ..)| likelihood > *most) {
-                best = Some((likelihood, length, weights));
+/// The metric in use, kept from fit to fit.
+#[derive(Debug, Default)]
+pub(super) struct Chosen {
+    metric: Metric,
+    points: usize,
+}
+
+/// How far apart two points are.
+///
+/// What a signal does to a vehicle is speed and distance, its integrals: two signals that differ piece by piece but not in
+/// their running integral have much the same effect. And robustness is often decided at some instant, after which inputs
+/// play no part. Whether either holds is for the data to say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Metric {
+    reading: Reading,
+    /// Of each signal only the first 2^(-horizon/2) counts.
+    horizon: i32,
+    /// The characteristic length is 1.6^length times [`SHORTEST`].
+    length: i32,
+}
+
+/// What of a signal is compared.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Reading {
+    Values,
+    Integral,
+    Both,
+}
+
+const READINGS: [Reading; 3] = [Reading::Values, Reading::Integral, Reading::Both];
+const HORIZONS: i32 = 7;
+const LENGTHS: i32 = 9;
+/// In parts of the diagonal of a cube with a coordinate for each block.
+const SHORTEST: f64 = 0.15;
+
+impl Default for Metric {
+    fn default() -> Self {
+        Self { reading: Reading::Both, horizon: 0, length: 2 }
+    }
+}
+
+impl Metric {
+    /// All that differ in a cube: without signals, only the length counts.
+    fn all(cube: &Cube) -> impl Iterator<Item = Self> {
+        let signals = cube.blocks().iter().any(|block| block.len() > 1);
+        let (readings, horizons) = if signals { (READINGS.len(), HORIZONS) } else { (1, 1) };
+        READINGS.into_iter().take(readings).flat_map(move |reading| {
+            (0..horizons).flat_map(move |horizon| (0..LENGTHS).map(move |length| Self { reading, horizon, length }))
+        })
+    }
+
+    fn length(self, cube: &Cube) -> f64 {
+        SHORTEST * 1.6_f64.powi(self.length) * (cube.blocks().len() as f64).sqrt()
+    }
+
+    /// Coordinates whose Euclidean distance is that of the metric; every block weighs as much as a number.
+    fn features(self, cube: &Cube, point: &[f64]) -> Vec<f64> {
+        let mut features = Vec::new();
+        for block in cube.blocks() {
+            let share = if block.len() == 1 { 1.0 } else { 0.5_f64.powf(0.5 * f64::from(self.horizon)) };
+            let pieces = (block.len() as f64 * share).ceil();
+            let values = point.get(block.clone()).unwrap_or_default().iter().take(pieces as usize);
+            if self.reading != Reading::Integral || block.len() == 1 {
+                features.extend(values.clone().map(|value| value / pieces.sqrt()));
+            }
+            if self.reading != Reading::Values && block.len() > 1 {
+                let mut integral = 0.0;
+                features.extend(values.map(|value| {
+                    integral += value / pieces;
+                    integral
+                }));
             }
         }
-        let (_, length, weights) = best?;
-        Some(Self { points, length, weights })
+        features
+    }
+}
+
+impl Surrogate {
+    /// A fit to points of the cube and their values, the last ones of `known`; none if there are too few or the numbers do
+    /// not allow it.
+    pub(super) fn fit(cube: &Cube, data: &[(Vec<f64>, f64)], known: usize, chosen: &mut Chosen) -> Option<Self> {
+        if data.is_empty() {
+            return None;
+        }
+        let scores = DVector::from_vec(scores(data));
+        if known as f64 >= GROWTH * chosen.points as f64 {
+            let fits = Metric::all(cube).filter_map(|metric| Self::with_metric(cube, data, &scores, metric));
+            let fits = fits.filter(|(likelihood, _)| !likelihood.is_nan());
+            let (_, likeliest) = fits.max_by(|a, b| a.0.total_cmp(&b.0))?;
+            *chosen = Chosen { metric: likeliest.metric, points: known };
+            return Some(likeliest);
+        }
+        Self::with_metric(cube, data, &scores, chosen.metric).map(|(_, fit)| fit)
+    }
+
+    /// A fit and its logarithmic likelihood.
+    fn with_metric(
+        cube: &Cube,
+        data: &[(Vec<f64>, f64)],
+        scores: &DVector<f64>,
+        metric: Metric,
+    ) -> Option<(f64, Self)> {
+        let length = metric.length(cube);
+        let features: Vec<Vec<f64>> = data.iter().map(|(point, _)| metric.features(cube, point)).collect();
+        let n = features.len();
+        // The factorisation reads the lower triangle only.
+        let covariance = DMatrix::from_fn(n, n, |i, j| match (features.get(i), features.get(j)) {
+            (Some(a), Some(b)) if j <= i => matern(square_distance(a, b), length) + if i == j { NOISE } else { 0.0 },
+            _ => 0.0,
+        });
+        let factor = Cholesky::<f64, Dyn>::new(covariance)?;
+        let weights = factor.solve(scores);
+        let variance = scores.dot(&weights) / n as f64;
+        let log_determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
+        let likelihood = -0.5 * n as f64 * variance.ln() - log_determinant;
+        Some((likelihood, Self { cube: cube.clone(), metric, features, weights }))
     }
 
     /// The expected score of a point: lower is better.
     pub(super) fn score(&self, point: &[f64]) -> f64 {
-        let near = self.points.iter().map(|known| matern(square_distance(known, point), self.length));
+        let (own, length) = (self.metric.features(&self.cube, point), self.metric.length(&self.cube));
+        let near = self.features.iter().map(|known| matern(square_distance(known, &own), length));
         near.zip(self.weights.iter()).map(|(kernel, weight)| kernel * weight).sum()
     }
 }
@@ -71,4 +166,32 @@ fn square_distance(a: &[f64], b: &[f64]) -> f64 {
 fn matern(square_distance: f64, length: f64) -> f64 {
     let r = (5.0 * square_distance).sqrt() / length;
     (1.0 + r + r * r / 3.0) * (-r).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Method;
+    use super::*;
+
+    #[test]
+    fn finds_out_that_only_the_early_integral_counts() {
+        let cube = Cube::new([10, 10]).unwrap();
+        let mut search = Method::Uniform.start(&cube, 5);
+        let points: Vec<Vec<f64>> = std::iter::repeat_with(|| search.ask()).flatten().take(90).collect();
+        // Distance after three pieces of acceleration.
+        let value = |point: &Vec<f64>| 3.0 * point[0] + 2.0 * point[1] + point[2];
+        let data: Vec<_> = points.iter().map(|point| (point.clone(), value(point))).collect();
+        let (known, unknown) = data.split_at(60);
+        let mut chosen = Chosen::default();
+        let free = Surrogate::fit(&cube, known, known.len(), &mut chosen).unwrap();
+        assert!(chosen.metric.horizon > 0 && chosen.metric.reading != Reading::Values, "{chosen:?}");
+
+        let plain = Metric::all(&cube).filter(|metric| metric.horizon == 0 && metric.reading == Reading::Values);
+        let scores = DVector::from_vec(scores(known));
+        let plain = plain.filter_map(|metric| Surrogate::with_metric(&cube, known, &scores, metric));
+        let (_, plain) = plain.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+        let pairs = || unknown.iter().flat_map(|a| unknown.iter().map(move |b| (a, b))).filter(|(a, b)| a.1 < b.1);
+        let wrong = |fit: &Surrogate| pairs().filter(|(a, b)| fit.score(&a.0) >= fit.score(&b.0)).count();
+        assert!(2 * wrong(&free) < wrong(&plain), "{} and {}", wrong(&free), wrong(&plain));
+    }
 }
