@@ -28,7 +28,7 @@
 //! | [`recording`] | recorded traffic turned into scenarios |
 //! | [`export`], [`draw`] | traces as tables and as pictures |
 //! | [`rl`] | learning to drive: DDPG, its environment, its presets |
-//! | [`falsify`] | search methods that look for failures, and the public benchmark they are measured on |
+//! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
 //! | [`report`] | the assessment and its renderings |
 //! | [`cli`] | the command line |
 //!

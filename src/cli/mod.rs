@@ -3,6 +3,7 @@
 mod assess;
 mod benchmark;
 mod failure;
+mod falsify;
 mod import;
 mod list;
 mod output;
@@ -43,6 +44,7 @@ enum Command {
     Simulate(simulate::Simulate),
     Import(import::Import),
     Train(train::Train),
+    Falsify(falsify::Falsify),
     Benchmark(benchmark::Measure),
     List(list::List),
 }
@@ -65,7 +67,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
         Command::Train(command) => command.run(quiet),
-        Command::Benchmark(command) => command.run(),
+        Command::Falsify(command) => command.run(quiet),
+        Command::Benchmark(command) => command.run(quiet),
         Command::List(command) => command.run(),
     };
     match done {
