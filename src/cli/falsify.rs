@@ -9,7 +9,6 @@ use super::{Failure, output, progress, subject};
 use crate::estimate::EstimatorKind;
 use crate::falsify::Method;
 use crate::falsify::campaign::{Campaign, CampaignError, Progress, Specification};
-use crate::scenario::file::FileError;
 use crate::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
 use crate::sim::Contender;
 
@@ -105,7 +104,7 @@ fn space(name: &str) -> Result<Space, Failure> {
     let path = Path::new(name);
     match path.extension() {
         Some(extension) if extension == "toml" => Ok(file::load(path)?),
-        Some(_) => Err(FileError::Extension { path: path.to_owned() }.into()),
+        Some(_) => Err(Failure::Input(format!("{name}: a space file ends in .toml"))),
         None => {
             let known: Vec<_> = BUILT_IN_SPACES.iter().map(|(known, ..)| *known).collect();
             Err(Failure::Input(format!("`{name}` is neither a built-in space ({}) nor a file", known.join(", "))))

@@ -29,6 +29,10 @@ const FINE: f64 = 0.1;
 const SCREENED: usize = 16;
 /// Latest points the surrogate is fitted to: its cost grows with their cube.
 const MOST_KNOWN: usize = 150;
+/// Descents kept for later, for the same reason as good points.
+const MOST_PAUSED: usize = 200;
+/// Good points kept: a long search must not fill memory, and descents start at the best few.
+const MOST_GOOD_POINTS: usize = 2000;
 /// What goes along with each generation of a descent.
 const BESIDE_DESCENT: Share = Share { screened: 2, simple: 0, edges: 0 };
 /// A batch while no descent runs.
@@ -66,7 +70,7 @@ pub(super) struct Auto {
     descents: usize,
     paused: Vec<Descent>,
     exploration_left: usize,
-    /// Coarse points and their values, in the order they were evaluated.
+    /// The latest coarse points and their values, in the order they were evaluated.
     known: Vec<(Vec<f64>, f64)>,
     surrogate: Option<Surrogate>,
     asked: Vec<Asked>,
@@ -188,8 +192,12 @@ impl Search for Auto {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         self.climbs.rank();
         self.asked.clear();
-        let recent = self.known.len().saturating_sub(MOST_KNOWN);
-        self.surrogate = Surrogate::fit(self.known.get(recent..).unwrap_or_default());
+        self.known.drain(..self.known.len().saturating_sub(MOST_KNOWN));
+        self.surrogate = Surrogate::fit(&self.known);
+        if self.good_points.len() > 2 * MOST_GOOD_POINTS {
+            self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            self.good_points.truncate(MOST_GOOD_POINTS);
+        }
         if self.good_points.len() + self.descents == 0 {
             self.ask_share(Share { screened: 0, simple: FIRST_POINTS, edges: 0 });
         } else if self.exploration_left > 0 {
@@ -250,6 +258,10 @@ impl Search for Auto {
             } else {
                 self.exploration_left = self.descents.min(MOST_EXPLORATION) * descent.evaluations;
                 self.paused.extend((!stagnated).then_some(descent));
+                if self.paused.len() > MOST_PAUSED {
+                    self.paused.sort_by(|a, b| a.best.total_cmp(&b.best));
+                    self.paused.truncate(MOST_PAUSED / 2);
+                }
             }
         }
     }

@@ -102,8 +102,8 @@ pub struct CoverageSummary {
     pub with_yardsticks: Covered,
 }
 
-/// Regions that are printed.
-const SHOWN_REGIONS: usize = 4;
+/// Regions that are printed, beside the safest one.
+const SHOWN_REGIONS: usize = 3;
 
 impl Summary {
     /// The text of `summary.json`.
@@ -176,7 +176,10 @@ impl Summary {
         }
         if !self.regions.is_empty() {
             writeln!(out, "\n  where failures lie, as shares of the space by its ranges")?;
-            for region in self.regions.iter().take(SHOWN_REGIONS) {
+            // The densest ones, and the safest one.
+            let safest = self.regions.len() - 1;
+            let shown = |index: &usize| *index < SHOWN_REGIONS || *index == safest;
+            for (_, region) in self.regions.iter().enumerate().filter(|(index, _)| shown(index)) {
                 let conditions =
                     if region.conditions.is_empty() { "everywhere".to_owned() } else { region.conditions.join(", ") };
                 writeln!(

@@ -243,16 +243,29 @@ impl<'a> Examiner<'a> {
         })
     }
 
+    /// What is not nominal; a signal with one value throughout counts as one.
     fn changed(&self, values: &[f64]) -> Vec<Changed> {
         let names = self.space.coordinate_names();
-        let with_names = self.space.coordinate_parameters().zip(names).zip(values.iter().zip(self.space.nominal()));
-        let differs = with_names.filter(|(_, (value, nominal))| *value != nominal);
-        let changed = differs.map(|((parameter, name), (value, _))| Changed {
-            parameter: name,
-            value: parameter.show(*value),
-            unit: parameter.unit().to_owned(),
-        });
-        changed.collect()
+        let mut changed = Vec::new();
+        for parameter in self.space.parameters() {
+            let own = values.get(parameter.coordinates()).unwrap_or_default();
+            if own == parameter.nominal() {
+                continue;
+            }
+            let mut say = |name: &str, value: f64| {
+                let unit = parameter.unit().to_owned();
+                changed.push(Changed { parameter: name.to_owned(), value: parameter.show(value), unit });
+            };
+            match own {
+                [first, rest @ ..] if rest.iter().all(|value| value == first) => say(parameter.name(), *first),
+                _ => {
+                    let pieces = names.get(parameter.coordinates()).unwrap_or_default();
+                    let differs = pieces.iter().zip(own.iter().zip(parameter.nominal()));
+                    differs.filter(|(_, (a, b))| a != b).for_each(|(name, (value, _))| say(name, *value));
+                }
+            }
+        }
+        changed
     }
 
     fn rank(&self, found: &mut [Counterexample]) {

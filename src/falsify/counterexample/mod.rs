@@ -96,7 +96,7 @@ pub struct Counterexample {
 /// A parameter of a counterexample that is not nominal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Changed {
-    /// Name, with the number of the piece for a signal.
+    /// Name; with the number of the piece for a signal whose pieces differ.
     pub parameter: String,
     /// Value: a number, or a class.
     pub value: String,
