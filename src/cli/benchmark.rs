@@ -1,13 +1,15 @@
 //! `crumple benchmark`: how the search compares with others, on a public problem.
 
 use std::fmt::Write;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
+use super::output::Files;
 use super::simulate::Format;
 use super::{Failure, output};
 use crate::falsify::Method;
-use crate::falsify::chasing_cars::{Benchmark, benchmark};
+use crate::falsify::chasing_cars::{Benchmark, CounterexampleFile, benchmark};
 
 /// Measure a search method on a public falsification problem
 #[derive(Args)]
@@ -28,6 +30,9 @@ pub(super) struct Measure {
     /// Runs of each specification, with seeds from 0
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
+    /// Folder for the counterexamples: one file each, rechecked from it
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// How to print; JSON also holds every run and its counterexample
     #[arg(long, value_enum, default_value = "text")]
     format: Format,
@@ -40,15 +45,44 @@ enum Problem {
 }
 
 impl Measure {
-    pub(super) fn run(self) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let Problem::ChasingCars = self.problem;
         let measured = benchmark(self.method, self.budget as usize, self.seeds as usize).map_err(Failure::input)?;
+        if let Some(folder) = &self.out {
+            keep(&measured, folder, quiet)?;
+        }
         let text = match self.format {
             Format::Json => serde_json::to_string(&measured).map_err(Failure::input)? + "\n",
             Format::Text => table(&measured),
         };
         output::print(&text)
     }
+}
+
+/// Writes each counterexample to a file of its own, reads it back and replays it from there.
+fn keep(measured: &Benchmark, folder: &Path, quiet: bool) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder).map_err(|source| Failure::environment(folder, source))?;
+    let found: Vec<CounterexampleFile> = measured.counterexample_files();
+    let mut files = Files::default();
+    let mut paths = Vec::new();
+    for counterexample in &found {
+        let path = folder.join(counterexample.file_name());
+        files.stage(&path, counterexample.to_toml().map_err(Failure::input)?.as_bytes())?;
+        paths.push(path);
+    }
+    files.commit()?;
+    let mut disagreeing = Vec::new();
+    for path in &paths {
+        if !CounterexampleFile::load(path)?.is_confirmed().map_err(Failure::input)? {
+            disagreeing.push(path.display().to_string());
+        }
+    }
+    if !disagreeing.is_empty() {
+        return Err(Failure::Gate(format!("the independent replay does not confirm {}", disagreeing.join(", "))));
+    }
+    let note = format!("wrote {} counterexamples to {}; the replay confirms each", paths.len(), folder.display());
+    output::note(&note, quiet);
+    Ok(())
 }
 
 fn table(measured: &Benchmark) -> String {

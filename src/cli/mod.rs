@@ -5,6 +5,7 @@ mod avoid;
 mod benchmark;
 mod check;
 mod failure;
+mod falsify;
 mod import;
 mod list;
 mod output;
@@ -47,9 +48,10 @@ enum Command {
     Simulate(simulate::Simulate),
     Import(import::Import),
     Train(train::Train),
+    Falsify(falsify::Falsify),
     Avoid(avoid::Avoid),
-    Check(check::Check),
     WorstCase(worst_case::WorstCase),
+    Check(check::Check),
     Benchmark(benchmark::Measure),
     Verify(verify::Verify),
     List(list::List),
@@ -76,7 +78,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Avoid(command) => command.run(quiet),
         Command::Check(command) => command.run(),
         Command::WorstCase(command) => command.run(quiet),
-        Command::Benchmark(command) => command.run(),
+        Command::Falsify(command) => command.run(quiet),
+        Command::Benchmark(command) => command.run(quiet),
         Command::Verify(command) => command.run(quiet),
         Command::List(command) => command.run(),
     };

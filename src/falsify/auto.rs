@@ -31,6 +31,10 @@ const SMALLEST_POPULATION: usize = 4;
 const SCREENED: usize = 16;
 /// Latest points the surrogate is fitted to: its cost grows with their cube.
 const MOST_KNOWN: usize = 150;
+/// Descents kept for later, for the same reason as good points.
+const MOST_PAUSED: usize = 200;
+/// Good points kept: a long search must not fill memory, and descents start at the best few.
+const MOST_GOOD_POINTS: usize = 2000;
 /// What goes along with each generation of a descent.
 const BESIDE_DESCENT: Share = Share { screened: 2, simple: 0, edges: 0 };
 /// A batch while no descent runs.
@@ -68,8 +72,10 @@ pub(super) struct Auto {
     descents: usize,
     paused: Vec<Descent>,
     exploration_left: usize,
-    /// Coarse points and their values, in the order they were evaluated.
+    /// The latest coarse points and their values, in the order they were evaluated.
     known: Vec<(Vec<f64>, f64)>,
+    /// How many there have been, forgotten ones included.
+    known_ever: usize,
     surrogate: Option<Surrogate>,
     metric: Chosen,
     asked: Vec<Asked>,
@@ -107,6 +113,7 @@ impl Auto {
             paused: Vec::new(),
             exploration_left: 0,
             known: Vec::new(),
+            known_ever: 0,
             surrogate: None,
             metric: Chosen::default(),
             asked: Vec::new(),
@@ -188,13 +195,23 @@ impl Descent {
     }
 }
 
+impl Auto {
+    fn remember(&mut self, point: &[f64], value: f64) {
+        self.known.push((self.cube.coarsen(&self.coarse, point), value));
+        self.known_ever += 1;
+    }
+}
+
 impl Search for Auto {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         self.climbs.rank();
         self.asked.clear();
-        let recent = self.known.len().saturating_sub(MOST_KNOWN);
-        let data = self.known.get(recent..).unwrap_or_default();
-        self.surrogate = Surrogate::fit(&self.coarse, data, self.known.len(), &mut self.metric);
+        self.known.drain(..self.known.len().saturating_sub(MOST_KNOWN));
+        self.surrogate = Surrogate::fit(&self.coarse, &self.known, self.known_ever, &mut self.metric);
+        if self.good_points.len() > 2 * MOST_GOOD_POINTS {
+            self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            self.good_points.truncate(MOST_GOOD_POINTS);
+        }
         if self.good_points.len() + self.descents == 0 {
             self.ask_share(Share { screened: 0, simple: FIRST_POINTS, edges: 0 });
         } else if self.exploration_left > 0 {
@@ -230,17 +247,17 @@ impl Search for Auto {
         for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| rankable(value))) {
             match asked {
                 Asked::Screened(point) => {
-                    self.known.push((self.cube.coarsen(&self.coarse, &point), value));
+                    self.remember(&point, value);
                     self.good_points.push((value, point));
                 }
                 Asked::Simple(point) => {
-                    self.known.push((self.cube.coarsen(&self.coarse, &point), value));
+                    self.remember(&point, value);
                     self.plateaus.add(point.clone(), value);
                     self.climbs.start(point.clone(), value);
                     self.good_points.push((value, point));
                 }
                 Asked::Descent(point) => {
-                    self.known.push((self.cube.coarsen(&self.coarse, &point), value));
+                    self.remember(&point, value);
                     generation.push(value);
                 }
                 Asked::Edge(segment) => self.segments.extend(segment.halved(value)),
@@ -255,6 +272,10 @@ impl Search for Auto {
             } else {
                 self.exploration_left = self.descents.min(MOST_EXPLORATION) * descent.evaluations;
                 self.paused.extend((!stagnated).then_some(descent));
+                if self.paused.len() > MOST_PAUSED {
+                    self.paused.sort_by(|a, b| a.best.total_cmp(&b.best));
+                    self.paused.truncate(MOST_PAUSED / 2);
+                }
             }
         }
     }

@@ -6,6 +6,7 @@
 //! segment from a point on a plateau to a near one outside finds the edge in a few evaluations.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 
 use rand::RngExt;
 
@@ -17,11 +18,18 @@ const HALVINGS: u32 = 8;
 /// Points outside among which the nearest one is taken.
 const NEAREST_OF: usize = 60;
 
+/// Points kept: in a long search, later ones would only cost memory.
+const MOST_POINTS: usize = 100_000;
+
 /// Independent points with their values, by whether others have the same value.
 #[derive(Debug, Default)]
 pub(super) struct Plateaus {
     points: Vec<(Vec<f64>, f64)>,
-    by_value: HashMap<u64, usize>,
+    /// For each value, the first point that has it.
+    first_with: HashMap<u64, usize>,
+    /// Points that share their value with others, and all others: indices, increasing.
+    flat: Vec<usize>,
+    rest: Vec<usize>,
 }
 
 /// The search along one segment.
@@ -35,23 +43,35 @@ pub(super) struct Segment {
 
 impl Plateaus {
     pub(super) fn add(&mut self, point: Vec<f64>, value: f64) {
-        *self.by_value.entry(value.to_bits()).or_default() += 1;
+        let index = self.points.len();
+        if index == MOST_POINTS {
+            return;
+        }
         self.points.push((point, value));
-    }
-
-    fn is_plateau(&self, value: f64) -> bool {
-        self.by_value.get(&value.to_bits()).is_some_and(|&count| count > 1)
+        match self.first_with.entry(value.to_bits()) {
+            Entry::Vacant(free) => {
+                free.insert(index);
+                self.rest.push(index);
+            }
+            Entry::Occupied(first) => {
+                if let Ok(place) = self.rest.binary_search(first.get()) {
+                    self.rest.remove(place);
+                    let place = self.flat.partition_point(|known| known < first.get());
+                    self.flat.insert(place, *first.get());
+                }
+                self.flat.push(index);
+            }
+        }
     }
 
     /// A segment from a plateau to a near point outside, if there are both.
     pub(super) fn segment(&self, cube: &Cube, random: &mut Stream) -> Option<Segment> {
-        let (flat, rest): (Vec<_>, Vec<_>) = self.points.iter().partition(|(_, value)| self.is_plateau(*value));
-        if flat.is_empty() || rest.is_empty() {
+        if self.flat.is_empty() || self.rest.is_empty() {
             return None;
         }
-        let (inside, plateau) = flat.get(random.random_range(0..flat.len()))?;
+        let (inside, plateau) = self.points.get(*self.flat.get(random.random_range(0..self.flat.len()))?)?;
         let near = (0..NEAREST_OF)
-            .filter_map(|_| rest.get(random.random_range(0..rest.len())))
+            .filter_map(|_| self.points.get(*self.rest.get(random.random_range(0..self.rest.len()))?))
             .map(|(point, _)| (cube.distance(inside, point), point))
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
         Some(Segment { plateau: *plateau, inside: inside.clone(), outside: near.1.clone(), halvings: 0 })

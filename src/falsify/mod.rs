@@ -4,14 +4,19 @@
 //! and learns what they were worth ([`Search::tell`]). The batch is the method's choice and depends on the seed and on
 //! earlier values alone, so its points may be evaluated in any order and on any number of threads without changing a
 //! result; and a search is resumed by asking and telling again what an earlier run has logged.
+//!
+//! A [`campaign`] puts it together: a space, a controller, a specification, a method with a budget, and a folder that holds
+//! every evaluation and the distinct failures as [`counterexample`] files.
 
 mod annealing;
 mod auto;
+pub mod campaign;
 pub mod chasing_cars;
 #[cfg(test)]
 mod classic;
 mod climb;
 mod cma_es;
+pub mod counterexample;
 mod cross_entropy;
 mod cube;
 mod edge;

@@ -7,6 +7,7 @@
 mod architecture;
 mod command_line;
 mod controllers;
+mod corpora;
 mod engines;
 mod estimation;
 mod generate;

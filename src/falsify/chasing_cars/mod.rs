@@ -14,11 +14,13 @@
 //! The sign of y' in the last two is as published. Each step is the exact solution of its mode.
 
 mod benchmark;
+mod counterexample_file;
 mod replay;
 
 use crate::measure::stl::{Formula, MonitorError, ParseError, Signals, SignalsError};
 
 pub use benchmark::{Benchmark, Counterexample, Row, Run, benchmark};
+pub use counterexample_file::{COUNTEREXAMPLE_VERSION, CounterexampleFile};
 pub use replay::replayed_robustness;
 
 /// Time step in seconds.

@@ -41,6 +41,7 @@ mod formula;
 mod generate;
 mod lex;
 mod monitor;
+mod motion;
 mod naive;
 mod parse;
 mod print;
@@ -49,6 +50,7 @@ mod window;
 
 pub use formula::{Comparison, Formula, FormulaError, Interval, Relation};
 pub use monitor::MonitorError;
+pub use motion::{motion_signal_names, motion_signals};
 pub use naive::naive_robustness;
 pub use parse::{ParseError, SyntaxProblem};
 pub use signals::{Signals, SignalsError};

@@ -1,0 +1,122 @@
+//! `crumple falsify`: look for failures of a controller, and keep the distinct ones.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::simulate::Format;
+use super::{Failure, output, progress, subject};
+use crate::estimate::EstimatorKind;
+use crate::falsify::Method;
+use crate::falsify::campaign::{Campaign, CampaignError, Progress, Specification};
+use crate::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
+use crate::sim::Contender;
+
+/// Search for scenarios in which a controller fails
+#[derive(Args)]
+#[command(after_long_help = "\
+The method and two yardsticks (uniform points, a Halton sequence) get the same budget each. Failures are replayed at the \
+scenario's step and at a tenth of it, shrunk, told apart and ranked. The folder holds every evaluation as Parquet \
+(`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a summary. An interrupted campaign goes \
+on with --resume, after a power cut too, and ends with the same bytes.
+
+Formulas for --spec are over signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 and \
+v1.jerk_mps3, vehicles counted from the front.
+
+Examples:
+  crumple falsify --controller baseline --space paper --out runs/baseline
+  crumple falsify --controller policy --space high-risk --budget 20000 --seed 7 --out runs/policy
+  crumple falsify --controller idm --spec 'always v1.time_gap_s > 0.3'
+  crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline --plot crash.svg")]
+pub(super) struct Falsify {
+    /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
+    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    controller: Contender,
+    /// Where to search: a built-in space (see `crumple list spaces`) or a space file
+    #[arg(long, value_name = "S", default_value = "high-risk")]
+    space: String,
+    /// Search method (see `crumple list methods`)
+    #[arg(long, value_name = "M", default_value = "auto")]
+    method: Method,
+    /// Evaluations of the method, and of each yardstick
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
+    budget: u64,
+    /// Seed of the search and of all noise
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    seed: u64,
+    /// What must hold: `no contact`, or a formula of signal temporal logic
+    #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
+    spec: String,
+    /// What the vehicles under test look through
+    #[arg(long, value_enum, default_value = "kalman")]
+    estimator: EstimatorKind,
+    /// Folder of the campaign; made if it is not there
+    #[arg(long, value_name = "DIR", default_value = "crumple-campaign")]
+    out: PathBuf,
+    /// Go on with the campaign in the folder
+    #[arg(long)]
+    resume: bool,
+    /// How to print the summary
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+impl Falsify {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let space = space(&self.space)?;
+        let vehicles = space.scenario(&space.nominal()).map_err(Failure::input)?.vehicles().len();
+        let specification =
+            Specification::parse(&self.spec, vehicles).map_err(|error| Failure::Input(format!("--spec: {error}")))?;
+        let campaign = Campaign {
+            controller: self.controller,
+            estimator: self.estimator,
+            space,
+            specification,
+            method: self.method,
+            budget: self.budget,
+            seed: self.seed,
+        };
+        let bar = progress::bar("falsify", self.budget.saturating_mul(campaign.methods().len() as u64), quiet);
+        let mut show = |state: &Progress| {
+            bar.set_position(state.evaluations);
+            bar.set_message(match state.method {
+                Some(method) => format!("{method}: {} failures, best {:.2};", state.failures, state.best_robustness),
+                None => format!("{} failures; replaying and shrinking;", state.failures),
+            });
+        };
+        let summary = campaign.run(&self.out, self.resume, &mut show);
+        bar.finish_and_clear();
+        let summary = summary?;
+        let note = format!("wrote {} (summary, counterexamples, evaluations)", self.out.display());
+        output::note(&note, quiet);
+        output::print(&match self.format {
+            Format::Json => serde_json::to_string(&summary).map_err(Failure::input)? + "\n",
+            Format::Text => summary.to_text(),
+        })
+    }
+}
+
+/// A built-in space, or the one in a file.
+fn space(name: &str) -> Result<Space, Failure> {
+    if let Some(space) = built_in_space(name) {
+        return Ok(space);
+    }
+    let path = Path::new(name);
+    match path.extension() {
+        Some(extension) if extension == "toml" => Ok(file::load(path)?),
+        Some(_) => Err(Failure::Input(format!("{name}: a space file ends in .toml"))),
+        None => {
+            let known: Vec<_> = BUILT_IN_SPACES.iter().map(|(known, ..)| *known).collect();
+            Err(Failure::Input(format!("`{name}` is neither a built-in space ({}) nor a file", known.join(", "))))
+        }
+    }
+}
+
+impl From<CampaignError> for Failure {
+    fn from(error: CampaignError) -> Self {
+        match error {
+            CampaignError::Environment { path, source } => Self::Environment { path, source },
+            other => Self::input(other),
+        }
+    }
+}

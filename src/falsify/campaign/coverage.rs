@@ -1,0 +1,84 @@
+//! How much of a space was tried.
+
+use serde::{Deserialize, Serialize};
+
+/// Parts that the range of each coordinate is cut into.
+const BINS: usize = 10;
+
+/// Which cells of a space were tried: for each coordinate and each pair of coordinates, cut into ten parts each.
+///
+/// Pairs are the measure of combinatorial testing (t-way coverage with t = 2): most failures need one or two particular
+/// values together, and a search that sits in one corner shows here.
+#[derive(Debug, Clone)]
+pub(super) struct Coverage {
+    dimension: usize,
+    single: Vec<bool>,
+    pairs: Vec<bool>,
+}
+
+/// Coverage in percent.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Covered {
+    /// Share of tenths of a coordinate that were tried, over all coordinates.
+    pub tenths_percent: f64,
+    /// Share of cells of a tenth by a tenth that were tried, over all pairs of coordinates.
+    pub pairs_percent: f64,
+}
+
+impl Coverage {
+    pub(super) fn new(dimension: usize) -> Self {
+        let pairs = dimension * dimension.saturating_sub(1) / 2;
+        Self { dimension, single: vec![false; dimension * BINS], pairs: vec![false; pairs * BINS * BINS] }
+    }
+
+    pub(super) fn add(&mut self, point: &[f64]) {
+        let bins: Vec<usize> = point.iter().map(|x| ((x * BINS as f64) as usize).min(BINS - 1)).collect();
+        let mut pair = 0;
+        for (i, &a) in bins.iter().enumerate().take(self.dimension) {
+            mark(&mut self.single, i * BINS + a);
+            for &b in bins.iter().skip(i + 1) {
+                mark(&mut self.pairs, (pair * BINS + a) * BINS + b);
+                pair += 1;
+            }
+        }
+    }
+
+    pub(super) fn covered(&self) -> Covered {
+        let percent = |cells: &[bool]| {
+            let tried = cells.iter().filter(|cell| **cell).count();
+            if cells.is_empty() { 100.0 } else { 100.0 * tried as f64 / cells.len() as f64 }
+        };
+        Covered { tenths_percent: percent(&self.single), pairs_percent: percent(&self.pairs) }
+    }
+
+    /// Takes in what another one covers.
+    pub(super) fn join(&mut self, other: &Self) {
+        self.single.iter_mut().zip(&other.single).for_each(|(cell, other)| *cell |= other);
+        self.pairs.iter_mut().zip(&other.pairs).for_each(|(cell, other)| *cell |= other);
+    }
+}
+
+fn mark(cells: &mut [bool], index: usize) {
+    if let Some(cell) = cells.get_mut(index) {
+        *cell = true;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_diagonal_covers_a_tenth_of_the_pairs() {
+        let mut coverage = Coverage::new(3);
+        for tenth in 0..10 {
+            coverage.add(&[f64::from(tenth) / 10.0 + 0.05; 3]);
+        }
+        assert_eq!(coverage.covered(), Covered { tenths_percent: 100.0, pairs_percent: 10.0 });
+        let mut corner = Coverage::new(3);
+        corner.add(&[1.0, 0.0, 1.0]);
+        assert!((corner.covered().pairs_percent - 1.0).abs() < 1e-12);
+        coverage.join(&corner);
+        assert!((coverage.covered().pairs_percent - 100.0 * 32.0 / 300.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,129 @@
+//! What a campaign has found out so far, kept so that `kill -9` loses nothing.
+//!
+//! The journal is a flat file with one record an evaluation, in the order of evaluation, appended batch by batch. Which point
+//! an evaluation was at need not be kept: asking the search again gives the same points, as long as it is told the
+//! same values. A record that was cut short is not used. The journal is removed once the campaign is complete: its
+//! contents are then in the Parquet files.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufReader, Read, Write};
+use std::path::Path;
+
+use super::{Braking, Struck, Verdict};
+use crate::scenario::VehicleClass;
+
+/// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking and class as bytes.
+const RECORD: usize = 3 * 8 + 2 * 4 + 2;
+/// In place of the braking where nobody touched anybody.
+const NO_CONTACT: u8 = u8::MAX;
+
+pub(super) struct Journal {
+    file: File,
+    /// Records of an earlier run, not yet used.
+    earlier: Option<BufReader<File>>,
+}
+
+impl Journal {
+    /// An empty journal.
+    pub(super) fn create(path: &Path) -> io::Result<Self> {
+        Ok(Self { file: File::create(path)?, earlier: None })
+    }
+
+    /// The journal of an earlier run, or an empty one if there is none.
+    pub(super) fn resume(path: &Path) -> io::Result<Self> {
+        let file = OpenOptions::new().read(true).append(true).create(true).open(path)?;
+        let whole = file.metadata()?.len() / RECORD as u64 * RECORD as u64;
+        file.set_len(whole)?;
+        Ok(Self { file, earlier: Some(BufReader::new(File::open(path)?)) })
+    }
+
+    /// The next verdict of an earlier run.
+    pub(super) fn next(&mut self) -> io::Result<Option<Verdict>> {
+        let Some(earlier) = &mut self.earlier else { return Ok(None) };
+        let mut record = [0; RECORD];
+        match earlier.read_exact(&mut record) {
+            Ok(()) => Ok(Some(decode(&record))),
+            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
+                self.earlier = None;
+                Ok(None)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Appends verdicts; they survive the end of the process, however sudden.
+    pub(super) fn append(&mut self, verdicts: &[Verdict]) -> io::Result<()> {
+        let bytes: Vec<u8> = verdicts.iter().flat_map(encode).collect();
+        self.file.write_all(&bytes)
+    }
+}
+
+fn encode(verdict: &Verdict) -> [u8; RECORD] {
+    let nobody = Struck {
+        time_s: 0.0,
+        front_vehicle: 0,
+        rear_vehicle: 0,
+        impact_speed_mps: 0.0,
+        ego_braking: Braking::None,
+        rear_class: VehicleClass::Light,
+    };
+    let struck = verdict.contact.unwrap_or(nobody);
+    let mut record = [0; RECORD];
+    let doubles = [verdict.robustness, struck.time_s, struck.impact_speed_mps].map(f64::to_le_bytes);
+    let vehicles = [struck.front_vehicle, struck.rear_vehicle].map(u32::to_le_bytes);
+    let braking = if verdict.contact.is_some() { struck.ego_braking as u8 } else { NO_CONTACT };
+    let class = u8::from(struck.rear_class == VehicleClass::Heavy);
+    let bytes = doubles.concat().into_iter().chain(vehicles.concat()).chain([braking, class]);
+    record.iter_mut().zip(bytes).for_each(|(place, byte)| *place = byte);
+    record
+}
+
+fn decode(record: &[u8; RECORD]) -> Verdict {
+    let double = |index: usize| {
+        let bytes = record.get(8 * index..8 * index + 8).and_then(|bytes| bytes.try_into().ok());
+        f64::from_le_bytes(bytes.unwrap_or_default())
+    };
+    let vehicle = |index: usize| {
+        let bytes = record.get(24 + 4 * index..28 + 4 * index).and_then(|bytes| bytes.try_into().ok());
+        u32::from_le_bytes(bytes.unwrap_or_default())
+    };
+    let [.., braking, class] = *record;
+    let contact = Braking::ALL.get(usize::from(braking)).map(|&ego_braking| Struck {
+        time_s: double(1),
+        front_vehicle: vehicle(0),
+        rear_vehicle: vehicle(1),
+        impact_speed_mps: double(2),
+        ego_braking,
+        rear_class: if class == 1 { VehicleClass::Heavy } else { VehicleClass::Light },
+    });
+    Verdict { robustness: double(0), contact }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn verdicts_survive_and_torn_records_do_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal");
+        let struck = Struck {
+            time_s: 1.25,
+            front_vehicle: 1,
+            rear_vehicle: 2,
+            impact_speed_mps: 7.5,
+            ego_braking: Braking::Full,
+            rear_class: VehicleClass::Heavy,
+        };
+        let verdicts =
+            [Verdict { robustness: 3.5, contact: None }, Verdict { robustness: -7.5, contact: Some(struck) }];
+        Journal::create(&path).unwrap().append(&verdicts).unwrap();
+        OpenOptions::new().append(true).open(&path).unwrap().write_all(&[1; RECORD - 1]).unwrap();
+        let mut journal = Journal::resume(&path).unwrap();
+        assert_eq!(journal.next().unwrap(), Some(verdicts[0]));
+        assert_eq!(journal.next().unwrap(), Some(verdicts[1]));
+        assert_eq!(journal.next().unwrap(), None);
+        journal.append(&verdicts[..1]).unwrap();
+        assert_eq!(std::fs::metadata(&path).unwrap().len(), 3 * RECORD as u64);
+    }
+}

@@ -1,0 +1,97 @@
+//! Campaigns: a space, a controller and a specification, and a search for failures with a budget.
+//!
+//! A campaign has a folder:
+//!
+//! | file | what it holds |
+//! |---|---|
+//! | `campaign.toml` | everything that decides the results; its hash names the campaign in the summary |
+//! | `evaluations/part-*.parquet` | every evaluation, as columns |
+//! | `counterexamples/*.toml` | distinct failures, shrunk, as scenario files; `originals/` has them as they were found |
+//! | `counterexamples/expected.toml` | the recorded verdict of each of them |
+//! | `summary.json`, `summary.txt` | what was found, by which method after how many evaluations |
+//! | `evaluations.journal` | only while the campaign runs: what is lost by no `kill -9` |
+//!
+//! The yardsticks, uniform points and a Halton sequence, always run with the same budget as the method asked for: a search
+//! that does no better than random must say so. Results depend neither on the number of threads nor on interruptions.
+
+mod config;
+mod coverage;
+mod failures;
+mod journal;
+mod regions;
+mod run;
+mod specification;
+mod summary;
+mod table;
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+pub use config::{CAMPAIGN_VERSION, Campaign};
+pub use coverage::Covered;
+pub use failures::{Candidate, FailureKind};
+pub use regions::Region;
+pub use run::Progress;
+pub(in crate::falsify) use run::write_whole;
+pub use specification::{Braking, Specification, SpecificationError, Struck, Verdict};
+pub use summary::{ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
+
+use crate::scenario::InvalidField;
+use crate::sim::RunError;
+
+/// One evaluation of a campaign.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evaluated {
+    /// Which one of its method, from 1.
+    pub number: u64,
+    /// Where in the unit cube.
+    pub point: Vec<f64>,
+    /// The values there, one a coordinate.
+    pub values: Vec<f64>,
+    /// Logarithm of the distribution's density there, relative to one that is even over the ranges.
+    pub ln_likelihood: f64,
+    /// What the run was worth.
+    pub verdict: Verdict,
+}
+
+/// Why a campaign stops.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CampaignError {
+    /// A file or folder cannot be read or written.
+    #[error("{}: {source}", path.display())]
+    Environment {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The folder holds another campaign, or one already.
+    #[error("{0}")]
+    Folder(String),
+    /// A scenario cannot be run with this controller.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A point of the space is no scenario.
+    #[error(transparent)]
+    Scenario(#[from] InvalidField),
+    /// The specification does not fit the runs.
+    #[error(transparent)]
+    Specification(#[from] SpecificationError),
+    /// Nobody in the space is under test.
+    #[error("the space `{0}` has no vehicle under test")]
+    NobodyUnderTest(String),
+    /// A file cannot be encoded or decoded.
+    #[error("cannot encode or decode a file of the campaign: {0}")]
+    Encoding(String),
+}
+
+impl CampaignError {
+    pub(crate) fn encoding(error: impl std::fmt::Display) -> Self {
+        Self::Encoding(error.to_string())
+    }
+
+    pub(crate) fn environment(path: &Path, source: io::Error) -> Self {
+        Self::Environment { path: path.to_owned(), source }
+    }
+}

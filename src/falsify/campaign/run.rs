@@ -1,0 +1,304 @@
+//! Running a campaign, from its first evaluation to its summary.
+
+use std::fs;
+use std::path::Path;
+
+use super::config::sha256;
+use super::coverage::Coverage;
+use super::failures::Failures;
+use super::journal::Journal;
+use super::regions::Sample;
+use super::summary::{ByMethod, CoverageSummary, KindSummary, MethodSummary, SUMMARY_VERSION, Summary};
+use super::table::Table;
+use super::{Campaign, CampaignError, Evaluated, FailureKind, Verdict};
+use crate::falsify::Method;
+use crate::falsify::counterexample::Examiner;
+use crate::scenario::Scenario;
+use crate::scenario::space::Space;
+use crate::sim::{Run, simulate_batch};
+
+/// Batches of a method that ignores values, asked for at once: enough to fill the engine on all cores.
+const BLIND_BATCHES: usize = 16;
+/// Kinds of failures that are looked at closely: the most frequent ones.
+const MOST_KINDS: usize = 12;
+
+/// How far a campaign is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Progress {
+    /// The method at work; none once counterexamples are examined.
+    pub method: Option<Method>,
+    /// Evaluations done, of all methods together.
+    pub evaluations: u64,
+    /// Evaluations there will be.
+    pub total: u64,
+    /// Evaluations that failed.
+    pub failures: u64,
+    /// Smallest robustness so far.
+    pub best_robustness: f64,
+}
+
+/// What one method has reached.
+struct Reached {
+    method: Method,
+    evaluations: u64,
+    first: Option<u64>,
+    failures: u64,
+    best: f64,
+    coverage: Coverage,
+}
+
+/// Everything that is remembered of the evaluations.
+struct Findings<'a> {
+    reached: Vec<Reached>,
+    failures: Failures,
+    sample: Sample,
+    table: Table<'a>,
+}
+
+impl Campaign {
+    /// Runs the campaign in `folder`, or goes on with it where `resume` says so.
+    ///
+    /// # Errors
+    /// [`CampaignError`] if the folder cannot be used, or a scenario cannot be run.
+    pub fn run(
+        &self,
+        folder: &Path,
+        resume: bool,
+        progress: &mut dyn FnMut(&Progress),
+    ) -> Result<Summary, CampaignError> {
+        let space = self.space.clone().with_noise_seed(self.seed);
+        let nominal = space.scenario(&space.nominal())?;
+        self.check(&nominal)?;
+        if let Some(summary) = self.open(folder, resume)? {
+            return Ok(summary);
+        }
+        let journal_path = folder.join(JOURNAL);
+        let journal = if resume { Journal::resume(&journal_path) } else { Journal::create(&journal_path) };
+        let mut journal = journal.map_err(|source| CampaignError::environment(&journal_path, source))?;
+        let cube = space.cube().map_err(CampaignError::encoding)?;
+        let mut findings = Findings {
+            reached: Vec::new(),
+            failures: Failures::new(cube, space.point(&space.nominal())),
+            sample: Sample::default(),
+            table: Table::new(&space, &folder.join("evaluations")),
+        };
+        for method in self.methods() {
+            let reached = self.search(method, &space, &mut journal, &journal_path, &mut findings, progress)?;
+            findings.reached.push(reached);
+        }
+        let Findings { reached, failures, sample, table } = findings;
+        table.finish()?;
+        progress(&state(None, &reached, self.total()));
+        let summary = self.summarise(&space, &nominal, reached, &failures, &sample, folder)?;
+        // The summary is written last but for the journal's end: whoever sees it sees a whole campaign.
+        write_whole(&folder.join("summary.txt"), &summary.to_text())?;
+        write_whole(&folder.join(SUMMARY), &summary.to_json()?)?;
+        fs::remove_file(&journal_path).map_err(|source| CampaignError::environment(&journal_path, source))?;
+        Ok(summary)
+    }
+
+    fn total(&self) -> u64 {
+        self.budget.saturating_mul(self.methods().len() as u64)
+    }
+
+    /// What would fail at every point fails before anything is written.
+    fn check(&self, nominal: &Scenario) -> Result<(), CampaignError> {
+        if !nominal.has_vehicle_under_test() {
+            return Err(CampaignError::NobodyUnderTest(self.space.name().to_owned()));
+        }
+        let run = Run::new(nominal, self.options())?;
+        let result = crate::sim::simulate(&run, self.specification.keep());
+        self.specification.judge(&run, &result)?;
+        Ok(())
+    }
+
+    /// Prepares the folder; returns the summary if the campaign there is complete.
+    fn open(&self, folder: &Path, resume: bool) -> Result<Option<Summary>, CampaignError> {
+        let path = folder.join("campaign.toml");
+        let found = match fs::read_to_string(&path) {
+            Ok(text) => Some(text),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
+            Err(source) => return Err(CampaignError::environment(&path, source)),
+        };
+        match &found {
+            Some(_) if !resume => {
+                let problem = format!("{} holds a campaign already: use --resume, or another --out", folder.display());
+                return Err(CampaignError::Folder(problem));
+            }
+            Some(text) => {
+                if let Some(difference) = self.difference(text, &path)? {
+                    return Err(CampaignError::Folder(difference));
+                }
+                let summary = folder.join(SUMMARY);
+                if let (Ok(text), false) = (fs::read_to_string(&summary), folder.join(JOURNAL).exists()) {
+                    return Summary::from_json(&text).map(Some);
+                }
+            }
+            None => {}
+        }
+        let evaluations = folder.join("evaluations");
+        fs::create_dir_all(&evaluations).map_err(|source| CampaignError::environment(&evaluations, source))?;
+        if found.is_none() {
+            write_whole(&path, &self.to_toml()?)?;
+        }
+        Ok(None)
+    }
+
+    /// One method with its whole budget.
+    fn search(
+        &self,
+        method: Method,
+        space: &Space,
+        journal: &mut Journal,
+        journal_path: &Path,
+        findings: &mut Findings<'_>,
+        progress: &mut dyn FnMut(&Progress),
+    ) -> Result<Reached, CampaignError> {
+        let unwritable = |source| CampaignError::environment(journal_path, source);
+        let cube = space.cube().map_err(CampaignError::encoding)?;
+        let mut search = method.start(&cube, self.seed);
+        let coverage = Coverage::new(space.dimension());
+        let mut reached = Reached { method, evaluations: 0, first: None, failures: 0, best: f64::INFINITY, coverage };
+        let is_yardstick = matches!(method, Method::Uniform | Method::Halton);
+        while reached.evaluations < self.budget {
+            let mut points = search.ask();
+            if is_yardstick {
+                // Neither looks at values: many batches may be asked for at once.
+                for _ in 1..BLIND_BATCHES {
+                    points.extend(search.ask());
+                }
+            }
+            points.truncate(usize::try_from(self.budget - reached.evaluations).unwrap_or(usize::MAX));
+            let mut verdicts = Vec::with_capacity(points.len());
+            while verdicts.len() < points.len()
+                && let Some(verdict) = journal.next().map_err(unwritable)?
+            {
+                verdicts.push(verdict);
+            }
+            let known = verdicts.len();
+            verdicts.extend(self.evaluate(space, points.get(known..).unwrap_or_default())?);
+            journal.append(verdicts.get(known..).unwrap_or_default()).map_err(unwritable)?;
+            let robustness: Vec<f64> = verdicts.iter().map(|verdict| verdict.robustness).collect();
+            for (point, verdict) in points.into_iter().zip(verdicts) {
+                reached.evaluations += 1;
+                let evaluated = Evaluated {
+                    number: reached.evaluations,
+                    values: space.values(&point),
+                    ln_likelihood: space.ln_likelihood(&point),
+                    point,
+                    verdict,
+                };
+                let fails = FailureKind::of(&evaluated.verdict).is_some();
+                if fails {
+                    reached.failures += 1;
+                    reached.first = reached.first.or(Some(evaluated.number));
+                }
+                reached.best = reached.best.min(evaluated.verdict.robustness);
+                reached.coverage.add(&evaluated.point);
+                if is_yardstick {
+                    findings.sample.add(&evaluated.values, fails);
+                }
+                findings.failures.add(method, &evaluated);
+                findings.table.add(method, &evaluated)?;
+            }
+            search.tell(&robustness);
+            progress(&state(Some(&reached), &findings.reached, self.total()));
+        }
+        Ok(reached)
+    }
+
+    /// Verdicts at points, in their order.
+    fn evaluate(&self, space: &Space, points: &[Vec<f64>]) -> Result<Vec<Verdict>, CampaignError> {
+        let scenarios = points.iter().map(|point| space.at(point)).collect::<Result<Vec<_>, _>>()?;
+        let options = self.options();
+        let runs =
+            scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+        let judged = simulate_batch(&runs, self.specification.keep(), |index, result| {
+            runs.get(index).map(|run| self.specification.judge(run, &result))
+        });
+        Ok(judged.into_iter().flatten().collect::<Result<_, _>>()?)
+    }
+
+    fn summarise(
+        &self,
+        space: &Space,
+        nominal: &Scenario,
+        reached: Vec<Reached>,
+        failures: &Failures,
+        sample: &Sample,
+        folder: &Path,
+    ) -> Result<Summary, CampaignError> {
+        let mut kinds: Vec<_> = failures.kinds.iter().collect();
+        kinds.sort_by_key(|kind| std::cmp::Reverse(kind.count()));
+        let picks: Vec<_> = kinds.iter().take(MOST_KINDS).flat_map(|kind| kind.picks()).collect();
+        let counterexamples = Examiner::new(self, space)?.examine_all(&picks, folder)?;
+        let mut all = Coverage::new(space.dimension());
+        reached.iter().for_each(|reached| all.join(&reached.coverage));
+        let finite = |value: f64| Some(value).filter(|value| value.is_finite());
+        let main = reached.first();
+        let kind_summary = |kind: &&super::failures::Kind| KindSummary {
+            kind: kind.kind.describe(nominal),
+            count: kind.count(),
+            by_method: kind
+                .by_method
+                .iter()
+                .map(|&(method, count, first)| ByMethod { method: method.name().to_owned(), count, first })
+                .collect(),
+        };
+        Ok(Summary {
+            version: SUMMARY_VERSION,
+            crumple: env!("CARGO_PKG_VERSION").to_owned(),
+            configuration_sha256: sha256(&self.to_toml()?),
+            controller: self.controller.name.clone(),
+            policy_sha256: self.policy_sha256(),
+            estimator: self.estimator,
+            space: self.space.name().to_owned(),
+            specification: self.specification.to_string(),
+            method: self.method.name().to_owned(),
+            budget: self.budget,
+            seed: self.seed,
+            evaluations: main.map_or(0, |reached| reached.evaluations),
+            falsified: reached.iter().any(|reached| reached.failures > 0),
+            first_falsification: main.and_then(|reached| reached.first),
+            best_robustness: main.and_then(|reached| finite(reached.best)),
+            coverage: CoverageSummary {
+                method: main.map(|reached| reached.coverage.covered()),
+                with_yardsticks: all.covered(),
+            },
+            methods: reached
+                .iter()
+                .map(|reached| MethodSummary {
+                    method: reached.method.name().to_owned(),
+                    evaluations: reached.evaluations,
+                    first_falsification: reached.first,
+                    failures: reached.failures,
+                    best_robustness: finite(reached.best),
+                })
+                .collect(),
+            failures: kinds.iter().map(kind_summary).collect(),
+            regions: sample.regions(space),
+            counterexamples,
+        })
+    }
+}
+
+const JOURNAL: &str = "evaluations.journal";
+const SUMMARY: &str = "summary.json";
+
+fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> Progress {
+    let all = || done.iter().chain(current);
+    Progress {
+        method: current.map(|reached| reached.method),
+        evaluations: all().map(|reached| reached.evaluations).sum(),
+        total,
+        failures: all().map(|reached| reached.failures).sum(),
+        best_robustness: all().map(|reached| reached.best).fold(f64::INFINITY, f64::min),
+    }
+}
+
+/// Writes a file that appears whole or not at all.
+pub(in crate::falsify) fn write_whole(path: &Path, text: &str) -> Result<(), CampaignError> {
+    let beside = path.with_extension("partial");
+    fs::write(&beside, text).map_err(|source| CampaignError::environment(&beside, source))?;
+    fs::rename(&beside, path).map_err(|source| CampaignError::environment(path, source))
+}

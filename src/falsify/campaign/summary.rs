@@ -1,0 +1,201 @@
+//! What a campaign found, for programs and for readers.
+
+use std::fmt::Write;
+
+use serde::{Deserialize, Serialize};
+
+use super::{CampaignError, Covered, Region};
+use crate::estimate::EstimatorKind;
+use crate::falsify::counterexample::Counterexample;
+
+/// The version of `summary.json`.
+pub(super) const SUMMARY_VERSION: u32 = 1;
+
+/// What a campaign found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Version of crumple.
+    pub crumple: String,
+    /// SHA-256 of `campaign.toml`.
+    pub configuration_sha256: String,
+    /// What was put under test.
+    pub controller: String,
+    /// Hash of the policy, if that is what it is.
+    pub policy_sha256: Option<String>,
+    /// What it looked through.
+    pub estimator: EstimatorKind,
+    /// Name of the space.
+    pub space: String,
+    /// What must hold.
+    pub specification: String,
+    /// The method asked for.
+    pub method: String,
+    /// Evaluations of each method.
+    pub budget: u64,
+    /// Seed of the search and of all noise.
+    pub seed: u64,
+    /// Evaluations of the method asked for.
+    pub evaluations: u64,
+    /// Whether any method found a failure.
+    pub falsified: bool,
+    /// At which of its evaluations, from 1, the method asked for found its first failure.
+    pub first_falsification: Option<u64>,
+    /// Smallest robustness that the method asked for found.
+    pub best_robustness: Option<f64>,
+    /// Distinct failures, the severest first.
+    pub counterexamples: Vec<Counterexample>,
+    /// What each method reached: the one asked for, then the yardsticks.
+    pub methods: Vec<MethodSummary>,
+    /// Kinds of failures, the most frequent first.
+    pub failures: Vec<KindSummary>,
+    /// How much of the space was tried.
+    pub coverage: CoverageSummary,
+    /// Where failures lie, the densest region first; empty if the yardsticks found none, or nothing else.
+    pub regions: Vec<Region>,
+}
+
+/// What a method reached.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MethodSummary {
+    /// Its name.
+    pub method: String,
+    /// Evaluations it made.
+    pub evaluations: u64,
+    /// At which of them, from 1, it found its first failure.
+    pub first_falsification: Option<u64>,
+    /// How many failed.
+    pub failures: u64,
+    /// Smallest robustness.
+    pub best_robustness: Option<f64>,
+}
+
+/// Failures of one kind.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct KindSummary {
+    /// In words.
+    pub kind: String,
+    /// How often it was found.
+    pub count: u64,
+    /// By whom.
+    pub by_method: Vec<ByMethod>,
+}
+
+/// Failures of one kind found by one method.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ByMethod {
+    /// The method.
+    pub method: String,
+    /// How often it found one.
+    pub count: u64,
+    /// At which of its evaluations, from 1, it found the first one.
+    pub first: u64,
+}
+
+/// How much of the space was tried.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CoverageSummary {
+    /// By the method asked for.
+    pub method: Option<Covered>,
+    /// By all methods together.
+    pub with_yardsticks: Covered,
+}
+
+/// Regions that are printed, beside the safest one.
+const SHOWN_REGIONS: usize = 3;
+
+impl Summary {
+    /// The text of `summary.json`.
+    ///
+    /// # Errors
+    /// [`CampaignError::Encoding`] in principle, if the writer fails.
+    pub fn to_json(&self) -> Result<String, CampaignError> {
+        Ok(serde_json::to_string_pretty(self).map_err(CampaignError::encoding)? + "\n")
+    }
+
+    /// Reads `summary.json`.
+    ///
+    /// # Errors
+    /// [`CampaignError::Encoding`] for anything else.
+    pub fn from_json(text: &str) -> Result<Self, CampaignError> {
+        serde_json::from_str(text).map_err(CampaignError::encoding)
+    }
+
+    /// The summary for a reader.
+    #[must_use]
+    pub fn to_text(&self) -> String {
+        let mut text = String::new();
+        // Writing to a string cannot fail.
+        let _ = self.write(&mut text);
+        text
+    }
+
+    fn write(&self, out: &mut String) -> std::fmt::Result {
+        writeln!(
+            out,
+            "{} in `{}`: {}, estimator {}, seed {}",
+            self.controller,
+            self.space,
+            self.specification,
+            self.estimator.name(),
+            self.seed
+        )?;
+        if self.falsified {
+            writeln!(out, "  FALSIFIED: {} distinct failures", self.counterexamples.len())?;
+        } else {
+            writeln!(out, "  no failure found; that is no proof that there is none")?;
+        }
+        writeln!(
+            out,
+            "\n  {:<14} {:>11} {:>14} {:>9} {:>16}",
+            "method", "evaluations", "first failure", "failures", "best robustness"
+        )?;
+        for (index, method) in self.methods.iter().enumerate() {
+            let first = method.first_falsification.map_or("-".to_owned(), |first| first.to_string());
+            let best = method.best_robustness.map_or("-".to_owned(), |best| format!("{best:.3}"));
+            let note = if index > 0 { "  (yardstick)" } else { "" };
+            writeln!(
+                out,
+                "  {:<14} {:>11} {first:>14} {:>9} {best:>16}{note}",
+                method.method, method.evaluations, method.failures
+            )?;
+        }
+        if !self.failures.is_empty() {
+            writeln!(out, "\n  kinds of failures, and after how many evaluations each method met them first")?;
+            for kind in &self.failures {
+                let by: Vec<_> = kind.by_method.iter().map(|by| format!("{} {}", by.method, by.first)).collect();
+                writeln!(out, "  {:>9} x  {}  [{}]", kind.count, kind.kind, by.join(", "))?;
+            }
+        }
+        if !self.counterexamples.is_empty() {
+            writeln!(out, "\n  distinct failures, shrunk, the severest first")?;
+            for found in &self.counterexamples {
+                found.write(out)?;
+            }
+        }
+        if !self.regions.is_empty() {
+            writeln!(out, "\n  where failures lie, as shares of the space by its ranges")?;
+            // The densest ones, and the safest one.
+            let safest = self.regions.len() - 1;
+            let shown = |index: &usize| *index < SHOWN_REGIONS || *index == safest;
+            for (_, region) in self.regions.iter().enumerate().filter(|(index, _)| shown(index)) {
+                let conditions =
+                    if region.conditions.is_empty() { "everywhere".to_owned() } else { region.conditions.join(", ") };
+                writeln!(
+                    out,
+                    "  {:>5.1} % of {:>5.1} % fails ({:.0} % of all failures): {conditions}",
+                    region.failing_percent, region.space_percent, region.failures_percent
+                )?;
+            }
+        }
+        let covered = |covered: &Covered| format!("{:.0} % and {:.0} %", covered.tenths_percent, covered.pairs_percent);
+        let method = self.coverage.method.as_ref().map_or("-".to_owned(), covered);
+        writeln!(
+            out,
+            "\n  tenths of single parameters and of pairs tried: {method} by {}, {} with the yardsticks",
+            self.method,
+            covered(&self.coverage.with_yardsticks)
+        )
+    }
+}

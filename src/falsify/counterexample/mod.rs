@@ -1,0 +1,130 @@
+//! Counterexamples that can be trusted: a scenario file that needs nothing else.
+//!
+//! A failure found by a search counts once it has been replayed at the scenario's step and at a tenth of it; one that does
+//! not survive the finer step is kept as it was found and marked `dt_fragile`. The others are shrunk: fewer pieces, rounder
+//! values, nearer to nominal, as long as they fail at both steps in the same way (the same kind, see
+//! [`FailureKind`](super::campaign::FailureKind)) and with at least half the impact speed. What is recorded is the verdict
+//! on the file as it was written and read back.
+//!
+//! Two shrunk failures are *distinct* if they are of different kinds, or lie further apart than [`SAME_WITHIN`] in the unit
+//! cube of the space (mean difference over the parameters). Of those that are not, the severer one stays.
+
+mod examine;
+mod expected;
+mod shrink;
+
+use std::fmt::Write;
+
+use serde::{Deserialize, Serialize};
+
+pub(in crate::falsify) use examine::Examiner;
+pub use examine::SAME_WITHIN;
+pub use expected::{EXPECTED_VERSION, Expected, ExpectedFile, ReplayError, Replayed};
+
+/// Whether any controller could have avoided a failure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Avoidability {
+    /// Nobody has asked yet.
+    #[default]
+    NotAsked,
+    /// Some acceleration of the vehicles under test avoids it.
+    Avoidable,
+    /// None does.
+    Unavoidable,
+    /// Neither could be shown.
+    Undecided,
+}
+
+impl Avoidability {
+    /// The name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NotAsked => "not-asked",
+            Self::Avoidable => "avoidable",
+            Self::Unavoidable => "unavoidable",
+            Self::Undecided => "undecided",
+        }
+    }
+}
+
+/// A distinct failure.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Counterexample {
+    /// The scenario file, from the folder of the campaign.
+    pub file: String,
+    /// The scenario as it was found.
+    pub original_file: String,
+    /// What happens, in words.
+    pub kind: String,
+    /// Robustness of the file.
+    pub robustness: f64,
+    /// When vehicles first touch, in seconds; none if a formula is violated without a contact.
+    pub contact_time_s: Option<f64>,
+    /// Index of the vehicle that is hit.
+    pub front_vehicle: Option<u32>,
+    /// Index of the vehicle that hits it.
+    pub rear_vehicle: Option<u32>,
+    /// Difference of their speeds, in m/s.
+    pub impact_speed_mps: Option<f64>,
+    /// The same of the failure as it was found.
+    pub original_impact_speed_mps: Option<f64>,
+    /// Largest change of speed of any vehicle in any one impact, in m/s, when the run goes on after contact.
+    pub max_delta_v_mps: Option<f64>,
+    /// Vehicles involved in some impact, when the run goes on after contact.
+    pub vehicles_involved: usize,
+    /// Logarithm of the density under the space's distribution, relative to one that is even over the ranges.
+    pub ln_likelihood: f64,
+    /// Distance from nominal, from 0 to 1: mean over the parameters of the difference, relative to the range.
+    pub departure: f64,
+    /// Place among all by likelihood, from 1; equal ones by nearness to nominal. The list itself is by severity: impact
+    /// speed, then delta-v, then vehicles involved.
+    pub likelihood_rank: usize,
+    /// Whether it disappears at a tenth of the step.
+    pub dt_fragile: bool,
+    /// Whether any controller could have avoided it.
+    pub avoidable: Avoidability,
+    /// Which method found it.
+    pub found_by: String,
+    /// At which of its evaluations, from 1.
+    pub found_at: u64,
+    /// Parameters that are not nominal, with their values.
+    pub changed: Vec<Changed>,
+}
+
+/// A parameter of a counterexample that is not nominal.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Changed {
+    /// Name; with the number of the piece for a signal whose pieces differ.
+    pub parameter: String,
+    /// Value: a number, or a class.
+    pub value: String,
+    /// Unit.
+    pub unit: String,
+}
+
+impl Counterexample {
+    pub(in crate::falsify) fn write(&self, out: &mut String) -> std::fmt::Result {
+        let severity = match (self.impact_speed_mps, self.contact_time_s) {
+            (Some(speed), Some(time)) => format!("{speed:.1} m/s at {time:.1} s"),
+            _ => format!("robustness {:.3}", self.robustness),
+        };
+        let fragile = if self.dt_fragile { ", DT-FRAGILE" } else { "" };
+        writeln!(out, "  {}\n      {}: {severity}{fragile}", self.file, self.kind)?;
+        let delta = self.max_delta_v_mps.map_or(String::new(), |delta| format!("delta-v {delta:.1} m/s, "));
+        writeln!(
+            out,
+            "      {delta}{} vehicles involved; likelihood rank {}; {} after {} runs",
+            self.vehicles_involved, self.likelihood_rank, self.found_by, self.found_at
+        )?;
+        let show = |changed: &Changed| {
+            let unit = if changed.unit == "1" { String::new() } else { format!(" {}", changed.unit) };
+            format!("{} {}{}", changed.parameter, changed.value, unit.trim_end())
+        };
+        let changed: Vec<_> = self.changed.iter().map(show).collect();
+        let changed =
+            if changed.is_empty() { "nothing: the nominal scenario fails".to_owned() } else { changed.join(", ") };
+        writeln!(out, "      not nominal: {changed}")
+    }
+}

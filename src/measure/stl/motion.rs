@@ -1,0 +1,124 @@
+//! The signals of a simulated run.
+
+use super::{Signals, SignalsError};
+use crate::measure::{drac_mps2, time_gap_s, time_headway_s, ttc_s};
+use crate::sim::Trace;
+
+/// What every vehicle has as a signal.
+const OWN: [&str; 4] = ["position_m", "speed_mps", "accel_mps2", "jerk_mps3"];
+/// What every vehicle but the leader has, towards the one ahead.
+const AHEAD: [&str; 6] = ["gap_m", "closing_mps", "ttc_s", "headway_s", "time_gap_s", "drac_mps2"];
+
+/// The names of all signals of a run of `vehicles` vehicles: `v0.speed_mps`, `v1.gap_m` and so on.
+///
+/// | signal of vehicle i | meaning |
+/// |---|---|
+/// | `vi.position_m`, `vi.speed_mps`, `vi.accel_mps2` | front bumper, speed, acceleration held from the sample on |
+/// | `vi.jerk_mps3` | change of that acceleration since the sample before, over the step |
+/// | `vi.gap_m`, `vi.closing_mps` | bumper gap to the vehicle ahead, own speed less its speed |
+/// | `vi.ttc_s` | time to collision; +∞ where the gap does not close |
+/// | `vi.headway_s`, `vi.time_gap_s` | time headway, time gap; +∞ at standstill |
+/// | `vi.drac_mps2` | deceleration rate to avoid a crash; 0 where the gap does not close, +∞ in contact |
+#[must_use]
+pub fn motion_signal_names(vehicles: usize) -> Vec<String> {
+    let of = |i: usize| {
+        let ahead = if i > 0 { &AHEAD[..] } else { &[] };
+        OWN.iter().chain(ahead).map(move |name| format!("v{i}.{name}"))
+    };
+    (0..vehicles).flat_map(of).collect()
+}
+
+/// Signals of a run that goes on after contact, sampled every `step_s`: those of `names` that there are.
+///
+/// # Errors
+/// [`SignalsError`] if the trace is empty.
+pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Result<Signals<'a>, SignalsError> {
+    let mut signals = Signals::new(step_s, trace.len())?;
+    for &name in names {
+        let Some((vehicle, quantity)) = name.strip_prefix('v').and_then(|rest| rest.split_once('.')) else { continue };
+        let Ok(index) = vehicle.parse::<usize>() else { continue };
+        let Some(track) = trace.vehicles.get(index) else { continue };
+        match quantity {
+            "position_m" => signals.insert(name.to_owned(), track.position_m.as_slice())?,
+            "speed_mps" => signals.insert(name.to_owned(), track.speed_mps.as_slice())?,
+            "accel_mps2" => signals.insert(name.to_owned(), track.acceleration_mps2.as_slice())?,
+            "jerk_mps3" => {
+                let changes = track.acceleration_mps2.windows(2).map(|pair| match pair {
+                    [before, now] => (now - before) / step_s,
+                    _ => 0.0,
+                });
+                signals.insert(name.to_owned(), std::iter::once(0.0).chain(changes).collect::<Vec<f64>>())?;
+            }
+            other => {
+                let Some(of) = towards_ahead(other) else { continue };
+                let Some(pair) = trace.pair(index) else { continue };
+                let speeds = pair.front.speed_mps.iter().zip(&pair.rear.speed_mps);
+                let samples = pair.gaps_m().zip(speeds).map(|(gap_m, (front, rear))| {
+                    // Vehicles that stick together have a gap of zero, whatever rounding says.
+                    let gap_m = if gap_m.abs() < 1e-9 { 0.0 } else { gap_m };
+                    of(gap_m, *front, *rear, pair.front.length_m)
+                });
+                signals.insert(name.to_owned(), samples.collect::<Vec<f64>>())?;
+            }
+        }
+    }
+    Ok(signals)
+}
+
+/// From gap, both speeds (ahead, own) and the length ahead to a quantity.
+type TowardsAhead = fn(f64, f64, f64, f64) -> f64;
+
+fn towards_ahead(quantity: &str) -> Option<TowardsAhead> {
+    Some(match quantity {
+        "gap_m" => |gap_m, _, _, _| gap_m,
+        "closing_mps" => |_, front, rear, _| rear - front,
+        "ttc_s" => |gap_m, front, rear, _| ttc_s(gap_m, rear - front).unwrap_or(f64::INFINITY),
+        "headway_s" => |gap_m, _, rear, length_m| time_headway_s(gap_m, length_m, rear).unwrap_or(f64::INFINITY),
+        "time_gap_s" => |gap_m, _, rear, _| time_gap_s(gap_m, rear).unwrap_or(f64::INFINITY),
+        "drac_mps2" => |gap_m, front, rear, _| {
+            if rear <= front { 0.0 } else { drac_mps2(gap_m, rear - front).unwrap_or(f64::INFINITY) }
+        },
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::Ahead;
+    use crate::measure::stl::Formula;
+    use crate::scenario::{ControllerSpec, built_in};
+    use crate::sim::{Keep, Run, RunOptions, simulate};
+
+    #[test]
+    fn formulas_over_a_run_agree_with_its_measures() {
+        let scenario = built_in("paper-1").unwrap();
+        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::named("match-leader").unwrap())).unwrap();
+        let result = simulate(&run, Keep::Trace);
+        let trace = result.trace.unwrap();
+        let names = motion_signal_names(3);
+        assert_eq!(names.len(), 3 * 4 + 2 * 6);
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let signals = motion_signals(&trace, 0.01, &names).unwrap();
+        assert_eq!(signals.names().collect::<Vec<_>>(), names);
+        let least = |text: &str| text.parse::<Formula>().unwrap().robustness(&signals).unwrap();
+        let ahead = Ahead::of(&trace, &result.impacts, 1).unwrap();
+        assert!((least("always v1.gap_m > 0") - ahead.min_gap_m.unwrap()).abs() < 1e-3);
+        assert_eq!(least("always v1.ttc_s > 1"), ahead.min_ttc_s.unwrap() - 1.0);
+        assert_eq!(least("always v1.headway_s > 0"), ahead.min_time_headway_s.unwrap());
+        assert_eq!(least("always v1.time_gap_s > 0"), ahead.min_time_gap_s.unwrap());
+        assert!((least("always v1.drac_mps2 < 5") - (5.0 - ahead.max_drac_mps2.unwrap())).abs() < 1e-12);
+        assert!((least("always v0.accel_mps2 >= -3") - 0.0).abs() < 1e-9);
+        assert!((least("always v0.jerk_mps3 > -300") - 0.0).abs() < 1e-6);
+        assert_eq!(
+            least("always v2.closing_mps < 100"),
+            100.0
+                - trace.vehicles[2]
+                    .speed_mps
+                    .iter()
+                    .zip(&trace.vehicles[1].speed_mps)
+                    .map(|(r, f)| r - f)
+                    .fold(f64::NEG_INFINITY, f64::max)
+        );
+    }
+}

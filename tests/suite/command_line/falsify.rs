@@ -1,0 +1,216 @@
+//! `crumple falsify`: what it finds, what it leaves behind, and what becomes of it when it is killed.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::thread::sleep;
+use std::time::Duration;
+
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::record::RowAccessor;
+use rand::{RngExt, SeedableRng};
+use serde_json::Value;
+
+use super::{code, command, crumple, folder, objects, stderr, stdout};
+
+/// Every file below a folder, by its path from there.
+fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(&next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                found.insert(path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+fn assert_same(one: &Path, other: &Path) {
+    let (one, other) = (tree(one), tree(other));
+    assert_eq!(one.keys().collect::<Vec<_>>(), other.keys().collect::<Vec<_>>());
+    for (path, bytes) in &one {
+        assert!(other[path] == *bytes, "{} differs", path.display());
+    }
+}
+
+#[test]
+fn the_baseline_collides_in_the_papers_space_at_once() {
+    let folder = folder();
+    let campaign = [
+        "falsify",
+        "--controller",
+        "baseline",
+        "--space",
+        "paper",
+        "--budget",
+        "40",
+        "--out",
+        "found",
+        "--format",
+        "json",
+    ];
+    let output = crumple(folder.path(), &campaign);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let summary = objects(&output).remove(0);
+    assert_eq!((&summary["evaluations"], &summary["falsified"]), (&40.into(), &true.into()));
+    assert!(summary["first_falsification"].as_u64().unwrap() <= 3, "{}", summary["first_falsification"]);
+    assert!(summary["best_robustness"].as_f64().unwrap() < -5.0);
+    let methods: Vec<_> = summary["methods"].as_array().unwrap().iter().map(|m| m["method"].clone()).collect();
+    assert_eq!(methods, ["auto", "uniform", "halton"], "the yardsticks always run");
+    let counterexamples = summary["counterexamples"].as_array().unwrap();
+    assert!(!counterexamples.is_empty());
+    for found in counterexamples {
+        for field in ["robustness", "impact_speed_mps", "ln_likelihood"] {
+            assert!(found[field].is_f64(), "{field} in {found}");
+        }
+        assert_eq!((&found["avoidable"], &found["dt_fragile"]), (&"not-asked".into(), &false.into()));
+        // The file needs nothing else, and a finer step changes nothing.
+        let file = format!("found/{}", found["file"].as_str().unwrap());
+        for dt in ["0.01", "0.001"] {
+            let replayed = crumple(
+                folder.path(),
+                &[
+                    "simulate",
+                    &file,
+                    "--controller",
+                    "baseline",
+                    "--dt",
+                    dt,
+                    "--expect",
+                    "collision",
+                    "--format",
+                    "json",
+                ],
+            );
+            assert_eq!(code(&replayed), 0, "{}", stderr(&replayed));
+            let outcome = &objects(&replayed)[0]["outcome"];
+            assert_eq!(outcome["rear_vehicle"], found["rear_vehicle"]);
+            let (replayed, found) = (outcome["time_s"].as_f64().unwrap(), found["contact_time_s"].as_f64().unwrap());
+            assert!((replayed - found).abs() < 1e-3);
+        }
+    }
+    assert_eq!(
+        fs::read_to_string(folder.path().join("found/summary.json")).unwrap().parse::<Value>().unwrap(),
+        summary
+    );
+    check_log(&folder.path().join("found/evaluations/part-00000.parquet"));
+    let again = crumple(folder.path(), &campaign);
+    assert_eq!(code(&again), 2, "an existing campaign is not overwritten");
+    let resumed = crumple(folder.path(), &[&campaign[..], &["--resume"]].concat());
+    assert_eq!((code(&resumed), stdout(&resumed)), (0, stdout(&output)), "a complete one only repeats its summary");
+    let other = crumple(folder.path(), &[&campaign[..], &["--resume", "--seed", "5"]].concat());
+    assert_eq!(code(&other), 2);
+    assert!(stderr(&other).contains("another `seed`: 0 instead of 5"), "{}", stderr(&other));
+}
+
+/// Forty rows a method, with columns that say what they are, and a contact where robustness is negative.
+fn check_log(path: &Path) {
+    let reader = SerializedFileReader::new(fs::File::open(path).unwrap()).unwrap();
+    let columns: Vec<String> =
+        reader.metadata().file_metadata().schema_descr().columns().iter().map(|c| c.name().to_owned()).collect();
+    let at = |name: &str| columns.iter().position(|column| column == name).unwrap();
+    for name in ["lead_brake_mps2", "follower_class", "ln_likelihood", "ego_braking"] {
+        at(name);
+    }
+    let mut rows = 0;
+    for (index, row) in reader.get_row_iter(None).unwrap().enumerate() {
+        let row = row.unwrap();
+        assert_eq!(row.get_string(0).unwrap(), ["auto", "uniform", "halton"][index / 40]);
+        assert_eq!(row.get_long(1).unwrap(), index as i64 % 40 + 1);
+        assert!((2.0..=4.0).contains(&row.get_double(at("lead_brake_mps2")).unwrap()));
+        assert!(["light", "heavy"].contains(&row.get_string(at("follower_class")).unwrap().as_str()));
+        let failed = row.get_double(at("robustness")).unwrap() < 0.0;
+        assert_eq!(row.get_double(at("contact_time_s")).is_ok(), failed);
+        rows += 1;
+    }
+    assert_eq!(rows, 120);
+}
+
+const CAMPAIGN: [&str; 7] = ["falsify", "--controller", "match-leader", "--budget", "250", "--seed", "3"];
+
+#[test]
+fn a_campaign_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
+    let folder = folder();
+    let through = command(folder.path(), &[&CAMPAIGN[..], &["--out", "through"]].concat())
+        .env("RAYON_NUM_THREADS", "1")
+        .output()
+        .unwrap();
+    assert_eq!(code(&through), 0, "{}", stderr(&through));
+    let resume = [&CAMPAIGN[..], &["--out", "killed", "--resume"]].concat();
+    let mut moments = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
+    let mut killed = 0;
+    for round in 0..12 {
+        let mut child = command(folder.path(), &resume)
+            .env("RAYON_NUM_THREADS", "3")
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        sleep(Duration::from_millis(moments.random_range(5..150 + 100 * round)));
+        // SIGKILL: nothing can be tidied up.
+        child.kill().unwrap();
+        killed += u32::from(!child.wait().unwrap().success());
+    }
+    assert!(killed >= 2, "killed {killed} times");
+    let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
+    assert_eq!((code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));
+    assert_same(&folder.path().join("through"), &folder.path().join("killed"));
+}
+
+#[test]
+fn a_formula_is_falsified_without_a_contact() {
+    let folder = folder();
+    let formula = "always v1.time_gap_s > 0.3";
+    let arguments =
+        ["falsify", "--controller", "match-leader", "--space", "paper", "--budget", "60", "--spec", formula];
+    let output = crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let summary = objects(&output).remove(0);
+    assert_eq!(summary["specification"].as_str().unwrap().replace("[0,inf]", ""), formula);
+    assert!(summary["methods"][0]["best_robustness"].as_f64().is_some());
+}
+
+#[test]
+fn mistakes_are_said_before_anything_is_written() {
+    let folder = folder();
+    let good = include_str!("../../../src/scenario/space/built_in/paper.toml");
+    let line = 1 + good.lines().position(|line| line.contains("deviation = 0.2, low = 2.0")).unwrap();
+    fs::write(folder.path().join("bad.toml"), good.replace("deviation = 0.2, low = 2.0", "deviation = -1, low = 2.0"))
+        .unwrap();
+    let falsify = |arguments: &[&str]| {
+        let output = crumple(folder.path(), &[&["falsify", "--controller", "baseline"], arguments].concat());
+        assert_eq!((code(&output), stdout(&output)), (2, ""));
+        stderr(&output).to_owned()
+    };
+    let expected = format!("error: bad.toml:{line}: parameters[4].distribution.normal: needs a finite mean");
+    let found = falsify(&["--space", "bad.toml"]);
+    assert!(found.starts_with(&expected), "{found}");
+    assert!(falsify(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk) nor a file"));
+    assert!(falsify(&["--space", "none.toml"]).contains("none.toml: No such file"));
+    assert!(falsify(&["--spec", "always v1.gap_m >"]).contains("--spec: column 18"));
+    assert!(
+        falsify(&["--spec", "always v7.gap_m > 0"]).contains("there is no signal `v7.gap_m`; there are: v0.position_m")
+    );
+    assert!(falsify(&["--method", "best"]).contains("there is no method `best`"));
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "only the bad space is there");
+}
+
+#[test]
+fn benchmark_counterexamples_are_files_and_are_rechecked_from_them() {
+    let folder = folder();
+    let arguments =
+        ["benchmark", "chasing-cars", "--budget", "20", "--seeds", "1", "--out", "cars", "--format", "json"];
+    let output = crumple(folder.path(), &arguments);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let successes: u64 =
+        objects(&output)[0]["rows"].as_array().unwrap().iter().map(|row| row["successes"].as_u64().unwrap()).sum();
+    let files = tree(&folder.path().join("cars"));
+    assert!(successes >= 3 && files.len() as u64 == successes, "{successes} {:?}", files.keys());
+    assert!(stderr(&output).contains(&format!("wrote {successes} counterexamples to cars; the replay confirms each")));
+}
