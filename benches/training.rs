@@ -172,9 +172,16 @@ impl WithSimd for InRegisters {
         let (factor, term) = divan::black_box((simd.splat_f32s(0.999), simd.splat_f32s(0.5)));
         let mut sums = [simd.splat_f32s(1.0); SUMS];
         for _ in 0..self.0 {
-            sums = sums.map(|sum| simd.mul_add_f32s(sum, factor, term));
+            // A loop, since a closure would not be compiled for the wide registers.
+            for sum in &mut sums {
+                *sum = simd.mul_add_f32s(*sum, factor, term);
+            }
         }
-        sums.into_iter().map(|sum| simd.reduce_sum_f32s(sum)).sum()
+        let mut total = 0.0;
+        for sum in sums {
+            total += simd.reduce_sum_f32s(sum);
+        }
+        total
     }
 }
 
