@@ -153,7 +153,8 @@ mod tests {
         }
         assert!([6.0, 7.0, 8.0].contains(&shrunk[gap]), "{}", shrunk[gap]);
         assert!(shrunk[brake..brake + 5].iter().all(|share| *share == shrunk[brake]), "one piece: {shrunk:?}");
-        assert!((0.72..=0.91).contains(&shrunk[brake]) && (shrunk[brake] * 100.0).fract().abs() < 1e-9);
+        let percent = 100.0 * shrunk[brake];
+        assert!((72.0..=91.0).contains(&percent) && (percent - percent.round()).abs() < 1e-9, "{percent}");
     }
 
     proptest! {
