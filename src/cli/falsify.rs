@@ -17,8 +17,8 @@ use crate::sim::Contender;
 #[command(after_long_help = "\
 The method and two yardsticks (uniform points, a Halton sequence) get the same budget each. Failures are replayed at the \
 scenario's step and at a tenth of it, shrunk, told apart and ranked. The folder holds every evaluation as Parquet \
-(`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a summary. An interrupted campaign goes \
-on with --resume, after a power cut too, and ends with the same bytes.
+(`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a summary. A campaign that was \
+interrupted, by `kill -9` too, goes on with --resume and ends with the same bytes.
 
 Formulas for --spec are over signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 and \
 v1.jerk_mps3, vehicles counted from the front.
@@ -76,7 +76,7 @@ impl Falsify {
             budget: self.budget,
             seed: self.seed,
         };
-        let bar = progress::bar("falsify", self.budget.saturating_mul(campaign.methods().len() as u64), quiet);
+        let bar = progress::campaign_bar(self.budget.saturating_mul(campaign.methods().len() as u64), quiet);
         let mut show = |state: &Progress| {
             bar.set_position(state.evaluations);
             bar.set_message(match state.method {

@@ -6,6 +6,8 @@ use crate::scenario::space::{Parameter, Space};
 const ROUNDS: usize = 2;
 /// Steps towards nominal, for each coordinate and round: half of the way, and half as much after each that failed.
 const STEPS: usize = 4;
+/// Rounding moves a value by this share of its range at most: a rounder value must not be a far more extreme one.
+const FURTHEST: f64 = 0.1;
 /// Decimals that are tried when rounding.
 const MOST_DECIMALS: i32 = 3;
 
@@ -108,7 +110,8 @@ fn round(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[
                 }
                 let mut changed = current.clone();
                 changed.get_mut(run.clone()).unwrap_or_default().fill(rounded);
-                if (low..=high).contains(&rounded) && attempt(current, changed, holds) {
+                let near = (rounded - value).abs() <= FURTHEST * (high - low);
+                if near && (low..=high).contains(&rounded) && attempt(current, changed, holds) {
                     break 'decimals;
                 }
             }
@@ -153,7 +156,8 @@ mod tests {
         }
         assert!([6.0, 7.0, 8.0].contains(&shrunk[gap]), "{}", shrunk[gap]);
         assert!(shrunk[brake..brake + 5].iter().all(|share| *share == shrunk[brake]), "one piece: {shrunk:?}");
-        assert!((0.72..=0.91).contains(&shrunk[brake]) && (shrunk[brake] * 100.0).fract().abs() < 1e-9);
+        let percent = 100.0 * shrunk[brake];
+        assert!((72.0..=91.0).contains(&percent) && (percent - percent.round()).abs() < 1e-9, "{percent}");
     }
 
     proptest! {
