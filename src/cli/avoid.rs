@@ -69,6 +69,7 @@ struct Report<'a> {
     scenario: &'a str,
     verdict: &'static str,
     best_min_gap_m: Option<f64>,
+    escape_min_gap_m: Option<f64>,
     min_gap_bound_m: Option<f64>,
     trigger_time_s: Option<f64>,
     effort_m2ps3: Option<f64>,
@@ -157,7 +158,8 @@ fn report<'a>(scenario: &'a Scenario, avoidance: &'a Avoidance) -> Report<'a> {
     Report {
         scenario: &scenario.spec().name,
         verdict: avoidance.verdict.name(),
-        best_min_gap_m: escape.map(|escape| escape.min_gap_m),
+        best_min_gap_m: avoidance.best_min_gap_m,
+        escape_min_gap_m: escape.map(|escape| escape.min_gap_m),
         min_gap_bound_m: avoidance.min_gap_bound_m,
         trigger_time_s: escape.and_then(|escape| escape.trigger_time_s),
         effort_m2ps3: escape.map(Escape::effort_m2ps3),
@@ -167,16 +169,16 @@ fn report<'a>(scenario: &'a Scenario, avoidance: &'a Avoidance) -> Report<'a> {
 }
 
 fn describe(report: &Report<'_>) -> String {
-    let Report { scenario, verdict, best_min_gap_m, min_gap_bound_m, trigger_time_s, programs, reason, .. } = report;
+    let Report { scenario, verdict, escape_min_gap_m, min_gap_bound_m, trigger_time_s, programs, reason, .. } = report;
     let mut text = format!("{scenario}: {verdict}\n");
     // Writing to a string cannot fail.
-    if let Some(gap_m) = best_min_gap_m {
+    if let Some(gap_m) = escape_min_gap_m {
         let _ = writeln!(text, "  smallest gap of the escape {gap_m:.2} m");
     }
     if let Some(bound_m) = min_gap_bound_m {
         let _ = writeln!(text, "  no driver keeps more than {bound_m:.2} m");
     }
-    match (trigger_time_s, best_min_gap_m) {
+    match (trigger_time_s, escape_min_gap_m) {
         (Some(time_s), _) => {
             let _ = writeln!(text, "  the follower's emergency brake fires at {time_s:.2} s");
         }

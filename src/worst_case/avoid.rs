@@ -52,6 +52,8 @@ pub enum AvoidError {
 pub struct Avoidance {
     /// The answer.
     pub verdict: Verdict,
+    /// The largest smallest gap of an escape that was replayed, in metres; the escape shown may have less (see [`EscapeKind`]).
+    pub best_min_gap_m: Option<f64>,
     /// No escape has a larger smallest gap, in metres: a bound over every controller. None if there is no bound, or no escape.
     pub min_gap_bound_m: Option<f64>,
     /// Convex programs solved.
@@ -113,7 +115,8 @@ pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, Av
     let situation = match Situation::new(family) {
         Ok(situation) => situation,
         Err(reason) => {
-            return Ok(Avoidance { verdict: Verdict::Undecided(reason), min_gap_bound_m: None, programs: 0 });
+            let verdict = Verdict::Undecided(reason);
+            return Ok(Avoidance { verdict, best_min_gap_m: None, min_gap_bound_m: None, programs: 0 });
         }
     };
     let mut search = Search::new(&situation);
@@ -125,19 +128,22 @@ pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, Av
             continue;
         }
         undecided = match conclude(family, &situation, &search, options.escape) {
-            Ok(verdict) => return Ok(found(&situation, &search, verdict)),
+            Ok(conclusion) => return Ok(found(&situation, &search, conclusion)),
             Err(reason) => Some(reason),
         };
     }
     let (low_m, high_m) = (search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m), search.bound_m());
     let reason = undecided.unwrap_or(Reason::TooClose { low_m, high_m });
-    Ok(found(&situation, &search, Verdict::Undecided(reason)))
+    Ok(found(&situation, &search, (Verdict::Undecided(reason), None)))
 }
 
-fn found(situation: &Situation, search: &Search<'_>, verdict: Verdict) -> Avoidance {
+/// A verdict, and the largest smallest gap of a replayed escape.
+type Conclusion = (Verdict, Option<f64>);
+
+fn found(situation: &Situation, search: &Search<'_>, (verdict, best_min_gap_m): Conclusion) -> Avoidance {
     let bound_m = search.bound_m().min(situation.first_gap_m(Side::Loose));
     let min_gap_bound_m = (bound_m > 0.0).then_some(bound_m);
-    Avoidance { verdict, min_gap_bound_m, programs: search.programs }
+    Avoidance { verdict, best_min_gap_m, min_gap_bound_m, programs: search.programs }
 }
 
 /// The control grids to try, in steps, coarse before fine, and which of them is the first that may give the answer.
@@ -157,7 +163,12 @@ fn cells(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usize>, usiz
 }
 
 /// The verdict of what a search has found so far, or why there is none yet.
-fn conclude(family: &Family, situation: &Situation, search: &Search<'_>, kind: EscapeKind) -> Result<Verdict, Reason> {
+fn conclude(
+    family: &Family,
+    situation: &Situation,
+    search: &Search<'_>,
+    kind: EscapeKind,
+) -> Result<Conclusion, Reason> {
     let best_m = search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m);
     if let Some(best) = search.best.as_ref().filter(|best| best.gap_m > 0.0) {
         if let Some(Reason::EgoResponse { vehicle }) = situation.escape_caveat {
@@ -168,12 +179,15 @@ fn conclude(family: &Family, situation: &Situation, search: &Search<'_>, kind: E
             EscapeKind::Gentlest => search.smoothed(best, Objective::GentlestEscape),
             EscapeKind::LeastJerk => search.smoothed(best, Objective::LeastJerk),
         };
-        let escape = Escape::replay(family.centre(), situation, smoothed.as_ref().unwrap_or(best));
+        let replay = |profile| Escape::replay(family.centre(), situation, profile);
+        let largest = replay(best);
+        let best_min_gap_m = largest.as_ref().map(|escape| escape.min_gap_m);
+        let escape = smoothed.as_ref().and_then(replay).or(largest);
         let escape = escape.ok_or_else(|| situation.escape_caveat.clone().unwrap_or(Reason::Replay))?;
         if !family.is_point() {
             certify(family, &escape)?;
         }
-        return Ok(Verdict::Avoidable(Box::new(escape)));
+        return Ok((Verdict::Avoidable(Box::new(escape)), best_min_gap_m));
     }
     let high_m = search.bound_m();
     if high_m >= 0.0 {
@@ -191,7 +205,7 @@ fn conclude(family: &Family, situation: &Situation, search: &Search<'_>, kind: E
     let proof = certificate::unavoidable(family.centre(), situation, search);
     let proof = proof.ok_or(Reason::TooClose { low_m: best_m, high_m })?;
     match crumple_verify::check(&proof) {
-        Ok(_) => Ok(Verdict::Unavoidable(Box::new(proof))),
+        Ok(_) => Ok((Verdict::Unavoidable(Box::new(proof)), None)),
         Err(rejection) => Err(Reason::Rejected { why: rejection.to_string() }),
     }
 }

@@ -1,8 +1,8 @@
 //! The convex program of one firing of the follower's brake.
 //!
 //! Variables are the smallest gap m and, for every ego and instant of a control grid, the change of speed w and the
-//! displacement d from coasting (see [`super::situation`]). Eliminating them would make every row dense: with 150 cells the
-//! sparse form is about thirty times faster. For a firing at step τ the rows are
+//! displacement d from coasting (see [`super::situation`]). Eliminating them would make every row dense; in the
+//! sparse form the work of an iteration grows with the number of cells, not with its cube. For a firing at step τ the rows are
 //!
 //! ```text
 //! d⁺ - d = H (w + w⁺) / 2          exact for an acceleration (w⁺ - w) / H held over the cell
