@@ -15,9 +15,13 @@
 //!
 //! # Ego: [`Members`]
 //! The actor decides every D steps; its answer u is held. It is affine in the symbols plus a rest, which becomes a new symbol. After
-//! s seconds w = v + u s, the speed is max(0, w), and the distance v s + u s²/2, plus at most max(-w) s/2 if some members stop: they
-//! would have reversed w²/(2|u|), and -w ≤ |u| s as v ≥ 0. If all members stop they cover at most v s/2. What this adds becomes
-//! new symbols too. So nothing that is uncertain is counted twice, and no symbol is ever merged with another.
+//! s seconds w = v + u s, the speed is max(0, w), and the distance v s + u s²/2 + max(0, -w)²/(2|u|), the last of which is at most
+//! max(-w) s/2, since -w ≤ |u| s as v ≥ 0. If all members stop they cover at most v s/2. What this adds becomes new symbols too.
+//! So nothing that is uncertain is counted twice, and no symbol is ever merged with another.
+//!
+//! Where some members stand at the beginning of the last step before the next decision and others move, the set is split in those
+//! two: who moves observes u as its acceleration and has stopped, if at all, within one step; who stands observes 0. Either set
+//! keeps what would belong to the other (a free speed below zero, for instance): too many members do no harm.
 //!
 //! # The follower's emergency brake
 //! It fires at the first instant at which guard = gap - θ (v_r - v_e) < 0. `travel` drives the members *whose follower has not
@@ -38,7 +42,7 @@ use super::{Dimension, Doubt, Ranges, Reached};
 use crate::interval::Interval;
 
 /// Most sets that are split off.
-const MOST_WINDOWS: usize = 200;
+const MOST_SETS: usize = 300;
 /// Bounds wider than this are given up, in m/s.
 const WIDEST_MPS: f64 = 40.0;
 
@@ -143,12 +147,25 @@ struct Drive<'a> {
     leader: Braking,
     gaps: [Form; 2],
     reached: Reached,
-    windows: usize,
+    sets: usize,
+    tube: Tube,
+    /// Whether no part of the tube is missing because all members of a set had touched.
+    tube_is_whole: bool,
 }
+
+/// For each decision, bounds of the eight numbers that are observed.
+pub type Tube = Vec<[Interval; OBSERVED]>;
 
 /// Bounds of what becomes of all members of a box.
 #[must_use]
 pub fn reach(scene: &Scene<'_>) -> Reached {
+    reach_with_tube(scene).0
+}
+
+/// The same, and bounds of all that is observed on the way, the last instant included, unless it was given up or surely
+/// ended in contact.
+#[must_use]
+pub fn reach_with_tube(scene: &Scene<'_>) -> (Reached, Option<Tube>) {
     let step = Interval::point(scene.step_s);
     let symbol = |dimension: Dimension| Form::symbol(dimension as usize, scene.ranges.get(dimension));
     let onset_range = scene.ranges.onset_steps;
@@ -160,15 +177,18 @@ pub fn reach(scene: &Scene<'_>) -> Reached {
         leader: Braking::new(speed, rate, onset, onset_range, step),
         gaps: [Dimension::GapAheadM, Dimension::GapBehindM].map(symbol),
         reached: Reached::NOTHING_YET,
-        windows: 0,
+        sets: 0,
+        tube: Vec::new(),
+        tube_is_whole: true,
     };
     let ego =
         Seen { distance: Form::default(), speed: symbol(Dimension::EgoSpeedMps), acceleration: Form::default() };
     let members = Members { k: 0, ego, symbols: Dimension::ALL.len() };
     let never = f64::from(scene.steps);
-    let touches = drive.travel(members, scene.follower_ttc_s.map(|_| [never, never]), true);
+    let follower = scene.follower_ttc_s.map(|_| drive.follower([never, never], &mut 0));
+    let touches = drive.travel(members, follower.as_ref(), true);
     drive.reached.touches = touches == Some(true);
-    drive.reached
+    (drive.reached, touches.filter(|_| drive.tube_is_whole).map(|_| drive.tube))
 }
 
 impl Drive<'_> {
@@ -191,12 +211,16 @@ impl Drive<'_> {
     }
 
     /// Drives to the end. Whether all members surely touch; none once it was given up.
-    fn travel(&mut self, mut members: Members, window: Option<[f64; 2]>, has_not_fired: bool) -> Option<bool> {
-        let follower = window.map(|window| self.follower(window, &mut members.symbols));
+    fn travel(&mut self, mut members: Members, follower: Option<&Braking>, has_not_fired: bool) -> Option<bool> {
+        self.sets += 1;
+        if self.sets > MOST_SETS {
+            self.doubt(Doubt::TooManySets { step: members.k }, &members.ego.speed);
+            return None;
+        }
         let mut all_touch = true;
-        let mut gaps = self.look(&members, follower.as_ref()).1;
+        let (mut seen, mut gaps) = self.look(&members, follower);
         while members.k < self.scene.steps {
-            let (seen, _) = self.look(&members, follower.as_ref());
+            self.record(members.k, &seen);
             let wanted = self.scene.actor.decide(&seen, &self.scene.observation_error).settled(members.symbols);
             if !(members.ego.speed.radius() < WIDEST_MPS && wanted.radius() < WIDEST_MPS) {
                 self.doubt(Doubt::TooWide { step: members.k }, &members.ego.speed);
@@ -205,28 +229,41 @@ impl Drive<'_> {
             if let (Some(follower), true) = (&follower, has_not_fired)
                 && let Some((window, is_last)) = self.firing(&members, &wanted, follower)
             {
-                self.windows += 1;
-                if self.windows > MOST_WINDOWS {
-                    self.doubt(Doubt::TooManyWindows { step: members.k }, &members.ego.speed);
-                    return None;
-                }
-                all_touch &= self.travel(members.clone(), Some(window), false)?;
+                let mut fired = members.clone();
+                let follower = self.follower(window, &mut fired.symbols);
+                all_touch &= self.travel(fired, Some(&follower), false)?;
                 if is_last {
                     return Some(all_touch);
                 }
             }
             let acts_mps2 = wanted.range();
-            members = members.after_decision(wanted, self.step, self.scene.decision_steps);
-            let now = self.look(&members, follower.as_ref()).1;
-            if self.compare(&members, &gaps, &now, acts_mps2, follower.as_ref()) {
-                return Some(all_touch);
+            let [moving, stopped] = members.after_decision(&wanted, self.step, self.scene.decision_steps);
+            let mut goes_on = None;
+            for members in [stopped, moving].into_iter().flatten() {
+                let (now_seen, now) = self.look(&members, follower);
+                if self.compare(&members, &gaps, &now, acts_mps2, follower) {
+                    self.tube_is_whole = false;
+                } else if self.scene.stop_at_doubt && self.reached.doubt.is_some() {
+                    return None;
+                } else if let Some((members, ..)) = goes_on.replace((members, now_seen, now)) {
+                    all_touch &= self.travel(members, follower, has_not_fired)?;
+                }
             }
-            if self.scene.stop_at_doubt && self.reached.doubt.is_some() {
-                return None;
+            match goes_on {
+                Some(next) => (members, seen, gaps) = next,
+                None => return Some(all_touch),
             }
-            gaps = now;
         }
+        self.record(members.k, &seen);
         Some(false)
+    }
+
+    fn record(&mut self, k: u32, seen: &[Form; OBSERVED]) {
+        let (decision, ranges) = ((k / self.scene.decision_steps) as usize, seen.each_ref().map(Form::range));
+        match self.tube.get_mut(decision) {
+            Some(known) => *known = std::array::from_fn(|i| known[i].hull(ranges[i])),
+            None => self.tube.push(ranges),
+        }
     }
 
     /// What is observed, and the gaps ahead and behind.
@@ -315,7 +352,7 @@ impl Drive<'_> {
 }
 
 impl Members {
-    /// The egos `steps` steps into a decision interval.
+    /// All egos `steps` steps into a decision interval; what they accelerate at is left open.
     fn moved(&self, wanted: &Form, step: Interval, steps: u32) -> Seen {
         let time = Interval::point(f64::from(steps)) * step;
         let half = Interval::point(0.5);
@@ -341,25 +378,52 @@ impl Members {
         Seen { distance: travelled, speed: rectified(&free), acceleration: wanted.clone() }
     }
 
-    /// The egos at the next decision, when they have accelerated at `wanted` unless they stand.
-    fn after_decision(&self, wanted: Form, step: Interval, decision_steps: u32) -> Self {
-        let a_step_before = self.moved(&wanted, step, decision_steps - 1).speed;
-        let mut symbols = self.symbols.max(wanted.terms().len());
+    /// The egos at the next decision: those that move at the beginning of the last step before it, and those that stand.
+    fn after_decision(&self, wanted: &Form, step: Interval, decision_steps: u32) -> [Option<Self>; 2] {
+        let Seen { distance, speed, .. } = &self.ego;
+        let [until_last, time] = [decision_steps - 1, decision_steps].map(|steps| Interval::point(f64::from(steps)) * step);
+        let half = Interval::point(0.5);
+        let free = |time: Interval| speed.clone().plus(&wanted.scaled(time));
+        let (before_last, acts) = (free(until_last).range(), wanted.range());
+        let braking = (-acts).max(Interval::ZERO);
+        if speed.is_zero() {
+            // Who stands accelerates at max(0, u).
+            let acceleration = rectified(wanted);
+            let travelled = distance.clone().plus(&acceleration.scaled(time.sqr() * half));
+            return [Some(self.next(travelled, acceleration.scaled(time), acceleration, decision_steps)), None];
+        }
+        let moving = || {
+            // Who stops in the last step would have reversed at no more than b h.
+            let end = free(time);
+            let reversing = (-end.range()).max(Interval::ZERO).min(braking * step);
+            let reversing = reversing.hull(Interval::ZERO);
+            let mut travelled = distance.clone().plus(&speed.scaled(time)).plus(&wanted.scaled(time.sqr() * half));
+            travelled.shift((reversing * step * half).hull(Interval::ZERO));
+            let mut speed = end;
+            speed.shift(reversing);
+            self.next(travelled, speed, wanted.clone(), decision_steps)
+        };
+        let stopped = || {
+            // From at most b s within at most s seconds.
+            let speed_mps = speed.range().max(Interval::ZERO).min(braking * until_last);
+            let mut travelled = distance.clone();
+            travelled.shift((speed_mps * until_last * half).hull(Interval::ZERO));
+            self.next(travelled, Form::default(), Form::default(), decision_steps)
+        };
+        let may_move = before_last.high() > 0.0 || acts.high() > 0.0;
+        let may_stand = before_last.low() <= 0.0 && acts.low() <= 0.0;
+        [may_move.then(moving), may_stand.then(stopped)]
+    }
+
+    fn next(&self, distance: Form, speed: Form, acceleration: Form, decision_steps: u32) -> Self {
+        let used = acceleration.terms().len().max(speed.terms().len()).max(distance.terms().len());
+        let mut symbols = self.symbols.max(used);
         let mut settle = |form: Form| {
             let settled = form.settled(symbols);
             symbols = symbols.max(settled.terms().len());
             settled
         };
-        let Seen { distance, speed, .. } = self.moved(&wanted, step, decision_steps);
-        let (distance, speed) = (settle(distance), settle(speed));
-        let range = wanted.range();
-        let acceleration = if a_step_before.range().low() > 0.0 || range.low() > 0.0 {
-            wanted
-        } else if a_step_before.is_zero() && range.high() <= 0.0 {
-            Form::default()
-        } else {
-            Form::constant(range.hull(Interval::ZERO))
-        };
-        Self { k: self.k + decision_steps, ego: Seen { distance, speed, acceleration }, symbols }
+        let ego = Seen { distance: settle(distance), speed: settle(speed), acceleration };
+        Self { k: self.k + decision_steps, ego, symbols }
     }
 }

@@ -14,8 +14,8 @@
 //! | cut of observations at the limit | two rectifiers | nothing while no member is cut |
 //! | single and double precision | bounds of each sum, from the weights | about 10⁻⁵ m/s² |
 //! | products (braking rate and time) | product of the radii | second order |
-//! | standing or not | max(0, v); some centimetres while members differ | |
-//! | which instant the follower fires at | one set for each decision interval in which it may, the instant a symbol | |
+//! | standing or not | one set for each decision interval in which some stop | some centimetres |
+//! | which instant the follower fires at | one set for each decision interval in which it may, the instant a symbol | little |
 //! | inside a decision interval | m (D h)²/8 off the smaller gap at its ends | about 2 cm |
 //!
 //! # What is not covered
@@ -36,7 +36,7 @@ use sha2::{Digest, Sha256};
 
 use crate::{Accepted, Rejection};
 pub use actor::{Actor, Layer, OBSERVED};
-pub use drive::{Scene, reach};
+pub use drive::{Scene, Tube, reach, reach_with_tube};
 pub use ranges::{Dimension, Ranges};
 
 /// Most cells of a partition, and most cuts of one cell.
@@ -108,9 +108,9 @@ pub enum Doubt {
         /// When.
         step: u32,
     },
-    /// The follower may fire at too many instants.
-    #[error("the follower's brake may fire in too many intervals, at step {step} still")]
-    TooManyWindows {
+    /// Too many cases have to be told apart: in which interval the follower fires, and the ego stops.
+    #[error("too many cases have to be told apart at step {step}")]
+    TooManySets {
         /// When.
         step: u32,
     },
