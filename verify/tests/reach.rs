@@ -1,5 +1,5 @@
 //! What reach statements say of a box is true of each of its members.
-#![allow(clippy::unwrap_used, unreachable_pub)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub)]
 
 use crumple_verify::reach::{Actor, Cell, Dimension, Doubt, Layer, Ranges, Reach, Scene, reach, reach_with_tube};
 use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, check, check_with};

@@ -84,5 +84,9 @@ fn tensor(listing: &Value, data: &[u8], name: &str, shape: &[usize]) -> Result<V
     let numbers = numbers.filter(|bytes| bytes.len() == 4 * shape.iter().product::<usize>());
     let (numbers, _) = numbers.ok_or_else(|| format!("tensor {name} is not what it should be"))?.as_chunks::<4>();
     let numbers: Vec<f64> = numbers.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect();
-    if numbers.iter().all(|value| value.is_finite()) { Ok(numbers) } else { Err(format!("tensor {name} is not finite")) }
+    if numbers.iter().all(|value| value.is_finite()) {
+        Ok(numbers)
+    } else {
+        Err(format!("tensor {name} is not finite"))
+    }
 }

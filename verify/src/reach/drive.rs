@@ -181,8 +181,7 @@ pub fn reach_with_tube(scene: &Scene<'_>) -> (Reached, Option<Tube>) {
         tube: Vec::new(),
         tube_is_whole: true,
     };
-    let ego =
-        Seen { distance: Form::default(), speed: symbol(Dimension::EgoSpeedMps), acceleration: Form::default() };
+    let ego = Seen { distance: Form::default(), speed: symbol(Dimension::EgoSpeedMps), acceleration: Form::default() };
     let members = Members { k: 0, ego, symbols: Dimension::ALL.len() };
     let never = f64::from(scene.steps);
     let follower = scene.follower_ttc_s.map(|_| drive.follower([never, never], &mut 0));
@@ -198,13 +197,8 @@ impl Drive<'_> {
         let window = Interval::new(first, last).unwrap_or(Interval::LINE);
         let onset = Form::symbol(*symbols, window);
         *symbols += 1;
-        let mut follower = Braking::new(
-            get(Dimension::FollowerSpeedMps),
-            get(Dimension::FollowerBrakeMps2),
-            onset,
-            window,
-            self.step,
-        );
+        let mut follower =
+            Braking::new(get(Dimension::FollowerSpeedMps), get(Dimension::FollowerBrakeMps2), onset, window, self.step);
         // It fires at instants only.
         follower.mean_held_m = Interval::ZERO;
         follower
@@ -302,7 +296,7 @@ impl Drive<'_> {
             guard.add(&follower.speed, -(theta + Interval::point(f64::from(instant)) * self.step));
             let guard = guard.range();
             let instant = f64::from(instant);
-            if !(guard.low() >= 0.0) {
+            if guard.low() < 0.0 {
                 let first = *first.get_or_insert(instant);
                 if guard.high() < 0.0 {
                     return Some(([first, instant], true));
@@ -333,7 +327,7 @@ impl Drive<'_> {
             let least = before[pair].range().min(now[pair].range());
             let gap_m = (least - m * eighth).low();
             self.reached.gaps_m[pair] = self.reached.gaps_m[pair].min(gap_m);
-            if !(gap_m > 0.0) {
+            if gap_m <= 0.0 {
                 self.doubt(Doubt::MayTouch { pair, step: members.k, gap_m }, &now[pair]);
             }
             touches |= now[pair].range().high() < 0.0;
@@ -381,7 +375,8 @@ impl Members {
     /// The egos at the next decision: those that move at the beginning of the last step before it, and those that stand.
     fn after_decision(&self, wanted: &Form, step: Interval, decision_steps: u32) -> [Option<Self>; 2] {
         let Seen { distance, speed, .. } = &self.ego;
-        let [until_last, time] = [decision_steps - 1, decision_steps].map(|steps| Interval::point(f64::from(steps)) * step);
+        let [until_last, time] =
+            [decision_steps - 1, decision_steps].map(|steps| Interval::point(f64::from(steps)) * step);
         let half = Interval::point(0.5);
         let free = |time: Interval| speed.clone().plus(&wanted.scaled(time));
         let (before_last, acts) = (free(until_last).range(), wanted.range());

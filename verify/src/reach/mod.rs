@@ -130,8 +130,7 @@ pub struct Reached {
 }
 
 impl Reached {
-    const NOTHING_YET: Self =
-        Self { gaps_m: [f64::INFINITY; 2], doubt: None, touches: false, sensitivity: [0.0; 8] };
+    const NOTHING_YET: Self = Self { gaps_m: [f64::INFINITY; 2], doubt: None, touches: false, sensitivity: [0.0; 8] };
 }
 
 impl Reach {
@@ -228,7 +227,8 @@ pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>) -> Result<Accepted, Re
         ("falsified_share_at_least", claim.falsified_share_at_least, falsified_share),
         ("min_gap_m_at_least", claim.min_gap_m_at_least, smallest_gap_m),
     ];
-    if let Some((field, ..)) = stated.iter().find(|(_, stated, found)| !(stated <= found)) {
+    let is_more = |(_, stated, found): &&(_, f64, f64)| stated.partial_cmp(found).is_none_or(std::cmp::Ordering::is_gt);
+    if let Some((field, ..)) = stated.iter().find(is_more) {
         return Err(Rejection::invalid(*field, "is more than is proved"));
     }
     Ok(Accepted::Reach { verified_share, falsified_share, smallest_gap_m })
