@@ -66,8 +66,7 @@ fn fitted() -> Vec<Layer> {
     for _ in 0..4000 {
         let (v_ego, d_rel, v_rel) =
             (25.0 + 8.0 * random(&mut state), 65.0 + 45.0 * random(&mut state), -4.0 + 8.0 * random(&mut state));
-        let mut h = forward(&layers, seen(v_ego, d_rel, v_rel), 5);
-        h.push(1.0);
+        let h = [forward(&layers, seen(v_ego, d_rel, v_rel), 5), vec![1.0]].concat();
         let target = law(v_ego, d_rel, v_rel);
         for i in 0..21 {
             (0..21).for_each(|j| rows[i][j] += h[i] * h[j]);
@@ -147,16 +146,14 @@ fn the_whole_box_is_safe_at_once() {
     let symbol = |i: usize, low: f64, high: f64| Form::symbol(i, Interval::new(low, high).unwrap());
     let mut lead = Car { x: symbol(0, 90.0, 110.0), v: symbol(1, 32.0, 32.2), gamma: Form::default() };
     let mut ego = Car { x: symbol(2, 10.0, 11.0), v: symbol(3, 30.0, 30.2), gamma: Form::default() };
-    let mut symbols = 4;
     let mut least = f64::INFINITY;
-    for _ in 0..PERIODS {
+    for symbol in 4..4 + PERIODS {
         let d_rel = lead.x.clone().minus(&ego.x);
         let v_rel = lead.v.clone().minus(&ego.v);
         let [constant, headway] = [30.0, 1.4].map(|value| Form::constant(Interval::point(value)));
         let zero = Form::default;
         let inputs = [constant, headway, ego.v.clone(), d_rel.clone(), v_rel.clone(), zero(), zero(), zero()];
-        let a = answer(&layers, &inputs).settled(symbols);
-        symbols += 1;
+        let a = answer(&layers, &inputs).settled(symbol);
         let mut margin = d_rel;
         margin.add(&ego.v, Interval::point(-1.4));
         // Between two decisions the margin changes by no more than its rate at its largest.
