@@ -174,7 +174,9 @@ impl ReachPlan {
                 && v.jerk_limit_mps3.is_none()
         });
         if ego.driver != Driver::UnderTest || !is_plain {
-            return Err(wrong("one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk"));
+            return Err(wrong(
+                "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk",
+            ));
         }
         let follower_ttc_s = match rest {
             [] => None,
@@ -190,7 +192,8 @@ impl ReachPlan {
         }
         let step_s = scenario.spec().step_s;
         let or = |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
-        let of_follower = |range, value: fn(&crate::scenario::VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
+        let of_follower =
+            |range, value: fn(&crate::scenario::VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
         let given = &spec.ranges;
         let onset_s = or(given.onset_s, brake.onset_s);
         let ranges = Ranges {
@@ -322,7 +325,9 @@ impl ReachPlan {
             let node = &nodes[number];
             partition.push(node.cell);
             match node.cell {
-                Cell::Cut(_) => pending.extend(node.halves.iter().flat_map(|&lower| [lower + 1, lower].map(|n| (n, volume / 2.0)))),
+                Cell::Cut(_) => {
+                    pending.extend(node.halves.iter().flat_map(|&lower| [lower + 1, lower].map(|n| (n, volume / 2.0))))
+                }
                 Cell::Verified => verified += volume,
                 Cell::Falsified(_) => falsified += volume,
                 Cell::Undecided => match node.reached.and_then(|reached| reached.doubt) {
@@ -415,5 +420,13 @@ mod tests {
             }
             other => panic!("{other:?}"),
         }
+    }
+
+    /// What certificates assume of the tanh that policies are driven with, four times as well.
+    #[test]
+    fn single_precision_tanh_is_as_good_as_assumed() {
+        let all = (0..u32::MAX / 997).map(|k| f32::from_bits(k * 997)).filter(|z| z.is_finite());
+        let worst = all.map(|z| (f64::from(libm::tanhf(z)) - f64::from(z).tanh()).abs()).fold(0.0, f64::max);
+        assert!(worst < crumple_verify::reach::actor::TANH_ERROR / 4.0, "{worst:e}");
     }
 }

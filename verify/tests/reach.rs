@@ -315,3 +315,32 @@ fn a_box_takes_a_fraction_of_a_second() {
         println!("{name}: {:?} {reached:?}", begin.elapsed());
     }
 }
+
+proptest! {
+    /// Each function of a form holds the function's value for the same symbols.
+    #[test]
+    fn functions_of_forms_hold_the_values(
+        centre in -6.0..6.0_f64, radii in prop::array::uniform3(0.0..2.0_f64), at in prop::array::uniform3(-1.0..=1.0_f64),
+    ) {
+        use crumple_verify::reach::{form::Form, relax};
+        let mut form = Form::constant(Interval::point(centre));
+        let mut value = centre;
+        for (symbol, (radius, at)) in radii.into_iter().zip(at).enumerate() {
+            form.add(&Form::symbol(symbol, between(-1.0, 1.0)), Interval::point(radius));
+            value += radius * at;
+        }
+        let holds = |f: &Form, expected: f64| {
+            let terms: f64 = f.terms().iter().zip(at).map(|(term, at)| term * at).sum();
+            (f.centre() + terms - expected).abs() <= f.rest() + 1e-9 * (1.0 + expected.abs())
+        };
+        prop_assert!(holds(&form, value));
+        prop_assert!(holds(&relax::hyperbolic_tangent(&form), value.tanh()));
+        prop_assert!(holds(&relax::rectified(&form), value.max(0.0)));
+        prop_assert!(holds(&relax::rectified_square(&form), value.max(0.0).powi(2)));
+        prop_assert!(holds(&relax::reciprocal(&form), 1.0 / value));
+        prop_assert!(holds(&form.times(&form), value * value));
+        let tanh = relax::tanh(value);
+        prop_assert!(tanh.low() - 1e-15 <= value.tanh() && value.tanh() <= tanh.high() + 1e-15);
+        prop_assert!(tanh.high() - tanh.low() < 1e-11);
+    }
+}
