@@ -208,7 +208,7 @@ impl Drive<'_> {
     fn travel(&mut self, mut members: Members, follower: Option<&Braking>, has_not_fired: bool) -> Option<bool> {
         self.sets += 1;
         if self.sets > MOST_SETS {
-            self.doubt(Doubt::TooManySets { step: members.k }, &members.ego.speed);
+            self.doubt(Doubt::TooManySets { step: members.k }, &members.ego.distance);
             return None;
         }
         let mut all_touch = true;
