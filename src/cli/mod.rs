@@ -10,6 +10,7 @@ mod import;
 mod list;
 mod output;
 mod progress;
+mod reach;
 mod simulate;
 mod subject;
 mod train;

@@ -10,7 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::output::{self, Files};
-use super::{Failure, progress, subject};
+use super::{Failure, progress, reach, subject};
 use crate::estimate::EstimatorKind;
 use crate::evidence::{Plan, PlanDriver, Tally, shipped_kernels};
 use crate::scenario::space::Space;
@@ -27,6 +27,7 @@ pub(super) struct Verify {
 enum Claim {
     Shield(Shield),
     Rate(Box<Rate>),
+    Reach(Box<reach::Reach>),
 }
 
 /// The kernel a shield relies on, one certificate for each pair of vehicle classes
@@ -84,6 +85,7 @@ impl Verify {
         match self.claim {
             Claim::Shield(shield) => shield.run(),
             Claim::Rate(rate) => rate.run(quiet),
+            Claim::Reach(reach) => reach.run(quiet),
         }
     }
 }

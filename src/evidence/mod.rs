@@ -1,12 +1,14 @@
-//! What can be claimed with a certificate: kernels of shields, and failure rates.
+//! What can be claimed with a certificate: kernels of shields, failure rates, and where a policy cannot fail.
 //!
 //! This side proposes; `crumple_verify` decides. Nothing is written that it has not accepted.
 
 mod kernel;
 mod rate;
+mod reach;
 
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use rate::{InvalidPlan, Plan, PlanDriver, RateError, Tally};
+pub use reach::{BoxSpec, Doubts, InvalidBox, Partition, RangesSpec, ReachPlan, Shares};
 
 use crumple_verify::{Certificate, Provenance, Statement};
 

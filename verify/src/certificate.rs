@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::claim::{Held, Scene};
 use crate::kernel::Kernel;
 use crate::rate::{Comparison, Rate};
+use crate::reach::Reach;
 
 /// The only version of the format so far.
 pub const VERSION: u32 = 1;
@@ -56,6 +57,12 @@ pub enum Assumption {
     LeaderWithinLimit,
     /// From every decision on, the own vehicle can brake at the stated rate.
     EgoCanBrake,
+    /// The own vehicle does at once what the stated policy asks for, at the stated instants.
+    PolicyDrives,
+    /// What the policy observes is within the stated errors of the truth.
+    ObservedWithin,
+    /// The single-precision tanh is within 2⁻²² of the true one.
+    TanhWithin,
     /// Runs are independent draws, and the registration was made before the first of them.
     RegisteredDraws,
     /// Noise is that of the scenario's seed, contained in the stated accelerations. The only one that is optional.
@@ -74,6 +81,9 @@ impl std::fmt::Display for Assumption {
             Self::EgoOnProfile => "the vehicles under test follow the stated profile at once",
             Self::LeaderWithinLimit => "the vehicle ahead never brakes harder than stated",
             Self::EgoCanBrake => "from every decision on, the own vehicle can brake at the stated rate",
+            Self::PolicyDrives => "the vehicle under test does at once what the stated policy asks for",
+            Self::ObservedWithin => "what the policy observes is within the stated errors of the truth",
+            Self::TanhWithin => "tanh in single precision is within 2^-22 of the true one",
             Self::RegisteredDraws => "runs are independent draws, and were registered before the first of them",
             Self::NoiseOfSeed => "noise is that of the scenario's seed",
         })
@@ -94,6 +104,8 @@ pub enum Statement {
     Rate(Rate),
     /// One controller fails less often than another.
     Comparison(Comparison),
+    /// A policy keeps parts of a box free of contact.
+    Reach(Reach),
 }
 
 impl Statement {
@@ -129,6 +141,11 @@ impl Statement {
                 return vec![Assumption::ExactMotion, Assumption::LeaderWithinLimit, Assumption::EgoCanBrake];
             }
             Self::Rate(_) | Self::Comparison(_) => return vec![Assumption::RegisteredDraws],
+            Self::Reach(claim) => {
+                let needed = [Assumption::ExactMotion, Assumption::ScriptedLeader, Assumption::PolicyDrives];
+                let needed = needed.into_iter().chain([Assumption::ObservedWithin, Assumption::TanhWithin]);
+                return needed.chain(claim.follower_ttc_s.map(|_| Assumption::LatchedFollower)).collect();
+            }
         };
         let follower = scene.follower.as_ref().map(|_| Assumption::LatchedFollower);
         [Assumption::ExactMotion, Assumption::ScriptedLeader, about_egos].into_iter().chain(follower).collect()

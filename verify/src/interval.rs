@@ -19,8 +19,10 @@ pub struct Interval {
 impl Interval {
     /// Exactly zero.
     pub const ZERO: Self = Self { low: 0.0, high: 0.0 };
+    /// Exactly one.
+    pub const ONE: Self = Self { low: 1.0, high: 1.0 };
     /// The whole line.
-    const LINE: Self = Self { low: f64::NEG_INFINITY, high: f64::INFINITY };
+    pub(crate) const LINE: Self = Self { low: f64::NEG_INFINITY, high: f64::INFINITY };
 
     /// The numbers from `low` to `high`; none unless both are finite and in order.
     #[must_use]
@@ -32,6 +34,25 @@ impl Interval {
     #[must_use]
     pub fn point(value: f64) -> Self {
         Self::new(value, value).unwrap_or(Self::LINE)
+    }
+
+    /// The numbers from -`radius` to `radius`; the whole line unless `radius` is a finite number that is not negative.
+    #[must_use]
+    pub fn around_zero(radius: f64) -> Self {
+        Self::new(-radius, radius).unwrap_or(Self::LINE)
+    }
+
+    /// A number near the middle, and a bound of every member's distance from it.
+    #[must_use]
+    pub fn middle_and_radius(self) -> (f64, f64) {
+        if self.low == self.high {
+            return (self.low, 0.0);
+        }
+        let middle = 0.5 * self.low + 0.5 * self.high;
+        if !middle.is_finite() {
+            return (0.0, f64::INFINITY);
+        }
+        (middle, (self.high - middle).max(middle - self.low).next_up())
     }
 
     /// Its lower end.

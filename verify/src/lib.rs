@@ -9,7 +9,8 @@
 //! 4. [`unavoidable`]: whatever is done, somebody touches;
 //! 5. [`kernel`]: from which states contact can be avoided for ever; [`polynomial`] is its arithmetic;
 //! 6. [`rate`]: what counted failures show;
-//! 7. [`certificate`]: the file.
+//! 7. [`reach`]: where a learned policy can take a whole box of starts;
+//! 8. [`certificate`]: the file.
 //!
 //! # What is claimed
 //! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test; behind them, perhaps, a follower
@@ -18,6 +19,7 @@
 //!
 //! - *Avoidable*: if the egos follow the stated profile, which is within their limits, nobody touches.
 //! - *Unavoidable*: for no accelerations of the egos within their limits, however they are decided, does nobody touch.
+//! - *Reach*: driven by the stated network, nobody touches from any start in the parts of the box marked so.
 //! - *Kernel*, *rate*, *fails less often*: about no one scene; said where they are checked.
 //!
 //! # What is assumed
@@ -61,6 +63,7 @@ pub mod kernel;
 pub mod motion;
 pub mod polynomial;
 pub mod rate;
+pub mod reach;
 pub mod unavoidable;
 
 pub use certificate::{
@@ -70,6 +73,7 @@ pub use claim::{Ego, Follower, Held, Leader, Scene};
 pub use interval::Interval;
 pub use kernel::Kernel;
 pub use rate::{Comparison, Rate, Registration};
+pub use reach::Reach;
 
 /// What has been proved.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -99,6 +103,15 @@ pub enum Accepted {
         /// With this confidence.
         confidence: f64,
     },
+    /// From every start in parts of a box nobody touches.
+    Reach {
+        /// Their share of its volume.
+        verified_share: f64,
+        /// Share of the cells of which a member is known to touch.
+        falsified_share: f64,
+        /// No gap is ever smaller in the verified ones, in metres.
+        smallest_gap_m: f64,
+    },
 }
 
 impl std::fmt::Display for Accepted {
@@ -118,6 +131,11 @@ impl std::fmt::Display for Accepted {
             Self::FailsLessOften { confidence } => {
                 write!(formatter, "comparison: the first controller fails less often, at confidence {confidence}")
             }
+            Self::Reach { verified_share, falsified_share, smallest_gap_m } => write!(
+                formatter,
+                "reach: in {verified_share} of the box no gap is ever smaller than {smallest_gap_m} m; {falsified_share} of it \
+                 is in cells with a start that ends in contact"
+            ),
         }
     }
 }
@@ -174,6 +192,20 @@ pub enum Rejection {
         /// The lower bound found, in metres.
         sum_m: f64,
     },
+    /// The policy file is missing, another one, or not usable.
+    #[error("the policy file {problem}")]
+    Policy {
+        /// What is wrong.
+        problem: String,
+    },
+    /// What is said of a cell of a partition is not proved.
+    #[error("leaf {leaf} of `partition`: {problem}")]
+    Leaf {
+        /// Which one, among those that are not cut.
+        leaf: usize,
+        /// What stands against it.
+        problem: String,
+    },
     /// What was observed is not rare enough where the claim is false.
     #[error(
         "what was observed, or better, may have probability {tail:e} if the claim is false, and {allowed:e} is allowed"
@@ -192,11 +224,19 @@ impl Rejection {
     }
 }
 
-/// Checks a certificate.
+/// Checks a certificate that needs no other file.
 ///
 /// # Errors
 /// [`Rejection`] if it does not prove what it states.
 pub fn check(certificate: &Certificate) -> Result<Accepted, Rejection> {
+    check_with(certificate, None)
+}
+
+/// Checks a certificate, with the bytes of the policy file it speaks about.
+///
+/// # Errors
+/// [`Rejection`] if it does not prove what it states.
+pub fn check_with(certificate: &Certificate, policy: Option<&[u8]>) -> Result<Accepted, Rejection> {
     if !certificate.lists_its_assumptions() {
         return Err(Rejection::Assumptions { needed: certificate.statement.assumptions() });
     }
@@ -206,5 +246,6 @@ pub fn check(certificate: &Certificate) -> Result<Accepted, Rejection> {
         Statement::Kernel(claim) => kernel::check(claim),
         Statement::Rate(claim) => rate::check_rate(claim),
         Statement::Comparison(claim) => rate::check_comparison(claim),
+        Statement::Reach(claim) => reach::check(claim, policy),
     }
 }

@@ -1,0 +1,85 @@
+//! `crumple verify reach`: how much of a box of starts a policy keeps free of contact.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use crumple_verify::check_with;
+
+use super::output::{self, Files};
+use super::simulate::Format;
+use super::{Failure, subject};
+use crate::evidence::{BoxSpec, Partition, ReachPlan, Shares};
+use crate::sim::Contender;
+
+/// From which part of a box of starts a learned policy touches nobody
+#[derive(Args)]
+#[command(after_long_help = "\
+The network, the vehicles and the follower's emergency brake are bounded for all members of a box at once, rounding included. \
+A box that stays undecided is cut in two, again and again. The policy sees the truth, or numbers within the stated errors of it. \
+The policy file is written beside the certificate, which `crumple-verify` checks from these two files alone.
+
+Example:
+  crumple verify reach --controller policy --box corpora/boxes/paper-1.toml --depth 6 --certificate reach/paper-1.json")]
+pub(super) struct Reach {
+    /// A learned policy: `policy`, or a policy file
+    #[arg(long, value_name = "C", default_value = "policy", value_parser = subject::controller)]
+    controller: Contender,
+    /// The box
+    #[arg(long = "box", value_name = "FILE")]
+    starts: PathBuf,
+    /// How often one box is cut at most
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(0..=40))]
+    depth: u32,
+    /// Where the certificate goes
+    #[arg(long, value_name = "FILE")]
+    certificate: Option<PathBuf>,
+    /// How results are printed
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+impl Reach {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let place = self.starts.display();
+        let failed = |error: crate::evidence::InvalidBox| Failure::Input(format!("{place}: {error}"));
+        let is_shielded = matches!(self.controller.controller, crate::sim::UnderTest::Shielded(_));
+        let policy = self.controller.policy().filter(|_| !is_shielded);
+        let policy = policy.ok_or_else(|| Failure::Input("--controller: must be a learned policy".to_owned()))?;
+        let text = std::fs::read_to_string(&self.starts).map_err(|e| Failure::environment(&self.starts, e))?;
+        let plan = ReachPlan::new(policy, &BoxSpec::from_toml(&text).map_err(failed)?).map_err(failed)?;
+        let told = |now: &Shares| output::note(&line(now), quiet);
+        let partition = plan.partition(self.depth, told).map_err(failed)?;
+        let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()))
+            .map_err(|rejection| Failure::Gate(format!("not shown: {rejection}")))?;
+        if let Some(path) = &self.certificate {
+            let mut files = Files::default();
+            let text = serde_json::to_string_pretty(&partition.certificate).map_err(Failure::input)? + "\n";
+            files.stage(path, text.as_bytes())?;
+            files.stage(&path.parent().unwrap_or(Path::new("")).join(plan.policy_file()), plan.policy_bytes())?;
+            files.commit()?;
+        }
+        let Partition { shares, doubts, .. } = &partition;
+        output::print(&match self.format {
+            Format::Json => {
+                let result = serde_json::json!({ "shares": shares, "doubts": doubts });
+                serde_json::to_string(&result).map_err(Failure::input)? + "\n"
+            }
+            Format::Text => {
+                let lines: String = shares.iter().map(|now| line(now) + "\n").collect();
+                let crate::evidence::Doubts { ahead, behind, too_wide } = doubts;
+                format!(
+                    "{lines}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too wide\n\
+                     accepted: {accepted}\n"
+                )
+            }
+        })
+    }
+}
+
+fn line(now: &Shares) -> String {
+    let [verified, falsified, undecided] = [now.verified, now.falsified, now.undecided].map(|share| 100.0 * share);
+    format!(
+        "depth {:2}: {verified:6.2} % verified, {falsified:6.2} % falsified, {undecided:6.2} % undecided; {} boxes, {:.2} s",
+        now.depth, now.boxes, now.seconds
+    )
+}

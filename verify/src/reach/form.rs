@@ -1,0 +1,178 @@
+//! Affine forms: numbers that remember what they depend on.
+//!
+//! A form is the set of numbers c + Σ aᵢ εᵢ + ρ with εᵢ and ρ/rest in [-1, 1]. The symbols εᵢ are shared between forms, so
+//! that what two forms have in common cancels when one is subtracted from the other; `rest` is shared with nobody.
+//!
+//! # Rounding
+//! An operation that changes terms computes each of them with at most three roundings. Each rounding of a result r errs by at
+//! most u |r| with u = 2⁻⁵³, or by less than 10⁻³⁰⁰ if it underflows. The sum of the |r| times 4u goes into `rest`, twice what is
+//! needed, which also pays for rounding that very sum. Sums of n ≤ 4096 numbers that are not negative err by less than
+//! 10⁻¹² of themselves. A number that is not finite makes the form the whole line.
+
+use crate::interval::Interval;
+
+/// More than the relative error of a sum of 4096 products, (4096 + 2) 2⁻⁵³.
+pub(super) const SLACK: f64 = 1e-12;
+
+/// An upper bound of a number that is not negative and was computed with at most five roundings.
+pub(super) fn up(computed: f64) -> f64 {
+    computed * (1.0 + 1e-15) + 1e-300
+}
+
+/// What is not worth a symbol.
+const NEXT_TO_NOTHING: f64 = 1e-9;
+
+/// c + Σ aᵢ εᵢ + ρ.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Form {
+    centre: f64,
+    terms: Vec<f64>,
+    rest: f64,
+}
+
+impl Form {
+    /// The whole line.
+    #[must_use]
+    pub fn line() -> Self {
+        Self { centre: 0.0, terms: Vec::new(), rest: f64::INFINITY }
+    }
+
+    /// Any member of an interval, for each use another one.
+    #[must_use]
+    pub fn constant(value: Interval) -> Self {
+        let mut form = Self::default();
+        form.shift(value);
+        form
+    }
+
+    /// The same member of an interval wherever `symbol` is used.
+    #[must_use]
+    pub fn symbol(symbol: usize, value: Interval) -> Self {
+        Self::constant(value).settled(symbol)
+    }
+
+    /// The same set with `rest` as a term of its own, unless it is next to nothing: `symbol` must be used by no other form.
+    #[must_use]
+    pub fn settled(mut self, symbol: usize) -> Self {
+        if self.rest > NEXT_TO_NOTHING {
+            self.terms.resize(self.terms.len().max(symbol + 1), 0.0);
+            self.terms[symbol] = self.rest;
+            self.rest = 0.0;
+        }
+        self
+    }
+
+    /// c.
+    #[must_use]
+    pub fn centre(&self) -> f64 {
+        self.centre
+    }
+
+    /// The aᵢ, as far as they are stored; the others are 0.
+    #[must_use]
+    pub fn terms(&self) -> &[f64] {
+        &self.terms
+    }
+
+    /// What no symbol accounts for.
+    #[must_use]
+    pub fn rest(&self) -> f64 {
+        self.rest
+    }
+
+    /// Largest distance from c.
+    #[must_use]
+    pub fn radius(&self) -> f64 {
+        up((self.terms.iter().map(|term| term.abs()).sum::<f64>() + self.rest) * (1.0 + SLACK))
+    }
+
+    /// All its members.
+    #[must_use]
+    pub fn range(&self) -> Interval {
+        if *self == Self::default() {
+            return Interval::ZERO;
+        }
+        Interval::point(self.centre) + Interval::around_zero(self.radius())
+    }
+
+    /// Whether it is exactly zero.
+    #[must_use]
+    pub fn is_zero(&self) -> bool {
+        self.centre == 0.0 && self.rest == 0.0 && self.terms.iter().all(|&term| term == 0.0)
+    }
+
+    /// Adds what may be any number from -`by` to `by`.
+    pub fn widen(&mut self, by: f64) {
+        self.rest = up(self.rest + by);
+    }
+
+    /// Adds a member of an interval.
+    pub fn shift(&mut self, by: Interval) {
+        let (middle, radius) = by.middle_and_radius();
+        let centre = self.centre + middle;
+        let rounding = if self.centre == 0.0 || middle == 0.0 { 0.0 } else { centre.abs() * f64::EPSILON };
+        if radius > 0.0 || rounding > 0.0 {
+            self.widen(radius + rounding);
+        }
+        self.centre = centre;
+    }
+
+    /// Adds another form times a number.
+    pub fn add(&mut self, other: &Self, factor: Interval) {
+        if other.is_zero() {
+            return;
+        }
+        let (factor, uncertain) = factor.middle_and_radius();
+        self.terms.resize(self.terms.len().max(other.terms.len()), 0.0);
+        let mut rounded = 0.0;
+        let mut add = |to: &mut f64, from: f64| {
+            let product = factor * from;
+            *to += product;
+            rounded += product.abs() + to.abs();
+        };
+        add(&mut self.centre, other.centre);
+        for (to, &from) in self.terms.iter_mut().zip(&other.terms) {
+            add(to, from);
+        }
+        let mut more = factor.abs() * other.rest + rounded * (2.0 * f64::EPSILON);
+        if uncertain > 0.0 {
+            more += uncertain * (other.centre.abs() + other.radius());
+        }
+        self.widen(more);
+    }
+
+    /// The form times a number.
+    #[must_use]
+    pub fn scaled(&self, factor: Interval) -> Self {
+        let mut scaled = Self::default();
+        scaled.add(self, factor);
+        scaled
+    }
+
+    /// The sum.
+    #[must_use]
+    pub fn plus(mut self, other: &Self) -> Self {
+        self.add(other, Interval::point(1.0));
+        self
+    }
+
+    /// The difference.
+    #[must_use]
+    pub fn minus(mut self, other: &Self) -> Self {
+        self.add(other, Interval::point(-1.0));
+        self
+    }
+
+    /// The product: (c + α)(d + β) = c (d + β) + d α + α β, where |α β| is at most the product of the radii.
+    #[must_use]
+    pub fn times(&self, other: &Self) -> Self {
+        let mut product = other.scaled(Interval::point(self.centre));
+        let deviation = Self { centre: 0.0, ..self.clone() };
+        product.add(&deviation, Interval::point(other.centre));
+        let beyond = self.radius() * other.radius();
+        if !self.is_zero() && !other.is_zero() {
+            product.widen(up(beyond));
+        }
+        product
+    }
+}

@@ -1,0 +1,263 @@
+//! The closed loop of a learned policy, from every start of a box.
+//!
+//! Behind a leader that brakes drives an ego whose accelerations a network decides; behind it, perhaps, a follower with a latched
+//! emergency brake. A *reach* statement cuts a box of starts in halves again and again; of some of the boxes it ends with it
+//! claims that no member ever touches anybody, of others that they hold a point that does. Both are derived here again, from the
+//! policy file and the cuts alone: [`form`] are the numbers, [`relax`] the functions, [`actor`] bounds the network, [`drive`] the
+//! vehicles. What is uncertain is always enlarged, never dropped:
+//!
+//! | what | how it is enclosed | lost |
+//! |---|---|---|
+//! | start | one symbol for each range, for the whole run | nothing |
+//! | rectifier that may be active or not | line and excess, a symbol within the decision | (h · -l)/(h - l) at most |
+//! | tanh | chord and its largest distance on either side | second order in the width |
+//! | cut of observations at the limit | two rectifiers | nothing while no member is cut |
+//! | single and double precision | bounds of each sum, from the weights | about 10⁻⁵ m/s² |
+//! | products (braking rate and time) | product of the radii | second order |
+//! | standing or not | one set for each decision interval in which some stop | some centimetres |
+//! | which instant the follower fires at | one set for each decision interval in which it may, the instant a symbol | little |
+//! | inside a decision interval | m (D h)²/8 off the smaller gap at its ends | about 2 cm |
+//!
+//! # What is not covered
+//! The estimator: the claim is for observations within stated errors of the truth, at each decision anew and in any combination.
+//! Noise on accelerations, delays and lags: the claim is for vehicles that have none. Whether the policy file drives the
+//! simulator as said here: tests compare. Motion is that of real numbers; stated observation errors of 10⁻⁹ also cover what a
+//! simulator in double precision rounds.
+
+pub mod actor;
+mod container;
+pub mod drive;
+pub mod form;
+mod ranges;
+pub mod relax;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::{Accepted, Rejection};
+pub use actor::{Actor, Layer, OBSERVED};
+pub use drive::{Scene, Tube, reach, reach_with_tube};
+pub use ranges::{Dimension, Ranges};
+
+/// Most cells of a partition, and most cuts of one cell.
+const MOST_CELLS: usize = 2_000_000;
+const MOST_CUTS: usize = 48;
+/// Most steps of a run.
+const MOST_STEPS: u32 = 100_000;
+
+/// What becomes of a box under a policy.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reach {
+    /// The policy file, expected beside the certificate.
+    pub policy_file: String,
+    /// Its SHA-256, in hexadecimal.
+    pub policy_sha256: String,
+    /// h, the time between two instants, in seconds.
+    pub step_s: f64,
+    /// N, the number of steps.
+    pub steps: u32,
+    /// θ of the follower, in seconds; null if nobody is behind.
+    pub follower_ttc_s: Option<f64>,
+    /// By how much each observed number may differ from the truth at a decision: gaps ahead and behind in metres, speeds ahead,
+    /// own and behind in m/s, accelerations ahead, own and behind in m/s².
+    pub observation_error: [f64; OBSERVED],
+    /// The box.
+    pub ranges: Ranges,
+    /// How it is cut: a cut is followed by all of its lower half, then all of its upper half.
+    pub partition: Vec<Cell>,
+    /// Share of the box's volume in which nobody touches.
+    pub verified_share_at_least: f64,
+    /// Share of the box's volume in cells with a point from which somebody touches.
+    pub falsified_share_at_least: f64,
+    /// No gap of a verified member is ever smaller, in metres.
+    pub min_gap_m_at_least: f64,
+}
+
+/// A box of the partition.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Cell {
+    /// Cut in two in the middle of a range.
+    Cut(Dimension),
+    /// No member ever touches.
+    Verified,
+    /// This member does, in the order of the ranges.
+    Falsified([f64; 8]),
+    /// Nothing is claimed.
+    Undecided,
+}
+
+/// Why contact is not excluded.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Doubt {
+    /// A gap may close.
+    #[error("the gap {} the ego may be as small as {gap_m:.3} m by step {step}", if *pair == 0 { "ahead of" } else { "behind" })]
+    MayTouch {
+        /// 0 for the gap ahead, 1 for the one behind.
+        pair: usize,
+        /// By when.
+        step: u32,
+        /// What is proved of the gap, in metres.
+        gap_m: f64,
+    },
+    /// Bounds have become too wide to go on.
+    #[error("bounds are too wide at step {step}")]
+    TooWide {
+        /// When.
+        step: u32,
+    },
+    /// Too many cases have to be told apart: in which interval the follower fires, and the ego stops.
+    #[error("too many cases have to be told apart at step {step}")]
+    TooManySets {
+        /// When.
+        step: u32,
+    },
+}
+
+/// What is known of a box.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reached {
+    /// Lower bounds of the gaps ahead and behind up to where it was given up, in metres.
+    pub gaps_m: [f64; 2],
+    /// Why contact is not excluded; none if it is.
+    pub doubt: Option<Doubt>,
+    /// Whether every member surely touches.
+    pub touches: bool,
+    /// How much of what is in doubt each dimension accounts for, in its unit.
+    pub sensitivity: [f64; 8],
+}
+
+impl Reached {
+    const NOTHING_YET: Self = Self { gaps_m: [f64::INFINITY; 2], doubt: None, touches: false, sensitivity: [0.0; 8] };
+}
+
+impl Reach {
+    /// What is driven, from one of the boxes.
+    ///
+    /// # Errors
+    /// [`Rejection`] if the claim makes no sense, or the actor decides at no instants.
+    pub fn scene<'a>(&self, actor: &'a Actor) -> Result<Scene<'a>, Rejection> {
+        if !(self.step_s > 0.0 && self.step_s.is_finite()) {
+            return Err(Rejection::invalid("step_s", "must be positive"));
+        }
+        let decision_steps = (actor.decision_interval_s / self.step_s).round();
+        if !(decision_steps >= 1.0 && (decision_steps * self.step_s - actor.decision_interval_s).abs() < 1e-9) {
+            return Err(Rejection::invalid("step_s", "does not divide the time between decisions"));
+        }
+        if !(1..=MOST_STEPS).contains(&self.steps) || decision_steps > f64::from(self.steps) {
+            return Err(Rejection::invalid("steps", "must be from one decision to 100 000"));
+        }
+        let decision_steps = decision_steps as u32;
+        if !self.steps.is_multiple_of(decision_steps) {
+            return Err(Rejection::invalid("steps", "must be whole decisions"));
+        }
+        for dimension in Dimension::ALL {
+            if self.ranges.get(dimension).low() < 0.0 {
+                return Err(Rejection::invalid(format!("ranges.{dimension:?}"), "holds a negative number"));
+            }
+        }
+        let of_follower = self.follower_ttc_s.iter().map(|ttc_s| ("follower_ttc_s", ttc_s));
+        let errors = self.observation_error.iter().map(|error| ("observation_error", error));
+        for (field, value) in of_follower.chain(errors) {
+            if !(*value >= 0.0 && value.is_finite()) {
+                return Err(Rejection::invalid(field, "is negative or infinite"));
+            }
+        }
+        let (follower_ttc_s, observation_error) = (self.follower_ttc_s, self.observation_error);
+        let (ranges, step_s, steps) = (self.ranges, self.step_s, self.steps);
+        let stop_at_doubt = true;
+        Ok(Scene { actor, ranges, follower_ttc_s, observation_error, step_s, steps, decision_steps, stop_at_doubt })
+    }
+
+    /// The cells that are not cut, with their ranges and shares of the volume.
+    ///
+    /// # Errors
+    /// [`Rejection`] if the cuts do not make a partition.
+    pub fn leaves(&self) -> Result<Vec<(Cell, Ranges, f64)>, Rejection> {
+        let mut pending = vec![(self.ranges, 0)];
+        let mut leaves = Vec::new();
+        if self.partition.len() > MOST_CELLS {
+            return Err(Rejection::invalid("partition", "has too many cells"));
+        }
+        for (index, &cell) in self.partition.iter().enumerate() {
+            let invalid = |problem| Rejection::invalid(format!("partition[{index}]"), problem);
+            let (ranges, cuts) = pending.pop().ok_or_else(|| invalid("is one cell too many"))?;
+            if let Cell::Cut(dimension) = cell {
+                let [lower, upper] = ranges.halves(dimension).ok_or_else(|| invalid("cuts what is a single number"))?;
+                if cuts == MOST_CUTS {
+                    return Err(invalid("cuts too often"));
+                }
+                pending.extend([(upper, cuts + 1), (lower, cuts + 1)]);
+            } else {
+                leaves.push((cell, ranges, 0.5_f64.powi(cuts as i32)));
+            }
+        }
+        if pending.is_empty() { Ok(leaves) } else { Err(Rejection::invalid("partition", "ends too early")) }
+    }
+}
+
+/// SHA-256 in hexadecimal.
+pub(crate) fn digest(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>) -> Result<Accepted, Rejection> {
+    let policy = policy.ok_or_else(|| Rejection::Policy { problem: "is not there".to_owned() })?;
+    let found = digest(policy);
+    if found != claim.policy_sha256 {
+        return Err(Rejection::Policy { problem: format!("has the digest {found}, not `policy_sha256`") });
+    }
+    let actor = Actor::from_bytes(policy).map_err(|problem| Rejection::Policy { problem })?;
+    let scene = claim.scene(&actor)?;
+    let leaves = claim.leaves()?;
+    let verdicts = judged(&scene, &leaves);
+    let (mut verified_share, mut falsified_share, mut smallest_gap_m) = (0.0, 0.0, f64::INFINITY);
+    for (index, (&(cell, _, share), verdict)) in leaves.iter().zip(verdicts).enumerate() {
+        let gap_m = verdict.map_err(|problem| Rejection::Leaf { leaf: index, problem })?;
+        match cell {
+            Cell::Verified => (verified_share, smallest_gap_m) = (verified_share + share, gap_m.min(smallest_gap_m)),
+            Cell::Falsified(_) => falsified_share += share,
+            _ => {}
+        }
+    }
+    let stated = [
+        ("verified_share_at_least", claim.verified_share_at_least, verified_share),
+        ("falsified_share_at_least", claim.falsified_share_at_least, falsified_share),
+        ("min_gap_m_at_least", claim.min_gap_m_at_least, smallest_gap_m),
+    ];
+    let is_more = |(_, stated, found): &&(_, f64, f64)| stated.partial_cmp(found).is_none_or(std::cmp::Ordering::is_gt);
+    if let Some((field, ..)) = stated.iter().find(is_more) {
+        return Err(Rejection::invalid(*field, "is more than is proved"));
+    }
+    Ok(Accepted::Reach { verified_share, falsified_share, smallest_gap_m })
+}
+
+/// For each leaf the smallest gap that is proved, or what stands against it; on all cores, in order.
+fn judged(scene: &Scene<'_>, leaves: &[(Cell, Ranges, f64)]) -> Vec<Result<f64, String>> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let judge = |(cell, ranges, _): &(Cell, Ranges, f64)| judge(scene, cell, ranges);
+    std::thread::scope(|scope| {
+        let parts = leaves.chunks(leaves.len().div_ceil(threads).max(1));
+        let parts: Vec<_> = parts.map(|part| scope.spawn(move || part.iter().map(judge).collect::<Vec<_>>())).collect();
+        let died = || vec![Err("the check of it failed".to_owned())];
+        parts.into_iter().flat_map(|part| part.join().unwrap_or_else(|_| died())).collect()
+    })
+}
+
+fn judge(scene: &Scene<'_>, cell: &Cell, ranges: &Ranges) -> Result<f64, String> {
+    match cell {
+        Cell::Verified => {
+            let reached = reach(&Scene { ranges: *ranges, ..scene.clone() });
+            let gap_m = reached.gaps_m[0].min(reached.gaps_m[1]);
+            reached.doubt.map_or(Ok(gap_m), |doubt| Err(doubt.to_string()))
+        }
+        Cell::Falsified(point) => {
+            let ranges = ranges.at(point).ok_or("the point is not in it")?;
+            let reached = reach(&Scene { ranges, stop_at_doubt: false, ..scene.clone() });
+            if reached.touches { Ok(f64::INFINITY) } else { Err("the point is not shown to touch".to_owned()) }
+        }
+        Cell::Undecided | Cell::Cut(_) => Ok(f64::INFINITY),
+    }
+}

@@ -1,0 +1,106 @@
+//! Boxes of starts, and how they are cut.
+
+use serde::{Deserialize, Serialize};
+
+use crate::interval::Interval;
+
+/// Where everybody starts, how fast, and how hard and when leader and follower brake. The claim is about each member.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ranges {
+    /// Bumper to bumper at the start, in metres.
+    pub gap_ahead_m: Interval,
+    /// Bumper to bumper at the start, in metres; without a meaning if nobody is behind, like all that is the follower's.
+    pub gap_behind_m: Interval,
+    /// At the start, in m/s.
+    pub leader_speed_mps: Interval,
+    /// At the start, in m/s.
+    pub ego_speed_mps: Interval,
+    /// At the start, in m/s.
+    pub follower_speed_mps: Interval,
+    /// How hard the leader brakes, in m/s².
+    pub leader_brake_mps2: Interval,
+    /// How hard the follower's emergency brake brakes, in m/s².
+    pub follower_brake_mps2: Interval,
+    /// When the leader begins to brake, in steps, not necessarily whole ones.
+    pub onset_steps: Interval,
+}
+
+/// One of the ranges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(missing_docs, reason = "each is the field of `Ranges` of that name")]
+pub enum Dimension {
+    GapAheadM,
+    GapBehindM,
+    LeaderSpeedMps,
+    EgoSpeedMps,
+    FollowerSpeedMps,
+    #[serde(rename = "leader_brake_mps2")]
+    LeaderBrakeMps2,
+    #[serde(rename = "follower_brake_mps2")]
+    FollowerBrakeMps2,
+    OnsetSteps,
+}
+
+impl Dimension {
+    /// All of them, in the order of the fields of [`Ranges`].
+    pub const ALL: [Self; 8] = [
+        Self::GapAheadM,
+        Self::GapBehindM,
+        Self::LeaderSpeedMps,
+        Self::EgoSpeedMps,
+        Self::FollowerSpeedMps,
+        Self::LeaderBrakeMps2,
+        Self::FollowerBrakeMps2,
+        Self::OnsetSteps,
+    ];
+}
+
+impl Ranges {
+    /// One range.
+    #[must_use]
+    pub fn get(&self, dimension: Dimension) -> Interval {
+        let mut copy = *self;
+        *copy.get_mut(dimension)
+    }
+
+    /// One range, to be changed.
+    pub fn get_mut(&mut self, dimension: Dimension) -> &mut Interval {
+        match dimension {
+            Dimension::GapAheadM => &mut self.gap_ahead_m,
+            Dimension::GapBehindM => &mut self.gap_behind_m,
+            Dimension::LeaderSpeedMps => &mut self.leader_speed_mps,
+            Dimension::EgoSpeedMps => &mut self.ego_speed_mps,
+            Dimension::FollowerSpeedMps => &mut self.follower_speed_mps,
+            Dimension::LeaderBrakeMps2 => &mut self.leader_brake_mps2,
+            Dimension::FollowerBrakeMps2 => &mut self.follower_brake_mps2,
+            Dimension::OnsetSteps => &mut self.onset_steps,
+        }
+    }
+
+    /// Cut in two in the middle of a dimension; none if there is no number in between.
+    #[must_use]
+    pub fn halves(&self, dimension: Dimension) -> Option<[Self; 2]> {
+        let range = self.get(dimension);
+        let middle = 0.5 * range.low() + 0.5 * range.high();
+        if !(range.low() < middle && middle < range.high()) {
+            return None;
+        }
+        let mut halves = [*self; 2];
+        *halves[0].get_mut(dimension) = Interval::new(range.low(), middle)?;
+        *halves[1].get_mut(dimension) = Interval::new(middle, range.high())?;
+        Some(halves)
+    }
+
+    /// The box that holds one point, in the order of [`Dimension::ALL`]; none if the point is not in this box.
+    #[must_use]
+    pub fn at(&self, point: &[f64; 8]) -> Option<Self> {
+        let mut at = *self;
+        for (dimension, &value) in Dimension::ALL.into_iter().zip(point) {
+            let range = at.get_mut(dimension);
+            *range = range.contains(value).then(|| Interval::new(value, value)).flatten()?;
+        }
+        Some(at)
+    }
+}

@@ -1,0 +1,146 @@
+//! Functions of affine forms: a straight line and how far the function may be from it.
+//!
+//! Over [l, h] each function f is replaced by s x + [m, M] with a slope s near the chord's and m ≤ f(x) - s x ≤ M. The slope is
+//! a plain number that need not be right: m and M are bounds for the slope that was taken.
+//!
+//! - f convex: f - s x is largest at an end, and lies above its tangent at any x₀, whose least value is at an end. x₀ is taken
+//!   where f' is about s, so that the tangent is nearly level.
+//! - tanh is odd, convex below 0 and concave above, so each half is bounded like that.
+//!
+//! # exp and tanh
+//! For 0 ≤ y ≤ 40 let t = y / 1024. Then e⁻ᵗ lies between the Taylor sums of degree 7 and 8 (the series alternates and falls),
+//! and e⁻ʸ is that squared ten times; tanh z = (1 - e⁻²ᶻ) / (1 + e⁻²ᶻ). Beyond z = 20 tanh is within 2⁻⁵³ of 1.
+
+use super::form::{Form, up};
+use crate::interval::Interval;
+
+const ONE: Interval = Interval::ONE;
+
+/// s x + [low, high].
+fn line(x: &Form, slope: f64, low: f64, high: f64) -> Form {
+    let mut line = x.scaled(Interval::point(slope));
+    match Interval::new(low, high) {
+        Some(interval) => line.shift(interval),
+        None => return Form::line(),
+    }
+    line
+}
+
+/// max(0, x).
+#[must_use]
+pub fn rectified(x: &Form) -> Form {
+    let (low, high) = (x.range().low(), x.range().high());
+    if low >= 0.0 {
+        return x.clone();
+    }
+    if high <= 0.0 {
+        return Form::default();
+    }
+    let (slope, excess) = rectifier(low, high);
+    line(x, slope, 0.0, excess)
+}
+
+/// For l < 0 < h a slope s in [0, 1], and M with 0 ≤ max(0, x) - s x ≤ M: by convexity the larger of -s l and (1 - s) h.
+pub(super) fn rectifier(low: f64, high: f64) -> (f64, f64) {
+    let slope = (high / (high - low)).clamp(0.0, 1.0);
+    (slope, up((-slope * low).max((1.0 - slope) * high)))
+}
+
+/// max(0, x)².
+#[must_use]
+pub fn rectified_square(x: &Form) -> Form {
+    if x.range().high() <= 0.0 {
+        return Form::default();
+    }
+    let rectified = |x: Interval| x.max(Interval::ZERO);
+    convex(x, |x| rectified(x).sqr(), |x| rectified(x) + rectified(x), |slope| slope / 2.0)
+}
+
+/// 1 / x; the whole line unless x is positive.
+#[must_use]
+pub fn reciprocal(x: &Form) -> Form {
+    if x.range().low() <= 0.0 {
+        return Form::line();
+    }
+    convex(x, |x| ONE.over(x), |x| -ONE.over(x.sqr()), |slope| (-1.0 / slope).sqrt())
+}
+
+fn convex(
+    x: &Form,
+    value: impl Fn(Interval) -> Interval,
+    derivative: impl Fn(Interval) -> Interval,
+    touch: impl Fn(f64) -> f64,
+) -> Form {
+    let (low, high) = (x.range().low(), x.range().high());
+    let [at_low, at_high] = [low, high].map(|end| value(Interval::point(end)));
+    let chord = (at_high.low() - at_low.low()) / (high - low);
+    let [least, most] = [low, high].map(|end| derivative(Interval::point(end)).low());
+    let slope = chord.max(least).min(most);
+    let above = |end: f64, value: Interval| (value - Interval::point(slope) * Interval::point(end)).high();
+    let highest = above(low, at_low).max(above(high, at_high));
+    line(x, slope, least_on_tangent(value, derivative, slope, touch(slope), [low, high]), highest)
+}
+
+/// A lower bound of f(x) - s x over [l, h] for convex f, from the tangent near `touch`.
+fn least_on_tangent(
+    value: impl Fn(Interval) -> Interval,
+    derivative: impl Fn(Interval) -> Interval,
+    slope: f64,
+    touch: f64,
+    [low, high]: [f64; 2],
+) -> f64 {
+    let touch = Interval::point(touch.max(low).min(high));
+    let tilt = derivative(touch) - Interval::point(slope);
+    let [left, right] = [low, high].map(|end| tilt * (Interval::point(end) - touch));
+    (value(touch) - Interval::point(slope) * touch + left.min(right)).low()
+}
+
+/// The hyperbolic tangent.
+#[must_use]
+pub fn hyperbolic_tangent(z: &Form) -> Form {
+    let (low, high) = (z.range().low(), z.range().high());
+    if !(low.is_finite() && high.is_finite()) {
+        return Form::line();
+    }
+    let [at_low, at_high] = [low, high].map(tanh);
+    let chord = (at_high.low() - at_low.low()) / (high - low);
+    let slope = if chord.is_finite() { chord.clamp(0.0, 1.0) } else { 0.0 };
+    let touch = (1.0 - slope).sqrt().min(1.0 - 1e-15).atanh();
+    // An upper bound of tanh z - s z for a ≤ z ≤ b, both not negative; the negative of what a tangent gives for -tanh.
+    let most = |a: f64, b: f64| -> f64 {
+        let steepness = |z: Interval| tanh(z.low()).sqr() - ONE;
+        -least_on_tangent(|z| -tanh(z.low()), steepness, -slope, touch, [a, b])
+    };
+    let at = |end: f64, value: Interval| value - Interval::point(slope) * Interval::point(end);
+    let (at_low, at_high) = (at(low, at_low), at(high, at_high));
+    let mut bounds = at_low.hull(at_high);
+    if high > 0.0 {
+        bounds = bounds.hull(Interval::point(most(low.max(0.0), high)));
+    }
+    if low < 0.0 {
+        bounds = bounds.hull(Interval::point(-most((-high).max(0.0), -low)));
+    }
+    line(z, slope, bounds.low(), bounds.high())
+}
+
+/// tanh of a number.
+#[must_use]
+pub fn tanh(z: f64) -> Interval {
+    if z < 0.0 {
+        return -tanh(-z);
+    }
+    if z > 20.0 {
+        return (ONE - Interval::point(f64::EPSILON)).hull(ONE);
+    }
+    let e = exp_minus(2.0 * z);
+    (ONE - e).over(ONE + e)
+}
+
+/// e⁻ʸ for 0 ≤ y ≤ 40.
+#[must_use]
+pub fn exp_minus(y: f64) -> Interval {
+    let t = Interval::point(y / 1024.0);
+    // 1 - t/1 (1 - t/2 (… (1 - t/8))), and the same cut off one earlier.
+    let sum = |degree: u32| (1..=degree).rev().fold(ONE, |sum, n| ONE - t.over(Interval::point(f64::from(n))) * sum);
+    (0..10).fold(sum(7).hull(sum(8)), |power, _| power.sqr())
+}

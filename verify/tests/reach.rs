@@ -1,0 +1,352 @@
+//! What reach statements say of a box is true of each of its members.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub)]
+
+use crumple_verify::reach::{Actor, Cell, Dimension, Doubt, Layer, Ranges, Reach, Scene, reach, reach_with_tube};
+use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, check, check_with};
+use proptest::prelude::*;
+
+#[path = "support/closed_loop.rs"]
+mod closed_loop;
+#[path = "support/mutants.rs"]
+mod mutants;
+use closed_loop::{Numbers, Start, simulate};
+
+fn reference() -> Vec<u8> {
+    std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap()
+}
+
+fn between(low: f64, high: f64) -> Interval {
+    Interval::new(low, high).unwrap()
+}
+
+/// The paper's scenario 1 with ranges.
+fn paper(gap_m: f64, brake_mps2: f64) -> Ranges {
+    let at = Interval::point;
+    Ranges {
+        gap_ahead_m: between(16.0 - gap_m, 16.0 + gap_m),
+        gap_behind_m: between(16.0 - gap_m, 16.0 + gap_m),
+        leader_speed_mps: at(25.0),
+        ego_speed_mps: at(25.0),
+        follower_speed_mps: at(25.0),
+        leader_brake_mps2: between(3.0 - brake_mps2, 3.0 + brake_mps2),
+        follower_brake_mps2: at(6.0),
+        onset_steps: at(100.0),
+    }
+}
+
+fn scene<'a>(actor: &'a Actor, ranges: Ranges) -> Scene<'a> {
+    Scene {
+        actor,
+        ranges,
+        follower_ttc_s: Some(1.4),
+        observation_error: [1e-9; 8],
+        step_s: 0.01,
+        steps: 1500,
+        decision_steps: 10,
+        stop_at_doubt: true,
+    }
+}
+
+fn member(ranges: &Ranges, place: [f64; 8]) -> Start {
+    std::array::from_fn(|i| {
+        let range = ranges.get(Dimension::ALL[i]);
+        (range.low() + place[i] * (range.high() - range.low())).clamp(range.low(), range.high())
+    })
+}
+
+/// A network of given widths; gains of order one, so that it drives neither calmly nor sensibly.
+fn network(widths: &[usize], gain: f64, seed: u64) -> Actor {
+    let mut numbers = Numbers(seed | 1);
+    let sizes = [&[8], widths, &[1]].concat();
+    let layer = |pair: &[usize]| {
+        let mut draw = |count: usize, scale: f64| -> Vec<f64> {
+            (0..count).map(|_| f64::from((numbers.signed() * scale) as f32)).collect()
+        };
+        let weights = draw(pair[0] * pair[1], gain * (3.0 / pair[0] as f64).sqrt());
+        Layer { inputs: pair[0], outputs: pair[1], weights, biases: draw(pair[1], 0.3) }
+    };
+    Actor {
+        layers: sizes.windows(2).map(layer).collect(),
+        offset: [16.0, 16.0, 12.5, 12.5, 12.5, 0.0, 0.0, 0.0],
+        scale: [16.0, 16.0, 12.5, 12.5, 12.5, 5.0, 5.0, 5.0],
+        limit: 1.5,
+        empty_gap_m: 80.0,
+        action_mps2: [-7.5, 3.0],
+        decision_interval_s: 0.1,
+    }
+}
+
+fn any_unit() -> impl Strategy<Value = [f64; 8]> {
+    prop::array::uniform8(0.0..=1.0_f64)
+}
+
+prop_compose! {
+    /// A box somewhere, in some dimensions a single number.
+    fn any_ranges()(
+        low in prop::array::uniform8(0.0..1.0_f64), width in prop::array::uniform8(-0.5..1.0_f64), size in 0.001..0.1_f64,
+    ) -> Ranges {
+        let scales = [30.0, 30.0, 30.0, 30.0, 30.0, 6.0, 7.0, 150.0];
+        let mut ranges = paper(0.0, 0.0);
+        for (i, dimension) in Dimension::ALL.into_iter().enumerate() {
+            let from = scales[i] * low[i];
+            *ranges.get_mut(dimension) = between(from, from + size * scales[i] * width[i].max(0.0));
+        }
+        // An instant, more often than chance would have it.
+        if width[7] < 0.0 {
+            ranges.onset_steps = between(ranges.onset_steps.low().round(), ranges.onset_steps.low().round());
+        }
+        ranges
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(100))]
+
+    /// Whatever a network does, with and without a follower, through stops, fires and contacts: every number that is observed
+    /// is inside the bounds at every decision, and no gap is ever below its bound.
+    #[test]
+    fn bounds_hold_whatever_happens(
+        ranges in any_ranges(), seed: u64, gain in 0.2..1.2_f64, has_follower: bool,
+        places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 5, 10]),
+    ) {
+        let actor = network(&[12, 9], gain, seed);
+        let scene = Scene {
+            follower_ttc_s: has_follower.then_some(1.4), stop_at_doubt: false, steps: 400, decision_steps: every,
+            ..scene(&actor, ranges)
+        };
+        let (reached, tube) = reach_with_tube(&scene);
+        let corner = |i: usize| std::array::from_fn(|j| f64::from(u8::from(i >> j & 1 == 1)));
+        for place in places.into_iter().chain([corner(0), corner(255), corner(0b0101_1010)]) {
+            let start = member(&ranges, place);
+            let (trace, least) = simulate(&scene, start);
+            if reached.doubt.is_none() {
+                prop_assert!(least[0] >= reached.gaps_m[0] - 1e-8, "{start:?} {least:?} {reached:?}");
+                prop_assert!(!has_follower || least[1] >= reached.gaps_m[1] - 1e-8, "{start:?} {least:?} {reached:?}");
+            }
+            if reached.touches {
+                prop_assert!(least[0] < 1e-8 || least[1] < 1e-8, "{start:?} {least:?}");
+                continue;
+            }
+            let Some(tube) = &tube else { continue };
+            prop_assert_eq!(tube.len(), trace.len());
+            for (decision, (bounds, seen)) in tube.iter().zip(&trace).enumerate() {
+                for (i, (bound, seen)) in bounds.iter().zip(seen).enumerate() {
+                    let inside = bound.low() - 1e-8 <= *seen && *seen <= bound.high() + 1e-8;
+                    prop_assert!(inside, "number {i} at decision {decision}: {seen} not in {bound:?}; {start:?}");
+                }
+            }
+        }
+    }
+}
+
+/// Starts that come as close to contact as hill climbing finds; the smallest gap.
+fn attacked(scene: &Scene<'_>, random: usize, adversarial: usize, seed: u64) -> f64 {
+    let mut numbers = Numbers(seed);
+    let gap = |place: [f64; 8]| {
+        let start = member(&scene.ranges, place);
+        let (_, least) = simulate(scene, start);
+        least[0].min(least[1])
+    };
+    let mut best = ([0.5; 8], gap([0.5; 8]));
+    for _ in 0..random {
+        let place = std::array::from_fn(|_| numbers.unit());
+        let found = gap(place);
+        if found < best.1 {
+            best = (place, found);
+        }
+    }
+    for round in 0..adversarial {
+        let size = 0.5 * 0.995_f64.powi(round as i32);
+        let place = best.0.map(|at: f64| (at + size * numbers.signed()).clamp(0.0, 1.0));
+        let found = gap(place);
+        if found < best.1 {
+            best = (place, found);
+        }
+    }
+    best.1
+}
+
+#[test]
+fn verified_boxes_survive_search() {
+    let actor = Actor::from_bytes(&reference()).unwrap();
+    let mut light = paper(0.4, 0.1);
+    light.follower_brake_mps2 = between(7.3, 7.7);
+    let mut other = paper(0.1, 0.05);
+    (other.gap_ahead_m, other.gap_behind_m) = (between(18.0, 18.3), between(17.0, 17.2));
+    (other.follower_speed_mps, other.onset_steps) = (between(24.0, 24.1), between(120.0, 123.5));
+    for ranges in [paper(0.5, 0.1), light, other] {
+        let scene = scene(&actor, ranges);
+        let reached = reach(&scene);
+        assert_eq!(reached.doubt, None);
+        let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
+        let found_m = attacked(&scene, 10_000, 1000, 9);
+        println!("proved {proved_m:.3} m, found {found_m:.3} m");
+        assert!(found_m >= proved_m, "{found_m} {reached:?}");
+        assert!(found_m < proved_m + 2.0, "the bound is not idle: {found_m} {proved_m}");
+    }
+}
+
+/// A statement about a leader that brakes at up to 30 m/s², much too hard for half of the box.
+fn claim() -> Reach {
+    let mut ranges = paper(0.05, 0.0);
+    (ranges.gap_behind_m, ranges.leader_brake_mps2) = (between(16.0, 16.0), between(2.95, 29.95));
+    let cuts = [Cell::Cut(Dimension::LeaderBrakeMps2); 6];
+    let point = [16.0, 16.0, 25.0, 25.0, 25.0, 28.0, 6.0, 100.0];
+    let rest = [Cell::Verified, Cell::Undecided, Cell::Undecided, Cell::Undecided, Cell::Undecided, Cell::Undecided];
+    let bytes = reference();
+    Reach {
+        policy_file: "reference.safetensors".to_owned(),
+        policy_sha256: sha256(&bytes),
+        step_s: 0.01,
+        steps: 300,
+        follower_ttc_s: Some(1.4),
+        observation_error: [1e-9; 8],
+        ranges,
+        partition: [&cuts[..], &rest, &[Cell::Falsified(point)]].concat(),
+        verified_share_at_least: 0.015625,
+        falsified_share_at_least: 0.5,
+        min_gap_m_at_least: 3.0,
+    }
+}
+
+fn sha256(bytes: &[u8]) -> String {
+    use sha2::{Digest, Sha256};
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn certificate(claim: Reach) -> Certificate {
+    let statement = Statement::Reach(claim);
+    let nobody = Provenance { crumple: String::new(), scenario: String::new(), scenario_sha256: String::new() };
+    Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement }
+}
+
+#[test]
+fn a_claim_is_derived_again() {
+    let bytes = reference();
+    match check_with(&certificate(claim()), Some(&bytes)) {
+        Ok(Accepted::Reach { verified_share, falsified_share, smallest_gap_m }) => {
+            assert_eq!((verified_share, falsified_share), (1.0 / 64.0, 0.5));
+            assert!(smallest_gap_m > 3.0);
+        }
+        other => panic!("{other:?}"),
+    }
+    assert!(matches!(check(&certificate(claim())), Err(Rejection::Policy { .. })), "no policy");
+    let text = serde_json::to_string(&certificate(claim())).unwrap();
+    assert_eq!(Certificate::from_json(&text).unwrap(), certificate(claim()));
+}
+
+#[test]
+fn one_changed_weight_is_another_policy() {
+    let mut bytes = reference();
+    let last = bytes.len() - 7;
+    bytes[last] ^= 1;
+    let changed = check_with(&certificate(claim()), Some(&bytes));
+    assert!(matches!(changed, Err(Rejection::Policy { .. })), "{changed:?}");
+    // With its own digest the statement is derived for the changed network: no longer true if the change is large.
+    let actor = Actor::from_bytes(&reference()).unwrap();
+    let bias = (actor.layers.last().unwrap().biases[0] as f32).to_le_bytes();
+    let place = bytes.windows(4).rposition(|four| four == bias).unwrap();
+    bytes[place..place + 4].copy_from_slice(&5.0_f32.to_le_bytes());
+    let changed = Reach { policy_sha256: sha256(&bytes), ..claim() };
+    assert!(matches!(check_with(&certificate(changed), Some(&bytes)), Err(Rejection::Leaf { leaf: 0, .. })));
+}
+
+/// Every number changed by little and by much: what is still accepted survives an attack.
+#[test]
+fn what_survives_a_change_is_true() {
+    let bytes = reference();
+    let actor = Actor::from_bytes(&bytes).unwrap();
+    let original = serde_json::to_value(certificate(claim())).unwrap();
+    let (mut accepted, mut rejected) = (0, 0);
+    for (change, mutant) in mutants::mutants(&original) {
+        let Ok(certificate) = Certificate::from_json(&mutant.to_string()) else {
+            rejected += 1;
+            continue;
+        };
+        if check_with(&certificate, Some(&bytes)).is_err() {
+            rejected += 1;
+            continue;
+        }
+        accepted += 1;
+        let Statement::Reach(claim) = certificate.statement else { panic!("another statement") };
+        let (mut verified, mut falsified) = (0.0, 0.0);
+        for (cell, ranges, share) in claim.leaves().unwrap() {
+            let scene = Scene { ranges, ..claim.scene(&actor).unwrap() };
+            match cell {
+                Cell::Verified => {
+                    verified += share;
+                    let found_m = attacked(&scene, 100, 50, 3);
+                    assert!(found_m >= claim.min_gap_m_at_least, "{change}: {found_m}");
+                }
+                Cell::Falsified(point) => {
+                    falsified += share;
+                    let least = simulate(&scene, point).1;
+                    assert!(ranges.at(&point).is_some() && (least[0] < 0.0 || least[1] < 0.0), "{change}: {least:?}");
+                }
+                _ => {}
+            }
+        }
+        assert!(verified >= claim.verified_share_at_least && falsified >= claim.falsified_share_at_least, "{change}");
+    }
+    println!("{accepted} accepted, {rejected} rejected");
+    assert!(accepted > 10 && rejected > accepted, "{accepted} accepted, {rejected} rejected");
+}
+
+#[test]
+fn why_a_box_is_undecided_is_said() {
+    let actor = Actor::from_bytes(&reference()).unwrap();
+    let mut wide = paper(3.0, 1.0);
+    let reached = reach(&scene(&actor, wide));
+    assert!(matches!(reached.doubt, Some(Doubt::MayTouch { .. })) && !reached.touches, "{reached:?}");
+    assert!(reached.sensitivity[0] > 0.0 && reached.sensitivity[2] == 0.0, "{reached:?}");
+    wide.ego_speed_mps = between(0.0, 100.0);
+    assert!(matches!(reach(&scene(&actor, wide)).doubt, Some(Doubt::TooWide { step: 0 })));
+}
+
+/// One box of the reference policy, and of a network four times as wide; times are for optimised builds and idle machines.
+#[test]
+fn a_box_takes_a_fraction_of_a_second() {
+    let actor = Actor::from_bytes(&reference()).unwrap();
+    let wide = network(&[256, 256, 256], 0.3, 5);
+    for (name, actor) in [("reference", &actor), ("3 x 256", &wide)] {
+        let scene = Scene { stop_at_doubt: false, ..scene(actor, paper(0.1, 0.02)) };
+        let timed = |_| {
+            let begin = std::time::Instant::now();
+            assert_eq!(reach(&scene).doubt, None);
+            begin.elapsed()
+        };
+        let least = (0..3).map(timed).min().unwrap();
+        println!("{name}: {least:?}");
+        // Ten times what it takes on an idle machine.
+        assert!(least.as_secs() < 5, "{name}: {least:?}");
+    }
+}
+
+proptest! {
+    /// Each function of a form holds the function's value for the same symbols.
+    #[test]
+    fn functions_of_forms_hold_the_values(
+        centre in -6.0..6.0_f64, radii in prop::array::uniform3(0.0..2.0_f64), at in prop::array::uniform3(-1.0..=1.0_f64),
+    ) {
+        use crumple_verify::reach::{form::Form, relax};
+        let mut form = Form::constant(Interval::point(centre));
+        let mut value = centre;
+        for (symbol, (radius, at)) in radii.into_iter().zip(at).enumerate() {
+            form.add(&Form::symbol(symbol, between(-1.0, 1.0)), Interval::point(radius));
+            value += radius * at;
+        }
+        let holds = |f: &Form, expected: f64| {
+            let terms: f64 = f.terms().iter().zip(at).map(|(term, at)| term * at).sum();
+            (f.centre() + terms - expected).abs() <= f.rest() + 1e-9 * (1.0 + expected.abs())
+        };
+        prop_assert!(holds(&form, value));
+        prop_assert!(holds(&relax::hyperbolic_tangent(&form), value.tanh()));
+        prop_assert!(holds(&relax::rectified(&form), value.max(0.0)));
+        prop_assert!(holds(&relax::rectified_square(&form), value.max(0.0).powi(2)));
+        prop_assert!(holds(&relax::reciprocal(&form), 1.0 / value));
+        prop_assert!(holds(&form.times(&form), value * value));
+        let tanh = relax::tanh(value);
+        prop_assert!(tanh.low() - 1e-15 <= value.tanh() && value.tanh() <= tanh.high() + 1e-15);
+        prop_assert!(tanh.high() - tanh.low() < 1e-11);
+    }
+}
