@@ -4,11 +4,12 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_verify::{Accepted, Certificate, ParseError, Rejection};
+use crumple_verify::{Accepted, Certificate, ParseError, Rejection, Statement, check_with};
 use serde::Serialize;
 
 use super::simulate::Format;
 use super::{Failure, output, subject};
+use crate::policy::Policy;
 use crate::scenario::Scenario;
 use crate::worst_case::is_about;
 
@@ -29,6 +30,9 @@ pub(super) struct Check {
     /// Also check that the certificates speak about this scenario
     #[arg(long, value_name = "S")]
     scenario: Option<String>,
+    /// The policy file of certificates about a policy; the one beside the certificate without it
+    #[arg(long, value_name = "F")]
+    policy: Option<PathBuf>,
     /// How to print: for a reader, or one JSON object a certificate
     #[arg(long, value_enum, default_value = "text")]
     format: Format,
@@ -43,6 +47,7 @@ struct Report<'a> {
     scenario: &'a str,
     smallest_gap_m: Option<f64>,
     overlap_m: Option<f64>,
+    verified_share: Option<f64>,
     rate_at_most: Option<f64>,
     confidence: Option<f64>,
     rejection: Option<String>,
@@ -57,7 +62,7 @@ impl Check {
         let mut text = String::new();
         let mut refused = Vec::new();
         for (path, certificate) in &certificates {
-            let checked = crumple_verify::check(certificate);
+            let checked = check_with(certificate, self.policy_bytes(certificate, path).as_deref());
             let about = scenario.as_ref().map(|scenario| is_about(certificate, scenario));
             if checked.is_err() || about == Some(false) {
                 refused.push(path.display().to_string());
@@ -75,6 +80,16 @@ impl Check {
     }
 }
 
+impl Check {
+    /// What the checker needs of a policy. The reference policy comes with the program: only its digest, which the checker
+    /// computes again, says that it is the one meant.
+    fn policy_bytes(&self, certificate: &Certificate, path: &Path) -> Option<Vec<u8>> {
+        let found = certificate.policy_bytes(path, self.policy.as_deref());
+        let Statement::Reach(_) = certificate.statement else { return found };
+        found.or_else(|| self.policy.is_none().then(|| Policy::reference_bytes().to_vec()))
+    }
+}
+
 fn certificate(path: &Path) -> Result<Certificate, Failure> {
     let file = File::open(path).map_err(|source| Failure::unreadable(path.to_owned(), source))?;
     Certificate::from_reader(file).map_err(|error| match error {
@@ -89,13 +104,17 @@ fn report<'a>(
     checked: &Result<Accepted, Rejection>,
     about_scenario: Option<bool>,
 ) -> Report<'a> {
-    let (mut smallest_gap_m, mut overlap_m, mut rate_at_most, mut with_confidence) = (None, None, None, None);
+    let (mut smallest_gap_m, mut overlap_m, mut verified_share) = (None, None, None);
+    let (mut rate_at_most, mut with_confidence) = (None, None);
     match *checked {
         Ok(Accepted::Avoidable { smallest_gap_m: gap_m }) => smallest_gap_m = Some(gap_m),
         // JSON has no infinity: an overlap of any size.
         Ok(Accepted::Unavoidable { overlap_m: metres }) => overlap_m = Some(metres).filter(|metres| metres.is_finite()),
         Ok(Accepted::Rate { at_most, confidence }) => {
             (rate_at_most, with_confidence) = (Some(at_most), Some(confidence));
+        }
+        Ok(Accepted::Reach { smallest_gap_m: gap_m, verified_share: share, .. }) => {
+            (smallest_gap_m, verified_share) = (Some(gap_m).filter(|gap_m| gap_m.is_finite()), Some(share));
         }
         Ok(Accepted::FailsLessOften { confidence }) => with_confidence = Some(confidence),
         Ok(_) | Err(_) => {}
@@ -107,6 +126,7 @@ fn report<'a>(
         scenario: &certificate.provenance.scenario,
         smallest_gap_m,
         overlap_m,
+        verified_share,
         rate_at_most,
         confidence: with_confidence,
         rejection: checked.as_ref().err().map(ToString::to_string),

@@ -71,6 +71,12 @@ impl Policy {
         Arc::clone(&REFERENCE)
     }
 
+    /// The file of the reference policy.
+    #[must_use]
+    pub fn reference_bytes() -> &'static [u8] {
+        REFERENCE_BYTES
+    }
+
     /// Everything but the weights.
     #[must_use]
     pub fn header(&self) -> &PolicyHeader {

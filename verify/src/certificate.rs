@@ -1,5 +1,9 @@
 //! The file.
 
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
 use crate::claim::{Held, Scene};
@@ -118,6 +122,7 @@ impl Statement {
             Self::Kernel(_) => "kernel",
             Self::Rate(_) => "rate",
             Self::Comparison(_) => "comparison",
+            Self::Reach(_) => "reach",
         }
     }
 
@@ -127,7 +132,7 @@ impl Statement {
         match self {
             Self::Avoidable(claim) => Some(&claim.scene),
             Self::Unavoidable(claim) => Some(&claim.scene),
-            Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) => None,
+            Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) | Self::Reach(_) => None,
         }
     }
 
@@ -221,6 +226,17 @@ pub enum ParseError {
 }
 
 impl Certificate {
+    /// The policy file the certificate in `path` speaks about: `policy`, or else the one it names, beside it; none if it needs
+    /// none or the file cannot be read.
+    #[must_use]
+    pub fn policy_bytes(&self, path: &Path, policy: Option<&Path>) -> Option<Vec<u8>> {
+        let Statement::Reach(claim) = &self.statement else { return None };
+        let beside = path.with_file_name(Path::new(&claim.policy_file).file_name()?);
+        let mut bytes = Vec::new();
+        File::open(policy.unwrap_or(&beside)).ok()?.take(MOST_BYTES as u64).read_to_end(&mut bytes).ok()?;
+        Some(bytes)
+    }
+
     /// Whether the assumptions listed are those that the statement needs, noise of the seed apart.
     pub(crate) fn lists_its_assumptions(&self) -> bool {
         let needed = self.statement.assumptions();
