@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
+use crate::control::ShieldSettings;
 use crate::estimate::Observation;
 use crate::measure::stl::{Formula, MonitorError, Signals};
 use crate::scenario::Scenario;
 use crate::scenario::file::{FileError, from_json, from_toml, to_toml};
-use crate::sim::{self, Keep, Motion, Run, Simulated, Stepper};
+use crate::sim::{self, Keep, Motion, Run, Shielded, Simulated, Stepper, Stress, UnderTest};
+use crate::worst_case::{AvoidOptions, Avoidance, avoid};
 
 /// The parts of the program that oracles question.
 ///
@@ -35,6 +37,16 @@ pub trait System {
             }
             stepper.step();
         }
+    }
+
+    /// Full throttle behind a shield.
+    fn full_throttle(&self) -> UnderTest {
+        Shielded { controller: Stress::FullThrottle.into(), settings: ShieldSettings::default() }.into()
+    }
+
+    /// What anybody could have done in a scenario; none if that cannot be asked of it.
+    fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
+        avoid(scenario, AvoidOptions::default()).ok()
     }
 
     /// A scenario written to a file and read again.

@@ -3,6 +3,8 @@
 
 use std::path::Path;
 
+use crumple_verify::Certificate;
+
 use super::oracle::motion_is_physical;
 use super::{Checked, Crumple, FileFormat, Law, ORACLES, Question, Setup, System, Trial, Violation};
 use crate::measure::stl::{Formula, Signals, SyntaxProblem, naive_robustness};
@@ -16,10 +18,11 @@ use crate::sim::{Keep, Run, RunOptions, simulate};
 pub type Target = fn(&[u8]) -> Result<(), Violation>;
 
 /// Every target and its name, which is that of its seeds' folder.
-pub const TARGETS: [(&str, Target); 5] = [
+pub const TARGETS: [(&str, Target); 6] = [
     ("scenario", scenario),
     ("scenario_file", scenario_file),
     ("policy_file", policy_file),
+    ("certificate", certificate),
     ("recording", recording),
     ("stl", stl),
 ];
@@ -37,7 +40,7 @@ pub fn scenario(bytes: &[u8]) -> Result<(), Violation> {
     Trial::of_bytes(bytes).examine(&Crumple).map(drop)
 }
 
-/// How many of the oracles had something to say of the trial that bytes stand for.
+/// How many of the oracles were not left in doubt by the trial that bytes stand for.
 ///
 /// # Errors
 /// What an oracle found.
@@ -45,7 +48,7 @@ pub fn decided(bytes: &[u8]) -> Result<usize, Violation> {
     let trial = Trial::of_bytes(bytes);
     let question = Question::new(&trial, &Crumple)?;
     let answers = ORACLES.into_iter().map(|oracle| question.ask(oracle)).collect::<Result<Vec<_>, _>>()?;
-    Ok(answers.into_iter().filter(|answer| *answer == Checked::Holds).count())
+    Ok(answers.into_iter().filter(|answer| *answer != Checked::Undecided).count())
 }
 
 /// A text is a scenario file or refused with a line that exists; a scenario survives being written, and can be run.
@@ -106,6 +109,24 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
         must(moved, Law::Reading, &header, || format!("it drives out of this world: {:?}", result.vehicles))?;
     }
     Ok(())
+}
+
+/// A text is a certificate or refused; what the checker says of it, it says again of what was written of it.
+///
+/// # Errors
+/// A [`Violation`] of [`Law::Certificates`].
+pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
+    let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
+    let Ok(read) = Certificate::from_json(text) else { return Ok(()) };
+    let said = crumple_verify::check_with(&read, Some(Policy::reference_bytes()));
+    let written = serde_json::to_string(&read).unwrap_or_default();
+    let again = Certificate::from_json(&written).ok();
+    let same = again.as_ref() == Some(&read);
+    must(same, Law::Certificates, text, || format!("it came back as {again:?}"))?;
+    let said_again = again.map(|again| crumple_verify::check_with(&again, Some(Policy::reference_bytes())));
+    // Both are words: a reason may hold a number that is none.
+    let (said, said_again) = (format!("{said:?}"), format!("{:?}", said_again.unwrap_or_else(|| said.clone())));
+    must(said == said_again, Law::Certificates, text, || format!("first {said}, then {said_again}"))
 }
 
 /// Bytes are a recording or refused, and every braking episode in one makes a scenario or says why not.

@@ -40,6 +40,12 @@ pub enum Law {
     Files,
     /// The monitor's robustness is that of the definition, and its sign the verdict.
     Monitor,
+    /// Behind a shield nobody hits the vehicle ahead.
+    Shield,
+    /// No driver does what is proved impossible for all.
+    Avoidability,
+    /// A certificate that is accepted is accepted as it was written and read again.
+    Certificates,
     /// A text or file is read or refused as documented.
     Reading,
 }
@@ -61,6 +67,9 @@ impl fmt::Display for Law {
             Self::Estimates => "estimates are finite and near the truth",
             Self::Files => "what is written to a file is read from it",
             Self::Monitor => "robustness is that of the definition, and its sign the verdict",
+            Self::Shield => "behind a shield nobody hits the vehicle ahead",
+            Self::Avoidability => "no driver does what is proved impossible for all",
+            Self::Certificates => "the checker accepts what it accepted before it was written and read again",
             Self::Reading => "a file is read, or refused with a reason",
         })
     }

@@ -7,18 +7,19 @@ use crumple::estimate::Observation;
 use crumple::measure::stl::{Formula, MonitorError, Signals};
 use crumple::scenario::Scenario;
 use crumple::scenario::file::FileError;
-use crumple::sim::{self, Keep, Outcome, Run, RunOptions, Simulated, simulate};
+use crumple::sim::{self, Keep, Outcome, Run, RunOptions, Simulated, Stress, UnderTest, simulate};
 use crumple::trial::oracle::{
     engines_agree, estimates_are_sane, files_keep_scenarios, impacts_are_inelastic, monitor_agrees, motion_is_physical,
-    one_story, step_size_decides_nothing,
+    nobody_does_the_impossible, one_story, shield_keeps_clear, step_size_decides_nothing,
 };
 use crumple::trial::targets::{self, TARGETS};
-use crumple::trial::{Crumple, FileFormat, Hunt, Oracle, Sight, System, TRIAL_BYTES, Trial, behaviour};
+use crumple::trial::{Crumple, FileFormat, Hunt, ORACLES, Oracle, Sight, System, TRIAL_BYTES, Trial, behaviour};
+use crumple::worst_case::Avoidance;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
 
-use crate::generate::{any_trial, bytes, cases};
+use crate::generate::{any_trial, ask, bytes, cases};
 
 /// Where the corpora of the fuzz targets are.
 fn seeds_of(target: &str) -> Vec<PathBuf> {
@@ -53,7 +54,24 @@ fn hardly_any_trial_is_left_undecided() {
     let strategy = bytes(TRIAL_BYTES);
     let answers = (0..64).map(|_| targets::decided(&strategy.new_tree(&mut runner).unwrap().current()).unwrap());
     let decided: usize = answers.sum();
-    assert!(decided >= 64 * 8 - 6, "{decided} of {} answers", 64 * 8);
+    let asked = 64 * ORACLES.len();
+    assert!(decided >= asked - 6, "{decided} of {asked} answers");
+}
+
+proptest! {
+    #![proptest_config(cases(256))]
+
+    /// Full throttle behind a shield keeps clear of the vehicle ahead.
+    #[test]
+    fn a_shield_keeps_clear(trial in any_trial()) {
+        ask(&trial, shield_keeps_clear)?;
+    }
+
+    /// No controller survives what is unavoidable, or keeps a larger gap than anybody could.
+    #[test]
+    fn no_controller_does_the_impossible(trial in any_trial()) {
+        ask(&trial, nobody_does_the_impossible)?;
+    }
 }
 
 /// The program with something wrong in it.
@@ -92,6 +110,10 @@ enum Fault {
     SeedlessFile,
     /// "Always" begins a sample late.
     LateWindow,
+    /// Nobody stands between full throttle and the brake.
+    NoShield,
+    /// The bound over all drivers is half of what it should be.
+    HalfTheBound,
 }
 
 impl System for Wrong {
@@ -153,6 +175,18 @@ impl System for Wrong {
             }
             each(&Sight { seen, ..*sight })
         });
+    }
+
+    fn full_throttle(&self) -> UnderTest {
+        if self.0 == Fault::NoShield { Stress::FullThrottle.into() } else { Crumple.full_throttle() }
+    }
+
+    fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
+        let mut avoidance = Crumple.avoid(scenario)?;
+        if self.0 == Fault::HalfTheBound {
+            avoidance.min_gap_bound_m = avoidance.min_gap_bound_m.map(|bound_m| 0.5 * bound_m);
+        }
+        Some(avoidance)
     }
 
     fn through_file(&self, scenario: &Scenario, format: FileFormat) -> Result<Scenario, FileError> {
@@ -219,7 +253,7 @@ fn damaged(fault: Fault, mut result: Simulated, run: &Run<'_>) -> Simulated {
 /// Every oracle notices what it is there to notice, when the suite asks it and when the fuzz target does.
 #[test]
 fn every_oracle_bites() {
-    let wrong: [(Fault, Oracle); 15] = [
+    let wrong: [(Fault, Oracle); 17] = [
         (Fault::GapSign, one_story),
         (Fault::NoStandstill, motion_is_physical),
         (Fault::NoiseOnSubsteps, step_size_decides_nothing),
@@ -235,6 +269,8 @@ fn every_oracle_bites() {
         (Fault::RoundedFile, files_keep_scenarios),
         (Fault::SeedlessFile, files_keep_scenarios),
         (Fault::LateWindow, monitor_agrees),
+        (Fault::NoShield, shield_keeps_clear),
+        (Fault::HalfTheBound, nobody_does_the_impossible),
     ];
     for (fault, oracle) in wrong {
         let system = Wrong(fault);

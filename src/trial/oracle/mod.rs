@@ -1,23 +1,27 @@
 //! The oracles: each asks one question of a trial.
 
+mod avoidable;
 mod engines;
 mod estimates;
 mod files;
 mod impacts;
 mod monitor;
 mod motion;
+mod shielded;
 mod steps;
 mod story;
 
 use super::{Law, System, Trial, Violation};
 use crate::sim::{Keep, Run, Simulated, Trace};
 
+pub use avoidable::nobody_does_the_impossible;
 pub use engines::{bits, engines_agree};
 pub use estimates::estimates_are_sane;
 pub use files::files_keep_scenarios;
 pub use impacts::impacts_are_inelastic;
 pub use monitor::monitor_agrees;
 pub use motion::motion_is_physical;
+pub use shielded::shield_keeps_clear;
 pub use steps::{same_impacts, step_size_decides_nothing};
 pub use story::one_story;
 
@@ -31,6 +35,8 @@ pub enum Checked {
     Holds,
     /// The trial says nothing about the law: rounding decides it.
     Undecided,
+    /// The law says nothing about the trial.
+    DoesNotApply,
 }
 
 /// An oracle: a question to a trial.
@@ -40,15 +46,17 @@ pub type Oracle = fn(&Question<'_>) -> Finding;
 pub type Finding = Result<Checked, (Law, String)>;
 
 /// Every oracle, the cheapest first.
-pub const ORACLES: [Oracle; 8] = [
+pub const ORACLES: [Oracle; 10] = [
     motion_is_physical,
     one_story,
     impacts_are_inelastic,
     files_keep_scenarios,
     monitor_agrees,
     estimates_are_sane,
+    shield_keeps_clear,
     engines_agree,
     step_size_decides_nothing,
+    nobody_does_the_impossible,
 ];
 
 /// How many of them, the first ones, look at one run only.

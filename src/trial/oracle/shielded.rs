@@ -1,0 +1,32 @@
+//! What a shield promises, whatever it is wrapped around.
+
+use super::{Checked, Finding, Question, must};
+use crate::estimate::EstimatorKind;
+use crate::scenario::Driver;
+use crate::sim::{AfterContact, Keep, Outcome, Run, RunOptions, Stress};
+use crate::trial::Law;
+
+/// Behind a shield that knows the truth, full throttle hits the vehicle ahead only where there was no way out when the
+/// shield first had to brake.
+///
+/// # Errors
+/// [`Law::Shield`].
+pub fn shield_keeps_clear(question: &Question<'_>) -> Finding {
+    let scenario = &question.trial.scenario;
+    let options = RunOptions { dt_s: question.run.options().dt_s, ..RunOptions::new(question.system.full_throttle()) };
+    let options = options.with_estimator(EstimatorKind::Truth).with_after_contact(AfterContact::Stop);
+    // A shield refuses vehicles it cannot vouch for.
+    let Ok(run) = Run::new(scenario, options) else { return Ok(Checked::DoesNotApply) };
+    let result = question.system.simulate(&run, Keep::Summary);
+    let Outcome::Collision(contact) = result.outcome else { return Ok(Checked::Holds) };
+    let striker = contact.rear_vehicle;
+    if scenario.vehicles().get(striker).is_none_or(|vehicle| vehicle.driver != Driver::UnderTest) {
+        return Ok(Checked::Holds);
+    }
+    let hopeless = result.interventions.iter().any(|i| i.vehicle == striker && i.outside_kernel);
+    must(hopeless, Law::Shield, || {
+        let name = Stress::FullThrottle.name();
+        format!("shield:{name} hits the vehicle ahead of {striker} at {} s, out of the kernel", contact.time_s)
+    })?;
+    Ok(Checked::DoesNotApply)
+}
