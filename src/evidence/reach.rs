@@ -404,29 +404,27 @@ mod tests {
 
     #[test]
     fn what_is_claimed_is_accepted_and_does_not_depend_on_threads() {
-        let plan = plan(
-            "gap_ahead_m = { low = 2.0, high = 17.0 }\nleader_brake_mps2 = { low = 2.9, high = 7.5 }\nonset_s = 0.5",
-        );
+        let plan = plan("gap_ahead_m = { low = 2.0, high = 18.0 }\nleader_brake_mps2 = { low = 2.5, high = 7.5 }");
         let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-        let partition = alone.install(|| plan.partition(4, |_| ())).unwrap();
-        assert_eq!(partition.certificate, plan.partition(4, |_| ()).unwrap().certificate);
+        let partition = alone.install(|| plan.partition(6, |_| ())).unwrap();
+        assert_eq!(partition.certificate, plan.partition(6, |_| ()).unwrap().certificate);
         let Statement::Reach(claim) = &partition.certificate.statement else { panic!("reach") };
         match check_with(&partition.certificate, Some(plan.policy_bytes())).unwrap() {
             Accepted::Reach { verified_share, falsified_share, smallest_gap_m } => {
                 assert_eq!(verified_share, claim.verified_share_at_least);
                 assert_eq!(falsified_share, claim.falsified_share_at_least);
                 assert_eq!(smallest_gap_m, claim.min_gap_m_at_least);
-                assert!(verified_share > 0.0, "{:?}", partition.shares);
+                assert!(verified_share > 0.1 && falsified_share > 0.1, "{:?}", partition.shares);
             }
             other => panic!("{other:?}"),
         }
     }
 
-    /// What certificates assume of the tanh that policies are driven with, four times as well.
+    /// What certificates assume of the tanh that policies are driven with, twice as well.
     #[test]
     fn single_precision_tanh_is_as_good_as_assumed() {
         let all = (0..u32::MAX / 997).map(|k| f32::from_bits(k * 997)).filter(|z| z.is_finite());
         let worst = all.map(|z| (f64::from(libm::tanhf(z)) - f64::from(z).tanh()).abs()).fold(0.0, f64::max);
-        assert!(worst < crumple_verify::reach::actor::TANH_ERROR / 4.0, "{worst:e}");
+        assert!(worst < crumple_verify::reach::actor::TANH_ERROR / 2.0, "{worst:e}");
     }
 }

@@ -16,7 +16,7 @@
 //! With u = 2⁻²⁴, a sum of n products and a bias in single precision, in any order, is off by at most γ (Σ|w||h| + |b|), where γ
 //! = (n + 2) u / (1 - (n + 2) u), and by less than (n + 1) 10⁻⁴⁴ in all if products underflow. Maxima do not round. The scaled
 //! observation is off by u (1 + 10⁻⁶) of itself. The tanh of a single-precision number is assumed to be within 2⁻²² of the true
-//! one; libm's is within 2⁻²⁴ in tests. Each is added to ρ.
+//! one; libm's is within 2⁻²³ in tests. Each is added to ρ.
 //!
 //! # Rounding of these bounds
 //! Sums of up to 4096 products in double precision err by less than 10⁻¹² of the sum of the absolute values, which is added too.

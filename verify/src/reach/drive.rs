@@ -1,19 +1,8 @@
 //! Where everybody can be: the vehicles of a box, driven by an actor, step by step.
 //!
-//! # Leader and follower: [`Braking`]
-//! Both hold their speed until they brake at b from a time τ on, to standstill. With P = max(0, t - τ) and w = v - b P
+//! Leader and follower brake to standstill at some time: see [`braking`](super::braking).
 //!
-//! ```text
-//! speed    = max(0, w)
-//! distance = v t - b P²/2 + max(0, -w)² / (2 b)     (what it would have reversed is added again)
-//!          = v τ + v²/(2 b)                         once all members stand
-//! ```
-//!
-//! evaluated anew at each decision from forms of v, b and τ: no error adds up. The leader's τ need not be an instant: over the step
-//! it falls into, the simulator holds the mean acceleration, which costs at most b h²/8 of distance, subtracted as an interval.
-//! The acceleration observed is that of the step before; where members differ it is any number from -b to 0.
-//!
-//! # Ego: [`Members`]
+//! # The ego
 //! The actor decides every D steps; its answer u is held. It is affine in the symbols plus a rest, which becomes a new symbol. After
 //! s seconds w = v + u s, the speed is max(0, w), and the distance v s + u s²/2 + max(0, -w)²/(2|u|), the last of which is at most
 //! max(-w) s/2, since -w ≤ |u| s as v ≥ 0. If all members stop they cover at most v s/2. What this adds becomes new symbols too.
@@ -36,8 +25,9 @@
 //! behind does (at most 0), so g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see [`avoidable`](crate::avoidable).
 
 use super::actor::{Actor, OBSERVED};
+use super::braking::{Braking, Seen};
 use super::form::Form;
-use super::relax::{reciprocal, rectified, rectified_square};
+use super::relax::rectified;
 use super::{Dimension, Doubt, Ranges, Reached};
 use crate::interval::Interval;
 
@@ -65,70 +55,6 @@ pub struct Scene<'a> {
     pub decision_steps: u32,
     /// Whether to stop as soon as contact cannot be excluded.
     pub stop_at_doubt: bool,
-}
-
-/// A vehicle that brakes to standstill from a time on.
-#[derive(Debug, Clone)]
-struct Braking {
-    speed: Form,
-    rate: Form,
-    /// 1 / (2 b).
-    half_over_rate: Form,
-    /// τ / h.
-    onset: Form,
-    onset_range: Interval,
-    /// Distance that holding the mean acceleration over the first step may cost.
-    mean_held_m: Interval,
-}
-
-/// Distance, speed and the acceleration of the step before.
-#[derive(Debug, Clone)]
-struct Seen {
-    distance: Form,
-    speed: Form,
-    acceleration: Form,
-}
-
-impl Braking {
-    fn new(speed: Form, rate: Form, onset: Form, onset_range: Interval, step: Interval) -> Self {
-        let is_instant = onset_range.low() == onset_range.high() && onset_range.low().fract() == 0.0;
-        let cost = rate.range() * step.sqr() * Interval::point(0.125);
-        let mean_held_m = if is_instant { Interval::ZERO } else { -cost.max(Interval::ZERO).hull(Interval::ZERO) };
-        let half_over_rate = reciprocal(&rate).scaled(Interval::point(0.5));
-        Self { speed, rate, half_over_rate, onset, onset_range, mean_held_m }
-    }
-
-    /// At instant k.
-    fn at(&self, k: u32, step: Interval) -> Seen {
-        let k = f64::from(k);
-        let coasting = self.speed.scaled(Interval::point(k) * step);
-        if self.onset_range.low() >= k || self.rate.is_zero() {
-            return Seen { distance: coasting, speed: self.speed.clone(), acceleration: Form::default() };
-        }
-        let since = Form::constant(Interval::point(k)).minus(&self.onset);
-        let free = self.speed.clone().minus(&self.rate.times(&rectified(&since).scaled(step)));
-        let a_step_before = free.clone().plus(&self.rate.scaled(step));
-        let acceleration = if self.onset_range.high() > k - 1.0 {
-            Form::constant((-self.rate.range()).hull(Interval::ZERO))
-        } else if free.range().low() > 0.0 {
-            self.rate.scaled(Interval::point(-1.0))
-        } else if a_step_before.range().high() <= 0.0 {
-            Form::default()
-        } else {
-            Form::constant((-self.rate.range()).hull(Interval::ZERO))
-        };
-        let mut distance = if free.range().high() <= 0.0 {
-            let until_braking = self.speed.times(&self.onset).scaled(step);
-            until_braking.plus(&rectified_square(&self.speed).times(&self.half_over_rate))
-        } else {
-            let braked = self.rate.times(&rectified_square(&since)).scaled(step.sqr() * Interval::point(0.5));
-            let reversed = rectified_square(&free.scaled(Interval::point(-1.0)));
-            let moving = coasting.minus(&braked);
-            if reversed.is_zero() { moving } else { moving.plus(&reversed.times(&self.half_over_rate)) }
-        };
-        distance.shift(self.mean_held_m);
-        Seen { distance, speed: rectified(&free), acceleration }
-    }
 }
 
 /// A set of egos at an instant that is a decision's.

@@ -3,7 +3,7 @@
 //! Behind a leader that brakes drives an ego whose accelerations a network decides; behind it, perhaps, a follower with a latched
 //! emergency brake. A *reach* statement cuts a box of starts in halves again and again; of some of the boxes it ends with it
 //! claims that no member ever touches anybody, of others that they hold a point that does. Both are derived here again, from the
-//! policy file and the cuts alone: [`form`] are the numbers, [`relax`] the functions, [`actor`] bounds the network, [`drive`] the
+//! policy file and the cuts alone: [`form`] are the numbers, [`relax`] the functions, [`actor`] bounds the network, [`braking`] and [`drive`] the
 //! vehicles. What is uncertain is always enlarged, never dropped:
 //!
 //! | what | how it is enclosed | lost |
@@ -25,6 +25,7 @@
 //! simulator in double precision rounds.
 
 pub mod actor;
+pub mod braking;
 mod container;
 pub mod drive;
 pub mod form;

@@ -1,0 +1,81 @@
+//! Leader and follower: vehicles that brake to standstill.
+//!
+//! Both hold their speed until they brake at b from a time τ on, to standstill. With P = max(0, t - τ) and w = v - b P
+//!
+//! ```text
+//! speed    = max(0, w)
+//! distance = v t - b P²/2 + max(0, -w)² / (2 b)     (what it would have reversed is added again)
+//!          = v τ + v²/(2 b)                         once all members stand
+//! ```
+//!
+//! evaluated anew at each decision from forms of v, b and τ: no error adds up. The leader's τ need not be an instant: over the step
+//! it falls into, the simulator holds the mean acceleration, which costs at most b h²/8 of distance, subtracted as an interval.
+//! The acceleration observed is that of the step before; where members differ it is any number from -b to 0.
+
+use super::form::Form;
+use super::relax::{reciprocal, rectified, rectified_square};
+use crate::interval::Interval;
+
+/// A vehicle that brakes to standstill from a time on.
+#[derive(Debug, Clone)]
+pub(super) struct Braking {
+    pub(super) speed: Form,
+    pub(super) rate: Form,
+    /// 1 / (2 b).
+    pub(super) half_over_rate: Form,
+    /// τ / h.
+    pub(super) onset: Form,
+    pub(super) onset_range: Interval,
+    /// Distance that holding the mean acceleration over the first step may cost.
+    pub(super) mean_held_m: Interval,
+}
+
+/// Distance, speed and the acceleration of the step before.
+#[derive(Debug, Clone)]
+pub(super) struct Seen {
+    pub(super) distance: Form,
+    pub(super) speed: Form,
+    pub(super) acceleration: Form,
+}
+
+impl Braking {
+    pub(super) fn new(speed: Form, rate: Form, onset: Form, onset_range: Interval, step: Interval) -> Self {
+        let is_instant = onset_range.low() == onset_range.high() && onset_range.low().fract() == 0.0;
+        let cost = rate.range() * step.sqr() * Interval::point(0.125);
+        let mean_held_m = if is_instant { Interval::ZERO } else { -cost.max(Interval::ZERO).hull(Interval::ZERO) };
+        let half_over_rate = reciprocal(&rate).scaled(Interval::point(0.5));
+        Self { speed, rate, half_over_rate, onset, onset_range, mean_held_m }
+    }
+
+    /// At instant k.
+    pub(super) fn at(&self, k: u32, step: Interval) -> Seen {
+        let k = f64::from(k);
+        let coasting = self.speed.scaled(Interval::point(k) * step);
+        if self.onset_range.low() >= k || self.rate.is_zero() {
+            return Seen { distance: coasting, speed: self.speed.clone(), acceleration: Form::default() };
+        }
+        let since = Form::constant(Interval::point(k)).minus(&self.onset);
+        let free = self.speed.clone().minus(&self.rate.times(&rectified(&since).scaled(step)));
+        let a_step_before = free.clone().plus(&self.rate.scaled(step));
+        let acceleration = if self.onset_range.high() > k - 1.0 {
+            Form::constant((-self.rate.range()).hull(Interval::ZERO))
+        } else if free.range().low() > 0.0 {
+            self.rate.scaled(Interval::point(-1.0))
+        } else if a_step_before.range().high() <= 0.0 {
+            Form::default()
+        } else {
+            Form::constant((-self.rate.range()).hull(Interval::ZERO))
+        };
+        let mut distance = if free.range().high() <= 0.0 {
+            let until_braking = self.speed.times(&self.onset).scaled(step);
+            until_braking.plus(&rectified_square(&self.speed).times(&self.half_over_rate))
+        } else {
+            let braked = self.rate.times(&rectified_square(&since)).scaled(step.sqr() * Interval::point(0.5));
+            let reversed = rectified_square(&free.scaled(Interval::point(-1.0)));
+            let moving = coasting.minus(&braked);
+            if reversed.is_zero() { moving } else { moving.plus(&reversed.times(&self.half_over_rate)) }
+        };
+        distance.shift(self.mean_held_m);
+        Seen { distance, speed: rectified(&free), acceleration }
+    }
+}
