@@ -7,7 +7,7 @@ use crumple_verify::check_with;
 
 use super::output::{self, Files};
 use super::simulate::Format;
-use super::{Failure, subject};
+use super::{Failure, progress, subject};
 use crate::evidence::{BoxSpec, Partition, ReachPlan, Shares};
 use crate::sim::Contender;
 
@@ -47,8 +47,13 @@ impl Reach {
         let policy = policy.ok_or_else(|| Failure::Input("--controller: must be a learned policy".to_owned()))?;
         let text = std::fs::read_to_string(&self.starts).map_err(|e| Failure::environment(&self.starts, e))?;
         let plan = ReachPlan::new(policy, &BoxSpec::from_toml(&text).map_err(failed)?).map_err(failed)?;
-        let told = |now: &Shares| output::note(&line(now), quiet);
+        let bar = progress::depths("cutting", u64::from(self.depth), quiet);
+        let told = |now: &Shares| {
+            bar.set_position(u64::from(now.depth));
+            bar.set_message(line(now));
+        };
         let partition = plan.partition(self.depth, told).map_err(failed)?;
+        bar.finish_and_clear();
         let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()))
             .map_err(|rejection| Failure::Gate(format!("not shown: {rejection}")))?;
         if let Some(path) = &self.certificate {

@@ -131,10 +131,13 @@ impl std::fmt::Display for Accepted {
             Self::FailsLessOften { confidence } => {
                 write!(formatter, "comparison: the first controller fails less often, at confidence {confidence}")
             }
+            // Shares are lower bounds: rounded down.
             Self::Reach { verified_share, falsified_share, smallest_gap_m } => write!(
                 formatter,
-                "reach: in {verified_share} of the box no gap is ever smaller than {smallest_gap_m} m; {falsified_share} of it \
-                 is in cells with a start that ends in contact"
+                "reach: in {:.2} % of the box no gap is ever smaller than {smallest_gap_m} m; {:.2} % of it is in cells with a \
+                 start that ends in contact",
+                (1e4 * verified_share).floor() / 1e2,
+                (1e4 * falsified_share).floor() / 1e2
             ),
         }
     }
