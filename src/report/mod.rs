@@ -4,6 +4,7 @@
 //! It is made of parts, each with its own evidence type and its own rendering (see [`Part`]); adding one means a file
 //! under `parts/`, a field of [`Assessment`] and a line in [`Assessment::parts`].
 
+mod best;
 mod case;
 mod config;
 mod interval;
@@ -16,6 +17,7 @@ use maud::Markup;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
+pub use best::Best;
 pub use case::{Case, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards, Verdict};
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, Plan};
 pub use interval::RateInterval;
