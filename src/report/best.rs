@@ -90,6 +90,7 @@ impl Best {
 
 /// What the numbers are, and how they relate.
 pub(super) const WHAT_REGRET_IS: &str = "The best smallest gap is that of a profile for the vehicles under test, found by \
-    convex programming with knowledge of the future and held over steps of 0.1 s, and replayed by the simulation; the bound \
-    beside it is proved of every driver, so a controller's regret, the best less its own smallest gap ahead or behind, \
-    understates what it lost by no more than the distance between the two.";
+    convex programming with knowledge of the future and held over steps of 0.1 s (or finer, where those do not decide), and \
+    replayed by the simulation. A controller's regret is that gap less its own smallest one, ahead or behind. The bound \
+    beside it comes from the multipliers of those programs and holds for every driver, so regret understates what was lost by \
+    no more than the distance between the two.";

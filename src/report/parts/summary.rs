@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde::Serialize;
 
-use super::{Distribution, PaperScenarios, Traffic};
+use super::{Distribution, PaperScenarios, Proofs, Traffic};
 use crate::report::table::{Cell, Mark, Table};
 use crate::report::{Part, Plan, Rounded};
 
@@ -31,6 +31,11 @@ pub struct Claim {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "strength", rename_all = "snake_case")]
 pub enum Strength {
+    /// The checker accepted the certificates in this run; it holds under the assumptions that go with them.
+    Proved {
+        /// How many certificates.
+        certificates: usize,
+    },
     /// It held whenever it was tried, so many times; that is all that is known.
     Tested {
         /// How often it was tried, at least once.
@@ -80,7 +85,7 @@ impl Strength {
 
     fn mark(&self) -> Mark {
         match self {
-            Self::Tested { .. } | Self::Bounded { .. } => Mark::Good,
+            Self::Proved { .. } | Self::Tested { .. } | Self::Bounded { .. } => Mark::Good,
             Self::Undecided { .. } | Self::Untried => Mark::None,
             Self::Exceeded { .. } | Self::Refuted { .. } => Mark::Bad,
         }
@@ -88,6 +93,7 @@ impl Strength {
 
     fn words(&self) -> String {
         match self {
+            Self::Proved { .. } => "proved under assumptions, see Proofs".to_owned(),
             Self::Tested { runs } => format!("tested: 0 of {runs} collide"),
             Self::Bounded { upper_percent, confidence_percent } => {
                 format!("bounded: at most {upper_percent} %, confidence {confidence_percent} %")
@@ -110,6 +116,7 @@ impl Summary {
         paper: &PaperScenarios,
         distribution: &Distribution,
         traffic: Option<&Traffic>,
+        proofs: &Proofs,
     ) -> Self {
         let mut claims = vec![
             Claim {
@@ -132,6 +139,12 @@ impl Summary {
                 strengths: no_contact(&traffic.scenarios, plan.controllers.len()),
             });
         }
+        // A kernel is about the vehicle, whoever wants to drive it.
+        let shielded = proofs.accepted().map_or(Strength::Untried, |certificates| Strength::Proved { certificates });
+        claims.push(Claim {
+            claim: "no contact with the vehicle ahead, behind a shield",
+            strengths: vec![shielded; plan.controllers.len()],
+        });
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
         let paragraph = paragraph(&controllers, &claims, distribution);
         Self { paragraph, controllers, claims }

@@ -29,8 +29,7 @@ pub(super) fn draw<'a>(profiles: impl Iterator<Item = (&'a str, &'a Mildest)>) -
             width: column_width - LEFT - 16.0,
             height: HEIGHT,
         };
-        let (x, y) =
-            (Axis::numbers("Time (s)", (0.0, end_s), 6), Axis::numbers("", (-1.08 * deepest_mps2, 0.0), 4));
+        let (x, y) = (Axis::numbers("Time (s)", (0.0, end_s), 6), Axis::numbers("", (-1.08 * deepest_mps2, 0.0), 4));
         let mut panel = Panel::new(frame, &format!("{controller}: leader's acceleration (m/s²)"), x, y);
         let steps = steps(&mildest.profile, end_s);
         let coasting: Vec<_> = steps.iter().map(|&(time_s, _)| (time_s, 0.0)).collect();
@@ -45,7 +44,13 @@ pub(super) fn draw<'a>(profiles: impl Iterator<Item = (&'a str, &'a Mildest)>) -
     let content = html! { @for placed in profiles.iter().enumerate() { (chart(placed)) } };
     let size = (WIDTH, rows as f64 * row_height);
     let description = "Acceleration of the leader over time, one chart a controller; a star marks the contact.";
-    Svg::new("worst-profiles", size, "The mildest lead braking that makes each controller collide", description, content)
+    Svg::new(
+        "worst-profiles",
+        size,
+        "The mildest lead braking that makes each controller collide",
+        description,
+        content,
+    )
 }
 
 fn contact_s(mildest: &Mildest) -> Option<f64> {
