@@ -99,7 +99,6 @@ pub fn assess(plan: &Plan, done: &dyn Fn(u64)) -> Result<Assessment, AssessError
     let distribution = Distribution::gather(plan, &|draws| done(plan.paper_runs() + draws))?;
     done(plan.paper_runs() + plan.distribution_runs());
     let traffic = Traffic::gather(plan)?;
-    done(plan.runs() - WorstProfiles::runs(plan));
     let worst_profiles = WorstProfiles::gather(plan)?;
     done(plan.runs());
     let proofs = Proofs::gather();
@@ -126,13 +125,10 @@ impl Plan {
         self.config.draws * self.controllers.len() as u64
     }
 
-    /// How many runs the plan asks for, roughly.
+    /// How many runs the plan asks for, besides those of searches.
     #[must_use]
     pub fn runs(&self) -> u64 {
-        self.paper_runs()
-            + self.distribution_runs()
-            + 2 * (self.traffic.len() * self.controllers.len()) as u64
-            + WorstProfiles::runs(self)
+        self.paper_runs() + self.distribution_runs() + 2 * (self.traffic.len() * self.controllers.len()) as u64
     }
 }
 

@@ -24,6 +24,8 @@ const BUDGET: usize = 3000;
 pub struct WorstProfiles {
     /// The scenario whose leader brakes.
     pub scenario: &'static str,
+    /// Its length, in seconds.
+    pub duration_s: Rounded<2>,
     /// Hardest braking the leader was allowed, in m/s².
     pub max_brake_mps2: Rounded<2>,
     /// Fastest change of its acceleration, in m/s³.
@@ -80,15 +82,11 @@ impl WorstProfiles {
         let profiles = plan.controllers.par_iter().map(against).collect::<Result<Vec<_>, _>>()?;
         Ok(Some(Self {
             scenario: SCENARIO,
+            duration_s: scenario.spec().duration_s.into(),
             max_brake_mps2: envelope.max_brake_mps2.into(),
             max_jerk_mps3: envelope.jerk_mps3.into(),
             profiles,
         }))
-    }
-
-    /// Simulations planned, for progress.
-    pub(in crate::report) fn runs(plan: &Plan) -> u64 {
-        (BUDGET * plan.controllers.len()) as u64
     }
 
     fn found(&self) -> impl Iterator<Item = (&str, &Mildest)> {
@@ -210,7 +208,7 @@ impl Part for WorstProfiles {
             @if self.found().next().is_some() {
                 (self.table().html())
                 p { (self.avoidable()) }
-                figure { (worst_figure::draw(self.found())) }
+                figure { (worst_figure::draw(self.found(), self.duration_s.value())) }
             }
             @for line in self.withstood() { p { (line) } }
             details {

@@ -14,11 +14,11 @@ const HEIGHT: f64 = 96.0;
 /// How long a profile is shown after the contact, in seconds.
 const AFTER_S: f64 = 1.0;
 
-pub(super) fn draw<'a>(profiles: impl Iterator<Item = (&'a str, &'a Mildest)>) -> Svg {
+pub(super) fn draw<'a>(profiles: impl Iterator<Item = (&'a str, &'a Mildest)>, duration_s: f64) -> Svg {
     let profiles: Vec<_> = profiles.collect();
     let deepest_mps2 = profiles.iter().map(|(_, mildest)| mildest.peak_brake_mps2.value()).fold(1.0, f64::max);
     let contacts_s = profiles.iter().filter_map(|(_, mildest)| contact_s(mildest));
-    let end_s = contacts_s.fold(1.0, f64::max) + AFTER_S;
+    let end_s = (contacts_s.fold(1.0, f64::max) + AFTER_S).min(duration_s);
     let (column_width, row_height) = (WIDTH / COLUMNS as f64, HEADING + HEIGHT + BELOW);
     let rows = profiles.len().div_ceil(COLUMNS);
     let chart = |(index, (controller, mildest)): (usize, &(&str, &Mildest))| {
