@@ -104,7 +104,7 @@ pub fn assess(plan: &Plan, done: &dyn Fn(u64)) -> Result<Assessment, AssessError
     let proofs = Proofs::gather();
     Ok(Assessment {
         version: EVIDENCE_VERSION,
-        summary: Summary::of(plan, &paper_scenarios, &distribution, traffic.as_ref(), &proofs),
+        summary: Summary::of(plan, &paper_scenarios, &distribution, traffic.as_ref(), worst_profiles.as_ref(), &proofs),
         learned: Learned::of(plan, &paper_scenarios),
         limits: Limits::of(plan),
         provenance: Provenance::of(plan),
