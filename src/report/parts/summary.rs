@@ -244,8 +244,8 @@ fn paragraph(controllers: &[String], claims: &[Claim], distribution: &Distributi
     let (defeated, withstood): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(defeated);
     if !defeated.is_empty() {
         text += &match withstood.as_slice() {
-            [] => "A search for the mildest lead braking made every controller collide. ".to_owned(),
-            _ => format!("A search for the mildest lead braking made these collide: {}. ", named(&defeated)),
+            [] => "In paper-1 a search for the mildest lead braking made every controller collide. ".to_owned(),
+            _ => format!("In paper-1 a search for the mildest lead braking made these collide: {}. ", named(&defeated)),
         };
     }
     text.trim_end().to_owned()

@@ -131,7 +131,8 @@ impl WorstProfiles {
              most {} m/s³ may take the place of its script; mild is what has a small ∫a². Against the baseline the search is \
              exact, by enumerating when its brake fires; against the others it is a local one along rollouts, so a milder \
              braking may exist. Each profile was simulated: the margin, the smallest gap or minus v²/10 after a contact at v \
-             m/s, stands beside what the last convex program predicted.",
+             m/s, stands beside what the last convex program predicted. A program aims a little beyond the edge of contact, and \
+             for the baseline it predicts no more than that: once its brake fires, the impact is whatever follows.",
             self.scenario, self.max_brake_mps2, self.max_jerk_mps3
         )
     }
