@@ -12,7 +12,9 @@ use crate::report::{Plan, assess};
 /// Compare controllers and write the report: HTML, Markdown and JSON
 #[derive(Args)]
 #[command(after_long_help = "\
-Without a file, every built-in controller on the paper's scenarios and 1000 draws of its distribution. A file says more:
+Without a file, every built-in controller on the paper's scenarios and 1000 draws of its distribution. The report also says what \
+anyone could have made of each scenario (see avoid), the mildest lead braking that makes each controller collide (see \
+worst-case), and what is proved of shields (see verify shield). A file says more:
 
   version = 1
   controllers = [\"baseline\", \"idm\"]   # the first is compared with all others

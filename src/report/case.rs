@@ -24,6 +24,10 @@ pub struct Case {
     pub ahead: Towards,
     /// Of the vehicle behind towards a vehicle under test.
     pub behind: Towards,
+    /// Smallest gap between any two vehicles until the first contact, in metres.
+    pub min_gap_m: Option<Rounded<2>>,
+    /// How much more the best driver kept of it, in metres; none where that is not known, or where others crashed first.
+    pub regret_m: Option<Rounded<2>>,
     /// Hardest deceleration of a vehicle under test, in m/s².
     pub peak_brake_mps2: Option<Rounded<2>>,
     /// Largest jerk of a vehicle under test, in m/s³.
@@ -245,6 +249,8 @@ impl Case {
             verdict: Verdict::of(&simulated, scenario),
             ahead: Towards::worst(&own),
             behind: Towards::worst(&followers),
+            min_gap_m: smallest(simulated.vehicles.iter().map(|vehicle| vehicle.min_gap_m)).map(Rounded::new),
+            regret_m: None,
             peak_brake_mps2: largest(own.iter().map(|m| m.peak_brake_mps2)).map(Rounded::new),
             peak_jerk_mps3: largest(own.iter().map(|m| m.peak_jerk_mps3)).map(Rounded::new),
             imposed_brake_mps2: largest(own.iter().map(|m| m.imposed.and_then(|imposed| imposed.peak_brake_mps2)))

@@ -4,6 +4,7 @@
 //! It is made of parts, each with its own evidence type and its own rendering (see [`Part`]); adding one means a file
 //! under `parts/`, a field of [`Assessment`] and a line in [`Assessment::parts`].
 
+mod best;
 mod case;
 mod config;
 mod interval;
@@ -16,17 +17,20 @@ use maud::Markup;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
+pub use best::Best;
 pub use case::{Case, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards, Verdict};
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, Plan};
 pub use interval::RateInterval;
 pub use parts::{
-    BRAKING_MPS2, Braking, Claim, Distribution, Learned, LearnedPolicy, Limits, Paired, PaperScenarios, Percent,
-    Provenance, Sampled, ScenarioCases, Strength, Summary, Traffic,
+    BRAKING_MPS2, Braking, Claim, Distribution, EXAMPLE_MPS, KernelProof, KernelStatus, Learned, LearnedPolicy, Limits,
+    Mildest, Paired, PaperScenarios, Percent, Proofs, Provenance, Sampled, ScenarioCases, Strength, Summary, Traffic,
+    WorstProfile, WorstProfiles,
 };
 pub use rounded::Rounded;
 
 use crate::scenario::InvalidField;
 use crate::sim::RunError;
+use crate::worst_case::AttackError;
 
 /// The version of the JSON evidence this release writes.
 pub const EVIDENCE_VERSION: u32 = 1;
@@ -44,6 +48,10 @@ pub struct Assessment {
     pub distribution: Distribution,
     /// Scenarios from files; none if the configuration names none.
     pub traffic: Option<Traffic>,
+    /// The mildest lead braking against each controller.
+    pub worst_profiles: Option<WorstProfiles>,
+    /// What is proved.
+    pub proofs: Proofs,
     /// How the learned policies drive; none if there are none among the controllers.
     pub learned: Option<Learned>,
     /// What this does not show.
@@ -74,6 +82,9 @@ pub enum AssessError {
     /// A draw of the paper's distribution is not a valid scenario.
     #[error("a draw of the paper's distribution is invalid: {0}")]
     Draw(#[from] InvalidField),
+    /// The worst braking cannot be looked for.
+    #[error(transparent)]
+    Attack(#[from] AttackError),
 }
 
 /// Gathers the evidence a plan asks for.
@@ -88,16 +99,20 @@ pub fn assess(plan: &Plan, done: &dyn Fn(u64)) -> Result<Assessment, AssessError
     let distribution = Distribution::gather(plan, &|draws| done(plan.paper_runs() + draws))?;
     done(plan.paper_runs() + plan.distribution_runs());
     let traffic = Traffic::gather(plan)?;
+    let worst_profiles = WorstProfiles::gather(plan)?;
     done(plan.runs());
+    let proofs = Proofs::gather();
     Ok(Assessment {
         version: EVIDENCE_VERSION,
-        summary: Summary::of(plan, &paper_scenarios, &distribution, traffic.as_ref()),
+        summary: Summary::of(plan, &paper_scenarios, &distribution, traffic.as_ref(), worst_profiles.as_ref(), &proofs),
         learned: Learned::of(plan, &paper_scenarios),
         limits: Limits::of(plan),
         provenance: Provenance::of(plan),
         paper_scenarios,
         distribution,
         traffic,
+        worst_profiles,
+        proofs,
     })
 }
 
@@ -110,7 +125,7 @@ impl Plan {
         self.config.draws * self.controllers.len() as u64
     }
 
-    /// How many runs the plan asks for.
+    /// How many runs the plan asks for, besides those of searches.
     #[must_use]
     pub fn runs(&self) -> u64 {
         self.paper_runs() + self.distribution_runs() + 2 * (self.traffic.len() * self.controllers.len()) as u64
@@ -123,6 +138,8 @@ impl Assessment {
     pub fn parts(&self) -> Vec<&dyn Part> {
         let mut parts: Vec<&dyn Part> = vec![&self.summary, &self.paper_scenarios, &self.distribution];
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
+        parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn Part));
+        parts.push(&self.proofs);
         parts.extend(self.learned.as_ref().map(|learned| learned as &dyn Part));
         parts.extend([&self.limits as &dyn Part, &self.provenance]);
         parts

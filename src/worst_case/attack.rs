@@ -71,6 +71,17 @@ pub struct Attack {
     pub way: Way,
 }
 
+/// What an attack found, and what it spent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Hunt {
+    /// The profile, if one makes the controller collide.
+    pub found: Option<Attack>,
+    /// Simulations spent.
+    pub evaluations: usize,
+    /// Convex programs solved.
+    pub programs: usize,
+}
+
 /// Why an attack cannot be tried.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -108,6 +119,20 @@ pub fn attack(
     envelope: Envelope,
     budget: usize,
 ) -> Result<Option<Attack>, AttackError> {
+    Ok(hunt(scenario, options, aim, envelope, budget)?.found)
+}
+
+/// The same, with what was spent whether or not there is a result.
+///
+/// # Errors
+/// Those of [`attack()`].
+pub fn hunt(
+    scenario: &Scenario,
+    options: &RunOptions,
+    aim: Aim,
+    envelope: Envelope,
+    budget: usize,
+) -> Result<Hunt, AttackError> {
     if !matches!(scenario.vehicles().first().map(|leader| &leader.driver), Some(Driver::Profile(_))) {
         return Err(AttackError::Leader);
     }
@@ -117,13 +142,15 @@ pub fn attack(
         return Err(AttackError::Envelope { max_brake_mps2, jerk_mps3: envelope.jerk_mps3 });
     }
     let mut bench = Bench::new(scenario, options, envelope);
-    if aim != Aim::Severest
+    let found = if aim != Aim::Severest
         && let UnderTest::BuiltIn(ControllerSpec::Baseline(aeb)) = &options.controller
         && exact::applies(scenario)
     {
-        return exact::mildest(&mut bench, aeb.ttc_s, aim, budget);
-    }
-    sequential::attack(&mut bench, aim, budget)
+        exact::mildest(&mut bench, aeb.ttc_s, aim, budget)?
+    } else {
+        sequential::attack(&mut bench, aim, budget)?
+    };
+    Ok(Hunt { found, evaluations: bench.evaluations, programs: bench.programs })
 }
 
 /// Where profiles are tried out.

@@ -31,7 +31,7 @@ mod sequential;
 mod situation;
 mod witness;
 
-pub use attack::{Aim, Attack, AttackError, Envelope, Way, attack};
+pub use attack::{Aim, Attack, AttackError, Envelope, Hunt, Way, attack, hunt};
 pub use avoid::{AvoidError, AvoidOptions, Avoidance, EscapeKind, Verdict, avoid, avoid_all, certify};
 pub use certificate::is_about;
 pub use family::{Family, FamilyError, FieldRange, Ranges};

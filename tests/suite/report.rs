@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use crumple::report::{Assessment, Plan, assess};
+use crumple::report::{Assessment, Best, KernelStatus, Plan, assess};
 use serde_json::Value;
 
 static BUILT_IN: LazyLock<Assessment> = LazyLock::new(|| assess(&Plan::built_in(), &|_| {}).expect("runs"));
@@ -58,6 +58,38 @@ fn the_verdict_is_that_of_the_evidence() {
         let by_kind = sampled["hit"].as_u64().expect("a count") + sampled["was_hit"].as_u64().expect("a count");
         assert_eq!(by_kind, collisions, "{name}: with one ego every collision involves it");
     }
+}
+
+/// No controller does better than the bound over all of them, and regret is what the shown numbers make it.
+#[test]
+fn nobody_beats_the_bound_and_regrets_add_up() {
+    let mut compared = 0;
+    for scenario in &BUILT_IN.paper_scenarios.scenarios {
+        let Some(Best::Avoidable { min_gap_m, min_gap_bound_m, .. }) = &scenario.best else { panic!("avoidable") };
+        let bound_m = min_gap_bound_m.expect("a bound").value();
+        assert!(min_gap_m.value() <= bound_m);
+        for case in &scenario.cases {
+            let (own_m, regret_m) = (case.min_gap_m.expect("a gap").value(), case.regret_m.expect("a regret").value());
+            assert!(own_m <= bound_m, "{}: {own_m} m", case.controller);
+            assert!((own_m + regret_m - min_gap_m.value()).abs() < 1e-9 || regret_m == 0.0);
+            let pairs = [case.ahead.min_gap_m, case.behind.min_gap_m].into_iter().flatten();
+            assert_eq!(pairs.map(|gap| gap.value()).reduce(f64::min), Some(own_m), "{}", case.controller);
+            compared += 1;
+        }
+    }
+    assert_eq!(compared, 21);
+}
+
+#[test]
+fn worst_profiles_collide_and_kernels_are_proved() {
+    let worst = BUILT_IN.worst_profiles.as_ref().expect("shipped");
+    for profile in &worst.profiles {
+        let Some(mildest) = &profile.mildest else { continue };
+        assert!(mildest.verdict.is_collision() && mildest.margin_m.value() <= 0.0, "{}", profile.controller);
+        assert!(mildest.peak_brake_mps2 <= worst.max_brake_mps2, "{}", profile.controller);
+    }
+    let statuses: Vec<_> = BUILT_IN.proofs.kernels.iter().map(|kernel| &kernel.status).collect();
+    assert_eq!(statuses, [&KernelStatus::Accepted; 4]);
 }
 
 #[test]

@@ -1,9 +1,11 @@
 //! The paper's three scenarios.
 
 use maud::{Markup, html};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::ScenarioCases;
+use crate::report::best::{Best, WHAT_REGRET_IS};
 use crate::report::case::{Motion, run_cases};
 use crate::report::{AssessError, Part, Plan};
 use crate::scenario::{Scenario, built_in, built_in_names};
@@ -22,12 +24,16 @@ impl PaperScenarios {
         let scenarios = known.map(seeded).collect::<Result<Vec<_>, _>>()?;
         let all: Vec<&Scenario> = scenarios.iter().collect();
         let cases = run_cases(&all, &plan.controllers, plan.config.estimator, Motion::Kept)?;
+        let bests: Vec<Best> = all.par_iter().map(|scenario| Best::of(scenario)).collect();
         let seed = if plan.config.seed == 0 { String::new() } else { format!(" --seed {}", plan.config.seed) };
         let options = plan.simulate_options() + &seed;
         let scenarios = scenarios
             .iter()
             .zip(cases)
-            .map(|(scenario, cases)| ScenarioCases::new(scenario, &format!("{}{options}", scenario.spec().name), cases))
+            .zip(bests)
+            .map(|((scenario, cases), best)| {
+                ScenarioCases::new(scenario, &format!("{}{options}", scenario.spec().name), cases).with_best(best)
+            })
             .collect();
         Ok(Self { scenarios })
     }
@@ -50,10 +56,12 @@ impl Part for PaperScenarios {
     fn html(&self) -> Markup {
         html! {
             p { (INTRODUCTION) }
+            p { (WHAT_REGRET_IS) }
             @for scenario in &self.scenarios {
                 h3 { (scenario.scenario) }
                 p { (scenario.about) }
                 @if let Some(first) = scenario.cases.first() { figure { (scenario.figure(first)) } }
+                p { (scenario.best_words()) }
                 (scenario.tables())
                 @for case in scenario.cases.iter().skip(1) { (scenario.folded_figure(case)) }
             }
@@ -63,13 +71,14 @@ impl Part for PaperScenarios {
     fn markdown(&self) -> String {
         let scenario = |s: &ScenarioCases| {
             format!(
-                "### {}\n\n{}\n\n{}\n{}\n",
+                "### {}\n\n{}\n\n{}\n\n{}\n{}\n",
                 s.scenario,
                 s.about,
+                s.best_words(),
                 s.table().markdown(),
                 s.further_measures().markdown()
             )
         };
-        format!("{INTRODUCTION}\n\n{}", self.scenarios.iter().map(scenario).collect::<String>())
+        format!("{INTRODUCTION}\n\n{WHAT_REGRET_IS}\n\n{}", self.scenarios.iter().map(scenario).collect::<String>())
     }
 }

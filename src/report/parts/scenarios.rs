@@ -4,6 +4,7 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use crate::draw::{MotionFigure, motion_responsive, vehicle_names};
+use crate::report::Best;
 use crate::report::case::Case;
 use crate::report::rounded::or_dash;
 use crate::report::table::{Cell, Table};
@@ -18,6 +19,8 @@ pub struct ScenarioCases {
     pub about: String,
     /// How to run it again.
     pub replay: String,
+    /// The best anyone could have made of it; none if that was not asked.
+    pub best: Option<Best>,
     /// One case a controller.
     pub cases: Vec<Case>,
     /// Names of the vehicles, for figures.
@@ -32,9 +35,24 @@ impl ScenarioCases {
             scenario: scenario.spec().name.clone(),
             about: scenario.spec().about.clone(),
             replay: format!("crumple simulate {reach}"),
+            best: None,
             cases,
             labels: vehicle_names(scenario),
         }
+    }
+
+    /// With the best anyone could have made of the scenario, and each controller's regret.
+    pub(in crate::report) fn with_best(mut self, best: Best) -> Self {
+        for case in &mut self.cases {
+            case.regret_m = best.regret_m(case);
+        }
+        self.best = Some(best);
+        self
+    }
+
+    /// The best anyone could have made of it, in a sentence.
+    pub(in crate::report) fn best_words(&self) -> String {
+        self.best.as_ref().map(Best::words).unwrap_or_default()
     }
 
     /// Outcomes and the measures to look at first, one row a controller.
@@ -44,6 +62,7 @@ impl ScenarioCases {
             "outcome",
             "min gap ahead (m)",
             "min gap behind (m)",
+            "regret (m)",
             "min TTC (s)",
             "peak brake (m/s²)",
             "imposed behind (m/s²)",
@@ -55,6 +74,7 @@ impl ScenarioCases {
                 Cell::marked(case.verdict.words(), case.verdict.mark()),
                 Cell::number(or_dash(case.ahead.min_gap_m)),
                 Cell::number(or_dash(case.behind.min_gap_m)),
+                Cell::number(or_dash(case.regret_m)),
                 Cell::number(or_dash(case.ahead.min_ttc_s)),
                 Cell::number(or_dash(case.peak_brake_mps2)),
                 Cell::number(or_dash(case.imposed_brake_mps2)),

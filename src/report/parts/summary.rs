@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde::Serialize;
 
-use super::{Distribution, PaperScenarios, Traffic};
+use super::{Distribution, PaperScenarios, Proofs, Traffic, WorstProfiles};
 use crate::report::table::{Cell, Mark, Table};
 use crate::report::{Part, Plan, Rounded};
 
@@ -31,6 +31,11 @@ pub struct Claim {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "strength", rename_all = "snake_case")]
 pub enum Strength {
+    /// The checker accepted the certificates in this run; it holds under the assumptions that go with them.
+    Proved {
+        /// How many certificates.
+        certificates: usize,
+    },
     /// It held whenever it was tried, so many times; that is all that is known.
     Tested {
         /// How often it was tried, at least once.
@@ -64,6 +69,11 @@ pub enum Strength {
         /// Out of how many.
         runs: u64,
     },
+    /// A search found what makes it fail, so nothing follows about how often it does.
+    Defeated {
+        /// Hardest deceleration of the leader, in m/s².
+        peak_brake_mps2: Rounded<2>,
+    },
     /// It was never tried.
     Untried,
 }
@@ -80,14 +90,15 @@ impl Strength {
 
     fn mark(&self) -> Mark {
         match self {
-            Self::Tested { .. } | Self::Bounded { .. } => Mark::Good,
+            Self::Proved { .. } | Self::Tested { .. } | Self::Bounded { .. } => Mark::Good,
             Self::Undecided { .. } | Self::Untried => Mark::None,
-            Self::Exceeded { .. } | Self::Refuted { .. } => Mark::Bad,
+            Self::Exceeded { .. } | Self::Refuted { .. } | Self::Defeated { .. } => Mark::Bad,
         }
     }
 
     fn words(&self) -> String {
         match self {
+            Self::Proved { .. } => "proved under assumptions, see Proofs".to_owned(),
             Self::Tested { runs } => format!("tested: 0 of {runs} collide"),
             Self::Bounded { upper_percent, confidence_percent } => {
                 format!("bounded: at most {upper_percent} %, confidence {confidence_percent} %")
@@ -99,6 +110,9 @@ impl Strength {
                 format!("undecided: {lower_percent} to {upper_percent} %")
             }
             Self::Refuted { failures, runs } => format!("refuted: {failures} of {runs} collide"),
+            Self::Defeated { peak_brake_mps2 } => {
+                format!("refuted by a leader that brakes at up to {peak_brake_mps2} m/s²")
+            }
             Self::Untried => "not tried".to_owned(),
         }
     }
@@ -110,6 +124,8 @@ impl Summary {
         paper: &PaperScenarios,
         distribution: &Distribution,
         traffic: Option<&Traffic>,
+        worst: Option<&WorstProfiles>,
+        proofs: &Proofs,
     ) -> Self {
         let mut claims = vec![
             Claim {
@@ -132,6 +148,15 @@ impl Summary {
                 strengths: no_contact(&traffic.scenarios, plan.controllers.len()),
             });
         }
+        if let Some(worst) = worst {
+            claims.push(Claim { claim: "no contact in paper-1, however its leader brakes", strengths: however(worst) });
+        }
+        // A kernel is about the vehicle, whoever wants to drive it.
+        let shielded = proofs.accepted().map_or(Strength::Untried, |certificates| Strength::Proved { certificates });
+        claims.push(Claim {
+            claim: "no contact with the vehicle ahead, behind a shield",
+            strengths: vec![shielded; plan.controllers.len()],
+        });
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
         let paragraph = paragraph(&controllers, &claims, distribution);
         Self { paragraph, controllers, claims }
@@ -183,6 +208,15 @@ fn rarely(distribution: &Distribution) -> Vec<Strength> {
     distribution.controllers.iter().map(strength).collect()
 }
 
+/// A search that found nothing is as many tests.
+fn however(worst: &WorstProfiles) -> Vec<Strength> {
+    let strength = |profile: &super::WorstProfile| match &profile.mildest {
+        Some(mildest) => Strength::Defeated { peak_brake_mps2: mildest.peak_brake_mps2 },
+        None => Strength::of(0, profile.evaluations as u64),
+    };
+    worst.profiles.iter().map(strength).collect()
+}
+
 fn paragraph(controllers: &[String], claims: &[Claim], distribution: &Distribution) -> String {
     let collides = |&index: &usize| {
         claims.iter().any(|claim| matches!(claim.strengths.get(index), Some(Strength::Refuted { .. })))
@@ -196,13 +230,23 @@ fn paragraph(controllers: &[String], claims: &[Claim], distribution: &Distributi
             Some((last, others)) => format!("{} and {last}", others.join(", ")),
         }
     };
-    let mut text = format!("Without a collision wherever they were tried: {}. ", named(&sound));
+    let mut text = format!("Without a collision in the scenarios and draws of this report: {}. ", named(&sound));
     text += &format!("With at least one: {}. ", named(&failing));
     if let Some(first) = distribution.controllers.first().filter(|_| distribution.draws > 0) {
         text += &format!(
             "The {} collides in {} of {} draws of the paper's distribution, in {} of them because it is hit from behind. ",
             first.controller, first.collisions, distribution.draws, first.was_hit
         );
+    }
+    let defeated = |&index: &usize| {
+        claims.iter().any(|claim| matches!(claim.strengths.get(index), Some(Strength::Defeated { .. })))
+    };
+    let (defeated, withstood): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(defeated);
+    if !defeated.is_empty() {
+        text += &match withstood.as_slice() {
+            [] => "In paper-1 a search for the mildest lead braking made every controller collide. ".to_owned(),
+            _ => format!("In paper-1 a search for the mildest lead braking made these collide: {}. ", named(&defeated)),
+        };
     }
     text.trim_end().to_owned()
 }

@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use maud::{Markup, html};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::ScenarioCases;
+use crate::report::best::{Best, WHAT_REGRET_IS};
 use crate::report::case::{Case, Motion, Verdict, run_cases};
 use crate::report::table::{Cell, Table};
 use crate::report::{Part, Plan};
@@ -42,8 +44,15 @@ impl Traffic {
         let mut scenarios = run(&(0..plan.traffic.len()).collect::<Vec<_>>(), Motion::Dropped)?;
         // Motion is kept only where it is drawn: hundreds of traces would not fit in memory.
         let closest_first = most_telling(&scenarios);
-        for (&index, drawn) in closest_first.iter().zip(run(&closest_first, Motion::Kept)?) {
-            scenarios[index] = drawn;
+        let bests: Vec<Option<Best>> = closest_first
+            .par_iter()
+            .map(|&index| plan.traffic.get(index).map(|(_, scenario)| Best::of(scenario)))
+            .collect();
+        for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, Motion::Kept)?).zip(bests) {
+            scenarios[index] = match best {
+                Some(best) => drawn.with_best(best),
+                None => drawn,
+            };
         }
         Ok(Some(Self { scenarios, closest_first }))
     }
@@ -51,11 +60,12 @@ impl Traffic {
     fn overview(&self) -> Table {
         let names =
             self.scenarios.first().map_or(&[][..], |scenario| &scenario.cases).iter().map(|c| c.controller.as_str());
-        let header: Vec<&str> = std::iter::once("scenario").chain(names).collect();
+        let header: Vec<&str> = std::iter::once("scenario").chain(names).chain(["best anyone could"]).collect();
         let mut table = Table::new(&header);
         for scenario in &self.scenarios {
             let cells = scenario.cases.iter().map(|case| Cell::marked(words(case), case.verdict.mark()));
-            table.row(std::iter::once(Cell::text(&scenario.scenario)).chain(cells).collect());
+            let best = Cell::text(scenario.best.as_ref().map_or("–".to_owned(), Best::brief));
+            table.row(std::iter::once(Cell::text(&scenario.scenario)).chain(cells).chain([best]).collect());
         }
         table
     }
@@ -106,6 +116,7 @@ impl Part for Traffic {
         let telling: Vec<_> = self.closest_first.iter().filter_map(|&index| self.scenarios.get(index)).collect();
         html! {
             p { (INTRODUCTION) }
+            p { (WHAT_REGRET_IS) " It was looked for in the scenarios shown in detail." }
             (self.overview().html())
             p {
                 @if telling.len() < self.scenarios.len() {
@@ -118,6 +129,7 @@ impl Part for Traffic {
                 details {
                     summary { (scenario.scenario) }
                     p { (scenario.about) }
+                    p { (scenario.best_words()) }
                     (scenario.tables())
                     @for case in &scenario.cases { (scenario.folded_figure(case)) }
                 }
@@ -126,6 +138,6 @@ impl Part for Traffic {
     }
 
     fn markdown(&self) -> String {
-        format!("{INTRODUCTION}\n\n{}", self.overview().markdown())
+        format!("{INTRODUCTION}\n\n{WHAT_REGRET_IS}\n\n{}", self.overview().markdown())
     }
 }
