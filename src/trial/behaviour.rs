@@ -24,9 +24,12 @@ const VEHICLES: usize = 6;
 /// Roles in a contact that are told apart.
 const ROLES: usize = 3;
 
+/// Kinds of approaches and of collisions that are told apart: places in a hash table.
+const KINDS: usize = 4096;
+
 /// The number of features there are.
 pub const FEATURES: usize =
-    VEHICLES * (GAPS_M.len() + 1 + TTC_S.len() + 1 + MODE_CHANGES) + ROLES * (VEHICLES + IMPACTS);
+    VEHICLES * (GAPS_M.len() + 1 + TTC_S.len() + 1 + MODE_CHANGES) + ROLES * (VEHICLES + IMPACTS) + 2 * KINDS;
 
 /// The features of a run, each below [`FEATURES`].
 #[must_use]
@@ -55,7 +58,28 @@ pub fn features(trial: &Trial, result: &Simulated) -> Vec<usize> {
         group(VEHICLES, of_role(role).map(|contact| contact.rear_vehicle));
         group(IMPACTS, of_role(role).map(|contact| (contact.impact_speed_mps / IMPACT_MPS) as usize));
     }
+    group(KINDS, failure(trial, result).map(|kind| place(&kind)));
+    found.extend(approaches(trial, result).map(|kind| start + place(&kind)));
     found
+}
+
+/// How near each pair came to each other, and who drives the two.
+fn approaches<'a>(trial: &'a Trial, result: &'a Simulated) -> impl Iterator<Item = String> + 'a {
+    let vehicles = trial.scenario.vehicles();
+    let pairs = vehicles.windows(2).zip(result.vehicles.iter().skip(1)).enumerate();
+    pairs.filter_map(move |(index, (pair, summary))| {
+        let nearness = GAPS_M.iter().filter(|&&step| summary.min_gap_m.is_some_and(|gap_m| gap_m <= step)).count();
+        let [front, rear] = pair else { return None };
+        Some(format!("{index} of {}, {} and {}, {nearness}", vehicles.len(), front.driver.name(), rear.driver.name()))
+    })
+}
+
+/// Where in a table of [`KINDS`] a kind is counted (FNV-1a).
+fn place(kind: &str) -> usize {
+    let hash = kind
+        .bytes()
+        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
+    (hash % KINDS as u64) as usize
 }
 
 /// How often full braking began.

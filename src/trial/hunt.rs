@@ -15,7 +15,7 @@ const EVERY: usize = 16;
 pub struct Hunt {
     controller: Option<Candidate>,
     collisions: Option<Collection>,
-    seen: [AtomicBool; behaviour::FEATURES],
+    seen: Vec<AtomicBool>,
     inputs: AtomicUsize,
 }
 
@@ -43,7 +43,7 @@ impl Hunt {
         Ok(Self {
             controller: if controller == "any" { None } else { Some(Candidate::named(controller)?) },
             collisions: collisions.map(Collection::in_folder).transpose()?,
-            seen: [const { AtomicBool::new(false) }; behaviour::FEATURES],
+            seen: (0..behaviour::FEATURES).map(|_| AtomicBool::new(false)).collect(),
             inputs: AtomicUsize::new(0),
         })
     }
