@@ -34,7 +34,7 @@ pub use regions::Region;
 pub use run::Progress;
 pub(in crate::falsify) use run::write_whole;
 pub use specification::{Braking, Specification, SpecificationError, Struck, Verdict};
-pub use summary::{ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
+pub use summary::{AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
 
 use crate::scenario::InvalidField;
 use crate::sim::RunError;

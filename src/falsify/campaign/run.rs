@@ -8,7 +8,9 @@ use super::coverage::Coverage;
 use super::failures::Failures;
 use super::journal::Journal;
 use super::regions::Sample;
-use super::summary::{ByMethod, CoverageSummary, KindSummary, MethodSummary, SUMMARY_VERSION, Summary};
+use super::summary::{
+    AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, SUMMARY_VERSION, Summary,
+};
 use super::table::Table;
 use super::{Campaign, CampaignError, Evaluated, FailureKind, Verdict};
 use crate::falsify::Method;
@@ -277,6 +279,7 @@ impl Campaign {
                 .collect(),
             failures: kinds.iter().map(kind_summary).collect(),
             regions: sample.regions(space),
+            avoidability: AvoidabilitySummary::of(&counterexamples),
             counterexamples,
         })
     }

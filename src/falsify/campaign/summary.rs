@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{CampaignError, Covered, Region};
 use crate::estimate::EstimatorKind;
-use crate::falsify::counterexample::Counterexample;
+use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 
 /// The version of `summary.json`.
 pub(super) const SUMMARY_VERSION: u32 = 1;
@@ -46,6 +46,9 @@ pub struct Summary {
     pub best_robustness: Option<f64>,
     /// Distinct failures, the severest first.
     pub counterexamples: Vec<Counterexample>,
+    /// How many of them could have been avoided; none if nobody asked.
+    #[serde(default)]
+    pub avoidability: Option<AvoidabilitySummary>,
     /// What each method reached: the one asked for, then the yardsticks.
     pub methods: Vec<MethodSummary>,
     /// Kinds of failures, the most frequent first.
@@ -54,6 +57,32 @@ pub struct Summary {
     pub coverage: CoverageSummary,
     /// Where failures lie, the densest region first; empty if the yardsticks found none, or nothing else.
     pub regions: Vec<Region>,
+}
+
+/// How many distinct failures could have been avoided.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AvoidabilitySummary {
+    /// Those with an escape.
+    pub avoidable: usize,
+    /// Those with a proof that there is none.
+    pub unavoidable: usize,
+    /// Those with neither.
+    pub undecided: usize,
+    /// Share of all three that was avoidable.
+    pub avoidable_percent: f64,
+}
+
+impl AvoidabilitySummary {
+    /// Of a list of distinct failures; none if none of them was classed.
+    #[must_use]
+    pub fn of(found: &[Counterexample]) -> Option<Self> {
+        let count = |class| found.iter().filter(|one| one.avoidability.class() == class).count();
+        let [avoidable, unavoidable, undecided] =
+            [AvoidabilityClass::Avoidable, AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided].map(count);
+        let all = avoidable + unavoidable + undecided;
+        let avoidable_percent = 100.0 * avoidable as f64 / all as f64;
+        (all > 0).then_some(Self { avoidable, unavoidable, undecided, avoidable_percent })
+    }
 }
 
 /// What a method reached.
@@ -143,6 +172,14 @@ impl Summary {
         )?;
         if self.falsified {
             writeln!(out, "  FALSIFIED: {} distinct failures", self.counterexamples.len())?;
+            if let Some(AvoidabilitySummary { avoidable, unavoidable, undecided, avoidable_percent }) =
+                self.avoidability
+            {
+                writeln!(
+                    out,
+                    "  {avoidable} of them ({avoidable_percent:.0} %) avoidable, {unavoidable} unavoidable, {undecided} undecided"
+                )?;
+            }
         } else {
             writeln!(out, "  no failure found; that is no proof that there is none")?;
         }

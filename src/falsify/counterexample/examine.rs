@@ -76,8 +76,11 @@ impl<'a> Examiner<'a> {
         }
         let mut index = ExpectedFile { version: EXPECTED_VERSION, expected: Vec::new() };
         let mut found = Vec::new();
-        for (place, one) in distinct.iter().enumerate() {
-            found.push(self.write(place + 1, one, &counterexamples, &mut index)?);
+        let specification = &self.campaign.specification;
+        let classes: Vec<Avoidability> =
+            distinct.par_iter().map(|one| Avoidability::of(specification, &one.scenario)).collect();
+        for (place, (one, class)) in distinct.iter().zip(classes).enumerate() {
+            found.push(self.write(place + 1, one, class, &counterexamples, &mut index)?);
         }
         self.rank(&mut found);
         let text = toml::to_string(&index).map_err(CampaignError::encoding)?;
@@ -167,6 +170,7 @@ impl<'a> Examiner<'a> {
         &self,
         place: usize,
         one: &Examined<'_>,
+        avoidability: Avoidability,
         folder: &Path,
         index: &mut ExpectedFile,
     ) -> Result<Counterexample, CampaignError> {
@@ -192,8 +196,9 @@ impl<'a> Examiner<'a> {
         );
         let how =
             if one.dt_fragile { " It disappears at a tenth of the step: kept as it was found." } else { " Shrunk." };
+        let class = avoidability.describe().map_or(String::new(), |words| format!(" {}.", sentence(&words)));
         let name = format!("{}-{}-{place:02}", self.space.name(), campaign.seed);
-        let mut record = |file: &str, scenario: &Scenario, name: String, about: String| {
+        let mut record = |file: &str, scenario: &Scenario, name: String, about: String, class: &Avoidability| {
             let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
             let text = file::to_toml(&named).map_err(CampaignError::encoding)?;
             let path = folder.join(file);
@@ -213,12 +218,14 @@ impl<'a> Examiner<'a> {
                 front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
                 rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
                 dt_fragile: one.dt_fragile,
-                avoidable: Avoidability::NotAsked,
+                avoidable: class.class(),
+                best_min_gap_m: class.best_min_gap_m(),
+                undecided_because: class.undecided_because().map(str::to_owned),
             });
             Ok::<Verdict, CampaignError>(verdict)
         };
-        let verdict = record(&file, &one.scenario, name.clone(), found.clone() + how)?;
-        record(&original, &one.original, format!("{name}-original"), found)?;
+        let verdict = record(&file, &one.scenario, name.clone(), found.clone() + how + &class, &avoidability)?;
+        record(&original, &one.original, format!("{name}-original"), found, &Avoidability::NotAsked)?;
         let point = self.space.point(&one.values);
         Ok(Counterexample {
             file: format!("counterexamples/{file}"),
@@ -236,7 +243,7 @@ impl<'a> Examiner<'a> {
             departure: self.cube.distance(&point, &self.nominal) / self.cube.blocks().len() as f64,
             likelihood_rank: 0,
             dt_fragile: one.dt_fragile,
-            avoidable: Avoidability::NotAsked,
+            avoidability,
             found_by: candidate.method.name().to_owned(),
             found_at: candidate.number,
             changed: self.changed(&one.values),
@@ -285,6 +292,12 @@ impl Examined<'_> {
         let severity = self.verdict.contact.map_or(-self.verdict.robustness, |contact| contact.impact_speed_mps);
         (severity, self.max_delta_v_mps.unwrap_or(0.0), self.vehicles_involved)
     }
+}
+
+/// With a capital.
+fn sentence(words: &str) -> String {
+    let mut letters = words.chars();
+    letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect()
 }
 
 fn tidy(spec: &mut ScenarioSpec) {

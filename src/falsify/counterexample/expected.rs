@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::Avoidability;
+use super::{Avoidability, AvoidabilityClass};
 use crate::estimate::EstimatorKind;
 use crate::falsify::campaign::{Specification, SpecificationError, Verdict};
 use crate::scenario::Scenario;
@@ -58,7 +58,13 @@ pub struct Expected {
     pub dt_fragile: bool,
     /// Whether any controller could have avoided it.
     #[serde(default)]
-    pub avoidable: Avoidability,
+    pub avoidable: AvoidabilityClass,
+    /// If so, the smallest gap of the best escape found, in metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub best_min_gap_m: Option<f64>,
+    /// If that is undecided, why.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub undecided_because: Option<String>,
 }
 
 /// A replay beside what was expected.
@@ -156,6 +162,36 @@ impl Expected {
             && on_time
             && finer_agrees != self.dt_fragile;
         Ok(Replayed { nominal, finer, as_recorded })
+    }
+}
+
+impl Expected {
+    /// The same scenario and controller with what happens today; whether it was avoidable is asked again if it fails.
+    ///
+    /// # Errors
+    /// [`ReplayError`] if something it names is not there or does not fit.
+    pub fn renewed(&self, folder: &Path) -> Result<Self, ReplayError> {
+        let scenario = file::load(&folder.join(&self.scenario))?;
+        let policy_sha256 = Contender::find(&self.controller, folder)?.policy().map(|policy| policy.digest());
+        let specification = Specification::parse(&self.specification, scenario.vehicles().len())?;
+        let mut renewed = Self { policy_sha256, dt_fragile: false, ..self.clone() };
+        let verdict = renewed.replay(folder)?.nominal;
+        let violated = verdict.robustness < 0.0;
+        let class = if violated { Avoidability::of(&specification, &scenario) } else { Avoidability::NotAsked };
+        renewed = Self {
+            violated,
+            robustness: verdict.robustness,
+            contact_time_s: verdict.contact.map(|contact| contact.time_s),
+            front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
+            rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
+            avoidable: class.class(),
+            best_min_gap_m: class.best_min_gap_m(),
+            undecided_because: class.undecided_because().map(str::to_owned),
+            ..renewed
+        };
+        // Everything else is as recorded now.
+        renewed.dt_fragile = !renewed.replay(folder)?.as_recorded;
+        Ok(renewed)
     }
 }
 

@@ -8,7 +8,10 @@
 //!
 //! Two shrunk failures are *distinct* if they are of different kinds, or lie further apart than [`SAME_WITHIN`] in the unit
 //! cube of the space (mean difference over the parameters). Of those that are not, the severer one stays.
+//!
+//! Where contact is what must not happen, each distinct failure is then classed by convex programming: [`Avoidability`].
 
+mod avoidability;
 mod examine;
 mod expected;
 mod shrink;
@@ -17,37 +20,10 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
+pub use avoidability::{Avoidability, AvoidabilityClass};
 pub(in crate::falsify) use examine::Examiner;
 pub use examine::SAME_WITHIN;
 pub use expected::{EXPECTED_VERSION, Expected, ExpectedFile, ReplayError, Replayed};
-
-/// Whether any controller could have avoided a failure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Avoidability {
-    /// Nobody has asked yet.
-    #[default]
-    NotAsked,
-    /// Some acceleration of the vehicles under test avoids it.
-    Avoidable,
-    /// None does.
-    Unavoidable,
-    /// Neither could be shown.
-    Undecided,
-}
-
-impl Avoidability {
-    /// The name in files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::NotAsked => "not-asked",
-            Self::Avoidable => "avoidable",
-            Self::Unavoidable => "unavoidable",
-            Self::Undecided => "undecided",
-        }
-    }
-}
 
 /// A distinct failure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -83,8 +59,10 @@ pub struct Counterexample {
     pub likelihood_rank: usize,
     /// Whether it disappears at a tenth of the step.
     pub dt_fragile: bool,
-    /// Whether any controller could have avoided it.
-    pub avoidable: Avoidability,
+    /// Whether any controller could have avoided it: in files the fields `avoidable` (true, false or null), `avoidability`,
+    /// `best_min_gap_m` and `undecided_because`.
+    #[serde(flatten)]
+    pub avoidability: Avoidability,
     /// Which method found it.
     pub found_by: String,
     /// At which of its evaluations, from 1.
@@ -118,6 +96,9 @@ impl Counterexample {
             "      {delta}{} vehicles involved; likelihood rank {}; {} after {} runs",
             self.vehicles_involved, self.likelihood_rank, self.found_by, self.found_at
         )?;
+        if let Some(words) = self.avoidability.describe() {
+            writeln!(out, "      {words}")?;
+        }
         let show = |changed: &Changed| {
             let unit = if changed.unit == "1" { String::new() } else { format!(" {}", changed.unit) };
             format!("{} {}{}", changed.parameter, changed.value, unit.trim_end())

@@ -65,11 +65,21 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
     assert_eq!(methods, ["auto", "uniform", "halton"], "the yardsticks always run");
     let counterexamples = summary["counterexamples"].as_array().unwrap();
     assert!(!counterexamples.is_empty());
+    let classed = |class: &str| counterexamples.iter().filter(|found| found["avoidability"] == class).count();
+    assert_eq!(summary["avoidability"]["avoidable"], classed("avoidable"));
+    assert!(classed("avoidable") > 0, "somebody could have done better than the baseline");
     for found in counterexamples {
         for field in ["robustness", "impact_speed_mps", "ln_likelihood"] {
             assert!(found[field].is_f64(), "{field} in {found}");
         }
-        assert_eq!((&found["avoidable"], &found["dt_fragile"]), (&"not-asked".into(), &false.into()));
+        assert_eq!(found["dt_fragile"], false);
+        let avoidable = match found["avoidability"].as_str().unwrap() {
+            "avoidable" => Value::Bool(found["best_min_gap_m"].as_f64().unwrap() > 0.0),
+            "unavoidable" => Value::Bool(false),
+            "undecided" => Value::Null,
+            other => panic!("{other}"),
+        };
+        assert_eq!((&found["avoidable"], found["best_min_gap_m"].is_f64()), (&avoidable, avoidable == true));
         // The file needs nothing else, and a finer step changes nothing.
         let file = format!("found/{}", found["file"].as_str().unwrap());
         for dt in ["0.01", "0.001"] {
