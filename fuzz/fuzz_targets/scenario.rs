@@ -9,9 +9,13 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use crumple::trial::{Hunt, TRIAL_BYTES, behaviour};
 use libfuzzer_sys::{Corpus, fuzz_target};
 
-/// What libFuzzer reads beside the code that was reached; it sets all to zero before each run.
+/// What libFuzzer reads beside the code that was reached. It sets all to zero before each run, a word at a time; nothing
+/// here reads them, so the compiler must be told that they are used.
+#[repr(align(8))]
+struct Counters([AtomicU8; behaviour::FEATURES.next_multiple_of(8)]);
+#[used]
 #[unsafe(link_section = "__libfuzzer_extra_counters")]
-static BEHAVIOUR: [AtomicU8; behaviour::FEATURES] = [const { AtomicU8::new(0) }; behaviour::FEATURES];
+static BEHAVIOUR: Counters = Counters([const { AtomicU8::new(0) }; behaviour::FEATURES.next_multiple_of(8)]);
 
 static HUNT: LazyLock<Hunt> = LazyLock::new(|| {
     let named = |name: &str| std::env::var(name).ok();
@@ -28,7 +32,7 @@ fuzz_target!(|bytes: &[u8]| -> Corpus {
     }
     let features = HUNT.take(bytes).unwrap_or_else(|error| panic!("{error}"));
     for feature in features.into_iter().filter(|_| *FEEDBACK) {
-        BEHAVIOUR[feature].store(1, Ordering::Relaxed);
+        BEHAVIOUR.0[feature].store(1, Ordering::Relaxed);
     }
     Corpus::Keep
 });

@@ -23,6 +23,8 @@ pub(crate) fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
 
 /// What a run kept of one vehicle.
 pub(super) fn summary(min_gap_m: f64, tally: Tally, speed_mps: f64) -> VehicleSummary {
+    // A pair that touches at the instant at which the run ends with another contact may be apart by less than nothing.
+    let min_gap_m = min_gap_m.max(0.0);
     // Samples may lie on either side of a contact; at the contact itself time to collision is 0.
     let min_ttc_s = if min_gap_m == 0.0 { 0.0 } else { tally.min_ttc_s };
     VehicleSummary {
