@@ -64,9 +64,9 @@ pub(super) struct Falsify {
 impl Falsify {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let space = space(&self.space)?;
-        let vehicles = space.scenario(&space.nominal()).map_err(Failure::input)?.vehicles().len();
+        let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
         let specification =
-            Specification::parse(&self.spec, vehicles).map_err(|error| Failure::Input(format!("--spec: {error}")))?;
+            Specification::parse(&self.spec, &nominal).map_err(|error| Failure::Input(format!("--spec: {error}")))?;
         let campaign = Campaign {
             controller: self.controller,
             estimator: self.estimator,

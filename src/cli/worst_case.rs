@@ -17,9 +17,9 @@ use crate::worst_case::{Aim, Attack, Envelope, Way, attack};
 /// Find the mildest braking of the leader that makes a controller collide, or the severest impact
 #[derive(Args)]
 #[command(after_long_help = "\
-Whatever the leader's script was, another takes its place: braking only, within --max-brake and --jerk. For the baseline the \
-answer is exact on a grid of 0.1 s, by enumerating when its brake fires; for any other controller it is the local optimum of \
-sequential convex programming along rollouts. The profile is simulated before it is reported, beside what the last program \
+Whatever the leader's script was, another takes its place: braking only, within --max-brake and --jerk. For the baseline \
+that sees the truth, without noise, the answer is exact on a grid of 0.1 s, by enumerating when its brake fires; through the \
+filter it is that, widened until it collides; for any other controller it is the local optimum of sequential convex programming along rollouts. The profile is simulated before it is reported, beside what the last program \
 predicted. A margin is the smallest gap or, after a contact at v m/s, minus v²/10.
 
 Examples:
@@ -154,7 +154,11 @@ fn describe(report: &Report<'_>) -> String {
     if let (Some(predicted), Some(margin)) = (report.predicted_margin_m, report.margin_m) {
         let _ = writeln!(text, "  margin {margin:.3} m; the last program predicted {predicted:.3} m");
     }
-    let way = if way == Way::Exact { "exact on this grid" } else { "a local optimum" };
+    let way = match way {
+        Way::Exact => "exact on this grid",
+        Way::Widened => "near the least on this grid: exact but for noise and filter",
+        Way::Sequential => "a local optimum",
+    };
     let (evaluations, programs) = (report.evaluations.unwrap_or(0), report.programs.unwrap_or(0));
     let _ = writeln!(text, "  {way}; {evaluations} simulations, {programs} convex programs");
     text

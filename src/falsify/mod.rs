@@ -26,6 +26,7 @@ mod shape;
 mod signals;
 mod surrogate;
 mod uniform;
+mod wide;
 
 pub use cube::{Cube, EmptyBlock};
 pub use method::{Method, Search, UnknownMethod};

@@ -44,6 +44,9 @@ impl Envelope {
 pub enum Way {
     /// By enumerating when the controller fires: no profile on this grid does with less.
     Exact,
+    /// By the same enumeration, which knows neither noise nor a filter, and then braking somewhat more until it collides: near
+    /// the least, and not shown to be it.
+    Widened,
     /// By sequential convex programming: a local optimum.
     Sequential,
 }
@@ -136,10 +139,11 @@ pub fn hunt(
     if !matches!(scenario.vehicles().first().map(|leader| &leader.driver), Some(Driver::Profile(_))) {
         return Err(AttackError::Leader);
     }
-    let max_brake_mps2 = envelope.max_brake_mps2.min(scenario.usable_brake_mps2(0));
+    let asked_mps2 = envelope.max_brake_mps2;
+    let max_brake_mps2 = asked_mps2.min(scenario.usable_brake_mps2(0));
     let envelope = Envelope { max_brake_mps2, ..envelope };
-    if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) {
-        return Err(AttackError::Envelope { max_brake_mps2, jerk_mps3: envelope.jerk_mps3 });
+    if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || asked_mps2.is_nan() {
+        return Err(AttackError::Envelope { max_brake_mps2: asked_mps2, jerk_mps3: envelope.jerk_mps3 });
     }
     let mut bench = Bench::new(scenario, options, envelope);
     let found = if aim != Aim::Severest

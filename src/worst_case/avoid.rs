@@ -1,6 +1,6 @@
 //! Could anyone have avoided it?
 
-use crumple_verify::{Accepted, Certificate};
+use crumple_verify::{Accepted, Certificate, Statement};
 
 use super::branches::Search;
 use super::certificate;
@@ -142,7 +142,8 @@ type Conclusion = (Verdict, Option<f64>);
 
 fn found(situation: &Situation, search: &Search<'_>, (verdict, best_min_gap_m): Conclusion) -> Avoidance {
     let bound_m = search.bound_m().min(situation.first_gap_m(Side::Loose));
-    let min_gap_bound_m = (bound_m > 0.0).then_some(bound_m);
+    // Noise may take anybody beyond what was computed without it.
+    let min_gap_bound_m = (bound_m > 0.0 && situation.proof_caveat.is_none()).then_some(bound_m);
     Avoidance { verdict, best_min_gap_m, min_gap_bound_m, programs: search.programs }
 }
 
@@ -181,11 +182,16 @@ fn conclude(
         };
         let replay = |profile| Escape::replay(family.centre(), situation, profile);
         let largest = replay(best);
-        let best_min_gap_m = largest.as_ref().map(|escape| escape.min_gap_m);
+        let mut best_min_gap_m = largest.as_ref().map(|escape| escape.min_gap_m);
         let escape = smoothed.as_ref().and_then(replay).or(largest);
-        let escape = escape.ok_or_else(|| situation.escape_caveat.clone().unwrap_or(Reason::Replay))?;
-        if !family.is_point() {
-            certify(family, &escape)?;
+        let mut escape = escape.ok_or_else(|| situation.escape_caveat.clone().unwrap_or(Reason::Replay))?;
+        if !family.is_point()
+            && let Statement::Avoidable(certified) = certify(family, &escape)?.statement
+            && let Some(least_m) = certified.min_gap_m_at_least
+        {
+            // What was replayed is one member; this holds for all of them.
+            escape.min_gap_m = least_m;
+            best_min_gap_m = Some(least_m);
         }
         return Ok((Verdict::Avoidable(Box::new(escape)), best_min_gap_m));
     }

@@ -170,12 +170,27 @@ fn count(steps: usize) -> u32 {
     u32::try_from(steps).unwrap_or(u32::MAX)
 }
 
-/// Whether a certificate's claim is about a scenario: the same scene, whatever the file says of its origin.
+/// Whether a certificate's claim is about a scenario: the same scene, whatever the file says of its origin, and nothing in the
+/// scenario that the claim does not model.
 #[must_use]
 pub fn is_about(certificate: &Certificate, scenario: &Scenario) -> bool {
     let Some(claimed) = certificate.statement.scene() else { return false };
     let Ok(situation) = Situation::new(&Family::point(scenario)) else { return false };
-    covers(claimed, &scene(&situation))
+    let is_modelled = match &certificate.statement {
+        // Whatever follows, and however late the vehicles under test answer: a proof speaks of all of them.
+        Statement::Unavoidable(_) => situation.proof_caveat.is_none(),
+        Statement::Avoidable(claim) => {
+            let waits = |(ego, witness): (&super::situation::Ego, &Vec<Held<f64>>)| {
+                let held = witness.iter().flat_map(|Held(steps, value)| std::iter::repeat_n(*value, *steps as usize));
+                held.take(ego.dead_steps).all(|value| value == 0.0)
+            };
+            situation.escape_caveat.is_none()
+                && situation.proof_caveat.is_none()
+                && situation.egos.iter().zip(&claim.witness).all(waits)
+        }
+        _ => false,
+    };
+    is_modelled && covers(claimed, &scene(&situation))
 }
 
 /// Whether everything of `inner` lies in `outer`.

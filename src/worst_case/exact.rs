@@ -46,6 +46,7 @@ pub(super) fn mildest(
     budget: usize,
 ) -> Result<Option<Attack>, AttackError> {
     let options_see_truth = bench.options.estimator == EstimatorKind::Truth;
+    let is_quiet = bench.scenario.vehicles().iter().all(|vehicle| vehicle.acceleration_noise_mps2 == 0.0);
     // Perhaps nobody need brake at all.
     let coasting = vec![0.0; bench.cells()];
     if bench.simulate(std::slice::from_ref(&coasting))?.iter().any(Trial::collides) {
@@ -54,7 +55,7 @@ pub(super) fn mildest(
     let hits_behind = behind(bench, ttc_s)?;
     let mut search = Enumeration { bench, ttc_s, aim, beyond_m: 0.0, hits_behind: &hits_behind };
     let mut node = None;
-    for beyond_m in BEYOND_M {
+    for (widened, beyond_m) in BEYOND_M.into_iter().enumerate() {
         search.beyond_m = beyond_m;
         // The first margin decides when the brake fires; later ones only make sure that a filter sees it too.
         let found = match node {
@@ -66,7 +67,8 @@ pub(super) fn mildest(
         };
         let Some(Ranked { node: cheapest, profile, .. }) = found else { break };
         node = Some(cheapest);
-        let attack = search.bench.report(&profile, -beyond_m, Way::Exact)?;
+        let way = if widened == 0 && options_see_truth && is_quiet { Way::Exact } else { Way::Widened };
+        let attack = search.bench.report(&profile, -beyond_m, way)?;
         if attack.outcome.contact().is_some() {
             return Ok(Some(attack));
         }

@@ -5,7 +5,7 @@ use std::fmt;
 use crate::measure::stl::{
     Formula, MonitorError, ParseError, Signals, SignalsError, motion_signal_names, motion_signals,
 };
-use crate::scenario::VehicleClass;
+use crate::scenario::{Scenario, VehicleClass};
 use crate::sim::{AfterContact, Keep, Outcome, Run, Simulated};
 
 /// What must hold in every run.
@@ -39,6 +39,14 @@ pub enum SpecificationError {
         name: String,
         /// The names there are.
         known: Vec<String>,
+    },
+    /// It speaks of a time after the end of the runs.
+    #[error("the formula looks {horizon_s} s ahead, and runs last {duration_s} s")]
+    Beyond {
+        /// How far it looks, in seconds.
+        horizon_s: f64,
+        /// How long runs last, in seconds.
+        duration_s: f64,
     },
     /// The trace was not kept.
     #[error("the run has no trace")]
@@ -116,15 +124,21 @@ impl Specification {
     /// The specification in words: `no contact`, or a formula.
     ///
     /// # Errors
-    /// [`SpecificationError`] for text that does not parse, or names a signal that runs of `vehicles` vehicles do not have.
-    pub fn parse(text: &str, vehicles: usize) -> Result<Self, SpecificationError> {
+    /// [`SpecificationError`] for text that does not parse, names a signal that runs like `nominal` do not have, or looks beyond
+    /// their end.
+    pub fn parse(text: &str, nominal: &Scenario) -> Result<Self, SpecificationError> {
         if text == Self::NO_CONTACT {
             return Ok(Self::NoContact);
         }
         let formula: Formula = text.parse()?;
-        let known = motion_signal_names(vehicles);
+        let known = motion_signal_names(nominal.vehicles().len());
         if let Some(name) = formula.signal_names().into_iter().find(|name| !known.iter().any(|k| k == name)) {
             return Err(SpecificationError::UnknownSignal { name: name.to_owned(), known });
+        }
+        // A window without an end is cut at the end of the run; one that states an end means it.
+        let (horizon_s, duration_s) = (formula.horizon_s(), nominal.spec().duration_s);
+        if horizon_s.is_finite() && horizon_s > duration_s {
+            return Err(SpecificationError::Beyond { horizon_s, duration_s });
         }
         Ok(Self::Formula(formula))
     }

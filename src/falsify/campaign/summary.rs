@@ -43,6 +43,7 @@ pub struct Summary {
     /// At which of its evaluations, from 1, the method asked for found its first failure.
     pub first_falsification: Option<u64>,
     /// Smallest robustness that the method asked for found.
+    #[serde(with = "crate::falsify::wide::optional")]
     pub best_robustness: Option<f64>,
     /// Distinct failures, the severest first.
     pub counterexamples: Vec<Counterexample>,
@@ -97,6 +98,7 @@ pub struct MethodSummary {
     /// How many failed.
     pub failures: u64,
     /// Smallest robustness.
+    #[serde(with = "crate::falsify::wide::optional")]
     pub best_robustness: Option<f64>,
 }
 

@@ -145,7 +145,7 @@ impl Expected {
                 found,
             });
         }
-        let specification = Specification::parse(&self.specification, scenario.vehicles().len())?;
+        let specification = Specification::parse(&self.specification, &scenario)?;
         let replay = Replay { specification: &specification, controller: &contender, estimator: self.estimator };
         let (nominal, finer) = (replay.at(&scenario, 1)?, replay.at(&scenario, FINER)?);
         let is_violated = |verdict: &Verdict| verdict.robustness < 0.0;
@@ -173,7 +173,7 @@ impl Expected {
     pub fn renewed(&self, folder: &Path) -> Result<Self, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let policy_sha256 = Contender::find(&self.controller, folder)?.policy().map(|policy| policy.digest());
-        let specification = Specification::parse(&self.specification, scenario.vehicles().len())?;
+        let specification = Specification::parse(&self.specification, &scenario)?;
         let mut renewed = Self { policy_sha256, dt_fragile: false, ..self.clone() };
         let verdict = renewed.replay(folder)?.nominal;
         let violated = verdict.robustness < 0.0;

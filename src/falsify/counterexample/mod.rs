@@ -35,6 +35,7 @@ pub struct Counterexample {
     /// What happens, in words.
     pub kind: String,
     /// Robustness of the file.
+    #[serde(with = "crate::falsify::wide")]
     pub robustness: f64,
     /// When vehicles first touch, in seconds; none if a formula is violated without a contact.
     pub contact_time_s: Option<f64>,
@@ -51,6 +52,7 @@ pub struct Counterexample {
     /// Vehicles involved in some impact, when the run goes on after contact.
     pub vehicles_involved: usize,
     /// Logarithm of the density under the space's distribution, relative to one that is even over the ranges.
+    #[serde(with = "crate::falsify::wide")]
     pub ln_likelihood: f64,
     /// Distance from nominal, from 0 to 1: mean over the parameters of the difference, relative to the range.
     pub departure: f64,

@@ -118,6 +118,7 @@ impl WorstProfiles {
                 Cell::number(mildest.margin_m),
                 Cell::text(match mildest.way {
                     Way::Exact => "ruled out on this grid",
+                    Way::Widened => "not ruled out, but near the least",
                     Way::Sequential => "not ruled out",
                 }),
             ]);
@@ -128,8 +129,8 @@ impl WorstProfiles {
     fn introduction(&self) -> String {
         format!(
             "How little must the leader of {} brake for a controller to collide? Any braking up to {} m/s² that changes by at \
-             most {} m/s³ may take the place of its script; mild is what has a small ∫a². Against the baseline the search is \
-             exact, by enumerating when its brake fires; against the others it is a local one along rollouts, so a milder \
+             most {} m/s³ may take the place of its script; mild is what has a small ∫a². Against the baseline the search \
+             enumerates when its brake fires, exactly for the true state and somewhat beyond it for a filter; against the others it is a local one along rollouts, so a milder \
              braking may exist. Each profile was simulated: the margin, the smallest gap or minus v²/10 after a contact at v \
              m/s, stands beside what the last convex program predicted. A program aims a little beyond the edge of contact, and \
              for the baseline it predicts no more than that: once its brake fires, the impact is whatever follows.",
