@@ -62,6 +62,12 @@ pub enum FamilyError {
         /// Its upper end.
         high: f64,
     },
+    /// A field has two ranges.
+    #[error("{field} has two ranges")]
+    Twice {
+        /// Its path.
+        field: String,
+    },
     /// An end or the middle of the box is no valid scenario.
     #[error("at an end or in the middle of the ranges, {0}")]
     Scenario(#[from] InvalidField),
@@ -84,7 +90,10 @@ impl Family {
         }
         let mut specs = [scenario.spec().clone(), scenario.spec().clone(), scenario.spec().clone()];
         let [centre, least, most] = &mut specs;
-        for FieldRange { field, low, high } in &ranges.ranges {
+        for (index, FieldRange { field, low, high }) in ranges.ranges.iter().enumerate() {
+            if ranges.ranges.iter().take(index).any(|before| before.field == *field) {
+                return Err(FamilyError::Twice { field: field.clone() });
+            }
             if !(low.is_finite() && high.is_finite() && low <= high) {
                 return Err(FamilyError::Range { field: field.clone(), low: *low, high: *high });
             }

@@ -244,7 +244,19 @@ impl Situation {
 impl Leader {
     fn new(low: &Scenario, high: &Scenario) -> Self {
         let (one, other) = (alone_mps2(low), alone_mps2(high));
-        let acceleration_mps2: Vec<Interval> = one.iter().zip(&other).map(|(&a, &b)| between(a, b)).collect();
+        let hull = one.iter().zip(&other).map(|(&a, &b)| between(a, b));
+        let driver = |scenario: &Scenario| scenario.vehicles().first().map(|leader| leader.driver.clone());
+        let mut hardest = Interval::point(0.0);
+        // Where rate or onset vary, the first to stand no longer says how hard the others brake: it did before.
+        let acceleration_mps2: Vec<Interval> = if driver(low) == driver(high) {
+            hull.collect()
+        } else {
+            hull.map(|span| {
+                hardest = hardest.hull(Interval::point(span.low()));
+                span.hull(Interval::point(hardest.low()))
+            })
+            .collect()
+        };
         let first = |of: fn(&VehicleSpec) -> f64| {
             let of = |scenario: &Scenario| scenario.vehicles().first().map_or(0.0, of);
             between(of(low), of(high))
