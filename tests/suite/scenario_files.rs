@@ -1,13 +1,13 @@
 //! Scenario files: what is written is read back, nonsense is refused with the line it is on, and the schema tells the truth.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crumple::scenario::file::{FileError, from_json, from_toml, to_toml};
 use crumple::scenario::{Scenario, built_in, built_in_names, json_schema};
 use proptest::prelude::*;
 
 use crate::generate::{any_scenario, cases};
-use crate::schema::validate;
+use crate::schema::{assert_committed, validate};
 
 fn to_json(scenario: &Scenario) -> String {
     serde_json::to_string_pretty(scenario.spec()).expect("plain data")
@@ -156,13 +156,7 @@ proptest! {
 /// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
 #[test]
 fn the_committed_schema_is_that_of_the_types() {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src/scenario/scenario.schema.json");
-    let generated = format!("{}\n", serde_json::to_string_pretty(&json_schema()).unwrap());
-    if std::env::var_os("UPDATE_SCHEMA").is_some() {
-        std::fs::write(&path, &generated).unwrap();
-    }
-    let committed = std::fs::read_to_string(&path).unwrap();
-    assert!(committed == generated, "outdated: run UPDATE_SCHEMA=1 cargo test --test suite schema");
+    assert_committed("src/scenario/scenario.schema.json", &json_schema());
 }
 
 /// Built-in scenarios satisfy the schema, and it refuses what the program refuses, as far as a schema can say it.

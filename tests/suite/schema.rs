@@ -76,3 +76,14 @@ fn is_of_type(value: &Value, name: &Value) -> bool {
         other => panic!("unknown type {other}"),
     }
 }
+
+/// A committed schema is that of the types; `UPDATE_SCHEMA` in the environment writes it anew.
+pub(crate) fn assert_committed(path: &str, schema: &serde_json::Value) {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
+    let generated = format!("{}\n", serde_json::to_string_pretty(schema).unwrap());
+    if std::env::var_os("UPDATE_SCHEMA").is_some() {
+        std::fs::write(&path, &generated).unwrap();
+    }
+    let committed = std::fs::read_to_string(&path).unwrap();
+    assert!(committed == generated, "outdated: run UPDATE_SCHEMA=1 cargo test --test suite schema");
+}

@@ -1,21 +1,13 @@
 //! Space files: the schema tells the truth.
 
-use std::path::PathBuf;
-
 use crumple::scenario::space::{BUILT_IN_SPACES, built_in_space, json_schema};
 
-use crate::schema::validate;
+use crate::schema::{assert_committed, validate};
 
 /// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
 #[test]
 fn the_committed_space_schema_is_that_of_the_types() {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src/scenario/space/space.schema.json");
-    let generated = format!("{}\n", serde_json::to_string_pretty(&json_schema()).unwrap());
-    if std::env::var_os("UPDATE_SCHEMA").is_some() {
-        std::fs::write(&path, &generated).unwrap();
-    }
-    let committed = std::fs::read_to_string(&path).unwrap();
-    assert!(committed == generated, "outdated: run UPDATE_SCHEMA=1 cargo test --test suite schema");
+    assert_committed("src/scenario/space/space.schema.json", &json_schema());
 }
 
 #[test]
