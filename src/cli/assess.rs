@@ -1,27 +1,42 @@
 //! `crumple assess`: gather the evidence and write the report.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
+use sha2::{Digest, Sha256};
 
 use super::output::{self, Files};
 use super::{Failure, progress};
-use crate::report::{Plan, assess};
+use crate::report::{AssessError, ComparisonError, Earlier, Plan, Store, StoreError, assess};
 
-/// Compare controllers and write the report: HTML, Markdown and JSON
+/// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
 #[command(after_long_help = "\
-Without a file, every built-in controller on the paper's scenarios and 1000 draws of its distribution. The report also says what \
-anyone could have made of each scenario (see avoid), the mildest lead braking that makes each controller collide (see \
-worst-case), and what is proved of shields (see verify shield). A file says more:
+Without a file, every built-in controller and the policy behind a shield: on the paper's scenarios and 1000 draws of its \
+distribution, against a search for failures, against the mildest lead braking that makes each collide (see worst-case), with \
+what anyone could have made of each scenario (see avoid), and with every certificate checked. A file says more:
 
   version = 1
-  controllers = [\"baseline\", \"idm\"]   # the first is compared with all others
+  controllers = [\"baseline\", \"policy\"]   # the first is compared with all others
+  subject = \"policy\"                       # the argument is about this one
   estimator = \"kalman\"
   draws = 1000
   seed = 0
-  scenarios = [\"episodes\"]            # scenario files, and folders of them, relative to this file")]
+  scenarios = [\"episodes\"]                 # scenario files, and folders of them, relative to this file
+  search = { spaces = [\"paper\", \"high-risk\"], budget = 400 }
+  rates = { runs = 4000, confidence = 0.999 }
+  certificates = [\"escape.json\"]           # to be checked again
+  [[gates]]                                # what must hold, or the exit code is 1
+  require = \"rate-not-above\"
+  controller = \"policy\"
+  than = \"baseline\"
+
+Other gates: no-contact-in-paper-scenarios, no-contact-in-traffic and no-avoidable-failure (with a space) for a controller, \
+rate-at-most (with percent), proofs-accepted, nothing-worse (than in --against).
+
+Evidence is kept in the folder `evidence` of the report, by the hash of everything it depends on: what has not changed is not \
+gathered again, and an assessment that was interrupted goes on where it stopped.")]
 pub(super) struct Assess {
     /// What to assess; built-in defaults without it
     #[arg(value_name = "FILE.toml")]
@@ -29,6 +44,12 @@ pub(super) struct Assess {
     /// Folder for the report; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "crumple-report")]
     out: PathBuf,
+    /// Say what got better, worse, new and gone since an earlier assessment
+    #[arg(long, value_name = "OLD.json")]
+    against: Option<PathBuf>,
+    /// Gather all evidence again
+    #[arg(long)]
+    fresh: bool,
 }
 
 impl Assess {
@@ -37,21 +58,73 @@ impl Assess {
             None => Plan::built_in(),
             Some(path) => Plan::load(path)?,
         };
+        let against = self.against.as_deref().map(Earlier::load).transpose()?;
+        let kept = self.out.join("evidence");
+        if self.fresh && kept.exists() {
+            fs::remove_dir_all(&kept).map_err(|source| Failure::environment(&kept, source))?;
+        }
+        let store = Store::open(&kept, &program())?;
         let bar = progress::bar("assessing", plan.runs(), quiet);
-        let assessment = assess(&plan, &|done| bar.set_position(done)).map_err(Failure::input)?;
+        let assessment = assess(&plan, &store, against.as_ref(), &|done| bar.set_position(done))?;
         bar.finish_and_clear();
-        let page = self.out.join("assessment.html");
-        fs::create_dir_all(&self.out).map_err(|source| Failure::environment(&self.out, source))?;
         let mut files = Files::default();
-        files.stage(&page, assessment.html().as_bytes())?;
-        files.stage(&self.out.join("assessment.md"), assessment.markdown().as_bytes())?;
-        files.stage(&self.out.join("assessment.json"), assessment.json().map_err(Failure::input)?.as_bytes())?;
+        for (name, text) in assessment.files().map_err(Failure::input)? {
+            let path = self.out.join(name);
+            let folder = path.parent().unwrap_or(&self.out);
+            fs::create_dir_all(folder).map_err(|source| Failure::environment(folder, source))?;
+            files.stage(&path, text.as_bytes())?;
+        }
         files.commit()?;
-        output::note(&format!("wrote {} (and .md, .json)", shown(&page)), quiet);
-        output::print(&format!("{}\n", assessment.summary.paragraph))
+        let (pieces, reused) = store.reused();
+        let again =
+            if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were there") };
+        let page = self.out.join("assessment.html");
+        output::note(&format!("wrote {} (and .md, .json, .junit.xml, .gsn.yaml){again}", page.display()), quiet);
+        let mut said = format!("{}\n", assessment.summary.paragraph);
+        if let Some(comparison) = &assessment.comparison {
+            said += &format!("{}\n", comparison.words());
+        }
+        let failed: Vec<_> = assessment.summary.gates.iter().filter(|gate| !gate.holds).collect();
+        output::print(&said)?;
+        match failed.as_slice() {
+            [] => Ok(()),
+            gates => {
+                let lines: Vec<_> = gates.iter().map(|gate| format!("{} ({})", gate.gate, gate.because)).collect();
+                Err(Failure::Gate(lines.join("; ")))
+            }
+        }
     }
 }
 
-fn shown(path: &Path) -> String {
-    path.display().to_string()
+/// Stands for the program: other code may find other evidence.
+fn program() -> String {
+    let read = |path: PathBuf| fs::read(path).ok();
+    let bytes = std::env::current_exe().ok().and_then(read);
+    let digest = bytes.map(|bytes| Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect());
+    digest.unwrap_or_else(|| env!("CARGO_PKG_VERSION").to_owned())
+}
+
+impl From<StoreError> for Failure {
+    fn from(StoreError { path, source }: StoreError) -> Self {
+        Self::Environment { path, source }
+    }
+}
+
+impl From<AssessError> for Failure {
+    fn from(error: AssessError) -> Self {
+        match error {
+            AssessError::Store(error) => error.into(),
+            AssessError::Campaign(error) => error.into(),
+            other => Self::input(other),
+        }
+    }
+}
+
+impl From<ComparisonError> for Failure {
+    fn from(error: ComparisonError) -> Self {
+        match error {
+            ComparisonError::Read { path, source } => Self::unreadable(path, source),
+            other => Self::input(other),
+        }
+    }
 }

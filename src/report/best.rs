@@ -1,13 +1,14 @@
 //! What the best driver could have made of a scenario, and how far a controller stays behind.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::{Case, Rounded};
-use crate::scenario::Scenario;
+use super::work::Work;
+use super::{Case, Rounded, StoreError};
+use crate::scenario::{Scenario, file};
 use crate::worst_case::{AvoidOptions, Avoidance, Verdict, avoid};
 
 /// Whether anyone could have avoided a contact, and by how much.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Best {
     /// There is a profile without contact, which was replayed.
@@ -29,6 +30,12 @@ pub enum Best {
 }
 
 impl Best {
+    /// The same, unless it is known from an earlier run.
+    pub(super) fn kept(scenario: &Scenario, work: &Work<'_>) -> Result<Self, StoreError> {
+        let text = file::to_toml(scenario).unwrap_or_default();
+        work.store.get(&format!("best of {}", scenario.spec().name), &text, || Ok(Self::of(scenario)))
+    }
+
     pub(super) fn of(scenario: &Scenario) -> Self {
         let undecided = |reason: String| Self::Undecided { reason };
         let Avoidance { verdict, min_gap_bound_m, .. } = match avoid(scenario, AvoidOptions::default()) {

@@ -1,6 +1,6 @@
 //! One controller in one scenario: what is reported of it.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::Rounded;
 use super::table::Mark;
@@ -42,7 +42,7 @@ pub struct Case {
 }
 
 /// How a run ended.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Verdict {
     /// Nobody touched anybody before the scenario was over.
@@ -63,7 +63,7 @@ pub enum Verdict {
 pub const STILL_CLOSING_TTC_S: f64 = 30.0;
 
 /// A contact with the numbers a report needs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RoundedContact {
     /// When, in seconds.
     pub time_s: Rounded<2>,
@@ -99,7 +99,7 @@ pub struct Towards {
 }
 
 /// The crash when it is played to its end, vehicles sticking together.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PileUp {
     /// Impacts.
     pub impacts: usize,

@@ -7,11 +7,17 @@
 mod best;
 mod case;
 mod config;
+mod gate;
 mod interval;
+mod junit;
 mod page;
 mod parts;
+mod plan;
+mod prose;
 mod rounded;
+mod store;
 mod table;
+mod work;
 
 use maud::Markup;
 use serde::Serialize;
@@ -19,21 +25,28 @@ use sha2::{Digest, Sha256};
 
 pub use best::Best;
 pub use case::{Case, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards, Verdict};
-pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, Plan};
+pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};
+pub use gate::{Gate, GateResult};
 pub use interval::RateInterval;
 pub use parts::{
-    BRAKING_MPS2, Braking, Claim, Distribution, EXAMPLE_MPS, KernelProof, KernelStatus, Learned, LearnedPolicy, Limits,
-    Mildest, Paired, PaperScenarios, Percent, Proofs, Provenance, Sampled, ScenarioCases, Strength, Summary, Traffic,
-    WorstProfile, WorstProfiles,
+    Argument, BRAKING_MPS2, Braking, Change, Claim, Comparison, ComparisonError, Distribution, EXAMPLE_MPS, Earlier,
+    Element, ElementKind, Failure, KernelGap, Learned, LearnedPolicy, Limits, MethodReached, Mildest, Paired,
+    PaperScenarios, Percent, Proof, ProofStatus, Proofs, Provenance, Sampled, ScenarioCases, Search, Searches,
+    SpaceSearches, Strength, Summary, Traffic, WorstProfile, WorstProfiles,
 };
+pub use plan::Plan;
 pub use rounded::Rounded;
+pub use store::{EvidenceHash, Store, StoreError};
 
+use crate::evidence::{InvalidPlan, RateError};
+use crate::falsify::campaign::CampaignError;
 use crate::scenario::InvalidField;
 use crate::sim::RunError;
 use crate::worst_case::AttackError;
+use work::Work;
 
 /// The version of the JSON evidence this release writes.
-pub const EVIDENCE_VERSION: u32 = 1;
+pub const EVIDENCE_VERSION: u32 = 2;
 
 /// Everything an assessment found out.
 #[derive(Debug, Clone, Serialize)]
@@ -48,6 +61,8 @@ pub struct Assessment {
     pub distribution: Distribution,
     /// Scenarios from files; none if the configuration names none.
     pub traffic: Option<Traffic>,
+    /// What a search for failures found.
+    pub searches: Searches,
     /// The mildest lead braking against each controller.
     pub worst_profiles: Option<WorstProfiles>,
     /// What is proved.
@@ -56,6 +71,10 @@ pub struct Assessment {
     pub learned: Option<Learned>,
     /// What this does not show.
     pub limits: Limits,
+    /// The verdict as a goal structure.
+    pub argument: Argument,
+    /// What changed since an earlier assessment; none if there is none to compare with.
+    pub comparison: Option<Comparison>,
     /// Where the evidence comes from.
     pub provenance: Provenance,
 }
@@ -85,50 +104,78 @@ pub enum AssessError {
     /// The worst braking cannot be looked for.
     #[error(transparent)]
     Attack(#[from] AttackError),
+    /// Failures cannot be searched for.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
+    /// Failures cannot be counted.
+    #[error(transparent)]
+    Rates(#[from] InvalidPlan),
+    /// A run cannot be counted.
+    #[error(transparent)]
+    Rate(#[from] RateError),
+    /// A certificate that was just written cannot be read back.
+    #[error("a certificate cannot be read back: {0}")]
+    Certificate(String),
+    /// Evidence cannot be kept.
+    #[error(transparent)]
+    Store(#[from] StoreError),
 }
 
-/// Gathers the evidence a plan asks for.
+/// Gathers the evidence a plan asks for; what `store` has kept of it is not gathered again.
 ///
-/// `done` is told after each stage how many of the plan's runs are done.
+/// `told` hears how many of the plan's runs are done.
 ///
 /// # Errors
-/// [`AssessError`] if a scenario cannot be run or drawn.
-pub fn assess(plan: &Plan, done: &dyn Fn(u64)) -> Result<Assessment, AssessError> {
-    let paper_scenarios = PaperScenarios::gather(plan)?;
-    done(plan.paper_runs());
-    let distribution = Distribution::gather(plan, &|draws| done(plan.paper_runs() + draws))?;
-    done(plan.paper_runs() + plan.distribution_runs());
-    let traffic = Traffic::gather(plan)?;
-    let worst_profiles = WorstProfiles::gather(plan)?;
-    done(plan.runs());
-    let proofs = Proofs::gather();
-    Ok(Assessment {
+/// [`AssessError`] if a scenario cannot be run or drawn, or evidence not kept.
+pub fn assess(
+    plan: &Plan,
+    store: &Store,
+    against: Option<&Earlier>,
+    told: &(dyn Fn(u64) + Sync),
+) -> Result<Assessment, AssessError> {
+    let work = Work::new(store, told);
+    let paper_scenarios = PaperScenarios::gather(plan, &work)?;
+    let distribution = Distribution::gather(plan, &work)?;
+    let traffic = Traffic::gather(plan, &work)?;
+    let searches = Searches::gather(plan, &work)?;
+    let worst_profiles = WorstProfiles::gather(plan, &work)?;
+    let proofs = Proofs::gather(plan, &work)?;
+    let limits = Limits::of(plan);
+    let (with_traffic, with_worst) = (traffic.as_ref(), worst_profiles.as_ref());
+    let summary = Summary::of(plan, &paper_scenarios, &distribution, with_traffic, with_worst, &searches, &proofs);
+    let argument = Argument::of(plan, &summary, &distribution, &searches, &proofs, &limits);
+    let mut assessment = Assessment {
         version: EVIDENCE_VERSION,
-        summary: Summary::of(plan, &paper_scenarios, &distribution, traffic.as_ref(), worst_profiles.as_ref(), &proofs),
         learned: Learned::of(plan, &paper_scenarios),
-        limits: Limits::of(plan),
-        provenance: Provenance::of(plan),
+        provenance: Provenance::of(plan, store),
+        comparison: None,
+        summary,
         paper_scenarios,
         distribution,
         traffic,
+        searches,
         worst_profiles,
         proofs,
-    })
+        limits,
+        argument,
+    };
+    assessment.comparison = against.and_then(|earlier| Comparison::of(earlier, &assessment));
+    // Gates come last: they judge everything else.
+    assessment.summary.gates = plan.config.gates.iter().map(|gate| gate.judge(&assessment)).collect();
+    Ok(assessment)
 }
 
 impl Plan {
-    fn paper_runs(&self) -> u64 {
-        2 * (crate::scenario::built_in_names().len() * self.controllers.len()) as u64
-    }
-
-    fn distribution_runs(&self) -> u64 {
-        self.config.draws * self.controllers.len() as u64
-    }
-
-    /// How many runs the plan asks for, besides those of searches.
+    /// How many runs the plan asks for, roughly: searches may end early.
     #[must_use]
     pub fn runs(&self) -> u64 {
-        self.paper_runs() + self.distribution_runs() + 2 * (self.traffic.len() * self.controllers.len()) as u64
+        let controllers = self.controllers.len() as u64;
+        let scenarios = (crate::scenario::built_in_names().len() + self.traffic.len()) as u64;
+        // A search has a method and two yardsticks.
+        let searches = 3 * self.spaces.len() as u64 * self.config.search.budget;
+        let each = scenarios + self.config.draws + searches + parts::BUDGET as u64;
+        let learned = self.controllers.iter().filter(|controller| controller.policy().is_some()).count() as u64;
+        controllers.saturating_mul(each) + (learned + 1).saturating_mul(self.config.rates.runs)
     }
 }
 
@@ -136,12 +183,15 @@ impl Assessment {
     /// The parts in the order of the report.
     #[must_use]
     pub fn parts(&self) -> Vec<&dyn Part> {
-        let mut parts: Vec<&dyn Part> = vec![&self.summary, &self.paper_scenarios, &self.distribution];
+        let mut parts: Vec<&dyn Part> = vec![&self.summary];
+        parts.extend(self.comparison.as_ref().map(|comparison| comparison as &dyn Part));
+        parts.push(&self.paper_scenarios);
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
+        parts.push(&self.searches);
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn Part));
-        parts.push(&self.proofs);
+        parts.extend([&self.distribution as &dyn Part, &self.proofs]);
         parts.extend(self.learned.as_ref().map(|learned| learned as &dyn Part));
-        parts.extend([&self.limits as &dyn Part, &self.provenance]);
+        parts.extend([&self.limits as &dyn Part, &self.argument, &self.provenance]);
         parts
     }
 
@@ -164,6 +214,35 @@ impl Assessment {
     pub fn json(&self) -> Result<String, serde_json::Error> {
         serde_json::to_string_pretty(self).map(|json| json + "\n")
     }
+
+    /// Every file of the report, by its path from the folder of the report.
+    ///
+    /// # Errors
+    /// [`RenderError`] in principle, if a writer fails.
+    pub fn files(&self) -> Result<Vec<(String, String)>, RenderError> {
+        let mut files = vec![
+            ("assessment.html".to_owned(), self.html()),
+            ("assessment.md".to_owned(), self.markdown()),
+            ("assessment.json".to_owned(), self.json()?),
+            ("assessment.junit.xml".to_owned(), junit::xml(self)?),
+            ("assessment.gsn.yaml".to_owned(), self.argument.yaml()),
+        ];
+        files.extend(self.searches.failures().map(|failure| (failure.file.clone(), failure.text.clone())));
+        files.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
+        Ok(files)
+    }
+}
+
+/// Why a report cannot be written down.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RenderError {
+    /// As JSON.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// As JUnit XML.
+    #[error(transparent)]
+    Junit(#[from] quick_junit::SerializeError),
 }
 
 /// SHA-256 of a text, in hexadecimal.

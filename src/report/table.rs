@@ -2,6 +2,8 @@
 
 use maud::{Markup, html};
 
+use super::prose::prose;
+
 /// A table of text. Cells may carry a mark, so that a reader finds failures without relying on colour.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Table {
@@ -91,9 +93,9 @@ impl Table {
                         @for row in &self.rows { tr {
                             @for (column, cell) in row.iter().enumerate() {
                                 @if column == 0 {
-                                    th scope="row" { (cell.mark.sign()) (cell.text) }
+                                    th scope="row" { (cell.mark.sign()) (prose(&cell.text)) }
                                 } @else {
-                                    td class=[cell.mark.class()] { (cell.mark.sign()) (cell.text) }
+                                    td class=[cell.mark.class()] { (cell.mark.sign()) (prose(&cell.text)) }
                                 }
                             }
                         } }

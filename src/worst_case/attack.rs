@@ -39,7 +39,7 @@ impl Envelope {
 }
 
 /// How an attack was found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Way {
     /// By enumerating when the controller fires: no profile on this grid does with less.

@@ -4,10 +4,12 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use crumple::report::{Assessment, Best, KernelStatus, Plan, assess};
+use crumple::report::{Assessment, Best, Plan, Store, assess};
+use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
-static BUILT_IN: LazyLock<Assessment> = LazyLock::new(|| assess(&Plan::built_in(), &|_| {}).expect("runs"));
+static BUILT_IN: LazyLock<Assessment> =
+    LazyLock::new(|| assess(&Plan::built_in(), &Store::none(), None, &|_| {}).expect("runs"));
 
 fn committed(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name);
@@ -23,10 +25,131 @@ fn assert_current(name: &str, now: &str) {
     );
 }
 
+/// The text and the evidence of the built-in assessment, numbers rounded in their types. Review a change with `cargo insta`.
 #[test]
-fn the_committed_markdown_and_evidence_are_current() {
-    assert_current("assessment.md", &BUILT_IN.markdown());
-    assert_current("assessment.json", &BUILT_IN.json().expect("serializes"));
+fn the_built_in_assessment_says_what_it_said() {
+    insta::with_settings!({ snapshot_path => "snapshots", prepend_module_to_snapshot => false, omit_expression => true }, {
+        insta::assert_snapshot!("assessment_md", BUILT_IN.markdown());
+        insta::assert_json_snapshot!("assessment_json", serde_json::to_value(&*BUILT_IN).expect("serializes"));
+    });
+}
+
+/// Every file of the report is committed as it would be written now, and there is no other counterexample or certificate.
+#[test]
+fn the_committed_report_is_current() {
+    let files = BUILT_IN.files().expect("renders");
+    for (name, now) in &files {
+        assert_current(name, now);
+    }
+    for folder in ["counterexamples", "certificates"] {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
+        for path in files_below(&root.join(folder)) {
+            let name = path.strip_prefix(&root).expect("below").to_string_lossy().into_owned();
+            assert!(files.iter().any(|(known, _)| *known == name), "reports/{name} belongs to no assessment");
+        }
+    }
+}
+
+fn files_below(folder: &Path) -> Vec<std::path::PathBuf> {
+    let entries = fs::read_dir(folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
+    let paths = entries.map(|entry| entry.expect("an entry").path());
+    paths.flat_map(|path| if path.is_dir() { files_below(&path) } else { vec![path] }).collect()
+}
+
+/// A reader of JUnit finds a test a claim and controller, and as many failures as claims that are refuted.
+#[test]
+fn junit_holds_each_claim_as_a_test() {
+    let files = BUILT_IN.files().expect("renders");
+    let (_, xml) = files.iter().find(|(name, _)| name.ends_with("junit.xml")).expect("written");
+    let report = quick_junit::Report::deserialize_from_str(xml).expect("JUnit");
+    let claims = &BUILT_IN.summary.claims;
+    assert_eq!(report.test_suites.len(), claims.len() + 1, "and the gates");
+    let tests: usize = claims.iter().map(|claim| claim.strengths.len()).sum();
+    assert_eq!(report.tests, tests + BUILT_IN.summary.gates.len());
+    let markdown = BUILT_IN.markdown();
+    let table = markdown.split("## The paper").next().expect("a first part");
+    assert_eq!(report.failures, table.matches("✗").count());
+    assert!(report.failures > 0 && report.failures < report.tests);
+}
+
+/// A reader of YAML finds the goal structure: no reference dangles, everything hangs together, and what is challenged by
+/// evidence is defeated.
+#[test]
+fn the_goal_structure_has_no_dangling_reference() {
+    let text = BUILT_IN.argument.yaml();
+    let documents = Yaml::load_from_str(&text).expect("YAML");
+    let elements = documents[0].as_mapping().expect("a mapping");
+    let ids: Vec<&str> = elements.keys().map(|id| id.as_str().expect("a name")).collect();
+    let mut reached = vec![ids[0]];
+    for (id, element) in elements {
+        let id = id.as_str().expect("a name");
+        assert!(!element["text"].as_str().expect("text").is_empty());
+        let field = |name: &str| element.as_mapping_get(name);
+        for list in ["supportedBy", "inContextOf"].into_iter().filter_map(field) {
+            for reference in list.as_sequence().expect("a list") {
+                let reference = reference.as_str().expect("a name");
+                assert!(ids.contains(&reference), "{id} names {reference}");
+                reached.push(reference);
+            }
+        }
+        if let Some(challenged) = field("challenges").and_then(Yaml::as_str) {
+            assert!(ids.contains(&challenged), "{id} challenges {challenged}");
+            let target = elements.iter().find(|(other, _)| other.as_str() == Some(challenged)).expect("there").1;
+            assert_eq!(target.as_mapping_get("defeated").and_then(Yaml::as_bool), Some(true), "{challenged}");
+            reached.push(id);
+        }
+        let evidence = field("url").and_then(Yaml::as_str);
+        if let Some(part) = evidence.and_then(|url| url.strip_prefix("assessment.html#")) {
+            assert!(BUILT_IN.parts().iter().any(|known| known.id() == part), "{id} points to {part}");
+        }
+    }
+    for id in ids {
+        assert!(reached.contains(&id), "{id} supports nothing");
+    }
+}
+
+/// Every listed counterexample collides when its file is replayed alone, and is what its row says.
+#[test]
+fn every_counterexample_of_the_report_collides() {
+    use crumple::scenario::file;
+    use crumple::sim::{Contender, Keep, Run, RunOptions, simulate};
+    let files = BUILT_IN.files().expect("renders");
+    let mut replayed = 0;
+    for search in BUILT_IN.searches.spaces.iter().flat_map(|space| &space.controllers) {
+        let controller = Contender::find(&search.controller, Path::new("")).expect("known").controller;
+        for failure in &search.failures {
+            let (_, text) = files.iter().find(|(name, _)| *name == failure.file).expect("written");
+            let scenario = file::from_toml(text, Path::new(&failure.file)).expect("valid");
+            let run = Run::new(&scenario, RunOptions::new(controller.clone())).expect("runs");
+            let outcome = simulate(&run, Keep::Summary).outcome;
+            let contact = outcome.contact().unwrap_or_else(|| panic!("{} is safe", failure.file));
+            let shown = failure.impact_speed_mps.expect("a speed").value();
+            assert!((contact.impact_speed_mps - shown).abs() <= 0.051, "{}: {shown}", failure.file);
+            replayed += 1;
+        }
+    }
+    assert!(replayed > 20, "{replayed}");
+}
+
+/// An earlier assessment beside this one: nothing changed against itself; one good claim turned bad is found, and only that.
+#[test]
+fn a_comparison_finds_what_was_changed() {
+    use crumple::report::Earlier;
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("old.json");
+    let again = |text: &str| {
+        fs::write(&path, text).expect("writes");
+        let earlier = Earlier::load(&path).expect("evidence");
+        crumple::report::Comparison::of(&earlier, &BUILT_IN).expect("comparable")
+    };
+    let json = BUILT_IN.json().expect("serializes");
+    let same = again(&json);
+    assert_eq!((same.better.len(), same.worse.len(), same.new.len(), same.gone.len()), (0, 0, 0, 0));
+    let mut evidence: Value = serde_json::from_str(&json).expect("JSON");
+    evidence["summary"]["claims"][0]["strengths"][0] = serde_json::json!({ "strength": "tested", "runs": 3 });
+    let changed = again(&evidence.to_string());
+    assert_eq!((changed.better.len(), changed.worse.len(), changed.new.len(), changed.gone.len()), (0, 1, 0, 0));
+    assert!(changed.worse[0].what.starts_with("baseline: no contact"), "{:?}", changed.worse);
 }
 
 /// The verdict table follows from the evidence alone.
@@ -77,7 +200,7 @@ fn nobody_beats_the_bound_and_regrets_add_up() {
             compared += 1;
         }
     }
-    assert_eq!(compared, 21);
+    assert_eq!(compared, 24);
 }
 
 #[test]
@@ -88,8 +211,11 @@ fn worst_profiles_collide_and_kernels_are_proved() {
         assert!(mildest.verdict.is_collision() && mildest.margin_m.value() <= 0.0, "{}", profile.controller);
         assert!(mildest.peak_brake_mps2 <= worst.max_brake_mps2, "{}", profile.controller);
     }
-    let statuses: Vec<_> = BUILT_IN.proofs.kernels.iter().map(|kernel| &kernel.status).collect();
-    assert_eq!(statuses, [&KernelStatus::Accepted; 4]);
+    let accepted = BUILT_IN.proofs.certificates.iter().filter(|proof| proof.is_accepted());
+    assert_eq!(accepted.count(), BUILT_IN.proofs.certificates.len());
+    for statement in ["kernel", "rate", "comparison", "reach"] {
+        assert!(BUILT_IN.proofs.certificates.iter().any(|proof| proof.statement == statement), "{statement}");
+    }
 }
 
 #[test]

@@ -1,11 +1,13 @@
 //! The paper's distribution: failure rates with exact bounds, and paired comparison.
 
 use maud::{Markup, html};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
 
 use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
 use crate::report::case::Verdict;
 use crate::report::table::{Cell, Table};
+use crate::report::work::Work;
 use crate::report::{AssessError, Part, Plan, RateInterval, Rounded};
 use crate::scenario::{PaperDistribution, Scenario};
 use crate::sim::{Contender, Keep, Run, RunError, RunOptions, Simulated, simulate_batch};
@@ -17,7 +19,7 @@ const CONFIDENCE: f64 = 0.95;
 const DRAWS_AT_ONCE: u64 = 4096;
 
 /// Every controller on the same draws of the paper's distribution.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Distribution {
     /// Draws for each controller.
     pub draws: u64,
@@ -30,7 +32,7 @@ pub struct Distribution {
 }
 
 /// How one controller did on all draws.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Sampled {
     /// The controller's name.
     pub controller: String,
@@ -53,7 +55,7 @@ pub struct Sampled {
 }
 
 /// A share in percent with its bounds.
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct Percent {
     /// As observed.
     pub observed: Rounded<2>,
@@ -64,7 +66,7 @@ pub struct Percent {
 }
 
 /// Two controllers on the same draws.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub struct Paired {
     /// Both collide.
     pub both: u64,
@@ -83,13 +85,18 @@ struct Draw {
 
 impl Sampled {
     /// The exact bounds on the share of collisions, not rounded.
-    pub(super) fn bounds(&self, distribution: &Distribution) -> RateInterval {
+    pub(in crate::report) fn bounds(&self, distribution: &Distribution) -> RateInterval {
         RateInterval::exact(self.collisions, distribution.draws, distribution.confidence)
     }
 }
 
 impl Distribution {
-    pub(in crate::report) fn gather(plan: &Plan, done: &dyn Fn(u64)) -> Result<Self, AssessError> {
+    pub(in crate::report) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+        let inputs = json!([plan.config.draws, plan.config.seed, plan.identities()]);
+        work.store.get("distribution", &inputs, || Self::run(plan, work))
+    }
+
+    fn run(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
         let config = &plan.config;
         let mut tallies: Vec<Tally> = plan.controllers.iter().map(|_| Tally::default()).collect();
         for from in (0..config.draws).step_by(DRAWS_AT_ONCE as usize) {
@@ -105,7 +112,7 @@ impl Distribution {
                 }
                 tally.add(&draws, first.iter().copied().zip(collides));
             }
-            done(to * plan.controllers.len() as u64);
+            work.did((to - from) * plan.controllers.len() as u64);
         }
         let controllers = plan
             .controllers

@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::ScenarioCases;
 use crate::report::best::{Best, WHAT_REGRET_IS};
 use crate::report::case::{Motion, run_cases};
+use crate::report::work::Work;
 use crate::report::{AssessError, Part, Plan};
 use crate::scenario::{Scenario, built_in, built_in_names};
 
@@ -18,13 +19,14 @@ pub struct PaperScenarios {
 }
 
 impl PaperScenarios {
-    pub(in crate::report) fn gather(plan: &Plan) -> Result<Self, AssessError> {
+    pub(in crate::report) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
         let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
         let known = built_in_names().into_iter().filter_map(|(name, _)| built_in(name));
         let scenarios = known.map(seeded).collect::<Result<Vec<_>, _>>()?;
         let all: Vec<&Scenario> = scenarios.iter().collect();
         let cases = run_cases(&all, &plan.controllers, plan.config.estimator, Motion::Kept)?;
-        let bests: Vec<Best> = all.par_iter().map(|scenario| Best::of(scenario)).collect();
+        work.did((all.len() * plan.controllers.len()) as u64);
+        let bests = all.par_iter().map(|scenario| Best::kept(scenario, work)).collect::<Result<Vec<_>, _>>()?;
         let seed = if plan.config.seed == 0 { String::new() } else { format!(" --seed {}", plan.config.seed) };
         let options = plan.simulate_options() + &seed;
         let scenarios = scenarios

@@ -1,30 +1,31 @@
 //! What is proved, and what the proofs take for granted.
 
-use crumple_verify::{Assumption, Certificate, Statement, check};
+use crumple_verify::Assumption;
 use maud::{Markup, html};
 use serde::Serialize;
 
+use super::certified::{self, Proof};
 use crate::control::Kernel;
-use crate::evidence::shipped_kernels;
 use crate::report::table::{Cell, Table};
-use crate::report::{Part, Rounded, sha256};
+use crate::report::work::Work;
+use crate::report::{AssessError, Part, Plan, Rounded};
 use crate::scenario::VehicleClass;
 
-/// The shield's kernels, checked in this very run.
+/// Certificates, each checked in this very run or in one that asked the same.
 #[derive(Debug, Clone, Serialize)]
 pub struct Proofs {
-    /// One entry a pair of vehicle classes.
-    pub kernels: Vec<KernelProof>,
-    /// What the certificates take for granted.
-    pub assumptions: Vec<Assumption>,
+    /// What the shield's kernels demand, one entry a pair of vehicle classes.
+    pub kernels: Vec<KernelGap>,
+    /// Every certificate.
+    pub certificates: Vec<Proof>,
     /// What has to hold besides for a shield to keep the vehicle ahead untouched.
     pub conditions: [&'static str; 4],
 }
 
-/// The kernel of a pair of vehicle classes on a dry road: the states from which contact with the vehicle ahead can be avoided.
+/// What the kernel of a pair of vehicle classes demands on a dry road.
 #[derive(Debug, Clone, Serialize)]
-pub struct KernelProof {
-    /// Name of the pair, and of the file that `crumple verify shield` writes.
+pub struct KernelGap {
+    /// Name of the pair, and of the certificate.
     pub pair: String,
     /// What the own vehicle can brake at, in m/s².
     pub own_brake_mps2: Rounded<2>,
@@ -32,27 +33,10 @@ pub struct KernelProof {
     pub ahead_brake_mps2: Rounded<2>,
     /// Gap demanded at [`EXAMPLE_MPS`], in metres, rounded up.
     pub example_gap_m: Rounded<2>,
-    /// What the checker said.
-    pub status: KernelStatus,
-    /// SHA-256 of the certificate as `crumple verify shield` writes it.
-    pub certificate_sha256: String,
 }
 
 /// Own speed and speed ahead for which demanded gaps are shown, in m/s.
 pub const EXAMPLE_MPS: [f64; 2] = [25.0, 20.0];
-
-/// What the checker said of a certificate.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-pub enum KernelStatus {
-    /// It proves what it states.
-    Accepted,
-    /// It proves nothing.
-    Rejected {
-        /// Why.
-        reason: String,
-    },
-}
 
 /// The way from a kernel to a vehicle that does not touch the one ahead.
 const CONDITIONS: [&str; 4] = [
@@ -64,87 +48,92 @@ const CONDITIONS: [&str; 4] = [
 ];
 
 impl Proofs {
-    pub(in crate::report) fn gather() -> Self {
-        let shipped = shipped_kernels();
-        let assumptions = shipped.first().map(|(_, certificate)| certificate.assumptions.clone()).unwrap_or_default();
+    pub(in crate::report) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
         let pairs = VehicleClass::ALL.into_iter().flat_map(|own| VehicleClass::ALL.map(|ahead| (own, ahead)));
-        let named = |own: VehicleClass, ahead: VehicleClass| format!("{}-behind-{}", own.name(), ahead.name());
-        let kernels = pairs.filter_map(|(own, ahead)| {
-            let (pair, certificate) = shipped.iter().find(|(name, _)| *name == named(own, ahead))?;
-            Some(KernelProof::of(pair, (own.max_brake_mps2(), ahead.max_brake_mps2()), certificate))
-        });
-        Self { kernels: kernels.collect(), assumptions, conditions: CONDITIONS }
+        Ok(Self {
+            kernels: pairs.map(|(own, ahead)| KernelGap::of(own, ahead)).collect(),
+            certificates: certified::gather(plan, work)?,
+            conditions: CONDITIONS,
+        })
     }
 
-    /// How many certificates were accepted, if all were and there is one for each pair of classes.
-    pub(super) fn accepted(&self) -> Option<usize> {
-        let pairs = VehicleClass::ALL.len().pow(2);
-        let all = self.kernels.len() == pairs && self.kernels.iter().all(|k| k.status == KernelStatus::Accepted);
-        all.then_some(pairs)
+    /// How many certificates of kernels were accepted, if all were and there is one for each pair of classes.
+    pub(super) fn kernels_accepted(&self) -> Option<usize> {
+        let accepted = |kernel: &KernelGap| {
+            let own = self.certificates.iter().find(|proof| proof.name == kernel.pair);
+            own.is_some_and(Proof::is_accepted)
+        };
+        self.kernels.iter().all(accepted).then_some(self.kernels.len())
     }
 
-    fn table(&self) -> Table {
+    fn gaps(&self) -> Table {
         let [own, ahead] = EXAMPLE_MPS;
         let example = format!("gap demanded at {own} m/s behind {ahead} m/s (m)");
-        let mut table = Table::new(&[
-            "own class behind class ahead",
-            "own brake (m/s²)",
-            "hardest brake ahead (m/s²)",
-            &example,
-            "checked in this run",
-            "certificate, SHA-256",
-        ]);
+        let mut table =
+            Table::new(&["own class behind class ahead", "own brake (m/s²)", "hardest brake ahead (m/s²)", &example]);
         for kernel in &self.kernels {
-            let (words, accepted) = match &kernel.status {
-                KernelStatus::Accepted => ("proved".to_owned(), true),
-                KernelStatus::Rejected { reason } => (format!("rejected: {reason}"), false),
-            };
             table.row(vec![
                 Cell::text(&kernel.pair),
                 Cell::number(kernel.own_brake_mps2),
                 Cell::number(kernel.ahead_brake_mps2),
                 Cell::number(kernel.example_gap_m),
-                Cell::judged(words, accepted),
-                Cell::text(format!("{}…", kernel.certificate_sha256.get(..16).unwrap_or_default())),
             ]);
         }
         table
     }
 
-    fn lines(&self) -> Vec<String> {
-        let assumed = self.assumptions.iter().map(|assumption| format!("assumed: {assumption}"));
-        assumed.chain(self.conditions.iter().map(|condition| format!("also needed: {condition}"))).collect()
+    fn table(&self) -> Table {
+        let mut table = Table::new(&["certificate", "about", "what is shown", "SHA-256"]);
+        for proof in &self.certificates {
+            table.row(vec![
+                Cell::text(&proof.name),
+                Cell::text(&proof.about),
+                Cell::judged(proof.status.words(), proof.is_accepted()),
+                Cell::text(format!("{}…", proof.sha256.get(..16).unwrap_or_default())),
+            ]);
+        }
+        table
+    }
+
+    /// For each kind of statement what its certificates take for granted.
+    fn assumptions(&self) -> Vec<String> {
+        let mut lines: Vec<String> = Vec::new();
+        let mut said: Vec<(&str, &[Assumption])> = Vec::new();
+        for proof in &self.certificates {
+            let own = (proof.statement, proof.assumptions.as_slice());
+            if !said.contains(&own) {
+                said.push(own);
+                let all: Vec<_> = proof.assumptions.iter().map(Assumption::to_string).collect();
+                lines.push(format!("{} assumes that {}", proof.statement, all.join("; that ")));
+            }
+        }
+        lines.extend(self.conditions.iter().map(|condition| format!("a shield needs besides: {condition}")));
+        lines
     }
 }
 
-impl KernelProof {
-    fn of(pair: &str, (own_brake_mps2, ahead_brake_mps2): (f64, f64), certificate: &Certificate) -> Self {
-        let status = match (check(certificate), &certificate.statement) {
-            (Ok(_), Statement::Kernel(_)) => KernelStatus::Accepted,
-            (Ok(_), _) => KernelStatus::Rejected { reason: "it is not about a kernel".to_owned() },
-            (Err(rejection), _) => KernelStatus::Rejected { reason: rejection.to_string() },
-        };
-        let [own, ahead] = EXAMPLE_MPS;
-        let written = serde_json::to_string_pretty(certificate).unwrap_or_default() + "\n";
+impl KernelGap {
+    fn of(own: VehicleClass, ahead: VehicleClass) -> Self {
+        let kernel = Kernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
+        let [own_mps, ahead_mps] = EXAMPLE_MPS;
         Self {
-            pair: pair.to_owned(),
-            own_brake_mps2: own_brake_mps2.into(),
-            ahead_brake_mps2: ahead_brake_mps2.into(),
-            example_gap_m: Rounded::up(Kernel { own_brake_mps2, ahead_brake_mps2 }.demanded_gap_m(own, ahead)),
-            status,
-            certificate_sha256: sha256(&written),
+            pair: format!("{}-behind-{}", own.name(), ahead.name()),
+            own_brake_mps2: kernel.own_brake_mps2.into(),
+            ahead_brake_mps2: kernel.ahead_brake_mps2.into(),
+            example_gap_m: Rounded::up(kernel.demanded_gap_m(own_mps, ahead_mps)),
         }
     }
 }
 
-const INTRODUCTION: &str = "A shield (shield:policy, or before any other controller) lets an action through only if the \
-    state stays in a kernel: the gaps, at given speeds, from which full braking avoids the vehicle ahead however that one \
-    brakes within its limit. For each pair of vehicle classes a certificate states that full braking keeps every state of \
-    the kernel free of contact and that nothing keeps any other. The checker, which shares no code with the simulation, \
-    confirmed them in exact arithmetic while this report was made. On another friction the demanded gaps scale by its \
-    inverse. Nothing is proved of the vehicle behind, nor that a shielded vehicle drives well.";
+const INTRODUCTION: &str = "Each claim here is a file that the checker accepted; it shares no code with the simulation, the \
+    search, the training or the solver. A kernel is the set of gaps, at given speeds, from which full braking avoids the \
+    vehicle ahead however that one brakes within its limit, and nothing avoids it from any other: a shield (shield:policy, \
+    or before any other controller) lets an action through only if the state stays inside. A rate bounds the share of \
+    failures from counted runs that were registered before the first of them; a comparison says which of two controllers \
+    fails less often. Reach bounds the closed loop of a policy over a whole box of starts. Nothing is proved of the vehicle \
+    behind a shield, nor that a shielded vehicle drives well; on another friction the gaps of a kernel scale by its inverse.";
 
-const RECHECK: &str = "crumple verify shield --out shield && crumple check shield/*.json";
+const RECHECK: &str = "crumple check certificates/*.json";
 
 impl Part for Proofs {
     fn id(&self) -> &'static str {
@@ -159,13 +148,20 @@ impl Part for Proofs {
         html! {
             p { (INTRODUCTION) }
             (self.table().html())
-            ul { @for line in self.lines() { li { (line) } } }
-            p { "Check again: " code { (RECHECK) } }
+            p { "Check again, in the folder of this report: " code { (RECHECK) } }
+            h3 { "What the kernels demand" }
+            (self.gaps().html())
+            h3 { "What the proofs take for granted" }
+            ul { @for line in self.assumptions() { li { (line) } } }
         }
     }
 
     fn markdown(&self) -> String {
-        let lines = self.lines().into_iter().map(|line| format!("- {line}\n")).collect::<String>();
-        format!("{INTRODUCTION}\n\n{}\n{lines}\nCheck again: `{RECHECK}`\n", self.table().markdown())
+        let lines = self.assumptions().into_iter().map(|line| format!("- {line}\n")).collect::<String>();
+        format!(
+            "{INTRODUCTION}\n\n{}\nCheck again, in the folder of this report: `{RECHECK}`\n\n{}\n{lines}",
+            self.table().markdown(),
+            self.gaps().markdown()
+        )
     }
 }

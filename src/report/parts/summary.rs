@@ -1,34 +1,42 @@
 //! The verdict: claims about each controller, and how strongly each is supported.
 
 use maud::{Markup, html};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::{Distribution, PaperScenarios, Proofs, Traffic, WorstProfiles};
+use super::{Distribution, PaperScenarios, Proofs, Searches, Traffic, WorstProfiles};
+use crate::falsify::counterexample::AvoidabilityClass;
+use crate::report::prose::prose;
 use crate::report::table::{Cell, Mark, Table};
-use crate::report::{Part, Plan, Rounded};
+use crate::report::{GateResult, Part, Plan, Rounded};
 
 /// Every claim about every controller.
 #[derive(Debug, Clone, Serialize)]
 pub struct Summary {
     /// The verdict in a paragraph.
     pub paragraph: String,
+    /// The controller that the question is about.
+    pub subject: Option<String>,
     /// Names of the controllers, in the order of each claim's strengths.
     pub controllers: Vec<String>,
     /// The claims.
     pub claims: Vec<Claim>,
+    /// What had to hold, and whether it does.
+    pub gates: Vec<GateResult>,
 }
 
 /// One claim, made of every controller.
 #[derive(Debug, Clone, Serialize)]
 pub struct Claim {
     /// What is claimed.
-    pub claim: &'static str,
+    pub claim: String,
+    /// The part of the report with the evidence.
+    pub part: &'static str,
     /// How it stands with each controller.
     pub strengths: Vec<Strength>,
 }
 
 /// How strongly a claim is supported.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "strength", rename_all = "snake_case")]
 pub enum Strength {
     /// The checker accepted the certificates in this run; it holds under the assumptions that go with them.
@@ -74,6 +82,18 @@ pub enum Strength {
         /// Hardest deceleration of the leader, in m/s².
         peak_brake_mps2: Rounded<2>,
     },
+    /// A search found distinct failures.
+    Found {
+        /// How many.
+        failures: usize,
+        /// How many of them someone else would have avoided.
+        avoidable: usize,
+    },
+    /// The checker accepted a certificate about part of a box of starts.
+    ProvedIn {
+        /// The part, in percent, rounded down.
+        share_percent: Rounded<2>,
+    },
     /// It was never tried.
     Untried,
 }
@@ -88,16 +108,20 @@ impl Strength {
         }
     }
 
-    fn mark(&self) -> Mark {
+    pub(in crate::report) fn mark(&self) -> Mark {
         match self {
-            Self::Proved { .. } | Self::Tested { .. } | Self::Bounded { .. } => Mark::Good,
+            Self::Proved { .. } | Self::ProvedIn { .. } | Self::Tested { .. } | Self::Bounded { .. } => Mark::Good,
             Self::Undecided { .. } | Self::Untried => Mark::None,
-            Self::Exceeded { .. } | Self::Refuted { .. } | Self::Defeated { .. } => Mark::Bad,
+            Self::Exceeded { .. } | Self::Refuted { .. } | Self::Defeated { .. } | Self::Found { .. } => Mark::Bad,
         }
     }
 
-    fn words(&self) -> String {
+    pub(in crate::report) fn words(&self) -> String {
         match self {
+            Self::Found { failures, avoidable } => {
+                format!("refuted: {failures} distinct failures, {avoidable} avoidable")
+            }
+            Self::ProvedIn { share_percent } => format!("proved for {share_percent} % of the box, see Proofs"),
             Self::Proved { .. } => "proved under assumptions, see Proofs".to_owned(),
             Self::Tested { runs } => format!("tested: 0 of {runs} collide"),
             Self::Bounded { upper_percent, confidence_percent } => {
@@ -125,51 +149,90 @@ impl Summary {
         distribution: &Distribution,
         traffic: Option<&Traffic>,
         worst: Option<&WorstProfiles>,
+        searches: &Searches,
         proofs: &Proofs,
     ) -> Self {
+        let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
+        let claim = |part, claim: &str, strengths| Claim { claim: claim.to_owned(), part, strengths };
+        let failing = distribution.controllers.iter().map(|s| Strength::of(s.collisions, distribution.draws));
         let mut claims = vec![
-            Claim {
-                claim: "no contact in the paper's scenarios",
-                strengths: no_contact(&paper.scenarios, plan.controllers.len()),
-            },
-            Claim {
-                claim: "no contact in the paper's distribution",
-                strengths: distribution
-                    .controllers
-                    .iter()
-                    .map(|s| Strength::of(s.collisions, distribution.draws))
-                    .collect(),
-            },
-            Claim { claim: "contact in at most 1 % of the paper's distribution", strengths: rarely(distribution) },
+            claim("paper", "no contact in the paper's scenarios", no_contact(&paper.scenarios, controllers.len())),
+            claim("distribution", "no contact in the paper's distribution", failing.collect()),
+            claim("distribution", "contact in at most 1 % of the paper's distribution", rarely(distribution)),
         ];
+        if controllers.iter().any(|name| certified(proofs, name) != Strength::Untried) {
+            let certified = controllers.iter().map(|name| certified(proofs, name)).collect();
+            claims.push(claim("proofs", "contact in at most 1 % of the paper's distribution, certified", certified));
+        }
         if let Some(traffic) = traffic {
-            claims.push(Claim {
-                claim: "no contact in recorded traffic and other scenarios",
-                strengths: no_contact(&traffic.scenarios, plan.controllers.len()),
+            let strengths = no_contact(&traffic.scenarios, controllers.len());
+            claims.push(claim("traffic", "no contact in recorded traffic and other scenarios", strengths));
+        }
+        for space in &searches.spaces {
+            let found = space.controllers.iter().map(|search| match search.total() {
+                0 => Strength::of(0, search.evaluations()),
+                failures => Strength::Found { failures, avoidable: search.count(AvoidabilityClass::Avoidable) },
             });
+            claims.push(claim(
+                "search",
+                &format!("no contact that a search of `{}` finds", space.name),
+                found.collect(),
+            ));
         }
         if let Some(worst) = worst {
-            claims.push(Claim { claim: "no contact in paper-1, however its leader brakes", strengths: however(worst) });
+            claims.push(claim("worst", "no contact in paper-1, however its leader brakes", however(worst)));
+        }
+        let boxes = proofs.certificates.iter().filter(|proof| proof.statement == "reach");
+        for proof in boxes {
+            let share = |name: &String| match proof.shown_of(name) {
+                (_, Some(share)) => Strength::ProvedIn { share_percent: Rounded::down(100.0 * share) },
+                _ => Strength::Untried,
+            };
+            let start = proof.about.split(':').next().unwrap_or_default();
+            let what = format!("no contact from {start}, with the true state");
+            claims.push(claim("proofs", &what, controllers.iter().map(share).collect()));
         }
         // A kernel is about the vehicle, whoever wants to drive it.
-        let shielded = proofs.accepted().map_or(Strength::Untried, |certificates| Strength::Proved { certificates });
-        claims.push(Claim {
-            claim: "no contact with the vehicle ahead, behind a shield",
-            strengths: vec![shielded; plan.controllers.len()],
-        });
-        let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
-        let paragraph = paragraph(&controllers, &claims, distribution);
-        Self { paragraph, controllers, claims }
+        let shielded =
+            proofs.kernels_accepted().map_or(Strength::Untried, |certificates| Strength::Proved { certificates });
+        claims.push(claim(
+            "proofs",
+            "no contact with the vehicle ahead, behind a shield",
+            vec![shielded; plan.controllers.len()],
+        ));
+        let paragraph = paragraph(plan, &controllers, &claims, distribution, searches);
+        let subject = plan.subject().map(|subject| subject.name.clone());
+        Self { paragraph, subject, controllers, claims, gates: Vec::new() }
     }
 
-    fn table(&self) -> Table {
-        let header: Vec<&str> = std::iter::once("claim").chain(self.controllers.iter().map(String::as_str)).collect();
-        let mut table = Table::new(&header);
-        for claim in &self.claims {
-            let cells = claim.strengths.iter().map(|strength| Cell::marked(strength.words(), strength.mark()));
-            table.row(std::iter::once(Cell::text(claim.claim)).chain(cells).collect());
+    fn gate_table(&self) -> Table {
+        let mut table = Table::new(&["what must hold", "does it?"]);
+        for gate in &self.gates {
+            let words = format!("{}: {}", if gate.holds { "yes" } else { "no" }, gate.because);
+            table.row(vec![Cell::text(&gate.gate), Cell::judged(words, gate.holds)]);
         }
         table
+    }
+
+    fn table(&self, columns: &[usize]) -> Table {
+        let names = columns.iter().filter_map(|&index| self.controllers.get(index).map(String::as_str));
+        let header: Vec<&str> = std::iter::once("claim").chain(names).collect();
+        let mut table = Table::new(&header);
+        for claim in &self.claims {
+            let strengths = columns.iter().filter_map(|&index| claim.strengths.get(index));
+            let cells = strengths.map(|strength| Cell::marked(strength.words(), strength.mark()));
+            table.row(std::iter::once(Cell::text(&claim.claim)).chain(cells).collect());
+        }
+        table
+    }
+
+    /// Those the question is about, and the others.
+    fn columns(&self) -> (Vec<usize>, Vec<usize>) {
+        let is_asked_about = |&index: &usize| {
+            let name = self.controllers.get(index);
+            index == 0 || name == self.subject.as_ref() || name.is_some_and(|name| name.starts_with("shield"))
+        };
+        (0..self.controllers.len()).partition(is_asked_about)
     }
 }
 
@@ -208,6 +271,22 @@ fn rarely(distribution: &Distribution) -> Vec<Strength> {
     distribution.controllers.iter().map(strength).collect()
 }
 
+/// The same from a certificate: runs that were registered before the first of them.
+fn certified(proofs: &Proofs, controller: &str) -> Strength {
+    let rate = proofs.certificates.iter().find_map(|proof| Some((proof.shown_of(controller).0?, proof.confidence?)));
+    match rate {
+        None => Strength::Untried,
+        Some((at_most, confidence)) => {
+            let (upper_percent, confidence_percent) = (Rounded::up(100.0 * at_most), Rounded::down(100.0 * confidence));
+            if 100.0 * at_most <= RARE_PERCENT {
+                Strength::Bounded { upper_percent, confidence_percent }
+            } else {
+                Strength::Undecided { lower_percent: Rounded::new(0.0), upper_percent }
+            }
+        }
+    }
+}
+
 /// A search that found nothing is as many tests.
 fn however(worst: &WorstProfiles) -> Vec<Strength> {
     let strength = |profile: &super::WorstProfile| match &profile.mildest {
@@ -217,7 +296,13 @@ fn however(worst: &WorstProfiles) -> Vec<Strength> {
     worst.profiles.iter().map(strength).collect()
 }
 
-fn paragraph(controllers: &[String], claims: &[Claim], distribution: &Distribution) -> String {
+fn paragraph(
+    plan: &Plan,
+    controllers: &[String],
+    claims: &[Claim],
+    distribution: &Distribution,
+    searches: &Searches,
+) -> String {
     let collides = |&index: &usize| {
         claims.iter().any(|claim| matches!(claim.strengths.get(index), Some(Strength::Refuted { .. })))
     };
@@ -230,13 +315,32 @@ fn paragraph(controllers: &[String], claims: &[Claim], distribution: &Distributi
             Some((last, others)) => format!("{} and {last}", others.join(", ")),
         }
     };
-    let mut text = format!("Without a collision in the scenarios and draws of this report: {}. ", named(&sound));
-    text += &format!("With at least one: {}. ", named(&failing));
+    let mut text = String::new();
     if let Some(first) = distribution.controllers.first().filter(|_| distribution.draws > 0) {
         text += &format!(
-            "The {} collides in {} of {} draws of the paper's distribution, in {} of them because it is hit from behind. ",
+            "The {} collides in {} of {} draws of the paper's distribution, in {} of them because it is hit from behind",
             first.controller, first.collisions, distribution.draws, first.was_hit
         );
+        text += &match distribution.controllers.get(plan.subject).filter(|_| plan.subject != 0) {
+            Some(own) => format!("; {} collides in {} of the same draws. ", own.controller, own.collisions),
+            None => ". ".to_owned(),
+        };
+    }
+    text += &format!("Without a collision in the scenarios and draws of this report: {}; ", named(&sound));
+    text += &format!("with at least one: {}. ", named(&failing));
+    if let Some(subject) = plan.subject() {
+        for space in &searches.spaces {
+            let Some(search) = space.of(&subject.name) else { continue };
+            text += &match search.total() {
+                0 => format!("A search of `{}` found no failure of {}. ", space.name, subject.name),
+                total => format!(
+                    "A search of `{}` makes {} collide in {total} distinct ways, {} of which another driver would have avoided. ",
+                    space.name,
+                    subject.name,
+                    search.count(AvoidabilityClass::Avoidable)
+                ),
+            };
+        }
     }
     let defeated = |&index: &usize| {
         claims.iter().any(|claim| matches!(claim.strengths.get(index), Some(Strength::Defeated { .. })))
@@ -261,10 +365,30 @@ impl Part for Summary {
     }
 
     fn html(&self) -> Markup {
-        html! { p.lead { (self.paragraph) } (self.table().html()) }
+        let (asked, others) = self.columns();
+        html! {
+            p.lead { (prose(&self.paragraph)) }
+            (self.table(&asked).html())
+            @if !others.is_empty() {
+                details { summary { "the other controllers" } (self.table(&others).html()) }
+            }
+            @if !self.gates.is_empty() {
+                h3 { "Gates" }
+                (self.gate_table().html())
+            }
+        }
     }
 
     fn markdown(&self) -> String {
-        format!("{}\n\n{}", self.paragraph, self.table().markdown())
+        let gates = match self.gates.is_empty() {
+            true => String::new(),
+            false => format!("\n### Gates\n\n{}", self.gate_table().markdown()),
+        };
+        let (asked, others) = self.columns();
+        let others = match others.is_empty() {
+            true => String::new(),
+            false => format!("\nThe other controllers:\n\n{}", self.table(&others).markdown()),
+        };
+        format!("{}\n\n{}{others}{gates}", self.paragraph, self.table(&asked).markdown())
     }
 }

@@ -10,7 +10,8 @@ use super::ScenarioCases;
 use crate::report::best::{Best, WHAT_REGRET_IS};
 use crate::report::case::{Case, Motion, Verdict, run_cases};
 use crate::report::table::{Cell, Table};
-use crate::report::{Part, Plan};
+use crate::report::work::Work;
+use crate::report::{AssessError, Part, Plan};
 use crate::sim::RunError;
 
 /// Scenarios whose figures are shown: a page of hundreds is no use to anybody.
@@ -27,7 +28,7 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    pub(in crate::report) fn gather(plan: &Plan) -> Result<Option<Self>, RunError> {
+    pub(in crate::report) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
         if plan.traffic.is_empty() {
             return Ok(None);
         }
@@ -44,10 +45,9 @@ impl Traffic {
         let mut scenarios = run(&(0..plan.traffic.len()).collect::<Vec<_>>(), Motion::Dropped)?;
         // Motion is kept only where it is drawn: hundreds of traces would not fit in memory.
         let closest_first = most_telling(&scenarios);
-        let bests: Vec<Option<Best>> = closest_first
-            .par_iter()
-            .map(|&index| plan.traffic.get(index).map(|(_, scenario)| Best::of(scenario)))
-            .collect();
+        work.did((plan.traffic.len() * plan.controllers.len()) as u64);
+        let best = |&index: &usize| plan.traffic.get(index).map(|(_, scenario)| Best::kept(scenario, work)).transpose();
+        let bests = closest_first.par_iter().map(best).collect::<Result<Vec<_>, _>>()?;
         for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, Motion::Kept)?).zip(bests) {
             scenarios[index] = match best {
                 Some(best) => drawn.with_best(best),

@@ -2,12 +2,13 @@
 
 use maud::{Markup, html};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::worst_figure;
 use crate::report::best::Best;
 use crate::report::case::{Case, Motion, PileUp, Verdict, run_cases};
 use crate::report::table::{Cell, Table};
+use crate::report::work::Work;
 use crate::report::{AssessError, Part, Plan, Rounded};
 use crate::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in};
 use crate::sim::{Contender, RunOptions};
@@ -17,7 +18,7 @@ use crate::worst_case::{Aim, Attack, Envelope, Hunt, Way, hunt};
 const SCENARIO: &str = "paper-1";
 
 /// Most simulations for each controller, roughly: what `crumple worst-case` does unless told otherwise.
-const BUDGET: usize = 3000;
+pub(in crate::report) const BUDGET: usize = 3000;
 
 /// The mildest braking of the leader found against every controller.
 #[derive(Debug, Clone, Serialize)]
@@ -35,7 +36,7 @@ pub struct WorstProfiles {
 }
 
 /// What was found against one controller.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct WorstProfile {
     /// The controller.
     pub controller: String,
@@ -50,7 +51,7 @@ pub struct WorstProfile {
 }
 
 /// A braking of the leader that ends in a collision.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Mildest {
     /// Hardest deceleration of the leader, in m/s².
     pub peak_brake_mps2: Rounded<2>,
@@ -70,15 +71,29 @@ pub struct Mildest {
     pub way: Way,
     /// The profile, for the figure.
     #[serde(skip)]
-    pub(super) profile: Pieces,
+    pub(super) profile: Option<Pieces>,
 }
 
 impl WorstProfiles {
     /// None if the scenario is not shipped.
-    pub(in crate::report) fn gather(plan: &Plan) -> Result<Option<Self>, AssessError> {
+    pub(in crate::report) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
         let Some(scenario) = built_in(SCENARIO) else { return Ok(None) };
         let envelope = Envelope::of(&scenario);
-        let against = |controller: &Contender| WorstProfile::of(&scenario, controller, envelope, plan);
+        let against = |controller: &Contender| {
+            let item = format!("worst profile against {}", controller.name);
+            // The profile stands beside: evidence that is published holds rounded numbers only.
+            let (mut found, profile): (WorstProfile, Option<Pieces>) =
+                work.store.get(&item, &plan.identity(controller), || {
+                    let found = WorstProfile::of(&scenario, controller, envelope, plan)?;
+                    let profile = found.mildest.as_ref().and_then(|mildest| mildest.profile.clone());
+                    Ok::<_, AssessError>((found, profile))
+                })?;
+            if let Some(mildest) = &mut found.mildest {
+                mildest.profile = profile;
+            }
+            work.did(BUDGET as u64);
+            Ok::<_, AssessError>(found)
+        };
         let profiles = plan.controllers.par_iter().map(against).collect::<Result<Vec<_>, _>>()?;
         Ok(Some(Self {
             scenario: SCENARIO,
@@ -190,7 +205,7 @@ impl Mildest {
             predicted_margin_m: attack.predicted_margin_m.into(),
             margin_m: attack.margin_m.into(),
             way: attack.way,
-            profile,
+            profile: Some(profile),
         }))
     }
 }

@@ -31,7 +31,7 @@ pub(super) fn draw<'a>(profiles: impl Iterator<Item = (&'a str, &'a Mildest)>, d
         };
         let (x, y) = (Axis::numbers("Time (s)", (0.0, end_s), 6), Axis::numbers("", (-1.08 * deepest_mps2, 0.0), 4));
         let mut panel = Panel::new(frame, &format!("{controller}: leader's acceleration (m/s²)"), x, y);
-        let steps = steps(&mildest.profile, end_s);
+        let steps = mildest.profile.as_ref().map_or_else(Vec::new, |profile| steps(profile, end_s));
         let coasting: Vec<_> = steps.iter().map(|&(time_s, _)| (time_s, 0.0)).collect();
         panel.band(&coasting, &steps, Ink::Series(0));
         panel.line(&steps, Stroke::solid(Ink::Series(0), 1.8));

@@ -14,7 +14,7 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use serde_json::{Value, json};
 
 /// Runs `crumple` in a folder.
-fn crumple(folder: &Path, arguments: &[&str]) -> Output {
+pub(crate) fn crumple(folder: &Path, arguments: &[&str]) -> Output {
     command(folder, arguments).output().expect("starts")
 }
 
@@ -24,7 +24,7 @@ fn command(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-fn code(output: &Output) -> i32 {
+pub(crate) fn code(output: &Output) -> i32 {
     output.status.code().expect("not ended by a signal")
 }
 
@@ -41,7 +41,7 @@ fn objects(output: &Output) -> Vec<Value> {
     stdout(output).lines().map(|line| serde_json::from_str(line).expect("one object a line")).collect()
 }
 
-fn folder() -> tempfile::TempDir {
+pub(crate) fn folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a place for temporary files")
 }
 

@@ -26,21 +26,66 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
     let episode = &names_in(&folder.path().join("episodes"))[0];
     let simulated = crumple(folder.path(), &["simulate", &format!("episodes/{episode}"), "--expect", "safe"]);
     assert_eq!(code(&simulated), 0, "{simulated:?}");
-    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\ndraws = 20\nscenarios = [\"episodes\"]\n";
+    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\ndraws = 20\nscenarios = [\"episodes\"]\n\
+                  search = { spaces = [\"paper\"], budget = 20 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
+    let written = [
+        "assessment.gsn.yaml",
+        "assessment.html",
+        "assessment.json",
+        "assessment.junit.xml",
+        "assessment.md",
+        "certificates",
+        "counterexamples",
+        "evidence",
+    ];
     for threads in ["1", "2"] {
         let out = format!("report-{threads}");
         let output =
             command(folder.path(), &["assess", "a.toml", "--out", &out]).env("RAYON_NUM_THREADS", threads).output();
         assert_eq!(code(&output.expect("starts")), 0);
-        assert_eq!(names_in(&folder.path().join(&out)), ["assessment.html", "assessment.json", "assessment.md"]);
+        assert_eq!(names_in(&folder.path().join(&out)), written);
     }
-    for name in ["assessment.html", "assessment.json", "assessment.md"] {
+    for name in &written[..5] {
         let read = |folder_name: &str| fs::read(folder.path().join(folder_name).join(name)).unwrap();
         assert_eq!(read("report-1"), read("report-2"), "{name} depends on the number of threads");
     }
     let markdown = fs::read_to_string(folder.path().join("report-1/assessment.md")).unwrap();
     assert!(markdown.contains("openacc-platoon-01"), "recorded traffic is in the report");
+}
+
+/// Gates decide the exit code, evidence is used again, and whatever is killed goes on to the same bytes.
+#[test]
+fn gates_decide_and_evidence_is_kept() {
+    let folder = folder();
+    let config = |gates: &str| {
+        let text = format!(
+            "version = 1\ncontrollers = [\"baseline\", \"policy\"]\ndraws = 50\nrates.runs = 1000\n\
+             search = {{ spaces = [\"paper\"], budget = 30 }}\ncertificates = []\n{gates}"
+        );
+        fs::write(folder.path().join("a.toml"), text).unwrap();
+    };
+    config("");
+    let first = crumple(folder.path(), &["assess", "a.toml", "--out", "one"]);
+    assert_eq!(code(&first), 0, "{first:?}");
+    let mut child = command(folder.path(), &["assess", "a.toml", "--out", "two"]).spawn().unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(150));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let again = crumple(folder.path(), &["assess", "a.toml", "--out", "two", "--against", "one/assessment.json"]);
+    assert_eq!(code(&again), 0, "{again:?}");
+    assert!(stdout(&again).contains("0 better, 0 worse, 0 new, 0 gone"), "{again:?}");
+    let third = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
+    assert!(stderr(&third).contains("pieces of evidence were there"), "{third:?}");
+    let read = |report: &str| fs::read_to_string(folder.path().join(report).join("assessment.json")).unwrap();
+    assert_eq!(read("one"), read("two"));
+
+    config("[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n");
+    let failed = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
+    assert_eq!(code(&failed), 1, "{failed:?}");
+    assert!(stderr(&failed).contains("gate: baseline: no contact in the paper's scenarios (it collides in paper-1"));
+    config("[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n");
+    assert_eq!(code(&crumple(folder.path(), &["assess", "a.toml", "--out", "two"])), 0);
 }
 
 fn refused(folder: &Path, arguments: &[&str], expected: &str) {
@@ -60,6 +105,11 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
         ("version = 1\ncontrollers = [\"hal\"]\n", "error: a.toml:2: controllers[0]: there is no controller `hal`"),
         ("version = 1\ncontrollers = []\n", "error: a.toml:2: controllers: must name at least one"),
         ("version = 1\nscenarios = [\"nowhere\"]\n", "error: a.toml:2: scenarios[0]: "),
+        ("version = 1\nsubject = \"hal\"\n", "error: a.toml:2: subject: `hal` is not among `controllers`"),
+        ("version = 1\n\nsearch = { spaces = [\"moon\"] }\n", "error: a.toml:3: search.spaces[0]: `moon` is neither"),
+        ("version = 1\nrates = { confidence = 1.5 }\n", "error: a.toml:2: rates.confidence: must be between"),
+        ("version = 1\ncertificates = [\"nowhere.json\"]\n", "error: nowhere.json: "),
+        ("version = 1\n[[gates]]\nrequire = \"luck\"\n", "error: a.toml:2: gates[0]: unknown variant `luck`"),
     ];
     for (config, expected) in cases {
         fs::write(folder.path().join("a.toml"), config).unwrap();

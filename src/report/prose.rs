@@ -1,0 +1,20 @@
+//! Running text: what stands between backticks is code, in Markdown by itself and in HTML by this.
+
+use maud::{Markup, html};
+
+pub(super) fn prose(text: &str) -> Markup {
+    html! {
+        @for (index, piece) in text.split('`').enumerate() {
+            @if index % 2 == 1 { code { (piece) } } @else { (piece) }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn code_is_marked_and_the_rest_is_escaped() {
+        let html = super::prose("a < `b`").into_string();
+        assert_eq!(html, "a &lt; <code>b</code>");
+    }
+}
