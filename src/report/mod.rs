@@ -22,9 +22,9 @@ pub use case::{Case, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards, Verdi
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, Plan};
 pub use interval::RateInterval;
 pub use parts::{
-    BRAKING_MPS2, Braking, Claim, Distribution, EXAMPLE_MPS, KernelProof, KernelStatus, Learned, LearnedPolicy, Limits,
-    Mildest, Paired, PaperScenarios, Percent, Proofs, Provenance, Sampled, ScenarioCases, Strength, Summary, Traffic,
-    WorstProfile, WorstProfiles,
+    BRAKING_MPS2, Braking, Claim, Distribution, EXAMPLE_MPS, FailureMap, FailureMaps, Held, KernelProof, KernelStatus,
+    Learned, LearnedPolicy, Limits, MapAxis, MapCell, MapRow, Mildest, Paired, PaperScenarios, Percent, Proofs,
+    Provenance, Sampled, ScenarioCases, Strength, Summary, Traffic, UnknownCell, WorstProfile, WorstProfiles,
 };
 pub use rounded::Rounded;
 
@@ -50,6 +50,8 @@ pub struct Assessment {
     pub traffic: Option<Traffic>,
     /// The mildest lead braking against each controller.
     pub worst_profiles: Option<WorstProfiles>,
+    /// What each controller survives over two parameters, and what nobody does.
+    pub failure_maps: Option<FailureMaps>,
     /// What is proved.
     pub proofs: Proofs,
     /// How the learned policies drive; none if there are none among the controllers.
@@ -100,6 +102,7 @@ pub fn assess(plan: &Plan, done: &dyn Fn(u64)) -> Result<Assessment, AssessError
     done(plan.paper_runs() + plan.distribution_runs());
     let traffic = Traffic::gather(plan)?;
     let worst_profiles = WorstProfiles::gather(plan)?;
+    let failure_maps = FailureMaps::gather(plan)?;
     done(plan.runs());
     let proofs = Proofs::gather();
     Ok(Assessment {
@@ -112,6 +115,7 @@ pub fn assess(plan: &Plan, done: &dyn Fn(u64)) -> Result<Assessment, AssessError
         distribution,
         traffic,
         worst_profiles,
+        failure_maps,
         proofs,
     })
 }
@@ -139,6 +143,7 @@ impl Assessment {
         let mut parts: Vec<&dyn Part> = vec![&self.summary, &self.paper_scenarios, &self.distribution];
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn Part));
+        parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn Part));
         parts.push(&self.proofs);
         parts.extend(self.learned.as_ref().map(|learned| learned as &dyn Part));
         parts.extend([&self.limits as &dyn Part, &self.provenance]);

@@ -3,6 +3,9 @@
 mod distribution;
 mod learned;
 mod limits;
+mod map_cell;
+mod maps;
+mod maps_figure;
 mod paper;
 mod proofs;
 mod provenance;
@@ -15,6 +18,8 @@ mod worst_figure;
 pub use distribution::{Distribution, Paired, Percent, Sampled};
 pub use learned::{BRAKING_MPS2, Braking, Learned, LearnedPolicy};
 pub use limits::Limits;
+pub use map_cell::{MapCell, MapRow, UnknownCell};
+pub use maps::{FailureMap, FailureMaps, Held, MapAxis};
 pub use paper::PaperScenarios;
 pub use proofs::{EXAMPLE_MPS, KernelProof, KernelStatus, Proofs};
 pub use provenance::Provenance;
