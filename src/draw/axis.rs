@@ -35,6 +35,13 @@ impl Axis {
         Self { title: title.to_owned(), domain, marks, grid: true }
     }
 
+    /// An axis on which the caller says what is marked where: for scales that are not even in the number, such as a
+    /// logarithmic one.
+    #[must_use]
+    pub fn marked(title: &str, domain: (f64, f64), marks: Vec<(f64, String)>) -> Self {
+        Self { title: title.to_owned(), domain: drawable(domain), marks, grid: true }
+    }
+
     /// An axis of names: the `n`-th at the value `n`, with half a unit around.
     ///
     /// On a vertical axis they end just left of the frame and may need more room than [`LEFT`]: leave the

@@ -7,10 +7,13 @@
 //! follows the reader's colour scheme (see [`Ink`]). Nothing is said by colour alone. The same data give the same
 //! bytes: there is no clock, no random identifier and no system font in them.
 
+mod animation;
+mod animation_data;
 mod axis;
 mod closeup;
 mod label;
 mod motion;
+mod motion_axes;
 mod names;
 mod panel;
 mod path;
@@ -21,9 +24,11 @@ mod theme;
 
 use maud::{Markup, PreEscaped, html};
 
+pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, animation};
 pub use axis::{Axis, BELOW, LEFT};
 pub use label::{Frame, on_lines, shortened, spread, text_width, wrapped};
-pub use motion::{Layout, MotionFigure, motion, motion_responsive};
+pub use motion::{Layout, MotionFigure, motion, motion_beside, motion_on, motion_responsive};
+pub use motion_axes::MotionAxes;
 pub use names::vehicle_names;
 pub use panel::{Anchor, HEADING, Marker, Panel, TaggedLine, mark, straight, tag, tag_width, words};
 pub use path::{Place, simplified};

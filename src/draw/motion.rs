@@ -2,12 +2,13 @@
 
 use maud::{Markup, html};
 
-use super::axis::{Axis, LEFT};
+use super::axis::LEFT;
 use super::closeup::{self, Focus};
 use super::label::{Frame, spread, text_width};
+use super::motion_axes::MotionAxes;
 use super::panel::{Anchor, Marker, Panel, TaggedLine, straight, tag, tag_width, words};
 use super::plan::{LABEL_STEP, Plan, name_of};
-use super::scale::{extent, padded};
+use super::scale::extent;
 use super::theme::{Ink, SMALL, Stroke, TEXT};
 use super::{Svg, path};
 use crate::sim::{Contact, Impact, Trace, Track};
@@ -34,6 +35,8 @@ pub enum Layout {
     Wide,
     /// One above the other, 360 pixels wide: phones.
     Stacked,
+    /// One above the other, 470 pixels wide and flat: half a page, for two runs beside each other.
+    Column,
 }
 
 /// With more vehicles than this, lines lie too close for tags on them to be of use.
@@ -42,15 +45,19 @@ const MOST_TAGGED: usize = 60;
 /// Draws the three diagrams of one run.
 #[must_use]
 pub fn motion(figure: &MotionFigure<'_>, layout: Layout) -> Svg {
+    motion_on(figure, &MotionAxes::of(figure.trace), layout)
+}
+
+/// Draws the three diagrams of one run on given axes, so that it can be compared with others.
+#[must_use]
+pub fn motion_on(figure: &MotionFigure<'_>, axes: &MotionAxes, layout: Layout) -> Svg {
     let plan = Plan::new(figure, layout);
-    let time = time_domain(figure.trace);
-    let time_axis = || Axis::numbers("Time (s)", time, 6);
     let id = |name: &str| Svg::id(figure.prefix, name);
     let content = html! {
         (plan.title_and_key(figure))
-        (space(figure, &plan, time_axis(), &id("closeup")).draw(&id("space")))
-        (speed(figure, plan.speed, time_axis()).draw(&id("speed")))
-        (spacing(figure, plan.spacing, time_axis()).draw(&id("spacing")))
+        (space(figure, &plan, axes, &id("closeup")).draw(&id("space")))
+        (speed(figure, plan.speed, axes).draw(&id("speed")))
+        (spacing(figure, plan.spacing, axes).draw(&id("spacing")))
     };
     Svg::new(figure.prefix, (plan.width, plan.height), figure.title, &description(figure), content)
 }
@@ -65,20 +72,26 @@ pub fn motion_responsive(figure: &MotionFigure<'_>) -> Markup {
     }
 }
 
-/// From the first sample to a little after the last, so that a contact that ends the run is not cut in half.
-fn time_domain(trace: &Trace) -> (f64, f64) {
-    let (first, last) = extent(trace.time_s.iter().copied());
-    (first, last + 0.02 * (last - first))
+/// Several runs on the same axes, for an HTML page that holds [`STYLE`](super::STYLE): two columns where there is room,
+/// one below the other where there is not.
+#[must_use]
+pub fn motion_beside(figures: &[MotionFigure<'_>]) -> Markup {
+    let axes = MotionAxes::of_all(figures.iter().map(|figure| figure.trace));
+    let drawn = |figure: &MotionFigure<'_>, name: &str, layout| {
+        let prefix = format!("{}-{name}", figure.prefix);
+        motion_on(&MotionFigure { prefix: &prefix, ..*figure }, &axes, layout)
+    };
+    html! {
+        div.draw-wide { div.draw-beside {
+            @for figure in figures { (drawn(figure, "column", Layout::Column)) }
+        } }
+        div.draw-narrow { @for figure in figures { (drawn(figure, "narrow", Layout::Stacked)) } }
+    }
 }
 
-fn space(figure: &MotionFigure<'_>, plan: &Plan, time: Axis, closeup_id: &str) -> Panel {
+fn space(figure: &MotionFigure<'_>, plan: &Plan, axes: &MotionAxes, closeup_id: &str) -> Panel {
     let MotionFigure { trace, .. } = figure;
-    let ends = |track: &Track| {
-        let (low, high) = extent(track.position_m.iter().copied());
-        [low - track.length_m, high]
-    };
-    let domain = padded(extent(trace.vehicles.iter().flat_map(ends)), 0.03);
-    let mut panel = Panel::new(plan.space, "Position of the vehicles (m)", time, Axis::numbers("", domain, 7));
+    let mut panel = Panel::new(plan.space, "Position of the vehicles (m)", axes.time(), axes.position());
     for (index, track) in trace.vehicles.iter().enumerate() {
         body(&mut panel, &trace.time_s, track, index);
     }
@@ -129,11 +142,9 @@ fn end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &Plan) {
     }
 }
 
-fn speed(figure: &MotionFigure<'_>, frame: Frame, time: Axis) -> Panel {
+fn speed(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
-    let (_, fastest) = extent(trace.vehicles.iter().flat_map(|track| track.speed_mps.iter().copied()));
-    let axis = Axis::numbers("", padded((0.0, fastest.max(1.0)), 0.04), 6);
-    let mut panel = Panel::new(frame, "Speed (m/s)", time, axis);
+    let mut panel = Panel::new(frame, "Speed (m/s)", axes.time(), axes.speed());
     let mut tags = Vec::new();
     for (index, track) in trace.vehicles.iter().enumerate() {
         let line = points(&trace.time_s, track.speed_mps.iter().copied());
@@ -155,13 +166,11 @@ fn speed(figure: &MotionFigure<'_>, frame: Frame, time: Axis) -> Panel {
     panel
 }
 
-fn spacing(figure: &MotionFigure<'_>, frame: Frame, time: Axis) -> Panel {
+fn spacing(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
     let gaps = |rear| trace.pair(rear).map(|pair| (rear, points(&trace.time_s, pair.gaps_m())));
     let lines: Vec<_> = (1..trace.vehicles.len()).filter_map(gaps).collect();
-    let (least, most) = extent(lines.iter().flat_map(|(_, line)| line.iter().map(|(_, gap)| *gap)));
-    let axis = Axis::numbers("", padded((least.min(0.0), most.max(1.0)), 0.05), 6);
-    let mut panel = Panel::new(frame, "Gap between bumpers (m)", time, axis);
+    let mut panel = Panel::new(frame, "Gap between bumpers (m)", axes.time(), axes.gap());
     panel.rule_y(0.0, Stroke::solid(Ink::Text, 1.0));
     let mut tags = Vec::new();
     for (rear, line) in lines {

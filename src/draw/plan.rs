@@ -40,7 +40,11 @@ impl Plan {
         let vehicles = figure.trace.vehicles.len();
         let widest_tag = tag_width(&vehicles.saturating_sub(1).to_string());
         let tall = |least: f64| least.max(LABEL_STEP * vehicles as f64);
-        let width = if layout == Layout::Wide { 960.0 } else { 360.0 };
+        let width = match layout {
+            Layout::Wide => 960.0,
+            Layout::Stacked => 360.0,
+            Layout::Column => 470.0,
+        };
         let title = if figure.title.is_empty() { vec![] } else { wrapped(figure.title, TITLE, width - 4.0) };
         let top = title.len() as f64 * TITLE * 1.3;
         match layout {
@@ -57,12 +61,13 @@ impl Plan {
                 let height = space.bottom() + BELOW;
                 Self { layout, width, height, title, space, speed, spacing, labels_right, widest_tag }
             }
-            Layout::Stacked => {
+            Layout::Stacked | Layout::Column => {
+                let (first, others) = if layout == Layout::Stacked { (230.0, 190.0) } else { (190.0, 130.0) };
                 let plot = width - LEFT - widest_tag - 18.0;
                 let frame = |above: f64, height| Frame { left: LEFT, top: above + HEADING, width: plot, height };
-                let space = frame(top + KEY_ROW * key(figure, width).len() as f64, tall(230.0));
-                let speed = frame(space.bottom() + BELOW, 190.0);
-                let spacing = frame(speed.bottom() + BELOW, 190.0);
+                let space = frame(top + KEY_ROW * key(figure, width).len() as f64, tall(first));
+                let speed = frame(space.bottom() + BELOW, others);
+                let spacing = frame(speed.bottom() + BELOW, others);
                 let height = spacing.bottom() + BELOW;
                 Self { layout, width, height, title, space, speed, spacing, labels_right: width, widest_tag }
             }
@@ -79,7 +84,7 @@ impl Plan {
                     (words((0.0, base), Anchor::Start, text, TITLE, Ink::Text, false))
                 }
             }
-            @if self.layout == Layout::Stacked {
+            @if self.layout != Layout::Wide {
                 @for (row, entries) in key(figure, self.width).iter().enumerate() {
                     @let y = below_title + KEY_ROW * (row as f64 + 0.6);
                     @for &(x, index) in entries {

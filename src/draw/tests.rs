@@ -35,6 +35,8 @@ fn line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Tra
     (simulated.trace.unwrap(), simulated.impacts)
 }
 
+const LAYOUTS: [Layout; 3] = [Layout::Wide, Layout::Stacked, Layout::Column];
+
 fn names(count: usize) -> Vec<String> {
     (0..count).map(|index| format!("vehicle of rank {index} <&>\u{7}")).collect()
 }
@@ -75,11 +77,11 @@ proptest! {
     #[test]
     fn no_words_of_a_figure_overlap_and_all_lie_inside(
         heavy in proptest::collection::vec(any::<bool>(), 2..=20), ttc_s in proptest::option::of(0.8..3.0f64),
-        go_on in any::<bool>(), wide in any::<bool>(),
+        go_on in any::<bool>(), layout in proptest::sample::select(LAYOUTS.to_vec()),
     ) {
         let after_contact = if go_on { AfterContact::Continue } else { AfterContact::Stop };
         let (trace, impacts) = line(&heavy, ttc_s, after_contact);
-        let svg = drawn(&trace, &impacts, if wide { Layout::Wide } else { Layout::Stacked });
+        let svg = drawn(&trace, &impacts, layout);
         let mut words = Vec::new();
         word_boxes(tree(&svg).root(), &mut words);
         prop_assert!(words.len() > 20);
@@ -102,7 +104,8 @@ proptest! {
     fn any_numbers_give_a_figure(
         values in proptest::collection::vec(proptest::collection::vec(ANY_NUMBER, 0..12), 0..6),
         lengths in proptest::collection::vec(ANY_NUMBER, 6), times in proptest::collection::vec(ANY_NUMBER, 0..12),
-        front_vehicle in 0usize..9, numbers in proptest::array::uniform3(ANY_NUMBER), wide in any::<bool>(),
+        front_vehicle in 0usize..9, numbers in proptest::array::uniform3(ANY_NUMBER),
+        layout in proptest::sample::select(LAYOUTS.to_vec()),
     ) {
         let vehicles = values
             .iter()
@@ -117,7 +120,7 @@ proptest! {
         let impact = Impact { contact, common_speed_mps: 0.0, first_involved: 0, last_involved: 0 };
         let impacts: Vec<Impact> = (front_vehicle < 4).then_some(impact).into_iter().collect();
         let trace = Trace { time_s: times, vehicles };
-        let svg = drawn(&trace, &impacts, if wide { Layout::Wide } else { Layout::Stacked });
+        let svg = drawn(&trace, &impacts, layout);
         tree(&svg);
     }
 }
@@ -130,7 +133,7 @@ fn plain_traces_give_figures() {
     let single = Trace { time_s: vec![0.0], vehicles: vec![one(20.0), one(0.0)] };
     let empty = Trace { time_s: vec![], vehicles: vec![] };
     for trace in [constant, single, empty] {
-        for layout in [Layout::Wide, Layout::Stacked] {
+        for layout in LAYOUTS {
             assert!(drawn(&trace, &[], layout).to_png(1.0).is_ok());
         }
     }

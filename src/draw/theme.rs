@@ -132,6 +132,7 @@ pub const STYLE: &str = r##"
 .draw [fill="#007355"]{fill:var(--draw-2)}.draw [stroke="#007355"]{stroke:var(--draw-2)}
 .draw [fill="#974a80"]{fill:var(--draw-3)}.draw [stroke="#974a80"]{stroke:var(--draw-3)}
 .draw [fill="#806000"]{fill:var(--draw-4)}.draw [stroke="#806000"]{stroke:var(--draw-4)}
+.draw-beside{display:grid;grid-template-columns:repeat(2,minmax(0,1fr));gap:.6rem 1.2rem;align-items:end}
 .draw-narrow{display:none}
 @media screen and (max-width:760px){.draw-wide{display:none}.draw-narrow{display:block}}
 "##;

@@ -30,9 +30,10 @@ pub use gate::{Gate, GateResult};
 pub use interval::RateInterval;
 pub use parts::{
     Argument, BRAKING_MPS2, Braking, Change, Claim, Comparison, ComparisonError, Distribution, EXAMPLE_MPS, Earlier,
-    Element, ElementKind, Failure, KernelGap, Learned, LearnedPolicy, Limits, MethodReached, Mildest, Paired,
-    PaperScenarios, Percent, Proof, ProofStatus, Proofs, Provenance, Sampled, ScenarioCases, Search, Searches,
-    SpaceSearches, Strength, Summary, Traffic, WorstProfile, WorstProfiles,
+    Element, ElementKind, Failure, FailureMap, FailureMaps, Held, KernelGap, Learned, LearnedPolicy, Limits, MapAxis,
+    MapCell, MapRow, MethodReached, Mildest, Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs, Provenance,
+    Sampled, ScenarioCases, Search, Searches, SpaceSearches, Strength, Summary, Traffic, UnknownCell, WorstProfile,
+    WorstProfiles,
 };
 pub use plan::Plan;
 pub use rounded::Rounded;
@@ -65,6 +66,8 @@ pub struct Assessment {
     pub searches: Searches,
     /// The mildest lead braking against each controller.
     pub worst_profiles: Option<WorstProfiles>,
+    /// What each controller survives over two parameters, and what nobody does.
+    pub failure_maps: Option<FailureMaps>,
     /// What is proved.
     pub proofs: Proofs,
     /// How the learned policies drive; none if there are none among the controllers.
@@ -139,6 +142,7 @@ pub fn assess(
     let traffic = Traffic::gather(plan, &work)?;
     let searches = Searches::gather(plan, &work)?;
     let worst_profiles = WorstProfiles::gather(plan, &work)?;
+    let failure_maps = FailureMaps::gather(plan, &work)?;
     let proofs = Proofs::gather(plan, &work)?;
     let limits = Limits::of(plan);
     let (with_traffic, with_worst) = (traffic.as_ref(), worst_profiles.as_ref());
@@ -155,6 +159,7 @@ pub fn assess(
         traffic,
         searches,
         worst_profiles,
+        failure_maps,
         proofs,
         limits,
         argument,
@@ -189,6 +194,7 @@ impl Assessment {
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
         parts.push(&self.searches);
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn Part));
+        parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn Part));
         parts.extend([&self.distribution as &dyn Part, &self.proofs]);
         parts.extend(self.learned.as_ref().map(|learned| learned as &dyn Part));
         parts.extend([&self.limits as &dyn Part, &self.argument, &self.provenance]);

@@ -18,7 +18,7 @@ pub(super) fn html(assessment: &Assessment) -> String {
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 meta name="generator" content={ "crumple " (assessment.provenance.crumple) };
                 title { (TITLE) }
-                style { (PreEscaped(STYLE)) (PreEscaped(draw::STYLE)) }
+                style { (PreEscaped(STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(draw::ANIMATION_STYLE)) }
             }
             body {
                 header {
@@ -31,6 +31,7 @@ pub(super) fn html(assessment: &Assessment) -> String {
                         section id=(part.id()) { h2 { (part.title()) } (part.html()) }
                     }
                 }
+                script { (PreEscaped(draw::ANIMATION_SCRIPT)) }
             }
         }
     };

@@ -35,7 +35,8 @@ fn tracks(csv: &str) -> Vec<Vec<Sample>> {
 #[test]
 fn five_measures_of_the_report_follow_from_the_exported_trace() {
     let folder = folder();
-    let report = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/reports/assessment.json")).expect("committed");
+    let report =
+        fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/reports/assessment.json")).expect("committed");
     let report: Value = serde_json::from_str(&report).expect("JSON");
     for controller in ["match-leader", "constant-brake", "idm", "policy"] {
         let arguments = ["simulate", "paper-1", "--controller", controller, "--trace", "trace.csv"];

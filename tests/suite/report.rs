@@ -221,7 +221,9 @@ fn worst_profiles_collide_and_kernels_are_proved() {
 #[test]
 fn the_page_is_self_contained_and_its_links_lead_somewhere() {
     let page = BUILT_IN.html();
-    for outside in ["http://", "https://", "src=", "@import", "url(", "<script", "<link"] {
+    for outside in
+        ["http://", "https://", "src=", "@import", "url(", "<script src", "<link", "fetch(", "XMLHttp", "import("]
+    {
         let inside = ["http://www.w3.org/2000/svg", "url(#"];
         let found = page.match_indices(outside).filter(|(at, _)| inside.iter().all(|i| !page[*at..].starts_with(i)));
         assert_eq!(found.count(), 0, "{outside}");

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::ScenarioCases;
 use crate::report::best::{Best, WHAT_REGRET_IS};
-use crate::report::case::{Motion, run_cases};
+use crate::report::case::{Case, Motion, run_cases};
 use crate::report::work::Work;
 use crate::report::{AssessError, Part, Plan};
 use crate::scenario::{Scenario, built_in, built_in_names};
@@ -16,7 +16,13 @@ use crate::scenario::{Scenario, built_in, built_in_names};
 pub struct PaperScenarios {
     /// One entry a scenario.
     pub scenarios: Vec<ScenarioCases>,
+    /// Which cases of each scenario are shown beside each other.
+    #[serde(skip)]
+    beside: Vec<usize>,
 }
+
+/// The scenario in which a collision of the first controller is shown from above.
+const FROM_ABOVE: &str = "paper-2";
 
 impl PaperScenarios {
     pub(in crate::report) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
@@ -37,7 +43,21 @@ impl PaperScenarios {
                 ScenarioCases::new(scenario, &format!("{}{options}", scenario.spec().name), cases).with_best(best)
             })
             .collect();
-        Ok(Self { scenarios })
+        // The first controller, and the first learned one or else the second.
+        let learned = (1..plan.controllers.len()).find(|&index| plan.controllers[index].policy().is_some());
+        let beside =
+            [Some(0), learned.or(Some(1))].into_iter().flatten().filter(|&index| index < plan.controllers.len());
+        Ok(Self { scenarios, beside: beside.collect() })
+    }
+}
+
+impl PaperScenarios {
+    /// The cases to show beside each other, and the others.
+    fn split<'a>(&self, scenario: &'a ScenarioCases) -> (Vec<&'a Case>, Vec<&'a Case>) {
+        let numbered = scenario.cases.iter().enumerate();
+        let (beside, others): (Vec<_>, Vec<_>) = numbered.partition(|(index, _)| self.beside.contains(index));
+        let cases = |numbered: Vec<(usize, &'a Case)>| numbered.into_iter().map(|(_, case)| case).collect();
+        (cases(beside), cases(others))
     }
 }
 
@@ -62,10 +82,15 @@ impl Part for PaperScenarios {
             @for scenario in &self.scenarios {
                 h3 { (scenario.scenario) }
                 p { (scenario.about) }
-                @if let Some(first) = scenario.cases.first() { figure { (scenario.figure(first)) } }
+                @let (beside, others) = self.split(scenario);
+                figure { (scenario.figures_beside(&beside)) }
+                @for case in &beside { p.replay { code { (scenario.replay_of(case)) } } }
+                @if let (true, Some(first)) = (scenario.scenario == FROM_ABOVE, scenario.cases.first()) {
+                    figure { (scenario.animation(first)) }
+                }
                 p { (scenario.best_words()) }
                 (scenario.tables())
-                @for case in scenario.cases.iter().skip(1) { (scenario.folded_figure(case)) }
+                @for case in others { (scenario.folded_figure(case)) }
             }
         }
     }

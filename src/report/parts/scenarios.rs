@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde::Serialize;
 
-use crate::draw::{MotionFigure, motion_responsive, vehicle_names};
+use crate::draw::{MotionFigure, animation, motion_beside, motion_responsive, vehicle_names};
 use crate::report::Best;
 use crate::report::case::Case;
 use crate::report::rounded::or_dash;
@@ -23,7 +23,9 @@ pub struct ScenarioCases {
     pub best: Option<Best>,
     /// One case a controller.
     pub cases: Vec<Case>,
-    /// Names of the vehicles, for figures.
+    /// The scenario and the names of its vehicles, for figures.
+    #[serde(skip)]
+    drawn: Scenario,
     #[serde(skip)]
     labels: Vec<String>,
 }
@@ -37,6 +39,7 @@ impl ScenarioCases {
             replay: format!("crumple simulate {reach}"),
             best: None,
             cases,
+            drawn: scenario.clone(),
             labels: vehicle_names(scenario),
         }
     }
@@ -133,6 +136,11 @@ impl ScenarioCases {
         }
     }
 
+    /// How to run one case again.
+    pub(in crate::report) fn replay_of(&self, case: &Case) -> String {
+        format!("{} --controller {}", self.replay, case.controller)
+    }
+
     /// The paper's three diagrams of one case.
     pub(in crate::report) fn figure(&self, case: &Case) -> Markup {
         let Some((trace, impacts)) = &case.motion else { return html! {} };
@@ -141,13 +149,40 @@ impl ScenarioCases {
         motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &self.labels, trace, impacts })
     }
 
+    /// The same of several cases beside each other, on the same axes.
+    pub(in crate::report) fn figures_beside(&self, cases: &[&Case]) -> Markup {
+        let moved: Vec<_> = cases.iter().filter_map(|case| Some((*case, case.motion.as_ref()?))).collect();
+        let named = |name: &str| format!("{}-{name}", self.scenario);
+        let prefixes: Vec<_> = moved.iter().map(|(case, _)| named(&case.controller)).collect();
+        let titles: Vec<_> = moved.iter().map(|(case, _)| format!("{}, {}", self.scenario, case.controller)).collect();
+        let figures: Vec<_> = moved
+            .iter()
+            .zip(prefixes.iter().zip(&titles))
+            .map(|((_, (trace, impacts)), (prefix, title))| MotionFigure {
+                prefix,
+                title,
+                labels: &self.labels,
+                trace,
+                impacts,
+            })
+            .collect();
+        motion_beside(&figures)
+    }
+
+    /// What a case looked like from above.
+    pub(in crate::report) fn animation(&self, case: &Case) -> Markup {
+        let Some((trace, impacts)) = &case.motion else { return html! {} };
+        let title = format!("{}, {}, from above: {}", self.scenario, case.controller, case.verdict.words());
+        animation(&format!("{}-{}", self.scenario, case.controller), &title, trace, &self.drawn, impacts)
+    }
+
     /// The figure of one case, folded away behind its outcome.
     pub(in crate::report) fn folded_figure(&self, case: &Case) -> Markup {
         html! {
             details {
                 summary { (case.controller) ": " (case.verdict.words()) }
                 (self.figure(case))
-                p.replay { code { (self.replay) " --controller " (case.controller) } }
+                p.replay { code { (self.replay_of(case)) } }
             }
         }
     }

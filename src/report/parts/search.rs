@@ -343,8 +343,11 @@ impl Part for Searches {
                             ul { @for failure in &search.failures { li { code { (failure.replay) } } } }
                         }
                         p { "Search again: " code { (search.command) } }
-                        @for cases in &search.drawn {
-                            @for case in &cases.cases { figure { (cases.figure(case)) } }
+                        @for (rank, cases) in search.drawn.iter().enumerate() {
+                            @for case in &cases.cases {
+                                figure { (cases.figure(case)) }
+                                @if rank == 0 { figure { (cases.animation(case)) } }
+                            }
                         }
                     }
                 }

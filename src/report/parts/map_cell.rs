@@ -1,0 +1,69 @@
+//! One cell of a failure map, and a row of them as a short text.
+
+use serde::{Deserialize, Serialize};
+
+/// What came of one controller in one scenario.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MapCell {
+    /// Nobody touched anybody.
+    NoContact,
+    /// Vehicles touched, though another driver would have avoided it.
+    Avoidable,
+    /// Vehicles touched, and no driver avoids it: the checker has accepted the proof.
+    Unavoidable,
+    /// Vehicles touched, and neither was shown.
+    Undecided,
+}
+
+impl MapCell {
+    /// All of them, in the order of keys and tables.
+    pub const ALL: [Self; 4] = [Self::NoContact, Self::Avoidable, Self::Unavoidable, Self::Undecided];
+
+    /// Its letter in the evidence.
+    #[must_use]
+    pub fn letter(self) -> char {
+        match self {
+            Self::NoContact => '.',
+            Self::Avoidable => 'x',
+            Self::Unavoidable => '#',
+            Self::Undecided => '?',
+        }
+    }
+
+    /// In words.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::NoContact => "no contact",
+            Self::Avoidable => "contact, though avoidable",
+            Self::Unavoidable => "contact, unavoidable",
+            Self::Undecided => "contact, undecided",
+        }
+    }
+}
+
+/// A row of cells from left to right; in the evidence a text of one letter a cell, see [`MapCell::letter`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct MapRow(pub Vec<MapCell>);
+
+/// A letter that stands for no cell.
+#[derive(Debug, thiserror::Error)]
+#[error("`{0}` is no cell of a failure map: there are . x # and ?")]
+pub struct UnknownCell(char);
+
+impl From<MapRow> for String {
+    fn from(row: MapRow) -> Self {
+        row.0.into_iter().map(MapCell::letter).collect()
+    }
+}
+
+impl TryFrom<String> for MapRow {
+    type Error = UnknownCell;
+
+    fn try_from(letters: String) -> Result<Self, UnknownCell> {
+        let cell =
+            |letter: char| MapCell::ALL.into_iter().find(|cell| cell.letter() == letter).ok_or(UnknownCell(letter));
+        letters.chars().map(cell).collect::<Result<_, _>>().map(Self)
+    }
+}
