@@ -295,8 +295,8 @@ fn draw(plan: &Plan, controller: &Contender, failures: &[Failure]) -> Result<Vec
     for failure in failures.iter().take(MOST_DRAWN) {
         // What a campaign wrote and read back can be read again.
         let Ok(scenario) = file::from_toml(&failure.text, Path::new(&failure.file)) else { continue };
-        // Unique on the page: names of scenarios are those of spaces.
-        let named = scenario.edited(|spec| spec.name = failure.file.trim_end_matches(".toml").to_owned())?;
+        // Unique on the page, with the controller's: names of scenarios are those of spaces.
+        let named = scenario.edited(|spec| spec.name = format!("{} {}", spec.name, failure.short_name()))?;
         let one = std::slice::from_ref(controller);
         let cases = run_cases(&[&named], one, plan.config.estimator, Motion::Kept)?;
         let reach = format!("{}{}", failure.file, plan.simulate_options());

@@ -94,7 +94,7 @@ pub enum Strength {
         /// The part, in percent, rounded down.
         share_percent: Rounded<2>,
     },
-    /// It was never tried.
+    /// There is no evidence for it or against it.
     Untried,
 }
 
@@ -137,7 +137,7 @@ impl Strength {
             Self::Defeated { peak_brake_mps2 } => {
                 format!("refuted by a leader that brakes at up to {peak_brake_mps2} m/s²")
             }
-            Self::Untried => "not tried".to_owned(),
+            Self::Untried => "not shown".to_owned(),
         }
     }
 }
@@ -192,14 +192,11 @@ impl Summary {
             let what = format!("no contact from {start}, with the true state");
             claims.push(claim("proofs", &what, controllers.iter().map(share).collect()));
         }
-        // A kernel is about the vehicle, whoever wants to drive it.
         let shielded =
             proofs.kernels_accepted().map_or(Strength::Untried, |certificates| Strength::Proved { certificates });
-        claims.push(claim(
-            "proofs",
-            "no contact with the vehicle ahead, behind a shield",
-            vec![shielded; plan.controllers.len()],
-        ));
+        let of = |name: &String| if name.starts_with("shield") { shielded.clone() } else { Strength::Untried };
+        let strengths = controllers.iter().map(of).collect();
+        claims.push(claim("proofs", "no contact with the vehicle ahead, from inside a shield's kernel", strengths));
         let paragraph = paragraph(plan, &controllers, &claims, distribution, searches);
         let subject = plan.subject().map(|subject| subject.name.clone());
         Self { paragraph, subject, controllers, claims, gates: Vec::new() }
