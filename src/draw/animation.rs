@@ -145,8 +145,10 @@ impl View<'_> {
                 stroke-width="1.6" {}
             path class="draw-brake" d={ "M" (Px(left + 1.5)) " " (Px(top + 2.0)) "V" (Px(-top - 2.0)) }
                 stroke=(Ink::Alert.hex()) stroke-width="4" visibility=[(!braking).then_some("hidden")] {}
-            @if tag_width(&number) <= length + 3.0 {
+            @if length >= 1.9 * tag_width(&number) {
                 (tag((-length / 2.0, 0.0), &number, ink))
+            } @else {
+                (words((-length / 2.0, SMALL * 0.35), Anchor::Middle, &number, SMALL, Ink::Text, true))
             }
         }
     }

@@ -252,7 +252,7 @@ impl FailureMaps {
             let cells = MapCell::ALL.map(|kind| map.count(kind)).iter().sum::<usize>();
             let share = |count: usize, of: usize| match of {
                 0 => "–".to_owned(),
-                _ => format!("{count} ({:.0} %)", 100.0 * count as f64 / of as f64),
+                _ => format!("{count} ({:.1} %)", 100.0 * count as f64 / of as f64),
             };
             let survived = map.count(MapCell::NoContact);
             let counts = MapCell::ALL.map(|kind| Cell::number(share(map.count(kind), cells)));
