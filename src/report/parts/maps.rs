@@ -23,8 +23,8 @@ const SPACE: &str = "high-risk";
 const ACROSS: (&str, &str) = ("friction", "Friction of the road (1 is dry)");
 const UP: (&str, &str) = ("lead_brake_share", "leader's braking (share of what the road allows)");
 
-/// Cells across and up. Some 60 in 100 need a program of about 40 ms.
-const CELLS: (usize, usize) = (16, 16);
+/// Cells across and up. Three in five need a program of some 50 ms: a few seconds of two cores.
+const CELLS: (usize, usize) = (14, 14);
 
 /// Controllers shown at most: the first of the plan and learned policies.
 const MOST_SHOWN: usize = 4;
