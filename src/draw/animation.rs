@@ -124,7 +124,7 @@ impl View<'_> {
             (self.scale_bar((self.width - 8.0, bottom + BELOW_LANE - 6.0)))
         };
         let description = "The vehicles of a run on their lane, seen from above, moving to the right. Lengths and gaps are to \
-            scale, widths are not. A dark bar at a vehicle's rear means that it brakes, a star contact.";
+            scale, widths are not. A bar at a vehicle's rear means that it brakes, a star contact.";
         Svg::new(prefix, (self.width, bottom + BELOW_LANE), title, description, content)
     }
 
