@@ -75,7 +75,7 @@
     };
 
     let request = 0;
-    let before = 0;
+    let before = null;
     let due = 0;
     const pause = () => {
       cancelAnimationFrame(request);
@@ -83,7 +83,8 @@
       button.textContent = 'Play';
     };
     const frame = (clockMs) => {
-      due += Math.min((clockMs - before) / 1000, 0.2);
+      // A frame is stamped with its start, which may lie before the click: the first one only starts the clock.
+      if (before !== null) due += Math.min(Math.max(clockMs - before, 0) / 1000, 0.2);
       before = clockMs;
       // Without motion there is a still picture every half second.
       if (!calm.matches || due >= 0.5) {
@@ -98,7 +99,7 @@
       if (now >= data.end_s) now = data.start_s;
       button.textContent = 'Pause';
       due = 0;
-      before = performance.now();
+      before = null;
       show();
       request = requestAnimationFrame(frame);
     };

@@ -124,7 +124,7 @@ impl View<'_> {
             (self.scale_bar((self.width - 8.0, bottom + BELOW_LANE - 6.0)))
         };
         let description = "The vehicles of a run on their lane, seen from above, moving to the right. Lengths and gaps are to \
-            scale, widths are not. A dark bar at a vehicle's rear means that it brakes, a star contact.";
+            scale, widths are not. A bar at a vehicle's rear means that it brakes, a star contact.";
         Svg::new(prefix, (self.width, bottom + BELOW_LANE), title, description, content)
     }
 
@@ -145,8 +145,10 @@ impl View<'_> {
                 stroke-width="1.6" {}
             path class="draw-brake" d={ "M" (Px(left + 1.5)) " " (Px(top + 2.0)) "V" (Px(-top - 2.0)) }
                 stroke=(Ink::Alert.hex()) stroke-width="4" visibility=[(!braking).then_some("hidden")] {}
-            @if tag_width(&number) <= length + 3.0 {
+            @if length >= 1.9 * tag_width(&number) {
                 (tag((-length / 2.0, 0.0), &number, ink))
+            } @else {
+                (words((-length / 2.0, SMALL * 0.35), Anchor::Middle, &number, SMALL, Ink::Text, true))
             }
         }
     }

@@ -61,7 +61,7 @@ impl AnimationData {
             .map(|contact| ImpactData {
                 time_s: rounded(contact.time_s, 4),
                 rear: contact.rear_vehicle,
-                impact_speed_mps: rounded(contact.impact_speed_mps, 2),
+                impact_speed_mps: rounded(contact.impact_speed_mps, 6),
             })
             .collect();
         let mut data = Self {

@@ -1,7 +1,8 @@
 //! Pictures from typed data: SVG for pages and print, PNG for everything else.
 //!
 //! A [`Panel`] is one chart: axes, and lines, bands, bars, marks and labels in the units of the data. [`motion()`] puts
-//! three of them together into the paper's time-space, time-speed and spacing diagrams.
+//! three of them together into the paper's time-space, time-speed and spacing diagrams, and [`animation()`] shows the run
+//! from above.
 //!
 //! A figure carries its light colours as plain attributes and is complete by itself; in a page that holds [`STYLE`] it
 //! follows the reader's colour scheme (see [`Ink`]). Nothing is said by colour alone. The same data give the same

@@ -197,3 +197,57 @@ fn a_png_has_its_size_and_shows_every_ink() {
         assert!(matches!(svg.to_png(scale), Err(DrawError::Size { .. })), "{scale}");
     }
 }
+
+#[test]
+fn runs_beside_each_other_are_drawn_on_the_same_axes() {
+    let (crash, crash_impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let (safe, safe_impacts) = line(&[false, false, true], None, AfterContact::Stop);
+    let labels = names(3);
+    let figure = |prefix, trace, impacts| MotionFigure { prefix, title: "t", labels: &labels, trace, impacts };
+    let figures = [figure("one", &crash, &crash_impacts), figure("two", &safe, &safe_impacts)];
+    let axes = MotionAxes::of_all([&crash, &safe]);
+    let labels_of = |svg: Svg| -> Vec<String> {
+        let document = svg.document();
+        let texts = document.split("<text ").skip(1).filter_map(|rest| rest.split("</text>").next());
+        texts
+            .filter(|text| text.contains("text-anchor=\"end\"") && !text.contains("stroke"))
+            .map(str::to_owned)
+            .collect()
+    };
+    let together = figures.map(|figure| labels_of(motion_on(&figure, &axes, Layout::Column)));
+    assert_eq!(together[0], together[1]);
+    assert!(together[0].len() > 12);
+    let alone = figures.map(|figure| labels_of(motion(&figure, Layout::Column)));
+    assert_ne!(alone[0], alone[1], "the runs differ too little to tell");
+
+    let page = motion_beside(&figures).into_string();
+    assert_eq!(page.matches("<svg").count(), 4);
+}
+
+#[test]
+fn an_animation_shows_the_end_without_its_script_and_shares_no_identifier() {
+    let scenario = built_in("paper-2").unwrap();
+    let options = RunOptions::new(ControllerSpec::named("baseline").unwrap());
+    let simulated = simulate(&Run::new(&scenario, options).unwrap(), Keep::Trace);
+    let (trace, impacts) = (simulated.trace.unwrap(), simulated.impacts);
+    let block = |id| animation(id, "a </script> title", &trace, &scenario, &impacts).into_string();
+    let text = block("a") + &block("b");
+    let Contact { time_s, front_vehicle, rear_vehicle, impact_speed_mps, .. } = impacts[0].contact;
+    assert!(text.contains(&format!("{rear_vehicle} hits {front_vehicle} at {time_s:.2} s, {impact_speed_mps:.1} m/s")));
+    for track in &trace.vehicles {
+        assert!(text.contains(&format!("<td class=\"number\">{:.1}</td>", track.speed_mps.last().unwrap())));
+    }
+    assert_eq!(text.matches("<script").count(), 2);
+    assert_eq!(text.matches("</script>").count(), 2);
+
+    let ids: Vec<&str> = text.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+    let unique: HashSet<&str> = ids.iter().copied().collect();
+    assert_eq!(unique.len(), ids.len(), "{ids:?}");
+    for used in text.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
+        assert!(unique.contains(used), "{used} is not defined");
+    }
+    // What the script looks for is there.
+    for name in ["draw-view", "draw-lane", "draw-vehicle", "draw-gap", "draw-impact", "draw-brake", "draw-event"] {
+        assert!(text.contains(name) && ANIMATION_SCRIPT.contains(name), "{name}");
+    }
+}

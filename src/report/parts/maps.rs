@@ -6,25 +6,26 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::map_cell::{MapCell, MapRow};
+use super::map_grid::{Held, MapAxis, held, scenarios};
 use super::maps_figure;
 use crate::report::best::Best;
 use crate::report::table::{Cell, Table};
 use crate::report::work::Work;
-use crate::report::{AssessError, Part, Plan, Rounded};
+use crate::report::{AssessError, Part, Plan};
 use crate::scenario::Scenario;
-use crate::scenario::space::{Parameter, Space, built_in_space};
+use crate::scenario::space::built_in_space;
 use crate::sim::{Contender, Keep, Run, RunOptions, simulate_batch};
 
 /// The space whose scenarios are mapped.
 const SPACE: &str = "high-risk";
 
 /// The parameters across and up, and what they are: grip and the leader's braking decide between them how much room is
-/// left, and only where there is little grip and much braking is a contact anybody's fate.
+/// left, and only where there is little grip and much braking does nobody escape.
 const ACROSS: (&str, &str) = ("friction", "Friction of the road (1 is dry)");
 const UP: (&str, &str) = ("lead_brake_share", "leader's braking (share of what the road allows)");
 
-/// Cells across and up. Some 60 in 100 need a program of about 40 ms.
-const CELLS: (usize, usize) = (16, 16);
+/// Cells across and up. Three in five need a program of some 50 ms: a few seconds of two cores.
+const CELLS: (usize, usize) = (14, 14);
 
 /// Controllers shown at most: the first of the plan and learned policies.
 const MOST_SHOWN: usize = 4;
@@ -44,34 +45,6 @@ pub struct FailureMaps {
     pub programs: usize,
     /// One entry a controller.
     pub maps: Vec<FailureMap>,
-}
-
-/// A parameter that varies over a map.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct MapAxis {
-    /// Its name in the space.
-    pub parameter: String,
-    /// What it is, for readers.
-    pub title: String,
-    /// Its unit.
-    pub unit: String,
-    /// Where the first cell begins.
-    pub low: Rounded<2>,
-    /// Where the last cell ends.
-    pub high: Rounded<2>,
-    /// Its value in each column from the left, or in each row from the bottom.
-    pub values: Vec<Rounded<2>>,
-    /// Whether the values grow by a factor rather than by a step.
-    pub by_factor: bool,
-}
-
-/// A parameter that does not vary.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Held {
-    /// Its name in the space.
-    pub parameter: String,
-    /// Its value as a reader knows it, with its unit.
-    pub value: String,
 }
 
 /// What came of one controller.
@@ -129,59 +102,6 @@ impl FailureMaps {
     }
 }
 
-impl MapAxis {
-    /// The middles of as many cells over the parameter's range, as they are shown.
-    fn of(space: &Space, parameter: &Parameter, title: &str, cells: usize) -> Self {
-        let [low, high] = parameter.range();
-        let at = |share: f64| {
-            let mut point = space.point(&space.nominal());
-            set(&mut point, parameter, share);
-            space.values(&point).get(parameter.coordinates().start).copied().unwrap_or(low)
-        };
-        let values = (0..cells).map(|cell| Rounded::new(at((cell as f64 + 0.5) / cells as f64))).collect();
-        // The middle of a range is its arithmetic mean unless values grow by a factor.
-        let by_factor = (at(0.5) - 0.5 * (low + high)).abs() > 1e-6 * (high - low);
-        Self {
-            parameter: parameter.name().to_owned(),
-            title: title.to_owned(),
-            unit: parameter.unit().to_owned(),
-            low: low.into(),
-            high: high.into(),
-            values,
-            by_factor,
-        }
-    }
-
-    /// Where on the axis a value stands: 0 at its start, 1 at its end.
-    pub(super) fn share(&self, value: f64) -> f64 {
-        let (low, high) = (self.low.value(), self.high.value());
-        if self.by_factor { (value / low).ln() / (high / low).ln() } else { (value - low) / (high - low) }
-    }
-}
-
-/// Sets every coordinate of a parameter.
-fn set(values: &mut [f64], parameter: &Parameter, to: f64) {
-    for value in values.get_mut(parameter.coordinates()).unwrap_or_default() {
-        *value = to;
-    }
-}
-
-/// The scenario of every cell, row by row from the top, each row from the left.
-fn scenarios(
-    space: &Space,
-    (across, up): (&Parameter, &Parameter),
-    axes: &(MapAxis, MapAxis),
-) -> Result<Vec<Scenario>, AssessError> {
-    let at = |x: Rounded<2>, y: Rounded<2>| {
-        let mut values = space.nominal();
-        set(&mut values, across, x.value());
-        set(&mut values, up, y.value());
-        Ok(space.scenario(&values)?)
-    };
-    let cells = axes.1.values.iter().rev().flat_map(|&y| axes.0.values.iter().map(move |&x| (x, y)));
-    cells.map(|(x, y)| at(x, y)).collect()
-}
-
 /// Whether vehicles touch, controller by controller and cell by cell.
 fn touched(plan: &Plan, scenarios: &[Scenario]) -> Result<Vec<Vec<bool>>, AssessError> {
     let prepared = plan.controllers.iter().flat_map(|controller| {
@@ -203,18 +123,6 @@ fn fate(scenario: &Scenario, survived: bool) -> MapCell {
         Best::Unavoidable => MapCell::Unavoidable,
         Best::Undecided { .. } => MapCell::Undecided,
     }
-}
-
-fn held(space: &Space, varied: (&Parameter, &Parameter)) -> Vec<Held> {
-    let others = space.parameters().iter().filter(|p| p.name() != varied.0.name() && p.name() != varied.1.name());
-    let one = |parameter: &Parameter| {
-        let mut shown: Vec<String> = parameter.nominal().iter().map(|&value| parameter.show(value)).collect();
-        shown.dedup();
-        let unit = if parameter.unit() == "1" { "" } else { parameter.unit() };
-        let value = format!("{} {unit}", shown.join(", "));
-        Held { parameter: parameter.name().to_owned(), value: value.trim_end().to_owned() }
-    };
-    others.map(one).collect()
 }
 
 impl FailureMap {
@@ -253,7 +161,7 @@ impl FailureMaps {
             let cells = MapCell::ALL.map(|kind| map.count(kind)).iter().sum::<usize>();
             let share = |count: usize, of: usize| match of {
                 0 => "–".to_owned(),
-                _ => format!("{count} ({:.0} %)", 100.0 * count as f64 / of as f64),
+                _ => format!("{count} ({:.1} %)", 100.0 * count as f64 / of as f64),
             };
             let survived = map.count(MapCell::NoContact);
             let counts = MapCell::ALL.map(|kind| Cell::number(share(map.count(kind), cells)));
@@ -348,20 +256,5 @@ mod tests {
         let text = serde_json::to_string(&maps).unwrap();
         assert_eq!(serde_json::from_str::<FailureMaps>(&text).unwrap(), maps);
         assert!(serde_json::from_str::<MapRow>("\".x#!\"").is_err());
-    }
-
-    #[test]
-    fn an_axis_by_factors_is_even_in_the_logarithm() {
-        let space = built_in_space(SPACE).unwrap();
-        let axis = |name: &str| {
-            let parameter = space.parameters().iter().find(|p| p.name() == name).unwrap();
-            MapAxis::of(&space, parameter, "", 8)
-        };
-        for (axis, by_factor) in [(axis("gap_behind_m"), true), (axis("speed_mps"), false)] {
-            assert_eq!(axis.by_factor, by_factor);
-            for (cell, value) in axis.values.iter().enumerate() {
-                assert!((axis.share(value.value()) - (cell as f64 + 0.5) / 8.0).abs() < 2e-3);
-            }
-        }
     }
 }

@@ -6,12 +6,16 @@ use maud::{Markup, html};
 
 use super::{FailureMap, FailureMaps, MapAxis, MapCell};
 use crate::draw::{
-    Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, SMALL, Svg, TEXT, Ticks, signed, text_width, words,
+    Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, SMALL, Stroke, Svg, TEXT, Ticks, signed, straight,
+    text_width, words,
 };
 
 /// Height of a row of the key, and side of a sample in it, in pixels.
 const KEY_ROW: f64 = 22.0;
 const SAMPLE: f64 = 14.0;
+
+/// Width of the line around what is unavoidable.
+const LINE: f64 = 2.4;
 
 /// Both arrangements, of which the page shows the one that fits.
 pub(super) fn responsive(maps: &FailureMaps) -> Markup {
@@ -78,7 +82,7 @@ fn cells(map: &FailureMap, frame: Frame) -> Markup {
         @for kind in MapCell::ALL {
             (area(kind, placed().filter(|(cell, _)| *cell == kind).map(|(_, frame)| frame)))
         }
-        path d=(boundary(map, frame, (width, height))) fill="none" stroke=(Ink::Text.hex()) stroke-width="2.4"
+        path d=(boundary(map, frame, (width, height))) fill="none" stroke=(Ink::Text.hex()) stroke-width=(LINE)
             stroke-linecap="square" {}
     }
 }
@@ -147,12 +151,13 @@ fn boundary(map: &FailureMap, frame: Frame, (width, height): (f64, f64)) -> Stri
     data
 }
 
-/// What each kind of cell looks like, in rows no wider than the figure, and their height.
+/// What each kind of cell and the line look like, in rows no wider than the figure, and their height.
 fn key(width: f64) -> (Markup, f64) {
     let (mut x, mut row) = (0.0, 0.0);
     let mut entries = Vec::new();
-    for kind in MapCell::ALL {
-        let entry = SAMPLE + 7.0 + text_width(kind.words(), TEXT);
+    let line = (None, "beyond it nobody avoids contact");
+    for (kind, text) in MapCell::ALL.map(|kind| (Some(kind), kind.words())).into_iter().chain([line]) {
+        let entry = SAMPLE + 7.0 + text_width(text, TEXT);
         if x > 0.0 && x + entry > width {
             (x, row) = (0.0, row + 1.0);
         }
@@ -160,10 +165,14 @@ fn key(width: f64) -> (Markup, f64) {
         let sample = Frame::around((x + SAMPLE / 2.0 + 1.0, y), SAMPLE, SAMPLE);
         let after = x + SAMPLE + 7.0;
         entries.push(html! {
-            (area(kind, std::iter::once(sample)))
-            rect x=(format!("{:.1}", sample.left)) y=(format!("{:.1}", sample.top)) width=(SAMPLE) height=(SAMPLE) fill="none"
-                stroke=(Ink::Axis.hex()) stroke-width="0.8" {}
-            (words((after, y + TEXT * 0.35), Anchor::Start, kind.words(), TEXT, Ink::Text, false))
+            @if let Some(kind) = kind {
+                (area(kind, std::iter::once(sample)))
+                rect x=(format!("{:.1}", sample.left)) y=(format!("{:.1}", sample.top)) width=(SAMPLE) height=(SAMPLE)
+                    fill="none" stroke=(Ink::Axis.hex()) stroke-width="0.8" {}
+            } @else {
+                (straight((sample.left, y), (sample.right(), y), Stroke::solid(Ink::Text, LINE)))
+            }
+            (words((after, y + TEXT * 0.35), Anchor::Start, text, TEXT, Ink::Text, false))
         });
         x += entry + 16.0;
     }

@@ -84,7 +84,7 @@ impl Part for PaperScenarios {
                 p { (scenario.about) }
                 @let (beside, others) = self.split(scenario);
                 figure { (scenario.figures_beside(&beside)) }
-                @for case in &beside { p.replay { code { (scenario.replay_of(case)) } } }
+                p.replay { @for case in &beside { code { (scenario.replay_of(case)) } " " } }
                 @if let (true, Some(first)) = (scenario.scenario == FROM_ABOVE, scenario.cases.first()) {
                     figure { (scenario.animation(first)) }
                 }

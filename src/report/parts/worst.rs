@@ -225,7 +225,7 @@ impl Part for WorstProfiles {
             @if self.found().next().is_some() {
                 (self.table().html())
                 p { (self.avoidable()) }
-                figure { (worst_figure::draw(self.found(), self.duration_s.value())) }
+                figure { (worst_figure::responsive(self.found(), self.duration_s.value())) }
             }
             @for line in self.withstood() { p { (line) } }
             details {

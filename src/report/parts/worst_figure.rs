@@ -1,28 +1,34 @@
 //! The leader's acceleration against each controller: one small chart each, all to the same scale.
 
-use maud::html;
+use maud::{Markup, html};
 
 use super::Mildest;
 use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg};
 use crate::report::Verdict;
 use crate::scenario::Pieces;
 
-const COLUMNS: usize = 2;
-const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 96.0;
 
 /// How long a profile is shown after the contact, in seconds.
 const AFTER_S: f64 = 1.0;
 
-pub(super) fn draw<'a>(profiles: impl Iterator<Item = (&'a str, &'a Mildest)>, duration_s: f64) -> Svg {
+/// Both arrangements, of which the page shows the one that fits.
+pub(super) fn responsive<'a>(profiles: impl Iterator<Item = (&'a str, &'a Mildest)>, duration_s: f64) -> Markup {
     let profiles: Vec<_> = profiles.collect();
+    html! {
+        div.draw-wide { (draw(&profiles, duration_s, "worst-profiles-wide", 720.0, 2)) }
+        div.draw-narrow { (draw(&profiles, duration_s, "worst-profiles-narrow", 360.0, 1)) }
+    }
+}
+
+fn draw(profiles: &[(&str, &Mildest)], duration_s: f64, prefix: &str, width: f64, columns: usize) -> Svg {
     let deepest_mps2 = profiles.iter().map(|(_, mildest)| mildest.peak_brake_mps2.value()).fold(1.0, f64::max);
     let contacts_s = profiles.iter().filter_map(|(_, mildest)| contact_s(mildest));
     let end_s = (contacts_s.fold(1.0, f64::max) + AFTER_S).min(duration_s);
-    let (column_width, row_height) = (WIDTH / COLUMNS as f64, HEADING + HEIGHT + BELOW);
-    let rows = profiles.len().div_ceil(COLUMNS);
+    let (column_width, row_height) = (width / columns as f64, HEADING + HEIGHT + BELOW);
+    let rows = profiles.len().div_ceil(columns);
     let chart = |(index, (controller, mildest)): (usize, &(&str, &Mildest))| {
-        let (column, row) = (index % COLUMNS, index / COLUMNS);
+        let (column, row) = (index % columns, index / columns);
         let frame = Frame {
             left: column as f64 * column_width + LEFT,
             top: row as f64 * row_height + HEADING,
@@ -39,18 +45,12 @@ pub(super) fn draw<'a>(profiles: impl Iterator<Item = (&'a str, &'a Mildest)>, d
             panel.rule_x(time_s, Stroke { dash: "2.2 2.6", ..Stroke::solid(Ink::Alert, 1.2) });
             panel.marks(&[(time_s, -0.54 * deepest_mps2)], Marker::Burst, Ink::Alert);
         }
-        panel.draw(&Svg::id("worst-profiles", controller))
+        panel.draw(&Svg::id(prefix, controller))
     };
     let content = html! { @for placed in profiles.iter().enumerate() { (chart(placed)) } };
-    let size = (WIDTH, rows as f64 * row_height);
+    let size = (width, rows as f64 * row_height);
     let description = "Acceleration of the leader over time, one chart a controller; a star marks the contact.";
-    Svg::new(
-        "worst-profiles",
-        size,
-        "The mildest lead braking that makes each controller collide",
-        description,
-        content,
-    )
+    Svg::new(prefix, size, "The mildest lead braking that makes each controller collide", description, content)
 }
 
 fn contact_s(mildest: &Mildest) -> Option<f64> {
