@@ -55,6 +55,7 @@ impl Default for Effort {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Level {
     /// Runs pass whose margin is at most this, in metres for contacts; the last level is the failure itself, at 0.
+    #[serde(rename = "smallest_gap_m")]
     pub margin: f64,
     /// Probability to get here: mean over the repetitions.
     pub probability: f64,

@@ -48,8 +48,9 @@ impl Front {
         // Severest first means least likely first; whoever could beat the new one is at its place or before it.
         let severity = |known: &Candidate| known.verdict.robustness.total_cmp(&candidate.verdict.robustness);
         let place = self.failures.partition_point(|known| severity(known) == Ordering::Less);
-        let at_least_as_severe = self.failures.iter().take_while(|known| severity(known) != Ordering::Greater).last();
-        if at_least_as_severe.is_some_and(|known| by_likelihood(known, candidate) != Ordering::Less) {
+        let milder = self.failures.partition_point(|known| severity(known) != Ordering::Greater);
+        let likeliest_before = milder.checked_sub(1).and_then(|index| self.failures.get(index));
+        if likeliest_before.is_some_and(|known| by_likelihood(known, candidate) != Ordering::Less) {
             return;
         }
         let beaten = self.failures.iter().skip(place);

@@ -235,7 +235,7 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
     let folder = folder();
     let arguments = ["falsify", "--controller", "policy", "--budget", "50000", "--out", "busy", "--resume"];
     let journal = folder.path().join("busy/evaluations.journal");
-    let mut child = command(folder.path(), &arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let child = command(folder.path(), &arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     while fs::metadata(&journal).map_or(0, |data| data.len()) < 10_000 {
         sleep(Duration::from_millis(20));
     }
