@@ -142,7 +142,7 @@ fn mistakes_name_line_and_field() {
     for (parameters, expected) in [
         (
             gap.replace("low = 1", "low = -1"),
-            "s.toml:8: parameters[0].distribution: vehicles1gapm = -1: vehicles[1].position_m",
+            "s.toml:8: parameters[0].distribution: with vehicles1gapm = -1 the scenario is invalid: vehicles[1].position_m",
         ),
         (
             gap.replace("\"m\"", "\"ft\""),
