@@ -30,7 +30,7 @@
 //! | [`rl`] | learning to drive: DDPG, its environment, its presets |
 //! | [`worst_case`] | convex programs: could anyone have avoided it, how little does it take; certificates |
 //! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
-//! | [`evidence`] | claims with certificates: kernels of shields, failure rates |
+//! | [`evidence`] | claims with certificates: kernels of shields, failure rates; estimates of rare failures |
 //! | [`report`] | the assessment and its renderings |
 //! | [`trial`] | crash tests of crumple itself: any scenario, and laws that hold in it |
 //! | [`cli`] | the command line |

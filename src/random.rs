@@ -40,6 +40,8 @@ pub enum Purpose {
     QuasiRandom = 12,
     /// Actions of a controller that acts at random, one consumer a vehicle.
     RandomActions = 13,
+    /// Populations that climb towards a rare event, one consumer a repetition.
+    RareEvents = 14,
 }
 
 /// The stream for `purpose`, for the `index`-th consumer of its kind (a vehicle, a draw), under `seed`.

@@ -30,7 +30,7 @@ pub(super) struct Measure {
     /// Runs of each specification, with seeds from 0
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
-    /// Folder for the counterexamples: one file each, rechecked from it
+    /// Folder for the counterexamples, new or empty: one file each, rechecked from it
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// How to print; JSON also holds every run and its counterexample
@@ -47,6 +47,9 @@ enum Problem {
 impl Measure {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let Problem::ChasingCars = self.problem;
+        if let Some(folder) = &self.out {
+            check_empty(folder)?;
+        }
         let measured = benchmark(self.method, self.budget as usize, self.seeds as usize).map_err(Failure::input)?;
         if let Some(folder) = &self.out {
             keep(&measured, folder, quiet)?;
@@ -56,6 +59,16 @@ impl Measure {
             Format::Text => table(&measured),
         };
         output::print(&text)
+    }
+}
+
+/// Refuses a folder that holds anything: nobody could tell old counterexamples from new ones.
+fn check_empty(folder: &Path) -> Result<(), Failure> {
+    match std::fs::read_dir(folder).map(|mut entries| entries.next().is_none()) {
+        Ok(false) => Err(Failure::Input(format!("--out: {} is not empty: choose another folder", folder.display()))),
+        Ok(true) => Ok(()),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        Err(source) => Err(Failure::environment(folder, source)),
     }
 }
 
@@ -80,7 +93,9 @@ fn keep(measured: &Benchmark, folder: &Path, quiet: bool) -> Result<(), Failure>
     if !disagreeing.is_empty() {
         return Err(Failure::Gate(format!("the independent replay does not confirm {}", disagreeing.join(", "))));
     }
-    let note = format!("wrote {} counterexamples to {}; the replay confirms each", paths.len(), folder.display());
+    let plural = if paths.len() == 1 { "" } else { "s" };
+    let note =
+        format!("wrote {} counterexample{plural} to {}; the replay confirms each", paths.len(), folder.display());
     output::note(&note, quiet);
     Ok(())
 }

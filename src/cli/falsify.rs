@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::simulate::Format;
-use super::{Failure, output, progress, subject};
+use super::{Failure, interrupt, output, progress, subject};
 use crate::estimate::EstimatorKind;
 use crate::falsify::Method;
-use crate::falsify::campaign::{Campaign, CampaignError, Progress, Specification};
+use crate::falsify::campaign::{Aim, Campaign, CampaignError, Progress, Specification};
 use crate::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
 use crate::sim::Contender;
 
@@ -26,8 +26,10 @@ v1.jerk_mps3, vehicles counted from the front.
 Examples:
   crumple falsify --controller baseline --space paper --out runs/baseline
   crumple falsify --controller policy --space high-risk --budget 20000 --seed 7 --out runs/policy
-  crumple falsify --controller idm --spec 'always v1.time_gap_s > 0.3'
-  crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline --plot crash.svg")]
+  crumple falsify --controller idm --spec 'always v1.time_gap_s > 0.3' --out runs/idm
+  crumple falsify --controller policy --aim likeliest --out runs/likeliest
+  crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline --plot crash.svg
+  crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm --spec 'always v1.time_gap_s > 0.3' --expect violated")]
 pub(super) struct Falsify {
     /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
     #[arg(long, value_name = "C", value_parser = subject::controller)]
@@ -38,6 +40,9 @@ pub(super) struct Falsify {
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
+    /// Which failures the search is after once it knows some: severest, likeliest or nearest (to nominal)
+    #[arg(long, value_name = "A", default_value = "severest")]
+    aim: Aim,
     /// Evaluations of the method, and of each yardstick
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
     budget: u64,
@@ -73,15 +78,19 @@ impl Falsify {
             space,
             specification,
             method: self.method,
+            aim: self.aim,
             budget: self.budget,
             seed: self.seed,
         };
+        let again =
+            format!("every evaluation is kept in {}: the same command with --resume goes on", self.out.display());
+        interrupt::says(again, quiet);
         let bar = progress::campaign_bar(self.budget.saturating_mul(campaign.methods().len() as u64), quiet);
         let mut show = |state: &Progress| {
             bar.set_position(state.evaluations);
             bar.set_message(match state.method {
-                Some(method) => format!("{method}: {} failures, best {:.2};", state.failures, state.best_robustness),
-                None => format!("{} failures; replaying and shrinking;", state.failures),
+                Some(method) => format!("{method}: {}, best {:.2};", failures(state.failures), state.best_robustness),
+                None => format!("{}; replaying and shrinking;", failures(state.failures)),
             });
         };
         let summary = campaign.run(&self.out, self.resume, &mut show);
@@ -94,6 +103,10 @@ impl Falsify {
             Format::Text => summary.to_text(),
         })
     }
+}
+
+fn failures(count: u64) -> String {
+    format!("{count} failure{}", if count == 1 { "" } else { "s" })
 }
 
 /// A built-in space, or the one in a file.

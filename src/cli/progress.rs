@@ -26,6 +26,14 @@ pub(super) fn campaign_bar(total: u64, quiet: bool) -> ProgressBar {
     ProgressBar::with_draw_target(Some(total), target).with_style(style)
 }
 
+/// A count of runs without a known end.
+pub(super) fn counter(what: &'static str, quiet: bool) -> ProgressBar {
+    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+    let style = ProgressStyle::with_template("{msg} {spinner} {human_pos} runs")
+        .unwrap_or_else(|_| ProgressStyle::default_spinner());
+    ProgressBar::with_draw_target(None, target).with_style(style).with_message(what)
+}
+
 /// A line for `total` depths of cutting a box; its message says how it goes.
 pub(super) fn depths(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
     let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };

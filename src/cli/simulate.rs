@@ -10,6 +10,7 @@ use super::{Failure, subject};
 use crate::draw::{self, Layout, MotionFigure, PNG_SCALE};
 use crate::estimate::EstimatorKind;
 use crate::export;
+use crate::falsify::campaign::{Judged, Specification};
 use crate::scenario::{Driver, Scenario};
 use crate::sim::{
     AfterContact, Contender, Impact, Intervention, Keep, Outcome, Run, RunOptions, Simulated, Trace, VehicleSummary,
@@ -21,10 +22,15 @@ use crate::sim::{
 #[command(after_long_help = "\
 Where several scenarios are given, --plot and --trace write one file each, with the scenario's name before the extension.
 
+A formula of --spec is judged as `crumple falsify` judges it, on a run that goes on after contacts whatever --after-contact says; \
+robustness is below 0 where it is violated. `--expect satisfied` wants every specification to hold in every scenario, `--expect \
+violated` wants one to be violated in each; `safe` and `collision` look at contacts alone.
+
 Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
   crumple simulate paper-1 --after-contact continue --plot pile-up.svg
-  crumple simulate my-scenario.toml --controller idm --expect safe --format json")]
+  crumple simulate my-scenario.toml --controller idm --expect safe --format json
+  crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' --spec 'no contact' --expect satisfied")]
 pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`) or scenario files
     #[arg(required = true, value_name = "SCENARIO")]
@@ -50,6 +56,9 @@ pub(super) struct Simulate {
     /// Write the motion as a table, one row a sample and vehicle
     #[arg(long, value_name = "F.csv|F.parquet", value_parser = |path: &str| ending_in(path, ["csv", "parquet"]))]
     trace: Option<PathBuf>,
+    /// Say whether this holds, and how robustly: `no contact`, or a formula of signal temporal logic; may be repeated
+    #[arg(long, value_name = "STL")]
+    spec: Vec<String>,
     /// Exit with 1 unless every scenario ends like this
     #[arg(long, value_enum)]
     expect: Option<Expectation>,
@@ -64,6 +73,30 @@ enum Expectation {
     Safe,
     /// Somebody does
     Collision,
+    /// Every --spec holds
+    Satisfied,
+    /// Some --spec is violated
+    Violated,
+}
+
+impl Expectation {
+    fn is_met(self, rendered: &Rendered) -> bool {
+        match self {
+            Self::Safe => !rendered.collided,
+            Self::Collision => rendered.collided,
+            Self::Satisfied => !rendered.violated,
+            Self::Violated => rendered.violated,
+        }
+    }
+
+    fn in_words(self) -> &'static str {
+        match self {
+            Self::Safe => "no collision",
+            Self::Collision => "a collision",
+            Self::Satisfied => "every specification to hold",
+            Self::Violated => "a violated specification",
+        }
+    }
 }
 
 /// How results are printed.
@@ -89,6 +122,8 @@ struct Report<'a> {
     vehicles_involved: usize,
     #[serde(skip_serializing_if = "<[Intervention]>::is_empty")]
     interventions: &'a [Intervention],
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    specifications: Vec<Judged>,
 }
 
 /// What becomes of one run.
@@ -96,10 +131,14 @@ struct Rendered {
     text: String,
     files: Vec<(PathBuf, Vec<u8>)>,
     collided: bool,
+    violated: bool,
 }
 
 impl Simulate {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        if self.spec.is_empty() && matches!(self.expect, Some(Expectation::Satisfied | Expectation::Violated)) {
+            return Err(Failure::Input("--expect: `satisfied` and `violated` need a --spec".to_owned()));
+        }
         let scenarios = self.scenarios.iter().map(|name| self.scenario(name)).collect::<Result<Vec<_>, _>>()?;
         let options = self.options();
         let runs = scenarios
@@ -130,7 +169,8 @@ impl Simulate {
 
     /// Everything to print and write of one run, so that its trace need not be kept.
     fn render(&self, run: &Run<'_>, simulated: &Simulated, is_one_of_many: bool) -> Result<Rendered, Failure> {
-        let report = self.report(run, simulated);
+        let report = self.report(run, simulated)?;
+        let violated = report.specifications.iter().any(|judged| !judged.satisfied);
         let text = match self.format {
             Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
             Format::Text => describe(&report, run.scenario()),
@@ -150,7 +190,7 @@ impl Simulate {
                 files.push((named(path, name), table.map_err(Failure::input)?));
             }
         }
-        Ok(Rendered { text, files, collided: simulated.outcome != Outcome::NoCollision })
+        Ok(Rendered { text, files, collided: simulated.outcome != Outcome::NoCollision, violated })
     }
 
     fn scenario(&self, name: &str) -> Result<Scenario, Failure> {
@@ -171,9 +211,15 @@ impl Simulate {
         }
     }
 
-    fn report<'a>(&'a self, run: &Run<'a>, result: &'a Simulated) -> Report<'a> {
-        let spec = run.scenario().spec();
-        Report {
+    fn report<'a>(&'a self, run: &Run<'a>, result: &'a Simulated) -> Result<Report<'a>, Failure> {
+        let scenario = run.scenario();
+        let spec = scenario.spec();
+        let judge = |text: &String| {
+            let unfit = |error: &dyn std::fmt::Display| Failure::Input(format!("--spec: {error}"));
+            let specification = Specification::parse(text, scenario).map_err(|error| unfit(&error))?;
+            specification.judge_scenario(scenario, self.options()).map_err(|error| unfit(&error))
+        };
+        Ok(Report {
             scenario: &spec.name,
             controller: &self.controller.name,
             estimator: self.estimator.name(),
@@ -184,7 +230,8 @@ impl Simulate {
             impacts: &result.impacts,
             vehicles_involved: result.vehicles_involved(),
             interventions: &result.interventions,
-        }
+            specifications: self.spec.iter().map(judge).collect::<Result<_, _>>()?,
+        })
     }
 
     fn check_expectation(&self, runs: &[Run<'_>], results: &[Rendered]) -> Result<(), Failure> {
@@ -192,14 +239,13 @@ impl Simulate {
         let otherwise: Vec<_> = runs
             .iter()
             .zip(results)
-            .filter(|(_, result)| result.collided == (expected == Expectation::Safe))
+            .filter(|(_, result)| !expected.is_met(result))
             .map(|(run, _)| run.scenario().spec().name.as_str())
             .collect();
         if otherwise.is_empty() {
             return Ok(());
         }
-        let expected = if expected == Expectation::Safe { "no collision" } else { "a collision" };
-        Err(Failure::Gate(format!("expected {expected} in {}", otherwise.join(", "))))
+        Err(Failure::Gate(format!("expected {} in {}", expected.in_words(), otherwise.join(", "))))
     }
 }
 
@@ -268,6 +314,10 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
     }
     if report.impacts.len() > 1 {
         line(format!("  {} of {} vehicles involved", report.vehicles_involved, report.vehicles.len()));
+    }
+    for Judged { specification, satisfied, robustness } in &report.specifications {
+        let verdict = if *satisfied { "holds" } else { "VIOLATED" };
+        line(format!("  {verdict}, robustness {robustness:.3}: {specification}"));
     }
     for index in 0..report.vehicles.len() {
         if let Some(said) = shield_line(report.interventions, index) {

@@ -10,8 +10,10 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::output::{self, Files};
-use super::{Failure, progress, reach, subject};
+use super::simulate::Format;
+use super::{Failure, interrupt, progress, rare, reach, subject};
 use crate::estimate::EstimatorKind;
+use crate::evidence::rare::{Effort, RarePlan};
 use crate::evidence::{Plan, PlanDriver, Tally, shipped_kernels};
 use crate::scenario::space::Space;
 use crate::sim::Contender;
@@ -48,8 +50,14 @@ What decides the count (controllers, space, seed, runs, confidence) is written t
 standard error, before the first run. Draws are counted in order; an interrupted count goes on with --resume. A run fails if \
 vehicles touch.
 
-Example:
-  crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999")]
+With --rare the probability of a failure too rare to count is estimated by multilevel splitting: populations of runs that climb \
+from level to level of the smallest gap. The levels come from a pilot; the estimate is the mean over independent repetitions, \
+with an interval from their spread. That is an estimate and no bound: it gets no certificate, and DIR/rare-estimate.json \
+says so.
+
+Examples:
+  crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
+  crumple verify rate --controller policy --space high-risk --rare")]
 struct Rate {
     /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
     #[arg(long, value_name = "C", value_parser = subject::controller)]
@@ -61,11 +69,23 @@ struct Rate {
     #[arg(long, value_name = "S", default_value = "paper", value_parser = subject::space)]
     space: (String, Space),
     /// Number of runs, fixed beforehand
-    #[arg(long, value_name = "N")]
-    runs: u64,
+    #[arg(long, value_name = "N", required_unless_present = "rare")]
+    runs: Option<u64>,
     /// Confidence of the claim
     #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
+    /// Estimate the probability of a rare failure instead of counting: no certificate
+    #[arg(long, conflicts_with_all = ["runs", "against", "confidence", "resume"])]
+    rare: bool,
+    /// With --rare: runs of a population
+    #[arg(long, value_name = "N", requires = "rare", default_value_t = 500, value_parser = clap::value_parser!(u32).range(50..=100_000))]
+    samples: u32,
+    /// With --rare: independent populations
+    #[arg(long, value_name = "N", requires = "rare", default_value_t = 20, value_parser = clap::value_parser!(u32).range(5..=1000))]
+    repetitions: u32,
+    /// With --rare: how to print
+    #[arg(long, value_enum, requires = "rare", default_value = "text")]
+    format: Format,
     /// Seed of all draws
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -105,6 +125,7 @@ impl Shield {
 
 impl Rate {
     fn run(self, quiet: bool) -> Result<(), Failure> {
+        let Some(runs) = self.runs else { return self.estimate(quiet) };
         let [registered, counted, proved] =
             ["registration", "progress", "certificate"].map(|name| self.out.join(format!("{name}.json")));
         let plan = Plan::new(PlanDriver {
@@ -112,11 +133,11 @@ impl Rate {
             space: self.space,
             seed: self.seed,
             estimator: self.estimator,
-            runs: self.runs,
+            runs,
             confidence: self.confidence,
         })
         .map_err(Failure::input)?;
-        let (registration, runs) = (plan.registration(), plan.registration().runs);
+        let registration = plan.registration();
         make_folder(&self.out)?;
         let mut tally = plan.tally();
         match (registered.exists(), self.resume) {
@@ -143,6 +164,7 @@ impl Rate {
             }
         }
         output::note(&format!("registered as {}", registration.digest()), quiet);
+        interrupt::says("what is counted is kept: the same command with --resume goes on".to_owned(), quiet);
         let bar = progress::bar("counting", runs, quiet);
         while tally.runs < runs {
             bar.set_position(tally.runs);
@@ -169,6 +191,19 @@ impl Rate {
     }
 }
 
+impl Rate {
+    fn estimate(self, quiet: bool) -> Result<(), Failure> {
+        let plan = RarePlan {
+            controller: self.controller,
+            space: self.space.1,
+            estimator: self.estimator,
+            seed: self.seed,
+            effort: Effort { samples: self.samples as usize, repetitions: self.repetitions as usize },
+        };
+        rare::estimate(&plan, &self.out, self.format, quiet)
+    }
+}
+
 /// What the checker says of a certificate that goes to `path`.
 fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
     let name = path.display();
@@ -178,11 +213,11 @@ fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
     }
 }
 
-fn make_folder(path: &Path) -> Result<(), Failure> {
+pub(super) fn make_folder(path: &Path) -> Result<(), Failure> {
     fs::create_dir_all(path).map_err(|source| Failure::environment(path, source))
 }
 
-fn write(path: &Path, contents: &impl Serialize) -> Result<(), Failure> {
+pub(super) fn write(path: &Path, contents: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string_pretty(contents).map_err(Failure::input)? + "\n";
     let mut files = Files::default();
     files.stage(path, text.as_bytes())?;

@@ -1,8 +1,10 @@
-//! What can be claimed with a certificate: kernels of shields, failure rates, and where a policy cannot fail.
+//! What can be claimed with a certificate: kernels of shields, failure rates, and where a policy cannot fail; and what can
+//! only be estimated, the probability of failures too rare to count.
 //!
-//! This side proposes; `crumple_verify` decides. Nothing is written that it has not accepted.
+//! This side proposes; `crumple_verify` decides. No certificate is written that it has not accepted.
 
 mod kernel;
+pub mod rare;
 mod rate;
 mod reach;
 
@@ -11,6 +13,7 @@ pub use rate::{InvalidPlan, Plan, PlanDriver, RateError, Tally};
 pub use reach::{BoxSpec, Doubts, InvalidBox, Partition, RangesSpec, ReachPlan, Shares};
 
 use crumple_verify::{Certificate, Provenance, Statement};
+use sha2::{Digest, Sha256};
 
 /// A statement as a certificate of this program, with the assumptions it needs.
 fn certificate(about: &str, statement: Statement) -> Certificate {
@@ -24,4 +27,9 @@ fn certificate(about: &str, statement: Statement) -> Certificate {
         assumptions: statement.assumptions(),
         statement,
     }
+}
+
+/// SHA-256 of a text, in hexadecimal.
+fn sha256(text: &str) -> String {
+    Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }

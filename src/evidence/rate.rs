@@ -6,10 +6,9 @@ use crumple_verify::rate::{MOST_RUNS, tail_at_most};
 use crumple_verify::{Certificate, Comparison, Rate, Registration, Statement};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 use statrs::distribution::{Beta, ContinuousCDF};
 
-use super::certificate;
+use super::{certificate, sha256};
 use crate::estimate::EstimatorKind;
 use crate::scenario::InvalidField;
 use crate::scenario::space::{Space, file};
@@ -209,10 +208,6 @@ fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
         .take_while(|rate| *rate > 0.0 && *rate < 1.0)
         .find(|&rate| tail_at_most(failures, runs, rate) <= 1.0 - confidence)
         .unwrap_or(1.0)
-}
-
-fn sha256(text: &str) -> String {
-    Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

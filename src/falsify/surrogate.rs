@@ -1,6 +1,7 @@
 //! A cheap guess of the robustness from what was evaluated before.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use rayon::prelude::*;
 
 use super::Cube;
 
@@ -107,8 +108,11 @@ impl Surrogate {
         }
         let scores = DVector::from_vec(scores(data));
         if known as f64 >= GROWTH * chosen.points as f64 {
-            let fits = Metric::all(cube).filter_map(|metric| Self::with_metric(cube, data, &scores, metric));
-            let fits = fits.filter(|(likelihood, _)| !likelihood.is_nan());
+            let metrics: Vec<Metric> = Metric::all(cube).collect();
+            // Each fit is made alone, and the choice among them in their order: threads change nothing.
+            let fits = metrics.into_par_iter().map(|metric| Self::with_metric(cube, data, &scores, metric));
+            let fits: Vec<_> = fits.collect();
+            let fits = fits.into_iter().flatten().filter(|(likelihood, _)| !likelihood.is_nan());
             let (_, likeliest) = fits.max_by(|a, b| a.0.total_cmp(&b.0))?;
             *chosen = Chosen { metric: likeliest.metric, points: known };
             return Some(likeliest);

@@ -132,7 +132,7 @@ pub(crate) fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result
     let misread = |field: String, error: toml::de::Error| FileError::Syntax {
         path: path.to_owned(),
         line: error.span().map_or(1, |span| line_at(text, span.start)),
-        message: name_field(&field, error.message()),
+        message: name_field(&field, &plain(error.message())),
     };
     let parsed = toml::Deserializer::parse(text).map_err(|error| misread(String::new(), error))?;
     serde_path_to_error::deserialize(parsed).map_err(|error| misread(error.path().to_string(), error.into_inner()))
@@ -155,6 +155,19 @@ fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileErr
 /// The line, from 1, of a field in TOML text.
 pub(crate) fn line_in_toml(text: &str, field: &str) -> usize {
     line_at(text, locate_in_toml(text, field).start)
+}
+
+/// Messages of the parser that speak of its own workings, as somebody would say them who wrote the file.
+fn plain(message: &str) -> std::borrow::Cow<'_, str> {
+    match message {
+        "wanted exactly 1 element, more than 1 element" => "several kinds are given, and one is wanted".into(),
+        "wanted exactly 1 element, found 0 elements" => "no kind is given".into(),
+        "integer number overflowed" => "a whole number this large must be written with a point or an exponent".into(),
+        "invalid type: unit variant, expected newtype variant" => {
+            "a name alone is not enough: its settings belong into a table".into()
+        }
+        other => other.into(),
+    }
 }
 
 /// The message behind the field it is about, where the parser knows the field.

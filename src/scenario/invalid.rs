@@ -25,13 +25,13 @@ pub enum Problem {
         found: u32,
     },
     /// Not a number, or infinite.
-    #[error("must be a finite number, found {found}")]
+    #[error("must be a finite number, found {}", short(*found))]
     NotFinite {
         /// What the file says.
         found: f64,
     },
     /// Outside its range.
-    #[error("must be {range}, found {found}")]
+    #[error("must be {range}, found {}", short(*found))]
     OutOfRange {
         /// The range it must be in.
         range: Range,
@@ -124,6 +124,16 @@ pub enum Problem {
         /// What the file says.
         found: u64,
     },
+}
+
+/// A number as somebody would write it: with an exponent where its digits would fill a line.
+pub(crate) fn short(number: f64) -> String {
+    let size = number.abs();
+    if size != 0.0 && size.is_finite() && !(1e-9..1e16).contains(&size) {
+        format!("{number:e}")
+    } else {
+        number.to_string()
+    }
 }
 
 /// A closed interval, or one open at its lower end.

@@ -16,6 +16,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use driver::{AccAebSettings, AebSettings, ConstantBrakeSettings, ControllerSpec, Driver, IdmSettings};
+pub(crate) use invalid::short;
 pub use invalid::{InvalidField, Problem, Range};
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};

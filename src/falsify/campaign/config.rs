@@ -5,14 +5,14 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::{CampaignError, Specification};
+use super::{Aim, CampaignError, Specification};
 use crate::estimate::EstimatorKind;
 use crate::falsify::Method;
 use crate::scenario::space::{Space, SpaceSpec};
 use crate::sim::{Contender, RunOptions};
 
 /// The version of the campaign file this release reads and writes.
-pub const CAMPAIGN_VERSION: u32 = 1;
+pub const CAMPAIGN_VERSION: u32 = 2;
 
 /// Everything that decides a campaign's results.
 #[derive(Debug, Clone)]
@@ -27,6 +27,8 @@ pub struct Campaign {
     pub specification: Specification,
     /// The search method.
     pub method: Method,
+    /// What the search is after once it knows failures. The yardsticks do not look.
+    pub aim: Aim,
     /// Evaluations of the method, and of each yardstick.
     pub budget: u64,
     /// Seed of the search and of all noise.
@@ -44,6 +46,7 @@ struct CampaignFile {
     estimator: EstimatorKind,
     specification: String,
     method: String,
+    aim: String,
     budget: u64,
     seed: u64,
     space: SpaceSpec,
@@ -85,6 +88,7 @@ impl Campaign {
             estimator: self.estimator,
             specification: self.specification.to_string(),
             method: self.method.name().to_owned(),
+            aim: self.aim.name().to_owned(),
             budget: self.budget,
             seed: self.seed,
             space: self.space.spec().clone(),
@@ -102,22 +106,66 @@ impl Campaign {
         let (Some(old), Some(new)) = (table(found), table(&expected)) else {
             return Ok(Some(format!("{} is no campaign", path.display())));
         };
-        let field = new.iter().find(|(name, value)| old.get(*name) != Some(*value));
-        let name = field.map_or("file", |(name, _)| name.as_str());
-        let show = |table: &toml::Table| match table.get(name) {
-            Some(toml::Value::Table(_)) | None => String::new(),
-            Some(value) => format!(" {value}"),
-        };
-        Ok(Some(format!(
-            "{}: the campaign there has another `{name}`:{} instead of{}",
-            path.display(),
-            show(&old),
-            show(&new)
-        )))
+        let (old, new) = (toml::Value::Table(old), toml::Value::Table(new));
+        let (place, there, here) = first_difference("", Some(&old), Some(&new)).unwrap_or_default();
+        Ok(Some(format!("{}: the campaign there has another `{place}`: {there} instead of {here}", path.display())))
+    }
+}
+
+/// The first place in which two values differ, deep inside tables and lists, and what is there.
+fn first_difference(
+    place: &str,
+    old: Option<&toml::Value>,
+    new: Option<&toml::Value>,
+) -> Option<(String, String, String)> {
+    use toml::Value::{Array, Table};
+    match (old, new) {
+        (Some(Table(old)), Some(Table(new))) => {
+            let names = new.keys().chain(old.keys().filter(|name| !new.contains_key(*name)));
+            let dot = if place.is_empty() { "" } else { "." };
+            names
+                .map(|name| (format!("{place}{dot}{name}"), old.get(name), new.get(name)))
+                .find_map(|(place, old, new)| first_difference(&place, old, new))
+        }
+        (Some(Array(old)), Some(Array(new))) => (0..old.len().max(new.len()))
+            .find_map(|index| first_difference(&format!("{place}[{index}]"), old.get(index), new.get(index))),
+        _ if old == new => None,
+        _ => {
+            let show = |value: Option<&toml::Value>| match value {
+                None => "nothing".to_owned(),
+                // Whole tables and lists would fill the screen.
+                Some(Table(_)) => "a table".to_owned(),
+                Some(Array(_)) => "a list".to_owned(),
+                Some(value) => value.to_string(),
+            };
+            Some((place.to_owned(), show(old), show(new)))
+        }
     }
 }
 
 /// SHA-256 of a text, in hexadecimal.
 pub(super) fn sha256(text: &str) -> String {
     Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn differences_are_named_however_deep_they_are() {
+        let at = |old: &str, new: &str| {
+            let [old, new] = [old, new].map(|text| toml::Value::Table(text.parse().unwrap()));
+            first_difference("", Some(&old), Some(&new)).map(|(place, there, here)| format!("{place}: {there}, {here}"))
+        };
+        assert_eq!(at("a = 1\nb = 2", "b = 2\na = 1"), None);
+        assert_eq!(at("a = 1", "a = 2").unwrap(), "a: 1, 2");
+        assert_eq!(
+            at("a = [{ b = 1 }, { b = 2, c.d = 3 }]", "a = [{ b = 1 }, { b = 2, c.d = 4 }]").unwrap(),
+            "a[1].c.d: 3, 4"
+        );
+        assert_eq!(at("a = [1, 2]", "a = [1]").unwrap(), "a[1]: 2, nothing");
+        assert_eq!(at("a = 1", "a.b = 1").unwrap(), "a: 1, a table");
+        assert_eq!(at("", "a = 'x'").unwrap(), "a: nothing, \"x\"");
+    }
 }

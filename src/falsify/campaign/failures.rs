@@ -1,7 +1,8 @@
 //! Failures as they come in: which kinds there are, and which of each are worth a closer look.
 
-use super::{Braking, Evaluated, Verdict};
-use crate::falsify::{Cube, Method};
+use super::front::Front;
+use super::{Braking, Evaluated, Specification, Verdict};
+use crate::falsify::Method;
 use crate::scenario::{Driver, Scenario, VehicleClass};
 
 /// What tells failures apart at first sight: who hits whom, how hard the ego had braked until then (so whether its emergency
@@ -19,34 +20,37 @@ pub enum FailureKind {
         /// Class of the vehicle that hits.
         rear_class: VehicleClass,
     },
-    /// A formula is violated without a contact.
-    Violation,
+    /// A formula is violated. What touches whom is told apart no further: it need not be the cause.
+    Violation {
+        /// Whether vehicles touched as well.
+        touching: bool,
+    },
 }
 
 impl FailureKind {
-    /// The kind of a verdict; none if the specification holds.
+    /// The kind of a verdict by a specification; none if that holds.
     #[must_use]
-    pub fn of(verdict: &Verdict) -> Option<Self> {
+    pub fn of(verdict: &Verdict, specification: &Specification) -> Option<Self> {
         if verdict.robustness.is_nan() || verdict.robustness >= 0.0 {
             return None;
         }
-        Some(match verdict.contact {
-            None => Self::Violation,
-            Some(struck) => Self::Contact {
+        Some(match (specification, verdict.contact) {
+            (Specification::NoContact, Some(struck)) => Self::Contact {
                 front_vehicle: struck.front_vehicle,
                 rear_vehicle: struck.rear_vehicle,
                 ego_braking: struck.ego_braking,
                 rear_class: struck.rear_class,
             },
+            (_, contact) => Self::Violation { touching: contact.is_some() },
         })
     }
 
-    /// Whether the same two vehicles touch.
+    /// Whether the same two vehicles touch, or both are violations of the formula.
     #[must_use]
     pub fn same_pair(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Contact { rear_vehicle: a, .. }, Self::Contact { rear_vehicle: b, .. }) => a == b,
-            (Self::Violation, Self::Violation) => true,
+            (Self::Violation { .. }, Self::Violation { .. }) => true,
             _ => false,
         }
     }
@@ -54,8 +58,12 @@ impl FailureKind {
     /// In words, for scenarios like `scenario`.
     #[must_use]
     pub fn describe(&self, scenario: &Scenario) -> String {
-        let Self::Contact { front_vehicle, rear_vehicle, ego_braking, rear_class } = self else {
-            return "the formula is violated without a contact".to_owned();
+        let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
+            Self::Violation { touching: false } => return "the formula is violated without a contact".to_owned(),
+            Self::Violation { touching: true } => return "the formula is violated, and vehicles touch".to_owned(),
+            Self::Contact { front_vehicle, rear_vehicle, ego_braking, rear_class } => {
+                (front_vehicle, rear_vehicle, ego_braking, rear_class)
+            }
         };
         let is_ego =
             |index: u32| scenario.vehicles().get(index as usize).is_some_and(|v| v.driver == Driver::UnderTest);
@@ -106,26 +114,27 @@ pub(super) struct Kind {
 /// Failures by kind, in the order of their discovery. Memory does not grow with the number of evaluations.
 #[derive(Debug)]
 pub(super) struct Failures {
-    cube: Cube,
-    nominal: Vec<f64>,
+    specification: Specification,
     pub(super) kinds: Vec<Kind>,
+    pub(super) front: Front,
 }
 
 impl Failures {
-    pub(super) fn new(cube: Cube, nominal: Vec<f64>) -> Self {
-        Self { cube, nominal, kinds: Vec::new() }
+    pub(super) fn new(specification: Specification) -> Self {
+        Self { specification, kinds: Vec::new(), front: Front::default() }
     }
 
     pub(super) fn add(&mut self, method: Method, evaluated: &Evaluated) {
-        let Some(kind) = FailureKind::of(&evaluated.verdict) else { return };
+        let Some(kind) = FailureKind::of(&evaluated.verdict, &self.specification) else { return };
         let candidate = Candidate {
             method,
             number: evaluated.number,
             values: evaluated.values.clone(),
             verdict: evaluated.verdict,
             ln_likelihood: evaluated.ln_likelihood,
-            departure: self.cube.distance(&evaluated.point, &self.nominal) / self.cube.blocks().len() as f64,
+            departure: evaluated.departure,
         };
+        self.front.add(&candidate);
         let Some(known) = self.kinds.iter_mut().find(|known| known.kind == kind) else {
             self.kinds.push(Kind {
                 kind,

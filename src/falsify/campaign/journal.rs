@@ -2,18 +2,23 @@
 //!
 //! The journal is a flat file with one record an evaluation, in the order of evaluation, appended batch by batch. Which point
 //! an evaluation was at need not be kept: asking the search again gives the same points, as long as it is told the
-//! same values. A record that was cut short is not used. The journal is removed once the campaign is complete: its
-//! contents are then in the Parquet files.
+//! same values. A record that was cut short is not used; one that was changed is known by its checksum, and the campaign does
+//! not go on from it. The journal is removed once the campaign is complete: its contents are then in the Parquet files.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 
+use sha2::{Digest, Sha256};
+
 use super::{Braking, Struck, Verdict};
 use crate::scenario::VehicleClass;
 
 /// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking and class as bytes.
-const RECORD: usize = 3 * 8 + 2 * 4 + 2;
+const BODY: usize = 3 * 8 + 2 * 4 + 2;
+/// The first bytes of the SHA-256 of the record's number and body: a record in another's place is damage, too.
+const CHECKSUM: usize = 6;
+const RECORD: usize = BODY + CHECKSUM;
 /// In place of the braking where nobody touched anybody.
 const NO_CONTACT: u8 = u8::MAX;
 
@@ -21,12 +26,26 @@ pub(super) struct Journal {
     file: File,
     /// Records of an earlier run, not yet used.
     earlier: Option<BufReader<File>>,
+    /// Records used or written so far.
+    records: u64,
+}
+
+/// Why an earlier run cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum JournalError {
+    #[error(transparent)]
+    Read(#[from] io::Error),
+    #[error(
+        "record {number} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
+         another --out"
+    )]
+    Damaged { number: u64 },
 }
 
 impl Journal {
     /// An empty journal.
     pub(super) fn create(path: &Path) -> io::Result<Self> {
-        Ok(Self { file: File::create(path)?, earlier: None })
+        Ok(Self { file: File::create(path)?, earlier: None, records: 0 })
     }
 
     /// The journal of an earlier run, or an empty one if there is none.
@@ -34,31 +53,48 @@ impl Journal {
         let file = OpenOptions::new().read(true).append(true).create(true).open(path)?;
         let whole = file.metadata()?.len() / RECORD as u64 * RECORD as u64;
         file.set_len(whole)?;
-        Ok(Self { file, earlier: Some(BufReader::new(File::open(path)?)) })
+        Ok(Self { file, earlier: Some(BufReader::new(File::open(path)?)), records: 0 })
     }
 
     /// The next verdict of an earlier run.
-    pub(super) fn next(&mut self) -> io::Result<Option<Verdict>> {
+    pub(super) fn next(&mut self) -> Result<Option<Verdict>, JournalError> {
         let Some(earlier) = &mut self.earlier else { return Ok(None) };
-        let mut record = [0; RECORD];
-        match earlier.read_exact(&mut record) {
-            Ok(()) => Ok(Some(decode(&record))),
+        let (mut body, mut checksum) = ([0; BODY], [0; CHECKSUM]);
+        match earlier.read_exact(&mut body).and_then(|()| earlier.read_exact(&mut checksum)) {
+            Ok(()) if checksum == checksum_of(self.records, &body) => {
+                self.records += 1;
+                Ok(Some(decode(&body)))
+            }
+            Ok(()) => Err(JournalError::Damaged { number: self.records + 1 }),
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
                 self.earlier = None;
                 Ok(None)
             }
-            Err(error) => Err(error),
+            Err(error) => Err(error.into()),
         }
     }
 
     /// Appends verdicts; they survive the end of the process, however sudden.
     pub(super) fn append(&mut self, verdicts: &[Verdict]) -> io::Result<()> {
-        let bytes: Vec<u8> = verdicts.iter().flat_map(encode).collect();
+        let mut bytes = Vec::with_capacity(verdicts.len() * RECORD);
+        for (verdict, index) in verdicts.iter().zip(self.records..) {
+            let body = encode(verdict);
+            bytes.extend(body);
+            bytes.extend(checksum_of(index, &body));
+        }
+        self.records += verdicts.len() as u64;
         self.file.write_all(&bytes)
     }
 }
 
-fn encode(verdict: &Verdict) -> [u8; RECORD] {
+fn checksum_of(index: u64, body: &[u8; BODY]) -> [u8; CHECKSUM] {
+    let digest = Sha256::new().chain_update(index.to_le_bytes()).chain_update(body).finalize();
+    let mut first = [0; CHECKSUM];
+    first.iter_mut().zip(digest).for_each(|(place, byte)| *place = byte);
+    first
+}
+
+fn encode(verdict: &Verdict) -> [u8; BODY] {
     let nobody = Struck {
         time_s: 0.0,
         front_vehicle: 0,
@@ -68,7 +104,7 @@ fn encode(verdict: &Verdict) -> [u8; RECORD] {
         rear_class: VehicleClass::Light,
     };
     let struck = verdict.contact.unwrap_or(nobody);
-    let mut record = [0; RECORD];
+    let mut record = [0; BODY];
     let doubles = [verdict.robustness, struck.time_s, struck.impact_speed_mps].map(f64::to_le_bytes);
     let vehicles = [struck.front_vehicle, struck.rear_vehicle].map(u32::to_le_bytes);
     let braking = if verdict.contact.is_some() { struck.ego_braking as u8 } else { NO_CONTACT };
@@ -78,7 +114,7 @@ fn encode(verdict: &Verdict) -> [u8; RECORD] {
     record
 }
 
-fn decode(record: &[u8; RECORD]) -> Verdict {
+fn decode(record: &[u8; BODY]) -> Verdict {
     let double = |index: usize| {
         let bytes = record.get(8 * index..8 * index + 8).and_then(|bytes| bytes.try_into().ok());
         f64::from_le_bytes(bytes.unwrap_or_default())
@@ -125,5 +161,39 @@ mod tests {
         assert_eq!(journal.next().unwrap(), None);
         journal.append(&verdicts[..1]).unwrap();
         assert_eq!(std::fs::metadata(&path).unwrap().len(), 3 * RECORD as u64);
+        let mut again = Journal::resume(&path).unwrap();
+        for expected in [verdicts[0], verdicts[1], verdicts[0]] {
+            assert_eq!(again.next().unwrap(), Some(expected));
+        }
+    }
+
+    /// Any bit of any record, and two whole records that change places.
+    #[test]
+    fn damage_is_found_where_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal");
+        let verdicts = [1.0, 2.0, 3.0].map(|robustness| Verdict { robustness, contact: None });
+        Journal::create(&path).unwrap().append(&verdicts).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        let first_damage = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            let mut journal = Journal::resume(&path).unwrap();
+            loop {
+                match journal.next() {
+                    Ok(Some(_)) => {}
+                    Ok(None) => return None,
+                    Err(error) => return Some(error.to_string()),
+                }
+            }
+        };
+        assert_eq!(first_damage(&whole), None);
+        for bit in 0..8 * whole.len() {
+            let mut bytes = whole.clone();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            let expected = format!("record {} is damaged", bit / 8 / RECORD + 1);
+            assert!(first_damage(&bytes).unwrap().starts_with(&expected));
+        }
+        let (one, two) = (&whole[..RECORD], &whole[RECORD..2 * RECORD]);
+        assert!(first_damage(&[two, one].concat()).unwrap().starts_with("record 1 is damaged"));
     }
 }

@@ -10,14 +10,22 @@
 //! | `counterexamples/expected.toml` | the recorded verdict of each of them |
 //! | `summary.json`, `summary.txt` | what was found, by which method after how many evaluations |
 //! | `evaluations.journal` | only while the campaign runs: what is lost by no `kill -9` |
+//! | `campaign.lock` | empty, only while the campaign runs: locked by the process that works on it |
 //!
 //! The yardsticks, uniform points and a Halton sequence, always run with the same budget as the method asked for: a search
 //! that does no better than random must say so. Results depend neither on the number of threads nor on interruptions.
+//!
+//! Memory does not grow with the budget beyond what is kept of the search itself: evaluations go to disk, 65 536 at a time,
+//! and of failures a few of each kind and those on the front of severity and likelihood are remembered.
 
+mod aim;
 mod config;
 mod coverage;
 mod failures;
+mod front;
 mod journal;
+mod judged;
+mod lock;
 mod regions;
 mod run;
 mod specification;
@@ -27,9 +35,12 @@ mod table;
 use std::io;
 use std::path::{Path, PathBuf};
 
+pub use aim::{Aim, UnknownAim};
 pub use config::{CAMPAIGN_VERSION, Campaign};
 pub use coverage::Covered;
 pub use failures::{Candidate, FailureKind};
+pub use front::FrontPoint;
+pub use judged::Judged;
 pub use regions::Region;
 pub use run::Progress;
 pub(in crate::falsify) use run::write_whole;
@@ -50,6 +61,8 @@ pub struct Evaluated {
     pub values: Vec<f64>,
     /// Logarithm of the distribution's density there, relative to one that is even over the ranges.
     pub ln_likelihood: f64,
+    /// Distance from nominal in the unit cube, from 0 to 1: mean over the parameters.
+    pub departure: f64,
     /// What the run was worth.
     pub verdict: Verdict,
 }
@@ -66,7 +79,7 @@ pub enum CampaignError {
         /// What the system says.
         source: io::Error,
     },
-    /// The folder holds another campaign, or one already.
+    /// The folder holds another campaign, or one already, or a damaged one, or another process works there.
     #[error("{0}")]
     Folder(String),
     /// A scenario cannot be run with this controller.

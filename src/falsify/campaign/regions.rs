@@ -25,6 +25,12 @@ pub(super) struct Sample {
 pub struct Region {
     /// What holds in it, one condition a split; empty for the whole space.
     pub conditions: Vec<String>,
+    /// Points of the yardsticks in it.
+    #[serde(default)]
+    pub points: usize,
+    /// How many of them fail.
+    #[serde(default)]
+    pub failing: usize,
     /// Its share of the space, in percent.
     pub space_percent: f64,
     /// Its share of failing points, in percent.
@@ -81,6 +87,8 @@ impl Grower<'_> {
             let percent = |part: usize, whole: usize| 100.0 * part as f64 / whole.max(1) as f64;
             self.found.push(Region {
                 conditions: self.conditions(path),
+                points: points.len(),
+                failing,
                 space_percent: percent(points.len(), self.total),
                 failing_percent: percent(failing, points.len()),
                 failures_percent: percent(failing, self.failing),
@@ -159,16 +167,22 @@ impl Split {
     }
 }
 
-/// Thresholds spread evenly over a parameter's range, rounded so that they can be read out.
+/// Thresholds spread evenly over a parameter's range on its own scale, rounded to a hundredth of the step to the next one so
+/// that they can be read out.
 fn thresholds(parameter: &Parameter) -> Vec<f64> {
     let [low, high] = parameter.range();
     if parameter.is_choice() {
         return vec![0.5 * (low + high)];
     }
-    let digits = (2.0 - (high - low).log10().ceil()).clamp(0.0, 12.0);
-    let scale = 10f64.powf(digits);
-    let at = |i: usize| low + (high - low) * i as f64 / (THRESHOLDS + 1) as f64;
-    (1..=THRESHOLDS).map(|i| (at(i) * scale).round() / scale).collect()
+    let at = |i: usize| parameter.value(i as f64 / (THRESHOLDS + 1) as f64);
+    let rounded = |i: usize| {
+        let digits = (1.0 - (at(i) - at(i - 1)).log10().floor()).clamp(0.0, 12.0);
+        let scale = 10f64.powf(digits);
+        (at(i) * scale).round() / scale
+    };
+    let mut thresholds: Vec<f64> = (1..=THRESHOLDS).map(rounded).collect();
+    thresholds.dedup();
+    thresholds
 }
 
 #[cfg(test)]
@@ -194,7 +208,20 @@ mod tests {
             first.conditions.iter().any(|c| c.starts_with("gap_behind_m below 2") && c.ends_with(" m")),
             "{regions:?}"
         );
+        assert!(regions.iter().map(|region| region.points).sum::<usize>() == 4000);
+        assert!((first.failing_percent - 100.0 * first.failing as f64 / first.points as f64).abs() < 1e-9);
         let space_percent: f64 = regions.iter().map(|region| region.space_percent).sum();
         assert!((space_percent - 100.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn thresholds_lie_evenly_on_the_parameters_own_scale() {
+        let space = built_in_space("high-risk").unwrap();
+        let of = |name: &str| thresholds(space.parameters().iter().find(|p| p.name() == name).unwrap());
+        let gaps = of("gap_ahead_m");
+        assert_eq!((gaps.len(), gaps[7]), (THRESHOLDS, 12.6), "the middle of 2 to 80 by logarithm is 12.65: {gaps:?}");
+        assert!(gaps.windows(2).all(|pair| (1.2..1.32).contains(&(pair[1] / pair[0]))), "{gaps:?}");
+        let onsets = of("lead_onset_s");
+        assert_eq!((onsets[0], onsets[7], onsets[14]), (0.66, 1.75, 2.84));
     }
 }

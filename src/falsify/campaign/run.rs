@@ -5,8 +5,9 @@ use std::path::Path;
 
 use super::config::sha256;
 use super::coverage::Coverage;
-use super::failures::Failures;
-use super::journal::Journal;
+use super::failures::{Failures, Kind};
+use super::journal::{Journal, JournalError};
+use super::lock::Lock;
 use super::regions::Sample;
 use super::summary::{
     AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, SUMMARY_VERSION, Summary,
@@ -71,18 +72,27 @@ impl Campaign {
         let space = self.space.clone().with_noise_seed(self.seed);
         let nominal = space.scenario(&space.nominal())?;
         self.check(&nominal)?;
-        if let Some(summary) = self.open(folder, resume)? {
-            return Ok(summary);
+        if let Found::Complete(summary) = self.found(folder, resume)? {
+            return Ok(*summary);
         }
+        fs::create_dir_all(folder).map_err(|source| CampaignError::environment(folder, source))?;
+        let _lock = Lock::of(folder)?;
+        // Once more: somebody may have been at work until now.
+        match self.found(folder, resume)? {
+            Found::Complete(summary) => return Ok(*summary),
+            Found::Part => {}
+            Found::Nothing => write_whole(&folder.join(CONFIGURATION), &self.to_toml()?)?,
+        }
+        let evaluations = folder.join("evaluations");
+        fs::create_dir_all(&evaluations).map_err(|source| CampaignError::environment(&evaluations, source))?;
         let journal_path = folder.join(JOURNAL);
         let journal = if resume { Journal::resume(&journal_path) } else { Journal::create(&journal_path) };
         let mut journal = journal.map_err(|source| CampaignError::environment(&journal_path, source))?;
-        let cube = space.cube().map_err(CampaignError::encoding)?;
         let mut findings = Findings {
             reached: Vec::new(),
-            failures: Failures::new(cube, space.point(&space.nominal())),
+            failures: Failures::new(self.specification.clone()),
             sample: Sample::default(),
-            table: Table::new(&space, &folder.join("evaluations")),
+            table: Table::new(&space, &evaluations),
         };
         for method in self.methods() {
             let reached = self.search(method, &space, &mut journal, &journal_path, &mut findings, progress)?;
@@ -114,36 +124,25 @@ impl Campaign {
         Ok(())
     }
 
-    /// Prepares the folder; returns the summary if the campaign there is complete.
-    fn open(&self, folder: &Path, resume: bool) -> Result<Option<Summary>, CampaignError> {
-        let path = folder.join("campaign.toml");
-        let found = match fs::read_to_string(&path) {
-            Ok(text) => Some(text),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
+    /// What is in the folder; an error if it is in the way.
+    fn found(&self, folder: &Path, resume: bool) -> Result<Found, CampaignError> {
+        let path = folder.join(CONFIGURATION);
+        let text = match fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Found::Nothing),
             Err(source) => return Err(CampaignError::environment(&path, source)),
         };
-        match &found {
-            Some(_) if !resume => {
-                let problem = format!("{} holds a campaign already: use --resume, or another --out", folder.display());
-                return Err(CampaignError::Folder(problem));
-            }
-            Some(text) => {
-                if let Some(difference) = self.difference(text, &path)? {
-                    return Err(CampaignError::Folder(difference));
-                }
-                let summary = folder.join(SUMMARY);
-                if let (Ok(text), false) = (fs::read_to_string(&summary), folder.join(JOURNAL).exists()) {
-                    return Summary::from_json(&text).map(Some);
-                }
-            }
-            None => {}
+        if !resume {
+            let problem = format!("{} holds a campaign already: use --resume, or another --out", folder.display());
+            return Err(CampaignError::Folder(problem));
         }
-        let evaluations = folder.join("evaluations");
-        fs::create_dir_all(&evaluations).map_err(|source| CampaignError::environment(&evaluations, source))?;
-        if found.is_none() {
-            write_whole(&path, &self.to_toml()?)?;
+        if let Some(difference) = self.difference(&text, &path)? {
+            return Err(CampaignError::Folder(difference));
         }
-        Ok(None)
+        match (fs::read_to_string(folder.join(SUMMARY)), folder.join(JOURNAL).exists()) {
+            (Ok(text), false) => Ok(Found::Complete(Box::new(Summary::from_json(&text)?))),
+            _ => Ok(Found::Part),
+        }
     }
 
     /// One method with its whole budget.
@@ -157,8 +156,14 @@ impl Campaign {
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<Reached, CampaignError> {
         let unwritable = |source| CampaignError::environment(journal_path, source);
+        let unreadable = |error: JournalError| match error {
+            JournalError::Read(source) => unwritable(source),
+            damaged => CampaignError::Folder(format!("{}: {damaged}", journal_path.display())),
+        };
         let cube = space.cube().map_err(CampaignError::encoding)?;
         let mut search = method.start(&cube, self.seed);
+        let nominal = space.point(&space.nominal());
+        let departure = |point: &[f64]| cube.distance(point, &nominal) / cube.blocks().len() as f64;
         let coverage = Coverage::new(space.dimension());
         let mut reached = Reached { method, evaluations: 0, first: None, failures: 0, best: f64::INFINITY, coverage };
         let is_yardstick = matches!(method, Method::Uniform | Method::Halton);
@@ -173,24 +178,26 @@ impl Campaign {
             points.truncate(usize::try_from(self.budget - reached.evaluations).unwrap_or(usize::MAX));
             let mut verdicts = Vec::with_capacity(points.len());
             while verdicts.len() < points.len()
-                && let Some(verdict) = journal.next().map_err(unwritable)?
+                && let Some(verdict) = journal.next().map_err(unreadable)?
             {
                 verdicts.push(verdict);
             }
             let known = verdicts.len();
             verdicts.extend(self.evaluate(space, points.get(known..).unwrap_or_default())?);
             journal.append(verdicts.get(known..).unwrap_or_default()).map_err(unwritable)?;
-            let robustness: Vec<f64> = verdicts.iter().map(|verdict| verdict.robustness).collect();
+            let mut told = Vec::with_capacity(points.len());
             for (point, verdict) in points.into_iter().zip(verdicts) {
                 reached.evaluations += 1;
                 let evaluated = Evaluated {
                     number: reached.evaluations,
                     values: space.values(&point),
                     ln_likelihood: space.ln_likelihood(&point),
+                    departure: departure(&point),
                     point,
                     verdict,
                 };
-                let fails = FailureKind::of(&evaluated.verdict).is_some();
+                let fails = FailureKind::of(&evaluated.verdict, &self.specification).is_some();
+                told.push(self.aim.value(&evaluated));
                 if fails {
                     reached.failures += 1;
                     reached.first = reached.first.or(Some(evaluated.number));
@@ -203,7 +210,7 @@ impl Campaign {
                 findings.failures.add(method, &evaluated);
                 findings.table.add(method, &evaluated)?;
             }
-            search.tell(&robustness);
+            search.tell(&told);
             progress(&state(Some(&reached), &findings.reached, self.total()));
         }
         Ok(reached)
@@ -238,7 +245,7 @@ impl Campaign {
         reached.iter().for_each(|reached| all.join(&reached.coverage));
         let finite = |value: f64| Some(value).filter(|value| value.is_finite());
         let main = reached.first();
-        let kind_summary = |kind: &&super::failures::Kind| KindSummary {
+        let kind_summary = |kind: &&Kind| KindSummary {
             kind: kind.kind.describe(nominal),
             count: kind.count(),
             by_method: kind
@@ -257,6 +264,7 @@ impl Campaign {
             space: self.space.name().to_owned(),
             specification: self.specification.to_string(),
             method: self.method.name().to_owned(),
+            aim: self.aim.name().to_owned(),
             budget: self.budget,
             seed: self.seed,
             evaluations: main.map_or(0, |reached| reached.evaluations),
@@ -278,6 +286,7 @@ impl Campaign {
                 })
                 .collect(),
             failures: kinds.iter().map(kind_summary).collect(),
+            front: failures.front.points(&self.specification, nominal),
             regions: sample.regions(space),
             avoidability: AvoidabilitySummary::of(&counterexamples),
             counterexamples,
@@ -285,6 +294,14 @@ impl Campaign {
     }
 }
 
+/// What a folder holds of a campaign.
+enum Found {
+    Nothing,
+    Part,
+    Complete(Box<Summary>),
+}
+
+const CONFIGURATION: &str = "campaign.toml";
 const JOURNAL: &str = "evaluations.journal";
 const SUMMARY: &str = "summary.json";
 

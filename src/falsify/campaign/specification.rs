@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::measure::stl::{
-    Formula, MonitorError, ParseError, Signals, SignalsError, motion_signal_names, motion_signals,
+    Formula, MonitorError, ParseError, Signals, SignalsError, motion_signal_names, motion_signals, signal_column,
 };
 use crate::scenario::{Scenario, VehicleClass};
 use crate::sim::{AfterContact, Keep, Outcome, Run, Simulated};
@@ -33,8 +33,10 @@ pub enum SpecificationError {
     #[error(transparent)]
     Signals(#[from] SignalsError),
     /// It names a signal that a run does not have.
-    #[error("there is no signal `{name}`; there are: {}", known.join(", "))]
+    #[error("column {column}: there is no signal `{name}`; there are: {}", known.join(", "))]
     UnknownSignal {
+        /// Where it is first named, counted in characters from 1.
+        column: usize,
         /// The name.
         name: String,
         /// The names there are.
@@ -133,7 +135,8 @@ impl Specification {
         let formula: Formula = text.parse()?;
         let known = motion_signal_names(nominal.vehicles().len());
         if let Some(name) = formula.signal_names().into_iter().find(|name| !known.iter().any(|k| k == name)) {
-            return Err(SpecificationError::UnknownSignal { name: name.to_owned(), known });
+            let column = signal_column(text, name).unwrap_or(1);
+            return Err(SpecificationError::UnknownSignal { column, name: name.to_owned(), known });
         }
         // A window without an end is cut at the end of the run; one that states an end means it.
         let (horizon_s, duration_s) = (formula.horizon_s(), nominal.spec().duration_s);

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::{CampaignError, Covered, Region};
+use super::{Aim, CampaignError, Covered, FrontPoint, Region, Specification};
 use crate::estimate::EstimatorKind;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 
@@ -32,6 +32,9 @@ pub struct Summary {
     pub specification: String,
     /// The method asked for.
     pub method: String,
+    /// What the search was after once it knew failures.
+    #[serde(default = "default_aim")]
+    pub aim: String,
     /// Evaluations of each method.
     pub budget: u64,
     /// Seed of the search and of all noise.
@@ -54,10 +57,17 @@ pub struct Summary {
     pub methods: Vec<MethodSummary>,
     /// Kinds of failures, the most frequent first.
     pub failures: Vec<KindSummary>,
+    /// Of all failing evaluations, those that no other one beats both in severity and in likelihood, the severest first.
+    #[serde(default)]
+    pub front: Vec<FrontPoint>,
     /// How much of the space was tried.
     pub coverage: CoverageSummary,
     /// Where failures lie, the densest region first; empty if the yardsticks found none, or nothing else.
     pub regions: Vec<Region>,
+}
+
+fn default_aim() -> String {
+    Aim::default().name().to_owned()
 }
 
 /// How many distinct failures could have been avoided.
@@ -135,6 +145,8 @@ pub struct CoverageSummary {
 
 /// Regions that are printed, beside the safest one.
 const SHOWN_REGIONS: usize = 3;
+/// Failures on the front that are printed.
+const SHOWN_FRONT: usize = 6;
 
 impl Summary {
     /// The text of `summary.json`.
@@ -162,6 +174,37 @@ impl Summary {
         text
     }
 
+    /// The front, thinned evenly where it is long.
+    fn write_front(&self, out: &mut String) -> std::fmt::Result {
+        let (all, last) = (self.front.len(), self.front.len().saturating_sub(1));
+        if all < 2 {
+            return Ok(());
+        }
+        writeln!(out, "\n  severity against likelihood: {all} failures that no other one beats in both")?;
+        writeln!(
+            out,
+            "  {:>10} {:>12} {:>13} {:>9}  {:<22} what happens",
+            "robustness", "impact m/s", "ln likelihood", "departure", "evaluation"
+        )?;
+        let shown = all.min(SHOWN_FRONT);
+        for point in (0..shown).filter_map(|place| self.front.get(place * last / (shown - 1))) {
+            let impact = point.impact_speed_mps.map_or("-".to_owned(), |speed| format!("{speed:.1}"));
+            writeln!(
+                out,
+                "  {:>10.3} {impact:>12} {:>13.2} {:>9.3}  {:<22} {}",
+                point.robustness,
+                point.ln_likelihood,
+                point.departure,
+                format!("{} {}", point.method, point.evaluation),
+                point.kind
+            )?;
+        }
+        if shown < all {
+            writeln!(out, "  {} more in summary.json", all - shown)?;
+        }
+        Ok(())
+    }
+
     fn write(&self, out: &mut String) -> std::fmt::Result {
         writeln!(
             out,
@@ -172,8 +215,12 @@ impl Summary {
             self.estimator.name(),
             self.seed
         )?;
+        if self.aim != Aim::default().name() {
+            writeln!(out, "  the search was after the {} failures", self.aim)?;
+        }
         if self.falsified {
-            writeln!(out, "  FALSIFIED: {} distinct failures", self.counterexamples.len())?;
+            let failures = if self.counterexamples.len() == 1 { "failure" } else { "failures" };
+            writeln!(out, "  FALSIFIED: {} distinct {failures}", self.counterexamples.len())?;
             if let Some(AvoidabilitySummary { avoidable, unavoidable, undecided, avoidable_percent }) =
                 self.avoidability
             {
@@ -210,11 +257,17 @@ impl Summary {
         if !self.counterexamples.is_empty() {
             writeln!(out, "\n  distinct failures, shrunk, the severest first")?;
             for found in &self.counterexamples {
-                found.write(out)?;
+                found.write(out, self.specification != Specification::NO_CONTACT)?;
             }
         }
+        self.write_front(out)?;
         if !self.regions.is_empty() {
-            writeln!(out, "\n  where failures lie, as shares of the space by its ranges")?;
+            let points: usize = self.regions.iter().map(|region| region.points).sum();
+            let failing: usize = self.regions.iter().map(|region| region.failing).sum();
+            writeln!(
+                out,
+                "\n  where failures lie, as shares of the space by its ranges: {failing} of {points} points of the yardsticks fail"
+            )?;
             // The densest ones, and the safest one.
             let safest = self.regions.len() - 1;
             let shown = |index: &usize| *index < SHOWN_REGIONS || *index == safest;
@@ -223,8 +276,23 @@ impl Summary {
                     if region.conditions.is_empty() { "everywhere".to_owned() } else { region.conditions.join(", ") };
                 writeln!(
                     out,
-                    "  {:>5.1} % of {:>5.1} % fails ({:.0} % of all failures): {conditions}",
-                    region.failing_percent, region.space_percent, region.failures_percent
+                    "  {:>5.1} % of {:>5.1} % fails ({} of {} points, {:.0} % of all failures): {conditions}",
+                    region.failing_percent,
+                    region.space_percent,
+                    region.failing,
+                    region.points,
+                    region.failures_percent
+                )?;
+            }
+            let hidden: Vec<_> = self.regions.iter().enumerate().filter(|(index, _)| !shown(index)).collect();
+            if !hidden.is_empty() {
+                let (points, failing) =
+                    hidden.iter().fold((0, 0), |(n, k), (_, region)| (n + region.points, k + region.failing));
+                let regions = if hidden.len() == 1 { "region" } else { "regions" };
+                writeln!(
+                    out,
+                    "  {} {regions} between these, in summary.json, with {failing} of {points} points failing",
+                    hidden.len()
                 )?;
             }
         }

@@ -6,10 +6,11 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::expected::{EXPECTED_VERSION, Expected, ExpectedFile, FINER, Replay, ReplayError};
+use super::severity::Severity;
 use super::shrink::shrink;
 use super::{Avoidability, Changed, Counterexample};
 use crate::falsify::Cube;
-use crate::falsify::campaign::{Campaign, CampaignError, Candidate, FailureKind, Verdict, write_whole};
+use crate::falsify::campaign::{Campaign, CampaignError, Candidate, FailureKind, Specification, Verdict, write_whole};
 use crate::measure::max_delta_v_mps;
 use crate::scenario::space::Space;
 use crate::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
@@ -18,8 +19,8 @@ use crate::sim::{AfterContact, Keep, Run, simulate};
 /// Two failures of one kind that are nearer than this are one.
 pub const SAME_WITHIN: f64 = 0.1;
 
-/// Share of the impact speed that shrinking must leave.
-const SPEED_KEPT: f64 = 0.5;
+/// Share of the impact speed, or of the violation of a formula, that shrinking must leave.
+const SEVERITY_KEPT: f64 = 0.5;
 
 /// Examines the failures of a campaign.
 pub(in crate::falsify) struct Examiner<'a> {
@@ -67,7 +68,7 @@ impl<'a> Examiner<'a> {
         let examined: Vec<Option<Examined<'a>>> =
             candidates.par_iter().map(|candidate| self.examine(candidate)).collect::<Result<_, _>>()?;
         let mut examined: Vec<Examined<'a>> = examined.into_iter().flatten().collect();
-        examined.sort_by(|a, b| b.severity().partial_cmp(&a.severity()).unwrap_or(std::cmp::Ordering::Equal));
+        examined.sort_by(|a, b| self.severity(b).compare(&self.severity(a)));
         let mut distinct: Vec<Examined<'a>> = Vec::new();
         for one in examined {
             if !distinct.iter().any(|known| self.is_same(known, &one)) {
@@ -100,10 +101,11 @@ impl<'a> Examiner<'a> {
     fn examine(&self, candidate: &'a Candidate) -> Result<Option<Examined<'a>>, CampaignError> {
         let original = self.tidy(&candidate.values)?;
         let verdict = self.judge(&original, 1)?;
-        let Some(kind) = FailureKind::of(&verdict) else { return Ok(None) };
-        let least_mps = verdict.contact.map_or(0.0, |contact| SPEED_KEPT * contact.impact_speed_mps);
+        let Some(kind) = self.kind(&verdict) else { return Ok(None) };
+        // After a contact that is the impact speed.
+        let most = SEVERITY_KEPT * verdict.robustness;
         let survives = |scenario: &Scenario| -> Result<bool, CampaignError> {
-            let finer = FailureKind::of(&self.judge(scenario, FINER)?);
+            let finer = self.kind(&self.judge(scenario, FINER)?);
             Ok(finer.is_some_and(|finer| finer.same_pair(&kind)))
         };
         let dt_fragile = !survives(&original)?;
@@ -114,8 +116,8 @@ impl<'a> Examiner<'a> {
                 let still = || -> Result<bool, CampaignError> {
                     let scenario = self.tidy(values)?;
                     let verdict = self.judge(&scenario, 1)?;
-                    let as_hard = verdict.contact.is_none_or(|contact| contact.impact_speed_mps >= least_mps);
-                    Ok(FailureKind::of(&verdict) == Some(kind) && as_hard && survives(&scenario)?)
+                    let as_hard = verdict.robustness <= most;
+                    Ok(self.kind(&verdict) == Some(kind) && as_hard && survives(&scenario)?)
                 };
                 still().unwrap_or_else(|error| {
                     failed.get_or_insert(error);
@@ -144,6 +146,20 @@ impl<'a> Examiner<'a> {
             vehicles_involved: aftermath.vehicles_involved(),
             scenario,
         }))
+    }
+
+    fn kind(&self, verdict: &Verdict) -> Option<FailureKind> {
+        FailureKind::of(verdict, &self.campaign.specification)
+    }
+
+    fn severity(&self, one: &Examined<'_>) -> Severity {
+        let is_formula = self.campaign.specification != Specification::NoContact;
+        Severity {
+            violation: is_formula.then_some(-one.verdict.robustness),
+            impact_speed_mps: one.verdict.contact.map_or(0.0, |contact| contact.impact_speed_mps),
+            max_delta_v_mps: one.max_delta_v_mps.unwrap_or(0.0),
+            vehicles_involved: one.vehicles_involved,
+        }
     }
 
     fn judge(&self, scenario: &Scenario, parts: u32) -> Result<Verdict, CampaignError> {
@@ -177,7 +193,7 @@ impl<'a> Examiner<'a> {
         let kind = one.kind.describe(&one.scenario);
         let slug = match one.kind {
             FailureKind::Contact { front_vehicle, rear_vehicle, .. } => format!("{rear_vehicle}-hits-{front_vehicle}"),
-            FailureKind::Violation => "violation".to_owned(),
+            FailureKind::Violation { .. } => "violation".to_owned(),
         };
         let (file, original) = (format!("{place:02}-{slug}.toml"), format!("originals/{place:02}-{slug}.toml"));
         let campaign = self.campaign;
@@ -187,8 +203,12 @@ impl<'a> Examiner<'a> {
             None => format!("`{}`", campaign.controller.name),
         };
         let candidate = one.candidate;
+        let formula = match &campaign.specification {
+            Specification::NoContact => String::new(),
+            Specification::Formula(formula) => format!(" The formula is `{formula}`."),
+        };
         let found = format!(
-            "Found in the space `{}` by {} at its evaluation {} (seed {}): with {driver} {kind}.",
+            "Found in the space `{}` by {} at its evaluation {} (seed {}): with {driver} {kind}.{formula}",
             self.space.name(),
             candidate.method,
             candidate.number,
@@ -225,7 +245,8 @@ impl<'a> Examiner<'a> {
             Ok::<Verdict, CampaignError>(verdict)
         };
         let verdict = record(&file, &one.scenario, name.clone(), found.clone() + how + &class, &avoidability)?;
-        record(&original, &one.original, format!("{name}-original"), found, &Avoidability::NotAsked)?;
+        let original_name = format!("{name}-original");
+        let as_found = record(&original, &one.original, original_name, found, &Avoidability::NotAsked)?;
         let point = self.space.point(&one.values);
         Ok(Counterexample {
             file: format!("counterexamples/{file}"),
@@ -236,7 +257,7 @@ impl<'a> Examiner<'a> {
             front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
             rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
             impact_speed_mps: verdict.contact.map(|contact| contact.impact_speed_mps),
-            original_impact_speed_mps: candidate.verdict.contact.map(|contact| contact.impact_speed_mps),
+            original_impact_speed_mps: as_found.contact.map(|contact| contact.impact_speed_mps),
             max_delta_v_mps: one.max_delta_v_mps,
             vehicles_involved: one.vehicles_involved,
             ln_likelihood: self.space.ln_likelihood(&point),
@@ -284,13 +305,6 @@ impl<'a> Examiner<'a> {
                 one.likelihood_rank = rank + 1;
             }
         }
-    }
-}
-
-impl Examined<'_> {
-    fn severity(&self) -> (f64, f64, usize) {
-        let severity = self.verdict.contact.map_or(-self.verdict.robustness, |contact| contact.impact_speed_mps);
-        (severity, self.max_delta_v_mps.unwrap_or(0.0), self.vehicles_involved)
     }
 }
 

@@ -6,6 +6,9 @@
 //! [`FailureKind`](super::campaign::FailureKind)) and with at least half the impact speed. What is recorded is the verdict
 //! on the file as it was written and read back.
 //!
+//! Violations of a formula are failures of the formula, whoever touches whom meanwhile: shrinking keeps at least half of the
+//! violation, and the list is by how far they go.
+//!
 //! Two shrunk failures are *distinct* if they are of different kinds, or lie further apart than [`SAME_WITHIN`] in the unit
 //! cube of the space (mean difference over the parameters). Of those that are not, the severer one stays.
 //!
@@ -14,6 +17,7 @@
 mod avoidability;
 mod examine;
 mod expected;
+mod severity;
 mod shrink;
 
 use std::fmt::Write;
@@ -57,7 +61,7 @@ pub struct Counterexample {
     /// Distance from nominal, from 0 to 1: mean over the parameters of the difference, relative to the range.
     pub departure: f64,
     /// Place among all by likelihood, from 1; equal ones by nearness to nominal. The list itself is by severity: impact
-    /// speed, then delta-v, then vehicles involved.
+    /// speed, then delta-v, both to whole m/s, then vehicles involved; of violations of a formula, how far they go.
     pub likelihood_rank: usize,
     /// Whether it disappears at a tenth of the step.
     pub dt_fragile: bool,
@@ -85,18 +89,27 @@ pub struct Changed {
 }
 
 impl Counterexample {
-    pub(in crate::falsify) fn write(&self, out: &mut String) -> std::fmt::Result {
-        let severity = match (self.impact_speed_mps, self.contact_time_s) {
-            (Some(speed), Some(time)) => format!("{speed:.1} m/s at {time:.1} s"),
-            _ => format!("robustness {:.3}", self.robustness),
+    /// For a reader; `of_formula` if it is a formula that is violated.
+    pub(in crate::falsify) fn write(&self, out: &mut String, of_formula: bool) -> std::fmt::Result {
+        let contact = self.impact_speed_mps.zip(self.contact_time_s);
+        let contact = contact.map(|(speed, time)| format!("{speed:.1} m/s at {time:.1} s"));
+        let severity = match (of_formula, contact) {
+            (false, Some(contact)) => contact,
+            (true, Some(contact)) => format!("robustness {:.3}; first contact {contact}", self.robustness),
+            (_, None) => format!("robustness {:.3}", self.robustness),
         };
         let fragile = if self.dt_fragile { ", DT-FRAGILE" } else { "" };
         writeln!(out, "  {}\n      {}: {severity}{fragile}", self.file, self.kind)?;
         let delta = self.max_delta_v_mps.map_or(String::new(), |delta| format!("delta-v {delta:.1} m/s, "));
+        let involved = match self.vehicles_involved {
+            0 => "no vehicle touched".to_owned(),
+            many => format!("{many} vehicles involved"),
+        };
+        let runs = if self.found_at == 1 { "run" } else { "runs" };
         writeln!(
             out,
-            "      {delta}{} vehicles involved; likelihood rank {}; {} after {} runs",
-            self.vehicles_involved, self.likelihood_rank, self.found_by, self.found_at
+            "      {delta}{involved}; likelihood rank {}; {} after {} {runs}",
+            self.likelihood_rank, self.found_by, self.found_at
         )?;
         if let Some(words) = self.avoidability.describe() {
             writeln!(out, "      {words}")?;

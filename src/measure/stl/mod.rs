@@ -52,5 +52,5 @@ pub use formula::{Comparison, Formula, FormulaError, Interval, Relation};
 pub use monitor::MonitorError;
 pub use motion::{motion_signal_names, motion_signals};
 pub use naive::naive_robustness;
-pub use parse::{ParseError, SyntaxProblem};
+pub use parse::{ParseError, SyntaxProblem, signal_column};
 pub use signals::{Signals, SignalsError};

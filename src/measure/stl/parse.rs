@@ -85,6 +85,13 @@ impl FromStr for Formula {
     }
 }
 
+/// The column, counted in characters from 1, at which a text first names a signal.
+#[must_use]
+pub fn signal_column(text: &str, name: &str) -> Option<usize> {
+    let named = |token: &Token| matches!(token, Token::Name(found) if found == name);
+    tokens(text).ok()?.into_iter().find(|(_, token)| named(token)).map(|(column, _)| column)
+}
+
 /// A part of the text that was understood, and where it starts.
 struct Part {
     column: usize,

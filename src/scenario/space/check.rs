@@ -6,7 +6,7 @@ use super::field::{Field, Target};
 use super::marginal::Marginal;
 use super::spec::{Base, Choice, Distribution, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value};
 use super::{Parameter, Space};
-use crate::scenario::{InvalidField, Scenario, VehicleClass, built_in, file};
+use crate::scenario::{InvalidField, Scenario, VehicleClass, built_in, built_in_names, file, short};
 use statrs::distribution::{ContinuousCDF, Normal as Gauss};
 
 /// What makes a space unusable: where it is and what is wrong with it.
@@ -93,7 +93,13 @@ impl Space {
             return wrong(at("field"), "a space has gaps or positions, not both");
         }
         if spec.unit != field.unit {
-            let problem = format!("the unit of `{}` is `{}`, found `{}`", spec.field, field.unit, spec.unit);
+            let expected = match field.unit {
+                "" => format!("`{}` has no unit", spec.field),
+                unit => format!("the unit of `{}` is `{unit}`", spec.field),
+            };
+            let found =
+                if spec.unit.is_empty() { "none is given".to_owned() } else { format!("found `{}`", spec.unit) };
+            let problem = format!("{expected}, {found}");
             return wrong(at("unit"), problem);
         }
         for write in &field.writes {
@@ -113,13 +119,19 @@ impl Space {
         }
         let nominal = match spec.nominal {
             None => field.target.get(&self.template),
+            Some(value) if matches!(value, Value::Class(_)) != is_class => {
+                let problem = if is_class { "must be `light` or `heavy`" } else { "must be a number" };
+                return wrong(at("nominal"), format!("{problem}, found {value}"));
+            }
             Some(value) => vec![value.number(); field.length],
         };
         let fits = |value: &f64| marginal.value(marginal.coordinate(*value)) - value;
-        if let Some(value) = nominal.iter().find(|value| fits(value).abs() > 1e-9 * (1.0 + value.abs())) {
+        let is_off = |value: &&f64| !value.is_finite() || fits(value).abs() > 1e-9 * (1.0 + value.abs());
+        if let Some(value) = nominal.iter().find(is_off) {
+            let found = short(*value);
             let problem = match marginal {
-                Marginal::Choice { .. } => format!("{value} is none of the values of the distribution"),
-                _ => format!("must be from {} to {}, found {value}", marginal.low(), marginal.high()),
+                Marginal::Choice { .. } => format!("{found} is none of the values of the distribution"),
+                _ => format!("must be from {} to {}, found {found}", short(marginal.low()), short(marginal.high())),
             };
             let from = if spec.nominal.is_some() { "" } else { " in the base scenario" };
             return wrong(at("nominal"), problem + from);
@@ -147,7 +159,10 @@ impl Space {
                     && (matches!(parameter.target, Target::Gap(_)) || !together(&invalid))
                 {
                     let name = &parameter.name;
-                    return wrong(format!("parameters[{index}].distribution"), format!("{name} = {end}: {invalid}"));
+                    return wrong(
+                        format!("parameters[{index}].distribution"),
+                        format!("with {name} = {} the scenario is invalid: {invalid}", short(end)),
+                    );
                 }
             }
         }
@@ -200,6 +215,11 @@ fn base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
         }),
         Base::Named(name) => match built_in(name) {
             Some(scenario) => Ok(scenario),
+            None if Path::new(name).extension().is_none() => {
+                let known: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
+                let known = known.join(", ");
+                wrong("base", format!("`{name}` is neither a built-in scenario ({known}) nor a .toml or .json file"))
+            }
             None => file::load(&folder.join(name)).or_else(|error| wrong("base", error.to_string())),
         },
     }
@@ -226,11 +246,10 @@ impl Distribution {
     /// The distribution ready for use, or which field of it is wrong and why.
     pub(super) fn marginal(&self) -> Result<Marginal, (&'static str, String)> {
         let range = |low: f64, high: f64, kind: &'static str| {
-            if low.is_finite() && high.is_finite() && low < high {
-                Ok(())
-            } else {
-                Err((kind, format!("low must be below high, found {low} and {high}")))
-            }
+            finite(kind, "low", low)?;
+            finite(kind, "high", high)?;
+            let found = || format!("low must be below high, found {} and {}", short(low), short(high));
+            if low < high { Ok(()) } else { Err((kind, found())) }
         };
         match self {
             Self::Uniform(Uniform { low, high }) => {
@@ -247,14 +266,25 @@ impl Distribution {
             Self::Normal(normal) => {
                 let (low, high) = (normal.low, normal.high);
                 range(low, high, ".normal")?;
+                finite(".normal", "mean", normal.mean)?;
+                finite(".normal", "deviation", normal.deviation)?;
                 let gauss = Gauss::new(normal.mean, normal.deviation).ok().filter(|_| normal.deviation > 0.0);
                 let Some(gauss) = gauss else {
-                    return Err((".normal", "needs a finite mean and a deviation above 0".to_owned()));
+                    let found = short(normal.deviation);
+                    return Err((".normal", format!("deviation must be above 0, found {found}")));
                 };
                 let below = gauss.cdf(low);
                 let mass = gauss.cdf(high) - below;
                 if mass.is_nan() || mass < LEAST_MASS {
-                    return Err((".normal", format!("a share of only {mass} lies between {low} and {high}")));
+                    return Err((
+                        ".normal",
+                        format!(
+                            "the range from {} to {} holds a share of only {} of the distribution, and must hold {LEAST_MASS}",
+                            short(low),
+                            short(high),
+                            short(mass)
+                        ),
+                    ));
                 }
                 Ok(Marginal::Normal { low, high, gauss, below, mass })
             }
@@ -263,19 +293,39 @@ impl Distribution {
     }
 }
 
+/// Refuses what is no number, by the name of its field.
+fn finite(kind: &'static str, field: &str, found: f64) -> Result<(), (&'static str, String)> {
+    if found.is_finite() { Ok(()) } else { Err((kind, format!("{field} must be a finite number, found {found}"))) }
+}
+
 fn choice_of(choice: &Choice) -> Result<Marginal, (&'static str, String)> {
+    let unusable = |problem: String| Err((".choice.values", problem));
     let values: Vec<f64> = choice.values.iter().map(|value| value.number()).collect();
     let is_class = |value: &Value| matches!(value, Value::Class(_));
-    let repeats = values.iter().enumerate().any(|(index, value)| values.iter().take(index).any(|v| v == value));
-    let mixed = choice.values.iter().any(is_class) && !choice.values.iter().all(is_class);
-    if values.is_empty() || repeats || mixed || !values.iter().all(|value| value.is_finite()) {
-        return Err((".choice.values", "must be one or more different numbers, or classes".to_owned()));
+    if values.is_empty() {
+        return unusable("must have at least one value".to_owned());
+    }
+    if choice.values.iter().any(is_class) && !choice.values.iter().all(is_class) {
+        return unusable("must be all numbers or all classes, found both".to_owned());
+    }
+    if let Some(value) = values.iter().find(|value| !value.is_finite()) {
+        return unusable(format!("must be finite numbers, found {value}"));
+    }
+    let mut known = choice.values.iter().enumerate();
+    if let Some((_, value)) = known.find(|(index, value)| choice.values.iter().take(*index).any(|v| v == *value)) {
+        return unusable(format!("must differ, found {value} twice"));
     }
     let weights = choice.weights.clone().unwrap_or_else(|| vec![1.0; values.len()]);
+    let unusable = |problem: String| Err((".choice.weights", problem));
+    if weights.len() != values.len() {
+        return unusable(format!("must be as many as values ({}), found {}", values.len(), weights.len()));
+    }
+    if let Some(weight) = weights.iter().find(|weight| !(**weight >= 0.0 && weight.is_finite())) {
+        return unusable(format!("must be finite numbers from 0, found {weight}"));
+    }
     let total: f64 = weights.iter().sum();
-    let usable = weights.len() == values.len() && weights.iter().all(|w| *w >= 0.0) && total > 0.0 && total.is_finite();
-    if !usable {
-        return Err((".choice.weights", "must be one number a value, none negative, not all 0".to_owned()));
+    if !(total > 0.0 && total.is_finite()) {
+        return unusable(format!("must add up to a finite number above 0, found a sum of {}", short(total)));
     }
     Ok(Marginal::Choice { values, shares: weights.iter().map(|weight| weight / total).collect() })
 }

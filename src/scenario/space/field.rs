@@ -166,7 +166,9 @@ impl Field {
         }
         let index: usize = index.parse().map_err(|_| unknown())?;
         let count = base.vehicles.len();
-        let vehicle = base.vehicles.get(index).ok_or_else(|| format!("the base scenario has {count} vehicles"))?;
+        let vehicle = base.vehicles.get(index).ok_or_else(|| {
+            format!("there is no vehicles[{index}]: the base scenario has {count} vehicles, counted from 0")
+        })?;
         if let Some((_, unit, access)) = VEHICLE_NUMBERS.iter().find(|(known, ..)| *known == rest) {
             return Ok(Self::number(Target::Vehicle(Some(index), *access), unit, path));
         }

@@ -119,6 +119,12 @@ impl Parameter {
         matches!(self.target, Target::Class(_))
     }
 
+    /// The value at a coordinate from 0 to 1, on the parameter's own scale: even over the range, or over its logarithm.
+    #[must_use]
+    pub fn value(&self, coordinate: f64) -> f64 {
+        self.marginal.value(coordinate)
+    }
+
     /// Where in [0, 1] a value lies.
     #[must_use]
     pub fn coordinate(&self, value: f64) -> f64 {
@@ -223,6 +229,17 @@ impl Space {
     /// None: [`Space::new`] has checked all points. The error is passed on rather than hidden.
     pub fn at(&self, point: &[f64]) -> Result<Scenario, InvalidField> {
         self.scenario(&self.values(point))
+    }
+
+    /// The scenario at a point, with noise of its own.
+    ///
+    /// # Errors
+    /// None, as for [`Space::at`].
+    pub fn at_with_noise(&self, point: &[f64], seed: u64) -> Result<Scenario, InvalidField> {
+        let mut spec = self.filled(&self.values(point));
+        // A TOML file cannot hold more.
+        spec.seed = seed & i64::MAX as u64;
+        Scenario::new(spec)
     }
 
     /// The point below which shares `uniform` of the distribution lie, coordinate by coordinate.

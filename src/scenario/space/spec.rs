@@ -107,7 +107,7 @@ pub struct Choice {
 
 /// A value of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged, expecting = "a number, `light` or `heavy`")]
+#[serde(untagged, expecting = "must be a number, `light` or `heavy`")]
 pub enum Value {
     /// A number in the field's unit.
     Number(f64),

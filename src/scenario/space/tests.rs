@@ -142,11 +142,17 @@ fn mistakes_name_line_and_field() {
     for (parameters, expected) in [
         (
             gap.replace("low = 1", "low = -1"),
-            "s.toml:8: parameters[0].distribution: vehicles1gapm = -1: vehicles[1].position_m",
+            "s.toml:8: parameters[0].distribution: with vehicles1gapm = -1 the scenario is invalid: vehicles[1].position_m",
         ),
-        (gap.replace("\"m\"", "\"ft\""), "s.toml:7: parameters[0].unit: the unit of `vehicles[1].gap_m` is `m`"),
+        (
+            gap.replace("\"m\"", "\"ft\""),
+            "s.toml:7: parameters[0].unit: the unit of `vehicles[1].gap_m` is `m`, found `ft`",
+        ),
         (gap.replace("gap_m", "gap"), "s.toml:6: parameters[0].field: there is no field `vehicles[1].gap`"),
-        (gap.replace("s[1]", "s[9]"), "s.toml:6: parameters[0].field: the base scenario has 3 vehicles"),
+        (
+            gap.replace("s[1]", "s[9]"),
+            "s.toml:6: parameters[0].field: there is no vehicles[9]: the base scenario has 3 vehicles",
+        ),
         (gap.replace("high = 30", "high = 0.5"), "s.toml:8: parameters[0].distribution.uniform: low must be below"),
         (gap.replace("high = 30", "high = 10"), "s.toml:4: parameters[0].nominal: must be from 1 to 10, found 16"),
         (gap.replace("high", "hihg"), "s.toml:8: parameters[0].distribution.uniform.hihg: unknown field `hihg`"),

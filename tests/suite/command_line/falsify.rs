@@ -184,6 +184,97 @@ fn a_formula_is_falsified_without_a_contact() {
     let summary = objects(&output).remove(0);
     assert_eq!(summary["specification"].as_str().unwrap().replace("[0,inf]", ""), formula);
     assert!(summary["methods"][0]["best_robustness"].as_f64().is_some());
+    // The violation is what is said and ranked, and what a user replays.
+    let found = summary["counterexamples"].as_array().unwrap();
+    let robustness: Vec<f64> = found.iter().map(|one| one["robustness"].as_f64().unwrap()).collect();
+    assert!(!found.is_empty() && robustness.is_sorted() && robustness.iter().all(|r| *r < 0.0), "{robustness:?}");
+    for one in found {
+        assert!(one["kind"].as_str().unwrap().starts_with("the formula is violated"), "{one}");
+        let file = format!("crumple-campaign/{}", one["file"].as_str().unwrap());
+        assert!(file.ends_with("-violation.toml"));
+        let replay = |spec: &str, expectation: &str| {
+            let arguments = ["simulate", &file, "--controller", "match-leader", "--format", "json"];
+            crumple(folder.path(), &[&arguments[..], &["--spec", spec, "--expect", expectation]].concat())
+        };
+        let replayed = replay(formula, "violated");
+        assert_eq!(code(&replayed), 0, "{}", stderr(&replayed));
+        let judged = &objects(&replayed)[0]["specifications"][0];
+        assert_eq!((&judged["satisfied"], &judged["robustness"]), (&false.into(), &one["robustness"]));
+        assert_eq!(code(&replay(formula, "satisfied")), 1);
+        assert_eq!(code(&replay("always v1.speed_mps >= 0", "satisfied")), 0);
+    }
+}
+
+#[test]
+fn the_front_of_severity_and_likelihood_is_shown() {
+    let folder = folder();
+    let campaign = |aim: &str, out: &str| {
+        let arguments =
+            ["falsify", "--controller", "baseline", "--space", "paper", "--budget", "60", "--format", "json"];
+        let output = crumple(folder.path(), &[&arguments[..], &["--aim", aim, "--out", out]].concat());
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        objects(&output).remove(0)
+    };
+    let summary = campaign("severest", "severest");
+    let column = |name: &str| -> Vec<f64> {
+        summary["front"].as_array().unwrap().iter().map(|point| point[name].as_f64().unwrap()).collect()
+    };
+    let (robustness, likelihood) = (column("robustness"), column("ln_likelihood"));
+    assert!(robustness.len() > 1 && robustness.is_sorted() && likelihood.is_sorted(), "{robustness:?} {likelihood:?}");
+    let text = fs::read_to_string(folder.path().join("severest/summary.txt")).unwrap();
+    assert!(text.contains("severity against likelihood:"), "{text}");
+    let likeliest = |summary: &Value| summary["front"].as_array().unwrap().last().unwrap()["ln_likelihood"].as_f64();
+    let aimed = campaign("likeliest", "likeliest");
+    assert_eq!(aimed["aim"], "likeliest");
+    assert!(likeliest(&aimed) > likeliest(&summary), "{:?} {:?}", likeliest(&aimed), likeliest(&summary));
+}
+
+#[test]
+#[cfg(unix)]
+fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so() {
+    let folder = folder();
+    let arguments = ["falsify", "--controller", "policy", "--budget", "50000", "--out", "busy", "--resume"];
+    let journal = folder.path().join("busy/evaluations.journal");
+    let child = command(folder.path(), &arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    while fs::metadata(&journal).map_or(0, |data| data.len()) < 10_000 {
+        sleep(Duration::from_millis(20));
+    }
+    let second = crumple(folder.path(), &arguments);
+    assert_eq!(code(&second), 2);
+    assert!(stderr(&second).contains("busy: another process works on the campaign there"), "{}", stderr(&second));
+    let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(interrupt.success());
+    let ended = child.wait_with_output().unwrap();
+    assert_eq!(ended.status.code(), Some(130));
+    let said = String::from_utf8(ended.stderr).unwrap();
+    assert!(said.contains("interrupted: every evaluation is kept in busy: the same command with --resume"), "{said}");
+    let mut bytes = fs::read(&journal).unwrap();
+    bytes[1000] ^= 1;
+    fs::write(&journal, bytes).unwrap();
+    let damaged = crumple(folder.path(), &arguments);
+    assert_eq!(code(&damaged), 2);
+    assert!(stderr(&damaged).contains("busy/evaluations.journal: record 26 is damaged"), "{}", stderr(&damaged));
+}
+
+#[test]
+fn a_campaign_in_another_space_says_what_differs() {
+    let folder = folder();
+    let good = include_str!("../../../src/scenario/space/built_in/paper.toml");
+    let campaign = |more: &[&str]| {
+        let arguments = ["falsify", "--controller", "idm", "--space", "own.toml", "--budget", "5"];
+        crumple(folder.path(), &[&arguments[..], more].concat())
+    };
+    fs::write(folder.path().join("own.toml"), good).unwrap();
+    assert_eq!(code(&campaign(&[])), 0);
+    fs::write(
+        folder.path().join("own.toml"),
+        good.replace("mean = 3.0, deviation = 0.2", "mean = 3.0, deviation = 0.3"),
+    )
+    .unwrap();
+    let resumed = campaign(&["--resume"]);
+    assert_eq!(code(&resumed), 2);
+    let expected = "another `space.parameters[4].distribution.normal.deviation`: 0.2 instead of 0.3";
+    assert!(stderr(&resumed).contains(expected), "{}", stderr(&resumed));
 }
 
 #[test]
@@ -198,15 +289,17 @@ fn mistakes_are_said_before_anything_is_written() {
         assert_eq!((code(&output), stdout(&output)), (2, ""));
         stderr(&output).to_owned()
     };
-    let expected = format!("error: bad.toml:{line}: parameters[4].distribution.normal: needs a finite mean");
+    let expected =
+        format!("error: bad.toml:{line}: parameters[4].distribution.normal: deviation must be above 0, found -1");
     let found = falsify(&["--space", "bad.toml"]);
     assert!(found.starts_with(&expected), "{found}");
     assert!(falsify(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk) nor a file"));
     assert!(falsify(&["--space", "none.toml"]).contains("none.toml: No such file"));
     assert!(falsify(&["--spec", "always v1.gap_m >"]).contains("--spec: column 18"));
-    assert!(
-        falsify(&["--spec", "always v7.gap_m > 0"]).contains("there is no signal `v7.gap_m`; there are: v0.position_m")
-    );
+    let unknown = falsify(&["--spec", "always v7.gap_m > 0"]);
+    let expected = "--spec: column 8: there is no signal `v7.gap_m`; there are: v0.position_m";
+    assert!(unknown.contains(expected), "{unknown}");
+    assert!(falsify(&["--aim", "worst"]).contains("there is no aim `worst`; there are: severest, likeliest, nearest"));
     assert!(falsify(&["--method", "best"]).contains("there is no method `best`"));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "only the bad space is there");
 }
@@ -223,4 +316,7 @@ fn benchmark_counterexamples_are_files_and_are_rechecked_from_them() {
     let files = tree(&folder.path().join("cars"));
     assert!(successes >= 3 && files.len() as u64 == successes, "{successes} {:?}", files.keys());
     assert!(stderr(&output).contains(&format!("wrote {successes} counterexamples to cars; the replay confirms each")));
+    let again = crumple(folder.path(), &arguments);
+    assert_eq!(code(&again), 2);
+    assert!(stderr(&again).contains("--out: cars is not empty"), "{}", stderr(&again));
 }

@@ -87,3 +87,27 @@ fn two_controllers_are_compared_on_the_same_draws() {
     assert!(stdout(&better).contains("accepted: comparison"), "{}", stdout(&better));
     assert_eq!(code(&compare("baseline", "match-leader", "worse")), 1);
 }
+
+#[test]
+fn a_rare_failure_is_estimated_and_never_certified() {
+    let folder = folder();
+    let estimate = |more: &[&str]| {
+        let arguments = ["verify", "rate", "--controller", "match-leader", "--rare", "--samples", "100"];
+        let arguments = [&arguments[..], &["--repetitions", "5", "--seed", "4", "--out", "rare"], more].concat();
+        crumple(folder.path(), &arguments)
+    };
+    let output = estimate(&["--format", "json"]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let report = objects(&output).remove(0);
+    assert_eq!((&report["certified"], &report["samples"]), (&false.into(), &100.into()));
+    let [low, high] = [0, 1].map(|end| report["interval_95"][end].as_f64().unwrap());
+    let probability = report["probability"].as_f64().unwrap();
+    assert!(low < probability && probability < high && (0.002..0.04).contains(&probability), "{report}");
+    assert_eq!(names_in(&folder.path().join("rare")), ["rare-estimate.json"], "no certificate");
+    let written = std::fs::read_to_string(folder.path().join("rare/rare-estimate.json")).unwrap();
+    assert_eq!(written.parse::<Value>().unwrap(), report);
+    let text = estimate(&[]);
+    assert!(stdout(&text).contains("no bound and no certificate"), "{}", stdout(&text));
+    assert_eq!(code(&estimate(&["--runs", "10"])), 2, "either counted or estimated");
+    assert_eq!(code(&crumple(folder.path(), &["verify", "rate", "--controller", "idm"])), 2, "--runs is missing");
+}

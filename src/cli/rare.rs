@@ -1,0 +1,98 @@
+//! `crumple verify rate --rare`: an estimate, and how far it can be trusted.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use super::simulate::Format;
+use super::verify::{make_folder, write};
+use super::{Failure, output, progress};
+use crate::evidence::rare::{Estimate, MOST_LEVELS, RarePlan, RareReport};
+
+/// Estimates, writes the estimate to `folder` and prints it.
+pub(super) fn estimate(plan: &RarePlan, folder: &Path, format: Format, quiet: bool) -> Result<(), Failure> {
+    make_folder(folder)?;
+    let bar = progress::counter("placing levels", quiet);
+    let pilot = plan.pilot(&|runs| bar.inc(runs));
+    bar.finish_and_clear();
+    let pilot = pilot.map_err(Failure::input)?;
+    let bar = progress::bar("climbing", pilot.runs_ahead(), quiet);
+    let report = plan.report(&pilot, &|runs| bar.inc(runs));
+    bar.finish_and_clear();
+    let report = report.map_err(Failure::input)?;
+    let path = folder.join("rare-estimate.json");
+    write(&path, &report)?;
+    output::note(&format!("wrote {}", path.display()), quiet);
+    output::print(&match format {
+        Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
+        Format::Text => text(&report),
+    })
+}
+
+fn text(report: &RareReport) -> String {
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    let _ = write_text(report, &mut text);
+    text
+}
+
+fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
+    let RareReport { controller, space, estimator, seed, estimate, effort, .. } = report;
+    writeln!(out, "{controller} in `{space}`: vehicles touch, estimator {}, seed {seed}", estimator.name())?;
+    let Estimate { probability, coefficient_of_variation, interval_95, repetitions, evaluations, levels } = estimate;
+    match (probability, coefficient_of_variation, interval_95) {
+        (None, ..) if levels.len() == MOST_LEVELS => {
+            writeln!(
+                out,
+                "  no failure after {MOST_LEVELS} levels: no estimate; if there are failures, they are very rare"
+            )?;
+        }
+        (None, ..) => {
+            writeln!(out, "  no failure, and nowhere further to climb: no estimate, and no proof that there is none")?;
+        }
+        (Some(probability), Some(variation), Some([low, high])) => {
+            writeln!(out, "  probability of a failure {probability:.3e}, coefficient of variation {variation:.2}")?;
+            writeln!(
+                out,
+                "  95 % interval {low:.2e} to {high:.2e}, from the spread of {} repetitions",
+                repetitions.len()
+            )?;
+        }
+        (Some(_), ..) => {
+            writeln!(
+                out,
+                "  none of {} repetitions reached a failure: estimate 0; use more --samples",
+                repetitions.len()
+            )?;
+        }
+    }
+    let died = repetitions.iter().filter(|estimate| **estimate == 0.0).count();
+    if died > 0 && died < repetitions.len() {
+        writeln!(
+            out,
+            "  {died} of {} repetitions died out and count as 0; more --samples would help",
+            repetitions.len()
+        )?;
+    }
+    writeln!(out, "  an estimate by multilevel splitting, no bound and no certificate; {evaluations} runs")?;
+    writeln!(
+        out,
+        "\n  {:>14} {:>13} {:>9} {:>7} {:>11}",
+        "smallest gap", "probability", "share", "step", "acceptance"
+    )?;
+    for level in levels {
+        let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+        let gap = if level.step.is_none() { "contact".to_owned() } else { format!("<= {:.3} m", level.margin) };
+        writeln!(
+            out,
+            "  {gap:>14} {:>13.3e} {:>8.1} % {:>6} {:>11}",
+            level.probability,
+            100.0 * level.share,
+            number(level.step),
+            number(level.acceptance)
+        )?;
+    }
+    if levels.len() == 1 && probability.is_some() {
+        writeln!(out, "  not rare: a single level, {} runs counted as they are", effort.samples * effort.repetitions)?;
+    }
+    Ok(())
+}

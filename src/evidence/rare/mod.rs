@@ -1,0 +1,85 @@
+//! How rare a failure is that plain sampling does not see: multilevel splitting.
+//!
+//! A failure of probability 10⁻⁷ would take a thousand million runs to be counted. Splitting climbs to it instead (Kahn and
+//! Harris, 1951; Au and Beck, Estimation of small failure probabilities by subset simulation, 2001). With a margin g that is
+//! negative where the run fails, and levels t₁ > t₂ > … > t_m with the failure itself as the last one,
+//!
+//! ```text
+//! P(g < 0) = P(g ≤ t₁) · P(g ≤ t₂ | g ≤ t₁) · … · P(g < 0 | g ≤ t_{m-1}),
+//! ```
+//!
+//! and each factor is large enough to be counted. Runs that pass a level are multiplied to as many as there were, and each
+//! is moved on by a Markov chain that leaves the distribution below the level as it is.
+//!
+//! # What the figure is
+//!
+//! A pilot places the levels and sets the steps of the chains. It is then thrown away: the estimate is the mean over
+//! *repetitions*, independent populations that climb the same levels with the same steps. With levels and chains fixed in
+//! advance the product of the shares is unbiased, however slowly the chains mix (Del Moral, Feynman-Kac formulae, 2004,
+//! theorem 7.4.2; Cérou and others, Sequential Monte Carlo for rare event estimation, 2012), and since repetitions are
+//! independent their spread says how far the mean can be trusted without any assumption on the chains. A
+//! repetition that dies out counts as zero.
+//!
+//! It is an estimate. Importance enters the choice of what is run, so none of these runs may be counted for a
+//! certificate, and none is: [`Plan`](super::Plan) has no way to take them in. If failures have several causes, of which
+//! the likeliest is hard to climb to, few repetitions see it: then the estimate is far too low, and the spread with it, more
+//! often than the interval says. Sampling noise of the sensors is redrawn from time to time, not climbed: a failure that
+//! noise alone decides is found no sooner than by counting.
+
+mod driving;
+mod splitting;
+#[cfg(test)]
+mod tests;
+
+use serde::Serialize;
+
+pub use driving::{RareError, RarePlan, RareReport};
+pub use splitting::{MOST_LEVELS, Problem, Splitting, State};
+
+/// How much work goes into an estimate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Effort {
+    /// Runs of a population, at least 50.
+    pub samples: usize,
+    /// Independent populations, at least 5.
+    pub repetitions: usize,
+}
+
+impl Default for Effort {
+    fn default() -> Self {
+        Self { samples: 500, repetitions: 20 }
+    }
+}
+
+/// A level and what came of it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Level {
+    /// Runs pass whose margin is at most this, in metres for contacts; the last level is the failure itself, at 0.
+    #[serde(rename = "smallest_gap_m")]
+    pub margin: f64,
+    /// Probability to get here: mean over the repetitions.
+    pub probability: f64,
+    /// Share of the runs that passed, of those that were at the level before: mean over the repetitions that were.
+    pub share: f64,
+    /// Step of the chains below this level, from 0 (no move) to 1 (a new draw); none below the last one.
+    pub step: Option<f64>,
+    /// Share of moves that were accepted there.
+    pub acceptance: Option<f64>,
+}
+
+/// What splitting found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Estimate {
+    /// The probability of a failure; none if the pilot did not reach it.
+    pub probability: Option<f64>,
+    /// Standard deviation of that mean, relative to it; none if it is zero.
+    pub coefficient_of_variation: Option<f64>,
+    /// An interval at 95 % for the probability, if there is an estimate above 0: Student's, on a logarithmic scale.
+    pub interval_95: Option<[f64; 2]>,
+    /// What each repetition says. The mean of these is the estimate.
+    pub repetitions: Vec<f64>,
+    /// Runs made, those of the pilot included.
+    pub evaluations: u64,
+    /// The levels; where the failure was not reached, those that were, as the pilot saw them.
+    pub levels: Vec<Level>,
+}

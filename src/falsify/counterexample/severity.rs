@@ -1,0 +1,60 @@
+//! How bad a failure is.
+
+use std::cmp::Ordering;
+
+/// The severity of a failure, by which counterexamples are listed.
+///
+/// Where contact is what must not happen, three figures count, in this order and to whole numbers, since a difference below
+/// 1 m/s is none: the impact speed of the first contact, the largest change of speed that any one vehicle suffers when the
+/// run goes on, and how many vehicles are involved in the end. What is equal in all three goes by its exact impact speed.
+/// Where a formula must hold, how far it is violated comes before all of these.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Severity {
+    /// Negative robustness, where a formula is what must hold.
+    pub(super) violation: Option<f64>,
+    pub(super) impact_speed_mps: f64,
+    pub(super) max_delta_v_mps: f64,
+    pub(super) vehicles_involved: usize,
+}
+
+impl Severity {
+    /// Which of two is the severer one.
+    pub(super) fn compare(&self, other: &Self) -> Ordering {
+        let violation = |one: &Self| one.violation.unwrap_or(0.0);
+        let whole = |one: &Self| (one.impact_speed_mps.round(), one.max_delta_v_mps.round());
+        let ((speed, delta_v), (other_speed, other_delta_v)) = (whole(self), whole(other));
+        violation(self)
+            .total_cmp(&violation(other))
+            .then(speed.total_cmp(&other_speed))
+            .then(delta_v.total_cmp(&other_delta_v))
+            .then(self.vehicles_involved.cmp(&other.vehicles_involved))
+            .then(self.impact_speed_mps.total_cmp(&other.impact_speed_mps))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_figure_decides_where_those_before_it_are_alike() {
+        let contact = |impact_speed_mps, max_delta_v_mps, vehicles_involved| Severity {
+            violation: None,
+            impact_speed_mps,
+            max_delta_v_mps,
+            vehicles_involved,
+        };
+        let formula = |violation| Severity { violation: Some(violation), ..contact(1.0, 1.0, 2) };
+        let mildest_first = [
+            contact(9.2, 14.0, 4),
+            contact(10.4, 3.0, 2),
+            contact(9.8, 5.2, 2),
+            contact(10.1, 4.9, 2),
+            contact(9.9, 5.1, 3),
+            contact(10.6, 0.0, 2),
+        ];
+        assert!(mildest_first.is_sorted_by(|a, b| a.compare(b) == Ordering::Less));
+        assert_eq!(formula(0.2).compare(&formula(0.1)), Ordering::Greater);
+        assert_eq!(formula(0.1).compare(&Severity { impact_speed_mps: 9.0, ..formula(0.1) }), Ordering::Less);
+    }
+}
