@@ -22,6 +22,7 @@ mod cube;
 mod edge;
 mod halton;
 mod method;
+mod sequential;
 mod shape;
 mod signals;
 mod surrogate;
