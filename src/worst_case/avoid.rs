@@ -27,10 +27,25 @@ pub enum EscapeKind {
     /// The one with the largest smallest gap
     #[default]
     LargestGap,
-    /// The one with the least ∫ a² that keeps half that gap, for the same firing of the brake behind
+    /// The one with the least ∫ a² that keeps half that gap, if the brake behind fires no later than for that: of all
+    /// escapes with that firing, not of those with another, which may be gentler
     Gentlest,
-    /// Likewise the one whose acceleration changes least
+    /// Likewise the one whose acceleration changes least, of all escapes with that firing
     LeastJerk,
+}
+
+impl EscapeKind {
+    /// In what sense the escape is the best, in words.
+    #[must_use]
+    pub fn is_best_for(self) -> &'static str {
+        match self {
+            Self::LargestGap => "the largest smallest gap, whenever the brake behind fires",
+            Self::Gentlest => "the gentlest that keeps half the largest gap, for this firing of the brake behind only",
+            Self::LeastJerk => {
+                "the smoothest that keeps half the largest gap, for this firing of the brake behind only"
+            }
+        }
+    }
 }
 
 /// Why a search cannot begin.
@@ -143,7 +158,8 @@ type Conclusion = (Verdict, Option<f64>);
 fn found(situation: &Situation, search: &Search<'_>, (verdict, best_min_gap_m): Conclusion) -> Avoidance {
     let bound_m = search.bound_m().min(situation.first_gap_m(Side::Loose));
     // Noise may take anybody beyond what was computed without it.
-    let min_gap_bound_m = (bound_m > 0.0 && situation.proof_caveat.is_none()).then_some(bound_m);
+    let is_noisy = matches!(situation.proof_caveat, Some(Reason::Noise { .. }));
+    let min_gap_bound_m = (bound_m > 0.0 && !is_noisy).then_some(bound_m);
     Avoidance { verdict, best_min_gap_m, min_gap_bound_m, programs: search.programs }
 }
 

@@ -94,9 +94,7 @@ impl<'a> Search<'a> {
 
     /// Solves one program and learns from it.
     fn solve(&mut self, grid: &Grid, firing: usize) {
-        self.programs += 1;
-        let wanted = Wanted { objective: Objective::LargestGap, side: Side::Tight };
-        match program::solve(self.situation, grid, firing, wanted) {
+        match self.answer(grid, firing, Side::Tight) {
             Answer::Profile { gap_m, acceleration_mps2, multipliers } => {
                 self.cut(multipliers);
                 if self.best.as_ref().is_none_or(|best| gap_m > best.gap_m) {
@@ -106,6 +104,18 @@ impl<'a> Search<'a> {
             Answer::Empty(multipliers) => self.cut(multipliers),
             Answer::Trouble(status) => self.trouble = Some(status),
         }
+        // That no profile is an escape from all of a box does not say that some member has none: that is another program.
+        if self.situation.is_box && self.best.as_ref().is_none_or(|best| best.gap_m <= 0.0) {
+            match self.answer(grid, firing, Side::Loose) {
+                Answer::Profile { multipliers, .. } | Answer::Empty(multipliers) => self.cut(multipliers),
+                Answer::Trouble(status) => self.trouble = Some(status),
+            }
+        }
+    }
+
+    fn answer(&mut self, grid: &Grid, firing: usize, side: Side) -> Answer {
+        self.programs += 1;
+        program::solve(self.situation, grid, firing, Wanted { objective: Objective::LargestGap, side })
     }
 
     /// The same escape made smoother: for its firing, with half its smallest gap kept.

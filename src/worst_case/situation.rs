@@ -6,6 +6,7 @@
 //! lower bound, which escapes use ([`Side::Tight`]).
 
 use crumple_verify::Interval;
+use crumple_verify::claim::MOST_EGOS;
 
 use super::family::Family;
 use super::reason::Reason;
@@ -75,6 +76,8 @@ pub(super) struct Situation {
     pub(super) leader: Leader,
     pub(super) egos: Vec<Ego>,
     pub(super) follower: Option<Follower>,
+    /// Whether it stands for more than one scenario.
+    pub(super) is_box: bool,
     /// Why an escape that was found may be none; the replay decides where it can.
     pub(super) escape_caveat: Option<Reason>,
     /// Why a proof would not be about this scenario.
@@ -117,6 +120,9 @@ impl Situation {
             under_test().find(|(_, v)| has_lag(v)).map(|(vehicle, _)| Reason::EgoResponse { vehicle });
         let mut proof_caveat =
             under_test().find(|(_, v)| v.acceleration_noise_mps2 > 0.0).map(|(vehicle, _)| Reason::Noise { vehicle });
+        if last_ego > MOST_EGOS {
+            proof_caveat.get_or_insert(Reason::TooManyVehicles { egos: last_ego, most: MOST_EGOS });
+        }
         let behind = last_ego + 1;
         let mut follower = None;
         if let Some(vehicle) = vehicles.get(behind) {
@@ -148,6 +154,7 @@ impl Situation {
             leader: Leader::new(low, high),
             egos,
             follower,
+            is_box: !family.is_point(),
             escape_caveat,
             proof_caveat,
         })

@@ -244,6 +244,17 @@ fn a_box_is_decided_as_a_whole() {
     let hopeless = Family::new(&wall, &ranges(0.0, 3.0)).unwrap();
     let Verdict::Unavoidable(proof) = avoid_all(&hopeless, AvoidOptions::default()).unwrap().verdict else { panic!() };
     check(&proof);
+    // Nor at any of many speeds, fast or slow.
+    let speeds = |low, high| Ranges {
+        version: 1,
+        ranges: vec![FieldRange { field: "vehicles[1].speed_mps".into(), low, high }],
+    };
+    let wide = Family::new(&wall, &speeds(18.0, 40.0)).unwrap();
+    let Verdict::Unavoidable(proof) = avoid_all(&wide, AvoidOptions::default()).unwrap().verdict else { panic!() };
+    check(&proof);
+    // At 10 m/s it stops.
+    let partly = Family::new(&wall, &speeds(10.0, 40.0)).unwrap();
+    assert!(matches!(avoid_all(&partly, AvoidOptions::default()).unwrap().verdict, Verdict::Undecided(_)));
     let bad = Ranges { version: 1, ranges: vec![FieldRange { field: "seed".into(), low: 0.0, high: 1.0 }] };
     assert!(Family::new(&paper_1, &bad).is_err());
 }
