@@ -60,8 +60,9 @@ struct Share {
 /// - *Exploration* draws simple points, some of them screened, and halves segments towards the edges of plateaus (`edge`).
 ///   Where no two values are equal there is no plateau, and the climbs of `signals` take that share.
 ///
-/// Where the problem has a leader, its script is made worse beside all that, by sequential convex programming from the best
-/// point (`sequential`), whenever the best value has notably fallen since that was last done.
+/// Where the problem has a leader, its script is made worse beside all that once the first descent is over, by sequential
+/// convex programming from the best point (`sequential`), whenever the best value has notably fallen since that was last
+/// done.
 ///
 /// After the k-th descent exploration lasts k times as long as the descent did, up to three times: the first descents decide
 /// easy problems soon, and on deceptive slopes their share of the budget falls.
@@ -285,7 +286,10 @@ impl Search for Auto {
             self.descent = Some(descent);
             self.ask_share(BESIDE_DESCENT);
         }
-        self.asked.extend(self.lead.ask(&self.cube).into_iter().map(Asked::Lead));
+        // Not before the first descent has met its plateau: easy problems are decided by then.
+        if self.descents > 1 || self.exploration_left > 0 {
+            self.asked.extend(self.lead.ask(&self.cube).into_iter().map(Asked::Lead));
+        }
         let point = |asked: &Asked| match asked {
             Asked::Simple(point) | Asked::Screened(point) => point.clone(),
             Asked::Descent(point) | Asked::Lead(point) => point.clone(),

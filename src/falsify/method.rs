@@ -90,9 +90,7 @@ impl Method {
             Self::CrossEntropy => "cross-entropy with independent normal coordinates",
             Self::Annealing => "simulated annealing",
             Self::Signals => "signals of few pieces with bang-bang moves",
-            Self::Sequential => {
-                "sequential convex programming on how the leader brakes, from the best of a Halton sequence"
-            }
+            Self::Sequential => "sequential convex programming on how the leader brakes, from the best simple points",
             Self::Auto => "a portfolio of simple inputs, screened descents and edges of plateaus",
         }
     }

@@ -5,9 +5,10 @@
 //! worse by the same steps (`worst_case::Descent`). Every finite difference and every step is a point that is asked for, so
 //! that it counts as the evaluation it is, and a search that is resumed takes the same steps.
 
-use super::halton::Halton;
 use super::method::rankable;
+use super::shape::simple_point;
 use super::{Cube, Search};
+use crate::random::{Purpose, Stream, stream};
 use crate::worst_case::{Descent, Limits, Pace};
 
 /// Change of a coordinate for a finite difference, and the trust region at first and where a descent gives up, as shares of
@@ -64,18 +65,16 @@ impl LeadDescent {
     }
 }
 
-/// Points of a Halton sequence tried before the first descent, and between one descent and the next.
+/// Simple points tried before the first descent, and between one descent and the next.
 const EXPLORED: usize = 16;
 /// Starts kept for later.
 const MOST_STARTS: usize = 200;
 
-/// Descents from the best points of a Halton sequence.
+/// Descents from the best of many simple points.
 #[derive(Debug)]
 pub(super) struct Sequential {
     cube: Cube,
-    halton: Halton,
-    /// Points of the sequence that were not asked for yet, latest first.
-    fresh: Vec<Vec<f64>>,
+    random: Stream,
     starts: Vec<(f64, Vec<f64>)>,
     descent: Option<LeadDescent>,
     /// Points asked for to explore; none if they are the descent's.
@@ -84,18 +83,8 @@ pub(super) struct Sequential {
 
 impl Sequential {
     pub(super) fn new(cube: &Cube, seed: u64) -> Self {
-        let halton = Halton::new(cube, seed);
-        Self { cube: cube.clone(), halton, fresh: Vec::new(), starts: Vec::new(), descent: None, explored: Vec::new() }
-    }
-
-    fn explore(&mut self) -> Vec<Vec<f64>> {
-        while self.fresh.len() < EXPLORED {
-            let mut later = self.halton.ask();
-            later.reverse();
-            later.append(&mut self.fresh);
-            self.fresh = later;
-        }
-        (0..EXPLORED).filter_map(|_| self.fresh.pop()).collect()
+        let random = stream(seed, Purpose::Search, 0);
+        Self { cube: cube.clone(), random, starts: Vec::new(), descent: None, explored: Vec::new() }
     }
 }
 
@@ -109,7 +98,7 @@ impl Search for Sequential {
             }
             self.descent = None;
         }
-        self.explored = self.explore();
+        self.explored = (0..EXPLORED).map(|_| simple_point(&self.cube, &mut self.random)).collect();
         self.explored.clone()
     }
 

@@ -111,6 +111,10 @@ impl Verdict {
 const MOST_FINE: usize = 64;
 /// Most programs on each coarser one.
 const MOST_COARSE: usize = 64;
+/// Firings that their own program on the finest grid neither escapes nor closes, after which the search gives up. One of
+/// them already rules out a proof, which has to close every firing; the next most promising ones may still hold an escape,
+/// but a program there takes a third of a second, and where an ego answers late none of the firings may ever close.
+const MOST_OPEN_ENDS: usize = 8;
 
 /// Decides whether the vehicles under test could have avoided a collision, and by how much.
 ///
@@ -138,7 +142,8 @@ pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, Av
     let mut undecided = None;
     for (index, &cell) in cells.iter().enumerate() {
         let is_last = index + 1 == cells.len();
-        search.explore(&Grid::new(&situation, cell), if is_last { MOST_FINE } else { MOST_COARSE });
+        let (most, open_ends) = if is_last { (MOST_FINE, MOST_OPEN_ENDS) } else { (MOST_COARSE, MOST_COARSE) };
+        search.explore(&Grid::new(&situation, cell), most, open_ends);
         if index < first && search.bound_m() >= 0.0 {
             continue;
         }

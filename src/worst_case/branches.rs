@@ -62,13 +62,19 @@ impl<'a> Search<'a> {
         self.bounds_m.iter().copied().fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// Solves programs on a grid until no firing promises more than what was found, or `most` have been solved.
-    pub(super) fn explore(&mut self, grid: &Grid, most: usize) {
+    /// Solves programs on a grid until no firing promises more than what was found, `most` have been solved, or `open_ends` of
+    /// them have left their own firing open without an escape.
+    pub(super) fn explore(&mut self, grid: &Grid, most: usize, mut open_ends: usize) {
         self.solved.fill(false);
         for _ in 0..most {
             let Some(firing) = self.most_promising(self.floor_m()) else { return };
             self.solved[firing] = true;
             self.solve(grid, firing);
+            let escapes = self.best.as_ref().is_some_and(|best| best.gap_m > 0.0);
+            open_ends -= usize::from(!escapes && self.bounds_m[firing] >= 0.0);
+            if open_ends == 0 {
+                return;
+            }
         }
     }
 

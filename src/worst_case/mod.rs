@@ -28,6 +28,7 @@ mod lead;
 mod multipliers;
 mod program;
 mod reason;
+mod scripted;
 mod sequential;
 mod situation;
 mod witness;

@@ -278,3 +278,20 @@ fn what_is_not_modelled_is_undecided_or_still_proved() {
     assert_eq!(reason(&|s| (s.vehicles[0].speed_mps, s.vehicles[1].actuator_lag_s) = (0.0, 0.2)), None);
     assert_eq!(reason(&|s| s.vehicles[0].acceleration_noise_mps2 = 0.01), None);
 }
+
+/// A certificate has room for sixteen.
+#[test]
+fn too_many_vehicles_are_said_to_be() {
+    let paper_3 = built_in("paper-3").unwrap();
+    let crowd = paper_3.edited(|spec| {
+        let ego = spec.vehicles[1].clone();
+        spec.vehicles.truncate(2);
+        spec.vehicles[0].speed_mps = 0.0;
+        for index in 1..17 {
+            let position_m = ego.position_m - 20.0 * f64::from(index);
+            spec.vehicles.push(crumple::scenario::VehicleSpec { position_m, ..ego.clone() });
+        }
+    });
+    let avoidance = decide(&crowd.unwrap());
+    assert_eq!(avoidance.verdict, Verdict::Undecided(Reason::TooManyVehicles { egos: 17, most: 16 }));
+}
