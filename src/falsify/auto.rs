@@ -224,8 +224,10 @@ impl Lead {
             return Vec::new();
         }
         let asked = self.descent.as_mut().map(LeadDescent::ask).unwrap_or_default();
-        let Some((best, point)) = self.best.as_ref().filter(|_| asked.is_empty()) else { return asked };
-        if self.begun_at.is_some_and(|begun_at| !(*best < begun_at - GAIN * begun_at.abs())) {
+        let can_begin = |(best, _): &&(f64, Vec<f64>)| asked.is_empty() && best.is_finite();
+        let Some((best, point)) = self.best.as_ref().filter(can_begin) else { return asked };
+        let has_fallen = self.begun_at.is_none_or(|begun_at| *best < begun_at - GAIN * begun_at.abs());
+        if !has_fallen {
             return asked;
         }
         self.begun_at = Some(*best);
