@@ -1,16 +1,15 @@
 //! `crumple avoid`: could anyone have avoided it?
 
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
 
+use super::finding::Finding;
 use super::output::{self, Files};
-use super::simulate::{self, Format};
 use super::{Failure, subject};
 use crate::scenario::{Scenario, file};
-use crate::sim::Simulated;
 use crate::worst_case::{
     AvoidOptions, Avoidance, Escape, EscapeKind, Family, Ranges, Reason, Verdict, avoid_all, certify,
 };
@@ -46,21 +45,15 @@ pub(super) struct Avoid {
     /// Hold the accelerations of an escape for S seconds, a multiple of the scenario's step; default about 0.1
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     grid: Option<f64>,
-    /// Which escape to show; the verdict does not depend on it
+    /// Which escape to show; the verdict does not depend on it. Only the largest gap is optimal over all firings of the
+    /// brake behind
     #[arg(long, value_enum, default_value = "largest-gap")]
     escape: EscapeKind,
     /// Write what `crumple check` accepts: the escape or the proof
     #[arg(long, value_name = "F.json")]
     certificate: Option<PathBuf>,
-    /// Write the escape as a scenario that `crumple simulate` runs without contact
-    #[arg(long, value_name = "F.toml")]
-    out: Option<PathBuf>,
-    /// Draw the escape
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]))]
-    plot: Option<PathBuf>,
-    /// How to print
-    #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    #[command(flatten)]
+    finding: Finding,
 }
 
 /// What `--format json` prints.
@@ -73,6 +66,7 @@ struct Report<'a> {
     min_gap_bound_m: Option<f64>,
     trigger_time_s: Option<f64>,
     effort_m2ps3: Option<f64>,
+    escape_is_best_for: Option<&'static str>,
     programs: usize,
     reason: Option<&'a Reason>,
 }
@@ -85,18 +79,13 @@ impl Avoid {
         let mut files = Files::default();
         self.write_certificate(&family, &avoidance, &mut files, quiet)?;
         match avoidance.verdict.escape() {
-            Some(escape) => self.write_escape(escape, &mut files)?,
-            None if self.out.is_some() || self.plot.is_some() => {
-                output::note("note: there is no escape to write or draw", quiet);
+            Some(escape) => {
+                self.finding.write(&escape.scenario, "escape", &mut files, || subject::replay(&escape.scenario))?;
             }
-            None => {}
+            None => self.finding.note_nothing("there is no escape", quiet),
         }
         files.commit()?;
-        let report = report(family.centre(), &avoidance);
-        output::print(&match self.format {
-            Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
-            Format::Text => describe(&report),
-        })
+        self.finding.print(&self.report(family.centre(), &avoidance), describe)
     }
 
     fn family(&self) -> Result<Family, Failure> {
@@ -130,41 +119,24 @@ impl Avoid {
         }
     }
 
-    fn write_escape(&self, escape: &Escape, files: &mut Files) -> Result<(), Failure> {
-        if let Some(path) = &self.out {
-            files.stage(path, file::to_toml(&escape.scenario).map_err(Failure::input)?.as_bytes())?;
+    fn report<'a>(&self, scenario: &'a Scenario, avoidance: &'a Avoidance) -> Report<'a> {
+        let escape = avoidance.verdict.escape();
+        let reason = match &avoidance.verdict {
+            Verdict::Undecided(reason) => Some(reason),
+            Verdict::Avoidable(_) | Verdict::Unavoidable(_) => None,
+        };
+        Report {
+            scenario: &scenario.spec().name,
+            verdict: avoidance.verdict.name(),
+            best_min_gap_m: avoidance.best_min_gap_m,
+            escape_min_gap_m: escape.map(|escape| escape.min_gap_m),
+            min_gap_bound_m: avoidance.min_gap_bound_m,
+            trigger_time_s: escape.and_then(|escape| escape.trigger_time_s),
+            effort_m2ps3: escape.map(Escape::effort_m2ps3),
+            escape_is_best_for: escape.map(|_| self.escape.is_best_for()),
+            programs: avoidance.programs,
+            reason,
         }
-        if let Some(path) = &self.plot {
-            files.stage(path, &picture(path, &escape.scenario, "escape", &subject::replay(&escape.scenario)?)?)?;
-        }
-        Ok(())
-    }
-}
-
-/// The three diagrams of a run.
-pub(super) fn picture(path: &Path, scenario: &Scenario, driver: &str, run: &Simulated) -> Result<Vec<u8>, Failure> {
-    match &run.trace {
-        Some(trace) => simulate::picture(path, scenario, driver, trace, &run.impacts),
-        None => Ok(Vec::new()),
-    }
-}
-
-fn report<'a>(scenario: &'a Scenario, avoidance: &'a Avoidance) -> Report<'a> {
-    let escape = avoidance.verdict.escape();
-    let reason = match &avoidance.verdict {
-        Verdict::Undecided(reason) => Some(reason),
-        Verdict::Avoidable(_) | Verdict::Unavoidable(_) => None,
-    };
-    Report {
-        scenario: &scenario.spec().name,
-        verdict: avoidance.verdict.name(),
-        best_min_gap_m: avoidance.best_min_gap_m,
-        escape_min_gap_m: escape.map(|escape| escape.min_gap_m),
-        min_gap_bound_m: avoidance.min_gap_bound_m,
-        trigger_time_s: escape.and_then(|escape| escape.trigger_time_s),
-        effort_m2ps3: escape.map(Escape::effort_m2ps3),
-        programs: avoidance.programs,
-        reason,
     }
 }
 
@@ -184,6 +156,9 @@ fn describe(report: &Report<'_>) -> String {
         }
         (None, Some(_)) => text.push_str("  no emergency brake behind fires\n"),
         (None, None) => {}
+    }
+    if let (Some(best_for), Some(effort)) = (report.escape_is_best_for, report.effort_m2ps3) {
+        let _ = writeln!(text, "  ∫a² of the escape {effort:.1} m²/s³: {best_for}");
     }
     if let Some(reason) = reason {
         let _ = writeln!(text, "  {reason}");

@@ -6,6 +6,7 @@ mod benchmark;
 mod check;
 mod failure;
 mod falsify;
+mod finding;
 mod import;
 mod interrupt;
 mod list;
@@ -22,7 +23,7 @@ mod worst_case;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 pub use failure::Failure;
 
@@ -62,7 +63,9 @@ enum Command {
 
 /// Runs the command line with given arguments, the program's name first.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let arguments = match Arguments::try_parse_from(arguments) {
+    let command = Arguments::command().mut_subcommands(with_exit_codes);
+    let arguments = match command.try_get_matches_from(arguments).and_then(|found| Arguments::from_arg_matches(&found))
+    {
         Ok(arguments) => arguments,
         Err(usage) => {
             // Help and version are not errors; clap prints them to standard output.
@@ -95,12 +98,29 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     }
 }
 
+/// The same command with the exit codes at the end of its long help, and of that of its own subcommands.
+fn with_exit_codes(command: clap::Command) -> clap::Command {
+    let text =
+        command.get_after_long_help().map_or_else(|| EXIT_CODES.to_owned(), |help| format!("{help}\n\n{EXIT_CODES}"));
+    command.after_long_help(text).mut_subcommands(with_exit_codes)
+}
+
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
+    use super::*;
 
     #[test]
     fn the_command_line_is_well_formed() {
-        super::Arguments::command().debug_assert();
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn every_long_help_ends_with_the_exit_codes() {
+        fn check(command: &mut clap::Command) {
+            let help = command.render_long_help().to_string();
+            assert!(help.trim_end().ends_with("130  interrupted"), "{}: {help}", command.get_name());
+            command.get_subcommands_mut().filter(|sub| sub.get_name() != "help").for_each(check);
+        }
+        check(&mut Arguments::command().mut_subcommands(with_exit_codes));
     }
 }

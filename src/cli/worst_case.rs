@@ -1,16 +1,14 @@
 //! `crumple worst-case`: how little lead braking makes a controller collide.
 
 use std::fmt::Write;
-use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::output::{self, Files};
-use super::simulate::{self, Format};
+use super::finding::Finding;
+use super::output::Files;
 use super::{Failure, subject};
 use crate::estimate::EstimatorKind;
-use crate::scenario::file;
 use crate::sim::{Contender, Keep, Outcome, Run, RunOptions, simulate};
 use crate::worst_case::{Aim, Attack, Envelope, Way, attack};
 
@@ -48,15 +46,8 @@ pub(super) struct WorstCase {
     /// Most simulations, roughly
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     budget: u32,
-    /// Write the scenario with the profile as the leader's script
-    #[arg(long, value_name = "F.toml")]
-    out: Option<PathBuf>,
-    /// Draw what happens
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]))]
-    plot: Option<PathBuf>,
-    /// How to print
-    #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    #[command(flatten)]
+    finding: Finding,
 }
 
 /// What `--format json` prints.
@@ -88,33 +79,14 @@ impl WorstCase {
         let found = attack(&scenario, &options, self.aim, envelope, self.budget as usize).map_err(Failure::input)?;
         let mut files = Files::default();
         match &found {
-            Some(attack) => self.write(attack, &options, &mut files)?,
-            None if self.out.is_some() || self.plot.is_some() => {
-                output::note("note: no collision was found, so there is nothing to write or draw", quiet);
+            Some(attack) => {
+                let replay = || Ok(simulate(&Run::new(&attack.scenario, options)?, Keep::Trace));
+                self.finding.write(&attack.scenario, &self.controller.name, &mut files, replay)?;
             }
-            None => {}
+            None => self.finding.note_nothing("no collision was found, so there is nothing", quiet),
         }
         files.commit()?;
-        let report = self.report(&scenario.spec().name, found.as_ref());
-        output::print(&match self.format {
-            Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
-            Format::Text => describe(&report),
-        })
-    }
-
-    fn write(&self, attack: &Attack, options: &RunOptions, files: &mut Files) -> Result<(), Failure> {
-        if let Some(path) = &self.out {
-            files.stage(path, file::to_toml(&attack.scenario).map_err(Failure::input)?.as_bytes())?;
-        }
-        if let Some(path) = &self.plot {
-            let simulated = simulate(&Run::new(&attack.scenario, options.clone())?, Keep::Trace);
-            if let Some(trace) = &simulated.trace {
-                let name = &self.controller.name;
-                let picture = simulate::picture(path, &attack.scenario, name, trace, &simulated.impacts)?;
-                files.stage(path, &picture)?;
-            }
-        }
-        Ok(())
+        self.finding.print(&self.report(&scenario.spec().name, found.as_ref()), describe)
     }
 
     fn report<'a>(&'a self, scenario: &'a str, found: Option<&Attack>) -> Report<'a> {

@@ -6,6 +6,7 @@ use super::climb::{Climbs, Move};
 use super::cma_es::{FIRST_SIGMA, Run, default_population};
 use super::edge::{Plateaus, Segment};
 use super::method::rankable;
+use super::sequential::LeadDescent;
 use super::shape::simple_point;
 use super::surrogate::{Chosen, Surrogate};
 use super::{Cube, Search};
@@ -35,6 +36,8 @@ const MOST_KNOWN: usize = 150;
 const MOST_PAUSED: usize = 200;
 /// Good points kept: a long search must not fill memory, and descents start at the best few.
 const MOST_GOOD_POINTS: usize = 2000;
+/// Evaluations of everything else for each one of a descent of the leader's script.
+const BESIDE_LEAD: usize = 3;
 /// What goes along with each generation of a descent.
 const BESIDE_DESCENT: Share = Share { screened: 2, simple: 0, edges: 0 };
 /// A batch while no descent runs.
@@ -57,6 +60,10 @@ struct Share {
 /// - *Exploration* draws simple points, some of them screened, and halves segments towards the edges of plateaus (`edge`).
 ///   Where no two values are equal there is no plateau, and the climbs of `signals` take that share.
 ///
+/// Where the problem has a leader, its script is made worse beside all that once the first descent is over, by sequential
+/// convex programming from the best point (`sequential`), whenever the best value has notably fallen since that was last
+/// done.
+///
 /// After the k-th descent exploration lasts k times as long as the descent did, up to three times: the first descents decide
 /// easy problems soon, and on deceptive slopes their share of the budget falls.
 #[derive(Debug)]
@@ -78,7 +85,20 @@ pub(super) struct Auto {
     known_ever: usize,
     surrogate: Option<Surrogate>,
     metric: Chosen,
+    lead: Lead,
     asked: Vec<Asked>,
+}
+
+/// Descents of the leader's script, one after the other.
+#[derive(Debug, Default)]
+struct Lead {
+    descent: Option<LeadDescent>,
+    /// The best point so far, and its value.
+    best: Option<(f64, Vec<f64>)>,
+    /// The best value when the last one began.
+    begun_at: Option<f64>,
+    /// Evaluations of the descents, and of everything.
+    spent: [usize; 2],
 }
 
 #[derive(Debug)]
@@ -96,6 +116,7 @@ enum Asked {
     Descent(Vec<f64>),
     Edge(Segment),
     Climb(Move),
+    Lead(Vec<f64>),
 }
 
 impl Auto {
@@ -116,6 +137,7 @@ impl Auto {
             known_ever: 0,
             surrogate: None,
             metric: Chosen::default(),
+            lead: Lead::default(),
             asked: Vec::new(),
         }
     }
@@ -195,6 +217,40 @@ impl Descent {
     }
 }
 
+impl Lead {
+    fn ask(&mut self, cube: &Cube) -> Vec<Vec<f64>> {
+        let [own, all] = self.spent;
+        if cube.leader().is_empty() || own * (1 + BESIDE_LEAD) > all {
+            return Vec::new();
+        }
+        let asked = self.descent.as_mut().map(LeadDescent::ask).unwrap_or_default();
+        let can_begin = |(best, _): &&(f64, Vec<f64>)| asked.is_empty() && best.is_finite();
+        let Some((best, point)) = self.best.as_ref().filter(can_begin) else { return asked };
+        let has_fallen = self.begun_at.is_none_or(|begun_at| *best < begun_at - GAIN * begun_at.abs());
+        if !has_fallen {
+            return asked;
+        }
+        self.begun_at = Some(*best);
+        self.descent.insert(LeadDescent::new(cube, point.clone(), *best)).ask()
+    }
+
+    /// The values of what was asked for last.
+    fn tell(&mut self, robustness: &[f64]) {
+        self.spent[0] += robustness.len();
+        if let Some(descent) = self.descent.as_mut().filter(|_| !robustness.is_empty()) {
+            descent.tell(robustness);
+        }
+    }
+
+    /// Any value.
+    fn learn(&mut self, point: &[f64], value: f64) {
+        self.spent[1] += 1;
+        if self.best.as_ref().is_none_or(|(best, _)| value < *best) {
+            self.best = Some((value, point.to_vec()));
+        }
+    }
+}
+
 impl Auto {
     fn remember(&mut self, point: &[f64], value: f64) {
         self.known.push((self.cube.coarsen(&self.coarse, point), value));
@@ -232,8 +288,13 @@ impl Search for Auto {
             self.descent = Some(descent);
             self.ask_share(BESIDE_DESCENT);
         }
+        // Not before the first descent has met its plateau: easy problems are decided by then.
+        if self.descents > 1 || self.exploration_left > 0 {
+            self.asked.extend(self.lead.ask(&self.cube).into_iter().map(Asked::Lead));
+        }
         let point = |asked: &Asked| match asked {
-            Asked::Simple(point) | Asked::Screened(point) | Asked::Descent(point) => point.clone(),
+            Asked::Simple(point) | Asked::Screened(point) => point.clone(),
+            Asked::Descent(point) | Asked::Lead(point) => point.clone(),
             Asked::Edge(segment) => segment.middle(),
             Asked::Climb(proposal) => proposal.point.clone(),
         };
@@ -242,9 +303,12 @@ impl Search for Auto {
 
     fn tell(&mut self, robustness: &[f64]) {
         self.exploration_left = self.exploration_left.saturating_sub(robustness.len());
-        let mut generation = Vec::new();
+        let (mut generation, mut of_lead) = (Vec::new(), Vec::new());
         let asked = std::mem::take(&mut self.asked);
         for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| rankable(value))) {
+            if let Asked::Simple(point) | Asked::Screened(point) | Asked::Descent(point) | Asked::Lead(point) = &asked {
+                self.lead.learn(point, value);
+            }
             match asked {
                 Asked::Screened(point) => {
                     self.remember(&point, value);
@@ -262,8 +326,14 @@ impl Search for Auto {
                 }
                 Asked::Edge(segment) => self.segments.extend(segment.halved(value)),
                 Asked::Climb(proposal) => self.climbs.tell(proposal, value),
+                Asked::Lead(point) => {
+                    of_lead.push(value);
+                    self.remember(&point, value);
+                    self.good_points.push((value, point));
+                }
             }
         }
+        self.lead.tell(&of_lead);
         if let Some(mut descent) = self.descent.take() {
             descent.learn(&generation);
             let stagnated = descent.run.has_stagnated();

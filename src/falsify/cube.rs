@@ -11,6 +11,7 @@ use crate::scenario::space::Space;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cube {
     blocks: Vec<Range<usize>>,
+    leader: Vec<usize>,
 }
 
 /// A cube without coordinates, or with a block without any.
@@ -33,7 +34,7 @@ impl Cube {
             blocks.push(start..start + length);
             start += length;
         }
-        if blocks.is_empty() { Err(EmptyBlock) } else { Ok(Self { blocks }) }
+        if blocks.is_empty() { Err(EmptyBlock) } else { Ok(Self { blocks, leader: Vec::new() }) }
     }
 
     /// The number of coordinates, at least one.
@@ -48,6 +49,20 @@ impl Cube {
         &self.blocks
     }
 
+    /// The same cube, with the coordinates that say how a scripted leader drives: the others are its circumstances. Those
+    /// outside the cube are left out.
+    #[must_use]
+    pub fn with_leader(mut self, coordinates: impl IntoIterator<Item = usize>) -> Self {
+        self.leader = coordinates.into_iter().filter(|&coordinate| coordinate < self.dimension()).collect();
+        self
+    }
+
+    /// The coordinates that say how a scripted leader drives; none where the problem has no leader.
+    #[must_use]
+    pub fn leader(&self) -> &[usize] {
+        &self.leader
+    }
+
     /// The same blocks with at most so many coordinates each: signals of fewer pieces.
     #[must_use]
     pub fn coarse(&self, pieces: usize) -> Self {
@@ -57,7 +72,7 @@ impl Cube {
             start += length;
             start - length..start
         });
-        Self { blocks: blocks.collect() }
+        Self { blocks: blocks.collect(), leader: Vec::new() }
     }
 
     /// A point of the coarse cube as one of this cube: every piece takes the value of the coarse piece it begins in.
@@ -100,12 +115,15 @@ impl Cube {
 }
 
 impl Space {
-    /// The cube that a search in this space moves in: a block for each parameter, a signal's as long as it has pieces.
+    /// The cube that a search in this space moves in: a block for each parameter, a signal's as long as it has pieces. It
+    /// knows which of them shape the script of the leader.
     ///
     /// # Errors
     /// None: a space has at least one parameter, and each has a coordinate.
     pub fn cube(&self) -> Result<Cube, EmptyBlock> {
-        Cube::new(self.parameters().iter().map(|parameter| parameter.coordinates().len()))
+        let cube = Cube::new(self.parameters().iter().map(|parameter| parameter.coordinates().len()))?;
+        let of_leader = self.parameters().iter().filter(|parameter| parameter.scripts_leader());
+        Ok(cube.with_leader(of_leader.flat_map(|parameter| parameter.coordinates())))
     }
 }
 

@@ -9,6 +9,7 @@ use super::cma_es::CmaEs;
 use super::cross_entropy::CrossEntropy;
 use super::cube::Cube;
 use super::halton::Halton;
+use super::sequential::Sequential;
 use super::signals::Signals;
 use super::uniform::Uniform;
 
@@ -37,6 +38,8 @@ pub enum Method {
     Annealing,
     /// Signals of few pieces with bang-bang moves.
     Signals,
+    /// Sequential convex programming on how the leader brakes.
+    Sequential,
     /// A portfolio.
     Auto,
 }
@@ -51,8 +54,16 @@ pub struct UnknownMethod {
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 7] =
-        [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Annealing, Self::Signals, Self::Auto];
+    pub const ALL: [Self; 8] = [
+        Self::Uniform,
+        Self::Halton,
+        Self::CmaEs,
+        Self::CrossEntropy,
+        Self::Annealing,
+        Self::Signals,
+        Self::Sequential,
+        Self::Auto,
+    ];
 
     /// The name used on the command line and in files.
     #[must_use]
@@ -64,6 +75,7 @@ impl Method {
             Self::CrossEntropy => "cross-entropy",
             Self::Annealing => "annealing",
             Self::Signals => "signals",
+            Self::Sequential => "sequential",
             Self::Auto => "auto",
         }
     }
@@ -78,6 +90,7 @@ impl Method {
             Self::CrossEntropy => "cross-entropy with independent normal coordinates",
             Self::Annealing => "simulated annealing",
             Self::Signals => "signals of few pieces with bang-bang moves",
+            Self::Sequential => "sequential convex programming on how the leader brakes, from the best simple points",
             Self::Auto => "a portfolio of simple inputs, screened descents and edges of plateaus",
         }
     }
@@ -92,6 +105,7 @@ impl Method {
             Self::CrossEntropy => Box::new(CrossEntropy::new(cube, seed)),
             Self::Annealing => Box::new(Annealing::new(cube, seed)),
             Self::Signals => Box::new(Signals::new(cube, seed)),
+            Self::Sequential => Box::new(Sequential::new(cube, seed)),
             Self::Auto => Box::new(Auto::new(cube, seed)),
         }
     }
@@ -126,13 +140,14 @@ mod tests {
         #[test]
         fn every_method_stays_in_the_cube_and_repeats_itself(
             lengths in prop::collection::vec(prop_oneof![Just(1usize), 2usize..22], 1..4),
+            leader in prop::collection::vec(0usize..40, 0..8),
             seed in any::<u64>(),
             values in prop::collection::vec(
                 prop_oneof![Just(f64::NAN), Just(f64::INFINITY), Just(f64::NEG_INFINITY), Just(1.0), -1.0..1.0f64],
                 20,
             ),
         ) {
-            let cube = Cube::new(lengths).unwrap();
+            let cube = Cube::new(lengths).unwrap().with_leader(leader);
             for method in Method::ALL {
                 prop_assert_eq!(method.name().parse::<Method>(), Ok(method));
                 let (mut one, mut other) = (method.start(&cube, seed), method.start(&cube, seed));

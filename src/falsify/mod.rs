@@ -5,6 +5,10 @@
 //! earlier values alone, so its points may be evaluated in any order and on any number of threads without changing a
 //! result; and a search is resumed by asking and telling again what an earlier run has logged.
 //!
+//! What a method knows of a problem stands in its cube: which coordinates are a signal, and which are the script of a
+//! leader. The convex programs of `worst_case` make that script worse step by step (`sequential`, and part of `auto`);
+//! where there is no leader, `auto` is what it is without them.
+//!
 //! A [`campaign`] puts it together: a space, a controller, a specification, a method with a budget, and a folder that holds
 //! every evaluation and the distinct failures as [`counterexample`] files.
 
@@ -22,6 +26,7 @@ mod cube;
 mod edge;
 mod halton;
 mod method;
+mod sequential;
 mod shape;
 mod signals;
 mod surrogate;

@@ -141,11 +141,13 @@ pub fn hunt(
     }
     let asked_mps2 = envelope.max_brake_mps2;
     let max_brake_mps2 = asked_mps2.min(scenario.usable_brake_mps2(0));
-    let envelope = Envelope { max_brake_mps2, ..envelope };
     if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || asked_mps2.is_nan() {
         return Err(AttackError::Envelope { max_brake_mps2: asked_mps2, jerk_mps3: envelope.jerk_mps3 });
     }
-    let mut bench = Bench::new(scenario, options, envelope);
+    let mut bench = Bench::new(scenario, options, Envelope { max_brake_mps2, ..envelope });
+    // From nothing to full braking in half a cell: more is no limit, and huge numbers would spoil the programs.
+    let boundless_mps3 = 2.0 * max_brake_mps2 / bench.cell_s();
+    bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);
     let found = if aim != Aim::Severest
         && let UnderTest::BuiltIn(ControllerSpec::Baseline(aeb)) = &options.controller
         && exact::applies(scenario)

@@ -27,10 +27,25 @@ pub enum EscapeKind {
     /// The one with the largest smallest gap
     #[default]
     LargestGap,
-    /// The one with the least ∫ a² that keeps half that gap, for the same firing of the brake behind
+    /// The one with the least ∫ a² that keeps half that gap, if the brake behind fires no later than for that: of all
+    /// escapes with that firing, not of those with another, which may be gentler
     Gentlest,
-    /// Likewise the one whose acceleration changes least
+    /// Likewise the one whose acceleration changes least, of all escapes with that firing
     LeastJerk,
+}
+
+impl EscapeKind {
+    /// In what sense the escape is the best, in words.
+    #[must_use]
+    pub fn is_best_for(self) -> &'static str {
+        match self {
+            Self::LargestGap => "the largest smallest gap, whenever the brake behind fires",
+            Self::Gentlest => "the gentlest that keeps half the largest gap, for this firing of the brake behind only",
+            Self::LeastJerk => {
+                "the smoothest that keeps half the largest gap, for this firing of the brake behind only"
+            }
+        }
+    }
 }
 
 /// Why a search cannot begin.
@@ -96,6 +111,10 @@ impl Verdict {
 const MOST_FINE: usize = 64;
 /// Most programs on each coarser one.
 const MOST_COARSE: usize = 64;
+/// Firings that their own program on the finest grid neither escapes nor closes, after which the search gives up. One of
+/// them already rules out a proof, which has to close every firing; the next most promising ones may still hold an escape,
+/// but a program there takes a third of a second, and where an ego answers late none of the firings may ever close.
+const MOST_OPEN_ENDS: usize = 8;
 
 /// Decides whether the vehicles under test could have avoided a collision, and by how much.
 ///
@@ -123,7 +142,8 @@ pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, Av
     let mut undecided = None;
     for (index, &cell) in cells.iter().enumerate() {
         let is_last = index + 1 == cells.len();
-        search.explore(&Grid::new(&situation, cell), if is_last { MOST_FINE } else { MOST_COARSE });
+        let (most, open_ends) = if is_last { (MOST_FINE, MOST_OPEN_ENDS) } else { (MOST_COARSE, MOST_COARSE) };
+        search.explore(&Grid::new(&situation, cell), most, open_ends);
         if index < first && search.bound_m() >= 0.0 {
             continue;
         }
@@ -143,7 +163,8 @@ type Conclusion = (Verdict, Option<f64>);
 fn found(situation: &Situation, search: &Search<'_>, (verdict, best_min_gap_m): Conclusion) -> Avoidance {
     let bound_m = search.bound_m().min(situation.first_gap_m(Side::Loose));
     // Noise may take anybody beyond what was computed without it.
-    let min_gap_bound_m = (bound_m > 0.0 && situation.proof_caveat.is_none()).then_some(bound_m);
+    let is_noisy = matches!(situation.proof_caveat, Some(Reason::Noise { .. }));
+    let min_gap_bound_m = (bound_m > 0.0 && !is_noisy).then_some(bound_m);
     Avoidance { verdict, best_min_gap_m, min_gap_bound_m, programs: search.programs }
 }
 

@@ -62,13 +62,19 @@ impl<'a> Search<'a> {
         self.bounds_m.iter().copied().fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// Solves programs on a grid until no firing promises more than what was found, or `most` have been solved.
-    pub(super) fn explore(&mut self, grid: &Grid, most: usize) {
+    /// Solves programs on a grid until no firing promises more than what was found, `most` have been solved, or `open_ends` of
+    /// them have left their own firing open without an escape.
+    pub(super) fn explore(&mut self, grid: &Grid, most: usize, mut open_ends: usize) {
         self.solved.fill(false);
         for _ in 0..most {
             let Some(firing) = self.most_promising(self.floor_m()) else { return };
             self.solved[firing] = true;
             self.solve(grid, firing);
+            let escapes = self.best.as_ref().is_some_and(|best| best.gap_m > 0.0);
+            open_ends -= usize::from(!escapes && self.bounds_m[firing] >= 0.0);
+            if open_ends == 0 {
+                return;
+            }
         }
     }
 
@@ -94,9 +100,7 @@ impl<'a> Search<'a> {
 
     /// Solves one program and learns from it.
     fn solve(&mut self, grid: &Grid, firing: usize) {
-        self.programs += 1;
-        let wanted = Wanted { objective: Objective::LargestGap, side: Side::Tight };
-        match program::solve(self.situation, grid, firing, wanted) {
+        match self.answer(grid, firing, Side::Tight) {
             Answer::Profile { gap_m, acceleration_mps2, multipliers } => {
                 self.cut(multipliers);
                 if self.best.as_ref().is_none_or(|best| gap_m > best.gap_m) {
@@ -106,6 +110,18 @@ impl<'a> Search<'a> {
             Answer::Empty(multipliers) => self.cut(multipliers),
             Answer::Trouble(status) => self.trouble = Some(status),
         }
+        // That no profile is an escape from all of a box does not say that some member has none: that is another program.
+        if self.situation.is_box && self.best.as_ref().is_none_or(|best| best.gap_m <= 0.0) {
+            match self.answer(grid, firing, Side::Loose) {
+                Answer::Profile { multipliers, .. } | Answer::Empty(multipliers) => self.cut(multipliers),
+                Answer::Trouble(status) => self.trouble = Some(status),
+            }
+        }
+    }
+
+    fn answer(&mut self, grid: &Grid, firing: usize, side: Side) -> Answer {
+        self.programs += 1;
+        program::solve(self.situation, grid, firing, Wanted { objective: Objective::LargestGap, side })
     }
 
     /// The same escape made smoother: for its firing, with half its smallest gap kept.

@@ -1,8 +1,7 @@
 //! What was found, written down so that `crumple-verify` can check it without the engine or the solver.
 
 use crumple_verify::{
-    Assumption, Avoidable, Branch, Certificate, Ego, Follower, Held, Interval, Leader, Provenance, Scene, Statement,
-    Unavoidable,
+    Assumption, Avoidable, Branch, Certificate, Ego, Held, Interval, Leader, Provenance, Scene, Statement, Unavoidable,
 };
 use sha2::{Digest, Sha256};
 
@@ -34,13 +33,7 @@ fn scene(situation: &Situation) -> Scene {
                 max_accel_mps2: ego.max_accel_mps2,
             })
             .collect(),
-        follower: follower.as_ref().map(|follower| Follower {
-            position_m: follower.position_m,
-            speed_mps: follower.speed_mps,
-            brake_mps2: follower.brake_mps2,
-            ttc_s: follower.ttc_s,
-            reaction_steps: count(follower.reaction_steps),
-        }),
+        follower: follower.clone(),
     }
 }
 

@@ -197,12 +197,14 @@ impl<'a> Program<'a> {
         self.at_most(Row::Other, &[(GAP, 1.0)], situation.first_gap_m(side));
         let last = situation.egos.len() - 1;
         let (leader_rests, follower_rests) = (situation.leader_rests_from(), situation.follower_rests_from(firing));
+        // Over a box the loose side lets the slowest member lose the speed of the fastest one: it may reverse.
+        let may_reverse = situation.is_box && side == Side::Loose;
         for instant in 1..=self.grid.cells() {
             let step = self.grid.steps[instant];
             let d = |program: &Self, ego: usize| program.speed(ego, instant) + 1;
             // Behind a standing leader the last instant says it all, since nobody reverses; likewise ahead of a follower
             // that stands.
-            if step <= leader_rests || instant == self.grid.cells() {
+            if step <= leader_rests || instant == self.grid.cells() || may_reverse {
                 let terms = [(d(self, 0), 1.0), (GAP, 1.0)];
                 self.at_most(Row::Front(step), &terms, situation.front_slack_m(step, side));
             }

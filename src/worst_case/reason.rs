@@ -35,6 +35,14 @@ pub enum Reason {
         /// Its index.
         vehicle: usize,
     },
+    /// More vehicles under test than the checker reads.
+    #[error("{egos} vehicles under test are too many for a certificate, which holds {most} at most")]
+    TooManyVehicles {
+        /// How many there are.
+        egos: usize,
+        /// How many there may be.
+        most: usize,
+    },
     /// Noise on an acceleration that a proof would have to bound.
     #[error("the acceleration of vehicle {vehicle} is noisy, and no proof covers that")]
     Noise {

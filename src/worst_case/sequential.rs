@@ -6,7 +6,8 @@
 //! its boundary, to the mildest one; or on down to the severest.
 
 use super::attack::{Aim, Attack, AttackError, Bench, Way};
-use super::cone::{Cone, Solved};
+use super::cone::Cone;
+use super::descent::{Descent, Limits, Pace, REGION_FACTORS, slopes};
 
 /// Knots of a profile.
 const KNOTS: usize = 26;
@@ -74,21 +75,16 @@ impl Search<'_, '_> {
         Ok(all.into_iter().zip(trials).map(point).collect())
     }
 
-    /// The worst of some plain brakings: several rates, onsets and lengths, built up as fast as the jerk allows.
+    /// The worst of some plain brakings: several rates, onsets and lengths, built up and released as fast as the jerk allows.
     fn start(&mut self) -> Result<Option<Point>, AttackError> {
         let most = self.bench.envelope.max_brake_mps2;
-        let ramp = self.bench.envelope.jerk_mps3 * self.apart_s();
         let mut plain = Vec::new();
         for rate in [1.0, 0.7, 0.4, 0.2] {
             for onset in [0, KNOTS / 8, KNOTS / 4] {
                 for length in [KNOTS / 8, KNOTS / 3, KNOTS] {
-                    let rate = rate * most;
-                    let at = |knot: usize| {
-                        let inside = (onset..onset + length).contains(&knot);
-                        let built_up = ramp * (knot + 1).saturating_sub(onset) as f64;
-                        if inside { -rate.min(built_up) } else { 0.0 }
-                    };
-                    plain.push((0..KNOTS).map(at).collect());
+                    let inside = |knot: &usize| (onset..onset + length).contains(knot);
+                    let wanted = (0..KNOTS).map(|knot| if inside(&knot) { -rate * most } else { 0.0 });
+                    plain.push(self.limits().ramped(wanted));
                 }
             }
         }
@@ -98,21 +94,22 @@ impl Search<'_, '_> {
 
     /// Steps that lower the margin, until they no longer do.
     fn descend(&mut self, mut at: Point, budget: usize) -> Result<Point, AttackError> {
-        let mut region = REGION_MPS2[0];
-        let mut slope = self.slope(&at)?;
-        while region > REGION_MPS2[1] && self.bench.evaluations < budget {
-            let Some(knots) = self.step(&at, &slope, region, None) else { break };
-            let Some(next) = self.try_out(vec![knots])?.pop() else { break };
-            if next.margin_m < at.margin_m - 1e-6 {
+        let pace = Pace { nudge: NUDGE_MPS2, region: REGION_MPS2, idle: Some(0.0) };
+        let mut descent = Descent::new(self.limits(), pace, at.knots_mps2.clone(), at.margin_m);
+        while self.bench.evaluations < budget {
+            let asked = descent.ask();
+            if asked.is_empty() {
+                break;
+            }
+            self.bench.programs += usize::from(asked.len() == 1);
+            let tried = self.try_out(asked)?;
+            descent.tell(&tried.iter().map(|point| point.margin_m).collect::<Vec<_>>());
+            if let Some(next) = tried.into_iter().find(|point| point.knots_mps2 == descent.at()) {
                 let was_open = !at.collides;
                 at = next;
                 if was_open && at.collides && self.aim != Aim::Severest {
                     return Ok(at);
                 }
-                region *= 1.5;
-                slope = self.slope(&at)?;
-            } else {
-                region *= 0.4;
             }
         }
         Ok(at)
@@ -128,13 +125,14 @@ impl Search<'_, '_> {
     /// Steps that cost less and still collide, with what the last of them was predicted to do.
     fn ease(&mut self, mut at: Point, budget: usize) -> Result<(Point, f64), AttackError> {
         let mut region = REGION_MPS2[0];
+        let [success, failure] = REGION_FACTORS;
         let mut predicted_m = at.margin_m;
         let mut slope = self.slope(&at)?;
         while region > REGION_MPS2[1] && self.bench.evaluations < budget {
             // Several depths beyond contact at once: the linear prediction is not exact.
             let aims_m = [-1e-3, -0.05, -0.3, -1.0];
             let steps: Vec<_> =
-                aims_m.iter().filter_map(|&m| Some((m, self.step(&at, &slope, region, Some(m))?))).collect();
+                aims_m.iter().filter_map(|&m| Some((m, self.cheapest(&at, &slope, region, m)?))).collect();
             let tried = self.try_out(steps.iter().map(|(_, knots)| knots.clone()).collect())?;
             let cost = |point: &Point| self.cost(&point.knots_mps2);
             let good =
@@ -144,10 +142,10 @@ impl Search<'_, '_> {
                 Some((point, aim_m)) => {
                     predicted_m = aim_m;
                     at = point;
-                    region *= 1.5;
+                    region *= success;
                     slope = self.slope(&at)?;
                 }
-                None => region *= 0.4,
+                None => region *= failure,
             }
         }
         Ok((at, predicted_m))
@@ -163,61 +161,43 @@ impl Search<'_, '_> {
 
     /// The change of the margin with each knot, in s².
     fn slope(&mut self, at: &Point) -> Result<Vec<f64>, AttackError> {
-        // Towards the middle of the envelope, so that every nudge has an effect.
-        let middle = -0.5 * self.bench.envelope.max_brake_mps2;
-        let nudge = |knot: usize| {
-            let by = if at.knots_mps2[knot] > middle { -NUDGE_MPS2 } else { NUDGE_MPS2 };
-            let mut knots = at.knots_mps2.clone();
-            knots[knot] += by;
-            (by, knots)
-        };
-        let (by, nudged): (Vec<_>, Vec<_>) = (0..KNOTS).map(nudge).unzip();
-        let tried = self.try_out(nudged)?;
-        Ok(tried.iter().zip(by).map(|(point, by)| (point.margin_m - at.margin_m) / by).collect())
+        let (by, nudged) = self.limits().nudged(&at.knots_mps2, NUDGE_MPS2);
+        let margins_m: Vec<f64> = self.try_out(nudged)?.iter().map(|point| point.margin_m).collect();
+        Ok(slopes(at.margin_m, &margins_m, &by))
     }
 
-    /// The step inside the trust region that lowers the linearised margin most or, given an aim, that reaches it at the least
-    /// cost.
-    fn step(&mut self, at: &Point, slope: &[f64], region: f64, aim_m: Option<f64>) -> Option<Vec<f64>> {
-        self.bench.programs += 1;
+    fn limits(&self) -> Limits {
         let envelope = self.bench.envelope;
-        let ramp = envelope.jerk_mps3 * self.apart_s();
-        // One variable a knot, its new value; the last one is the peak or the shortfall of the aim.
+        // Half a cell before the middle of the first one.
+        let first = 0.5 * envelope.jerk_mps3 * self.bench.cell_s();
+        let next = envelope.jerk_mps3 * self.apart_s();
+        let ramp = Some([first, next]).filter(|_| first < envelope.max_brake_mps2);
+        Limits { low: -envelope.max_brake_mps2, high: 0.0, ramp }
+    }
+
+    /// The step inside the trust region that brings the linearised margin to `aim_m`, or near it, at the least cost.
+    fn cheapest(&mut self, at: &Point, slope: &[f64], region: f64, aim_m: f64) -> Option<Vec<f64>> {
+        self.bench.programs += 1;
+        // One variable a knot, its new value; the last ones are the peak and the shortfall of the aim.
         let mut cone = Cone::new(KNOTS + 2);
         let (peak, short) = (KNOTS, KNOTS + 1);
-        for (knot, &now) in at.knots_mps2.iter().enumerate() {
-            cone.at_most(&[(knot, 1.0)], (now + region).min(0.0));
-            cone.at_most(&[(knot, -1.0)], (region - now).min(envelope.max_brake_mps2));
-            let first = if knot == 0 { vec![(0, 1.0)] } else { vec![(knot, 1.0), (knot - 1, -1.0)] };
-            let back: Vec<_> = first.iter().map(|&(i, c)| (i, -c)).collect();
-            cone.at_most(&first, ramp);
-            cone.at_most(&back, ramp);
-            cone.at_most(&[(knot, -1.0), (peak, -1.0)], 0.0);
-        }
-        let falls: Vec<_> = slope.iter().copied().enumerate().collect();
+        let limits = self.limits();
+        limits.rows(&mut cone, &at.knots_mps2, region);
         let here: f64 = slope.iter().zip(&at.knots_mps2).map(|(slope, now)| slope * now).sum();
-        match aim_m {
-            None => falls.iter().for_each(|&(knot, slope)| cone.cost(knot, slope)),
-            Some(aim_m) => {
-                let mut terms = falls;
-                terms.push((short, -1.0));
-                cone.at_most(&terms, aim_m - at.margin_m + here);
-                cone.at_most(&[(short, -1.0)], 0.0);
-                cone.cost(short, 1e3);
-                if self.aim == Aim::LeastPeak {
-                    cone.cost(peak, 1.0);
-                }
-            }
-        }
-        let weight = if aim_m.is_some() && self.aim != Aim::LeastPeak { self.apart_s() } else { 1e-4 };
+        let mut falls: Vec<_> = slope.iter().copied().enumerate().collect();
+        falls.push((short, -1.0));
+        cone.at_most(&falls, aim_m - at.margin_m + here);
+        cone.at_most(&[(short, -1.0)], 0.0);
+        cone.cost(short, 1e3);
+        let by_peak = self.aim == Aim::LeastPeak;
+        let weight = if by_peak { 1e-4 } else { self.apart_s() };
         for knot in 0..KNOTS {
+            cone.at_most(&[(knot, -1.0), (peak, -1.0)], 0.0);
             cone.square(&[(knot, 1.0)], weight);
         }
-        match cone.solve() {
-            Solved::Optimal { at, .. } => {
-                Some(at.iter().take(KNOTS).map(|knot| knot.clamp(-envelope.max_brake_mps2, 0.0)).collect())
-            }
-            _ => None,
+        if by_peak {
+            cone.cost(peak, 1.0);
         }
+        limits.solution(&cone, KNOTS)
     }
 }

@@ -5,12 +5,13 @@
 //! a row, the *slack*; over a box of scenarios the slack has an upper bound, which proofs use ([`Side::Loose`]), and a
 //! lower bound, which escapes use ([`Side::Tight`]).
 
-use crumple_verify::Interval;
+use crumple_verify::claim::MOST_EGOS;
+use crumple_verify::{Follower, Interval};
 
 use super::family::Family;
 use super::reason::Reason;
-use crate::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, VehicleClass, VehicleSpec};
-use crate::sim::{Keep, Motion, Run, RunOptions, simulate};
+use super::scripted::{Leader, between};
+use crate::scenario::{ControllerSpec, Driver, Scenario, VehicleSpec};
 
 /// Which bound of the slacks over the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,19 +31,6 @@ impl Side {
     }
 }
 
-/// The leader: scripted, so known.
-#[derive(Debug, Clone)]
-pub(super) struct Leader {
-    pub(super) position_m: Interval,
-    pub(super) speed_mps: Interval,
-    pub(super) length_m: f64,
-    /// Held over each step.
-    pub(super) acceleration_mps2: Vec<Interval>,
-    /// Rear bumper at each instant.
-    rear_m: Vec<Interval>,
-    rests_from: usize,
-}
-
 /// A vehicle that chooses its acceleration.
 #[derive(Debug, Clone)]
 pub(super) struct Ego {
@@ -56,17 +44,6 @@ pub(super) struct Ego {
     pub(super) dead_steps: usize,
 }
 
-/// The vehicle behind the egos, driven by the latched emergency brake.
-#[derive(Debug, Clone)]
-pub(super) struct Follower {
-    pub(super) position_m: Interval,
-    pub(super) speed_mps: Interval,
-    /// On this road.
-    pub(super) brake_mps2: Interval,
-    pub(super) ttc_s: f64,
-    pub(super) reaction_steps: usize,
-}
-
 /// A leader, one or more egos, perhaps a follower, and a time grid.
 #[derive(Debug, Clone)]
 pub(super) struct Situation {
@@ -74,7 +51,10 @@ pub(super) struct Situation {
     pub(super) steps: usize,
     pub(super) leader: Leader,
     pub(super) egos: Vec<Ego>,
+    /// The vehicle behind the egos, driven by the latched emergency brake, as a certificate describes it.
     pub(super) follower: Option<Follower>,
+    /// Whether it stands for more than one scenario.
+    pub(super) is_box: bool,
     /// Why an escape that was found may be none; the replay decides where it can.
     pub(super) escape_caveat: Option<Reason>,
     /// Why a proof would not be about this scenario.
@@ -117,6 +97,9 @@ impl Situation {
             under_test().find(|(_, v)| has_lag(v)).map(|(vehicle, _)| Reason::EgoResponse { vehicle });
         let mut proof_caveat =
             under_test().find(|(_, v)| v.acceleration_noise_mps2 > 0.0).map(|(vehicle, _)| Reason::Noise { vehicle });
+        if last_ego > MOST_EGOS {
+            proof_caveat.get_or_insert(Reason::TooManyVehicles { egos: last_ego, most: MOST_EGOS });
+        }
         let behind = last_ego + 1;
         let mut follower = None;
         if let Some(vehicle) = vehicles.get(behind) {
@@ -130,7 +113,7 @@ impl Situation {
                         speed_mps: spans(|v| v.speed_mps, behind),
                         brake_mps2: between(low.usable_brake_mps2(behind), high.usable_brake_mps2(behind)),
                         ttc_s: aeb.ttc_s,
-                        reaction_steps: delay_steps(low, vehicle),
+                        reaction_steps: u32::try_from(delay_steps(low, vehicle)).unwrap_or(u32::MAX),
                     });
                 }
                 // Whatever it does, a collision among the vehicles ahead of it is one.
@@ -148,6 +131,7 @@ impl Situation {
             leader: Leader::new(low, high),
             egos,
             follower,
+            is_box: !family.is_point(),
             escape_caveat,
             proof_caveat,
         })
@@ -177,7 +161,7 @@ impl Situation {
     pub(super) fn follower_rests_from(&self, firing: usize) -> usize {
         self.follower.as_ref().map_or(0, |follower| {
             let braking_s = follower.speed_mps.high() / follower.brake_mps2.low();
-            let rests = (firing + follower.reaction_steps) as f64 + (braking_s / self.step_s).ceil();
+            let rests = (firing + follower.reaction_steps as usize) as f64 + (braking_s / self.step_s).ceil();
             if rests < self.steps as f64 { rests as usize } else { self.steps }
         })
     }
@@ -210,9 +194,22 @@ impl Situation {
         let t = self.time_s(step);
         let bumper = |x: f64, v: f64| x + v * t - ego.length_m;
         side.of(
-            bumper(ego.position_m.low(), ego.speed_mps.low()) - follower.position_m(self, firing, step, Side::Loose),
-            bumper(ego.position_m.high(), ego.speed_mps.high()) - follower.position_m(self, firing, step, Side::Tight),
+            bumper(ego.position_m.low(), ego.speed_mps.low()) - self.follower_m(follower, firing, step, Side::Loose),
+            bumper(ego.position_m.high(), ego.speed_mps.high()) - self.follower_m(follower, firing, step, Side::Tight),
         )
+    }
+
+    /// Front bumper of the follower at a step, in metres: coasting until `firing` and the reaction time, then braking to
+    /// standstill.
+    fn follower_m(&self, follower: &Follower, firing: usize, step: usize, side: Side) -> f64 {
+        let brakes_from = (firing + follower.reaction_steps as usize).min(step);
+        let bound = |span: Interval| side.of(span.low(), span.high());
+        let (x, v) = (bound(follower.position_m), bound(follower.speed_mps));
+        // Who brakes least gets furthest.
+        let brake_mps2 = side.of(follower.brake_mps2.high(), follower.brake_mps2.low());
+        let coasting_s = self.time_s(brakes_from);
+        let braking_s = ((step - brakes_from) as f64 * self.step_s).min(v / brake_mps2);
+        x + v * coasting_s + (v - 0.5 * brake_mps2 * braking_s) * braking_s
     }
 
     /// Bound on d + θ w of the last ego at step `firing` for the guard to have fired there.
@@ -241,66 +238,6 @@ impl Situation {
     }
 }
 
-impl Leader {
-    fn new(low: &Scenario, high: &Scenario) -> Self {
-        let (one, other) = (alone_mps2(low), alone_mps2(high));
-        let hull = one.iter().zip(&other).map(|(&a, &b)| between(a, b));
-        let driver = |scenario: &Scenario| scenario.vehicles().first().map(|leader| leader.driver.clone());
-        let mut hardest = Interval::point(0.0);
-        // Where rate or onset vary, the first to stand no longer says how hard the others brake: it did before.
-        let acceleration_mps2: Vec<Interval> = if driver(low) == driver(high) {
-            hull.collect()
-        } else {
-            hull.map(|span| {
-                hardest = hardest.hull(Interval::point(span.low()));
-                span.hull(Interval::point(hardest.low()))
-            })
-            .collect()
-        };
-        let first = |of: fn(&VehicleSpec) -> f64| {
-            let of = |scenario: &Scenario| scenario.vehicles().first().map_or(0.0, of);
-            between(of(low), of(high))
-        };
-        let length_m = low.vehicles().first().map_or(0.0, VehicleSpec::length_m);
-        let (position_m, speed_mps) = (first(|v| v.position_m), first(|v| v.speed_mps));
-        let drive = |pick: fn(Interval) -> f64| {
-            let mut motion =
-                Motion { position_m: pick(position_m), speed_mps: pick(speed_mps), acceleration_mps2: 0.0 };
-            let mut rear_m = vec![motion.position_m - length_m];
-            for span in &acceleration_mps2 {
-                motion = Motion { acceleration_mps2: pick(*span), ..motion }.after(low.spec().step_s);
-                rear_m.push(motion.position_m - length_m);
-            }
-            rear_m
-        };
-        let (rearmost, foremost) = (drive(Interval::low), drive(Interval::high));
-        let rear_m: Vec<Interval> = rearmost.iter().zip(&foremost).map(|(&low, &high)| between(low, high)).collect();
-        let moves = rear_m.windows(2).rposition(|pair| pair.first() != pair.last());
-        let rests_from = moves.map_or(0, |step| step + 1);
-        Self { position_m, speed_mps, length_m, acceleration_mps2, rear_m, rests_from }
-    }
-}
-
-impl Follower {
-    /// Front bumper at a step, in metres: coasting until `firing` and the reaction time, then braking to standstill.
-    fn position_m(&self, situation: &Situation, firing: usize, step: usize, side: Side) -> f64 {
-        let brakes_from = (firing + self.reaction_steps).min(step);
-        let (x, v) = (
-            side.of(self.position_m.low(), self.position_m.high()),
-            side.of(self.speed_mps.low(), self.speed_mps.high()),
-        );
-        let brake_mps2 = side.of(self.brake_mps2.high(), self.brake_mps2.low());
-        let coasting_s = situation.time_s(brakes_from);
-        let braking_s = ((step - brakes_from) as f64 * situation.step_s).min(v / brake_mps2);
-        x + v * coasting_s + (v - 0.5 * brake_mps2 * braking_s) * braking_s
-    }
-}
-
-/// Everything between two numbers.
-fn between(one: f64, other: f64) -> Interval {
-    Interval::point(one).hull(Interval::point(other))
-}
-
 /// The last of the vehicles under test behind a scripted leader.
 fn last_ego(scenario: &Scenario) -> Result<usize, Reason> {
     let vehicles = scenario.vehicles();
@@ -319,42 +256,4 @@ fn last_ego(scenario: &Scenario) -> Result<usize, Reason> {
 fn delay_steps(scenario: &Scenario, vehicle: &VehicleSpec) -> usize {
     let delay_s = vehicle.reaction_delay_s + vehicle.actuator_delay_s;
     ((delay_s / scenario.spec().step_s).round() as usize).min(scenario.steps())
-}
-
-/// The acceleration of the scripted leader in each step, its noise included: it reacts to nobody, so it drives alone.
-///
-/// Without noise it is what the script asks for, also of a leader that stands: in a box another one may still be moving. A
-/// script asks the faster of two vehicles for no more acceleration than the slower, so whatever starts between the ends of
-/// a box is asked for something between.
-fn alone_mps2(scenario: &Scenario) -> Vec<f64> {
-    let Some(leader) = scenario.vehicles().first() else { return Vec::new() };
-    let Driver::Profile(profile) = &leader.driver else { return Vec::new() };
-    if leader.acceleration_noise_mps2 > 0.0 {
-        return simulated_mps2(scenario);
-    }
-    let step_s = scenario.spec().step_s;
-    let mut motion = Motion { position_m: 0.0, speed_mps: leader.speed_mps, acceleration_mps2: 0.0 };
-    let of_step = |step: usize| {
-        let asked = profile.acceleration_mps2(step as f64 * step_s, (step + 1) as f64 * step_s, motion.speed_mps);
-        let acceleration_mps2 = asked.max(-scenario.usable_brake_mps2(0)).min(leader.max_accel_mps2());
-        motion = Motion { acceleration_mps2, ..motion }.after(step_s);
-        acceleration_mps2
-    };
-    (0..scenario.steps()).map(of_step).collect()
-}
-
-/// The same by simulation.
-fn simulated_mps2(scenario: &Scenario) -> Vec<f64> {
-    let alone = scenario.edited(|spec| {
-        spec.vehicles.truncate(2);
-        if let Some(other) = spec.vehicles.get_mut(1) {
-            // Far behind and standing.
-            *other = VehicleSpec::new(VehicleClass::Light, -1e6, 0.0, Driver::Profile(LeadProfile::ConstantSpeed));
-        }
-    });
-    let Ok(alone) = alone else { return Vec::new() };
-    let Ok(run) = Run::new(&alone, RunOptions::new(ControllerSpec::MatchLeader)) else { return Vec::new() };
-    let trace = simulate(&run, Keep::Trace).trace;
-    let leader = trace.and_then(|trace| trace.vehicles.into_iter().next());
-    leader.map_or(Vec::new(), |track| track.acceleration_mps2.into_iter().take(scenario.steps()).collect())
 }

@@ -37,7 +37,10 @@ fn judge(path: &Path, policy: Option<&Path>) -> u8 {
     match check_with(&certificate, certificate.policy_bytes(path, policy).as_deref()) {
         Ok(accepted) => {
             println!("{name}: accepted: {accepted}");
-            println!("  scenario {} of crumple {}", certificate.provenance.scenario, certificate.provenance.crumple);
+            // Whoever wrote the file chose these words: nothing in them may steer a terminal.
+            let [scenario, crumple] =
+                [&certificate.provenance.scenario, &certificate.provenance.crumple].map(|text| text.escape_debug());
+            println!("  scenario {scenario} of crumple {crumple}");
             for assumption in &certificate.assumptions {
                 println!("  assuming that {assumption}");
             }

@@ -57,6 +57,9 @@ pub(crate) fn check(Unavoidable { scene, branches }: &Unavoidable) -> Result<Acc
 /// [`Rejection`] if the scene or the branch makes no sense, or the branch proves nothing.
 pub fn check_branch(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
     scene.check()?;
+    if branch.last < branch.first || branch.last > scene.steps {
+        return Err(Rejection::Tiling { branch: index });
+    }
     check_rows(scene, branch, index)?;
     let (sum_m, contact) = least_sum(scene, branch);
     let overlap_m = if contact == Interval::ZERO { f64::INFINITY } else { Interval::point(sum_m).over(contact).low() };

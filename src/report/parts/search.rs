@@ -10,7 +10,7 @@ use serde_json::json;
 use super::ScenarioCases;
 use super::found::{Failure, MethodReached};
 use crate::falsify::Method;
-use crate::falsify::campaign::{Campaign, Specification, Summary};
+use crate::falsify::campaign::{Aim, Campaign, Specification, Summary};
 use crate::falsify::counterexample::AvoidabilityClass;
 use crate::report::case::{Motion, run_cases};
 use crate::report::prose::prose;
@@ -137,6 +137,7 @@ impl Search {
             estimator: plan.config.estimator,
             space: space.clone(),
             specification: Specification::NoContact,
+            aim: Aim::default(),
             method: Method::Auto,
             budget: plan.config.search.budget,
             seed: plan.config.seed,

@@ -323,6 +323,16 @@ impl Target {
         }
     }
 
+    /// The vehicle whose driver's settings it is.
+    pub(super) fn drives(self) -> Option<usize> {
+        match self {
+            Self::Driver(i, _) | Self::Signal(i, _) => Some(i),
+            Self::RateShare(i) | Self::PiecesShare(i) | Self::PiecesOnset(i) => Some(i),
+            Self::Scenario(_) | Self::Vehicle(..) | Self::Class(_) | Self::Gap(_) => None,
+            Self::Load(_) | Self::BrakeOffset(_) => None,
+        }
+    }
+
     /// The vehicle whose limits or place it changes, where that can make a scenario invalid.
     pub(super) fn touches(self) -> Option<usize> {
         match self {

@@ -125,6 +125,12 @@ impl Parameter {
         self.marginal.value(coordinate)
     }
 
+    /// Whether it is part of the script that vehicle 0 follows.
+    #[must_use]
+    pub fn scripts_leader(&self) -> bool {
+        self.target.drives() == Some(0)
+    }
+
     /// Where in [0, 1] a value lies.
     #[must_use]
     pub fn coordinate(&self, value: f64) -> f64 {

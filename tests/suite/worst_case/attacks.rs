@@ -95,6 +95,46 @@ fn nothing_is_milder_than_the_exact_profile() {
 }
 
 #[test]
+fn a_jerk_without_bounds_is_none() {
+    let scenario = built_in("paper-1").unwrap();
+    for controller in ["baseline", "idm"] {
+        let effort = |jerk_mps3| {
+            let envelope = Envelope { jerk_mps3, ..Envelope::of(&scenario) };
+            let found = attack(&scenario, &options(controller), Aim::Mildest, envelope, 400).unwrap();
+            found.expect("collides").effort_m2ps3
+        };
+        assert_eq!(effort(1e308), effort(1e6), "{controller}");
+        assert_eq!(effort(f64::INFINITY), effort(1e6), "{controller}");
+    }
+    // What is exact can only get milder with more freedom.
+    let exact = |jerk_mps3| {
+        let envelope = Envelope { jerk_mps3, ..Envelope::of(&scenario) };
+        let found = attack(&scenario, &options("baseline"), Aim::Mildest, envelope, 0).unwrap();
+        found.expect("collides").effort_m2ps3
+    };
+    assert!(exact(1e308) <= exact(10.0) * (1.0 + 1e-3), "{} against {}", exact(1e308), exact(10.0));
+}
+
+/// Within the envelope, at its first instant too.
+#[test]
+fn no_profile_is_rougher_than_the_envelope() {
+    let scenario = built_in("paper-1").unwrap();
+    let envelope = Envelope { max_brake_mps2: 6.0, jerk_mps3: 8.0 };
+    for (controller, aim) in [("baseline", Aim::Mildest), ("idm", Aim::Mildest), ("policy", Aim::Severest)] {
+        let found = attack(&scenario, &options(controller), aim, envelope, 800).unwrap().expect("collides");
+        let Driver::Profile(LeadProfile::Pieces(pieces)) = &found.scenario.vehicles()[0].driver else { panic!() };
+        let mut before = (0.0, 0.0);
+        for (&from_s, &accel_mps2) in pieces.from_s.iter().zip(&pieces.accel_mps2) {
+            // Equal neighbours are one piece: from nothing to the first and between neighbours there is one tenth.
+            let change = (accel_mps2 - before.1).abs();
+            assert!(change <= 0.8 + 1e-6, "{controller}: {change} m/s² from {} to {from_s} s", before.0);
+            assert!((-6.0..=0.0).contains(&accel_mps2));
+            before = (from_s, accel_mps2);
+        }
+    }
+}
+
+#[test]
 fn nonsense_is_refused() {
     let scenario = built_in("paper-1").unwrap();
     let none = Envelope { max_brake_mps2: 0.0, jerk_mps3: 10.0 };

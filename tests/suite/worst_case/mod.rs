@@ -244,6 +244,17 @@ fn a_box_is_decided_as_a_whole() {
     let hopeless = Family::new(&wall, &ranges(0.0, 3.0)).unwrap();
     let Verdict::Unavoidable(proof) = avoid_all(&hopeless, AvoidOptions::default()).unwrap().verdict else { panic!() };
     check(&proof);
+    // Nor at any of many speeds, fast or slow.
+    let speeds = |low, high| Ranges {
+        version: 1,
+        ranges: vec![FieldRange { field: "vehicles[1].speed_mps".into(), low, high }],
+    };
+    let wide = Family::new(&wall, &speeds(18.0, 40.0)).unwrap();
+    let Verdict::Unavoidable(proof) = avoid_all(&wide, AvoidOptions::default()).unwrap().verdict else { panic!() };
+    check(&proof);
+    // At 10 m/s it stops.
+    let partly = Family::new(&wall, &speeds(10.0, 40.0)).unwrap();
+    assert!(matches!(avoid_all(&partly, AvoidOptions::default()).unwrap().verdict, Verdict::Undecided(_)));
     let bad = Ranges { version: 1, ranges: vec![FieldRange { field: "seed".into(), low: 0.0, high: 1.0 }] };
     assert!(Family::new(&paper_1, &bad).is_err());
 }
@@ -266,4 +277,21 @@ fn what_is_not_modelled_is_undecided_or_still_proved() {
     assert_eq!(reason(&|s| s.vehicles[1].reaction_delay_s = 0.2), None);
     assert_eq!(reason(&|s| (s.vehicles[0].speed_mps, s.vehicles[1].actuator_lag_s) = (0.0, 0.2)), None);
     assert_eq!(reason(&|s| s.vehicles[0].acceleration_noise_mps2 = 0.01), None);
+}
+
+/// A certificate has room for sixteen.
+#[test]
+fn too_many_vehicles_are_said_to_be() {
+    let paper_3 = built_in("paper-3").unwrap();
+    let crowd = paper_3.edited(|spec| {
+        let ego = spec.vehicles[1].clone();
+        spec.vehicles.truncate(2);
+        spec.vehicles[0].speed_mps = 0.0;
+        for index in 1..17 {
+            let position_m = ego.position_m - 20.0 * f64::from(index);
+            spec.vehicles.push(crumple::scenario::VehicleSpec { position_m, ..ego.clone() });
+        }
+    });
+    let avoidance = decide(&crowd.unwrap());
+    assert_eq!(avoidance.verdict, Verdict::Undecided(Reason::TooManyVehicles { egos: 17, most: 16 }));
 }

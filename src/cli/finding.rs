@@ -1,0 +1,63 @@
+//! What `avoid` and `worst-case` do with a scenario they have found: write it, draw it, print about it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::Failure;
+use super::output::{self, Files};
+use super::simulate::{self, Format};
+use crate::scenario::{Scenario, file};
+use crate::sim::Simulated;
+
+/// Where a finding goes.
+#[derive(Args)]
+pub(super) struct Finding {
+    /// Write what was found as a scenario for `crumple simulate`
+    #[arg(long, value_name = "F.toml")]
+    out: Option<PathBuf>,
+    /// Draw it
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]))]
+    plot: Option<PathBuf>,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+impl Finding {
+    /// Stages the files asked for: the scenario, and a drawing of what `replay` says of it.
+    pub(super) fn write(
+        &self,
+        scenario: &Scenario,
+        driver: &str,
+        files: &mut Files,
+        replay: impl FnOnce() -> Result<Simulated, Failure>,
+    ) -> Result<(), Failure> {
+        if let Some(path) = &self.out {
+            files.stage(path, file::to_toml(scenario).map_err(Failure::input)?.as_bytes())?;
+        }
+        if let Some(path) = &self.plot {
+            let run = replay()?;
+            if let Some(trace) = &run.trace {
+                files.stage(path, &simulate::picture(path, scenario, driver, trace, &run.impacts)?)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Says that there is nothing to write, if something was to be.
+    pub(super) fn note_nothing(&self, why: &str, quiet: bool) {
+        if self.out.is_some() || self.plot.is_some() {
+            output::note(&format!("note: {why} to write or draw"), quiet);
+        }
+    }
+
+    /// Prints a report, in words or as one JSON object.
+    pub(super) fn print<R: Serialize>(&self, report: &R, describe: impl FnOnce(&R) -> String) -> Result<(), Failure> {
+        output::print(&match self.format {
+            Format::Json => serde_json::to_string(report).map_err(Failure::input)? + "\n",
+            Format::Text => describe(report),
+        })
+    }
+}

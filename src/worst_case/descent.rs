@@ -1,0 +1,208 @@
+//! Steps of sequential convex programming: a function linearised by finite differences, and where it is lowest near by.
+//!
+//! A [`Descent`] asks for values and is told them; what the values are of, and how they are computed, is not its affair. So
+//! an attack on one scenario and a search that shares a budget with others take the same steps.
+
+use super::cone::{Cone, Solved};
+
+/// What the variables may be.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// The least of each.
+    pub(crate) low: f64,
+    /// The most of each.
+    pub(crate) high: f64,
+    /// Most change from zero to the first and from each to the next; none where they have nothing to do with each other.
+    pub(crate) ramp: Option<[f64; 2]>,
+}
+
+/// How a descent goes.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pace {
+    /// Change of a variable for a finite difference.
+    pub(crate) nudge: f64,
+    /// The trust region at first, and where the descent gives up.
+    pub(crate) region: [f64; 2],
+    /// Where variables go that do not matter; none to leave them where they are.
+    pub(crate) idle: Option<f64>,
+}
+
+/// Growth of the trust region after a step that was a success, and after one that was not.
+pub(super) const REGION_FACTORS: [f64; 2] = [1.5, 0.4];
+/// A step that lowers the value by less is no success.
+const WORTH: f64 = 1e-6;
+/// Cost of the square of a variable beside its slope.
+const IDLE_WEIGHT: f64 = 1e-4;
+
+impl Limits {
+    /// The rows of a step from a point inside a trust region: the first variables of the program are the new values.
+    pub(super) fn rows(&self, cone: &mut Cone, at: &[f64], region: f64) {
+        for (index, &now) in at.iter().enumerate() {
+            cone.at_most(&[(index, 1.0)], (now + region).min(self.high));
+            cone.at_most(&[(index, -1.0)], (region - now).min(-self.low));
+            if let Some([first, next]) = self.ramp {
+                let from_zero = index == 0;
+                let ramp = if from_zero { first } else { next };
+                let change = if from_zero { vec![(0, 1.0)] } else { vec![(index, 1.0), (index - 1, -1.0)] };
+                let back: Vec<_> = change.iter().map(|&(i, c)| (i, -c)).collect();
+                cone.at_most(&change, ramp);
+                cone.at_most(&back, ramp);
+            }
+        }
+    }
+
+    /// Values as near to those wanted as their ramp allows, one after the other.
+    pub(super) fn ramped(&self, wanted: impl Iterator<Item = f64>) -> Vec<f64> {
+        let Some([first, next]) = self.ramp else { return wanted.collect() };
+        let follow = |before: &mut Option<f64>, wanted: f64| {
+            let (from, most) = before.map_or((0.0, first), |before| (before, next));
+            *before = Some(wanted.clamp(from - most, from + most));
+            *before
+        };
+        wanted.scan(None, follow).collect()
+    }
+
+    /// The first variables of a solution; none if there is no solution.
+    pub(super) fn solution(&self, cone: &Cone, variables: usize) -> Option<Vec<f64>> {
+        let Solved::Optimal { at, .. } = cone.solve() else { return None };
+        let inside: Vec<f64> = at.iter().take(variables).map(|value| value.clamp(self.low, self.high)).collect();
+        inside.iter().all(|value| value.is_finite()).then_some(inside)
+    }
+
+    /// Each variable changed for a finite difference, and by how much: towards the middle, so that every change has an
+    /// effect.
+    pub(super) fn nudged(&self, at: &[f64], nudge: f64) -> (Vec<f64>, Vec<Vec<f64>>) {
+        let middle = 0.5 * (self.low + self.high);
+        let one = |(index, &now): (usize, &f64)| {
+            let by = if now > middle { -nudge } else { nudge };
+            let changed = at.iter().enumerate().map(|(other, &value)| if other == index { value + by } else { value });
+            (by, changed.collect())
+        };
+        at.iter().enumerate().map(one).unzip()
+    }
+}
+
+/// The differences of values to that at a point, as slopes; what cannot be compared has none.
+pub(super) fn slopes(value: f64, nudged: &[f64], by: &[f64]) -> Vec<f64> {
+    let slope = |(nudged, by): (&f64, &f64)| Some((nudged - value) / by).filter(|slope| slope.is_finite());
+    nudged.iter().zip(by).map(|pair| slope(pair).unwrap_or(0.0)).collect()
+}
+
+/// A descent by trust region.
+#[derive(Debug)]
+pub(crate) struct Descent {
+    limits: Limits,
+    pace: Pace,
+    region: f64,
+    at: Vec<f64>,
+    value: f64,
+    slope: Option<Vec<f64>>,
+    asked: Asked,
+}
+
+#[derive(Debug)]
+enum Asked {
+    Nothing,
+    /// By how much each variable was changed.
+    Slope(Vec<f64>),
+    Step(Vec<f64>),
+}
+
+impl Descent {
+    /// From a point and the value there.
+    pub(crate) fn new(limits: Limits, pace: Pace, at: Vec<f64>, value: f64) -> Self {
+        Self { limits, pace, region: pace.region[0], at, value, slope: None, asked: Asked::Nothing }
+    }
+
+    /// Where it is.
+    pub(crate) fn at(&self) -> &[f64] {
+        &self.at
+    }
+
+    /// The value there.
+    pub(crate) fn value(&self) -> f64 {
+        self.value
+    }
+
+    /// What to evaluate next; nothing if it is over.
+    pub(crate) fn ask(&mut self) -> Vec<Vec<f64>> {
+        let Some(slope) = &self.slope else {
+            let (by, nudged) = self.limits.nudged(&self.at, self.pace.nudge);
+            self.asked = Asked::Slope(by);
+            return nudged;
+        };
+        let is_over = self.region <= self.pace.region[1] || slope.iter().all(|slope| *slope == 0.0);
+        let step = if is_over { None } else { self.step(slope) };
+        self.asked = step.clone().map_or(Asked::Nothing, Asked::Step);
+        step.into_iter().collect()
+    }
+
+    /// The values of what was asked for last; where there are fewer, it goes on as if it had not asked.
+    pub(crate) fn tell(&mut self, values: &[f64]) {
+        match std::mem::replace(&mut self.asked, Asked::Nothing) {
+            Asked::Slope(by) if values.len() == by.len() => self.slope = Some(slopes(self.value, values, &by)),
+            Asked::Step(at) => {
+                let Some(&value) = values.first() else { return };
+                let [success, failure] = REGION_FACTORS;
+                if value < self.value - WORTH {
+                    (self.at, self.value, self.slope) = (at, value, None);
+                    self.region *= success;
+                } else {
+                    self.region *= failure;
+                }
+            }
+            Asked::Slope(_) | Asked::Nothing => {}
+        }
+    }
+
+    /// Where the linearised value is lowest inside the trust region.
+    fn step(&self, slope: &[f64]) -> Option<Vec<f64>> {
+        let mut cone = Cone::new(self.at.len());
+        self.limits.rows(&mut cone, &self.at, self.region);
+        for ((index, &now), &slope) in self.at.iter().enumerate().zip(slope) {
+            // w (x - c)² = w x² - 2 w c x + constant.
+            let idle = self.pace.idle.unwrap_or(now);
+            cone.square(&[(index, 1.0)], IDLE_WEIGHT);
+            cone.cost(index, slope - 2.0 * IDLE_WEIGHT * idle);
+        }
+        self.limits.solution(&cone, self.at.len()).filter(|next| *next != self.at)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kinked_bowl_is_descended_to_its_lowest_point_within_the_limits() {
+        // Lowest at (0.2, 0.9); the third variable has no say and stays.
+        let value = |x: &[f64]| (x[0] - 0.2).abs() + 2.0 * (x[1] - 1.5).abs();
+        let limits = Limits { low: 0.0, high: 0.9, ramp: None };
+        let pace = Pace { nudge: 1e-3, region: [0.25, 1e-4], idle: None };
+        let start = vec![0.6, 0.1, 0.3];
+        let first = value(&start);
+        let mut descent = Descent::new(limits, pace, start, first);
+        for _ in 0..200 {
+            let asked = descent.ask();
+            assert!(asked.iter().flatten().all(|x| (0.0..=0.9).contains(x)));
+            descent.tell(&asked.iter().map(|x| value(x)).collect::<Vec<_>>());
+        }
+        assert!(descent.ask().is_empty(), "it ends");
+        assert!((descent.at()[0] - 0.2).abs() < 2e-3 && descent.at()[1] > 0.899, "{descent:?}");
+        assert!((descent.at()[2] - 0.3).abs() < 1e-6);
+        assert_eq!(descent.value(), value(descent.at()));
+    }
+
+    #[test]
+    fn what_cannot_be_compared_ends_it() {
+        let limits = Limits { low: 0.0, high: 1.0, ramp: Some([0.5, 0.5]) };
+        let pace = Pace { nudge: 0.01, region: [0.25, 0.01], idle: Some(0.0) };
+        for strange in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            let mut descent = Descent::new(limits, pace, vec![0.5, 0.5], strange);
+            descent.tell(&[]);
+            let asked = descent.ask();
+            descent.tell(&vec![strange; asked.len()]);
+            assert!(descent.ask().is_empty());
+        }
+    }
+}
