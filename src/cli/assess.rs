@@ -1,7 +1,7 @@
 //! `crumple assess`: gather the evidence and write the report.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use sha2::{Digest, Sha256};
@@ -68,13 +68,19 @@ impl Assess {
         let assessment = assess(&plan, &store, against.as_ref(), &|done| bar.set_position(done))?;
         bar.finish_and_clear();
         let mut files = Files::default();
-        for (name, text) in assessment.files().map_err(Failure::input)? {
+        let rendered = assessment.files().map_err(Failure::input)?;
+        for (name, text) in &rendered {
             let path = self.out.join(name);
             let folder = path.parent().unwrap_or(&self.out);
             fs::create_dir_all(folder).map_err(|source| Failure::environment(folder, source))?;
             files.stage(&path, text.as_bytes())?;
         }
         files.commit()?;
+        for folder in ["counterexamples", "certificates"] {
+            remove_others(&self.out.join(folder), &|path| {
+                rendered.iter().any(|(name, _)| self.out.join(name) == path)
+            })?;
+        }
         let (pieces, reused) = store.reused();
         let again =
             if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were there") };
@@ -94,6 +100,23 @@ impl Assess {
             }
         }
     }
+}
+
+/// Removes what an earlier report left in a folder that belongs to the report.
+fn remove_others(folder: &Path, is_current: &dyn Fn(&Path) -> bool) -> Result<(), Failure> {
+    let failed = |source| Failure::environment(folder, source);
+    if !folder.exists() {
+        return Ok(());
+    }
+    for entry in fs::read_dir(folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if path.is_dir() {
+            remove_others(&path, is_current)?;
+        } else if !is_current(&path) {
+            fs::remove_file(&path).map_err(|source| Failure::environment(&path, source))?;
+        }
+    }
+    Ok(())
 }
 
 /// Stands for the program: other code may find other evidence.

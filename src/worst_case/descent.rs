@@ -189,7 +189,8 @@ mod tests {
         }
         assert!(descent.ask().is_empty(), "it ends");
         assert!((descent.at()[0] - 0.2).abs() < 2e-3 && descent.at()[1] > 0.899, "{descent:?}");
-        assert!((descent.at()[2] - 0.3).abs() < 1e-6);
+        // But for the tolerance of the solver, step after step.
+        assert!((descent.at()[2] - 0.3).abs() < 1e-3);
         assert_eq!(descent.value(), value(descent.at()));
     }
 
