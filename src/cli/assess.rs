@@ -76,7 +76,7 @@ impl Assess {
             files.stage(&path, text.as_bytes())?;
         }
         files.commit()?;
-        for folder in ["counterexamples", "certificates"] {
+        for folder in ["counterexamples", "certificates", "figures"] {
             remove_others(&self.out.join(folder), &|path| {
                 rendered.iter().any(|(name, _)| self.out.join(name) == path)
             })?;

@@ -28,7 +28,7 @@ use maud::{Markup, PreEscaped, html};
 pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, animation};
 pub use axis::{Axis, BELOW, LEFT};
 pub use label::{Frame, on_lines, shortened, spread, text_width, wrapped};
-pub use motion::{Layout, MotionFigure, motion, motion_beside, motion_on, motion_responsive};
+pub use motion::{Layout, MotionFigure, motion, motion_beside, motion_on, motion_plate, motion_responsive};
 pub use motion_axes::MotionAxes;
 pub use names::vehicle_names;
 pub use panel::{Anchor, HEADING, Marker, Panel, TaggedLine, mark, straight, tag, tag_width, words};

@@ -1,5 +1,6 @@
 //! The three diagrams of the paper's results, side by side or stacked: time-space, time-speed and spacing.
 
+use super::path::Px;
 use maud::{Markup, html};
 
 use super::axis::LEFT;
@@ -88,6 +89,23 @@ pub fn motion_beside(figures: &[MotionFigure<'_>]) -> Markup {
         div.draw-narrow { @for figure in figures { (drawn(figure, "narrow", Layout::Stacked)) } }
     }
 }
+
+/// Several runs on the same axes as one figure, in columns: a file for itself.
+#[must_use]
+pub fn motion_plate(prefix: &str, title: &str, figures: &[MotionFigure<'_>]) -> Svg {
+    let axes = MotionAxes::of_all(figures.iter().map(|figure| figure.trace));
+    let drawn: Vec<Svg> = figures.iter().map(|figure| motion_on(figure, &axes, Layout::Column)).collect();
+    let lefts = drawn.iter().scan(0.0, |left, svg| Some(std::mem::replace(left, *left + svg.size().0 + PLATE_GAP)));
+    let content = html! {
+        @for (svg, left) in drawn.iter().zip(lefts) { g transform={ "translate(" (Px(left)) " 0)" } { (svg) } }
+    };
+    let width = drawn.iter().map(|svg| svg.size().0 + PLATE_GAP).sum::<f64>() - PLATE_GAP;
+    let height = drawn.iter().map(|svg| svg.size().1).fold(0.0, f64::max);
+    Svg::new(prefix, (width.max(0.0), height), title, "The runs beside each other, on the same axes.", content)
+}
+
+/// Between the columns of a plate, in pixels.
+const PLATE_GAP: f64 = 20.0;
 
 fn space(figure: &MotionFigure<'_>, plan: &Plan, axes: &MotionAxes, closeup_id: &str) -> Panel {
     let MotionFigure { trace, .. } = figure;

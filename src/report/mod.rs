@@ -233,6 +233,7 @@ impl Assessment {
             ("assessment.junit.xml".to_owned(), junit::xml(self)?),
             ("assessment.gsn.yaml".to_owned(), self.argument.yaml()),
         ];
+        files.extend(self.paper_scenarios.plates().map(|(name, svg)| (name, svg.document())));
         files.extend(self.searches.failures().map(|failure| (failure.file.clone(), failure.text.clone())));
         files.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
         Ok(files)

@@ -41,7 +41,7 @@ fn the_committed_report_is_current() {
     for (name, now) in &files {
         assert_current(name, now);
     }
-    for folder in ["counterexamples", "certificates"] {
+    for folder in ["counterexamples", "certificates", "figures"] {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
         for path in files_below(&root.join(folder)) {
             let name = path.strip_prefix(&root).expect("below").to_string_lossy().into_owned();

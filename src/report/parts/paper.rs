@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::ScenarioCases;
+use crate::draw::Svg;
 use crate::report::best::{Best, WHAT_REGRET_IS};
 use crate::report::case::{Case, Motion, run_cases};
 use crate::report::work::Work;
@@ -52,6 +53,14 @@ impl PaperScenarios {
 }
 
 impl PaperScenarios {
+    /// The figures that stand beside each other, as files.
+    pub(in crate::report) fn plates(&self) -> impl Iterator<Item = (String, Svg)> {
+        self.scenarios.iter().map(|scenario| {
+            let (beside, _) = self.split(scenario);
+            (format!("figures/{}.svg", scenario.scenario), scenario.plate(&beside))
+        })
+    }
+
     /// The cases to show beside each other, and the others.
     fn split<'a>(&self, scenario: &'a ScenarioCases) -> (Vec<&'a Case>, Vec<&'a Case>) {
         let numbered = scenario.cases.iter().enumerate();

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde::Serialize;
 
-use crate::draw::{MotionFigure, animation, motion_beside, motion_responsive, vehicle_names};
+use crate::draw::{MotionFigure, Svg, animation, motion_beside, motion_plate, motion_responsive, vehicle_names};
 use crate::report::Best;
 use crate::report::case::Case;
 use crate::report::rounded::or_dash;
@@ -151,6 +151,15 @@ impl ScenarioCases {
 
     /// The same of several cases beside each other, on the same axes.
     pub(in crate::report) fn figures_beside(&self, cases: &[&Case]) -> Markup {
+        self.with_figures(cases, motion_beside)
+    }
+
+    /// The same as a file for itself.
+    pub(in crate::report) fn plate(&self, cases: &[&Case]) -> Svg {
+        self.with_figures(cases, |figures| motion_plate(&self.scenario, &self.scenario, figures))
+    }
+
+    fn with_figures<T>(&self, cases: &[&Case], draw: impl FnOnce(&[MotionFigure<'_>]) -> T) -> T {
         let moved: Vec<_> = cases.iter().filter_map(|case| Some((*case, case.motion.as_ref()?))).collect();
         let named = |name: &str| format!("{}-{name}", self.scenario);
         let prefixes: Vec<_> = moved.iter().map(|(case, _)| named(&case.controller)).collect();
@@ -166,7 +175,7 @@ impl ScenarioCases {
                 impacts,
             })
             .collect();
-        motion_beside(&figures)
+        draw(&figures)
     }
 
     /// What a case looked like from above.

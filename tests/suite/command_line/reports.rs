@@ -38,6 +38,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
         "certificates",
         "counterexamples",
         "evidence",
+        "figures",
     ];
     for threads in ["1", "2"] {
         let out = format!("report-{threads}");
