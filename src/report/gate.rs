@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Assessment, Comparison, Rounded, Strength};
+use super::{Assessment, Comparison, Rounded};
 use crate::falsify::counterexample::AvoidabilityClass;
 
 /// Something that must hold.
@@ -173,17 +173,5 @@ fn nothing_worse(comparison: Option<&Comparison>) -> (bool, String) {
             [] => (true, "nothing is".to_owned()),
             [first, ..] => (false, format!("{} worse, first {}", comparison.worse.len(), first.what)),
         },
-    }
-}
-
-impl Strength {
-    /// How good it is to hear, for comparisons: what is refuted, what is not known, what was tried, what is proved.
-    pub(super) fn rank(&self) -> u8 {
-        match self {
-            Self::Refuted { .. } | Self::Defeated { .. } | Self::Exceeded { .. } | Self::Found { .. } => 0,
-            Self::Untried | Self::Undecided { .. } => 1,
-            Self::Tested { .. } | Self::Bounded { .. } => 2,
-            Self::Proved { .. } | Self::ProvedIn { .. } => 3,
-        }
     }
 }

@@ -123,14 +123,16 @@ impl Plan {
 
     /// A controller's name as part of a path; different ones for different controllers.
     pub(super) fn slug(&self, index: usize) -> String {
-        let plain = |name: &str| -> String {
-            name.chars().map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '-' }).collect()
-        };
-        let of = |index: usize| self.controllers.get(index).map(|controller| plain(&controller.name));
+        let of = |index: usize| self.controllers.get(index).map(|controller| slug(&controller.name));
         let own = of(index).unwrap_or_default();
         let is_taken = (0..index).any(|other| of(other).as_deref() == Some(own.as_str()));
         if is_taken { format!("{own}-{index}") } else { own }
     }
+}
+
+/// A name as part of a path.
+pub(super) fn slug(name: &str) -> String {
+    name.chars().map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '-' }).collect()
 }
 
 /// The first learned controller without a shield, or else the last one.

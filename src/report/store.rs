@@ -12,6 +12,7 @@ use std::sync::Mutex;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use super::plan::slug;
 use super::sha256;
 
 /// A piece of evidence: its name, what it depends on, and what it says, as hashes.
@@ -139,9 +140,7 @@ impl Store {
 
     fn file_stem(&self, name: &str, inputs_sha256: &str) -> String {
         let key = sha256(&format!("{}\n{name}\n{inputs_sha256}", self.program));
-        let plain: String =
-            name.chars().map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '-' }).collect();
-        format!("{plain}-{}", key.get(..16).unwrap_or_default())
+        format!("{}-{}", slug(name), key.get(..16).unwrap_or_default())
     }
 
     fn note(&self, name: &str, inputs_sha256: String, evidence: &str, reused: bool) {

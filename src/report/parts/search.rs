@@ -13,6 +13,7 @@ use crate::falsify::Method;
 use crate::falsify::campaign::{Aim, Campaign, Specification, Summary};
 use crate::falsify::counterexample::AvoidabilityClass;
 use crate::report::case::{Motion, run_cases};
+use crate::report::plan::slug;
 use crate::report::prose::prose;
 use crate::report::rounded::or_dash;
 use crate::report::table::{Cell, Table};
@@ -308,10 +309,6 @@ fn draw(plan: &Plan, controller: &Contender, failures: &[Failure]) -> Result<Vec
 
 fn read(path: &Path) -> Result<String, AssessError> {
     std::fs::read_to_string(path).map_err(|source| crate::report::StoreError { path: path.to_owned(), source }.into())
-}
-
-fn slug(name: &str) -> String {
-    name.chars().map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '-' }).collect()
 }
 
 const INTRODUCTION: &str = "A search looks for contacts; points drawn evenly over the ranges (uniform) and a Halton sequence get the same budget. Failures are \
