@@ -32,7 +32,7 @@ pub use coverage::Covered;
 pub use failures::{Candidate, FailureKind};
 pub use regions::Region;
 pub use run::Progress;
-pub(in crate::falsify) use run::write_whole;
+pub(crate) use run::write_whole;
 pub use specification::{Braking, Specification, SpecificationError, Struck, Verdict};
 pub use summary::{AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
 

@@ -300,8 +300,8 @@ fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> Progress {
 }
 
 /// Writes a file that appears whole or not at all.
-pub(in crate::falsify) fn write_whole(path: &Path, text: &str) -> Result<(), CampaignError> {
+pub(crate) fn write_whole(path: &Path, contents: impl AsRef<[u8]>) -> Result<(), CampaignError> {
     let beside = path.with_extension("partial");
-    fs::write(&beside, text).map_err(|source| CampaignError::environment(&beside, source))?;
+    fs::write(&beside, contents).map_err(|source| CampaignError::environment(&beside, source))?;
     fs::rename(&beside, path).map_err(|source| CampaignError::environment(path, source))
 }
