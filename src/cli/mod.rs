@@ -51,7 +51,8 @@ enum Command {
     Simulate(simulate::Simulate),
     Import(import::Import),
     Train(train::Train),
-    Retrain(retrain::Retrain),
+    // Far more arguments than any other.
+    Retrain(Box<retrain::Retrain>),
     Falsify(falsify::Falsify),
     Avoid(avoid::Avoid),
     WorstCase(worst_case::WorstCase),

@@ -19,9 +19,9 @@ use crate::sim::{Contact, Contender, Keep, Run, RunError, RunOptions, UnderTest,
 /// The version of corpus files.
 pub const CORPUS_VERSION: u32 = 1;
 
-/// Draws that are classed together.
+/// Draws that are classed together, at most.
 const BLOCK: u64 = 500;
-/// A space of which less than this share can be avoided is given up.
+/// A space of which less than this share can be avoided is given up, once that many have been looked at.
 const LEAST_SHARE: f64 = 0.01;
 
 /// The avoidable ones among the first draws of a space by one seed. Nearly all are, so the others are listed.
@@ -80,8 +80,8 @@ impl Corpus {
         Ok(self.indices().map(|index| space.draw(self.seed, index)).collect::<Result<_, _>>()?)
     }
 
-    /// Classes the next draws, `wanted` in all, and says what `seen` made of each that is avoidable: index by index, the
-    /// contact of each witness.
+    /// Classes the next draws, as long as fewer than `wanted` are avoidable, and tells `seen` what each witness did in each
+    /// of those that are.
     pub(super) fn grow(
         &mut self,
         space: &Space,
@@ -90,12 +90,10 @@ impl Corpus {
         estimator: EstimatorKind,
         mut seen: impl FnMut(&[Option<Contact>]),
     ) -> Result<(), HardenError> {
-        let range = self.draws..self.draws + BLOCK;
+        // No more than are missing: what a block holds beyond the last one wanted would be classed for nothing.
+        let range = self.draws..self.draws + (wanted - self.avoidable).min(BLOCK);
         let classed = class(space, self.seed, range.clone(), witnesses, estimator)?;
         for (index, (class, contacts)) in range.zip(classed) {
-            if self.avoidable == wanted {
-                break;
-            }
             self.draws += 1;
             match class {
                 AvoidabilityClass::Avoidable => {
@@ -107,7 +105,7 @@ impl Corpus {
             }
         }
         let share = self.avoidable as f64 / self.draws as f64;
-        if self.avoidable < wanted && share < LEAST_SHARE {
+        if self.draws >= BLOCK && share < LEAST_SHARE {
             let (space, draws, avoidable) = (self.space.clone(), self.draws, self.avoidable);
             return Err(HardenError::Hopeless { space, draws, avoidable, wanted });
         }
@@ -133,10 +131,13 @@ impl Corpus {
         estimator: EstimatorKind,
         progress: &mut dyn FnMut(u64),
     ) -> Result<Self, HardenError> {
-        let mut corpus: Self = match read_json(path)? {
-            Some(corpus) => corpus,
-            None => Self::begin(space, seed)?,
-        };
+        let mut corpus = Self::begin(space, seed)?;
+        if let Some(found) = read_json::<Self>(path)? {
+            if (found.seed, &found.space_sha256) != (seed, &corpus.space_sha256) {
+                return Err(HardenError::Folder(format!("{}: draws of another space or seed", path.display())));
+            }
+            corpus = found;
+        }
         while corpus.scenarios_sha256.is_empty() {
             progress(corpus.avoidable);
             if corpus.avoidable < wanted {

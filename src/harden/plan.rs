@@ -65,11 +65,11 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            rounds: 5,
+            rounds: 3,
             episodes: 1000,
             budget: 1000,
-            draws: 2000,
-            kept_aside: 4000,
+            draws: 1000,
+            kept_aside: 2000,
             nominal: 10_000,
             judged: 10_000,
             nominal_share: 0.2,

@@ -93,8 +93,8 @@ impl Campaign {
         progress(&state(None, &reached, self.total()));
         let summary = self.summarise(&space, &nominal, reached, &failures, &sample, folder)?;
         // The summary is written last but for the journal's end: whoever sees it sees a whole campaign.
-        write_whole(&folder.join("summary.txt"), &summary.to_text())?;
-        write_whole(&folder.join(SUMMARY), &summary.to_json()?)?;
+        write_whole(&folder.join("summary.txt"), summary.to_text())?;
+        write_whole(&folder.join(SUMMARY), summary.to_json()?)?;
         fs::remove_file(&journal_path).map_err(|source| CampaignError::environment(&journal_path, source))?;
         Ok(summary)
     }
@@ -141,7 +141,7 @@ impl Campaign {
         let evaluations = folder.join("evaluations");
         fs::create_dir_all(&evaluations).map_err(|source| CampaignError::environment(&evaluations, source))?;
         if found.is_none() {
-            write_whole(&path, &self.to_toml()?)?;
+            write_whole(&path, self.to_toml()?)?;
         }
         Ok(None)
     }
