@@ -40,6 +40,7 @@ mod round;
 mod ruling;
 mod run;
 mod standing;
+mod training;
 
 pub use cases::{Cases, TouchedDraws};
 pub use corpus::{CORPUS_VERSION, Corpus};

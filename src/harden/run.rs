@@ -8,9 +8,8 @@ use super::files::{make_folder, read, read_json, write_json};
 use super::judged::{Judged, witnesses};
 use super::plan::{KEPT_ASIDE_SEED, Plan};
 use super::report::{Ending, Report};
-use super::round::{
-    Before, CANDIDATE, Found, RECORD, Round, forget_checkpoints, forget_learner, gathered, round_folder, selection,
-};
+use super::round::{Before, CANDIDATE, Found, RECORD, Round, gathered, round_folder, selection};
+use super::training::{forget_checkpoints, forget_learner};
 use super::{HardenError, Standing};
 use crate::falsify::campaign::{self, write_whole};
 use crate::policy::Policy;
