@@ -32,6 +32,7 @@
 //! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
 //! | [`evidence`] | claims with certificates: kernels of shields, failure rates; estimates of rare failures |
 //! | [`report`] | the assessment and its renderings |
+//! | [`harden`] | search, train on what could have been avoided, accept what breaks nothing; again |
 //! | [`trial`] | crash tests of crumple itself: any scenario, and laws that hold in it |
 //! | [`cli`] | the command line |
 //!
@@ -59,6 +60,7 @@ pub mod estimate;
 pub mod evidence;
 pub mod export;
 pub mod falsify;
+pub mod harden;
 pub mod measure;
 pub mod policy;
 pub mod random;

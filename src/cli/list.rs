@@ -9,7 +9,7 @@ use super::{Failure, output};
 use crate::falsify::Method;
 use crate::scenario::space::BUILT_IN_SPACES;
 use crate::scenario::{ControllerSpec, built_in_names};
-use crate::sim::Stress;
+use crate::sim::{HARDENED, Stress};
 
 const SHIELD: (&str, &str) =
     ("shield:policy", "policy, or full braking where it would leave no way out; shield: goes before any controller");
@@ -60,7 +60,7 @@ impl Catalogue {
                 let built_in = ControllerSpec::built_in();
                 let drivers = built_in.iter().map(|driver| (driver.name(), driver.summary()));
                 let stress = Stress::ALL.map(|stress| (stress.name(), stress.summary()));
-                drivers.chain(stress).chain([SHIELD]).map(entry).collect()
+                drivers.chain([HARDENED]).chain(stress).chain([SHIELD]).map(entry).collect()
             }
             Self::Spaces => BUILT_IN_SPACES.map(|(name, summary, _)| entry((name, summary))).into(),
             Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),

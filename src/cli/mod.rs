@@ -14,6 +14,7 @@ mod output;
 mod progress;
 mod rare;
 mod reach;
+mod retrain;
 mod simulate;
 mod subject;
 mod train;
@@ -30,7 +31,8 @@ pub use failure::Failure;
 const EXIT_CODES: &str = "\
 Exit codes:
   0    done
-  1    a gate did not hold: --expect was not met, a training diverged, a certificate was rejected
+  1    a gate did not hold: --expect was not met, a training diverged, no round of
+       a retraining was accepted, a certificate was rejected
   2    unusable arguments or input; the message names file, line and field
   3    the environment failed: disk, permission
   130  interrupted";
@@ -52,6 +54,8 @@ enum Command {
     Simulate(simulate::Simulate),
     Import(import::Import),
     Train(train::Train),
+    // Far more arguments than any other.
+    Retrain(Box<retrain::Retrain>),
     Falsify(falsify::Falsify),
     Avoid(avoid::Avoid),
     WorstCase(worst_case::WorstCase),
@@ -81,6 +85,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
         Command::Train(command) => command.run(quiet),
+        Command::Retrain(command) => command.run(quiet),
         Command::Avoid(command) => command.run(quiet),
         Command::Check(command) => command.run(),
         Command::WorstCase(command) => command.run(quiet),

@@ -27,6 +27,13 @@ static REFERENCE_BYTES: &[u8] = include_bytes!("../../corpora/policy/reference.s
 static REFERENCE: LazyLock<Arc<Policy>> =
     LazyLock::new(|| Arc::new(Policy::from_bytes(REFERENCE_BYTES).expect("the reference policy is whole")));
 
+/// The committed policy hardened by `crumple retrain`, likewise.
+static HARDENED_BYTES: &[u8] = include_bytes!("../../corpora/policy/hardened.safetensors");
+
+#[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
+static HARDENED: LazyLock<Arc<Policy>> =
+    LazyLock::new(|| Arc::new(Policy::from_bytes(HARDENED_BYTES).expect("the hardened policy is whole")));
+
 /// An actor that can drive.
 ///
 /// Its answers are numbers: an observation is cut to the header's limit before the network sees it, and a network that could
@@ -75,6 +82,18 @@ impl Policy {
     #[must_use]
     pub fn reference_bytes() -> &'static [u8] {
         REFERENCE_BYTES
+    }
+
+    /// The committed policy that `crumple retrain` made of the reference policy.
+    #[must_use]
+    pub fn hardened() -> Arc<Self> {
+        Arc::clone(&HARDENED)
+    }
+
+    /// The file of the hardened policy.
+    #[must_use]
+    pub fn hardened_bytes() -> &'static [u8] {
+        HARDENED_BYTES
     }
 
     /// Everything but the weights.

@@ -19,6 +19,8 @@ pub struct HeldOut {
     paper: Vec<Scenario>,
     screening: Vec<Scenario>,
     ranking: Vec<Scenario>,
+    /// How many of the paper's scenarios, in order, a policy must survive to be ranked.
+    paper_needed: usize,
     environment: EnvironmentConfig,
 }
 
@@ -73,8 +75,16 @@ impl HeldOut {
             paper: PAPER.into_iter().filter_map(built_in).collect(),
             screening: draw(0..first).collect(),
             ranking: draw(first..first + evaluation.ranking_draws).collect(),
+            paper_needed: 2,
             environment: environment.clone(),
         }
+    }
+
+    /// The same with other scenarios for the ranking, which only policies reach that survive all three of the paper's.
+    #[must_use]
+    pub fn with_ranking(mut self, ranking: Vec<Scenario>) -> Self {
+        (self.ranking, self.paper_needed) = (ranking, PAPER.len());
+        self
     }
 
     /// Drives a policy through the screening and, if it survives that, through the ranking.
@@ -101,7 +111,8 @@ impl HeldOut {
             ranking_contacts: None,
             smallest_gap_m: smallest_gap_m.min(smallest(&draws)),
         };
-        if safe == draws.len() && paper_safe[..2] == [true; 2] && !self.ranking.is_empty() {
+        let is_paper_safe = paper_safe.iter().take(self.paper_needed).all(|&safe| safe);
+        if safe == draws.len() && is_paper_safe && !self.ranking.is_empty() {
             let ranked = drive(&self.ranking, policy, of)?;
             let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
             evaluation.ranking_contacts = Some(contacts as u64);

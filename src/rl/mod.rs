@@ -32,7 +32,7 @@ pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
 pub use learner::{Learner, Losses, Trained};
 pub use replay::{Batch, Replay, Transition};
 pub use seeds::{Event, Observer, side_by_side, train};
-pub use source::{Mixed, PaperDraws, ScenarioSource};
+pub use source::{Blend, Mixed, PaperDraws, ScenarioSource};
 pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use sha2::{Digest, Sha256};
 
 use super::environment::EGO;
 use crate::random::{self, Purpose};
+use crate::scenario::space::Space;
 use crate::scenario::{Driver, InvalidField, PAPER_STEP_S, PaperDistribution, Scenario};
 
 /// Something to draw scenarios from, one an episode.
@@ -35,6 +36,59 @@ impl ScenarioSource for PaperDraws {
     fn identity(&self) -> Option<String> {
         None
     }
+}
+
+/// Draws of a space by its distribution.
+impl ScenarioSource for Space {
+    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+        Self::draw(self, seed, index)
+    }
+
+    fn identity(&self) -> Option<String> {
+        // A space that was read can be written.
+        let digest = sha256(serde_json::to_string(self.spec()).unwrap_or_default().as_bytes());
+        Some(format!("the space `{}` (sha256 {digest})", self.name()))
+    }
+}
+
+/// Two sources by turns.
+#[derive(Debug, Clone)]
+pub struct Blend {
+    first: Arc<dyn ScenarioSource>,
+    share: f64,
+    otherwise: Arc<dyn ScenarioSource>,
+}
+
+impl Blend {
+    /// A `share` of the episodes, cut to `[0, 1]`, is drawn from `first`, the others from `otherwise`; each episode is the same
+    /// as in its source alone.
+    #[must_use]
+    pub fn new(first: Arc<dyn ScenarioSource>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
+        Self { first, share: share.clamp(0.0, 1.0), otherwise }
+    }
+}
+
+/// Sets the stream of the blend apart from that of a mixture inside it.
+const TURN: u64 = u64::MAX - 2;
+
+impl ScenarioSource for Blend {
+    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+        let mut stream = random::stream(random::derived_seed(seed, TURN), Purpose::ScenarioDraw, index);
+        let source = if stream.random::<f64>() < self.share { &self.first } else { &self.otherwise };
+        source.draw(seed, index)
+    }
+
+    fn identity(&self) -> Option<String> {
+        let name = |source: &Arc<dyn ScenarioSource>| source.identity().unwrap_or_else(|| PAPER.to_owned());
+        Some(format!("a share of {} of {}, otherwise {}", self.share, name(&self.first), name(&self.otherwise)))
+    }
+}
+
+/// What the source without an identity is called.
+const PAPER: &str = "the paper's distribution";
+
+fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// A list of scenarios, such as counterexamples, mixed into another source.
@@ -74,7 +128,7 @@ impl ScenarioSource for Mixed {
             digest.update(serde_json::to_string(case.spec()).unwrap_or_default());
         }
         let digest: String = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-        let otherwise = self.otherwise.identity().unwrap_or_else(|| "the paper's distribution".to_owned());
+        let otherwise = self.otherwise.identity().unwrap_or_else(|| PAPER.to_owned());
         let (share, count) = (self.share, self.cases.len());
         Some(format!("a share of {share} of {count} cases (sha256 {digest}), otherwise {otherwise}"))
     }
@@ -113,6 +167,26 @@ mod tests {
         assert!(counts.iter().all(|count| count.abs_diff(600) < 4 * 23), "{counts:?}");
         let none = Mixed::new(Vec::new(), 1.0, Arc::new(PaperDraws));
         assert_eq!(none.draw(7, 0).unwrap(), PaperDraws.draw(7, 0).unwrap());
+    }
+
+    #[test]
+    fn a_blend_takes_its_share_of_each_source_as_it_is() {
+        let space = crate::scenario::space::built_in_space("high-risk").unwrap();
+        let blend = Blend::new(Arc::new(PaperDraws), 0.25, Arc::new(space.clone()));
+        let nominal = (0..2000).filter(|&index| {
+            let drawn = blend.draw(7, index).unwrap();
+            let is_nominal = drawn == PaperDraws.draw(7, index).unwrap();
+            assert!(is_nominal || drawn == space.draw(7, index).unwrap());
+            is_nominal
+        });
+        // Four standard deviations of a count of mean 500.
+        assert!(nominal.count().abs_diff(500) < 4 * 20);
+        assert!(
+            blend
+                .identity()
+                .unwrap()
+                .starts_with("a share of 0.25 of the paper's distribution, otherwise the space `high-risk`")
+        );
     }
 
     #[test]

@@ -130,6 +130,24 @@ impl Trainer {
         }
     }
 
+    /// The same with the weights of `policy` for the actor and its target, if it is of the same shape; critics start anew.
+    #[must_use]
+    pub fn from_policy(mut self, policy: &Policy) -> Self {
+        let actor = &mut self.learner.actor;
+        if actor.network.sizes() == policy.network().sizes() {
+            actor.network = policy.network().clone();
+            actor.target = policy.network().clone();
+        }
+        self
+    }
+
+    /// Goes on with another source until `episodes` are done. Networks and memory stay; the best policy is looked for anew.
+    pub fn turn_to(&mut self, source: Arc<dyn ScenarioSource>, episodes: u64) {
+        self.source = source;
+        self.config.episodes = episodes;
+        (self.best, self.mastered) = (None, false);
+    }
+
     /// Its seed.
     #[must_use]
     pub fn seed(&self) -> u64 {

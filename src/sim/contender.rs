@@ -44,6 +44,10 @@ pub enum UnknownContender {
     Policy(#[from] PolicyError),
 }
 
+/// A committed policy that is known by name but, unlike the reference policy, drives nobody in a scenario file.
+pub const HARDENED: (&str, &str) =
+    ("hardened", "policy hardened in the space high-risk by retrain (corpora/policy/README.md)");
+
 impl Contender {
     /// The built-in controllers, in the order they are listed.
     #[must_use]
@@ -63,6 +67,9 @@ impl Contender {
         if let Some(spec) = ControllerSpec::named(name) {
             return Ok(spec.into());
         }
+        if name == HARDENED.0 {
+            return Ok(Self { name: name.to_owned(), controller: UnderTest::Policy(Policy::hardened()) });
+        }
         if let Some(stress) = Stress::ALL.into_iter().find(|stress| stress.name() == name) {
             return Ok(Self { name: name.to_owned(), controller: UnderTest::Stress(stress) });
         }
@@ -73,7 +80,8 @@ impl Contender {
         }
         if Path::new(name).extension().is_none() {
             let stress = Stress::ALL.map(Stress::name);
-            let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).chain(stress).collect();
+            let built_in = ControllerSpec::built_in();
+            let known: Vec<_> = built_in.iter().map(ControllerSpec::name).chain([HARDENED.0]).chain(stress).collect();
             return Err(UnknownContender::Name { name: name.to_owned(), known: known.join(", ") });
         }
         let policy = Policy::load(&folder.join(name))?;

@@ -13,7 +13,7 @@ mod shielding;
 mod stepper;
 mod trace;
 
-pub use contender::{Contender, UnknownContender};
+pub use contender::{Contender, HARDENED, UnknownContender};
 pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
 pub use outcome::{AfterContact, Contact, Impact, Outcome, Simulated, VehicleSummary};

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 /// From the ground up.
-const ORDER: [&str; 17] = [
+const ORDER: [&str; 18] = [
     "random",
     "scenario",
     "estimate",
@@ -20,6 +20,7 @@ const ORDER: [&str; 17] = [
     "falsify",
     "evidence",
     "report",
+    "harden",
     "trial",
     "cli",
 ];

@@ -43,7 +43,7 @@ pub use front::FrontPoint;
 pub use judged::Judged;
 pub use regions::Region;
 pub use run::Progress;
-pub(in crate::falsify) use run::write_whole;
+pub(crate) use run::write_whole;
 pub use specification::{Braking, Specification, SpecificationError, Struck, Verdict};
 pub use summary::{AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
 

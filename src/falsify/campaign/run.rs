@@ -103,8 +103,8 @@ impl Campaign {
         progress(&state(None, &reached, self.total()));
         let summary = self.summarise(&space, &nominal, reached, &failures, &sample, folder)?;
         // The summary is written last but for the journal's end: whoever sees it sees a whole campaign.
-        write_whole(&folder.join("summary.txt"), &summary.to_text())?;
-        write_whole(&folder.join(SUMMARY), &summary.to_json()?)?;
+        write_whole(&folder.join("summary.txt"), summary.to_text())?;
+        write_whole(&folder.join(SUMMARY), summary.to_json()?)?;
         fs::remove_file(&journal_path).map_err(|source| CampaignError::environment(&journal_path, source))?;
         Ok(summary)
     }
@@ -317,8 +317,8 @@ fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> Progress {
 }
 
 /// Writes a file that appears whole or not at all.
-pub(in crate::falsify) fn write_whole(path: &Path, text: &str) -> Result<(), CampaignError> {
+pub(crate) fn write_whole(path: &Path, contents: impl AsRef<[u8]>) -> Result<(), CampaignError> {
     let beside = path.with_extension("partial");
-    fs::write(&beside, text).map_err(|source| CampaignError::environment(&beside, source))?;
+    fs::write(&beside, contents).map_err(|source| CampaignError::environment(&beside, source))?;
     fs::rename(&beside, path).map_err(|source| CampaignError::environment(path, source))
 }

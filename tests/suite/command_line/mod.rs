@@ -3,6 +3,7 @@
 mod bad_input;
 mod falsify;
 mod reports;
+mod retrain;
 mod train;
 mod verify;
 mod worst_case;

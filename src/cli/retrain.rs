@@ -1,0 +1,166 @@
+//! `crumple retrain`: harden a policy against what a search finds.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, value_parser};
+use indicatif::ProgressBar;
+
+use super::simulate::Format;
+use super::{Failure, output, progress, subject};
+use crate::falsify::Method;
+use crate::harden::{HardenError, Plan, Progress, Report, Settings, training_preset};
+use crate::rl::TrainingConfig;
+use crate::scenario::space::Space;
+use crate::sim::Contender;
+
+/// Harden a policy: search for failures, train on those that could have been avoided, accept what breaks nothing
+#[derive(Args)]
+#[command(after_long_help = "\
+Each round searches for contacts of the policy, keeps those that somebody could have avoided, trains on with them mixed into \
+the paper's distribution and draws of the space, and judges the best checkpoint. It is accepted only if nothing that was \
+safe in the paper's scenarios and distribution fails and the contacts in a corpus kept aside do not rise. It ends after \
+--rounds, or when a search finds nothing avoidable, and then judges the result on draws that had no part in it.
+
+The folder holds the policy, the corpora it was hardened, accepted and judged on, a report (report.md, report.json) with \
+their hashes, and each round. A retraining that was interrupted, by `kill -9` too, goes on with --resume and ends with the \
+same bytes, on any number of threads. It exits with 1 if no round was accepted.
+
+Examples:
+  crumple retrain --out runs/hardened
+  crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 --judge 20000
+  crumple simulate paper-1 --controller runs/hardened/policy.safetensors --expect safe")]
+pub(super) struct Retrain {
+    /// Policy to begin with: `policy`, or a policy file
+    #[arg(long, value_name = "P", default_value = "policy", value_parser = subject::controller)]
+    policy: Contender,
+    /// Where to search, and what to draw from: a built-in space (see `crumple list spaces`) or a space file
+    #[arg(long, value_name = "S", default_value = "high-risk", value_parser = subject::space)]
+    space: (String, Space),
+    /// How to train: `harden`, or a TOML file like those of `crumple train`
+    #[arg(long, value_name = "PRESET", default_value = "harden")]
+    preset: String,
+    /// Rounds at most
+    #[arg(long, value_name = "N", default_value_t = Settings::default().rounds, value_parser = value_parser!(u64).range(1..=99))]
+    rounds: u64,
+    /// Episodes of training in a round
+    #[arg(long, value_name = "N", default_value_t = Settings::default().episodes, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    episodes: u64,
+    /// Search method (see `crumple list methods`)
+    #[arg(long, value_name = "M", default_value = "auto")]
+    method: Method,
+    /// Evaluations of the search method in a round, and of each yardstick
+    #[arg(long, value_name = "N", default_value_t = Settings::default().budget, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    budget: u64,
+    /// Draws of the space that each search drives beside
+    #[arg(long, value_name = "N", default_value_t = Settings::default().draws, value_parser = value_parser!(u64).range(0..=1_000_000))]
+    draws: u64,
+    /// Avoidable draws kept aside, which accept or reject a round
+    #[arg(long, value_name = "N", default_value_t = Settings::default().kept_aside, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    kept_aside: u64,
+    /// Draws of the paper's distribution, likewise
+    #[arg(long, value_name = "N", default_value_t = Settings::default().nominal, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    nominal: u64,
+    /// Avoidable draws on which the result is judged
+    #[arg(long, value_name = "N", default_value_t = Settings::default().judged, value_parser = value_parser!(u64).range(1..=10_000_000))]
+    judge: u64,
+    /// Seed of searches and trainings
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = value_parser!(u64).range(..=i64::MAX as u64))]
+    seed: u64,
+    /// Folder of the retraining; made if it is not there
+    #[arg(long, value_name = "DIR", default_value = "crumple-retrain")]
+    out: PathBuf,
+    /// Go on with the retraining in the folder
+    #[arg(long)]
+    resume: bool,
+    /// How to print the report: as Markdown, or one JSON object
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+impl Retrain {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let name = &self.policy.name;
+        let first = self.policy.policy().filter(|_| !name.starts_with("shield"));
+        let first =
+            first.ok_or_else(|| Failure::Input(format!("--policy: `{name}` is no policy that can be trained on")))?;
+        let plan = Plan {
+            first,
+            first_name: name.clone(),
+            space: self.space.1,
+            training: training(&self.preset)?,
+            method: self.method,
+            seed: self.seed,
+            settings: Settings {
+                rounds: self.rounds,
+                episodes: self.episodes,
+                budget: self.budget,
+                draws: self.draws,
+                kept_aside: self.kept_aside,
+                nominal: self.nominal,
+                judged: self.judge,
+                ..Settings::default()
+            },
+        };
+        let bar = progress::line(quiet);
+        let report = plan.run(&self.out, self.resume, &mut |state| show(&bar, state));
+        bar.finish_and_clear();
+        let report = report?;
+        let out = self.out.display();
+        output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
+        output::print(&match self.format {
+            Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
+            Format::Text => report.to_markdown(),
+        })?;
+        gate(&report)
+    }
+}
+
+/// Rounds were made and none was accepted: the policy is the first one.
+fn gate(report: &Report) -> Result<(), Failure> {
+    if report.rounds.is_empty() || report.is_hardened() {
+        return Ok(());
+    }
+    Err(Failure::Gate(format!("no round was accepted: `{}` is as it was", report.first)))
+}
+
+/// The preset of that name, or the one in a file.
+fn training(name: &str) -> Result<TrainingConfig, Failure> {
+    let path = Path::new(name);
+    if path.extension().is_some() {
+        let text = crate::scenario::file::read(path)?;
+        return TrainingConfig::parse(&text).map_err(|error| Failure::Input(format!("{name}: {error}")));
+    }
+    if name == "harden" { training_preset() } else { TrainingConfig::preset(name) }.map_err(Failure::input)
+}
+
+fn show(bar: &ProgressBar, state: Progress) {
+    bar.set_message(match state {
+        Progress::Gathering { what, done, wanted } => format!("{what}: {done} of {wanted} avoidable draws"),
+        Progress::Searching { round, state } => match state.method {
+            Some(method) => format!(
+                "round {round}: {method}, {} of {} runs, {} failures",
+                state.evaluations, state.total, state.failures
+            ),
+            None => format!("round {round}: {} failures; replaying, shrinking and classing", state.failures),
+        },
+        Progress::Drawing { round, draws } => format!("round {round}: driving {draws} draws, classing contacts"),
+        Progress::Training { round, episode, episodes, fewest } => {
+            let fewest =
+                fewest.map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} contacts"));
+            format!("round {round}: episode {episode} of {episodes}, {fewest}")
+        }
+        Progress::Judging { round } => format!("round {round}: judging the candidate"),
+    });
+    bar.tick();
+}
+
+impl From<HardenError> for Failure {
+    fn from(error: HardenError) -> Self {
+        match error {
+            HardenError::Environment { path, source } => Self::Environment { path, source },
+            HardenError::Campaign(campaign) => campaign.into(),
+            HardenError::Training(training) => training.into(),
+            other => Self::input(other),
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! Why a hardening stops.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use crate::falsify::campaign::CampaignError;
+use crate::policy::PolicyError;
+use crate::rl::TrainingError;
+use crate::scenario::InvalidField;
+use crate::sim::RunError;
+
+/// Why a hardening stops.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum HardenError {
+    /// A file or folder cannot be read or written.
+    #[error("{}: {source}", path.display())]
+    Environment {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The folder holds another hardening, or one already, or a file in it is damaged.
+    #[error("{0}")]
+    Folder(String),
+    /// Hardly anything in the space can be avoided.
+    #[error(
+        "of the first {draws} draws of the space `{space}` only {avoidable} could be avoided, and {wanted} are needed"
+    )]
+    Hopeless {
+        /// Name of the space.
+        space: String,
+        /// Draws that were classed.
+        draws: u64,
+        /// Those that could be avoided.
+        avoidable: u64,
+        /// How many were needed.
+        wanted: u64,
+    },
+    /// A search failed.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
+    /// A training failed.
+    #[error(transparent)]
+    Training(#[from] TrainingError),
+    /// A scenario cannot be run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A draw is no scenario.
+    #[error(transparent)]
+    Scenario(#[from] InvalidField),
+    /// A policy cannot be read or written.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// A file cannot be encoded.
+    #[error("cannot encode a file of the hardening: {0}")]
+    Encoding(String),
+}
+
+impl HardenError {
+    pub(super) fn encoding(error: impl std::fmt::Display) -> Self {
+        Self::Encoding(error.to_string())
+    }
+
+    pub(super) fn environment(path: &Path, source: io::Error) -> Self {
+        Self::Environment { path: path.to_owned(), source }
+    }
+}

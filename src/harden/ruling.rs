@@ -1,0 +1,184 @@
+//! Whether a round is accepted.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::Standing;
+
+/// What became of a candidate.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Ruling {
+    /// It takes the place of the policy before it.
+    Accepted,
+    /// It does not.
+    Rejected {
+        /// Why not: everything that speaks against it.
+        objections: Vec<Objection>,
+    },
+}
+
+/// What speaks against a candidate.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Objection {
+    /// It touches somebody in scenarios of the paper in which the policy before it did not.
+    Paper {
+        /// Which, each with the estimator.
+        scenarios: Vec<String>,
+    },
+    /// The same in draws of the paper's distribution.
+    Nominal {
+        /// Which, by index.
+        draws: Vec<u64>,
+    },
+    /// It touches somebody more often in the draws kept aside.
+    KeptAside {
+        /// Contacts of the policy before it.
+        before: usize,
+        /// Its own.
+        after: usize,
+    },
+    /// It is the policy before it: no checkpoint was better.
+    Unchanged,
+    /// The training diverged, and there is no candidate.
+    Diverged {
+        /// What was found.
+        problem: String,
+    },
+}
+
+/// What differs between two lists of failures, each in order.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Change {
+    /// Failures before.
+    pub before: usize,
+    /// Failures after.
+    pub after: usize,
+    /// Failures that are none any more.
+    pub fixed: usize,
+    /// Failures that were none before.
+    pub regressed: usize,
+}
+
+impl Change {
+    /// Between two lists.
+    #[must_use]
+    pub fn between<T: PartialEq>(before: &[T], after: &[T]) -> Self {
+        Self {
+            before: before.len(),
+            after: after.len(),
+            fixed: missing(before, after).count(),
+            regressed: missing(after, before).count(),
+        }
+    }
+}
+
+impl fmt::Display for Change {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { before, after, fixed, regressed } = self;
+        write!(out, "{before} → {after} ({fixed}, {regressed})")
+    }
+}
+
+/// What of one list is not in the other.
+fn missing<'a, T: PartialEq>(one: &'a [T], other: &'a [T]) -> impl Iterator<Item = &'a T> {
+    one.iter().filter(|item| !other.contains(item))
+}
+
+/// Accepts a candidate if nothing of the paper's scenarios and distribution that was safe fails, and the contacts in the
+/// draws kept aside do not rise.
+#[must_use]
+pub fn rule(before: &Standing, after: &Standing) -> Ruling {
+    let mut objections = Vec::new();
+    let scenarios: Vec<String> = missing(&after.paper, &before.paper).cloned().collect();
+    if !scenarios.is_empty() {
+        objections.push(Objection::Paper { scenarios });
+    }
+    let draws: Vec<u64> = missing(&after.nominal, &before.nominal).copied().collect();
+    if !draws.is_empty() {
+        objections.push(Objection::Nominal { draws });
+    }
+    let (before, after) = (before.kept_aside.len(), after.kept_aside.len());
+    if after > before {
+        objections.push(Objection::KeptAside { before, after });
+    }
+    if objections.is_empty() { Ruling::Accepted } else { Ruling::Rejected { objections } }
+}
+
+impl Ruling {
+    /// Whether the candidate is taken over.
+    #[must_use]
+    pub fn is_accepted(&self) -> bool {
+        *self == Self::Accepted
+    }
+}
+
+impl fmt::Display for Ruling {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Accepted => out.write_str("accepted"),
+            Self::Rejected { objections } => {
+                let words: Vec<String> = objections.iter().map(ToString::to_string).collect();
+                write!(out, "rejected: {}", words.join("; "))
+            }
+        }
+    }
+}
+
+impl fmt::Display for Objection {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Paper { scenarios } => write!(out, "new contact in {}", scenarios.join(", ")),
+            Self::Nominal { draws } => write!(out, "{} new contacts in draws of the paper's distribution", draws.len()),
+            Self::KeptAside { before, after } => write!(out, "{after} contacts kept aside instead of {before}"),
+            Self::Unchanged => out.write_str("no checkpoint was better"),
+            Self::Diverged { problem } => write!(out, "the training diverged: {problem}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn standing(paper: &[&str], nominal: &[u64], kept_aside: &[u64]) -> Standing {
+        Standing {
+            paper: paper.iter().map(|&name| name.to_owned()).collect(),
+            nominal: nominal.to_vec(),
+            kept_aside: kept_aside.to_vec(),
+        }
+    }
+
+    #[test]
+    fn each_objection_alone_rejects_and_old_failures_do_not() {
+        let before = standing(&["paper-3 (truth)"], &[4], &[1, 2, 3]);
+        assert_eq!(rule(&before, &before), Ruling::Accepted, "no worse");
+        assert_eq!(rule(&before, &standing(&[], &[], &[7, 8, 9])), Ruling::Accepted, "others kept aside, but no more");
+        let objections = |after| match rule(&before, &after) {
+            Ruling::Accepted => Vec::new(),
+            Ruling::Rejected { objections } => objections,
+        };
+        let paper = Objection::Paper { scenarios: vec!["paper-1 (kalman)".to_owned()] };
+        assert_eq!(objections(standing(&["paper-1 (kalman)"], &[4], &[])), [paper]);
+        // One draw for another is a regression although the count stays.
+        assert_eq!(objections(standing(&[], &[5], &[])), [Objection::Nominal { draws: vec![5] }]);
+        assert_eq!(objections(standing(&[], &[], &[1, 2, 3, 4])), [Objection::KeptAside { before: 3, after: 4 }]);
+        assert_eq!(objections(standing(&["paper-1 (kalman)"], &[5], &[1, 2, 3, 4])).len(), 3);
+    }
+
+    proptest! {
+        #[test]
+        fn changes_add_up(before in proptest::collection::btree_set(0..40_u64, 0..20), after in proptest::collection::btree_set(0..40_u64, 0..20)) {
+            let lists = [before, after].map(|set| set.into_iter().collect::<Vec<_>>());
+            let change = Change::between(&lists[0], &lists[1]);
+            prop_assert_eq!(change.before - change.fixed, change.after - change.regressed);
+            let accepted = rule(&standing(&[], &lists[0], &[]), &standing(&[], &lists[1], &[])).is_accepted();
+            prop_assert_eq!(accepted, change.regressed == 0);
+        }
+    }
+}

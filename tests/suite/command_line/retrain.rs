@@ -1,0 +1,153 @@
+//! `crumple retrain`: what it leaves behind, and what becomes of it when it is killed.
+
+use std::fs;
+use std::path::Path;
+use std::process::Stdio;
+use std::thread::sleep;
+use std::time::Duration;
+
+use rand::{RngExt, SeedableRng};
+use serde_json::Value;
+use sha2::{Digest, Sha256};
+
+use super::falsify::assert_same;
+use super::{code, command, crumple, folder, objects, stderr, stdout};
+
+/// The preset of the command on tiny networks that learn at once, with a checkpoint of its training every ten episodes.
+fn write_preset(folder: &Path) {
+    let mut preset = include_str!("../../../src/harden/preset.toml").to_owned();
+    for (from, to) in [
+        ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
+        ("batch = 256", "batch = 8"),
+        ("random_episodes = 200", "random_episodes = 3"),
+        ("every_episodes = 25", "every_episodes = 1"),
+        ("screening_draws = 200", "screening_draws = 2"),
+        ("ranking_draws = 1000", "ranking_draws = 6"),
+    ] {
+        assert!(preset.contains(from), "{from}");
+        preset = preset.replace(from, to);
+    }
+    fs::write(folder.join("tiny.toml"), preset).unwrap();
+}
+
+const RETRAIN: [&str; 20] = [
+    "retrain",
+    "--preset",
+    "tiny.toml",
+    "--rounds",
+    "2",
+    "--episodes",
+    "25",
+    "--budget",
+    "12",
+    "--draws",
+    "15",
+    "--kept-aside",
+    "8",
+    "--nominal",
+    "10",
+    "--judge",
+    "12",
+    "--seed",
+    "3",
+    "--out",
+];
+
+fn retrain<'a>(out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    [&RETRAIN[..], &[out], more].concat()
+}
+
+fn sha256(path: &Path) -> String {
+    Sha256::digest(fs::read(path).unwrap()).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[test]
+fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
+    let folder = folder();
+    write_preset(folder.path());
+    let through = command(folder.path(), &retrain("through", &["--format", "json"]))
+        .env("RAYON_NUM_THREADS", "1")
+        .output()
+        .unwrap();
+    check_report(&folder.path().join("through"), &objects(&through)[0]);
+    let resume = retrain("killed", &["--format", "json", "--resume"]);
+    let mut moments = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
+    let mut killed = 0;
+    for attempt in 0..8 {
+        let mut child = command(folder.path(), &resume)
+            .env("RAYON_NUM_THREADS", "3")
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        sleep(Duration::from_millis(moments.random_range(20..300 + 150 * attempt)));
+        // SIGKILL: nothing can be tidied up.
+        child.kill().unwrap();
+        killed += u32::from(child.wait().unwrap().code().is_none());
+    }
+    assert!(killed >= 2, "killed {killed} times");
+    let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
+    assert_eq!((code(&ended), stdout(&ended)), (code(&through), stdout(&through)), "{}", stderr(&ended));
+    assert_same(&folder.path().join("through"), &folder.path().join("killed"));
+    let again = crumple(folder.path(), &retrain("killed", &[]));
+    assert_eq!(code(&again), 2, "an existing retraining is not overwritten");
+    let other =
+        crumple(folder.path(), &retrain("killed", &["--resume", "--policy", "through/rounds/01/before.safetensors"]));
+    assert!(stderr(&other).contains("the retraining there has another `policy`"), "{}", stderr(&other));
+}
+
+/// Hashes are those of the files, every round was searched and ruled on, and the exit code says whether one was accepted.
+fn check_report(folder: &Path, report: &Value) {
+    assert_eq!(*report, fs::read_to_string(folder.join("report.json")).unwrap().parse::<Value>().unwrap());
+    let files = report["files"].as_array().unwrap();
+    let names: Vec<_> = files.iter().map(|file| file["file"].as_str().unwrap()).collect();
+    assert_eq!(
+        names,
+        ["policy.safetensors", "hardened-on.json", "selection.json", "kept-aside.json", "judged-on.json"]
+    );
+    for file in files {
+        assert_eq!(file["sha256"], sha256(&folder.join(file["file"].as_str().unwrap())));
+    }
+    assert_eq!(report["hardened_sha256"], files[0]["sha256"]);
+    assert_eq!(report["plan_sha256"], sha256(&folder.join("retrain.toml")));
+    let rounds = report["rounds"].as_array().unwrap();
+    assert_eq!(rounds.len(), 2);
+    let mut standing = &report["first_standing"];
+    for round in rounds {
+        assert_eq!(round["found"]["evaluations"], 36, "the method and both yardsticks");
+        assert!(!round["found"]["draws_avoidable"]["indices"].as_array().unwrap().is_empty());
+        if round["ruling"] == "accepted" {
+            // What the rule promises, from the lists themselves.
+            let list = |of: &Value, field: &str| of[field].as_array().unwrap().clone();
+            for field in ["paper", "nominal"] {
+                let before = list(standing, field);
+                assert!(list(&round["after"], field).iter().all(|failure| before.contains(failure)), "{field}");
+            }
+            assert!(list(&round["after"], "kept_aside").len() <= list(standing, "kept_aside").len());
+            standing = &round["after"];
+        }
+    }
+    assert_eq!(report["hardened_standing"], *standing);
+    assert_eq!(report["judged_draws"], 12);
+    let pairs = &report["pairs"];
+    let pairs: u64 =
+        ["both", "first_only", "hardened_only", "neither"].map(|of| pairs[of].as_u64().unwrap()).iter().sum();
+    assert_eq!(pairs, 12);
+    assert!(fs::read_to_string(folder.join("report.md")).unwrap().starts_with("# Hardening of `policy` in the space"));
+    assert!(fs::read_to_string(folder.join("report.svg")).unwrap().contains("<svg"));
+}
+
+#[test]
+fn mistakes_are_said_before_anything_is_written() {
+    let folder = folder();
+    let retrain = |arguments: &[&str]| {
+        let output = crumple(folder.path(), &[&["retrain"], arguments].concat());
+        assert_eq!((code(&output), stdout(&output)), (2, ""));
+        stderr(&output).to_owned()
+    };
+    assert!(retrain(&["--policy", "idm"]).contains("--policy: `idm` is no policy that can be trained on"));
+    assert!(retrain(&["--policy", "shield:policy"]).contains("is no policy that can be trained on"));
+    assert!(retrain(&["--preset", "slow"]).contains("there is no preset `slow`"));
+    assert!(retrain(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk) nor a file"));
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+}
