@@ -13,7 +13,7 @@ use crate::report::{AssessError, ComparisonError, Earlier, Plan, Store, StoreErr
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
 #[command(after_long_help = "\
-Without a file, every built-in controller and the policy behind a shield: on the paper's scenarios and 1000 draws of its \
+Without a file, every built-in controller, the policy behind a shield and the hardened one: on the paper's scenarios and 1000 draws of its \
 distribution, against a search for failures, against the mildest lead braking that makes each collide (see worst-case), with \
 what anyone could have made of each scenario (see avoid), and with every certificate checked. A file says more:
 

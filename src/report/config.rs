@@ -20,8 +20,8 @@ pub const CONFIG_VERSION: u32 = 1;
 pub struct AssessConfig {
     /// Version of the file format: 1.
     pub version: u32,
-    /// Controllers to compare, built-in names or policy files, the baseline first. Default: all built-in ones, and the policy
-    /// behind a shield.
+    /// Controllers to compare, built-in names or policy files, the baseline first. Default: all built-in ones, the policy
+    /// behind a shield, and the hardened policy.
     #[serde(default = "all_controllers")]
     pub controllers: Vec<String>,
     /// The controller that the argument is about, one of those. Default: the first learned one, or else the last.
@@ -88,7 +88,7 @@ impl Default for RatesConfig {
 
 fn all_controllers() -> Vec<String> {
     let built_in = ControllerSpec::built_in();
-    built_in.iter().map(ControllerSpec::name).chain(["shield:policy"]).map(str::to_owned).collect()
+    built_in.iter().map(ControllerSpec::name).chain(["shield:policy", "hardened"]).map(str::to_owned).collect()
 }
 
 fn default_draws() -> u64 {

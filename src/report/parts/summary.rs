@@ -22,6 +22,9 @@ pub struct Summary {
     pub claims: Vec<Claim>,
     /// What had to hold, and whether it does.
     pub gates: Vec<GateResult>,
+    /// The first controller, the subject, and whatever learned.
+    #[serde(skip)]
+    asked: Vec<usize>,
 }
 
 /// One claim, made of every controller.
@@ -92,7 +95,11 @@ impl Summary {
         claims.push(claim("proofs", "no contact with the vehicle ahead, from inside a shield's kernel", strengths));
         let paragraph = paragraph(plan, &controllers, &claims, distribution, searches);
         let subject = plan.subject().map(|subject| subject.name.clone());
-        Self { paragraph, subject, controllers, claims, gates: Vec::new() }
+        let is_asked = |&index: &usize| {
+            index == 0 || index == plan.subject || plan.controllers.get(index).is_some_and(|one| one.policy().is_some())
+        };
+        let asked = (0..controllers.len()).filter(is_asked).collect();
+        Self { paragraph, subject, controllers, claims, gates: Vec::new(), asked }
     }
 
     fn gate_table(&self) -> Table {
@@ -118,11 +125,7 @@ impl Summary {
 
     /// Those the question is about, and the others.
     fn columns(&self) -> (Vec<usize>, Vec<usize>) {
-        let is_asked_about = |&index: &usize| {
-            let name = self.controllers.get(index);
-            index == 0 || name == self.subject.as_ref() || name.is_some_and(|name| name.starts_with("shield"))
-        };
-        (0..self.controllers.len()).partition(is_asked_about)
+        (0..self.controllers.len()).partition(|index| self.asked.contains(index))
     }
 }
 
