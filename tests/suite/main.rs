@@ -17,6 +17,7 @@ mod physics;
 mod report;
 mod scenario_files;
 mod schema;
+mod seeds;
 mod shield;
 mod spaces;
 mod trials;
