@@ -11,6 +11,7 @@ mod corpora;
 mod engines;
 mod estimation;
 mod generate;
+mod measures;
 mod obligations;
 mod paper;
 mod physics;
