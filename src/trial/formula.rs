@@ -10,7 +10,7 @@ const DEEPEST: u32 = 3;
 ///
 /// # Errors
 /// [`FormulaError`] if a signal's name cannot be written in a formula.
-pub(super) fn any_formula(bytes: &[u8], names: &[&str], step_s: f64) -> Result<Formula, FormulaError> {
+pub fn any_formula(bytes: &[u8], names: &[&str], step_s: f64) -> Result<Formula, FormulaError> {
     Source { choices: Choices::new(bytes), names, step_s }.formula(DEEPEST)
 }
 

@@ -28,6 +28,7 @@ use arbitrary::{Arbitrary, Unstructured};
 
 pub use collection::Collection;
 pub use driver::{controller, profile, script};
+pub use formula::any_formula;
 pub use hunt::{Hunt, HuntError};
 pub use oracle::{Checked, ORACLES, ORACLES_OF_A_RUN, Oracle, Question};
 pub use scenario::{SCENARIO_BYTES, scenario, scenario_of};

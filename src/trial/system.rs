@@ -5,6 +5,7 @@ use std::path::Path;
 use crate::control::ShieldSettings;
 use crate::estimate::Observation;
 use crate::measure::stl::{Formula, MonitorError, Signals};
+use crate::report::Verdict;
 use crate::scenario::Scenario;
 use crate::scenario::file::{FileError, from_json, from_toml, to_toml};
 use crate::sim::{self, Keep, Motion, Run, Shielded, Simulated, Stepper, Stress, UnderTest};
@@ -67,6 +68,19 @@ pub trait System {
     /// [`MonitorError`] as [`Formula::robustness`].
     fn robustness_over_time(&self, formula: &Formula, signals: &Signals<'_>) -> Result<Vec<f64>, MonitorError> {
         formula.robustness_over_time(signals)
+    }
+
+    /// Whether a formula holds.
+    ///
+    /// # Errors
+    /// [`MonitorError`] as [`Formula::is_satisfied`].
+    fn is_satisfied(&self, formula: &Formula, signals: &Signals<'_>) -> Result<bool, MonitorError> {
+        formula.is_satisfied(signals)
+    }
+
+    /// What a report says of a run.
+    fn verdict(&self, result: &Simulated, scenario: &Scenario) -> Verdict {
+        Verdict::of(result, scenario)
     }
 }
 

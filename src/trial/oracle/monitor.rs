@@ -52,7 +52,7 @@ fn as_defined(question: &Question<'_>, formula: &Formula, signals: &Signals<'_>)
         let defined = naive_robustness(formula, signals, k).map_err(wrong)?;
         must(value == defined, Law::Monitor, || format!("{formula} at sample {k}: {value}, defined as {defined}"))?;
     }
-    let satisfied = formula.is_satisfied(signals).map_err(wrong)?;
+    let satisfied = question.system.is_satisfied(formula, signals).map_err(wrong)?;
     let sign = over_time.first().is_none_or(|&value| value == 0.0 || satisfied == (value > 0.0));
     must(sign, Law::Monitor, || {
         format!("{formula} is satisfied: {satisfied}, but has robustness {:?}", over_time.first())

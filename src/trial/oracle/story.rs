@@ -85,7 +85,7 @@ fn limits(question: &Question<'_>) -> Result<(), (Law, String)> {
 fn report(question: &Question<'_>) -> Result<(), (Law, String)> {
     let (result, scenario) = (&question.result, &question.trial.scenario);
     let under_test = |index: usize| scenario.vehicles().get(index).is_some_and(|v| v.driver == Driver::UnderTest);
-    let told = Verdict::of(result, scenario);
+    let told = question.system.verdict(result, scenario);
     // From the trace alone: the pair whose gap is closed at its end.
     let trace = question.trace()?;
     let closed = |rear: usize| {

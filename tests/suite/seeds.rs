@@ -1,0 +1,192 @@
+//! Raw material for the corpora of the fuzz targets: what the strategies of this suite generate and what lies in `corpora/`.
+//!
+//! `fuzz/renew-seeds` writes it to `fuzz/fresh/` and keeps of it what reaches code that nothing else reaches.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crumple::evidence::{BoxSpec, ReachPlan, shipped_kernels};
+use crumple::measure::stl::Formula;
+use crumple::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE};
+use crumple::scenario::Scenario;
+use crumple::scenario::file::load;
+use crumple::sim::{Keep, Run, simulate};
+use crumple::trial::targets::TARGETS;
+use crumple::trial::{self, FileFormat, TRIAL_BYTES, Trial};
+use crumple::worst_case::{AvoidOptions, Family, Verdict, avoid, certify};
+use crumple_verify::reach::{Cell, Dimension};
+use crumple_verify::{Certificate, Reach, Statement};
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
+
+use crate::generate::{any_scenario, any_trial};
+
+/// How many inputs of each sort are generated.
+const OF_EACH: usize = 200;
+
+/// Writes `fuzz/fresh/TARGET/NUMBER`.
+#[test]
+#[ignore = "writes files; fuzz/renew-seeds runs it"]
+fn fresh_seeds() {
+    for (target, _) in TARGETS {
+        let inputs = match target {
+            "scenario" => scenarios(),
+            "scenario_file" => scenario_files(),
+            "policy_file" => policy_files(),
+            "certificate" => certificates(),
+            "recording" => recordings(),
+            "stl" => formulas(),
+            other => panic!("nothing is generated for {other}"),
+        };
+        let folder = root().join("fuzz/fresh").join(target);
+        fs::create_dir_all(&folder).unwrap();
+        for (number, input) in inputs.iter().enumerate() {
+            fs::write(folder.join(number.to_string()), input).unwrap();
+        }
+    }
+}
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The first values of a strategy, always the same ones.
+fn first<T: std::fmt::Debug>(count: usize, strategy: &impl Strategy<Value = T>) -> Vec<T> {
+    let mut runner = TestRunner::deterministic();
+    (0..count).map(|_| strategy.new_tree(&mut runner).unwrap().current()).collect()
+}
+
+fn kept_scenarios() -> Vec<(PathBuf, Scenario)> {
+    let files = fs::read_dir(root().join("corpora/scenarios")).unwrap().map(|entry| entry.unwrap().path());
+    let mut paths: Vec<PathBuf> = files.filter(|path| path.extension().is_some_and(|end| end == "toml")).collect();
+    paths.sort();
+    paths.into_iter().filter_map(|path| Some((path.clone(), load(&path).ok()?))).collect()
+}
+
+/// As long as a trial can be, and shorter: what is cut off is nominal.
+fn scenarios() -> Vec<Vec<u8>> {
+    first(OF_EACH, &prop::collection::vec(any::<u8>(), 0..=TRIAL_BYTES))
+}
+
+fn scenario_files() -> Vec<Vec<u8>> {
+    let kept = kept_scenarios().into_iter().map(|(path, _)| fs::read(path).unwrap());
+    let generated = first(OF_EACH, &any_scenario()).into_iter().zip(FileFormat::ALL.into_iter().cycle());
+    kept.chain(generated.map(|(scenario, format)| format.text(&scenario).into_bytes())).collect()
+}
+
+/// Small networks; a trained one is too large for a seed.
+fn policy_files() -> Vec<Vec<u8>> {
+    let reference = Policy::reference();
+    let hidden = prop::collection::vec(1_usize..4, 0..3);
+    let header = (hidden, 0.5..100.0, -8.0..0.0, 0.0..3.0, 1_u32..50).prop_map(
+        move |(hidden, limit, low_mps2, high_mps2, steps)| {
+            let mut header = PolicyHeader { version: POLICY_VERSION, hidden, ..reference.header().clone() };
+            header.observation.limit = limit;
+            (header.action.low_mps2, header.action.high_mps2) = (low_mps2, high_mps2);
+            (header.decision_interval_s, header.training) = (0.01 * f64::from(steps), serde_json::Value::Null);
+            header
+        },
+    );
+    let policy = (header, prop::collection::vec(-2.0_f32..2.0, 64)).prop_map(|(header, weights)| {
+        let sizes: Vec<usize> = [STATE].into_iter().chain(header.hidden.iter().copied()).chain([1]).collect();
+        let mut network = Network::zeros(&sizes);
+        network.parameters_mut().iter_mut().zip(weights.iter().cycle()).for_each(|(to, from)| *to = *from);
+        Policy::new(header, network).and_then(|policy| policy.to_bytes())
+    });
+    first(OF_EACH, &policy).into_iter().flatten().collect()
+}
+
+/// What is proved of scenarios that are kept or generated, the shipped kernels, and a box under the reference policy.
+fn certificates() -> Vec<Vec<u8>> {
+    let kept = kept_scenarios().into_iter().map(|(_, scenario)| scenario);
+    let generated = first(OF_EACH, &any_scenario());
+    let proved = kept.chain(generated).filter_map(|scenario| proved(&scenario));
+    let kernels = shipped_kernels().into_iter().map(|(_, certificate)| certificate);
+    let reach = reaches();
+    proved.chain(kernels).chain(reach).map(|certificate| serde_json::to_vec(&certificate).unwrap()).collect()
+}
+
+/// The first seconds of a box under the reference policy, short enough for the target to check.
+fn reaches() -> Vec<Certificate> {
+    let paper_2 = fs::read_to_string(root().join("corpora/boxes/paper-2.toml")).unwrap();
+    let plan = ReachPlan::new(Policy::reference(), &BoxSpec::from_toml(&paper_2).unwrap()).unwrap();
+    let whole = plan.partition(0, |_| ()).unwrap().certificate;
+    let Statement::Reach(claim) = &whole.statement else { panic!("a statement about reach") };
+    let middle = [16.0, 16.0, 25.0, 25.0, 25.0, 3.0, 7.5, 120.0];
+    let parts = [
+        vec![Cell::Verified],
+        vec![Cell::Cut(Dimension::LeaderBrakeMps2), Cell::Verified, Cell::Undecided],
+        vec![Cell::Falsified(middle)],
+    ];
+    let stating = |(partition, steps)| {
+        let statement = Statement::Reach(Reach { partition, steps, ..claim.clone() });
+        Certificate { statement, ..whole.clone() }
+    };
+    parts.into_iter().flat_map(|part| [100, 200].map(|steps| stating((part.clone(), steps)))).collect()
+}
+
+fn proved(scenario: &Scenario) -> Option<Certificate> {
+    match avoid(scenario, AvoidOptions::default()).ok()?.verdict {
+        Verdict::Unavoidable(proof) => Some(*proof),
+        Verdict::Avoidable(escape) => certify(&Family::point(scenario), &escape).ok(),
+        Verdict::Undecided(_) => None,
+    }
+}
+
+/// Simulated drives in both formats that are read, and the beginning of the recording that is kept.
+fn recordings() -> Vec<Vec<u8>> {
+    let kept = fs::read_to_string(root().join("corpora/recordings/synthetic-platoon.csv")).unwrap();
+    let beginning: String = kept.split_inclusive('\n').take(40).collect();
+    let simulated =
+        first(OF_EACH, &any_trial()).into_iter().flat_map(|trial| [open_acc(&trial), car_following(&trial)]);
+    [beginning].into_iter().chain(simulated).map(String::into_bytes).collect()
+}
+
+/// Ten samples a second or fewer of a trial: time, speeds and gaps.
+fn sampled(trial: &Trial) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
+    let options = trial.setup.options(trial.scenario.spec().step_s);
+    let run = Run::new(&trial.scenario, options).unwrap();
+    let trace = simulate(&run, Keep::Trace).trace.unwrap();
+    let every = (0.1 / run.dt_s()).round().max(1.0) as usize;
+    let sample = |k: usize| {
+        let speeds = trace.vehicles.iter().map(|track| track.speed_mps[k]).collect();
+        let gaps = (1..trace.vehicles.len()).filter_map(|rear| trace.pair(rear)?.gaps_m().nth(k)).collect();
+        (trace.time_s[k], speeds, gaps)
+    };
+    (0..trace.len()).step_by(every).take(60).map(sample).collect()
+}
+
+fn joined(numbers: &[f64]) -> String {
+    numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(",")
+}
+
+fn open_acc(trial: &Trial) -> String {
+    let vehicles = trial.scenario.vehicles().len();
+    let names: Vec<String> = (1..=vehicles).map(|n| format!("V{n}")).collect();
+    let columns = (1..=vehicles).map(|n| format!("Speed{n}")).chain((1..vehicles).map(|n| format!("IVS{n}")));
+    let head = format!(
+        "Date,1,1,2026\nVehicle_order,{},\nNumber_of_vehicles,{vehicles}\nACC,1\nDistance_setting,S\nTime,{}\n",
+        names.join(","),
+        columns.collect::<Vec<_>>().join(",")
+    );
+    let rows =
+        sampled(trial).into_iter().map(|(t, speeds, gaps)| format!("{t:.2},{},{}\n", joined(&speeds), joined(&gaps)));
+    head + &rows.collect::<String>()
+}
+
+fn car_following(trial: &Trial) -> String {
+    let head = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
+    let rows = sampled(trial).into_iter().map(|(t, speeds, gaps)| {
+        let [leader, follower] = [speeds[0], speeds[1]];
+        format!("1,{t:.2},{}\n", joined(&[gaps[0], follower, leader - follower, leader]))
+    });
+    head + &rows.collect::<String>()
+}
+
+/// Over the names that the target has no trouble with.
+fn formulas() -> Vec<Vec<u8>> {
+    let formula = prop::collection::vec(any::<u8>(), 0..80)
+        .prop_map(|bytes| trial::any_formula(&bytes, &["x", "gap1_m", "v0_mps"], 0.1).unwrap());
+    first(OF_EACH, &formula).iter().map(Formula::to_string).map(String::into_bytes).collect()
+}

@@ -1,0 +1,306 @@
+//! Every oracle notices what it is there to notice: the program with one thing wrong in it, again and again.
+
+use std::collections::HashSet;
+use std::sync::LazyLock;
+
+use crumple::estimate::Observation;
+use crumple::measure::stl::{Formula, MonitorError, Signals};
+use crumple::report;
+use crumple::scenario::Scenario;
+use crumple::scenario::file::FileError;
+use crumple::sim::{self, Keep, Outcome, Run, RunOptions, Simulated, Stress, UnderTest, simulate};
+use crumple::trial::oracle::{
+    engines_agree, estimates_are_sane, files_keep_scenarios, impacts_are_inelastic, monitor_agrees, motion_is_physical,
+    nobody_does_the_impossible, one_story, shield_keeps_clear, step_size_decides_nothing,
+};
+use crumple::trial::{Crumple, FileFormat, Law, ORACLES, Oracle, Sight, System, TRIAL_BYTES, Trial};
+use crumple::worst_case::{self, Avoidance};
+use crumple_verify::Certificate;
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
+
+use crate::generate::{any_trial, bytes, cases};
+
+/// A proof, of something else than what it is shown for.
+static PROOF: LazyLock<Certificate> = LazyLock::new(|| {
+    Certificate::from_json(include_str!("../../../corpora/fuzz/certificate/unavoidable")).expect("a certificate")
+});
+
+/// The program with something wrong in it.
+pub(super) struct Wrong(pub(super) Fault);
+
+/// What is wrong with a system.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Fault {
+    /// Contact is looked for between front bumpers.
+    GapSign,
+    /// Vehicles that brake to standstill reverse.
+    NoStandstill,
+    /// Half a sample's way is missing now and then.
+    Leap,
+    /// Coasting makes faster.
+    Perpetual,
+    /// Noise and controllers act at the integration step.
+    NoiseOnSubsteps,
+    /// A run's result in a batch is its neighbour's.
+    BatchOffByOne,
+    /// A run in a batch takes the noise of another seed.
+    BatchSeed,
+    /// The batch engine's first sample is lost.
+    BatchSample,
+    /// The struck vehicle keeps its speed.
+    ElasticImpact,
+    /// What has touched comes apart again.
+    Loosened,
+    /// The run goes on, and reports nothing.
+    ContactForgotten,
+    /// The smallest gap is that at the samples only, of the pair behind.
+    GapOfTheNext,
+    /// Braking disregards the road.
+    Limitless,
+    /// The report takes the vehicle that was hit for the one that hit.
+    Blame,
+    /// Closing speed has the wrong sign.
+    RateSign,
+    /// Estimates may say that a vehicle reverses.
+    Reversing,
+    /// The second digit of a position is lost in the file.
+    RoundedFile,
+    /// Files forget the seed.
+    SeedlessFile,
+    /// "Always" begins a sample late.
+    LateWindow,
+    /// A formula holds when it does not.
+    Yes,
+    /// Nobody stands between full throttle and the brake.
+    NoShield,
+    /// The bound over all drivers is half of what it should be.
+    HalfTheBound,
+    /// Nobody survives anything.
+    Doom,
+}
+
+impl System for Wrong {
+    fn simulate(&self, run: &Run<'_>, keep: Keep) -> Simulated {
+        match self.0 {
+            Fault::GapSign => {
+                // A vehicle without length is touched 2 m or more too late.
+                let short = run.scenario().edited(|spec| {
+                    spec.vehicles.iter_mut().for_each(|vehicle| vehicle.length_m = Some(0.1));
+                });
+                let mut result = simulate(&Run::new(&short.unwrap(), run.options().clone()).unwrap(), keep);
+                let vehicles = run.scenario().vehicles();
+                if let Some(trace) = &mut result.trace {
+                    trace.vehicles.iter_mut().zip(vehicles).for_each(|(track, v)| track.length_m = v.length_m());
+                }
+                result
+            }
+            Fault::NoiseOnSubsteps if run.substeps() > 1 => {
+                let finer = run.scenario().edited(|spec| spec.step_s = run.dt_s());
+                let options = RunOptions { dt_s: None, ..run.options().clone() };
+                match finer.map(|finer| Run::new(&finer, options).map(|run| simulate(&run, keep))) {
+                    Ok(Ok(result)) => result,
+                    _ => simulate(run, keep),
+                }
+            }
+            fault => damaged(fault, simulate(run, keep), run),
+        }
+    }
+
+    fn simulate_batch(&self, runs: &[Run<'_>], keep: Keep) -> Vec<Simulated> {
+        let mut results = sim::simulate_batch(runs, keep, |_, simulated| simulated);
+        match self.0 {
+            Fault::BatchOffByOne => results.rotate_left(1),
+            Fault::BatchSeed => {
+                let reseeded: Vec<Scenario> =
+                    runs.iter().map(|run| run.scenario().edited(|spec| spec.seed ^= 4).unwrap()).collect();
+                let runs: Vec<_> =
+                    reseeded.iter().zip(runs).map(|(s, run)| Run::new(s, run.options().clone()).unwrap()).collect();
+                results = sim::simulate_batch(&runs, keep, |_, simulated| simulated);
+            }
+            Fault::BatchSample => {
+                for trace in results.iter_mut().filter_map(|result| result.trace.as_mut()) {
+                    trace.time_s.remove(0);
+                }
+            }
+            _ => {}
+        }
+        results
+    }
+
+    fn observe(&self, run: &Run<'_>, each: &mut dyn FnMut(&Sight<'_>) -> bool) {
+        Crumple.observe(run, &mut |sight| {
+            let Observation { speed_mps: own_mps, .. } = sight.seen;
+            let mut seen = sight.seen;
+            match (self.0, &mut seen.ahead) {
+                (Fault::RateSign, Some(ahead)) => ahead.speed_mps = own_mps - (ahead.speed_mps - own_mps),
+                (Fault::Reversing, _) if own_mps < 0.5 => seen.speed_mps = own_mps - 0.5,
+                _ => {}
+            }
+            each(&Sight { seen, ..*sight })
+        });
+    }
+
+    fn full_throttle(&self) -> UnderTest {
+        if self.0 == Fault::NoShield { Stress::FullThrottle.into() } else { Crumple.full_throttle() }
+    }
+
+    fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
+        let mut avoidance = Crumple.avoid(scenario)?;
+        if self.0 == Fault::HalfTheBound {
+            avoidance.min_gap_bound_m = avoidance.min_gap_bound_m.map(|bound_m| 0.5 * bound_m);
+        }
+        if self.0 == Fault::Doom {
+            avoidance.verdict = worst_case::Verdict::Unavoidable(Box::new(PROOF.clone()));
+        }
+        Some(avoidance)
+    }
+
+    fn through_file(&self, scenario: &Scenario, format: FileFormat) -> Result<Scenario, FileError> {
+        let back = Crumple.through_file(scenario, format)?;
+        Ok(match self.0 {
+            Fault::RoundedFile => back
+                .edited(|spec| spec.vehicles[0].speed_mps = (spec.vehicles[0].speed_mps * 1e6).round() / 1e6)
+                .unwrap_or(back),
+            Fault::SeedlessFile => back.edited(|spec| spec.seed = 0).unwrap_or(back),
+            _ => back,
+        })
+    }
+
+    fn robustness_over_time(&self, formula: &Formula, signals: &Signals<'_>) -> Result<Vec<f64>, MonitorError> {
+        let mut over_time = Crumple.robustness_over_time(formula, signals)?;
+        if self.0 == Fault::LateWindow {
+            over_time.rotate_left(1);
+        }
+        Ok(over_time)
+    }
+
+    fn is_satisfied(&self, formula: &Formula, signals: &Signals<'_>) -> Result<bool, MonitorError> {
+        Ok(self.0 == Fault::Yes || Crumple.is_satisfied(formula, signals)?)
+    }
+
+    fn verdict(&self, result: &Simulated, scenario: &Scenario) -> report::Verdict {
+        match Crumple.verdict(result, scenario) {
+            report::Verdict::Hit(contact) if self.0 == Fault::Blame => report::Verdict::WasHit(contact),
+            told => told,
+        }
+    }
+}
+
+/// A result with something wrong in it.
+fn damaged(fault: Fault, mut result: Simulated, run: &Run<'_>) -> Simulated {
+    let Some(trace) = &mut result.trace else { return result };
+    match fault {
+        Fault::NoStandstill => {
+            for track in &mut trace.vehicles {
+                for k in 1..track.speed_mps.len() {
+                    let dt_s = trace.time_s[k] - trace.time_s[k - 1];
+                    let through_mps = track.speed_mps[k - 1] + track.acceleration_mps2[k - 1] * dt_s;
+                    if track.speed_mps[k] == 0.0 && through_mps < 0.0 {
+                        track.speed_mps[k] = through_mps;
+                    }
+                }
+            }
+        }
+        Fault::Leap => {
+            for track in &mut trace.vehicles {
+                let last = track.position_m.len() - 1;
+                track.position_m[last] += 0.5 * track.speed_mps[last] * (trace.time_s[last] - trace.time_s[last - 1]);
+            }
+        }
+        Fault::Perpetual => {
+            for track in &mut trace.vehicles {
+                if let Some(k) = track.acceleration_mps2.iter().position(|a| *a == 0.0)
+                    && let Some(next_mps) = track.speed_mps.get_mut(k + 1)
+                {
+                    *next_mps += 1e-6;
+                }
+            }
+        }
+        Fault::Loosened => {
+            for impact in &result.impacts {
+                let last_mps = trace.vehicles[impact.contact.rear_vehicle].speed_mps.last_mut();
+                *last_mps.expect("every track has samples") *= 0.5;
+            }
+        }
+        Fault::ElasticImpact => {
+            if let Some(impact) = result.impacts.first_mut() {
+                impact.common_speed_mps = impact.contact.rear_speed_mps;
+            }
+        }
+        Fault::ContactForgotten => {
+            result.impacts.clear();
+            result.outcome = Outcome::NoCollision;
+        }
+        Fault::GapOfTheNext => {
+            let rears = result.vehicles.len() - 1;
+            for index in 1..rears {
+                result.vehicles[index].min_gap_m = result.vehicles[index + 1].min_gap_m;
+            }
+        }
+        Fault::Limitless => {
+            let friction = run.scenario().spec().environment.friction;
+            for (track, summary) in trace.vehicles.iter_mut().zip(&mut result.vehicles) {
+                track.acceleration_mps2.iter_mut().for_each(|a| *a = a.min(*a / friction));
+                summary.max_brake_mps2 /= friction;
+            }
+        }
+        _ => {}
+    }
+    result
+}
+
+/// Every oracle notices what it is there to notice, when the suite asks it and when the fuzz target does.
+#[test]
+fn every_oracle_bites() {
+    let wrong: [(Fault, Oracle, Law); 23] = [
+        (Fault::GapSign, one_story, Law::OneStory),
+        (Fault::NoStandstill, motion_is_physical, Law::ForwardMotion),
+        (Fault::Leap, motion_is_physical, Law::Continuity),
+        (Fault::Perpetual, motion_is_physical, Law::Energy),
+        (Fault::NoiseOnSubsteps, step_size_decides_nothing, Law::StepSize),
+        (Fault::BatchOffByOne, engines_agree, Law::Engines),
+        (Fault::BatchSeed, engines_agree, Law::Engines),
+        (Fault::BatchSample, engines_agree, Law::Engines),
+        (Fault::ElasticImpact, impacts_are_inelastic, Law::Momentum),
+        (Fault::Loosened, impacts_are_inelastic, Law::Sticking),
+        (Fault::ContactForgotten, monitor_agrees, Law::Monitor),
+        (Fault::GapOfTheNext, one_story, Law::OneStory),
+        (Fault::Limitless, one_story, Law::Limits),
+        (Fault::Blame, one_story, Law::Report),
+        (Fault::RateSign, estimates_are_sane, Law::Estimates),
+        (Fault::Reversing, estimates_are_sane, Law::Estimates),
+        (Fault::RoundedFile, files_keep_scenarios, Law::Files),
+        (Fault::SeedlessFile, files_keep_scenarios, Law::Files),
+        (Fault::LateWindow, monitor_agrees, Law::Monitor),
+        (Fault::Yes, monitor_agrees, Law::Monitor),
+        (Fault::NoShield, shield_keeps_clear, Law::Shield),
+        (Fault::HalfTheBound, nobody_does_the_impossible, Law::Avoidability),
+        (Fault::Doom, nobody_does_the_impossible, Law::Avoidability),
+    ];
+    let oracles: HashSet<usize> = wrong.iter().map(|(_, oracle, _)| *oracle as usize).collect();
+    let laws: HashSet<Law> = wrong.iter().map(|(.., law)| *law).collect();
+    // Of the 18 laws, one is that every trial can be run, and two are of the targets that read files.
+    assert_eq!((oracles.len(), laws.len()), (ORACLES.len(), 15));
+    for (fault, oracle, law) in wrong {
+        let system = Wrong(fault);
+        // As a property of the suite.
+        let config = ProptestConfig { failure_persistence: None, max_shrink_iters: 0, cases: 256, ..cases(256) };
+        let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
+        let property = runner.run(&any_trial(), |trial| match trial.ask(oracle, &system) {
+            Err(violation) if violation.law == law => Err(TestCaseError::fail(violation.to_string())),
+            _ => Ok(()),
+        });
+        assert!(matches!(property, Err(TestError::Fail(..))), "the suite misses {fault:?}");
+        // As the fuzz target asks it.
+        let mut runner = TestRunner::deterministic();
+        let strategy = bytes(TRIAL_BYTES);
+        // Some faults show in few of all scenarios: that of the bound only where nothing is noisy and nobody collides.
+        let mut inputs = (0..4096).map(|_| strategy.new_tree(&mut runner).unwrap().current());
+        assert!(
+            inputs.any(|bytes| Trial::of_bytes(&bytes).examine(&system).is_err()),
+            "the fuzz target misses {fault:?}"
+        );
+    }
+}

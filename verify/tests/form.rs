@@ -1,0 +1,124 @@
+//! No operation on affine forms loses a member, by comparison with rational arithmetic.
+#![allow(clippy::unwrap_used)]
+
+use crumple_verify::Interval;
+use crumple_verify::reach::form::Form;
+use num_rational::BigRational;
+use num_traits::{FromPrimitive, One, Signed};
+use proptest::prelude::*;
+
+/// Symbols that forms share.
+const SYMBOLS: usize = 3;
+
+fn exact(value: f64) -> BigRational {
+    BigRational::from_f64(value).unwrap()
+}
+
+/// Large and small enough for sums and products to be rounded, and often zero or one.
+fn number() -> impl Strategy<Value = f64> {
+    prop_oneof![2 => -10.0..10.0_f64, 1 => -1e-9..1e-9_f64, 1 => -1e9..1e9_f64, 2 => Just(0.0), 1 => Just(1.0)]
+}
+
+/// From -1 to 1, the ends often.
+fn unit() -> impl Strategy<Value = f64> {
+    prop_oneof![2 => -1.0..1.0_f64, 1 => Just(1.0), 1 => Just(-1.0)]
+}
+
+prop_compose! {
+    /// An interval, often a point, and one of its members.
+    fn interval()(a in number(), b in number(), is_point in any::<bool>(), inside in 0.0..=1.0_f64) -> (Interval, f64) {
+        let (low, high) = if is_point { (a, a) } else { (a.min(b), a.max(b)) };
+        (Interval::new(low, high).unwrap(), (low + inside * (high - low)).clamp(low, high))
+    }
+}
+
+prop_compose! {
+    /// A form with some of the symbols, and where its `rest` is.
+    fn form()(
+        centre in number(),
+        terms in prop::collection::vec(number(), 0..=SYMBOLS),
+        rest in prop_oneof![Just(0.0), 0.0..2.0_f64],
+        place in unit(),
+    ) -> (Form, f64) {
+        let mut form = Form::constant(Interval::point(centre));
+        for (symbol, &term) in terms.iter().enumerate() {
+            form.add(&Form::symbol(symbol, Interval::new(-1.0, 1.0).unwrap()), Interval::point(term));
+        }
+        if rest > 0.0 {
+            form.widen(rest);
+        }
+        (form, place)
+    }
+}
+
+/// What a form is for some values of its symbols, but for `rest`.
+fn without_rest(form: &Form, symbols: &[f64; SYMBOLS]) -> BigRational {
+    let terms = form.terms().iter().zip(symbols).map(|(&term, &symbol)| exact(term) * exact(symbol));
+    terms.fold(exact(form.centre()), |sum, term| sum + term)
+}
+
+/// The member of a form for some values of its symbols and of what is left.
+fn member((form, place): &(Form, f64), symbols: &[f64; SYMBOLS]) -> BigRational {
+    without_rest(form, symbols) + exact(form.rest()) * exact(*place)
+}
+
+/// Whether a form holds a number for these values of the symbols.
+fn holds(form: &Form, symbols: &[f64; SYMBOLS], value: &BigRational) -> bool {
+    (value - without_rest(form, symbols)).abs() <= exact(form.rest())
+}
+
+fn is_in(range: Interval, value: &BigRational) -> bool {
+    exact(range.low()) <= *value && *value <= exact(range.high())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn results_hold_the_exact_results(
+        x in form(),
+        y in form(),
+        (factor, by) in interval(),
+        symbols in prop::array::uniform3(unit()),
+    ) {
+        let (of_x, of_y) = (member(&x, &symbols), member(&y, &symbols));
+        let (x, y) = (x.0, y.0);
+        let holds = |form: &Form, value: &BigRational| holds(form, &symbols, value) && is_in(form.range(), value);
+        prop_assert!(holds(&x, &of_x));
+        prop_assert!(holds(&Form::constant(factor), &exact(by)));
+        prop_assert!(holds(&x.clone().plus(&y), &(&of_x + &of_y)));
+        prop_assert!(holds(&x.clone().minus(&y), &(&of_x - &of_y)));
+        prop_assert!(holds(&x.scaled(factor), &(&of_x * exact(by))));
+        prop_assert!(holds(&x.times(&y), &(&of_x * &of_y)));
+        let mut sum = x.clone();
+        sum.add(&y, factor);
+        prop_assert!(holds(&sum, &(&of_x + exact(by) * &of_y)));
+        let mut shifted = x.clone();
+        shifted.shift(factor);
+        prop_assert!(holds(&shifted, &(&of_x + exact(by))));
+        let mut wide = x.clone();
+        wide.widen(by.abs());
+        prop_assert!(holds(&wide, &(&of_x + exact(by))) && holds(&wide, &(&of_x - exact(by))));
+        prop_assert!(!x.is_zero() || of_x == exact(0.0));
+    }
+
+    /// What a form has in common with itself is not lost: bounds are no wider than rounding asks for.
+    #[test]
+    fn what_is_shared_cancels((x, _) in form(), symbols in prop::array::uniform3(unit())) {
+        let rests = exact(x.rest()) * exact(2.0);
+        let rounding = exact(1e-14) * (exact(x.centre().abs()) + exact(x.radius())) + exact(1e-290);
+        let difference = x.clone().minus(&x);
+        prop_assert!(exact(difference.radius()) <= rests.clone() * (BigRational::one() + exact(1e-9)) + rounding.clone());
+        // A single number is itself.
+        prop_assert_eq!(Form::constant(Interval::point(x.centre())).rest(), 0.0);
+        // A symbol may take over what nobody shares: the set stays the same.
+        let settled = x.clone().settled(SYMBOLS);
+        prop_assert!((settled.radius() - x.radius()).abs() <= 1e-14 * x.radius());
+        prop_assert!(settled.rest() == 0.0 || settled.rest() <= 1e-9 && settled == x);
+        // The ends of the range are those of the sum.
+        let reach = exact(x.radius());
+        prop_assert!((without_rest(&x, &symbols) - exact(x.centre())).abs() <= reach);
+        let terms = x.terms().iter().fold(exact(x.rest()), |sum, &term| sum + exact(term).abs());
+        prop_assert!(reach >= terms && reach <= terms * (BigRational::one() + exact(1e-11)) + exact(1e-290));
+    }
+}
