@@ -1,14 +1,14 @@
 //! `crumple assess`: gather the evidence and write the report.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::{fs, io};
 
 use clap::Args;
 use sha2::{Digest, Sha256};
 
 use super::output::{self, Files};
 use super::{Failure, progress};
-use crate::report::{AssessError, ComparisonError, Earlier, Plan, Store, StoreError, assess};
+use crate::report::{AssessError, ComparisonError, Earlier, Plan, Store, StoreError, assess, files_of_evidence};
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
@@ -60,13 +60,12 @@ impl Assess {
         };
         let against = self.against.as_deref().map(Earlier::load).transpose()?;
         let kept = self.out.join("evidence");
-        if self.fresh && kept.exists() {
-            fs::remove_dir_all(&kept).map_err(|source| Failure::environment(&kept, source))?;
-        }
-        let store = Store::open(&kept, &program())?;
+        let store = Store::open(&kept, &program(), self.fresh)?;
         let bar = progress::bar("assessing", plan.runs(), quiet);
         let assessment = assess(&plan, &store, against.as_ref(), &|done| bar.set_position(done))?;
         bar.finish_and_clear();
+        let earlier = fs::read_to_string(self.out.join("assessment.json")).map(|json| files_of_evidence(&json));
+        let earlier = earlier.unwrap_or_default();
         let mut files = Files::default();
         let rendered = assessment.files().map_err(Failure::input)?;
         for (name, text) in &rendered {
@@ -76,10 +75,9 @@ impl Assess {
             files.stage(&path, text.as_bytes())?;
         }
         files.commit()?;
-        for folder in ["counterexamples", "certificates", "figures"] {
-            remove_others(&self.out.join(folder), &|path| {
-                rendered.iter().any(|(name, _)| self.out.join(name) == path)
-            })?;
+        for name in earlier.iter().filter(|name| !rendered.iter().any(|(known, _)| known == *name)) {
+            let path = self.out.join(name);
+            fs::remove_file(&path).or_else(missing_is_fine).map_err(|source| Failure::environment(&path, source))?;
         }
         let (pieces, reused) = store.reused();
         let again =
@@ -102,21 +100,8 @@ impl Assess {
     }
 }
 
-/// Removes what an earlier report left in a folder that belongs to the report.
-fn remove_others(folder: &Path, is_current: &dyn Fn(&Path) -> bool) -> Result<(), Failure> {
-    let failed = |source| Failure::environment(folder, source);
-    if !folder.exists() {
-        return Ok(());
-    }
-    for entry in fs::read_dir(folder).map_err(failed)? {
-        let path = entry.map_err(failed)?.path();
-        if path.is_dir() {
-            remove_others(&path, is_current)?;
-        } else if !is_current(&path) {
-            fs::remove_file(&path).map_err(|source| Failure::environment(&path, source))?;
-        }
-    }
-    Ok(())
+fn missing_is_fine(error: io::Error) -> io::Result<()> {
+    if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) }
 }
 
 /// Stands for the program: other code may find other evidence.

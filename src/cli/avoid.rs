@@ -77,7 +77,7 @@ impl Avoid {
         let options = AvoidOptions { grid_s: self.grid, escape: self.escape };
         let avoidance = avoid_all(&family, options).map_err(Failure::input)?;
         let mut files = Files::default();
-        self.write_certificate(&family, &avoidance, &mut files, quiet)?;
+        self.write_certificate(&family, &avoidance, &mut files)?;
         match avoidance.verdict.escape() {
             Some(escape) => {
                 self.finding.write(&escape.scenario, "escape", &mut files, || subject::replay(&escape.scenario))?;
@@ -95,13 +95,7 @@ impl Avoid {
         Family::new(&scenario, &ranges).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))
     }
 
-    fn write_certificate(
-        &self,
-        family: &Family,
-        avoidance: &Avoidance,
-        files: &mut Files,
-        quiet: bool,
-    ) -> Result<(), Failure> {
+    fn write_certificate(&self, family: &Family, avoidance: &Avoidance, files: &mut Files) -> Result<(), Failure> {
         let Some(path) = &self.certificate else { return Ok(()) };
         let certificate = match &avoidance.verdict {
             Verdict::Avoidable(escape) => certify(family, escape),
@@ -113,7 +107,11 @@ impl Avoid {
                 files.stage(path, (serde_json::to_string(&certificate).map_err(Failure::input)? + "\n").as_bytes())
             }
             Err(reason) => {
-                output::note(&format!("note: there is no certificate: {reason}"), quiet);
+                // Asked for and not written: that is said even to those who want to hear of errors only.
+                output::note(
+                    &format!("warning: {} was not written: there is no certificate: {reason}", path.display()),
+                    false,
+                );
                 Ok(())
             }
         }
@@ -145,10 +143,10 @@ fn describe(report: &Report<'_>) -> String {
     let mut text = format!("{scenario}: {verdict}\n");
     // Writing to a string cannot fail.
     if let Some(gap_m) = escape_min_gap_m {
-        let _ = writeln!(text, "  smallest gap of the escape {gap_m:.2} m");
+        let _ = writeln!(text, "  smallest gap of the escape {:.2} m", (100.0 * gap_m).floor() / 100.0);
     }
     if let Some(bound_m) = min_gap_bound_m {
-        let _ = writeln!(text, "  no driver keeps more than {bound_m:.2} m");
+        let _ = writeln!(text, "  no driver keeps more than {:.2} m", (100.0 * bound_m).ceil() / 100.0);
     }
     match (trigger_time_s, escape_min_gap_m) {
         (Some(time_s), _) => {

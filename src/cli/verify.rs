@@ -77,15 +77,15 @@ struct Rate {
     /// Estimate the probability of a rare failure instead of counting: no certificate
     #[arg(long, conflicts_with_all = ["runs", "against", "confidence", "resume"])]
     rare: bool,
-    /// With --rare: runs of a population
-    #[arg(long, value_name = "N", requires = "rare", default_value_t = 500, value_parser = clap::value_parser!(u32).range(50..=100_000))]
-    samples: u32,
-    /// With --rare: independent populations
-    #[arg(long, value_name = "N", requires = "rare", default_value_t = 20, value_parser = clap::value_parser!(u32).range(5..=1000))]
-    repetitions: u32,
-    /// With --rare: how to print
-    #[arg(long, value_enum, requires = "rare", default_value = "text")]
-    format: Format,
+    /// With --rare: runs of a population [default: 500]
+    #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
+    samples: Option<u32>,
+    /// With --rare: independent populations [default: 20]
+    #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(5..=1000))]
+    repetitions: Option<u32>,
+    /// With --rare: how to print [default: text]
+    #[arg(long, value_enum, requires = "rare")]
+    format: Option<Format>,
     /// Seed of all draws
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -198,9 +198,12 @@ impl Rate {
             space: self.space.1,
             estimator: self.estimator,
             seed: self.seed,
-            effort: Effort { samples: self.samples as usize, repetitions: self.repetitions as usize },
+            effort: Effort {
+                samples: self.samples.unwrap_or(500) as usize,
+                repetitions: self.repetitions.unwrap_or(20) as usize,
+            },
         };
-        rare::estimate(&plan, &self.out, self.format, quiet)
+        rare::estimate(&plan, &self.out, self.format.unwrap_or(Format::Text), quiet)
     }
 }
 

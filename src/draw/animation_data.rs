@@ -61,7 +61,8 @@ impl AnimationData {
             .map(|contact| ImpactData {
                 time_s: rounded(contact.time_s, 4),
                 rear: contact.rear_vehicle,
-                impact_speed_mps: rounded(contact.impact_speed_mps, 6),
+                // As a report rounds it, so that both say the same.
+                impact_speed_mps: rounded(contact.impact_speed_mps, 1),
             })
             .collect();
         let mut data = Self {

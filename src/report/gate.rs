@@ -59,14 +59,14 @@ pub struct GateResult {
 }
 
 impl Gate {
-    /// The controllers it is about.
-    pub(super) fn controllers(&self) -> Vec<&str> {
+    /// The controllers it is about, each with its field.
+    pub(super) fn controllers(&self) -> Vec<(&'static str, &str)> {
         match self {
-            Self::RateNotAbove { controller, than } => vec![controller, than],
+            Self::RateNotAbove { controller, than } => vec![("controller", controller), ("than", than)],
             Self::NoContactInPaperScenarios { controller }
             | Self::NoContactInTraffic { controller }
             | Self::RateAtMost { controller, .. }
-            | Self::NoAvoidableFailure { controller, .. } => vec![controller],
+            | Self::NoAvoidableFailure { controller, .. } => vec![("controller", controller)],
             Self::ProofsAccepted | Self::NothingWorse => Vec::new(),
         }
     }
@@ -169,9 +169,15 @@ fn proofs_accepted(found: &Assessment) -> (bool, String) {
 fn nothing_worse(comparison: Option<&Comparison>) -> (bool, String) {
     match comparison {
         None => (false, "there is no earlier assessment: name one with --against".to_owned()),
-        Some(comparison) => match comparison.worse.as_slice() {
-            [] => (true, "nothing is".to_owned()),
-            [first, ..] => (false, format!("{} worse, first {}", comparison.worse.len(), first.what)),
-        },
+        Some(comparison) => {
+            // A failure that is new, and anything else that is gone, is as bad as what got worse.
+            let new = comparison.new.iter().filter(|change| change.is_failure);
+            let gone = comparison.gone.iter().filter(|change| !change.is_failure);
+            let bad: Vec<_> = comparison.worse.iter().chain(new).chain(gone).collect();
+            match bad.as_slice() {
+                [] => (true, "nothing is".to_owned()),
+                [first, ..] => (false, format!("{} worse, newly failing or gone, first {}", bad.len(), first.what)),
+            }
+        }
     }
 }

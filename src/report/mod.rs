@@ -240,6 +240,22 @@ impl Assessment {
     }
 }
 
+/// The files that stood beside the evidence of an earlier report, by their paths from its folder: counterexamples and
+/// certificates. None of what is no such evidence, and no path that leads out of the folder.
+#[must_use]
+pub fn files_of_evidence(json: &str) -> Vec<String> {
+    let evidence: serde_json::Value = serde_json::from_str(json).unwrap_or_default();
+    let list = |value: &serde_json::Value| value.as_array().cloned().unwrap_or_default();
+    let searches = list(&evidence["searches"]["spaces"]).into_iter().flat_map(|space| list(&space["controllers"]));
+    let failures = searches.flat_map(|search| list(&search["failures"]));
+    let files = failures.chain(list(&evidence["proofs"]["certificates"]));
+    let names = files.filter_map(|file| file["file"].as_str().map(str::to_owned));
+    let is_own = |name: &String| {
+        (name.starts_with("counterexamples/") || name.starts_with("certificates/")) && !name.contains("..")
+    };
+    names.filter(is_own).collect()
+}
+
 /// Why a report cannot be written down.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

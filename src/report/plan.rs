@@ -10,7 +10,7 @@ use super::config::{AssessConfig, CONFIG_VERSION, ConfigError};
 use super::gate::Gate;
 use crate::estimate::EstimatorKind;
 use crate::policy::Policy;
-use crate::scenario::file::{self, FileError};
+use crate::scenario::file;
 use crate::scenario::space::{Space, built_in_space, file as space_file};
 use crate::scenario::{ControllerSpec, Scenario, built_in_names};
 use crate::sim::{Contender, UnderTest};
@@ -79,14 +79,20 @@ impl Plan {
             Some(name) => named(name).ok_or_else(|| loading.wrong("subject", not_among(name)))?,
         };
         for (index, gate) in config.gates.iter().enumerate() {
-            if let Some(stranger) = gate.controllers().into_iter().find(|name| named(name).is_none()) {
-                return Err(loading.wrong(&format!("gates[{index}]"), not_among(stranger)));
+            if let Some((field, name)) = gate.controllers().into_iter().find(|(_, name)| named(name).is_none()) {
+                return Err(loading.wrong(&format!("gates[{index}].{field}"), not_among(name)));
+            }
+            if let Gate::RateAtMost { percent, .. } = gate
+                && !(0.0..=100.0).contains(percent)
+            {
+                let problem = format!("must be from 0 to 100, found {percent}");
+                return Err(loading.wrong(&format!("gates[{index}].percent"), problem));
             }
             if let Gate::NoAvoidableFailure { space, .. } = gate
                 && !config.search.spaces.contains(space)
             {
                 let problem = format!("`{space}` is not among `search.spaces`");
-                return Err(loading.wrong(&format!("gates[{index}]"), problem));
+                return Err(loading.wrong(&format!("gates[{index}].space"), problem));
             }
         }
         let (traffic, spaces) = (loading.traffic(&config)?, loading.spaces(&config)?);
@@ -270,7 +276,8 @@ impl Loading<'_> {
         for (index, path) in paths.iter().enumerate() {
             let field = format!("certificates[{index}]");
             let at = self.folder.join(path);
-            let text = fs::read_to_string(&at).map_err(|source| FileError::Read { path: at.clone(), source })?;
+            let text =
+                fs::read_to_string(&at).map_err(|error| self.wrong(&field, format!("{}: {error}", at.display())))?;
             let certificate = Certificate::from_json(&text)
                 .map_err(|error| self.wrong(&field, format!("{}: {error}", at.display())))?;
             let name = at.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());

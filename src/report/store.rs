@@ -31,6 +31,7 @@ pub struct EvidenceHash {
 pub struct Store {
     folder: Option<PathBuf>,
     program: String,
+    fresh: bool,
     gathered: Mutex<Gathered>,
 }
 
@@ -69,9 +70,12 @@ impl Workplace {
     }
 }
 
+/// What a file holds. Hashes guard against files that were cut, edited or moved, not against somebody who recomputes them.
 #[derive(Serialize, Deserialize)]
 struct Kept {
     name: String,
+    inputs_sha256: String,
+    program: String,
     evidence_sha256: String,
     evidence: String,
 }
@@ -84,13 +88,14 @@ impl Store {
     }
 
     /// Keeps evidence in `folder`, which is made if it is not there. `program` stands for everything that could make the same
-    /// inputs give other evidence: the hash of the executable.
+    /// inputs give other evidence: the hash of the executable. What is there is not looked at if all is to be gathered
+    /// `fresh`.
     ///
     /// # Errors
     /// [`StoreError`] if the folder cannot be made.
-    pub fn open(folder: &Path, program: &str) -> Result<Self, StoreError> {
+    pub fn open(folder: &Path, program: &str, fresh: bool) -> Result<Self, StoreError> {
         fs::create_dir_all(folder).map_err(|source| StoreError { path: folder.to_owned(), source })?;
-        Ok(Self { folder: Some(folder.to_owned()), program: program.to_owned(), gathered: Mutex::default() })
+        Ok(Self { folder: Some(folder.to_owned()), program: program.to_owned(), fresh, gathered: Mutex::default() })
     }
 
     /// The evidence of that name if what it depends on is as it was; otherwise what `gather` says.
@@ -110,14 +115,22 @@ impl Store {
         let inputs_sha256 = sha256(&text(inputs));
         let file = format!("{}.json", self.file_stem(name, &inputs_sha256));
         let path = self.folder.as_ref().map(|folder| folder.join(file));
-        if let Some((evidence, value)) = path.as_deref().and_then(|path| read(path, name)) {
+        if let Some((evidence, value)) =
+            path.as_deref().filter(|_| !self.fresh).and_then(|path| self.read(path, name, &inputs_sha256))
+        {
             self.note(name, inputs_sha256, &evidence, true);
             return Ok(value);
         }
         let value = gather()?;
         let evidence = text(&value);
         if let Some(path) = path {
-            let kept = Kept { name: name.to_owned(), evidence_sha256: sha256(&evidence), evidence: evidence.clone() };
+            let kept = Kept {
+                name: name.to_owned(),
+                inputs_sha256: inputs_sha256.clone(),
+                program: self.program.clone(),
+                evidence_sha256: sha256(&evidence),
+                evidence: evidence.clone(),
+            };
             write(&path, &text(&kept)).map_err(|source| StoreError { path, source })?;
         }
         self.note(name, inputs_sha256, &evidence, false);
@@ -141,6 +154,15 @@ impl Store {
     fn file_stem(&self, name: &str, inputs_sha256: &str) -> String {
         let key = sha256(&format!("{}\n{name}\n{inputs_sha256}", self.program));
         format!("{}-{}", slug(name), key.get(..16).unwrap_or_default())
+    }
+
+    /// The text of the evidence and its value, if the file is what its name says.
+    fn read<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
+        let kept: Kept = serde_json::from_str(&fs::read_to_string(path).ok()?).ok()?;
+        let is_asked_for = kept.name == name && kept.inputs_sha256 == inputs_sha256 && kept.program == self.program;
+        let is_whole = sha256(&kept.evidence) == kept.evidence_sha256;
+        let value = (is_asked_for && is_whole).then(|| serde_json::from_str(&kept.evidence).ok()).flatten()?;
+        Some((kept.evidence, value))
     }
 
     fn note(&self, name: &str, inputs_sha256: String, evidence: &str, reused: bool) {
@@ -172,14 +194,6 @@ fn text(value: &impl Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }
 
-/// The text of the evidence and its value, if the file holds what it says.
-fn read<T: DeserializeOwned>(path: &Path, name: &str) -> Option<(String, T)> {
-    let kept: Kept = serde_json::from_str(&fs::read_to_string(path).ok()?).ok()?;
-    let is_whole = kept.name == name && sha256(&kept.evidence) == kept.evidence_sha256;
-    let value = is_whole.then(|| serde_json::from_str(&kept.evidence).ok()).flatten()?;
-    Some((kept.evidence, value))
-}
-
 /// Appears whole or not at all.
 fn write(path: &Path, text: &str) -> io::Result<()> {
     let folder = path.parent().unwrap_or(Path::new("."));
@@ -200,10 +214,10 @@ mod tests {
     #[test]
     fn evidence_is_gathered_again_once_anything_about_it_has_changed() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path(), "program").unwrap();
+        let store = Store::open(folder.path(), "program", false).unwrap();
         assert_eq!((get(&store, "inputs", 0.1), get(&store, "inputs", 0.2)), (0.1, 0.1));
         assert_eq!(get(&store, "other inputs", 0.3), 0.3);
-        assert_eq!(get(&Store::open(folder.path(), "other program").unwrap(), "inputs", 0.4), 0.4);
+        assert_eq!(get(&Store::open(folder.path(), "other program", false).unwrap(), "inputs", 0.4), 0.4);
         assert_eq!(store.reused(), (3, 1));
         for file in fs::read_dir(folder.path()).unwrap() {
             let path = file.unwrap().path();
@@ -211,5 +225,10 @@ mod tests {
         }
         assert_eq!(get(&store, "inputs", 0.5), 0.5, "altered evidence is not believed");
         assert_eq!(get(&Store::none(), "inputs", 0.6), 0.6);
+        assert_eq!(get(&Store::open(folder.path(), "program", true).unwrap(), "inputs", 0.7), 0.7);
+        let [one, other] = ["inputs", "other inputs"]
+            .map(|inputs| folder.path().join(format!("{}.json", store.file_stem("a piece", &sha256(&text(&inputs))))));
+        fs::copy(&other, &one).unwrap();
+        assert_eq!(get(&store, "inputs", 0.8), 0.8, "evidence from other inputs is not believed");
     }
 }

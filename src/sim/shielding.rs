@@ -34,7 +34,9 @@ pub enum ShieldRefusal {
         brake_mps2: f64,
     },
     /// The Kalman filter's error has no bound when measurements may be lost.
-    #[error("its sensors lose measurements, so the error of what it sees has no bound: give bounds, see --help")]
+    #[error(
+        "its sensors lose measurements, so the error of what it sees has no bound: give bounds, as in `shield,gap-error=0.5,speed-error=0.5,ahead-speed-error=1:policy`"
+    )]
     Dropout,
 }
 

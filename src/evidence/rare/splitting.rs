@@ -121,9 +121,17 @@ impl Splitting {
             }
             let mut margins: Vec<f64> = population.iter().map(|(_, margin)| *margin).collect();
             margins.sort_by(f64::total_cmp);
-            let threshold = margins.get(passing - 1).copied().unwrap_or(f64::INFINITY);
-            // On a plateau there is nothing to climb.
-            if threshold >= before || pilot.stages.len() == MOST_LEVELS {
+            let quantile = margins.get(passing - 1).copied().unwrap_or(f64::INFINITY);
+            // Where most of the population lies on a plateau, the level is whatever lies below it, however few that are.
+            let plateau = before.min(margins.last().copied().unwrap_or(before));
+            let below = margins.iter().rev().copied().find(|margin| *margin < plateau);
+            let Some(threshold) = (if quantile < plateau { Some(quantile) } else { below }) else { break };
+            if threshold < 0.0 {
+                pilot.stages.push(Stage::LAST);
+                pilot.reached = true;
+                break;
+            }
+            if pilot.stages.len() == MOST_LEVELS {
                 break;
             }
             let mut stage = Stage { threshold, is_last: false, step };

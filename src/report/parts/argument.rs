@@ -128,6 +128,21 @@ impl Building {
     }
 }
 
+impl Building {
+    /// A goal that rests on a defeated one is defeated as well.
+    fn carry_defeat(&mut self) {
+        // Elements come before what supports them.
+        for index in (0..self.elements.len()).rev() {
+            let Some(element) = self.elements.get(index) else { continue };
+            let of = |id: &String| self.elements.iter().find(|other| other.id == *id);
+            let rests_on_defeat = element.supported_by.iter().filter_map(of).any(|below| below.defeated);
+            if rests_on_defeat && let Some(element) = self.elements.get_mut(index) {
+                element.defeated = true;
+            }
+        }
+    }
+}
+
 /// What speaks for a claim or against it.
 struct Evidence {
     words: String,
@@ -181,6 +196,7 @@ impl Argument {
                 building.claim(&by_pair, &text, &evidence);
             }
         }
+        building.carry_defeat();
         Self { elements: building.elements }
     }
 
@@ -251,7 +267,7 @@ fn compared(
         && distribution.draws > 0
     {
         let words = format!("{} against {} of {} draws collide", own.collisions, other.collisions, distribution.draws);
-        let mark = if own.collisions < other.collisions { Mark::Good } else { Mark::Bad };
+        let mark = better(&own.collisions, &other.collisions);
         let evidence = Evidence { words, mark, part: "distribution" };
         claims.push(("it collides in fewer of the same draws of the paper's distribution".to_owned(), evidence));
     }
@@ -269,16 +285,25 @@ fn compared(
             own.count(AvoidabilityClass::Avoidable),
             other.count(AvoidabilityClass::Avoidable)
         );
-        let mark = if own_share < other_share { Mark::Good } else { Mark::Bad };
+        let mark = better(&own_share, &other_share);
         let evidence = Evidence { words, mark, part: "search" };
         claims.push((format!("it collides at fewer uniform points of `{}`", space.name), evidence));
     }
     claims
 }
 
+/// Fewer is better, and as many shows nothing.
+fn better<T: PartialOrd>(own: &T, other: &T) -> Mark {
+    match own.partial_cmp(other) {
+        Some(std::cmp::Ordering::Less) => Mark::Good,
+        Some(std::cmp::Ordering::Greater) => Mark::Bad,
+        Some(std::cmp::Ordering::Equal) | None => Mark::None,
+    }
+}
+
 const INTRODUCTION: &str = "The verdict as a goal structure: a goal is claimed, a strategy says how it follows, a solution is \
     evidence. A goal with a cross is defeated: a counterexample challenges it, and stands beside it with evidence of its \
-    own. A goal with a diamond has no evidence. The same argument is in assessment.gsn.yaml.";
+    own; or it rests on a goal that is defeated. A goal with a diamond has no evidence. The same argument is in assessment.gsn.yaml.";
 
 impl Part for Argument {
     fn id(&self) -> &'static str {

@@ -11,6 +11,8 @@ const PAD: f64 = 8.0;
 /// Between one box and the next.
 const GAP: f64 = 10.0;
 const INDENT: f64 = 30.0;
+/// Width of the cross through what is defeated.
+const CROSS: f64 = 26.0;
 /// Where evidence stands, and how wide it is.
 const EVIDENCE_LEFT: f64 = 500.0;
 const EVIDENCE_WIDTH: f64 = 330.0;
@@ -25,7 +27,11 @@ struct Placed<'a> {
 impl<'a> Placed<'a> {
     fn new(element: &'a Element, left: f64, top: f64, width: f64) -> Self {
         let text = format!("{}  {}", element.id, element.text);
-        let lines = wrapped(&text, SMALL, width - 2.0 * (PAD + slant(element.kind)));
+        let lines = wrapped(
+            &text,
+            SMALL,
+            width - 2.0 * (PAD + slant(element.kind)) - if element.defeated { CROSS } else { 0.0 },
+        );
         let height = LINE * lines.len() as f64 + 2.0 * PAD - 2.0;
         Self { element, frame: Frame { left, top, width, height }, lines }
     }
@@ -127,8 +133,10 @@ fn shape(placed: &Placed<'_>) -> Markup {
             }
         }
         @if element.defeated {
-            (straight((left, top), (right, bottom), Stroke::solid(Ink::Alert, 1.0)))
-            (straight((left, bottom), (right, top), Stroke::solid(Ink::Alert, 1.0)))
+            // At the end, where it crosses out no word.
+            @let from = right - CROSS;
+            (straight((from, top), (right, bottom), Stroke::solid(Ink::Alert, 1.6)))
+            (straight((from, bottom), (right, top), Stroke::solid(Ink::Alert, 1.6)))
         }
         @if element.undeveloped {
             @let x = right + 12.0;
@@ -138,7 +146,7 @@ fn shape(placed: &Placed<'_>) -> Markup {
         }
         @for (index, line) in lines.iter().enumerate() {
             @let base = top + PAD + LINE * (index as f64 + 0.75);
-            (words((left + PAD + lean, base), Anchor::Start, line, SMALL, ink, element.defeated))
+            (words((left + PAD + lean, base), Anchor::Start, line, SMALL, ink, false))
         }
     }
 }

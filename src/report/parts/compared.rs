@@ -18,6 +18,8 @@ use crate::report::{Assessment, EVIDENCE_VERSION, Part, sha256};
 pub struct Comparison {
     /// SHA-256 of the evidence it is compared with.
     pub earlier_sha256: String,
+    /// Whether both were made with the same configuration.
+    pub same_configuration: bool,
     /// What got better.
     pub better: Vec<Change>,
     /// What got worse.
@@ -39,12 +41,15 @@ pub struct Change {
     pub before: Option<String>,
     /// What is said of it now.
     pub now: Option<String>,
+    /// Whether it is a failure that a search found.
+    pub is_failure: bool,
 }
 
 /// An earlier assessment, as far as it is compared.
 #[derive(Debug, Clone)]
 pub struct Earlier {
     sha256: String,
+    config_sha256: String,
     facts: Facts,
 }
 
@@ -81,7 +86,15 @@ pub enum ComparisonError {
 }
 
 /// What is said of each thing, and how good that is: the larger the better.
-type Facts = BTreeMap<String, (f64, String)>;
+type Facts = BTreeMap<String, Fact>;
+
+#[derive(Debug, Clone)]
+struct Fact {
+    score: f64,
+    words: String,
+    /// A failure that was found: bad to be there at all.
+    is_failure: bool,
+}
 
 /// The evidence, as far as it is compared.
 #[derive(Deserialize)]
@@ -92,6 +105,12 @@ struct View {
     traffic: Option<ScenariosView>,
     searches: SearchesView,
     proofs: ProofsView,
+    provenance: ProvenanceView,
+}
+
+#[derive(Deserialize)]
+struct ProvenanceView {
+    config_sha256: String,
 }
 
 #[derive(Deserialize)]
@@ -163,7 +182,10 @@ impl View {
         for claim in self.summary.claims {
             for (controller, strength) in self.summary.controllers.iter().zip(claim.strengths) {
                 let what = format!("{controller}: {}", claim.claim);
-                facts.insert(what, (score(&strength), strength.words()));
+                // What nobody tried is neither better nor worse than anything: it is not there.
+                if strength != Strength::Untried {
+                    facts.insert(what, Fact { score: score(&strength), words: strength.words(), is_failure: false });
+                }
             }
         }
         let scenarios = self.paper_scenarios.scenarios.into_iter();
@@ -171,7 +193,7 @@ impl View {
             for case in scenario.cases {
                 if let Some(gap_m) = case.min_gap_m {
                     let what = format!("{}: smallest gap in {}", case.controller, scenario.scenario);
-                    facts.insert(what, (gap_m, format!("{gap_m:.2} m")));
+                    facts.insert(what, Fact { score: gap_m, words: format!("{gap_m:.2} m"), is_failure: false });
                 }
             }
         }
@@ -184,13 +206,15 @@ impl View {
                         AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => "not classed",
                     };
                     let what = format!("{}: failure in `{}`: {}", search.controller, space.name, failure.kind);
-                    facts.insert(format!("{what}, {class}"), (0.0, "found".to_owned()));
+                    let fact = Fact { score: 0.0, words: "found".to_owned(), is_failure: true };
+                    facts.insert(format!("{what}, {class}"), fact);
                 }
             }
         }
         for proof in self.proofs.certificates {
             let score = f64::from(matches!(proof.status, super::ProofStatus::Accepted { .. }));
-            facts.insert(format!("certificate {}", proof.name), (score, proof.status.words()));
+            let fact = Fact { score, words: proof.status.words(), is_failure: false };
+            facts.insert(format!("certificate {}", proof.name), fact);
         }
         facts
     }
@@ -199,12 +223,13 @@ impl View {
 /// The larger the better: first how strongly the claim is supported, then by the number that goes with it.
 fn score(strength: &Strength) -> f64 {
     let within = match strength {
-        Strength::Proved { .. } | Strength::Tested { .. } | Strength::Untried => 0.0,
+        Strength::Proved { .. } | Strength::Untried => 0.0,
+        Strength::Tested { runs } => (*runs as f64).ln_1p(),
         Strength::ProvedIn { share_percent } => share_percent.value(),
         Strength::Bounded { upper_percent, .. } | Strength::Undecided { upper_percent, .. } => -upper_percent.value(),
         Strength::Exceeded { lower_percent, .. } => -lower_percent.value(),
         Strength::Refuted { failures, runs } => -100.0 * *failures as f64 / (*runs).max(1) as f64,
-        Strength::Found { failures, avoidable } => -((failures + avoidable) as f64),
+        Strength::Found { failures, avoidable } => -(0.001 * *failures as f64) - *avoidable as f64,
         Strength::Defeated { peak_brake_mps2 } => peak_brake_mps2.value(),
     };
     1000.0 * f64::from(strength.rank()) + within
@@ -236,7 +261,12 @@ impl Earlier {
             return Err(ComparisonError::Version { path: path.to_owned(), found: version });
         }
         let view: View = serde_json::from_str(text).map_err(syntax)?;
-        Ok(Self { sha256: sha256(text), facts: view.facts() })
+        if let Some(claim) = view.summary.claims.iter().find(|c| c.strengths.len() != view.summary.controllers.len()) {
+            let problem = format!("summary.claims: `{}` is not about each controller", claim.claim);
+            return Err(ComparisonError::Syntax { path: path.to_owned(), line: 1, problem });
+        }
+        let config_sha256 = view.provenance.config_sha256.clone();
+        Ok(Self { sha256: sha256(text), config_sha256, facts: view.facts() })
     }
 }
 
@@ -247,16 +277,21 @@ impl Comparison {
         let text = now.json().ok()?;
         let view: View = serde_json::from_str(&text).ok()?;
         debug_assert_eq!(view.version, EVIDENCE_VERSION);
-        Some(Self::between(earlier, &view.facts()))
+        let same_configuration = view.provenance.config_sha256 == earlier.config_sha256;
+        Some(Self { same_configuration, ..Self::between(earlier, &view.facts()) })
     }
 
     fn between(earlier: &Earlier, facts: &Facts) -> Self {
         let (mut better, mut worse, mut new, mut unchanged) = (Vec::new(), Vec::new(), Vec::new(), 0);
-        for (what, (score, words)) in facts {
+        for (what, fact) in facts {
             let before = earlier.facts.get(what);
-            let change =
-                Change { what: what.clone(), before: before.map(|(_, words)| words.clone()), now: Some(words.clone()) };
-            match before.map(|(before, _)| score.total_cmp(before)) {
+            let change = Change {
+                what: what.clone(),
+                before: before.map(|before| before.words.clone()),
+                now: Some(fact.words.clone()),
+                is_failure: fact.is_failure,
+            };
+            match before.map(|before| fact.score.total_cmp(&before.score)) {
                 None => new.push(change),
                 Some(std::cmp::Ordering::Greater) => better.push(change),
                 Some(std::cmp::Ordering::Less) => worse.push(change),
@@ -264,15 +299,29 @@ impl Comparison {
             }
         }
         let gone = earlier.facts.iter().filter(|(what, _)| !facts.contains_key(*what));
-        let gone = gone.map(|(what, (_, words))| Change { what: what.clone(), before: Some(words.clone()), now: None });
-        Self { earlier_sha256: earlier.sha256.clone(), better, worse, new, gone: gone.collect(), unchanged }
+        let gone = gone.map(|(what, fact)| Change {
+            what: what.clone(),
+            before: Some(fact.words.clone()),
+            now: None,
+            is_failure: fact.is_failure,
+        });
+        Self {
+            earlier_sha256: earlier.sha256.clone(),
+            same_configuration: true,
+            better,
+            worse,
+            new,
+            gone: gone.collect(),
+            unchanged,
+        }
     }
 
     /// In a sentence.
     #[must_use]
     pub fn words(&self) -> String {
         format!(
-            "Compared with the earlier assessment: {} better, {} worse, {} new, {} gone, {} as before.",
+            "Compared with the earlier assessment{}: {} better, {} worse, {} new, {} gone, {} as before.",
+            if self.same_configuration { "" } else { ", which was configured otherwise" },
             self.better.len(),
             self.worse.len(),
             self.new.len(),
@@ -326,11 +375,12 @@ mod tests {
     use super::*;
 
     fn earlier(facts: &[(&str, f64)]) -> Earlier {
-        Earlier { sha256: String::new(), facts: of(facts) }
+        Earlier { sha256: String::new(), config_sha256: String::new(), facts: of(facts) }
     }
 
     fn of(facts: &[(&str, f64)]) -> Facts {
-        facts.iter().map(|(what, score)| ((*what).to_owned(), (*score, score.to_string()))).collect()
+        let fact = |score: f64| Fact { score, words: score.to_string(), is_failure: false };
+        facts.iter().map(|(what, score)| ((*what).to_owned(), fact(*score))).collect()
     }
 
     #[test]
@@ -347,8 +397,8 @@ mod tests {
         let in_order = [
             Strength::Refuted { failures: 9, runs: 10 },
             Strength::Refuted { failures: 1, runs: 10 },
-            Strength::Untried,
             Strength::Tested { runs: 3 },
+            Strength::Tested { runs: 30 },
             Strength::Proved { certificates: 1 },
         ];
         assert!(in_order.windows(2).all(|pair| score(&pair[0]) < score(&pair[1])));

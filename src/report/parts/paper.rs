@@ -70,6 +70,12 @@ impl PaperScenarios {
     }
 }
 
+/// What the columns are.
+const MEASURES: &str = "TTC is the gap over the closing speed, DRAC the closing speed squared over twice the gap, the required brake \
+    what stops short of a vehicle ahead that holds its braking to standstill. TET is how long TTC was below 3 s, TIT by how much, \
+    integrated. Headway is measured between front bumpers, the time gap between bumpers. Peak jerk is the largest change of \
+    acceleration within 0.1 s, divided by it. Delta-v is the change of speed in an impact in which vehicles stick together, by mass.";
+
 const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s²; behind it, at 16 m, the vehicle or vehicles under test; \
     last, a follower whose emergency brake (the baseline's) fires at TTC < 1.4 s. Each measure is that of the vehicle \
     under test that fared worst by it, up to the first contact. The pile-up is what follows when everybody drives on and \
@@ -88,6 +94,7 @@ impl Part for PaperScenarios {
         html! {
             p { (INTRODUCTION) }
             p { (WHAT_REGRET_IS) }
+            p { (MEASURES) }
             @for scenario in &self.scenarios {
                 h3 { (scenario.scenario) }
                 p { (scenario.about) }
@@ -115,6 +122,9 @@ impl Part for PaperScenarios {
                 s.further_measures().markdown()
             )
         };
-        format!("{INTRODUCTION}\n\n{WHAT_REGRET_IS}\n\n{}", self.scenarios.iter().map(scenario).collect::<String>())
+        format!(
+            "{INTRODUCTION}\n\n{WHAT_REGRET_IS}\n\n{MEASURES}\n\n{}",
+            self.scenarios.iter().map(scenario).collect::<String>()
+        )
     }
 }

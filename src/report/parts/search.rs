@@ -23,8 +23,8 @@ use crate::scenario::file;
 use crate::scenario::space::{Space, file as space_file};
 use crate::sim::Contender;
 
-/// Failures of one search that are shown: the severest ones. The campaign has all of them.
-const MOST_SHOWN: usize = 6;
+/// Failures of one search that are shown, the severest first: more than a campaign of a few hundred runs tells apart.
+const MOST_SHOWN: usize = 100;
 /// Failures of one search that are drawn.
 const MOST_DRAWN: usize = 2;
 
@@ -316,6 +316,9 @@ const INTRODUCTION: &str = "A search looks for contacts; points drawn evenly ove
     and by likelihood, and classed: avoidable, if a driver who knows the future has an escape; unavoidable, if the checker has \
     accepted a proof that nobody has one. A failure says that something can happen, not how often.";
 
+const WHERE: &str = "Commands run in the folder of this report; a policy file or space that the configuration names is named \
+    as it is there, relative to the configuration.";
+
 impl Part for Searches {
     fn id(&self) -> &'static str {
         "search"
@@ -327,13 +330,13 @@ impl Part for Searches {
 
     fn html(&self) -> Markup {
         html! {
-            p { (INTRODUCTION) " Commands run in the folder of this report." }
+            p { (INTRODUCTION) " " (WHERE) }
             @for space in &self.spaces {
                 h3 { "Space " (space.name) }
                 p { (prose(&space.about)) }
                 (space.table().html())
                 @for search in &space.controllers {
-                    details {
+                    details.measures {
                         summary { (search.controller) ": " (search.in_short()) }
                         p { (prose(&search.effort())) }
                         @if !search.failures.is_empty() {
@@ -341,10 +344,15 @@ impl Part for Searches {
                             ul { @for failure in &search.failures { li { code { (failure.replay) } } } }
                         }
                         p { "Search again: " code { (search.command) } }
-                        @for (rank, cases) in search.drawn.iter().enumerate() {
-                            @for case in &cases.cases {
-                                figure { (cases.figure(case)) }
-                                @if rank == 0 { figure { (cases.animation(case)) } }
+                        @if !search.drawn.is_empty() {
+                            details {
+                                summary { "the severest, drawn" }
+                                @for (rank, cases) in search.drawn.iter().enumerate() {
+                                    @for case in &cases.cases {
+                                        figure { (cases.figure(case)) }
+                                        @if rank == 0 { figure { (cases.animation(case)) } }
+                                    }
+                                }
                             }
                         }
                     }
@@ -354,11 +362,11 @@ impl Part for Searches {
     }
 
     fn markdown(&self) -> String {
-        let mut text = format!("{INTRODUCTION}\n");
+        let mut text = format!("{INTRODUCTION} {WHERE}\n");
         for space in &self.spaces {
             text += &format!("\n### Space {}\n\n{}\n\n{}", space.name, space.about, space.table().markdown());
             for search in &space.controllers {
-                text += &format!("\n{}: {}\n\n", search.controller, search.effort());
+                text += &format!("\n{}: {} Search again: `{}`\n\n", search.controller, search.effort(), search.command);
                 for failure in &search.failures {
                     text += &format!("- {}, {}: `{}`\n", failure.words(), failure.class_words(), failure.replay);
                 }

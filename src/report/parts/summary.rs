@@ -211,21 +211,26 @@ fn paragraph(
     let mut text = String::new();
     if let Some(first) = distribution.controllers.first().filter(|_| distribution.draws > 0) {
         text += &format!(
-            "The {} collides in {} of {} draws of the paper's distribution, in {} of them because it is hit from behind",
-            first.controller, first.collisions, distribution.draws, first.was_hit
+            "The {} collides in {} of {} draws of the paper's distribution",
+            first.controller, first.collisions, distribution.draws
         );
+        if first.was_hit > 0 {
+            text += &format!(", in {} of them because it is hit from behind", first.was_hit);
+        }
         text += &match distribution.controllers.get(plan.subject).filter(|_| plan.subject != 0) {
             Some(own) => format!("; {} collides in {} of the same draws. ", own.controller, own.collisions),
             None => ". ".to_owned(),
         };
     }
-    text += &format!("Without a collision in the scenarios and draws of this report: {}; ", named(&sound));
-    text += &format!("with at least one: {}. ", named(&failing));
+    text +=
+        &format!("In the scenarios and draws of this report, its searches apart, no collision: {}; ", named(&sound));
+    text += &format!("at least one: {}. ", named(&failing));
     if let Some(subject) = plan.subject() {
         for space in &searches.spaces {
             let Some(search) = space.of(&subject.name) else { continue };
             text += &match search.total() {
                 0 => format!("A search of `{}` found no failure of {}. ", space.name, subject.name),
+                1 => format!("A search of `{}` makes {} collide in one way. ", space.name, subject.name),
                 total => format!(
                     "A search of `{}` makes {} collide in {total} distinct ways, {} of which another driver would have avoided. ",
                     space.name,

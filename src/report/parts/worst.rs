@@ -78,12 +78,13 @@ impl WorstProfiles {
     /// None if the scenario is not shipped.
     pub(in crate::report) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
         let Some(scenario) = built_in(SCENARIO) else { return Ok(None) };
+        let scenario = scenario.edited(|spec| spec.seed = plan.config.seed)?;
         let envelope = Envelope::of(&scenario);
         let against = |controller: &Contender| {
             let item = format!("worst profile against {}", controller.name);
             // The profile stands beside: evidence that is published holds rounded numbers only.
             let (mut found, profile): (WorstProfile, Option<Pieces>) =
-                work.store.get(&item, &plan.identity(controller), || {
+                work.store.get(&item, &(plan.config.seed, plan.identity(controller)), || {
                     let found = WorstProfile::of(&scenario, controller, envelope, plan)?;
                     let profile = found.mildest.as_ref().and_then(|mildest| mildest.profile.clone());
                     Ok::<_, AssessError>((found, profile))

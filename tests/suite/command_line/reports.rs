@@ -109,7 +109,7 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
         ("version = 1\nsubject = \"hal\"\n", "error: a.toml:2: subject: `hal` is not among `controllers`"),
         ("version = 1\n\nsearch = { spaces = [\"moon\"] }\n", "error: a.toml:3: search.spaces[0]: `moon` is neither"),
         ("version = 1\nrates = { confidence = 1.5 }\n", "error: a.toml:2: rates.confidence: must be between"),
-        ("version = 1\ncertificates = [\"nowhere.json\"]\n", "error: nowhere.json: "),
+        ("version = 1\ncertificates = [\"nowhere.json\"]\n", "error: a.toml:2: certificates[0]: nowhere.json: "),
         ("version = 1\n[[gates]]\nrequire = \"luck\"\n", "error: a.toml:3: gates[0].require: unknown variant `luck`"),
     ];
     for (config, expected) in cases {
