@@ -147,7 +147,14 @@ impl LeadProfile {
 /// The share of `[from, to]` that lies after `onset`.
 #[inline]
 fn share_after(onset_s: f64, from_s: f64, to_s: f64) -> f64 {
-    ((to_s - onset_s.max(from_s)) / (to_s - from_s)).max(0.0)
+    // In nearly all steps all of it or nothing, and then nothing need be divided.
+    if onset_s <= from_s {
+        1.0
+    } else if onset_s >= to_s {
+        0.0
+    } else {
+        (to_s - onset_s) / (to_s - from_s)
+    }
 }
 
 impl RampBrake {
