@@ -7,7 +7,9 @@ use super::loops::{self, Pairs};
 use super::noise::Noise;
 use super::per_run::{PerRun, Runs};
 use super::pilots::Pilots;
-use crate::estimate::{EgoEstimator, Neighbour, Observation, TrueState};
+use super::view::{Seen, View};
+use crate::estimate::{EgoEstimator, TrueState};
+use crate::policy::Wide;
 use crate::sim::actuator::{Actuator, unless_at_rest};
 use crate::sim::motion::Motion;
 use crate::sim::platoon::Platoon;
@@ -90,10 +92,10 @@ impl<'s> Column<'s> {
         self.command(lanes, [front, behind], span_s);
         if self.sluggish.is_empty() {
             let (decided, limits) = (&mut self.decided_mps2, [&self.max_brake_mps2, &self.max_accel_mps2]);
-            arch.dispatch(
+            arch.dispatch(Wide(
                 #[inline(always)]
                 || loops::limit(decided.groups_mut(), limits[0].groups(), limits[1].groups()),
-            );
+            ));
         } else {
             for (decided, actuator) in self.decided_mps2.as_mut_slice().iter_mut().zip(&mut self.sluggish) {
                 *decided = actuator.respond(*decided);
@@ -101,10 +103,10 @@ impl<'s> Column<'s> {
         }
         let (decided, noise, speed) = (&mut self.decided_mps2, self.noise.next_mps2(), &self.speed_mps);
         if touched.is_empty() {
-            arch.dispatch(
+            arch.dispatch(Wide(
                 #[inline(always)]
                 || loops::disturb(decided.groups_mut(), noise.groups(), speed.groups()),
-            );
+            ));
         } else {
             let stuck = Runs(self.sticks.0 | behind.map_or(0, |behind| behind.sticks.0));
             for (run, decided) in decided.as_mut_slice().iter_mut().enumerate() {
@@ -117,55 +119,46 @@ impl<'s> Column<'s> {
         }
     }
 
-    /// Position, length, speed and acceleration.
-    fn visible(&self) -> [&[f64]; 4] {
-        [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2].map(PerRun::as_slice)
+    fn seen(&self) -> Seen<'_> {
+        Seen::of([&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2])
     }
 
     /// What the drivers want.
     fn command(&mut self, lanes: &[Lane<'_, 's>], [front, behind]: [Option<&Self>; 2], span_s: [f64; 2]) {
-        let (front, behind) = (front.map(Self::visible), behind.map(Self::visible));
-        let [position_m, length_m] = [&self.position_m, &self.length_m].map(PerRun::as_slice);
-        let [speed_mps, acceleration_mps2] = [&self.speed_mps, &self.acceleration_mps2].map(PerRun::as_slice);
-        let observation = |run: usize| Observation {
-            speed_mps: speed_mps[run],
-            acceleration_mps2: acceleration_mps2[run],
-            ahead: front.map(|[front_m, front_length_m, front_mps, front_mps2]| Neighbour {
-                gap_m: front_m[run] - front_length_m[run] - position_m[run],
-                speed_mps: front_mps[run],
-                acceleration_mps2: front_mps2[run],
-            }),
-            behind: behind.map(|[behind_m, _, behind_mps, behind_mps2]| Neighbour {
-                gap_m: position_m[run] - length_m[run] - behind_m[run],
-                speed_mps: behind_mps[run],
-                acceleration_mps2: behind_mps2[run],
-            }),
-        };
+        // Not by `seen`, which would take hold of the drivers as well.
+        let own = Seen::of([&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2]);
+        let view = View { own, front: front.map(Self::seen), behind: behind.map(Self::seen) };
         let commands_mps2 = self.decided_mps2.as_mut_slice();
         if self.eyes.is_empty() {
-            self.pilots.command(span_s, speed_mps, observation, commands_mps2);
+            self.pilots.command(
+                span_s,
+                own.speed_mps,
+                #[inline(always)]
+                |run| view.observation(run),
+                commands_mps2,
+            );
         } else {
             let eyes = &mut self.eyes;
             let see = |run: usize| {
-                let truth = TrueState { position_m: position_m[run], observation: observation(run) };
+                let truth = TrueState { position_m: own.position_m[run], observation: view.observation(run) };
                 eyes[run].observe(lanes[run].run.tuning(), &truth)
             };
-            self.pilots.command(span_s, speed_mps, see, commands_mps2);
+            self.pilots.command(span_s, own.speed_mps, see, commands_mps2);
         }
     }
 
     /// Where the vehicle is after `dt_s` if nobody touches it.
     pub(super) fn step(&mut self, arch: Arch, dt_s: f64) {
         let now = [&self.position_m, &self.speed_mps, &self.acceleration_mps2].map(PerRun::groups);
-        let next = (self.next_position_m.groups_mut(), self.next_speed_mps.groups_mut());
-        let hardest = self.hardest_brake_mps2.groups_mut();
-        arch.dispatch(
+        let (next_position_m, next_speed_mps) = (&mut self.next_position_m, &mut self.next_speed_mps);
+        let hardest_brake_mps2 = &mut self.hardest_brake_mps2;
+        arch.dispatch(Wide(
             #[inline(always)]
             || {
-                loops::advance(dt_s, now, next.0, next.1);
-                loops::note_braking(hardest, now[2]);
+                loops::advance(dt_s, now, next_position_m.groups_mut(), next_speed_mps.groups_mut());
+                loops::note_braking(hardest_brake_mps2.groups_mut(), now[2]);
             },
-        );
+        ));
     }
 
     /// Marks the runs in which this vehicle and the one ahead may touch, or are closest, inside the step.
@@ -178,10 +171,10 @@ impl<'s> Column<'s> {
             rear_mps: self.speed_mps.groups(),
         };
         let next_mps = [front.next_speed_mps.groups(), self.next_speed_mps.groups()];
-        arch.dispatch(
+        arch.dispatch(Wide(
             #[inline(always)]
             || loops::screen(dt_s, now, next_mps),
-        )
+        ))
     }
 
     /// Takes in gap and time to collision at the end of the step.
@@ -193,11 +186,11 @@ impl<'s> Column<'s> {
             front_mps: front.next_speed_mps.groups(),
             rear_mps: self.next_speed_mps.groups(),
         };
-        let (min_gap_m, min_ttc_s) = (self.min_gap_m.groups_mut(), self.min_ttc_s.groups_mut());
-        arch.dispatch(
+        let (min_gap_m, min_ttc_s) = (&mut self.min_gap_m, &mut self.min_ttc_s);
+        arch.dispatch(Wide(
             #[inline(always)]
-            || loops::note_approach(next, min_gap_m, min_ttc_s),
-        );
+            || loops::note_approach(next, min_gap_m.groups_mut(), min_ttc_s.groups_mut()),
+        ));
     }
 
     /// The end of the step becomes the start of the next one.

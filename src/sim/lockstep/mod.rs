@@ -10,6 +10,7 @@ mod loops;
 mod noise;
 mod per_run;
 mod pilots;
+mod view;
 
 use std::cmp::Ordering;
 
