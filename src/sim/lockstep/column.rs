@@ -94,7 +94,7 @@ impl<'s> Column<'s> {
             let (decided, limits) = (&mut self.decided_mps2, [&self.max_brake_mps2, &self.max_accel_mps2]);
             arch.dispatch(Wide(
                 #[inline(always)]
-                || loops::limit(decided.groups_mut(), limits[0].groups(), limits[1].groups()),
+                || loops::limit(decided.filled_mut(), limits[0].filled(), limits[1].filled()),
             ));
         } else {
             for (decided, actuator) in self.decided_mps2.as_mut_slice().iter_mut().zip(&mut self.sluggish) {
@@ -105,7 +105,7 @@ impl<'s> Column<'s> {
         if touched.is_empty() {
             arch.dispatch(Wide(
                 #[inline(always)]
-                || loops::disturb(decided.groups_mut(), noise.groups(), speed.groups()),
+                || loops::disturb(decided.filled_mut(), noise.filled(), speed.filled()),
             ));
         } else {
             let stuck = Runs(self.sticks.0 | behind.map_or(0, |behind| behind.sticks.0));
@@ -149,14 +149,14 @@ impl<'s> Column<'s> {
 
     /// Where the vehicle is after `dt_s` if nobody touches it.
     pub(super) fn step(&mut self, arch: Arch, dt_s: f64) {
-        let now = [&self.position_m, &self.speed_mps, &self.acceleration_mps2].map(PerRun::groups);
+        let now = [&self.position_m, &self.speed_mps, &self.acceleration_mps2].map(PerRun::filled);
         let (next_position_m, next_speed_mps) = (&mut self.next_position_m, &mut self.next_speed_mps);
         let hardest_brake_mps2 = &mut self.hardest_brake_mps2;
         arch.dispatch(Wide(
             #[inline(always)]
             || {
-                loops::advance(dt_s, now, next_position_m.groups_mut(), next_speed_mps.groups_mut());
-                loops::note_braking(hardest_brake_mps2.groups_mut(), now[2]);
+                loops::advance(dt_s, now, next_position_m.filled_mut(), next_speed_mps.filled_mut());
+                loops::note_braking(hardest_brake_mps2.filled_mut(), now[2]);
             },
         ));
     }
@@ -164,13 +164,13 @@ impl<'s> Column<'s> {
     /// Marks the runs in which this vehicle and the one ahead may touch, or are closest, inside the step.
     pub(super) fn screen(&self, arch: Arch, front: &Self, dt_s: f64) -> Runs {
         let now = Pairs {
-            front_m: front.position_m.groups(),
-            front_length_m: front.length_m.groups(),
-            rear_m: self.position_m.groups(),
-            front_mps: front.speed_mps.groups(),
-            rear_mps: self.speed_mps.groups(),
+            front_m: front.position_m.filled(),
+            front_length_m: front.length_m.filled(),
+            rear_m: self.position_m.filled(),
+            front_mps: front.speed_mps.filled(),
+            rear_mps: self.speed_mps.filled(),
         };
-        let next_mps = [front.next_speed_mps.groups(), self.next_speed_mps.groups()];
+        let next_mps = [front.next_speed_mps.filled(), self.next_speed_mps.filled()];
         arch.dispatch(Wide(
             #[inline(always)]
             || loops::screen(dt_s, now, next_mps),
@@ -180,16 +180,16 @@ impl<'s> Column<'s> {
     /// Takes in gap and time to collision at the end of the step.
     pub(super) fn note_approach(&mut self, arch: Arch, front: &Self) {
         let next = Pairs {
-            front_m: front.next_position_m.groups(),
-            front_length_m: front.length_m.groups(),
-            rear_m: self.next_position_m.groups(),
-            front_mps: front.next_speed_mps.groups(),
-            rear_mps: self.next_speed_mps.groups(),
+            front_m: front.next_position_m.filled(),
+            front_length_m: front.length_m.filled(),
+            rear_m: self.next_position_m.filled(),
+            front_mps: front.next_speed_mps.filled(),
+            rear_mps: self.next_speed_mps.filled(),
         };
         let (min_gap_m, min_ttc_s) = (&mut self.min_gap_m, &mut self.min_ttc_s);
         arch.dispatch(Wide(
             #[inline(always)]
-            || loops::note_approach(next, min_gap_m.groups_mut(), min_ttc_s.groups_mut()),
+            || loops::note_approach(next, min_gap_m.filled_mut(), min_ttc_s.filled_mut()),
         ));
     }
 

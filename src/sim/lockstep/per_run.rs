@@ -2,50 +2,53 @@
 
 use std::ops::{Index, IndexMut};
 
-/// Numbers of a group: as many doubles as the widest vector register there is holds.
-pub(super) const GROUP: usize = 8;
+/// Doubles in the widest vector register there is.
+const WIDEST: usize = 8;
 
-/// One number for each run of a block. The last group is filled up with leftovers, which loops may compute with as they please.
+/// One number for each run of a block, filled up to whole registers with leftovers, which loops may compute with as they
+/// please.
 #[derive(Debug, Clone)]
 pub(super) struct PerRun {
-    groups: Vec<[f64; GROUP]>,
+    values: Vec<f64>,
     runs: usize,
 }
 
 impl PerRun {
     pub(super) fn of(values: impl IntoIterator<Item = f64>) -> Self {
-        let mut flat: Vec<f64> = values.into_iter().collect();
-        let runs = flat.len();
-        flat.resize(runs.next_multiple_of(GROUP), 0.0);
-        Self { groups: flat.as_chunks().0.to_vec(), runs }
+        let mut values: Vec<f64> = values.into_iter().collect();
+        let runs = values.len();
+        values.resize(runs.next_multiple_of(WIDEST), 0.0);
+        Self { values, runs }
     }
 
     pub(super) fn all(value: f64, runs: usize) -> Self {
-        Self { groups: vec![[value; GROUP]; runs.div_ceil(GROUP)], runs }
-    }
-
-    pub(super) fn groups(&self) -> &[[f64; GROUP]] {
-        &self.groups
-    }
-
-    pub(super) fn groups_mut(&mut self) -> &mut [[f64; GROUP]] {
-        &mut self.groups
+        Self { values: vec![value; runs.next_multiple_of(WIDEST)], runs }
     }
 
     pub(super) fn as_slice(&self) -> &[f64] {
-        &self.groups.as_flattened()[..self.runs]
+        &self.values[..self.runs]
     }
 
     pub(super) fn as_mut_slice(&mut self) -> &mut [f64] {
-        &mut self.groups.as_flattened_mut()[..self.runs]
+        &mut self.values[..self.runs]
+    }
+
+    /// With what it is filled up with.
+    pub(super) fn filled(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// With what it is filled up with.
+    pub(super) fn filled_mut(&mut self) -> &mut [f64] {
+        &mut self.values
     }
 
     /// Forgets run `run`; the last one takes its place.
     pub(super) fn swap_remove(&mut self, run: usize) -> f64 {
-        let removed = self[run];
+        let removed = self.values[run];
         self.runs -= 1;
-        self[run] = self[self.runs];
-        self.groups.truncate(self.runs.div_ceil(GROUP));
+        self.values[run] = self.values[self.runs];
+        self.values.truncate(self.runs.next_multiple_of(WIDEST));
         removed
     }
 }
@@ -53,14 +56,16 @@ impl PerRun {
 impl Index<usize> for PerRun {
     type Output = f64;
 
+    #[inline]
     fn index(&self, run: usize) -> &f64 {
-        &self.groups[run / GROUP][run % GROUP]
+        &self.values[run]
     }
 }
 
 impl IndexMut<usize> for PerRun {
+    #[inline]
     fn index_mut(&mut self, run: usize) -> &mut f64 {
-        &mut self.groups[run / GROUP][run % GROUP]
+        &mut self.values[run]
     }
 }
 
@@ -142,7 +147,7 @@ mod tests {
                 members.swap_remove(run);
                 prop_assert_eq!(per_run.swap_remove(run), values.swap_remove(run));
                 prop_assert_eq!(per_run.as_slice(), values.as_slice());
-                prop_assert_eq!(per_run.groups().len(), values.len().div_ceil(GROUP));
+                prop_assert_eq!(per_run.filled().len(), values.len().next_multiple_of(WIDEST));
                 let expected: Vec<usize> = (0..members.len()).filter(|&run| members[run]).collect();
                 prop_assert_eq!(runs.iter().collect::<Vec<_>>(), expected);
             }
