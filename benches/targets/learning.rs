@@ -63,8 +63,10 @@ fn beside_the_peak(say: &mut dyn FnMut(Figure)) {
     let speed = |operations: usize, seconds: f64| operations as f64 / seconds;
     let peak = speed(by_hand, hand_s).max(speed(operations(&[[LARGE; 3]]), candle_s));
     let share = |operations, seconds| 100.0 * speed(operations, seconds) / peak;
-    println!("large product: {:.0} billion operations a second\n{}", peak / 1e9, crate::table::HEADER);
-    let name = "lockstep rollouts, 3 x 256 actor, share of the large product";
+    let name = format!(
+        "lockstep rollouts, 3 x 256 actor, share of a large product ({:.0} billion operations a second)",
+        peak / 1e9
+    );
     say(Figure::at_least(70.0, "%", name, share(acts * acting(256), rollouts_s)));
     let name = format!("DDPG update, 3 x 256, batch 512 ({:.2} ms), share of the large product", 1e3 * update_s);
     say(Figure::at_least(80.0, "%", name, share(operations(&products(256, 512, 1)), update_s)));
@@ -97,6 +99,7 @@ pub fn decisions_per_second(width: usize, count: usize) -> f64 {
     let mut config = networks::config(width, count);
     config.exploration.random_episodes = 0;
     config.learning.decisions_per_update = 1;
+    config.environment.decision_steps = 10;
     let mut trainer = Trainer::new(&config, 1);
     // The memory must hold a batch before there are updates.
     let mut decisions = 0;

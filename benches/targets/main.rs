@@ -3,6 +3,7 @@
 //! ```text
 //! cargo bench --bench targets                       # the table; a minute or two
 //! cargo bench --bench targets -- all                # with ten trainings and an assessment: some minutes
+//! cargo bench --bench targets -- rollouts           # a part: learning, rollouts, monitors, proofs, programs, long
 //! cargo bench --bench targets -- scaling FILE.svg   # how cost grows, as a list and a plot
 //! cargo bench --bench targets -- compare            # what benches/compare.py sets beside SUMO and Stable-Baselines3
 //! ```
@@ -17,6 +18,7 @@ mod clock;
 mod learning;
 mod monitors;
 mod programs;
+mod proofs;
 mod rollouts;
 mod scaling;
 mod table;
@@ -37,23 +39,36 @@ fn main() {
     // Everything on a single thread of a pool, so that what is parallel stays on it and its processor time can be read.
     let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     alone.install(|| match words[..] {
-        [] => table(false),
-        ["all"] => table(true),
+        [] => table(&PARTS[..PARTS.len() - 1]),
+        ["all"] => table(&PARTS),
         ["scaling", file] => scaling(file),
         ["compare"] => compare(),
-        _ => eprintln!("nothing, `all`, `scaling FILE.svg` or `compare`"),
+        _ => match PARTS.iter().find(|part| words[..] == [part.0]) {
+            Some(part) => table(std::slice::from_ref(part)),
+            None => eprintln!("nothing, `all`, a part of the table, `scaling FILE.svg` or `compare`"),
+        },
     });
 }
 
-fn table(all: bool) {
-    let say = &mut |figure: table::Figure| println!("{}", figure.line());
-    learning::figures(say);
-    rollouts::figures(say);
-    monitors::figures(say);
-    programs::figures(say);
-    if all {
+type Part = (&'static str, fn(&mut dyn FnMut(table::Figure)));
+
+/// The parts of the table; the last one takes minutes.
+const PARTS: [Part; 6] = [
+    ("learning", learning::figures),
+    ("rollouts", rollouts::figures),
+    ("monitors", monitors::figures),
+    ("proofs", proofs::figures),
+    ("programs", programs::figures),
+    ("long", |say| {
         learning::first_safe(10, say);
         programs::assessment(say);
+    }),
+];
+
+fn table(parts: &[Part]) {
+    println!("{}", table::HEADER);
+    for (_, figures) in parts {
+        figures(&mut |figure| println!("{}", figure.line()));
     }
 }
 

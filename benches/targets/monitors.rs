@@ -1,16 +1,12 @@
-//! Monitors of Chasing Cars, its simulation, and the reach of an actor.
+//! Monitors of Chasing Cars, and its simulation.
 
 use std::hint::black_box;
-use std::sync::Arc;
 
-use crumple::evidence::{BoxSpec, ReachPlan};
 use crumple::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, simulate};
 use crumple::measure::stl::Formula;
-use crumple::worst_case::{AvoidOptions, avoid};
 
 use crate::clock::least_s;
 use crate::table::Figure;
-use crate::work::networks::widened_reference;
 
 /// Inputs that make every car switch many times.
 fn inputs() -> Inputs {
@@ -30,27 +26,4 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
     }
     let [seconds] = least_s(200, [&mut || _ = black_box(simulate(black_box(&inputs())))]);
     say(Figure::at_most(0.5, "ms", "Chasing Cars, one simulation of 10 000 steps", 1e3 * seconds));
-    let scenario = crumple::scenario::built_in("paper-1").expect("built in");
-    for (grid_s, target_s) in [(0.1, 0.05), (0.01, 1.0)] {
-        let options = AvoidOptions { grid_s: Some(grid_s), ..AvoidOptions::default() };
-        let [seconds] = least_s(3, [&mut || _ = black_box(avoid(&scenario, options).expect("the grid fits"))]);
-        say(Figure::at_most(target_s, "s", format!("avoidability of paper-1, grid of {grid_s} s"), seconds));
-    }
-    let spec = BoxSpec::from_toml(BOX).expect("a box");
-    let plan = ReachPlan::new(Arc::new(widened_reference()), &spec).expect("fits");
-    let mut verified = 0.0;
-    let mut once = || verified = plan.partition(0, |_| {}).expect("fits").shares[0].verified;
-    let [seconds] = least_s(3, [&mut once]);
-    let name = format!("reach of a 3 x 256 actor, one box, 1500 steps ({:.0} % verified)", 100.0 * verified);
-    say(Figure::at_most(1.0, "s", name, seconds));
 }
-
-/// Small enough to be verified without a cut, so that all 1500 steps are made.
-const BOX: &str = "version = 1
-about = \"\"
-scenario = \"paper-1\"
-
-[ranges]
-gap_ahead_m = { low = 15.99, high = 16.01 }
-gap_behind_m = { low = 15.99, high = 16.01 }
-";

@@ -101,34 +101,38 @@ impl<'s> Column<'s> {
                 *decided = actuator.respond(*decided);
             }
         }
-        let (decided, noise, speed) = (&mut self.decided_mps2, self.noise.next_mps2(), &self.speed_mps);
+        let (decided, noise_mps2, speed) = (&mut self.decided_mps2, self.noise.next_mps2(), &self.speed_mps);
         if touched.is_empty() {
             arch.dispatch(Wide(
                 #[inline(always)]
-                || loops::disturb(decided.filled_mut(), noise.filled(), speed.filled()),
+                || loops::disturb(decided.filled_mut(), noise_mps2, speed.filled()),
             ));
         } else {
             let stuck = Runs(self.sticks.0 | behind.map_or(0, |behind| behind.sticks.0));
             for (run, decided) in decided.as_mut_slice().iter_mut().enumerate() {
                 *decided = if stuck.contains(run) {
-                    *decided + noise[run]
+                    *decided + noise_mps2[run]
                 } else {
-                    unless_at_rest(*decided, noise[run], speed[run])
+                    unless_at_rest(*decided, noise_mps2[run], speed[run])
                 };
             }
         }
     }
 
-    fn seen(&self) -> Seen<'_> {
-        Seen::of([&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2])
+    #[inline(always)]
+    fn seen(&self, runs: usize) -> Seen<'_> {
+        Seen::first(runs, [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2])
     }
 
     /// What the drivers want.
     fn command(&mut self, lanes: &[Lane<'_, 's>], [front, behind]: [Option<&Self>; 2], span_s: [f64; 2]) {
+        // One length for all, known as such, so that no index needs a check.
+        let runs = lanes.len();
         // Not by `seen`, which would take hold of the drivers as well.
-        let own = Seen::of([&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2]);
-        let view = View { own, front: front.map(Self::seen), behind: behind.map(Self::seen) };
-        let commands_mps2 = self.decided_mps2.as_mut_slice();
+        let own = Seen::first(runs, [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2]);
+        let (front, behind) = (front.map(|front| front.seen(runs)), behind.map(|behind| behind.seen(runs)));
+        let view = View { own, front, behind };
+        let commands_mps2 = &mut self.decided_mps2.filled_mut()[..runs];
         if self.eyes.is_empty() {
             self.pilots.command(
                 span_s,

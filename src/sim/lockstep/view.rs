@@ -13,9 +13,15 @@ pub(super) struct Seen<'a> {
 }
 
 impl<'a> Seen<'a> {
-    pub(super) fn of(all: [&'a PerRun; 4]) -> Self {
-        let [position_m, length_m, speed_mps, acceleration_mps2] = all.map(PerRun::as_slice);
-        Self { position_m, length_m, speed_mps, acceleration_mps2 }
+    /// The first `runs` of position, length, speed and acceleration.
+    #[inline(always)]
+    pub(super) fn first(runs: usize, [x, l, v, a]: [&'a PerRun; 4]) -> Self {
+        Self {
+            position_m: &x.filled()[..runs],
+            length_m: &l.filled()[..runs],
+            speed_mps: &v.filled()[..runs],
+            acceleration_mps2: &a.filled()[..runs],
+        }
     }
 
     #[inline(always)]

@@ -1,0 +1,37 @@
+//! Avoidability of a scenario, and the reach of an actor.
+
+use std::hint::black_box;
+use std::sync::Arc;
+
+use crumple::evidence::{BoxSpec, ReachPlan};
+use crumple::worst_case::{AvoidOptions, avoid};
+
+use crate::clock::least_s;
+use crate::table::Figure;
+use crate::work::networks::widened_reference;
+
+pub fn figures(say: &mut dyn FnMut(Figure)) {
+    let scenario = crumple::scenario::built_in("paper-1").expect("built in");
+    for (grid_s, target_s) in [(0.1, 0.05), (0.01, 1.0)] {
+        let options = AvoidOptions { grid_s: Some(grid_s), ..AvoidOptions::default() };
+        let [seconds] = least_s(3, [&mut || _ = black_box(avoid(&scenario, options).expect("the grid fits"))]);
+        say(Figure::at_most(target_s, "s", format!("avoidability of paper-1, grid of {grid_s} s"), seconds));
+    }
+    let spec = BoxSpec::from_toml(BOX).expect("a box");
+    let plan = ReachPlan::new(Arc::new(widened_reference()), &spec).expect("fits");
+    let mut verified = 0.0;
+    let mut once = || verified = plan.partition(0, |_| {}).expect("fits").shares[0].verified;
+    let [seconds] = least_s(3, [&mut once]);
+    let name = format!("reach of a 3 x 256 actor, one box, 1500 steps ({:.0} % verified)", 100.0 * verified);
+    say(Figure::at_most(1.0, "s", name, seconds));
+}
+
+/// Small enough to be verified without a cut, so that all 1500 steps are made.
+const BOX: &str = "version = 1
+about = \"\"
+scenario = \"paper-1\"
+
+[ranges]
+gap_ahead_m = { low = 15.99, high = 16.01 }
+gap_behind_m = { low = 15.99, high = 16.01 }
+";
