@@ -101,14 +101,15 @@ pub fn decisions_per_second(width: usize, count: usize) -> f64 {
     config.learning.decisions_per_update = 1;
     config.environment.decision_steps = 10;
     let mut trainer = Trainer::new(&config, 1);
+    let mut made = || trainer.run_episode().expect("converges").steps / config.environment.decision_steps as usize;
     // The memory must hold a batch before there are updates.
     let mut decisions = 0;
     while decisions < count {
-        decisions += trainer.run_episode().expect("converges").steps;
+        decisions += made();
     }
     let (start_s, mut decisions) = (now_s(), 0);
     while now_s() - start_s < 2.0 {
-        decisions += trainer.run_episode().expect("converges").steps / config.environment.decision_steps as usize;
+        decisions += made();
     }
     decisions as f64 / (now_s() - start_s)
 }
