@@ -4,9 +4,10 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use crumple::evidence::{BoxSpec, ReachPlan};
+use crumple::scenario::PAPER_STEP_S;
 use crumple::worst_case::{AvoidOptions, avoid};
 
-use crate::clock::least_s;
+use crate::clock::{least_s, now_s};
 use crate::table::Figure;
 use crate::work::networks::widened_reference;
 
@@ -18,12 +19,15 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
         say(Figure::at_most(target_s, "s", format!("avoidability of paper-1, grid of {grid_s} s"), seconds));
     }
     let spec = BoxSpec::from_toml(BOX).expect("a box");
-    let plan = ReachPlan::new(Arc::new(widened_reference()), &spec).expect("fits");
-    let mut verified = 0.0;
-    let mut once = || verified = plan.partition(0, |_| {}).expect("fits").shares[0].verified;
-    let [seconds] = least_s(3, [&mut once]);
-    let name = format!("reach of a 3 x 256 actor, one box, 1500 steps ({:.0} % verified)", 100.0 * verified);
-    say(Figure::at_most(1.0, "s", name, seconds));
+    for interval_s in [0.1, PAPER_STEP_S] {
+        let plan = ReachPlan::new(Arc::new(widened_reference(interval_s)), &spec).expect("fits");
+        let start_s = now_s();
+        let verified = 100.0 * plan.partition(0, |_| {}).expect("fits").shares[0].verified;
+        let name = format!(
+            "reach of a 3 x 256 actor that decides every {interval_s} s, one box, 1500 steps ({verified:.0} % verified)"
+        );
+        say(Figure::at_most(1.0, "s", name, now_s() - start_s));
+    }
 }
 
 /// Small enough to be verified without a cut, so that all 1500 steps are made.

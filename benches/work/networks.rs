@@ -96,14 +96,13 @@ pub fn policy(width: usize) -> Policy {
     Policy::new(header, network).expect("valid")
 }
 
-/// The reference policy (3 x 64) four times as wide: each hidden unit is there four times, and each copy counts a quarter. It decides at
-/// every step.
-pub fn widened_reference() -> Policy {
+/// The reference policy (3 x 64) four times as wide: each hidden unit is there four times, and each copy counts a quarter.
+pub fn widened_reference(interval_s: f64) -> Policy {
     const COPIES: usize = 4;
     let reference = Policy::reference();
     let narrow = reference.network();
     let mut header = reference.header().clone();
-    header.decision_interval_s = PAPER_STEP_S;
+    header.decision_interval_s = interval_s;
     header.hidden.iter_mut().for_each(|width| *width *= COPIES);
     let sizes = [&[STATE], header.hidden.as_slice(), &[1]].concat();
     let mut wide = Network::zeros(&sizes);
