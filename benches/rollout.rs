@@ -7,11 +7,15 @@
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
 use crumple::estimate::EstimatorKind;
-use crumple::scenario::{ControllerSpec, Driver, PaperDistribution, Scenario};
-use crumple::sim::{Keep, Run, RunOptions, simulate, simulate_batch};
+use crumple::scenario::Scenario;
+use crumple::sim::{Keep, Run, simulate, simulate_batch};
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use rayon::ThreadPool;
+
+#[path = "work/rollouts.rs"]
+#[allow(dead_code, missing_docs, unreachable_pub, reason = "shared with other benches, none of which needs all of it")]
+mod rollouts;
 
 fn main() {
     divan::main();
@@ -27,28 +31,8 @@ const CASES: [(&str, EstimatorKind); 6] = [
     ("idm", EstimatorKind::Kalman),
 ];
 
-fn scenarios() -> Vec<Scenario> {
-    let draw = |index| {
-        let drawn = PaperDistribution { seed: 1 }.draw(index).expect("valid");
-        drawn.edited(|spec| spec.vehicles[2].driver = Driver::UnderTest).expect("still valid")
-    };
-    (0..RUNS).map(draw).collect()
-}
-
-fn runs<'s>(scenarios: &'s [Scenario], (controller, estimator): (&str, EstimatorKind)) -> Vec<Run<'s>> {
-    let controller = ControllerSpec::named(controller).expect("built in");
-    let options = RunOptions::new(controller).with_estimator(estimator);
-    scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).expect("valid")).collect()
-}
-
-fn vehicle_steps(runs: &[Run<'_>]) -> ItemsCount {
-    let made = simulate_batch(runs, Keep::Summary, |index, result| {
-        let scenario = runs[index].scenario();
-        let step_s = scenario.spec().step_s;
-        let steps = result.outcome.contact().map_or(scenario.steps(), |contact| (contact.time_s / step_s) as usize + 1);
-        steps * scenario.vehicles().len()
-    });
-    ItemsCount::new(made.into_iter().sum::<usize>())
+fn runs<'s>((controller, estimator): (&str, EstimatorKind), scenarios: &'s [Scenario]) -> Vec<Run<'s>> {
+    rollouts::runs(scenarios, rollouts::built_in(controller), estimator)
 }
 
 fn threads(count: usize) -> ThreadPool {
@@ -56,11 +40,11 @@ fn threads(count: usize) -> ThreadPool {
 }
 
 fn lockstep(bencher: Bencher<'_, '_>, case: (&str, EstimatorKind), thread_count: usize) {
-    let scenarios = scenarios();
-    let runs = runs(&scenarios, case);
+    let scenarios = rollouts::scenarios(RUNS);
+    let runs = runs(case, &scenarios);
     let threads = threads(thread_count);
     bencher
-        .counter(vehicle_steps(&runs))
+        .counter(ItemsCount::new(rollouts::vehicle_steps(&runs)))
         .bench_local(|| threads.install(|| simulate_batch(&runs, Keep::Summary, |_, result| result.outcome)));
 }
 
@@ -76,9 +60,9 @@ fn lockstep_two_cores(bencher: Bencher<'_, '_>, case: (&str, EstimatorKind)) {
 
 #[divan::bench(args = CASES, sample_count = 10)]
 fn scalar_engine(bencher: Bencher<'_, '_>, case: (&str, EstimatorKind)) {
-    let scenarios = scenarios();
-    let runs = runs(&scenarios, case);
+    let scenarios = rollouts::scenarios(RUNS);
+    let runs = runs(case, &scenarios);
     bencher
-        .counter(vehicle_steps(&runs))
+        .counter(ItemsCount::new(rollouts::vehicle_steps(&runs)))
         .bench_local(|| runs.iter().map(|run| simulate(run, Keep::Summary).outcome).collect::<Vec<_>>());
 }

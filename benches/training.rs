@@ -10,18 +10,21 @@
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
-use crumple::estimate::{EstimatorKind, Neighbour, Observation};
-use crumple::policy::{
-    ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE, Workspace,
-};
+use crumple::estimate::EstimatorKind;
+use crumple::policy::Workspace;
 use crumple::random::{Purpose, stream};
-use crumple::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition, oracle::Oracle};
+use crumple::rl::oracle::Oracle;
 use crumple::scenario::{PAPER_STEP_S, PaperDistribution};
 use crumple::sim::{Keep, Run, RunOptions, Simulated, simulate_batch};
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use pulp::{Arch, Simd, WithSimd};
-use rand::RngExt;
+
+#[path = "work/networks.rs"]
+#[allow(dead_code, missing_docs, unreachable_pub, reason = "shared with other benches, none of which needs all of it")]
+mod networks;
+
+use networks::{LARGE, acting, batch, config, large, learner, operations, policy, products, seen, td3};
 
 fn main() {
     // One thread: trainings run side by side, not inside one product.
@@ -32,70 +35,23 @@ fn main() {
 const PAPER: (&str, usize, usize) = ("3 x 256, batch 512", 256, 512);
 const FAST: (&str, usize, usize) = ("3 x 64, batch 128", 64, 128);
 
-fn config(width: usize, batch: usize) -> TrainingConfig {
-    let mut config = TrainingConfig::preset("paper-net").expect("a preset");
-    config.network.hidden = vec![width; 3];
-    config.learning.batch = batch;
-    config
-}
-
-fn learner(config: &TrainingConfig) -> Learner {
-    Learner::new(&config.network, &config.learning, &config.td3, 1)
-}
-
-fn batch(count: usize) -> Batch {
-    let mut stream = stream(1, Purpose::ReplayDraw, 0);
-    let mut batch = Batch::default();
-    for _ in 0..count {
-        let mut state = || std::array::from_fn(|_| stream.random_range(-1.0..1.0));
-        let (state, next_state) = (state(), state());
-        let (action, reward) = (stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0));
-        batch.push(&Transition { state, action, reward, next_state, continues: true, contact: false });
-    }
-    batch
-}
-
-/// The matrix products of one update as (rows, inner, columns).
-///
-/// Forward: actor', each critic' and critic, actor, first critic again. Backward: inputs and weights of critics and actor, and
-/// inputs of the first critic once more for the actor's slope; the first layers' inputs need no slope. The output layers are
-/// products with a vector, and not counted.
-fn products(width: usize, count: usize, critics: usize) -> Vec<[usize; 3]> {
-    let forward = |inputs: usize| vec![[count, inputs, width], [count, width, width], [count, width, width]];
-    let hidden_inputs = vec![[count, width, width]; 2];
-    let weights = |inputs: usize| vec![[inputs, count, width], [width, count, width], [width, count, width]];
-    let (actor, critic) = (STATE, STATE + 1);
-    let mut all = [forward(actor), forward(actor), forward(critic), hidden_inputs.clone()].concat();
-    all.extend([hidden_inputs.clone(), weights(actor)].concat());
-    for _ in 0..critics {
-        all.extend([forward(critic), forward(critic), hidden_inputs.clone(), weights(critic)].concat());
-    }
-    all
-}
-
-fn operations(products: &[[usize; 3]]) -> ItemsCount {
-    ItemsCount::new(products.iter().map(|[m, k, n]| 2 * m * k * n).sum::<usize>())
+/// What divan counts for some products.
+fn counted(products: &[[usize; 3]]) -> ItemsCount {
+    ItemsCount::new(operations(products))
 }
 
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
 fn update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
     let mut learner = learner(&config(width, count));
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
-    bencher.counter(operations(&products(width, count, 1))).bench_local(|| learner.update(&batch, &mut noise));
-}
-
-/// Two critics, target smoothing, and the actor in every update.
-fn td3(width: usize, count: usize) -> TrainingConfig {
-    let mut config = config(width, count);
-    config.td3 = Td3Config { twin_critic: true, actor_every: 1, target_noise: 0.2, target_noise_limit: 0.5 };
-    config
+    bencher.counter(counted(&products(width, count, 1))).bench_local(|| learner.update(&batch, &mut noise));
 }
 
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
 fn td3_update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
     let mut learner = learner(&td3(width, count));
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
-    bencher.counter(operations(&products(width, count, 2))).bench_local(|| learner.update(&batch, &mut noise));
+    bencher.counter(counted(&products(width, count, 2))).bench_local(|| learner.update(&batch, &mut noise));
 }
 
 /// Two trainings side by side, an update each: twice the operations of one.
@@ -107,7 +63,7 @@ fn two_updates_on_two_cores(bencher: Bencher<'_, '_>, (_, width, count): (&str, 
     let each = WORK.div_ceil(one.iter().map(|[m, k, n]| m * k * n).sum());
     let mut learners = [0; 2].map(|_| (learner(&config(width, count)), stream(1, Purpose::TargetNoise, 0)));
     let batch = batch(count);
-    bencher.counter(operations(&vec![one; 2 * each].concat())).bench_local(|| {
+    bencher.counter(counted(&vec![one; 2 * each].concat())).bench_local(|| {
         std::thread::scope(|scope| {
             for (learner, noise) in &mut learners {
                 scope.spawn(|| (0..each).for_each(|_| _ = divan::black_box(learner.update(&batch, noise))));
@@ -121,7 +77,7 @@ fn update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, u
     let config = config(width, count);
     let mut oracle = Oracle::new(&learner(&config), &config.learning, &config.td3).expect("tensors");
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
-    let counter = operations(&products(width, count, 1));
+    let counter = counted(&products(width, count, 1));
     bencher.counter(counter).bench_local(|| oracle.update(&batch, &mut noise).expect("tensors"));
 }
 
@@ -133,28 +89,24 @@ fn random(rows: usize, columns: usize) -> Tensor {
 fn products_of_an_update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
     let products = products(width, count, 1);
     let factors: Vec<_> = products.iter().map(|&[m, k, n]| (random(m, k), random(k, n))).collect();
-    bencher.counter(operations(&products)).bench_local(|| {
+    bencher.counter(counted(&products)).bench_local(|| {
         for (left, right) in &factors {
             divan::black_box(left.matmul(right).expect("shapes fit"));
         }
     });
 }
 
-const LARGE: usize = 1024;
-
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn a_large_product_on_candle(bencher: Bencher<'_, '_>) {
     let (left, right) = (random(LARGE, LARGE), random(LARGE, LARGE));
-    bencher.counter(operations(&[[LARGE; 3]])).bench_local(|| left.matmul(&right).expect("shapes fit"));
+    bencher.counter(counted(&[[LARGE; 3]])).bench_local(|| left.matmul(&right).expect("shapes fit"));
 }
 
 /// A wide network acts on many states: one large product, and little else.
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn a_large_product_by_hand(bencher: Bencher<'_, '_>) {
-    let mut config = config(LARGE, LARGE);
-    config.network.hidden = vec![LARGE; 2];
-    let (mut learner, states) = (learner(&config), vec![0.5; LARGE * STATE]);
-    let counter = operations(&[[LARGE, STATE, LARGE], [LARGE; 3]]);
+    let (mut learner, states, operations) = large();
+    let counter = ItemsCount::new(operations);
     bencher.counter(counter).bench_local(|| learner.act(&states)[0]);
 }
 
@@ -203,43 +155,6 @@ fn multiply_adds_in_registers(bencher: Bencher<'_, '_>) {
     bencher
         .counter(ItemsCount::new(2 * Arch::new().dispatch(Lanes) * SUMS * ROUNDS))
         .bench_local(|| Arch::new().dispatch(InRegisters(ROUNDS)));
-}
-
-fn policy(width: usize) -> Policy {
-    let hidden = vec![width; 3];
-    let mut network = Network::zeros(&[&[STATE], hidden.as_slice(), &[1]].concat());
-    let mut stream = stream(1, Purpose::FirstWeights, 0);
-    network.parameters_mut().iter_mut().for_each(|parameter| *parameter = stream.random_range(-0.1..0.1));
-    let header = PolicyHeader {
-        version: POLICY_VERSION,
-        crumple: "bench".to_owned(),
-        hidden,
-        observation: ObservationScaling::default(),
-        action: ActionBounds::default(),
-        decision_interval_s: PAPER_STEP_S,
-        estimator: EstimatorKind::Kalman,
-        seed: 1,
-        episode: 0,
-        training: serde_json::Value::Null,
-    };
-    Policy::new(header, network).expect("valid")
-}
-
-fn seen(count: usize) -> Vec<Observation> {
-    let neighbour = |gap_m| Some(Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: -1.0 });
-    (0..count)
-        .map(|index| Observation {
-            speed_mps: 20.0 + index as f64 / 100.0,
-            acceleration_mps2: -0.5,
-            ahead: neighbour(15.0),
-            behind: neighbour(12.0),
-        })
-        .collect()
-}
-
-/// Operations of an actor's matrix products on one state.
-fn acting(width: usize) -> usize {
-    2 * (STATE * width + 2 * width * width)
 }
 
 #[divan::bench(args = [64, 256])]

@@ -7,6 +7,7 @@ mod file;
 mod header;
 mod network;
 mod product;
+mod wide;
 
 use std::sync::{Arc, LazyLock};
 
@@ -17,6 +18,7 @@ pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader,
 use network::Acting;
 pub use network::{Network, Workspace};
 pub(crate) use product::{Left, Panels, Right, multiply_vector};
+pub(crate) use wide::Wide;
 
 use crate::estimate::Observation;
 

@@ -9,6 +9,8 @@
 
 use pulp::{Arch, Simd, WithSimd, bytemuck};
 
+use super::wide::Wide;
+
 /// Columns of a panel: two of the widest vector registers.
 const PANEL: usize = 32;
 
@@ -207,14 +209,14 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
 
 /// `start` plus the product of each row of `rows` with `factor`, into `out`.
 pub(crate) fn multiply_vector(rows: &[f32], factor: &[f32], start: f32, out: &mut [f32]) {
-    Arch::new().dispatch(
+    Arch::new().dispatch(Wide(
         #[inline(always)]
         || {
-            for (row, out) in rows.chunks_exact(factor.len()).zip(out) {
+            for (row, out) in rows.chunks_exact(factor.len()).zip(out.iter_mut()) {
                 *out = start + dot(row, factor);
             }
         },
-    );
+    ));
 }
 
 #[cfg(test)]

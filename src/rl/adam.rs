@@ -2,6 +2,8 @@
 
 use pulp::Arch;
 
+use crate::policy::Wide;
+
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;
 const EPSILON: f32 = 1e-8;
@@ -31,7 +33,7 @@ impl Adam {
         let unbias_2 = (1.0 / (1.0 - f64::from(BETA_2).powi(steps))) as f32;
         let (first, second) = (self.first.as_mut_slice(), self.second.as_mut_slice());
         let (target, share) = follow.unwrap_or((&mut [], 0.0));
-        Arch::new().dispatch(
+        Arch::new().dispatch(Wide(
             #[inline(always)]
             || {
                 let n = parameters.len();
@@ -46,7 +48,7 @@ impl Adam {
                     *target += share * (parameter - *target);
                 }
             },
-        );
+        ));
     }
 }
 

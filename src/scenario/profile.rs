@@ -113,6 +113,14 @@ impl LeadProfile {
     #[inline]
     pub fn acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
         match self {
+            Self::Brake(brake) => -brake.rate_mps2 * share_after(brake.onset_s, from_s, to_s),
+            _ => self.other_acceleration_mps2(from_s, to_s, speed_mps),
+        }
+    }
+
+    /// Kept apart, so that the usual profile is small enough to be part of a loop.
+    fn other_acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
+        match self {
             Self::ConstantSpeed => 0.0,
             Self::Brake(brake) => -brake.rate_mps2 * share_after(brake.onset_s, from_s, to_s),
             Self::RampBrake(ramp) => ramp.acceleration_mps2(from_s, to_s, speed_mps),
@@ -147,7 +155,14 @@ impl LeadProfile {
 /// The share of `[from, to]` that lies after `onset`.
 #[inline]
 fn share_after(onset_s: f64, from_s: f64, to_s: f64) -> f64 {
-    ((to_s - onset_s.max(from_s)) / (to_s - from_s)).max(0.0)
+    // In nearly all steps all of it or nothing, and then nothing need be divided.
+    if onset_s <= from_s {
+        1.0
+    } else if onset_s >= to_s {
+        0.0
+    } else {
+        (to_s - onset_s) / (to_s - from_s)
+    }
 }
 
 impl RampBrake {

@@ -46,6 +46,7 @@ mod naive;
 mod parse;
 mod print;
 mod signals;
+mod spare;
 mod window;
 
 pub use formula::{Comparison, Formula, FormulaError, Interval, Relation};

@@ -2,6 +2,7 @@
 
 use super::formula::{Comparison, Formula, Interval};
 use super::signals::Signals;
+use super::spare;
 use super::window::{Extremum, Maximum, Minimum, sliding};
 
 /// Why a formula cannot be evaluated on some signals.
@@ -70,7 +71,9 @@ impl Formula {
 
     fn first(&self, signals: &Signals<'_>, reading: Reading) -> Result<f64, MonitorError> {
         let values = Monitor { signals, reading }.values(self, 0, 1)?;
-        Ok(values.first().copied().unwrap_or(f64::NAN))
+        let first = values.first().copied().unwrap_or(f64::NAN);
+        spare::give(values);
+        Ok(first)
     }
 }
 
@@ -87,6 +90,9 @@ impl Interval {
         Ok((first as usize, last as usize))
     }
 }
+
+/// Samples that a comparison works on at a time.
+const PIECE: usize = 1024;
 
 struct Monitor<'a> {
     signals: &'a Signals<'a>,
@@ -114,19 +120,31 @@ impl Monitor<'_> {
 
     fn compare(&self, comparison: &Comparison, from: usize, to: usize) -> Result<Vec<f64>, MonitorError> {
         let sign = if comparison.relation().wants_more() { 1.0 } else { -1.0 };
-        let mut values = vec![0.0; to - from];
+        let mut terms = Vec::with_capacity(comparison.terms().len());
         for (weight, name) in comparison.terms() {
             let samples = self.signals.get(name).and_then(|samples| samples.get(from..to));
             let samples = samples.ok_or_else(|| MonitorError::UnknownSignal {
                 name: name.clone(),
                 known: self.signals.names().map(str::to_owned).collect(),
             })?;
-            let weight = sign * weight;
-            values.iter_mut().zip(samples).for_each(|(value, &sample)| *value += weight * sample);
+            terms.push((sign * weight, samples));
         }
         let bound = sign * comparison.bound();
-        values.iter_mut().for_each(|value| *value -= bound);
-        if values.iter().fold(false, |any, value| any | value.is_nan()) {
+        let mut values = spare::take();
+        let mut any_undefined = false;
+        // Piece by piece, so that a piece is in the nearest cache for all terms.
+        for start in (0..to - from).step_by(PIECE) {
+            values.resize((start + PIECE).min(to - from), 0.0);
+            let piece = &mut values[start..];
+            for (weight, samples) in &terms {
+                piece.iter_mut().zip(&samples[start..]).for_each(|(value, &sample)| *value += weight * sample);
+            }
+            for value in piece {
+                *value -= bound;
+                any_undefined |= value.is_nan();
+            }
+        }
+        if any_undefined {
             let index = from + values.iter().position(|value| value.is_nan()).unwrap_or_default();
             let time_s = index as f64 * self.signals.step_s();
             return Err(MonitorError::Undefined { comparison: comparison.to_string(), time_s });
@@ -150,6 +168,7 @@ impl Monitor<'_> {
         let mut values = self.values(left, from, to)?;
         let others = self.values(right, from, to)?;
         values.iter_mut().zip(&others).for_each(|(value, &other)| *value = joined(*value, other));
+        spare::give(others);
         Ok(values)
     }
 
@@ -165,7 +184,7 @@ impl Monitor<'_> {
             return Ok(vec![E::OF_NONE; to - from]);
         };
         let values = self.values(inner, inner_from, inner_to)?;
-        Ok(sliding::<E>(&values, (last - first).saturating_add(1), to - from))
+        Ok(sliding::<E>(values, (last - first).saturating_add(1), to - from))
     }
 
     /// The samples that windows at `from..to` refer to, none if they all start after the end of the trace.
@@ -194,8 +213,8 @@ impl Monitor<'_> {
         let goal = self.values(right, start, end)?;
         // Nothing refers to the left side at the last sample.
         let path = self.values(left, from, end - 1)?;
-        let mut result = sliding::<Maximum>(&goal, (last - first).saturating_add(1), to - from);
-        let before = if first == 0 { Vec::new() } else { sliding::<Minimum>(&path, first, to - from) };
+        let mut result = sliding::<Maximum>(goal.clone(), (last - first).saturating_add(1), to - from);
+        let before = if first == 0 { Vec::new() } else { sliding::<Minimum>(path.clone(), first, to - from) };
         result.iter_mut().zip(&before).for_each(|(value, &held)| *value = Minimum::of(*value, held));
         // Unbounded until, from the last sample backwards: u(k) = max(q(k), min(p(k), u(k + 1))).
         let mut unbounded = goal;

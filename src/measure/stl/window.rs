@@ -35,41 +35,48 @@ impl Extremum for Maximum {
     }
 }
 
-/// For each of the first `outputs` positions the extremum of the `width` values from there on, fewer at the end.
-pub(super) fn sliding<E: Extremum>(values: &[f64], width: usize, outputs: usize) -> Vec<f64> {
+/// For each of the first `outputs` positions the extremum of the `width` values from there on, fewer at the end. The result
+/// takes the values' place.
+pub(super) fn sliding<E: Extremum>(mut values: Vec<f64>, width: usize, outputs: usize) -> Vec<f64> {
     let windows = outputs.min(values.len());
-    let mut result = match (width, windows) {
-        (0, _) | (_, 0) => Vec::new(),
-        (1, _) => values.iter().copied().take(windows).collect(),
-        (_, 1) => vec![extremum::<E>(values.get(..width).unwrap_or(values))],
-        _ => blocks::<E>(values, width.min(values.len()), windows),
-    };
-    result.resize(outputs, E::OF_NONE);
-    result
-}
-
-fn blocks<E: Extremum>(values: &[f64], width: usize, windows: usize) -> Vec<f64> {
-    let mut result = vec![0.0; values.len()];
-    for (ends, block) in result.chunks_mut(width).zip(values.chunks(width)) {
-        let mut end = E::OF_NONE;
-        for (slot, &value) in ends.iter_mut().zip(block).rev() {
-            end = E::of(end, value);
-            *slot = end;
+    match (width, windows) {
+        (0, _) | (_, 0) => values.clear(),
+        (1, _) => values.truncate(windows),
+        (_, 1) => {
+            let first = extremum::<E>(values.get(..width).unwrap_or(&values));
+            values.clear();
+            values.push(first);
+        }
+        _ => {
+            blocks::<E>(&mut values, width);
+            values.truncate(windows);
         }
     }
-    // A window that starts inside block i ends inside block i + 1: the window at offset o takes its first o values.
-    for (ends, block) in result.chunks_mut(width).zip(values.chunks(width).skip(1)) {
+    values.resize(outputs, E::OF_NONE);
+    values
+}
+
+fn blocks<E: Extremum>(values: &mut [f64], width: usize) {
+    let mut rest = values;
+    while !rest.is_empty() {
+        let (block, later) = rest.split_at_mut(width.min(rest.len()));
+        let mut end = E::OF_NONE;
+        for slot in block.iter_mut().rev() {
+            end = E::of(end, *slot);
+            *slot = end;
+        }
+        // A window that starts inside a block ends inside the next one: the window at offset o takes its first o values,
+        // which are still there.
         let mut start = E::OF_NONE;
-        let mut rest = ends.iter_mut().skip(1);
-        for (&value, slot) in block.iter().zip(rest.by_ref()) {
+        let mut slots = block.iter_mut().skip(1);
+        for (&value, slot) in later.iter().zip(slots.by_ref()) {
             start = E::of(start, value);
             *slot = E::of(*slot, start);
         }
-        // The last block may be shorter: windows that reach past it are clipped.
-        rest.for_each(|slot| *slot = E::of(*slot, start));
+        // The next block may be shorter: windows that reach past it are clipped.
+        slots.for_each(|slot| *slot = E::of(*slot, start));
+        rest = later;
     }
-    result.truncate(windows);
-    result
 }
 
 /// The extremum of all, in lanes that do not wait for one another.
@@ -99,8 +106,8 @@ mod tests {
             let window = |k: usize| values.iter().skip(k).take(width).copied();
             let least: Vec<f64> = (0..outputs).map(|k| window(k).fold(f64::INFINITY, f64::min)).collect();
             let most: Vec<f64> = (0..outputs).map(|k| window(k).fold(f64::NEG_INFINITY, f64::max)).collect();
-            prop_assert_eq!(sliding::<Minimum>(&values, width, outputs), least);
-            prop_assert_eq!(sliding::<Maximum>(&values, width, outputs), most);
+            prop_assert_eq!(sliding::<Minimum>(values.clone(), width, outputs), least);
+            prop_assert_eq!(sliding::<Maximum>(values.clone(), width, outputs), most);
         }
     }
 }

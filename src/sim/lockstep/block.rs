@@ -1,26 +1,41 @@
 //! A block of runs that step together.
 
-use super::column::{Column, screen};
+use pulp::Arch;
+
+use super::column::Column;
+use super::per_run::Runs;
+use crate::sim::motion::{closest_gap_m, first_contact};
 use crate::sim::platoon::Platoon;
 use crate::sim::recorder::finished;
 use crate::sim::{AfterContact, Impact, Keep, Run, Simulated, Trace};
 
-/// Runs of one shape. Arrays hold one entry a run; a finished run's place is taken by the last one's.
+/// Runs of one shape, at most [`Runs::MOST`]. A finished run's place is taken by the last one's.
 pub(super) struct Block<'a, 's> {
+    arch: Arch,
+    keep: Keep,
     lanes: Vec<Lane<'a, 's>>,
     columns: Vec<Column<'s>>,
-    /// Acceleration decided for the next step, one array a vehicle.
-    decided_mps2: Vec<Vec<f64>>,
-    /// Runs whose current step needs the exact treatment.
-    care: Vec<bool>,
+    /// Runs in which vehicles have touched.
+    touched: Runs,
+    /// The step at which the next run ends, if no contact ends one before.
+    next_end: usize,
 }
 
 /// What belongs to one run.
 pub(super) struct Lane<'a, 's> {
     index: usize,
     pub(super) run: &'a Run<'s>,
-    pub(super) impacts: Vec<Impact>,
+    steps: usize,
+    impacts: Vec<Impact>,
     trace: Option<Trace>,
+}
+
+/// A run in which vehicles touch, or have touched, and which is treated as the scalar engine does.
+struct Exact {
+    lane: usize,
+    platoon: Platoon,
+    /// When the run ended, if it did, in seconds.
+    ended_s: Option<f64>,
 }
 
 impl<'a, 's> Block<'a, 's> {
@@ -30,32 +45,35 @@ impl<'a, 's> Block<'a, 's> {
             .iter()
             .zip(&platoons)
             .map(|(&index, platoon)| {
-                let run = &runs[index];
-                let trace = Trace::begin(keep, platoon, run.scenario().steps() * run.substeps() + 1);
-                Lane { index, run, impacts: Vec::new(), trace }
+                let (run, steps) = (&runs[index], runs[index].scenario().steps());
+                let trace = Trace::begin(keep, platoon, steps * run.substeps() + 1);
+                Lane { index, run, steps, impacts: Vec::new(), trace }
             })
             .collect();
         let vehicles = platoons.first().map_or(0, |platoon| platoon.motion.len());
-        let columns = (0..vehicles).map(|vehicle| Column::new(&lanes, &platoons, vehicle)).collect();
         let mut block = Self {
-            care: vec![false; lanes.len()],
-            decided_mps2: vec![vec![0.0; lanes.len()]; vehicles],
+            arch: Arch::new(),
+            keep,
+            columns: (0..vehicles).map(|vehicle| Column::new(&lanes, &platoons, vehicle)).collect(),
             lanes,
-            columns,
+            touched: Runs::default(),
+            next_end: 0,
         };
-        block.see_ttc();
+        block.see_start();
+        block.find_next_end();
         block
     }
 
     /// Runs everybody to the end and hands over each result with the index of its run.
     pub(super) fn run(mut self, mut done: impl FnMut(usize, Simulated)) {
         let Some(first) = self.lanes.first().map(|lane| lane.run) else { return };
-        let mut step = 0;
-        while !self.lanes.is_empty() {
-            for lane in (0..self.lanes.len()).rev() {
-                if self.lanes[lane].run.scenario().steps() == step {
-                    self.sample(lane, first.time_s(step, 0));
-                    self.finish(lane, &mut done);
+        for step in 0.. {
+            if step == self.next_end {
+                for lane in (0..self.lanes.len()).rev() {
+                    if self.lanes[lane].steps == step {
+                        self.sample(lane, first.time_s(step, 0));
+                        self.finish(lane, &mut done);
+                    }
                 }
             }
             if self.lanes.is_empty() {
@@ -65,85 +83,106 @@ impl<'a, 's> Block<'a, 's> {
             for substep in 0..first.substeps() {
                 self.advance(first.time_s(step, substep), first.dt_s(), &mut done);
             }
-            step += 1;
         }
     }
 
     /// Everybody decides on the state at the start of the step.
     fn decide(&mut self, span_s: [f64; 2]) {
-        for (vehicle, decided_mps2) in self.decided_mps2.iter_mut().enumerate() {
+        for vehicle in 0..self.columns.len() {
             let (front, rest) = self.columns.split_at_mut(vehicle);
             if let [own, behind @ ..] = rest {
-                own.decide(&self.lanes, [front.last(), behind.first()], span_s, decided_mps2);
+                own.decide(self.arch, &self.lanes, [front.last(), behind.first()], span_s, self.touched);
             }
         }
-        for (column, decided_mps2) in self.columns.iter_mut().zip(&mut self.decided_mps2) {
-            std::mem::swap(&mut column.acceleration_mps2, decided_mps2);
+        for column in &mut self.columns {
+            std::mem::swap(&mut column.acceleration_mps2, &mut column.decided_mps2);
         }
-        for lane in 0..self.lanes.len() {
-            if !self.lanes[lane].impacts.is_empty() {
-                let mut platoon = self.gather(lane);
-                platoon.share_acceleration();
-                self.scatter(lane, &platoon);
-            }
+        for lane in self.touched.iter() {
+            let mut platoon = self.gather(lane);
+            platoon.share_acceleration();
+            self.scatter(lane, &platoon);
         }
     }
 
     /// Everybody moves by one integration step.
     fn advance(&mut self, from_s: f64, dt_s: f64, done: &mut impl FnMut(usize, Simulated)) {
-        for lane in 0..self.lanes.len() {
-            if self.lanes[lane].trace.is_some() {
-                self.sample(lane, from_s);
-            }
-            self.care[lane] = !self.lanes[lane].impacts.is_empty();
+        if self.keep == Keep::Trace {
+            (0..self.lanes.len()).for_each(|lane| self.sample(lane, from_s));
         }
         for column in &mut self.columns {
-            column.step(dt_s);
+            column.step(self.arch, dt_s);
         }
-        for pair in self.columns.windows(2) {
-            if let [front, rear] = pair {
-                screen(front, rear, dt_s, &mut self.care);
+        let (touching, closest) = self.meet(dt_s);
+        let exact: Vec<Exact> = touching.iter().map(|lane| self.advance_exactly(lane, from_s, dt_s)).collect();
+        self.note_approach();
+        for (lane, rear, gap_m) in closest {
+            let least_m = &mut self.columns[rear].min_gap_m[lane];
+            *least_m = least_m.min(gap_m);
+        }
+        for Exact { lane, platoon, .. } in &exact {
+            self.scatter(*lane, platoon);
+        }
+        self.columns.iter_mut().for_each(Column::turn_over);
+        for Exact { lane, ended_s, .. } in exact.into_iter().rev() {
+            if let Some(ended_s) = ended_s {
+                self.sample(lane, ended_s);
+                self.finish(lane, done);
             }
-        }
-        for rear in 1..self.columns.len() {
-            let (front, rear) = self.columns.split_at_mut(rear);
-            if let ([.., front], [rear, ..]) = (front, rear) {
-                rear.see_gap(front, &self.care);
-            }
-        }
-        let mut ended_s = Vec::new();
-        for lane in 0..self.lanes.len() {
-            if self.care[lane] {
-                let mut platoon = self.gather(lane);
-                let Lane { run, impacts, .. } = &mut self.lanes[lane];
-                let after_contact = run.options().after_contact;
-                let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
-                if after_contact == AfterContact::Stop && !impacts.is_empty() {
-                    ended_s.push((lane, from_s + done_s));
-                }
-                self.scatter(lane, &platoon);
-                for (column, motion) in self.columns.iter_mut().zip(&platoon.motion) {
-                    column.next_position_m[lane] = motion.position_m;
-                    column.next_speed_mps[lane] = motion.speed_mps;
-                }
-            }
-        }
-        for column in &mut self.columns {
-            std::mem::swap(&mut column.position_m, &mut column.next_position_m);
-            std::mem::swap(&mut column.speed_mps, &mut column.next_speed_mps);
-        }
-        self.see_ttc();
-        for (lane, time_s) in ended_s.into_iter().rev() {
-            self.sample(lane, time_s);
-            self.finish(lane, done);
         }
     }
 
-    fn see_ttc(&mut self) {
+    /// Looks inside the step: the runs in which vehicles touch or have touched, and for all others the smallest gap of each
+    /// pair that is closest inside the step, as (run, rear vehicle, metres).
+    fn meet(&mut self, dt_s: f64) -> (Runs, Vec<(usize, usize, f64)>) {
+        let (mut touching, mut closest) = (self.touched, Vec::new());
+        let all = Runs::first(self.lanes.len());
+        for (rear, pair) in (1..).zip(self.columns.windows(2)) {
+            let [front, behind] = pair else { continue };
+            for lane in behind.screen(self.arch, front, dt_s).and(all).without(touching).iter() {
+                let (front_motion, rear_motion) = (front.motion(lane), behind.motion(lane));
+                let length_m = front.length_m[lane];
+                if first_contact(front_motion, rear_motion, length_m, dt_s).is_some() {
+                    touching.insert(lane);
+                } else {
+                    closest.push((lane, rear, closest_gap_m(front_motion, rear_motion, length_m, dt_s)));
+                }
+            }
+        }
+        closest.retain(|&(lane, ..)| !touching.contains(lane));
+        (touching, closest)
+    }
+
+    /// One run by one step, through whatever contacts happen on the way.
+    fn advance_exactly(&mut self, lane: usize, from_s: f64, dt_s: f64) -> Exact {
+        let mut platoon = self.gather(lane);
+        let Lane { run, impacts, .. } = &mut self.lanes[lane];
+        let after_contact = run.options().after_contact;
+        let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
+        if !impacts.is_empty() {
+            self.touched.insert(lane);
+        }
+        let ends = after_contact == AfterContact::Stop && !impacts.is_empty();
+        for (column, motion) in self.columns.iter_mut().zip(&platoon.motion) {
+            column.next_position_m[lane] = motion.position_m;
+            column.next_speed_mps[lane] = motion.speed_mps;
+        }
+        Exact { lane, platoon, ended_s: ends.then_some(from_s + done_s) }
+    }
+
+    /// Time to collision before anybody has moved.
+    fn see_start(&mut self) {
+        for column in &mut self.columns {
+            column.step(self.arch, 0.0);
+        }
+        self.note_approach();
+    }
+
+    /// Takes in gaps and times to collision at the end of the step.
+    fn note_approach(&mut self) {
         for rear in 1..self.columns.len() {
             let (front, rear) = self.columns.split_at_mut(rear);
             if let ([.., front], [rear, ..]) = (front, rear) {
-                rear.see_ttc(front);
+                rear.note_approach(self.arch, front);
             }
         }
     }
@@ -157,16 +196,18 @@ impl<'a, 's> Block<'a, 's> {
 
     /// Takes a run out of the block.
     fn finish(&mut self, lane: usize, done: &mut impl FnMut(usize, Simulated)) {
-        let Lane { index, run, impacts, trace } = self.lanes.swap_remove(lane);
+        self.touched.swap_remove(lane, self.lanes.len() - 1);
+        let Lane { index, run, impacts, trace, .. } = self.lanes.swap_remove(lane);
         let step_s = run.scenario().spec().step_s;
-        self.care.swap_remove(lane);
-        for decided_mps2 in &mut self.decided_mps2 {
-            decided_mps2.swap_remove(lane);
-        }
         let columns = self.columns.iter().enumerate();
         let interventions = columns.flat_map(|(vehicle, column)| column.interventions(lane, vehicle, step_s)).collect();
         let vehicles = self.columns.iter_mut().map(|column| column.finish(lane)).collect();
+        self.find_next_end();
         done(index, finished(impacts, vehicles, interventions, trace));
+    }
+
+    fn find_next_end(&mut self) {
+        self.next_end = self.lanes.iter().map(|lane| lane.steps).min().unwrap_or(0);
     }
 
     /// One run as a platoon, for the exact treatment.
@@ -175,7 +216,7 @@ impl<'a, 's> Block<'a, 's> {
             motion: self.columns.iter().map(|column| column.motion(lane)).collect(),
             length_m: self.columns.iter().map(|column| column.length_m[lane]).collect(),
             mass_kg: self.columns.iter().map(|column| column.mass_kg[lane]).collect(),
-            sticks: self.columns.iter().map(|column| column.sticks[lane]).collect(),
+            sticks: self.columns.iter().map(|column| column.sticks.contains(lane)).collect(),
             min_gap_m: self.columns.iter().map(|column| column.min_gap_m[lane]).collect(),
         }
     }
@@ -184,8 +225,10 @@ impl<'a, 's> Block<'a, 's> {
     fn scatter(&mut self, lane: usize, platoon: &Platoon) {
         for (vehicle, column) in self.columns.iter_mut().enumerate() {
             column.acceleration_mps2[lane] = platoon.motion[vehicle].acceleration_mps2;
-            column.sticks[lane] = platoon.sticks[vehicle];
             column.min_gap_m[lane] = platoon.min_gap_m[vehicle];
+            if platoon.sticks[vehicle] {
+                column.sticks.insert(lane);
+            }
         }
     }
 }

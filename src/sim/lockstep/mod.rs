@@ -6,18 +6,23 @@
 
 mod block;
 mod column;
+mod loops;
+mod noise;
+mod per_run;
 mod pilots;
+mod view;
 
 use std::cmp::Ordering;
 
 use rayon::prelude::*;
 
 use self::block::Block;
+use self::per_run::Runs;
 use super::{Keep, Run, Simulated, UnderTest};
 use crate::scenario::ControllerSpec;
 
 /// Most runs in a block: enough to fill vector registers and hide latencies, few enough to stay in the first-level cache.
-const MOST_RUNS: usize = 64;
+const MOST_RUNS: usize = Runs::MOST;
 
 /// The same when traces are kept: each thread holds those of a whole block.
 const MOST_TRACED_RUNS: usize = 8;

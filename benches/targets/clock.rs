@@ -1,0 +1,47 @@
+//! Time that a busy machine changes little: of many repetitions the shortest, and of that the processor's time.
+
+use std::time::Instant;
+
+/// Processor time of this thread, in seconds; wall-clock time where there is no such clock.
+pub fn now_s() -> f64 {
+    #[cfg(unix)]
+    {
+        let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+        now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
+    }
+    #[cfg(not(unix))]
+    wall_s()
+}
+
+/// Wall-clock time since the first call, in seconds.
+pub fn wall_s() -> f64 {
+    static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
+    START.get_or_init(Instant::now).elapsed().as_secs_f64()
+}
+
+fn spent(clock: fn() -> f64, work: &mut dyn FnMut()) -> f64 {
+    let start = clock();
+    work();
+    clock() - start
+}
+
+/// Shortest processor time of each piece of work, in seconds. They take turns, so that what slows one slows the others.
+pub fn least_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N]) -> [f64; N] {
+    least_by(now_s, rounds, work)
+}
+
+/// The same by the wall clock: for what runs on several threads.
+pub fn least_wall_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N]) -> [f64; N] {
+    least_by(wall_s, rounds, work)
+}
+
+fn least_by<const N: usize>(clock: fn() -> f64, rounds: usize, mut work: [&mut dyn FnMut(); N]) -> [f64; N] {
+    work.iter_mut().for_each(|work| work());
+    let mut least = [f64::INFINITY; N];
+    for _ in 0..rounds {
+        for (least, work) in least.iter_mut().zip(&mut work) {
+            *least = least.min(spent(clock, *work));
+        }
+    }
+    least
+}

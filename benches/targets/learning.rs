@@ -1,0 +1,115 @@
+//! Acting and training, beside what the machine can multiply.
+
+use std::hint::black_box;
+use std::sync::Arc;
+
+use candle_core::{Device, Tensor};
+use crumple::estimate::EstimatorKind;
+use crumple::random::{Purpose, stream};
+use crumple::rl::{HeldOut, Learner, Trainer, TrainingConfig};
+use crumple::sim::{Keep, simulate_batch};
+
+use crate::clock::{least_s, least_wall_s, now_s};
+use crate::table::Figure;
+use crate::work::networks::{self, LARGE, acting, batch, config, large, learner, operations, policy, products, td3};
+use crate::work::rollouts::{runs, scenarios, steps};
+
+pub fn figures(say: &mut dyn FnMut(Figure)) {
+    beside_the_peak(say);
+    let [td3_s] = least_s(60, [&mut updates(&td3(64, 128), 128, 1)]);
+    say(Figure::at_most(0.38, "ms", "TD3 step, 3 x 64, batch 128, two critics", 1e3 * td3_s));
+    let config = config(256, 512);
+    let [mut alone, mut left, mut right] = [0; 3].map(|_| updates(&config, 512, 8));
+    let mut pair = || {
+        std::thread::scope(|scope| {
+            scope.spawn(&mut left);
+            right();
+        });
+    };
+    let [one_s, two_s] = least_wall_s(6, [&mut alone, &mut pair]);
+    let name = "DDPG updates, 3 x 256, batch 512: two trainings on two threads against one on one (wall clock)";
+    say(Figure::at_least(1.7, "times", name, 2.0 * one_s / two_s));
+}
+
+/// Some updates of a learner on one batch.
+fn updates(config: &TrainingConfig, count: usize, each: usize) -> impl FnMut() + use<> {
+    let mut learner: Learner = learner(config);
+    let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
+    move || {
+        for _ in 0..each {
+            black_box(learner.update(&batch, &mut noise));
+        }
+    }
+}
+
+/// Rollouts and updates as shares of the fastest large product of the same run.
+fn beside_the_peak(say: &mut dyn FnMut(Figure)) {
+    let (mut large, states, by_hand) = large();
+    let random = || Tensor::rand(-1.0_f32, 1.0, (LARGE, LARGE), &Device::Cpu).expect("a tensor");
+    let (left, right) = (random(), random());
+    let scenarios = scenarios(64);
+    let runs = runs(&scenarios, Arc::new(policy(256)), EstimatorKind::Truth);
+    let acts = |index: usize, result| 2 * steps(&runs[index], &result);
+    let acts: usize = simulate_batch(&runs, Keep::Summary, acts).iter().sum();
+    let [hand_s, candle_s, rollouts_s, update_s] = least_s(
+        12,
+        [
+            &mut || _ = black_box(large.act(&states)[0]),
+            &mut || _ = black_box(left.matmul(&right).expect("shapes fit")),
+            &mut || _ = black_box(simulate_batch(&runs, Keep::Summary, |_, result| result.outcome)),
+            &mut updates(&config(256, 512), 512, 1),
+        ],
+    );
+    let speed = |operations: usize, seconds: f64| operations as f64 / seconds;
+    let peak = speed(by_hand, hand_s).max(speed(operations(&[[LARGE; 3]]), candle_s));
+    let share = |operations, seconds| 100.0 * speed(operations, seconds) / peak;
+    let name = format!(
+        "lockstep rollouts, 3 x 256 actor, share of a large product ({:.0} billion operations a second)",
+        peak / 1e9
+    );
+    say(Figure::at_least(70.0, "%", name, share(acts * acting(256), rollouts_s)));
+    let name = format!("DDPG update, 3 x 256, batch 512 ({:.2} ms), share of the large product", 1e3 * update_s);
+    say(Figure::at_least(80.0, "%", name, share(operations(&products(256, 512, 1)), update_s)));
+}
+
+/// Median over seeds of the processor time until an evaluation finds every held-out scenario safe, in seconds.
+pub fn first_safe(seeds: u64, say: &mut dyn FnMut(Figure)) {
+    let config = TrainingConfig::preset("fast").expect("a preset");
+    let held_out = HeldOut::new(&config.evaluation, &config.environment);
+    let mut times_s: Vec<f64> = (0..seeds).map(|seed| time_to_safe_s(&config, &held_out, seed)).collect();
+    times_s.sort_by(f64::total_cmp);
+    let middle = times_s.len() / 2;
+    let median_s = (times_s[middle] + times_s[times_s.len().div_ceil(2).max(1) - 1]) / 2.0;
+    let name = format!("`train --preset fast` to the first evaluation without contact, median of {seeds} seeds");
+    say(Figure::at_most(10.0, "s", name, median_s));
+}
+
+fn time_to_safe_s(config: &TrainingConfig, held_out: &HeldOut, seed: u64) -> f64 {
+    let start_s = now_s();
+    let mut trainer = Trainer::new(config, seed);
+    let is_safe = |trainer: &mut Trainer| trainer.evaluate(held_out).expect("fits").is_mastered(0.0);
+    while !(trainer.evaluation_is_due() && is_safe(&mut trainer)) {
+        trainer.run_episode().expect("converges");
+    }
+    now_s() - start_s
+}
+
+/// Training decisions a second, each with an update: acting, the environment's step, the draw from memory and the update.
+pub fn decisions_per_second(width: usize, count: usize) -> f64 {
+    let mut config = networks::config(width, count);
+    config.exploration.random_episodes = 0;
+    config.learning.decisions_per_update = 1;
+    config.environment.decision_steps = 10;
+    let mut trainer = Trainer::new(&config, 1);
+    let mut made = || trainer.run_episode().expect("converges").steps / config.environment.decision_steps as usize;
+    // The memory must hold a batch before there are updates.
+    let mut decisions = 0;
+    while decisions < count {
+        decisions += made();
+    }
+    let (start_s, mut decisions) = (now_s(), 0);
+    while now_s() - start_s < 2.0 {
+        decisions += made();
+    }
+    decisions as f64 / (now_s() - start_s)
+}

@@ -1,0 +1,90 @@
+//! Every figure that has a target, in one table and one run.
+//!
+//! ```text
+//! cargo bench --bench targets                       # the table; a minute or two
+//! cargo bench --bench targets -- all                # with ten trainings and an assessment: some minutes
+//! cargo bench --bench targets -- rollouts           # a part: learning, rollouts, monitors, proofs, programs, long
+//! cargo bench --bench targets -- scaling FILE.svg   # how cost grows, as a list and a plot
+//! cargo bench --bench targets -- compare            # what benches/compare.py sets beside SUMO and Stable-Baselines3
+//! ```
+//!
+//! Processor time of one thread, the shortest of several repetitions, unless a line says wall clock. Figures that are compared
+//! take turns. The limits behind them are in reports/speed.md.
+
+#![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
+#![allow(missing_docs, unreachable_pub, reason = "nobody uses a bench as a library")]
+
+mod clock;
+mod learning;
+mod monitors;
+mod programs;
+mod proofs;
+mod rollouts;
+mod scaling;
+mod table;
+
+/// Shared with the other benches, none of which needs all of it.
+#[allow(dead_code, reason = "see above")]
+#[path = "../work"]
+mod work {
+    pub mod long_lines;
+    pub mod networks;
+    pub mod rollouts;
+}
+
+fn main() {
+    // Cargo says `--bench` first.
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    // Everything on a single thread of a pool, so that what is parallel stays on it and its processor time can be read.
+    let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+    alone.install(|| match words[..] {
+        [] => table(&PARTS[..PARTS.len() - 1]),
+        ["all"] => table(&PARTS),
+        ["scaling", file] => scaling(file),
+        ["compare"] => compare(),
+        _ => match PARTS.iter().find(|part| words[..] == [part.0]) {
+            Some(part) => table(std::slice::from_ref(part)),
+            None => eprintln!("nothing, `all`, a part of the table, `scaling FILE.svg` or `compare`"),
+        },
+    });
+}
+
+type Part = (&'static str, fn(&mut dyn FnMut(table::Figure)));
+
+/// The parts of the table; the last one takes minutes.
+const PARTS: [Part; 6] = [
+    ("learning", learning::figures),
+    ("rollouts", rollouts::figures),
+    ("monitors", monitors::figures),
+    ("proofs", proofs::figures),
+    ("programs", programs::figures),
+    ("long", |say| {
+        learning::first_safe(10, say);
+        programs::assessment(say);
+        proofs::reach_step_by_step(say);
+    }),
+];
+
+fn table(parts: &[Part]) {
+    println!("{}", table::HEADER);
+    for (_, figures) in parts {
+        figures(&mut |figure| println!("{}", figure.line()));
+    }
+}
+
+fn scaling(file: &str) {
+    let all = scaling::measure();
+    for growth in &all {
+        let points: Vec<String> =
+            growth.points.iter().map(|(size, seconds)| format!("{size}: {:.3} ms", 1e3 * seconds)).collect();
+        println!("{}, exponent {:.2}: {}", growth.what, growth.exponent(), points.join(", "));
+    }
+    std::fs::write(file, scaling::figure(&all).document()).expect("can be written");
+}
+
+fn compare() {
+    println!("scenarios_per_s {}", rollouts::scenarios_per_second());
+    println!("decisions_per_s_64 {}", learning::decisions_per_second(64, 128));
+    println!("decisions_per_s_256 {}", learning::decisions_per_second(256, 512));
+}

@@ -1,0 +1,29 @@
+//! Monitors of Chasing Cars, and its simulation.
+
+use std::hint::black_box;
+
+use crumple::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, simulate};
+use crumple::measure::stl::Formula;
+
+use crate::clock::least_s;
+use crate::table::Figure;
+
+/// Inputs that make every car switch many times.
+fn inputs() -> Inputs {
+    Inputs {
+        throttle: std::array::from_fn(|piece| [1.0, 0.2, 0.7][piece % 3]),
+        brake: std::array::from_fn(|piece| if piece % 4 < PIECES / 10 { 0.1 } else { 0.9 }),
+    }
+}
+
+pub fn figures(say: &mut dyn FnMut(Figure)) {
+    let motion = simulate(&inputs());
+    let signals = motion.signals().expect("signals");
+    for (name, text) in SPECIFICATIONS {
+        let formula: Formula = text.parse().expect("a formula");
+        let [seconds] = least_s(200, [&mut || _ = black_box(formula.robustness(&signals))]);
+        say(Figure::at_most(0.1, "ms", format!("STL monitor, 10 001 samples, {name}"), 1e3 * seconds));
+    }
+    let [seconds] = least_s(200, [&mut || _ = black_box(simulate(black_box(&inputs())))]);
+    say(Figure::at_most(0.5, "ms", "Chasing Cars, one simulation of 10 000 steps", 1e3 * seconds));
+}

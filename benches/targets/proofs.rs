@@ -1,0 +1,48 @@
+//! Avoidability of a scenario, and the reach of an actor.
+
+use std::hint::black_box;
+use std::sync::Arc;
+
+use crumple::evidence::{BoxSpec, ReachPlan};
+use crumple::scenario::PAPER_STEP_S;
+use crumple::worst_case::{AvoidOptions, avoid};
+
+use crate::clock::{least_s, now_s};
+use crate::table::Figure;
+use crate::work::networks::widened_reference;
+
+pub fn figures(say: &mut dyn FnMut(Figure)) {
+    let scenario = crumple::scenario::built_in("paper-1").expect("built in");
+    for (grid_s, target_s) in [(0.1, 0.05), (0.01, 1.0)] {
+        let options = AvoidOptions { grid_s: Some(grid_s), ..AvoidOptions::default() };
+        let [seconds] = least_s(3, [&mut || _ = black_box(avoid(&scenario, options).expect("the grid fits"))]);
+        say(Figure::at_most(target_s, "s", format!("avoidability of paper-1, grid of {grid_s} s"), seconds));
+    }
+    say(reach(0.1));
+}
+
+/// A decision at every step, as the paper has it: minutes.
+pub fn reach_step_by_step(say: &mut dyn FnMut(Figure)) {
+    say(reach(PAPER_STEP_S));
+}
+
+fn reach(interval_s: f64) -> Figure {
+    let spec = BoxSpec::from_toml(BOX).expect("a box");
+    let plan = ReachPlan::new(Arc::new(widened_reference(interval_s)), &spec).expect("fits");
+    let start_s = now_s();
+    let verified = 100.0 * plan.partition(0, |_| {}).expect("fits").shares[0].verified;
+    let name = format!(
+        "reach of a 3 x 256 actor that decides every {interval_s} s, one box, 1500 steps ({verified:.0} % verified)"
+    );
+    Figure::at_most(1.0, "s", name, now_s() - start_s)
+}
+
+/// Small enough to be verified without a cut, so that all 1500 steps are made.
+const BOX: &str = "version = 1
+about = \"\"
+scenario = \"paper-1\"
+
+[ranges]
+gap_ahead_m = { low = 15.99, high = 16.01 }
+gap_behind_m = { low = 15.99, high = 16.01 }
+";

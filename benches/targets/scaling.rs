@@ -1,0 +1,117 @@
+//! How cost grows with size: the exponent p of time = c · sizeᵖ, and a plot.
+
+use std::hint::black_box;
+
+use crumple::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg};
+use crumple::estimate::EstimatorKind;
+use crumple::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, robustness};
+use crumple::falsify::{Cube, Method};
+use crumple::measure::stl::Formula;
+use crumple::random::{Purpose, stream};
+use crumple::sim::{Keep, simulate_batch};
+
+use crate::clock::least_s;
+use crate::work::long_lines::line;
+use crate::work::networks::{batch, config, learner};
+use crate::work::rollouts::{built_in, runs};
+
+/// Times at some sizes.
+pub struct Growth {
+    pub what: &'static str,
+    /// Size, and seconds.
+    pub points: Vec<(f64, f64)>,
+}
+
+impl Growth {
+    fn measure(what: &'static str, sizes: &[usize], mut work: impl FnMut(usize) -> Box<dyn FnMut()>) -> Self {
+        let point = |&size: &usize| {
+            let [seconds] = least_s(8, [&mut work(size)]);
+            (size as f64, seconds)
+        };
+        Self { what, points: sizes.iter().map(point).collect() }
+    }
+
+    /// Slope of the straight line through the logarithms that has the least squares.
+    pub fn exponent(&self) -> f64 {
+        let n = self.points.len() as f64;
+        let logarithms: Vec<_> = self.points.iter().map(|(x, y)| (x.ln(), y.ln())).collect();
+        let mean = |of: fn(&(f64, f64)) -> f64| logarithms.iter().map(of).sum::<f64>() / n;
+        let (mean_x, mean_y) = (mean(|point| point.0), mean(|point| point.1));
+        let rise: f64 = logarithms.iter().map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
+        rise / logarithms.iter().map(|(x, _)| (x - mean_x).powi(2)).sum::<f64>()
+    }
+
+    /// Sizes and times as multiples of the first.
+    fn relative(&self) -> Vec<(f64, f64)> {
+        let (size, seconds) = self.points[0];
+        self.points.iter().map(|(x, y)| (x / size, y / seconds)).collect()
+    }
+}
+
+pub fn measure() -> Vec<Growth> {
+    vec![
+        Growth::measure("vehicles (3 to 100)", &[3, 6, 12, 25, 50, 100], |vehicles| drive(vehicles, 5.0, 64)),
+        Growth::measure("steps (250 to 8000)", &[250, 500, 1000, 2000, 4000, 8000], |steps| {
+            drive(3, steps as f64 / 100.0, 64)
+        }),
+        Growth::measure("runs in a batch (64 to 2048)", &[64, 128, 256, 512, 1024, 2048], |runs| drive(3, 5.0, runs)),
+        Growth::measure("transitions in an update (32 to 1024)", &[32, 64, 128, 256, 512, 1024], update),
+        Growth::measure("evaluations in a search (20 to 640)", &[20, 40, 80, 160, 320, 640], search),
+    ]
+}
+
+fn drive(vehicles: usize, duration_s: f64, count: usize) -> Box<dyn FnMut()> {
+    let scenarios = vec![line(vehicles, duration_s); count];
+    Box::new(move || {
+        let runs = runs(&scenarios, built_in("idm"), EstimatorKind::Truth);
+        black_box(simulate_batch(&runs, Keep::Summary, |_, result| result.outcome));
+    })
+}
+
+fn update(count: usize) -> Box<dyn FnMut()> {
+    let (mut learner, batch) = (learner(&config(64, count)), batch(count));
+    let mut noise = stream(1, Purpose::TargetNoise, 0);
+    Box::new(move || _ = black_box(learner.update(&batch, &mut noise)))
+}
+
+/// A search that never succeeds, so that it spends its budget.
+fn search(budget: usize) -> Box<dyn FnMut()> {
+    let formula: Formula = SPECIFICATIONS[3].1.parse().expect("a formula");
+    let cube = Cube::new([PIECES, PIECES]).expect("not empty");
+    Box::new(move || {
+        let mut search = Method::Uniform.start(&cube, 1);
+        let mut made = 0;
+        while made < budget {
+            let points = search.ask();
+            let values = points.iter().take(budget - made).map(|point| robustness(&formula, &Inputs::from_unit(point)));
+            let values: Vec<f64> = values.collect::<Result<_, _>>().expect("fits");
+            made += values.len();
+            search.tell(&values);
+        }
+    })
+}
+
+/// Time over size, both as multiples of the smallest, on logarithmic axes.
+pub fn figure(all: &[Growth]) -> Svg {
+    const WIDTH: f64 = 640.0;
+    const HEIGHT: f64 = 360.0;
+    let octaves = |last: i32| (0..=last).map(|k| (f64::from(k), format!("{}", 1 << k))).collect::<Vec<_>>();
+    let frame = Frame { left: LEFT, top: HEADING, width: WIDTH - LEFT - 16.0, height: HEIGHT };
+    let x = Axis::marked("size, as a multiple of the smallest", (0.0, 5.2), octaves(5));
+    let y = Axis::marked("", (-0.2, 5.6), octaves(5));
+    let title = "Time as a multiple of that of the smallest size";
+    let mut panel = Panel::new(frame, title, x, y);
+    panel.line(&[(0.0, 0.0), (5.2, 5.2)], Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
+    panel.note((4.6, 4.3), Anchor::Start, "proportional", Ink::Muted);
+    for (index, growth) in all.iter().enumerate() {
+        let points: Vec<_> = growth.relative().iter().map(|(x, y)| (x.log2(), y.log2())).collect();
+        panel.line(&points, Stroke::series(index));
+        let marker = [Marker::Disc, Marker::Ring, Marker::Square, Marker::Cross][index % 4];
+        panel.marks(&points, marker, Ink::Series(index));
+        let label = format!("{}: exponent {:.2}", growth.what, growth.exponent());
+        panel.note((0.15, 5.3 - 0.35 * index as f64), Anchor::Start, &label, Ink::Series(index));
+    }
+    let content = panel.draw(&Svg::id("scaling", "frame"));
+    let description = "Five quantities that decide the cost of a rollout, an update and a search, over a factor of 32.";
+    Svg::new("scaling", (WIDTH, HEADING + HEIGHT + BELOW), title, description, content)
+}

@@ -1,0 +1,46 @@
+//! The table: figure, target, measured, ratio.
+
+/// On which side of the target a figure should be.
+#[derive(Clone, Copy)]
+pub enum Side {
+    AtMost,
+    AtLeast,
+}
+
+pub struct Figure {
+    pub name: String,
+    pub side: Side,
+    pub target: f64,
+    pub unit: &'static str,
+    pub measured: f64,
+}
+
+impl Figure {
+    pub fn at_most(target: f64, unit: &'static str, name: impl Into<String>, measured: f64) -> Self {
+        Self { name: name.into(), side: Side::AtMost, target, unit, measured }
+    }
+
+    pub fn at_least(target: f64, unit: &'static str, name: impl Into<String>, measured: f64) -> Self {
+        Self { name: name.into(), side: Side::AtLeast, target, unit, measured }
+    }
+
+    /// The line of a Markdown table.
+    pub fn line(&self) -> String {
+        let Self { name, side, target, unit, measured } = self;
+        let ratio = measured / target;
+        let (sign, met) = match side {
+            Side::AtMost => ("at most", ratio <= 1.0),
+            Side::AtLeast => ("at least", ratio >= 1.0),
+        };
+        let met = if met { "met" } else { "not met" };
+        format!("| {name} | {sign} {target} {unit} | {} {unit} | {ratio:.2} | {met} |", digits(*measured))
+    }
+}
+
+pub const HEADER: &str = "| figure | target | measured | ratio | |\n|---|---|---|---|---|";
+
+/// Three digits.
+pub fn digits(value: f64) -> String {
+    let before = value.abs().max(1e-9).log10().floor() as i32;
+    format!("{value:.*}", (2 - before).clamp(0, 6) as usize)
+}

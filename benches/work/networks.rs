@@ -1,0 +1,139 @@
+//! Networks that benches act with and train, and the matrix products in that.
+
+use crumple::estimate::{EstimatorKind, Neighbour, Observation};
+use crumple::policy::{ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE};
+use crumple::random::{Purpose, stream};
+use crumple::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
+use crumple::scenario::PAPER_STEP_S;
+use rand::RngExt;
+
+/// Side of the product that shows what the machine can do.
+pub const LARGE: usize = 1024;
+
+pub fn config(width: usize, batch: usize) -> TrainingConfig {
+    let mut config = TrainingConfig::preset("paper-net").expect("a preset");
+    config.network.hidden = vec![width; 3];
+    config.learning.batch = batch;
+    config
+}
+
+/// Two critics, target smoothing, and the actor in every update.
+pub fn td3(width: usize, batch: usize) -> TrainingConfig {
+    let mut config = config(width, batch);
+    config.td3 = Td3Config { twin_critic: true, actor_every: 1, target_noise: 0.2, target_noise_limit: 0.5 };
+    config
+}
+
+pub fn learner(config: &TrainingConfig) -> Learner {
+    Learner::new(&config.network, &config.learning, &config.td3, 1)
+}
+
+pub fn batch(count: usize) -> Batch {
+    let mut stream = stream(1, Purpose::ReplayDraw, 0);
+    let mut batch = Batch::default();
+    for _ in 0..count {
+        let mut state = || std::array::from_fn(|_| stream.random_range(-1.0..1.0));
+        let (state, next_state) = (state(), state());
+        let (action, reward) = (stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0));
+        batch.push(&Transition { state, action, reward, next_state, continues: true, contact: false });
+    }
+    batch
+}
+
+/// The matrix products of one update as (rows, inner, columns).
+///
+/// Forward: actor', each critic' and critic, actor, first critic again. Backward: inputs and weights of critics and actor, and
+/// inputs of the first critic once more for the actor's slope; the first layers' inputs need no slope. The output layers are
+/// products with a vector, and not counted.
+pub fn products(width: usize, count: usize, critics: usize) -> Vec<[usize; 3]> {
+    let forward = |inputs: usize| vec![[count, inputs, width], [count, width, width], [count, width, width]];
+    let hidden_inputs = vec![[count, width, width]; 2];
+    let weights = |inputs: usize| vec![[inputs, count, width], [width, count, width], [width, count, width]];
+    let (actor, critic) = (STATE, STATE + 1);
+    let mut all = [forward(actor), forward(actor), forward(critic), hidden_inputs.clone()].concat();
+    all.extend([hidden_inputs.clone(), weights(actor)].concat());
+    for _ in 0..critics {
+        all.extend([forward(critic), forward(critic), hidden_inputs.clone(), weights(critic)].concat());
+    }
+    all
+}
+
+/// Multiplications and additions in some products.
+pub fn operations(products: &[[usize; 3]]) -> usize {
+    products.iter().map(|[m, k, n]| 2 * m * k * n).sum()
+}
+
+/// The same in an actor's answer to one state.
+pub fn acting(width: usize) -> usize {
+    2 * (STATE * width + 2 * width * width)
+}
+
+/// A learner whose actor, asked about [`LARGE`] states, makes one large product and little else; and those states.
+pub fn large() -> (Learner, Vec<f32>, usize) {
+    let mut config = config(LARGE, LARGE);
+    config.network.hidden = vec![LARGE; 2];
+    (learner(&config), vec![0.5; LARGE * STATE], operations(&[[LARGE, STATE, LARGE], [LARGE; 3]]))
+}
+
+/// A policy of a width with small random weights.
+pub fn policy(width: usize) -> Policy {
+    let hidden = vec![width; 3];
+    let mut network = Network::zeros(&[&[STATE], hidden.as_slice(), &[1]].concat());
+    let mut stream = stream(1, Purpose::FirstWeights, 0);
+    network.parameters_mut().iter_mut().for_each(|parameter| *parameter = stream.random_range(-0.1..0.1));
+    let header = PolicyHeader {
+        version: POLICY_VERSION,
+        crumple: "bench".to_owned(),
+        hidden,
+        observation: ObservationScaling::default(),
+        action: ActionBounds::default(),
+        decision_interval_s: PAPER_STEP_S,
+        estimator: EstimatorKind::Kalman,
+        seed: 1,
+        episode: 0,
+        training: serde_json::Value::Null,
+    };
+    Policy::new(header, network).expect("valid")
+}
+
+/// The reference policy (3 x 64) four times as wide: each hidden unit is there four times, and each copy counts a quarter.
+pub fn widened_reference(interval_s: f64) -> Policy {
+    const COPIES: usize = 4;
+    let reference = Policy::reference();
+    let narrow = reference.network();
+    let mut header = reference.header().clone();
+    header.decision_interval_s = interval_s;
+    header.hidden.iter_mut().for_each(|width| *width *= COPIES);
+    let sizes = [&[STATE], header.hidden.as_slice(), &[1]].concat();
+    let mut wide = Network::zeros(&sizes);
+    let (mut from, mut to) = (0, 0);
+    for (layer, pair) in narrow.sizes().windows(2).enumerate() {
+        let (inputs, outputs) = (pair[0], pair[1]);
+        let (wide_inputs, wide_outputs) = (sizes[layer], sizes[layer + 1]);
+        let (in_copies, out_copies) = (wide_inputs / inputs, wide_outputs / outputs);
+        for row in 0..wide_inputs {
+            for column in 0..wide_outputs {
+                let weight = narrow.parameters()[from + row / in_copies * outputs + column / out_copies];
+                wide.parameters_mut()[to + row * wide_outputs + column] = weight / in_copies as f32;
+            }
+        }
+        (from, to) = (from + inputs * outputs, to + wide_inputs * wide_outputs);
+        for column in 0..wide_outputs {
+            wide.parameters_mut()[to + column] = narrow.parameters()[from + column / out_copies];
+        }
+        (from, to) = (from + outputs, to + wide_outputs);
+    }
+    Policy::new(header, wide).expect("valid")
+}
+
+pub fn seen(count: usize) -> Vec<Observation> {
+    let neighbour = |gap_m| Some(Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: -1.0 });
+    (0..count)
+        .map(|index| Observation {
+            speed_mps: 20.0 + index as f64 / 100.0,
+            acceleration_mps2: -0.5,
+            ahead: neighbour(15.0),
+            behind: neighbour(12.0),
+        })
+        .collect()
+}

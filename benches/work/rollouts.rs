@@ -1,0 +1,34 @@
+//! Rollouts that benches measure: draws of the paper's distribution with its noise, in which everybody but the leader is
+//! under test.
+
+use crumple::estimate::EstimatorKind;
+use crumple::scenario::{ControllerSpec, Driver, PaperDistribution, Scenario};
+use crumple::sim::{Keep, Run, RunOptions, Simulated, UnderTest, simulate_batch};
+
+pub fn scenarios(count: u64) -> Vec<Scenario> {
+    let draw = |index| {
+        let drawn = PaperDistribution { seed: 1 }.draw(index).expect("valid");
+        drawn.edited(|spec| spec.vehicles[2].driver = Driver::UnderTest).expect("still valid")
+    };
+    (0..count).map(draw).collect()
+}
+
+pub fn built_in(controller: &str) -> UnderTest {
+    ControllerSpec::named(controller).expect("built in").into()
+}
+
+pub fn runs(scenarios: &[Scenario], controller: impl Into<UnderTest>, estimator: EstimatorKind) -> Vec<Run<'_>> {
+    let options = RunOptions::new(controller).with_estimator(estimator);
+    scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).expect("valid")).collect()
+}
+
+/// Steps that a run made; one that ends at a contact counts the steps up to it.
+pub fn steps(run: &Run<'_>, result: &Simulated) -> usize {
+    let step_s = run.scenario().spec().step_s;
+    result.outcome.contact().map_or(run.scenario().steps(), |contact| (contact.time_s / step_s) as usize + 1)
+}
+
+pub fn vehicle_steps(runs: &[Run<'_>]) -> usize {
+    let made = |index: usize, result: Simulated| steps(&runs[index], &result) * runs[index].scenario().vehicles().len();
+    simulate_batch(runs, Keep::Summary, made).into_iter().sum()
+}

@@ -1,0 +1,18 @@
+//! Loops compiled for the vector registers of the machine at hand.
+
+use pulp::{Simd, WithSimd};
+
+/// Work to be dispatched to the widest registers there are, as a closure that must be `#[inline(always)]`.
+///
+/// A closure that is given to `pulp` as it is, is called once and for that through a function of its own, which is compiled
+/// for the narrowest registers.
+pub(crate) struct Wide<F>(pub(crate) F);
+
+impl<R, F: FnMut() -> R> WithSimd for Wide<F> {
+    type Output = R;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, _: S) -> R {
+        (self.0)()
+    }
+}

@@ -1,0 +1,97 @@
+//! The inner loops: one vehicle position after the other, in all runs of a block.
+//!
+//! They are to be inlined where they are compiled for the vector registers of the machine at hand. Every operation is rounded
+//! by itself and there is no sum over runs, so the width of the registers does not change a bit. All slices of a loop have
+//! one length. Slices are arguments, not fields, since only so does the compiler know that what is written is not what is read.
+
+use super::per_run::Runs;
+use crate::sim::actuator::{unless_at_rest, within};
+use crate::sim::motion;
+use crate::sim::recorder::ttc_s;
+
+/// Cuts commands to what the vehicles can do.
+#[inline(always)]
+pub(super) fn limit(decided_mps2: &mut [f64], max_brake_mps2: &[f64], max_accel_mps2: &[f64]) {
+    let n = decided_mps2.len();
+    let (max_brake_mps2, max_accel_mps2) = (&max_brake_mps2[..n], &max_accel_mps2[..n]);
+    for run in 0..n {
+        decided_mps2[run] = within(decided_mps2[run], max_brake_mps2[run], max_accel_mps2[run]);
+    }
+}
+
+/// Adds noise, except where a vehicle stands and is held by its brakes.
+#[inline(always)]
+pub(super) fn disturb(decided_mps2: &mut [f64], noise_mps2: &[f64], speed_mps: &[f64]) {
+    let n = decided_mps2.len();
+    let (noise_mps2, speed_mps) = (&noise_mps2[..n], &speed_mps[..n]);
+    for run in 0..n {
+        decided_mps2[run] = unless_at_rest(decided_mps2[run], noise_mps2[run], speed_mps[run]);
+    }
+}
+
+/// Where vehicles are after a step if nobody touches them, from position, speed and acceleration.
+#[inline(always)]
+pub(super) fn advance(dt_s: f64, [x, v, a]: [&[f64]; 3], next_x: &mut [f64], next_v: &mut [f64]) {
+    let n = next_x.len();
+    let (x, v, a, next_v) = (&x[..n], &v[..n], &a[..n], &mut next_v[..n]);
+    for run in 0..n {
+        (next_x[run], next_v[run]) = motion::advance(x[run], v[run], a[run], dt_s);
+    }
+}
+
+/// Takes in how hard vehicles brake.
+#[inline(always)]
+pub(super) fn note_braking(hardest_brake_mps2: &mut [f64], a: &[f64]) {
+    for (hardest, &a) in hardest_brake_mps2.iter_mut().zip(a) {
+        *hardest = if -a > *hardest { -a } else { *hardest };
+    }
+}
+
+/// A vehicle and the one ahead of it, at one instant.
+#[derive(Clone, Copy)]
+pub(super) struct Pairs<'a> {
+    pub(super) front_m: &'a [f64],
+    pub(super) front_length_m: &'a [f64],
+    pub(super) rear_m: &'a [f64],
+    pub(super) front_mps: &'a [f64],
+    pub(super) rear_mps: &'a [f64],
+}
+
+impl<'a> Pairs<'a> {
+    /// The first `n` of each.
+    #[inline(always)]
+    fn first(&self, n: usize) -> [&'a [f64]; 5] {
+        [&self.front_m[..n], &self.front_length_m[..n], &self.rear_m[..n], &self.front_mps[..n], &self.rear_mps[..n]]
+    }
+}
+
+/// The runs in which two vehicles may touch, or are closest, inside a step.
+#[inline(always)]
+pub(super) fn screen(dt_s: f64, now: Pairs<'_>, [next_front_mps, next_rear_mps]: [&[f64]; 2]) -> Runs {
+    let n = now.front_m.len();
+    let [front_m, length_m, rear_m, front_mps, rear_mps] = now.first(n);
+    let (next_front_mps, next_rear_mps) = (&next_front_mps[..n], &next_rear_mps[..n]);
+    let mut found = 0;
+    for run in 0..n {
+        let gap_m = front_m[run] - length_m[run] - rear_m[run];
+        let closing_mps = [rear_mps[run] - front_mps[run], next_rear_mps[run] - next_front_mps[run]];
+        let care = motion::needs_care(gap_m, [rear_mps[run], next_rear_mps[run]], closing_mps, dt_s);
+        found |= u64::from(care) << run;
+    }
+    Runs(found)
+}
+
+/// Takes in gap and time to collision.
+#[inline(always)]
+pub(super) fn note_approach(now: Pairs<'_>, min_gap_m: &mut [f64], min_ttc_s: &mut [f64]) {
+    let n = min_gap_m.len();
+    let [front_m, length_m, rear_m, front_mps, rear_mps] = now.first(n);
+    let min_ttc_s = &mut min_ttc_s[..n];
+    for run in 0..n {
+        let gap_m = front_m[run] - length_m[run] - rear_m[run];
+        let ttc_s = ttc_s(gap_m, rear_mps[run] - front_mps[run]);
+        // By hand, since `f64::min` spends time on NaN, of which there is none here.
+        min_gap_m[run] = if gap_m < min_gap_m[run] { gap_m } else { min_gap_m[run] };
+        min_ttc_s[run] = if ttc_s < min_ttc_s[run] { ttc_s } else { min_ttc_s[run] };
+    }
+}

@@ -1,0 +1,63 @@
+//! The noise on the accelerations of one vehicle position, in all runs of a block.
+
+use super::per_run::PerRun;
+use crate::sim::actuator::Disturbance;
+
+/// Steps for which noise is drawn at a time: a generator's state is then fetched once for many numbers.
+const AHEAD: usize = 16;
+
+/// Noise, drawn some steps ahead. A stream has one consumer, so nobody can tell when its numbers were drawn.
+pub(super) struct Noise {
+    /// Empty if nobody is disturbed.
+    sources: Vec<Option<Disturbance>>,
+    /// One row a step, with an entry a run; 0 for vehicles without noise. A single row of zeros if nobody is disturbed.
+    ahead_mps2: Vec<f64>,
+    /// Length of a row.
+    row: usize,
+    used: usize,
+}
+
+impl Noise {
+    pub(super) fn new(sources: Vec<Option<Disturbance>>) -> Self {
+        let row = PerRun::all(0.0, sources.len()).filled().len();
+        if sources.iter().any(Option::is_some) {
+            Self { sources, ahead_mps2: vec![0.0; AHEAD * row], row, used: AHEAD }
+        } else {
+            Self { sources: Vec::new(), ahead_mps2: vec![0.0; row], row, used: 0 }
+        }
+    }
+
+    /// The noise of the next step, a row; 0 for a vehicle without any.
+    pub(super) fn next_mps2(&mut self) -> &[f64] {
+        if !self.sources.is_empty() {
+            if self.used == AHEAD {
+                self.draw();
+            }
+            self.used += 1;
+        }
+        let now = self.used.saturating_sub(1) * self.row;
+        &self.ahead_mps2[now..now + self.row]
+    }
+
+    fn draw(&mut self) {
+        for (run, source) in self.sources.iter_mut().enumerate() {
+            if let Some(source) = source {
+                for noise_mps2 in self.ahead_mps2.iter_mut().skip(run).step_by(self.row) {
+                    *noise_mps2 = source.next_mps2();
+                }
+            }
+        }
+        self.used = 0;
+    }
+
+    /// Forgets run `run`; the last one takes its place.
+    pub(super) fn swap_remove(&mut self, run: usize) {
+        if !self.sources.is_empty() {
+            self.sources.swap_remove(run);
+            let last = self.sources.len();
+            for row in self.ahead_mps2.chunks_exact_mut(self.row) {
+                row[run] = row[last];
+            }
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! One number a run, laid out for vector registers; and sets of runs.
+
+use std::ops::{Index, IndexMut};
+
+/// Doubles in the widest vector register there is.
+const WIDEST: usize = 8;
+
+/// One number for each run of a block, filled up to whole registers with leftovers, which loops may compute with as they
+/// please.
+#[derive(Debug, Clone)]
+pub(super) struct PerRun {
+    values: Vec<f64>,
+    runs: usize,
+}
+
+impl PerRun {
+    pub(super) fn of(values: impl IntoIterator<Item = f64>) -> Self {
+        let mut values: Vec<f64> = values.into_iter().collect();
+        let runs = values.len();
+        values.resize(runs.next_multiple_of(WIDEST), 0.0);
+        Self { values, runs }
+    }
+
+    pub(super) fn all(value: f64, runs: usize) -> Self {
+        Self { values: vec![value; runs.next_multiple_of(WIDEST)], runs }
+    }
+
+    pub(super) fn as_slice(&self) -> &[f64] {
+        &self.values[..self.runs]
+    }
+
+    pub(super) fn as_mut_slice(&mut self) -> &mut [f64] {
+        &mut self.values[..self.runs]
+    }
+
+    /// With what it is filled up with.
+    pub(super) fn filled(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// With what it is filled up with.
+    pub(super) fn filled_mut(&mut self) -> &mut [f64] {
+        &mut self.values
+    }
+
+    /// Forgets run `run`; the last one takes its place.
+    pub(super) fn swap_remove(&mut self, run: usize) -> f64 {
+        let removed = self.values[run];
+        self.runs -= 1;
+        self.values[run] = self.values[self.runs];
+        self.values.truncate(self.runs.next_multiple_of(WIDEST));
+        removed
+    }
+}
+
+impl Index<usize> for PerRun {
+    type Output = f64;
+
+    #[inline]
+    fn index(&self, run: usize) -> &f64 {
+        &self.values[run]
+    }
+}
+
+impl IndexMut<usize> for PerRun {
+    #[inline]
+    fn index_mut(&mut self, run: usize) -> &mut f64 {
+        &mut self.values[run]
+    }
+}
+
+/// A set of runs of one block, a bit a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Runs(pub(super) u64);
+
+impl Runs {
+    /// Most runs a set can hold.
+    pub(super) const MOST: usize = u64::BITS as usize;
+
+    /// The first `count` runs.
+    pub(super) fn first(count: usize) -> Self {
+        Self(u64::MAX.unbounded_shr((Self::MOST - count.min(Self::MOST)) as u32))
+    }
+
+    pub(super) fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    pub(super) fn insert(&mut self, run: usize) {
+        self.0 |= 1 << run;
+    }
+
+    pub(super) fn contains(self, run: usize) -> bool {
+        self.0 >> run & 1 == 1
+    }
+
+    pub(super) fn and(self, other: Self) -> Self {
+        Self(self.0 & other.0)
+    }
+
+    pub(super) fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// Forgets run `run`; run `last` takes its place.
+    pub(super) fn swap_remove(&mut self, run: usize, last: usize) {
+        let moved = self.0 >> last & 1;
+        self.0 &= !(1 << last);
+        if run != last {
+            self.0 = self.0 & !(1 << run) | moved << run;
+        }
+    }
+
+    /// The runs, in ascending order.
+    pub(super) fn iter(self) -> impl Iterator<Item = usize> {
+        let mut rest = self.0;
+        std::iter::from_fn(move || {
+            let run = rest.trailing_zeros();
+            rest &= rest.wrapping_sub(1);
+            (run < u64::BITS).then_some(run as usize)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Both behave as the plain containers they stand for.
+        #[test]
+        fn removing_by_swapping_is_that_of_a_list(
+            mut values in prop::collection::vec(-1.0..1.0f64, 1..=Runs::MOST),
+            set in any::<u64>(),
+            removals in prop::collection::vec(any::<prop::sample::Index>(), 0..70),
+        ) {
+            let mut per_run = PerRun::of(values.iter().copied());
+            let mut runs = Runs(set).and(Runs::first(values.len()));
+            let mut members: Vec<bool> = (0..values.len()).map(|run| runs.iter().any(|member| member == run)).collect();
+            for removal in removals {
+                if values.is_empty() {
+                    break;
+                }
+                let run = removal.index(values.len());
+                runs.swap_remove(run, values.len() - 1);
+                members.swap_remove(run);
+                prop_assert_eq!(per_run.swap_remove(run), values.swap_remove(run));
+                prop_assert_eq!(per_run.as_slice(), values.as_slice());
+                prop_assert_eq!(per_run.filled().len(), values.len().next_multiple_of(WIDEST));
+                let expected: Vec<usize> = (0..members.len()).filter(|&run| members[run]).collect();
+                prop_assert_eq!(runs.iter().collect::<Vec<_>>(), expected);
+            }
+        }
+    }
+}

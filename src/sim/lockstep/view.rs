@@ -1,0 +1,58 @@
+//! What is true of a vehicle position and its neighbours, in all runs of a block.
+
+use super::per_run::PerRun;
+use crate::estimate::{Neighbour, Observation};
+
+/// What others can see of one vehicle position, an entry a run.
+#[derive(Clone, Copy)]
+pub(super) struct Seen<'a> {
+    pub(super) position_m: &'a [f64],
+    pub(super) length_m: &'a [f64],
+    pub(super) speed_mps: &'a [f64],
+    pub(super) acceleration_mps2: &'a [f64],
+}
+
+impl<'a> Seen<'a> {
+    /// The first `runs` of position, length, speed and acceleration.
+    #[inline(always)]
+    pub(super) fn first(runs: usize, [x, l, v, a]: [&'a PerRun; 4]) -> Self {
+        Self {
+            position_m: &x.filled()[..runs],
+            length_m: &l.filled()[..runs],
+            speed_mps: &v.filled()[..runs],
+            acceleration_mps2: &a.filled()[..runs],
+        }
+    }
+
+    #[inline(always)]
+    fn neighbour(&self, run: usize, gap_m: f64) -> Neighbour {
+        Neighbour { gap_m, speed_mps: self.speed_mps[run], acceleration_mps2: self.acceleration_mps2[run] }
+    }
+}
+
+/// A vehicle position and its neighbours.
+pub(super) struct View<'a> {
+    pub(super) own: Seen<'a>,
+    pub(super) front: Option<Seen<'a>>,
+    pub(super) behind: Option<Seen<'a>>,
+}
+
+impl View<'_> {
+    /// The eight numbers in one run. Inlined, so that a driver pays only for those it looks at.
+    #[inline(always)]
+    pub(super) fn observation(&self, run: usize) -> Observation {
+        let own = &self.own;
+        Observation {
+            speed_mps: own.speed_mps[run],
+            acceleration_mps2: own.acceleration_mps2[run],
+            ahead: self.front.as_ref().map(
+                #[inline(always)]
+                |front| front.neighbour(run, front.position_m[run] - front.length_m[run] - own.position_m[run]),
+            ),
+            behind: self.behind.as_ref().map(
+                #[inline(always)]
+                |behind| behind.neighbour(run, own.position_m[run] - own.length_m[run] - behind.position_m[run]),
+            ),
+        }
+    }
+}
