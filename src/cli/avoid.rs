@@ -39,7 +39,7 @@ pub(super) struct Avoid {
     /// Built-in scenario (see `crumple list scenarios`) or scenario file
     #[arg(value_name = "SCENARIO")]
     scenario: String,
-    /// Ranges in place of some numbers of the scenario: decide for all of them at once
+    /// Ranges in place of some numbers of the scenario: decide for all of them at once (a file as above, not a box of `verify reach`)
     #[arg(long = "box", value_name = "F.toml")]
     ranges: Option<PathBuf>,
     /// Hold the accelerations of an escape for S seconds, a multiple of the scenario's step; default about 0.1

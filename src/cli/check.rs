@@ -151,6 +151,9 @@ fn describe(
         text += &format!("  {verb} {}\n", scenario.spec().name);
     }
     if checked.is_ok() {
+        if let Statement::Rate(rate) = &certificate.statement {
+            text += &format!("  from {} failures in {} runs, as counted\n", rate.failures, rate.registration.runs);
+        }
         for assumption in &certificate.assumptions {
             text += &format!("  assuming that {assumption}\n");
         }

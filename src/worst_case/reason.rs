@@ -50,7 +50,7 @@ pub enum Reason {
         vehicle: usize,
     },
     /// The two answers are closer together than the arithmetic.
-    #[error("the best smallest gap lies between {low_m:.6} and {high_m:.6} m, which decides nothing")]
+    #[error("{}", undecided_gap(*low_m, *high_m))]
     TooClose {
         /// What was reached, in metres.
         low_m: f64,
@@ -72,4 +72,12 @@ pub enum Reason {
         /// What it says.
         status: String,
     },
+}
+
+fn undecided_gap(low_m: f64, high_m: f64) -> String {
+    if low_m.is_finite() {
+        format!("the best smallest gap lies between {low_m:.6} and {high_m:.6} m, which decides nothing")
+    } else {
+        format!("no escape was found, and all that is proved is that nobody keeps more than {high_m:.6} m")
+    }
 }
