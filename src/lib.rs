@@ -18,6 +18,7 @@
 //!
 //! | module | what it holds |
 //! |---|---|
+//! | `digest` | SHA-256, as it stands in files and reports |
 //! | [`random`] | seeded streams: one seed decides everything |
 //! | [`scenario`] | what may happen: vehicles, drivers, lead profiles, the file format, the paper's scenarios |
 //! | [`estimate`] | what the ego knows: sensors and the Kalman filter |
@@ -55,6 +56,7 @@
 
 pub mod cli;
 pub mod control;
+mod digest;
 pub mod draw;
 pub mod estimate;
 pub mod evidence;

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 use std::{fs, io};
 
 use clap::Args;
-use sha2::{Digest, Sha256};
 
 use super::output::{self, Files};
 use super::{Failure, progress};
+use crate::digest::sha256;
 use crate::report::{AssessError, ComparisonError, Earlier, Plan, Store, StoreError, assess, files_of_evidence};
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
@@ -108,8 +108,7 @@ fn missing_is_fine(error: io::Error) -> io::Result<()> {
 fn program() -> String {
     let read = |path: PathBuf| fs::read(path).ok();
     let bytes = std::env::current_exe().ok().and_then(read);
-    let digest = bytes.map(|bytes| Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect());
-    digest.unwrap_or_else(|| env!("CARGO_PKG_VERSION").to_owned())
+    bytes.map(sha256).unwrap_or_else(|| env!("CARGO_PKG_VERSION").to_owned())
 }
 
 impl From<StoreError> for Failure {

@@ -13,7 +13,6 @@ pub use rate::{InvalidPlan, Plan, PlanDriver, RateError, Tally};
 pub use reach::{BoxSpec, Doubts, InvalidBox, Partition, RangesSpec, ReachPlan, Shares};
 
 use crumple_verify::{Certificate, Provenance, Statement};
-use sha2::{Digest, Sha256};
 
 /// A statement as a certificate of this program, with the assumptions it needs.
 fn certificate(about: &str, statement: Statement) -> Certificate {
@@ -27,9 +26,4 @@ fn certificate(about: &str, statement: Statement) -> Certificate {
         assumptions: statement.assumptions(),
         statement,
     }
-}
-
-/// SHA-256 of a text, in hexadecimal.
-fn sha256(text: &str) -> String {
-    Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }

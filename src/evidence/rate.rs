@@ -8,7 +8,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{Beta, ContinuousCDF};
 
-use super::{certificate, sha256};
+use super::certificate;
+use crate::digest::sha256;
 use crate::estimate::EstimatorKind;
 use crate::scenario::InvalidField;
 use crate::scenario::space::{Space, file};
@@ -119,7 +120,7 @@ impl Plan {
             ("seed".to_owned(), seed.to_string()),
             ("space".to_owned(), space_name),
             // A space that was built has a TOML form.
-            ("space_sha256".to_owned(), sha256(&file::to_toml(&space).unwrap_or_default())),
+            ("space_sha256".to_owned(), sha256(file::to_toml(&space).unwrap_or_default())),
         ]);
         for (place, driver) in ["controller", "against"].into_iter().zip(&drivers) {
             configuration.insert(place.to_owned(), driver.name.clone());

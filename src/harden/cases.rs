@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::HardenError;
 use super::corpus::CORPUS_VERSION;
-use super::files::{scenarios_sha256, sha256};
+use super::files::scenarios_sha256;
+use crate::digest::sha256;
 use crate::scenario::space::Space;
 use crate::scenario::{Scenario, ScenarioSpec};
 

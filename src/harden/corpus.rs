@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::HardenError;
-use super::files::{add, hexadecimal, read_json, sha256, write_json};
+use super::files::{add, read_json, write_json};
+use crate::digest::{hexadecimal, sha256};
 use crate::estimate::EstimatorKind;
 use crate::falsify::campaign::Specification;
 use crate::falsify::counterexample::{Avoidability, AvoidabilityClass};

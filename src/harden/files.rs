@@ -9,13 +9,9 @@ use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
 use super::HardenError;
+use crate::digest::hexadecimal;
 use crate::falsify::campaign::write_whole;
 use crate::scenario::Scenario;
-
-/// SHA-256 in hexadecimal.
-pub(super) fn sha256(bytes: impl AsRef<[u8]>) -> String {
-    hexadecimal(&Sha256::digest(bytes))
-}
 
 /// SHA-256 over the JSON of scenarios, one after the other.
 pub(super) fn scenarios_sha256<'a>(scenarios: impl Iterator<Item = &'a Scenario>) -> Result<String, HardenError> {
@@ -29,10 +25,6 @@ pub(super) fn scenarios_sha256<'a>(scenarios: impl Iterator<Item = &'a Scenario>
 pub(super) fn add(digest: &mut Sha256, scenario: &Scenario) -> Result<(), HardenError> {
     digest.update(serde_json::to_string(scenario.spec()).map_err(HardenError::encoding)?);
     Ok(())
-}
-
-pub(super) fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 pub(super) fn to_json(value: &impl Serialize) -> Result<String, HardenError> {

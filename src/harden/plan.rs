@@ -6,7 +6,8 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::HardenError;
-use super::files::{read, sha256};
+use super::files::read;
+use crate::digest::sha256;
 use crate::estimate::EstimatorKind;
 use crate::falsify::Method;
 use crate::falsify::campaign::write_whole;

@@ -5,12 +5,13 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::files::{read, sha256, to_json};
+use super::files::{read, to_json};
 use super::judged::{CONFIDENCE, Judged, Pairs, Tally};
 use super::plan::{HARDEN_VERSION, Plan, Settings};
 use super::round::{Found, Round};
 use super::run::{HARDENED_ON, JUDGED_ON, KEPT_ASIDE, POLICY};
 use super::{HardenError, Standing};
+use crate::digest::sha256;
 use crate::falsify::campaign::write_whole;
 
 /// Why a hardening ended.

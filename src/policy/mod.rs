@@ -11,8 +11,6 @@ mod wide;
 
 use std::sync::{Arc, LazyLock};
 
-use sha2::{Digest, Sha256};
-
 pub use file::PolicyError;
 pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE};
 use network::Acting;
@@ -113,8 +111,7 @@ impl Policy {
     /// SHA-256 of the policy file, in hexadecimal, for reports and certificates.
     #[must_use]
     pub fn digest(&self) -> String {
-        let bytes = self.to_bytes().unwrap_or_default();
-        Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+        crate::digest::sha256(self.to_bytes().unwrap_or_default())
     }
 
     /// The acceleration wanted for one observation, in m/s²: a number within the action's bounds, whatever is seen.

@@ -21,7 +21,6 @@ mod work;
 
 use maud::Markup;
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 
 pub use best::Best;
 pub use case::{Case, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards, Verdict};
@@ -266,9 +265,4 @@ pub enum RenderError {
     /// As JUnit XML.
     #[error(transparent)]
     Junit(#[from] quick_junit::SerializeError),
-}
-
-/// SHA-256 of a text, in hexadecimal.
-fn sha256(text: &str) -> String {
-    Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::plan::slug;
-use super::sha256;
+use crate::digest::sha256;
 
 /// A piece of evidence: its name, what it depends on, and what it says, as hashes.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -112,7 +112,7 @@ impl Store {
         T: Serialize + DeserializeOwned,
         E: From<StoreError>,
     {
-        let inputs_sha256 = sha256(&text(inputs));
+        let inputs_sha256 = sha256(text(inputs));
         let file = format!("{}.json", self.file_stem(name, &inputs_sha256));
         let path = self.folder.as_ref().map(|folder| folder.join(file));
         if let Some((evidence, value)) =
@@ -146,13 +146,13 @@ impl Store {
             let made = tempfile::tempdir().map_err(|source| StoreError { path: std::env::temp_dir(), source })?;
             return Ok(Workplace { path: made.path().to_owned(), _temporary: Some(made) });
         };
-        let path = folder.join(self.file_stem(name, &sha256(&text(inputs))));
+        let path = folder.join(self.file_stem(name, &sha256(text(inputs))));
         fs::create_dir_all(&path).map_err(|source| StoreError { path: path.clone(), source })?;
         Ok(Workplace { path, _temporary: None })
     }
 
     fn file_stem(&self, name: &str, inputs_sha256: &str) -> String {
-        let key = sha256(&format!("{}\n{name}\n{inputs_sha256}", self.program));
+        let key = sha256(format!("{}\n{name}\n{inputs_sha256}", self.program));
         format!("{}-{}", slug(name), key.get(..16).unwrap_or_default())
     }
 
@@ -227,7 +227,7 @@ mod tests {
         assert_eq!(get(&Store::none(), "inputs", 0.6), 0.6);
         assert_eq!(get(&Store::open(folder.path(), "program", true).unwrap(), "inputs", 0.7), 0.7);
         let [one, other] = ["inputs", "other inputs"]
-            .map(|inputs| folder.path().join(format!("{}.json", store.file_stem("a piece", &sha256(&text(&inputs))))));
+            .map(|inputs| folder.path().join(format!("{}.json", store.file_stem("a piece", &sha256(text(&inputs))))));
         fs::copy(&other, &one).unwrap();
         assert_eq!(get(&store, "inputs", 0.8), 0.8, "evidence from other inputs is not believed");
     }

@@ -53,7 +53,7 @@ impl Header {
             digest.update((bytes.len() as u64).to_le_bytes());
             digest.update(bytes);
         }
-        Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+        Ok(crate::digest::hexadecimal(&digest.finalize()))
     }
 }
 

@@ -6,6 +6,8 @@ use std::sync::Arc;
 use rand::RngExt;
 use sha2::{Digest, Sha256};
 
+use crate::digest::{hexadecimal, sha256};
+
 use super::environment::EGO;
 use crate::random::{self, Purpose};
 use crate::scenario::space::Space;
@@ -46,7 +48,7 @@ impl ScenarioSource for Space {
 
     fn identity(&self) -> Option<String> {
         // A space that was read can be written.
-        let digest = sha256(serde_json::to_string(self.spec()).unwrap_or_default().as_bytes());
+        let digest = sha256(serde_json::to_string(self.spec()).unwrap_or_default());
         Some(format!("the space `{}` (sha256 {digest})", self.name()))
     }
 }
@@ -87,10 +89,6 @@ impl ScenarioSource for Blend {
 /// What the source without an identity is called.
 const PAPER: &str = "the paper's distribution";
 
-fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
 /// A list of scenarios, such as counterexamples, mixed into another source.
 #[derive(Debug, Clone)]
 pub struct Mixed {
@@ -127,7 +125,7 @@ impl ScenarioSource for Mixed {
             // A valid scenario can always be written.
             digest.update(serde_json::to_string(case.spec()).unwrap_or_default());
         }
-        let digest: String = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        let digest = hexadecimal(&digest.finalize());
         let otherwise = self.otherwise.identity().unwrap_or_else(|| PAPER.to_owned());
         let (share, count) = (self.share, self.cases.len());
         Some(format!("a share of {share} of {count} cases (sha256 {digest}), otherwise {otherwise}"))

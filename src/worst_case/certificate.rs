@@ -3,7 +3,6 @@
 use crumple_verify::{
     Assumption, Avoidable, Branch, Certificate, Ego, Held, Interval, Leader, Provenance, Scene, Statement, Unavoidable,
 };
-use sha2::{Digest, Sha256};
 
 use super::branches::Search;
 use super::family::Family;
@@ -71,11 +70,10 @@ fn wrapped(scenario: &Scenario, statement: Statement) -> Certificate {
 /// Where a certificate about a scenario comes from.
 pub(super) fn provenance(scenario: &Scenario) -> Provenance {
     let text = file::to_toml(scenario).unwrap_or_default();
-    let digest = Sha256::digest(text.as_bytes());
     Provenance {
         crumple: env!("CARGO_PKG_VERSION").to_owned(),
         scenario: scenario.spec().name.clone(),
-        scenario_sha256: digest.iter().map(|byte| format!("{byte:02x}")).collect(),
+        scenario_sha256: crate::digest::sha256(text),
     }
 }
 

@@ -4,8 +4,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{Effort, Estimate, Problem, Splitting, State};
+use crate::digest::sha256;
 use crate::estimate::EstimatorKind;
-use crate::evidence::sha256;
 use crate::falsify::campaign::{Specification, SpecificationError};
 use crate::scenario::InvalidField;
 use crate::scenario::space::{Space, file};
@@ -120,7 +120,7 @@ impl RarePlan {
             estimator: self.estimator,
             space: self.space.name().to_owned(),
             // A space that was built has a TOML form.
-            space_sha256: sha256(&file::to_toml(&self.space).unwrap_or_default()),
+            space_sha256: sha256(file::to_toml(&self.space).unwrap_or_default()),
             failure: "vehicles touch",
             seed: self.seed,
             effort: self.effort,

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use super::{Aim, CampaignError, Specification};
 use crate::estimate::EstimatorKind;
@@ -141,11 +140,6 @@ fn first_difference(
             Some((place.to_owned(), show(old), show(new)))
         }
     }
-}
-
-/// SHA-256 of a text, in hexadecimal.
-pub(super) fn sha256(text: &str) -> String {
-    Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -3,7 +3,6 @@
 use std::fs;
 use std::path::Path;
 
-use super::config::sha256;
 use super::coverage::Coverage;
 use super::failures::{Failures, Kind};
 use super::journal::{Journal, JournalError};
@@ -14,6 +13,7 @@ use super::summary::{
 };
 use super::table::Table;
 use super::{Campaign, CampaignError, Evaluated, FailureKind, Verdict};
+use crate::digest::sha256;
 use crate::falsify::Method;
 use crate::falsify::counterexample::Examiner;
 use crate::scenario::Scenario;

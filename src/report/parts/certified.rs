@@ -6,9 +6,10 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use crate::digest::sha256;
 use crate::evidence::{Plan as RatePlan, PlanDriver, shipped_kernels};
 use crate::report::work::Work;
-use crate::report::{AssessError, Plan, sha256};
+use crate::report::{AssessError, Plan};
 use crate::scenario::space::{Space, built_in_space};
 use crate::sim::{Contender, UnderTest};
 

@@ -9,9 +9,10 @@ use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
 use super::Strength;
+use crate::digest::sha256;
 use crate::falsify::counterexample::AvoidabilityClass;
 use crate::report::table::{Cell, Table};
-use crate::report::{Assessment, EVIDENCE_VERSION, Part, sha256};
+use crate::report::{Assessment, EVIDENCE_VERSION, Part};
 
 /// What changed since an earlier assessment.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -2,9 +2,10 @@
 
 use serde::Serialize;
 
+use crate::digest::sha256;
 use crate::falsify::campaign::MethodSummary;
 use crate::falsify::counterexample::{AvoidabilityClass, Changed, Counterexample};
-use crate::report::{Rounded, sha256};
+use crate::report::Rounded;
 
 /// What a method reached within its budget.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

@@ -3,8 +3,9 @@
 use maud::{Markup, html};
 use serde::Serialize;
 
+use crate::digest::sha256;
 use crate::report::table::{Cell, Table};
-use crate::report::{AssessConfig, EvidenceHash, Part, Plan, Store, sha256};
+use crate::report::{AssessConfig, EvidenceHash, Part, Plan, Store};
 
 /// What it takes to get the same evidence again.
 #[derive(Debug, Clone, Serialize)]

@@ -9,10 +9,9 @@ use std::time::Duration;
 
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::RowAccessor;
-use rand::{RngExt, SeedableRng};
 use serde_json::Value;
 
-use super::{code, command, crumple, folder, objects, stderr, stdout};
+use super::{code, command, crumple, folder, killed_at_random, objects, stderr, stdout};
 
 /// Every file below a folder, by its path from there.
 fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
@@ -153,20 +152,7 @@ fn a_campaign_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_t
         .unwrap();
     assert_eq!(code(&through), 0, "{}", stderr(&through));
     let resume = [&CAMPAIGN[..], &["--out", "killed", "--resume"]].concat();
-    let mut moments = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
-    let mut killed = 0;
-    for round in 0..12 {
-        let mut child = command(folder.path(), &resume)
-            .env("RAYON_NUM_THREADS", "3")
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        sleep(Duration::from_millis(moments.random_range(5..150 + 100 * round)));
-        // SIGKILL: nothing can be tidied up.
-        child.kill().unwrap();
-        killed += u32::from(!child.wait().unwrap().success());
-    }
+    let killed = killed_at_random(folder.path(), &resume, (0..12).map(|round| 5..150 + 100 * round));
     assert!(killed >= 2, "killed {killed} times");
     let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
     assert_eq!((code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));

@@ -10,8 +10,11 @@ mod worst_case;
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
+use std::thread::sleep;
+use std::time::Duration;
 
 use parquet::file::reader::{FileReader, SerializedFileReader};
+use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
 
 /// Runs `crumple` in a folder.
@@ -230,4 +233,23 @@ fn a_full_disk_under_standard_output_is_reported() {
     let output = command(folder().path(), &["simulate", "paper-1"]).stdout(full).output().expect("starts");
     assert_eq!(code(&output), 3);
     assert!(stderr(&output).starts_with("error: standard output: "), "{}", stderr(&output));
+}
+
+/// Starts a command once for each range and kills it after so many milliseconds, at random but the same each time; how many were
+/// still running then.
+fn killed_at_random(folder: &Path, arguments: &[&str], after_ms: impl Iterator<Item = std::ops::Range<u64>>) -> usize {
+    let mut moments = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
+    let was_killed = |range: std::ops::Range<u64>| {
+        let mut child = command(folder, arguments)
+            .env("RAYON_NUM_THREADS", "3")
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        sleep(Duration::from_millis(moments.random_range(range)));
+        // SIGKILL: nothing can be tidied up.
+        child.kill().unwrap();
+        child.wait().unwrap().code().is_none()
+    };
+    after_ms.map(was_killed).filter(|&killed| killed).count()
 }

@@ -2,16 +2,12 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Stdio;
-use std::thread::sleep;
-use std::time::Duration;
 
-use rand::{RngExt, SeedableRng};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
 use super::falsify::assert_same;
-use super::{code, command, crumple, folder, objects, stderr, stdout};
+use super::{code, command, crumple, folder, killed_at_random, objects, stderr, stdout};
 
 /// The preset of the command on tiny networks that learn at once, with a checkpoint of its training every ten episodes.
 fn write_preset(folder: &Path) {
@@ -71,20 +67,7 @@ fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of
         .unwrap();
     check_report(&folder.path().join("through"), &objects(&through)[0]);
     let resume = retrain("killed", &["--format", "json", "--resume"]);
-    let mut moments = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
-    let mut killed = 0;
-    for attempt in 0..8 {
-        let mut child = command(folder.path(), &resume)
-            .env("RAYON_NUM_THREADS", "3")
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        sleep(Duration::from_millis(moments.random_range(20..300 + 150 * attempt)));
-        // SIGKILL: nothing can be tidied up.
-        child.kill().unwrap();
-        killed += u32::from(child.wait().unwrap().code().is_none());
-    }
+    let killed = killed_at_random(folder.path(), &resume, (0..8).map(|attempt| 20..300 + 150 * attempt));
     assert!(killed >= 2, "killed {killed} times");
     let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
     assert_eq!((code(&ended), stdout(&ended)), (code(&through), stdout(&through)), "{}", stderr(&ended));
