@@ -2,9 +2,7 @@
 
 use std::collections::VecDeque;
 
-use rand_distr::{Distribution, StandardNormal};
-
-use crate::random::{self, Purpose, Stream};
+use crate::random::{self, Normals, Purpose, Stream};
 use crate::scenario::Scenario;
 
 /// A vehicle's limits, delays and lag, all counted in the scenario's own steps so that they do not depend on how finely
@@ -91,6 +89,7 @@ pub(super) fn unless_at_rest(acceleration_mps2: f64, noise_mps2: f64, speed_mps:
 #[derive(Debug, Clone)]
 pub(super) struct Disturbance {
     stream: Stream,
+    normals: Normals,
     deviation_mps2: f64,
 }
 
@@ -100,14 +99,27 @@ impl Disturbance {
         let deviation_mps2 = scenario.vehicles()[index].acceleration_noise_mps2;
         (deviation_mps2 > 0.0).then(|| Self {
             stream: random::stream(scenario.spec().seed, Purpose::AccelerationNoise, index as u64),
+            normals: Normals::new(),
             deviation_mps2,
         })
     }
 
     #[inline]
     pub(super) fn next_mps2(&mut self) -> f64 {
-        let normal: f64 = StandardNormal.sample(&mut self.stream);
-        self.deviation_mps2 * normal
+        self.deviation_mps2 * self.normals.next(&mut self.stream)
+    }
+
+    /// The numbers of the next steps.
+    #[inline]
+    pub(super) fn next_some_mps2<const N: usize>(&mut self) -> [f64; N] {
+        let mut some_mps2 = [0.0; N];
+        // A copy, which stays in registers.
+        let mut stream = self.stream.clone();
+        for next_mps2 in &mut some_mps2 {
+            *next_mps2 = self.deviation_mps2 * self.normals.next(&mut stream);
+        }
+        self.stream = stream;
+        some_mps2
     }
 }
 

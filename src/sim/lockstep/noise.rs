@@ -42,8 +42,9 @@ impl Noise {
     fn draw(&mut self) {
         for (run, source) in self.sources.iter_mut().enumerate() {
             if let Some(source) = source {
-                for noise_mps2 in self.ahead_mps2.iter_mut().skip(run).step_by(self.row) {
-                    *noise_mps2 = source.next_mps2();
+                let drawn_mps2: [f64; AHEAD] = source.next_some_mps2();
+                for (row, noise_mps2) in self.ahead_mps2.chunks_exact_mut(self.row).zip(drawn_mps2) {
+                    row[run] = noise_mps2;
                 }
             }
         }
