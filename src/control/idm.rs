@@ -8,32 +8,56 @@ use crate::scenario::IdmSettings;
 const LEAST_GAP_M: f64 = 0.01;
 
 /// a · [1 - (v/v₀)⁴ - (s*/s)²] with the desired gap s* = s₀ + max(0, v T + v Δv / (2 √(a b))) (equations 3 and 4).
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Idm {
-    settings: IdmSettings,
+    desired_speed_mps: f64,
+    time_headway_s: f64,
+    standstill_gap_m: f64,
+    accel_mps2: f64,
+    /// 2 √(a b).
+    twice_mean_mps2: f64,
 }
 
 impl Idm {
     /// The model with given settings.
     #[must_use]
     pub fn new(settings: &IdmSettings) -> Self {
-        Self { settings: settings.clone() }
+        let IdmSettings { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } =
+            *settings;
+        let twice_mean_mps2 = 2.0 * (accel_mps2 * comfortable_brake_mps2).sqrt();
+        Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2 }
+    }
+
+    /// What the model consists of, for those who drive many at once and keep each number in an array.
+    pub(crate) fn numbers(&self) -> [f64; 5] {
+        [self.desired_speed_mps, self.time_headway_s, self.standstill_gap_m, self.accel_mps2, self.twice_mean_mps2]
+    }
+
+    /// The model with given [`numbers`](Self::numbers).
+    #[inline(always)]
+    pub(crate) fn of_numbers(numbers: [f64; 5]) -> Self {
+        let [desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2] = numbers;
+        Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2 }
+    }
+
+    /// The acceleration wanted at `speed_mps`, with the gap to and the speed of the vehicle ahead.
+    #[inline(always)]
+    pub(crate) fn acceleration_mps2(&self, speed_mps: f64, ahead: Option<[f64; 2]>) -> f64 {
+        let squared = |value: f64| value * value;
+        let free = 1.0 - squared(squared(speed_mps / self.desired_speed_mps));
+        let interaction = ahead.map_or(0.0, |[gap_m, ahead_mps]| {
+            let closing_mps = speed_mps - ahead_mps;
+            let dynamic_m = speed_mps * self.time_headway_s + speed_mps * closing_mps / self.twice_mean_mps2;
+            squared((self.standstill_gap_m + dynamic_m.max(0.0)) / gap_m.max(LEAST_GAP_M))
+        });
+        self.accel_mps2 * (free - interaction)
     }
 }
 
 impl Controller for Idm {
     #[inline]
     fn act(&mut self, seen: &Observation) -> f64 {
-        let IdmSettings { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } =
-            self.settings;
-        let v = seen.speed_mps;
-        let free = 1.0 - (v / desired_speed_mps).powi(4);
-        let interaction = seen.ahead.map_or(0.0, |ahead| {
-            let closing_mps = v - ahead.speed_mps;
-            let dynamic_m = v * time_headway_s + v * closing_mps / (2.0 * (accel_mps2 * comfortable_brake_mps2).sqrt());
-            ((standstill_gap_m + dynamic_m.max(0.0)) / ahead.gap_m.max(LEAST_GAP_M)).powi(2)
-        });
-        accel_mps2 * (free - interaction)
+        self.acceleration_mps2(seen.speed_mps, seen.ahead.map(|ahead| [ahead.gap_m, ahead.speed_mps]))
     }
 }
 

@@ -113,7 +113,7 @@ impl LeadProfile {
     #[inline]
     pub fn acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
         match self {
-            Self::Brake(brake) => -brake.rate_mps2 * share_after(brake.onset_s, from_s, to_s),
+            Self::Brake(brake) => brake.acceleration_mps2(from_s, to_s),
             _ => self.other_acceleration_mps2(from_s, to_s, speed_mps),
         }
     }
@@ -122,7 +122,7 @@ impl LeadProfile {
     fn other_acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
         match self {
             Self::ConstantSpeed => 0.0,
-            Self::Brake(brake) => -brake.rate_mps2 * share_after(brake.onset_s, from_s, to_s),
+            Self::Brake(brake) => brake.acceleration_mps2(from_s, to_s),
             Self::RampBrake(ramp) => ramp.acceleration_mps2(from_s, to_s, speed_mps),
             Self::BrakeToSpeed(brake) => {
                 let braking = -brake.rate_mps2 * share_after(brake.onset_s, from_s, to_s);
@@ -152,8 +152,16 @@ impl LeadProfile {
     }
 }
 
+impl Brake {
+    /// Acceleration to hold from `from_s` to `to_s`, in m/s².
+    #[inline(always)]
+    pub(crate) fn acceleration_mps2(&self, from_s: f64, to_s: f64) -> f64 {
+        -self.rate_mps2 * share_after(self.onset_s, from_s, to_s)
+    }
+}
+
 /// The share of `[from, to]` that lies after `onset`.
-#[inline]
+#[inline(always)]
 fn share_after(onset_s: f64, from_s: f64, to_s: f64) -> f64 {
     // In nearly all steps all of it or nothing, and then nothing need be divided.
     if onset_s <= from_s {

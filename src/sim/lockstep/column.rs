@@ -89,7 +89,7 @@ impl<'s> Column<'s> {
         span_s: [f64; 2],
         touched: Runs,
     ) {
-        self.command(lanes, [front, behind], span_s);
+        self.command(arch, lanes, [front, behind], span_s);
         if self.sluggish.is_empty() {
             let (decided, limits) = (&mut self.decided_mps2, [&self.max_brake_mps2, &self.max_accel_mps2]);
             arch.dispatch(Wide(
@@ -125,7 +125,7 @@ impl<'s> Column<'s> {
     }
 
     /// What the drivers want.
-    fn command(&mut self, lanes: &[Lane<'_, 's>], [front, behind]: [Option<&Self>; 2], span_s: [f64; 2]) {
+    fn command(&mut self, arch: Arch, lanes: &[Lane<'_, 's>], [front, behind]: [Option<&Self>; 2], span_s: [f64; 2]) {
         // One length for all, known as such, so that no index needs a check.
         let runs = lanes.len();
         // Not by `seen`, which would take hold of the drivers as well.
@@ -134,20 +134,14 @@ impl<'s> Column<'s> {
         let view = View { own, front, behind };
         let commands_mps2 = &mut self.decided_mps2.filled_mut()[..runs];
         if self.eyes.is_empty() {
-            self.pilots.command(
-                span_s,
-                own.speed_mps,
-                #[inline(always)]
-                |run| view.observation(run),
-                commands_mps2,
-            );
+            self.pilots.command_by_truth(arch, span_s, &view, commands_mps2);
         } else {
             let eyes = &mut self.eyes;
             let see = |run: usize| {
                 let truth = TrueState { position_m: own.position_m[run], observation: view.observation(run) };
                 eyes[run].observe(lanes[run].run.tuning(), &truth)
             };
-            self.pilots.command(span_s, own.speed_mps, see, commands_mps2);
+            self.pilots.command(arch, span_s, own.speed_mps, see, commands_mps2);
         }
     }
 

@@ -5,6 +5,8 @@
 //! one length. Slices are arguments, not fields, since only so does the compiler know that what is written is not what is read.
 
 use super::per_run::Runs;
+use crate::control::Idm;
+use crate::scenario::Brake;
 use crate::sim::actuator::{unless_at_rest, within};
 use crate::sim::motion;
 use crate::sim::recorder::ttc_s;
@@ -16,6 +18,32 @@ pub(super) fn limit(decided_mps2: &mut [f64], max_brake_mps2: &[f64], max_accel_
     let (max_brake_mps2, max_accel_mps2) = (&max_brake_mps2[..n], &max_accel_mps2[..n]);
     for run in 0..n {
         decided_mps2[run] = within(decided_mps2[run], max_brake_mps2[run], max_accel_mps2[run]);
+    }
+}
+
+/// What scripts that brake at a constant rate ask for.
+#[inline(always)]
+pub(super) fn brake([from_s, to_s]: [f64; 2], onset_s: &[f64], rate_mps2: &[f64], decided_mps2: &mut [f64]) {
+    let n = decided_mps2.len();
+    let (onset_s, rate_mps2) = (&onset_s[..n], &rate_mps2[..n]);
+    for run in 0..n {
+        let brake = Brake { onset_s: onset_s[run], rate_mps2: rate_mps2[run] };
+        decided_mps2[run] = brake.acceleration_mps2(from_s, to_s);
+    }
+}
+
+/// What the Intelligent Driver Model wants, from its numbers, own position and speed, and the rear bumper and the speed of
+/// the vehicle ahead, which is `[position, length, speed]`.
+#[inline(always)]
+pub(super) fn follow(models: [&[f64]; 5], [x, v]: [&[f64]; 2], ahead: [&[f64]; 3], decided_mps2: &mut [f64]) {
+    let n = decided_mps2.len();
+    let [m0, m1, m2, m3, m4] = [&models[0][..n], &models[1][..n], &models[2][..n], &models[3][..n], &models[4][..n]];
+    let (x, v) = (&x[..n], &v[..n]);
+    let (ahead_x, ahead_l, ahead_v) = (&ahead[0][..n], &ahead[1][..n], &ahead[2][..n]);
+    for run in 0..n {
+        let model = Idm::of_numbers([m0[run], m1[run], m2[run], m3[run], m4[run]]);
+        let gap_m = ahead_x[run] - ahead_l[run] - x[run];
+        decided_mps2[run] = model.acceleration_mps2(v[run], Some([gap_m, ahead_v[run]]));
     }
 }
 

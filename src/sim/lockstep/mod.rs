@@ -6,6 +6,8 @@
 
 mod block;
 mod column;
+mod followers;
+mod leaders;
 mod loops;
 mod noise;
 mod per_run;

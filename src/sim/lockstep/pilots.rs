@@ -1,20 +1,26 @@
 //! The drivers of one vehicle position over all runs of a block.
 
+use std::convert::identity;
+
+use pulp::Arch;
+
+use super::followers::Followers;
+use super::leaders::Leaders;
+use super::view::View;
 use crate::control::{
     AccAeb, AnyController, Baseline, BaselineUnlatched, ConstantBrake, Controller, Idm, MatchLeader, PolicyDriver,
 };
 use crate::estimate::Observation;
-use crate::scenario::LeadProfile;
 use crate::sim::run::Pilot;
 
 /// One driver a run, sorted out by kind so that a whole block is driven by one loop without dispatch inside it.
 pub(super) enum Pilots<'s> {
-    Profile(Vec<&'s LeadProfile>),
+    Profile(Leaders<'s>),
     Baseline(Vec<Baseline>),
     BaselineUnlatched(Vec<BaselineUnlatched>),
     MatchLeader(Vec<MatchLeader>),
     ConstantBrake(Vec<ConstantBrake>),
-    Idm(Vec<Idm>),
+    Idm(Followers),
     AccAeb(Vec<AccAeb>),
     Policy(Vec<PolicyDriver>),
     /// Drivers of several kinds, or from outside.
@@ -32,7 +38,7 @@ impl<'s> Pilots<'s> {
             if pilots.iter().all(is) { Ok(pilots.into_iter().filter_map(take).collect()) } else { Err(pilots) }
         }
         macro_rules! try_kind {
-            ($pilots:ident, $kind:ident) => {
+            ($pilots:ident, $kind:ident, $together:expr) => {
                 match sorted(
                     $pilots,
                     |pilot| matches!(pilot, Pilot::Controller(AnyController::$kind(_))),
@@ -41,7 +47,7 @@ impl<'s> Pilots<'s> {
                         _ => None,
                     },
                 ) {
-                    Ok(all) => return Self::$kind(all),
+                    Ok(all) => return Self::$kind($together(all)),
                     Err(pilots) => pilots,
                 }
             };
@@ -54,51 +60,67 @@ impl<'s> Pilots<'s> {
                 Pilot::Controller(_) => None,
             },
         ) {
-            Ok(all) => return Self::Profile(all),
+            Ok(all) => return Self::Profile(Leaders::new(all)),
             Err(pilots) => pilots,
         };
-        let pilots = try_kind!(pilots, Baseline);
-        let pilots = try_kind!(pilots, BaselineUnlatched);
-        let pilots = try_kind!(pilots, MatchLeader);
-        let pilots = try_kind!(pilots, ConstantBrake);
-        let pilots = try_kind!(pilots, Idm);
-        let pilots = try_kind!(pilots, AccAeb);
-        let pilots = try_kind!(pilots, Policy);
+        let pilots = try_kind!(pilots, Baseline, identity);
+        let pilots = try_kind!(pilots, BaselineUnlatched, identity);
+        let pilots = try_kind!(pilots, MatchLeader, identity);
+        let pilots = try_kind!(pilots, ConstantBrake, identity);
+        let pilots = try_kind!(pilots, Idm, |all: Vec<Idm>| Followers::new(&all));
+        let pilots = try_kind!(pilots, AccAeb, identity);
+        let pilots = try_kind!(pilots, Policy, identity);
         Self::Mixed(pilots)
     }
 
-    /// Writes each run's command for the step from `from_s` to `to_s` into `commands`.
+    /// Writes each run's command for a step into `commands`.
     ///
     /// `see` makes the observation of a run; it is called once for each, in order.
     #[inline]
     pub(super) fn command(
         &mut self,
-        [from_s, to_s]: [f64; 2],
+        arch: Arch,
+        span_s: [f64; 2],
         speeds_mps: &[f64],
         mut see: impl FnMut(usize) -> Observation,
         commands: &mut [f64],
     ) {
         match self {
-            Self::Profile(profiles) => {
-                for ((command, profile), &speed_mps) in commands.iter_mut().zip(profiles).zip(speeds_mps) {
-                    *command = profile.acceleration_mps2(from_s, to_s, speed_mps);
-                }
-            }
+            Self::Profile(leaders) => leaders.lead(arch, span_s, speeds_mps, commands),
             Self::Baseline(all) => act(all, see, commands),
             Self::BaselineUnlatched(all) => act(all, see, commands),
             Self::MatchLeader(all) => act(all, see, commands),
             Self::ConstantBrake(all) => act(all, see, commands),
-            Self::Idm(all) => act(all, see, commands),
+            Self::Idm(followers) => {
+                for (run, command) in commands.iter_mut().enumerate() {
+                    *command = followers.model(run).act(&see(run));
+                }
+            }
             Self::AccAeb(all) => act(all, see, commands),
             Self::Policy(all) => PolicyDriver::act_together(all, see, commands),
             Self::Mixed(pilots) => {
                 for (run, (command, pilot)) in commands.iter_mut().zip(pilots).enumerate() {
                     *command = match pilot {
-                        Pilot::Profile(profile) => profile.acceleration_mps2(from_s, to_s, speeds_mps[run]),
+                        Pilot::Profile(profile) => profile.acceleration_mps2(span_s[0], span_s[1], speeds_mps[run]),
                         Pilot::Controller(controller) => controller.act(&see(run)),
                     };
                 }
             }
+        }
+    }
+
+    /// The same if everybody sees the truth.
+    pub(super) fn command_by_truth(&mut self, arch: Arch, span_s: [f64; 2], view: &View<'_>, commands: &mut [f64]) {
+        match self {
+            Self::Idm(followers) => followers.follow(arch, view, commands),
+            _ => self.command(
+                arch,
+                span_s,
+                view.own.speed_mps,
+                #[inline(always)]
+                |run| view.observation(run),
+                commands,
+            ),
         }
     }
 
@@ -116,12 +138,12 @@ impl<'s> Pilots<'s> {
     /// Forgets run `run`; the last one takes its place.
     pub(super) fn swap_remove(&mut self, run: usize) {
         match self {
-            Self::Profile(all) => drop(all.swap_remove(run)),
+            Self::Profile(leaders) => leaders.swap_remove(run),
             Self::Baseline(all) => drop(all.swap_remove(run)),
             Self::BaselineUnlatched(all) => drop(all.swap_remove(run)),
             Self::MatchLeader(all) => drop(all.swap_remove(run)),
             Self::ConstantBrake(all) => drop(all.swap_remove(run)),
-            Self::Idm(all) => drop(all.swap_remove(run)),
+            Self::Idm(followers) => followers.swap_remove(run),
             Self::AccAeb(all) => drop(all.swap_remove(run)),
             Self::Policy(all) => drop(all.swap_remove(run)),
             Self::Mixed(all) => drop(all.swap_remove(run)),

@@ -1,0 +1,47 @@
+//! Vehicles that follow by the Intelligent Driver Model, in all runs of a block.
+
+use pulp::Arch;
+
+use super::loops;
+use super::per_run::PerRun;
+use super::view::View;
+use crate::control::Idm;
+use crate::policy::Wide;
+
+/// One model a run, number by number: it is the car-following model of traffic, and so the driver there are most of.
+pub(super) struct Followers([PerRun; 5]);
+
+impl Followers {
+    pub(super) fn new(models: &[Idm]) -> Self {
+        Self(std::array::from_fn(|number| PerRun::of(models.iter().map(|model| model.numbers()[number]))))
+    }
+
+    /// The model of one run.
+    pub(super) fn model(&self, run: usize) -> Idm {
+        Idm::of_numbers(std::array::from_fn(|number| self.0[number][run]))
+    }
+
+    /// What everybody wants who sees the truth.
+    pub(super) fn follow(&self, arch: Arch, view: &View<'_>, decided_mps2: &mut [f64]) {
+        let own = [view.own.position_m, view.own.speed_mps];
+        let Some(front) = &view.front else {
+            for (run, (decided_mps2, &speed_mps)) in decided_mps2.iter_mut().zip(own[1]).enumerate() {
+                *decided_mps2 = self.model(run).acceleration_mps2(speed_mps, None);
+            }
+            return;
+        };
+        let models = self.0.each_ref().map(PerRun::filled);
+        let ahead = [front.position_m, front.length_m, front.speed_mps];
+        arch.dispatch(Wide(
+            #[inline(always)]
+            || loops::follow(models, own, ahead, decided_mps2),
+        ));
+    }
+
+    /// Forgets run `run`; the last one takes its place.
+    pub(super) fn swap_remove(&mut self, run: usize) {
+        for number in &mut self.0 {
+            number.swap_remove(run);
+        }
+    }
+}
