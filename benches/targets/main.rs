@@ -62,6 +62,7 @@ const PARTS: [Part; 6] = [
     ("long", |say| {
         learning::first_safe(10, say);
         programs::assessment(say);
+        programs::campaign_memory(say);
         proofs::reach_step_by_step(say);
     }),
 ];

@@ -17,6 +17,28 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
     say(Figure::at_most(10.0, "ms", "`crumple list` (wall clock)", 1e3 * list_s));
 }
 
+/// The most memory a campaign held, by the system's account, which only Linux gives.
+pub fn campaign_memory(say: &mut dyn FnMut(Figure)) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("campaign").display().to_string();
+    // As many again for the yardsticks.
+    let arguments =
+        ["falsify", "-q", "--controller", "baseline", "--space", "paper", "--estimator", "truth", "--budget"];
+    let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
+    command.args(arguments).args(["10000000", "--out", &out]).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut campaign = command.spawn().expect("starts");
+    let account = format!("/proc/{}/status", campaign.id());
+    let mut most_kib = 0.0_f64;
+    while campaign.try_wait().expect("is there").is_none() {
+        let text = std::fs::read_to_string(&account).unwrap_or_default();
+        let peak = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let kib = peak.and_then(|peak| peak.trim().trim_end_matches(" kB").parse().ok());
+        most_kib = most_kib.max(kib.unwrap_or(0.0));
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    say(Figure::at_most(500.0, "MB", "memory of a campaign of 10⁷ evaluations", 1024.0 * most_kib / 1e6));
+}
+
 pub fn assessment(say: &mut dyn FnMut(Figure)) {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("report").display().to_string();

@@ -20,6 +20,7 @@ mod physics;
 mod report;
 mod scenario_files;
 mod schema;
+mod search;
 mod seeds;
 mod shield;
 mod spaces;

@@ -1,7 +1,7 @@
 //! The command line as a user meets it: what it prints where, what it writes, and how it ends.
 
 mod bad_input;
-mod falsify;
+pub(crate) mod falsify;
 mod reports;
 mod retrain;
 mod train;

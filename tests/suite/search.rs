@@ -1,0 +1,116 @@
+//! The search: what a campaign says, its files bear out, and where failures are frequent it does not pass them by.
+
+use std::path::Path;
+
+use crumple::estimate::EstimatorKind;
+use crumple::falsify::Method;
+use crumple::falsify::campaign::{Aim, Campaign, Specification, Summary};
+use crumple::scenario::file;
+use crumple::scenario::space::{Space, built_in_space};
+use crumple::sim::Contender;
+use proptest::prelude::*;
+use proptest::sample::{select, subsequence};
+
+use crate::command_line::falsify::assert_same;
+use crate::generate::cases;
+
+/// Evaluations that suffice to meet what fails in an eighth of a space: nobody misses it in 1 of 10¹¹ random draws.
+const ENOUGH: u64 = 190;
+
+const LATTICE: u32 = 200;
+
+/// Any controller, in some parameters of a built-in space, the others nominal.
+fn any_campaign() -> impl Strategy<Value = Campaign> {
+    let space = select(vec!["paper", "high-risk"]).prop_flat_map(|name| {
+        let spec = built_in_space(name).expect("built in").spec().clone();
+        let count = spec.parameters.len();
+        subsequence(spec.parameters.clone(), 1..=count).prop_map(move |parameters| {
+            let mut spec = spec.clone();
+            spec.parameters = parameters;
+            Space::new(spec, Path::new(".")).expect("a part of a space is one")
+        })
+    });
+    let controller = select(vec!["baseline", "match-leader", "constant-brake", "idm", "acc-aeb"]);
+    let estimator = prop_oneof![Just(EstimatorKind::Truth), Just(EstimatorKind::Kalman)];
+    let aim = prop_oneof![Just(Aim::Severest), Just(Aim::Likeliest), Just(Aim::Nearest)];
+    let method = select(Method::ALL.to_vec());
+    (space, controller, estimator, aim, method, 1..ENOUGH, 0..u64::MAX >> 1).prop_map(
+        |(space, controller, estimator, aim, method, budget, seed)| Campaign {
+            controller: Contender::find(controller, Path::new(".")).expect("built in"),
+            specification: Specification::NoContact,
+            estimator,
+            space,
+            method,
+            aim,
+            budget,
+            seed,
+        },
+    )
+}
+
+fn run(campaign: &Campaign, folder: &Path, threads: usize) -> Summary {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+    pool.install(|| campaign.run(folder, false, &mut |_| ()).expect("a valid campaign in an empty folder"))
+}
+
+proptest! {
+    #![proptest_config(cases(8))]
+
+    /// Every counterexample is a file that fails as it is said to, as found and as shrunk, and somebody's budget paid for it.
+    #[test]
+    fn what_is_found_is_there(campaign in any_campaign()) {
+        let folder = tempfile::tempdir().unwrap();
+        let summary = run(&campaign, folder.path(), 2);
+        for method in &summary.methods {
+            prop_assert_eq!(method.evaluations, campaign.budget);
+            prop_assert!(method.first_falsification.is_none_or(|first| (1..=campaign.budget).contains(&first)));
+            prop_assert_eq!(method.failures > 0, method.first_falsification.is_some());
+            prop_assert_eq!(method.failures > 0, method.best_robustness.is_some_and(|best| best < 0.0));
+        }
+        prop_assert_eq!(summary.falsified, summary.methods.iter().any(|method| method.failures > 0));
+        prop_assert_eq!(summary.falsified, !summary.counterexamples.is_empty());
+        let best = summary.methods.iter().filter_map(|method| method.best_robustness).fold(f64::INFINITY, f64::min);
+        for found in &summary.counterexamples {
+            let judged = |name: &str| {
+                let scenario = file::load(&folder.path().join(name)).unwrap();
+                campaign.specification.judge_scenario(&scenario, campaign.options()).unwrap()
+            };
+            let (shrunk, original) = (judged(&found.file), judged(&found.original_file));
+            prop_assert!(!shrunk.satisfied && !original.satisfied);
+            prop_assert_eq!(shrunk.robustness, found.robustness);
+            // Files hold positions to a billionth of a metre.
+            prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", found.original_file);
+            prop_assert!(found.found_at <= campaign.budget);
+        }
+    }
+
+    /// One seed decides every file, whatever the number of threads.
+    #[test]
+    fn one_seed_decides_everything(campaign in any_campaign()) {
+        let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        prop_assert_eq!(run(&campaign, one.path(), 1), run(&campaign, other.path(), 3));
+        assert_same(one.path(), other.path());
+    }
+
+    /// Where an eighth of a lattice fails, every method finds a failure, and uniform points fail as often as the lattice.
+    #[test]
+    fn frequent_failures_are_found(campaign in any_campaign()) {
+        let campaign = Campaign { budget: ENOUGH, ..campaign };
+        let space = campaign.space.clone().with_noise_seed(campaign.seed);
+        let fails = |index: u32| {
+            // Roots of numbers that are no squares: points that fill the space evenly.
+            let coordinate = |k| (f64::from(index) * f64::from(4 * k + 3).sqrt()).fract();
+            let point: Vec<f64> = (0..space.dimension() as u32).map(coordinate).collect();
+            let scenario = space.at(&point).unwrap();
+            !campaign.specification.judge_scenario(&scenario, campaign.options()).unwrap().satisfied
+        };
+        let share = (0..LATTICE).filter(|&index| fails(index)).count() as f64 / f64::from(LATTICE);
+        let folder = tempfile::tempdir().unwrap();
+        let summary = run(&campaign, folder.path(), 2);
+        let asked_for = &summary.methods[0];
+        prop_assert!(share < 0.125 || asked_for.failures > 0, "{} finds none where {share} fail", asked_for.method);
+        let uniform = summary.methods.iter().find(|method| method.method == Method::Uniform.name()).unwrap();
+        let found = uniform.failures as f64 / ENOUGH as f64;
+        prop_assert!((found - share).abs() < 0.25, "{found} of uniform points and {share} of a lattice fail");
+    }
+}
