@@ -18,17 +18,11 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
     beside_the_peak(say);
     let [td3_s] = least_s(60, [&mut updates(&td3(64, 128), 128, 1)]);
     say(Figure::at_most(0.38, "ms", "TD3 step, 3 x 64, batch 128, two critics", 1e3 * td3_s));
-    let config = config(256, 512);
-    let [mut alone, mut left, mut right] = [0; 3].map(|_| updates(&config, 512, 8));
-    let mut pair = || {
-        std::thread::scope(|scope| {
-            scope.spawn(&mut left);
-            right();
-        });
-    };
-    let [one_s, two_s] = least_wall_s(6, [&mut alone, &mut pair]);
-    let name = "DDPG updates, 3 x 256, batch 512: two trainings on two threads against one on one (wall clock)";
-    say(Figure::at_least(1.7, "times", name, 2.0 * one_s / two_s));
+    let [one, two] = [1, 2].map(|count| rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("threads"));
+    let [mut alone, mut together] = [0; 2].map(|_| updates(&config(256, 512), 512, 8));
+    let [one_s, two_s] = least_wall_s(8, [&mut || one.install(&mut alone), &mut || two.install(&mut together)]);
+    let name = "DDPG update, 3 x 256, batch 512, two threads against one (wall clock)";
+    say(Figure::at_least(1.7, "times", name, one_s / two_s));
 }
 
 /// Some updates of a learner on one batch.

@@ -15,7 +15,7 @@ pub use file::PolicyError;
 pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE};
 use network::Acting;
 pub use network::{Network, Workspace};
-pub(crate) use product::{Left, Panels, Right, multiply_vector};
+pub(crate) use product::{Left, Panels, Right, multiply_vector, with_hands_ready};
 pub(crate) use wide::Wide;
 
 use crate::estimate::Observation;

@@ -111,8 +111,8 @@ impl Network {
         if layer.outputs == 1 && !rectified {
             multiply_vector(input, weights, biases[0], out);
         } else {
-            panels.pack(Right::Rows(weights), Some(biases), [layer.inputs, layer.outputs]);
-            panels.multiply(Left::Rows(input), batch, rectified, out);
+            panels.pack_together(Right::Rows(weights), Some(biases), [layer.inputs, layer.outputs]);
+            panels.multiply_together(Left::Rows(input), batch, rectified, out);
         }
     }
 }

@@ -6,13 +6,28 @@
 //!
 //! The right factor is first copied into panels of 32 columns, which the inner loop reads from end to end; R rows by
 //! 32 columns of the result stay in registers meanwhile.
+//!
+//! The rows of a large product can be shared out among threads, which changes no bit either.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use pulp::{Arch, Simd, WithSimd, bytemuck};
+use rayon::prelude::*;
 
 use super::wide::Wide;
 
 /// Columns of a panel: two of the widest vector registers.
 const PANEL: usize = 32;
+
+/// Multiplications that are worth handing to another thread: some fifty microseconds.
+const SHARED_OUT: usize = 5_000_000;
+
+/// Numbers of a factor that are worth being packed by several threads.
+const WIDELY_PACKED: usize = 50_000;
+
+/// Rows that are computed together at most.
+const MOST_ROWS: usize = 8;
 
 /// One row of a panel, at the start of a cache line.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,32 +63,27 @@ pub(crate) struct Panels {
 
 impl Panels {
     /// Takes in a factor of `rows` by `columns` numbers; sums start from `start`, or from 0.
-    pub(crate) fn pack(&mut self, right: Right<'_>, start: Option<&[f32]>, [rows, columns]: [usize; 2]) {
-        (self.rows, self.columns) = (rows, columns);
-        self.data.clear();
-        self.data.resize(columns.div_ceil(PANEL) * (rows + 1), Row([0.0; PANEL]));
-        for (panel, data) in self.data.chunks_exact_mut(rows + 1).enumerate() {
-            let from = panel * PANEL;
-            let width = PANEL.min(columns - from);
-            let Some((first, rest)) = data.split_first_mut() else { continue };
-            if let Some(start) = start {
-                first.0[..width].copy_from_slice(&start[from..from + width]);
-            }
-            match right {
-                Right::Rows(right) => {
-                    for (row, source) in rest.iter_mut().zip(right.chunks_exact(columns)) {
-                        row.0[..width].copy_from_slice(&source[from..from + width]);
-                    }
-                }
-                Right::Columns(right) => {
-                    for (column, source) in right.chunks_exact(rows).skip(from).take(width).enumerate() {
-                        for (row, &value) in rest.iter_mut().zip(source) {
-                            row.0[column] = value;
-                        }
-                    }
-                }
-            }
+    pub(crate) fn pack(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
+        self.reshape(shape);
+        for (panel, data) in self.data.chunks_exact_mut(shape[0] + 1).enumerate() {
+            fill(data, panel * PANEL, right, start, shape);
         }
+    }
+
+    /// The same on all threads of the pool it is called in.
+    pub(crate) fn pack_together(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
+        if shape[0] * shape[1] < WIDELY_PACKED {
+            return self.pack(right, start, shape);
+        }
+        self.reshape(shape);
+        self.data.par_chunks_exact_mut(shape[0] + 1).enumerate().for_each(|(panel, data)| {
+            fill(data, panel * PANEL, right, start, shape);
+        });
+    }
+
+    fn reshape(&mut self, [rows, columns]: [usize; 2]) {
+        (self.rows, self.columns) = (rows, columns);
+        self.data.resize(columns.div_ceil(PANEL) * (rows + 1), Row([0.0; PANEL]));
     }
 
     /// A factor taken in at once.
@@ -87,15 +97,88 @@ impl Panels {
     pub(crate) fn multiply(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
         let (Left::Rows(data) | Left::Columns(data)) = left;
         debug_assert_eq!((data.len(), out.len()), (m * self.rows, m * self.columns));
-        Arch::new().dispatch(Multiply { panels: self, left, m, rectified, out });
+        Arch::new().dispatch(Multiply { panels: self, left, m, rows: 0..m, rectified, out });
     }
+
+    /// The same on all threads of the pool it is called in: for what does not run beside others of its kind.
+    pub(crate) fn multiply_together(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+        let worth = (m * self.rows * self.columns / SHARED_OUT).max(1);
+        let parts = rayon::current_num_threads().min(worth);
+        if parts == 1 {
+            return self.multiply(left, m, rectified, out);
+        }
+        let rows = m.div_ceil(parts).next_multiple_of(MOST_ROWS);
+        out.par_chunks_mut(rows * self.columns).enumerate().for_each(|(part, out)| {
+            let rows = part * rows..m.min((part + 1) * rows);
+            Arch::new().dispatch(Multiply { panels: self, left, m, rows, rectified, out });
+        });
+    }
+}
+
+/// Fills the panel of the columns that begin at `from`, whatever was there.
+fn fill(data: &mut [Row], from: usize, right: Right<'_>, start: Option<&[f32]>, [rows, columns]: [usize; 2]) {
+    let width = PANEL.min(columns - from);
+    if width < PANEL {
+        data.fill(Row([0.0; PANEL]));
+    }
+    let Some((first, rest)) = data.split_first_mut() else { return };
+    first.0.fill(0.0);
+    if let Some(start) = start {
+        first.0[..width].copy_from_slice(&start[from..from + width]);
+    }
+    match right {
+        Right::Rows(right) => {
+            for (row, source) in rest.iter_mut().zip(right.chunks_exact(columns)) {
+                row.0[..width].copy_from_slice(&source[from..from + width]);
+            }
+        }
+        Right::Columns(right) => {
+            for (column, source) in right.chunks_exact(rows).skip(from).take(width).enumerate() {
+                for (row, &value) in rest.iter_mut().zip(source) {
+                    row.0[column] = value;
+                }
+            }
+        }
+    }
+}
+
+/// Does `work`, in which some products are computed together, while the other threads of the pool stand by.
+///
+/// Those that find nothing to do fall asleep after some microseconds, and to wake them up takes tens of them each time: as
+/// long as a small product. So they are kept awake, if any product will be as large as `largest` multiplications.
+pub(crate) fn with_hands_ready<R>(largest: usize, work: impl FnOnce() -> R) -> R {
+    /// Says so when it goes, even if `work` panics.
+    struct Done<'a>(&'a AtomicBool);
+    impl Drop for Done<'_> {
+        fn drop(&mut self) {
+            self.0.store(true, Ordering::Release);
+        }
+    }
+    let is_done = AtomicBool::new(false);
+    rayon::in_place_scope(|scope| {
+        for _ in 1..rayon::current_num_threads().min(largest / SHARED_OUT) {
+            scope.spawn(|_| {
+                while !is_done.load(Ordering::Acquire) {
+                    // Does what there is to do.
+                    rayon::yield_now();
+                    std::hint::spin_loop();
+                }
+            });
+        }
+        let _done = Done(&is_done);
+        work()
+    })
 }
 
 struct Multiply<'a> {
     panels: &'a Panels,
     left: Left<'a>,
+    /// Rows of the left factor.
     m: usize,
+    /// Those of them that are to be multiplied.
+    rows: Range<usize>,
     rectified: bool,
+    /// The product of those.
     out: &'a mut [f32],
 }
 
@@ -105,7 +188,7 @@ impl WithSimd for Multiply<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         // Sixteen wide registers hold the sums where there are 32 of them, eight where there are 16.
-        if S::F32_LANES == 16 { self.all::<S, 8>(simd) } else { self.all::<S, 4>(simd) }
+        if S::F32_LANES == 16 { self.all::<S, MOST_ROWS>(simd) } else { self.all::<S, 4>(simd) }
     }
 }
 
@@ -119,11 +202,12 @@ impl Multiply<'_> {
                 if column >= panels.columns {
                     break;
                 }
-                let whole = self.m - self.m % R;
-                for row in (0..whole).step_by(R) {
+                let Range { start, end } = self.rows;
+                let whole = end - (end - start) % R;
+                for row in (start..whole).step_by(R) {
                     self.tile::<S, R>(simd, panel, group, [row, column]);
                 }
-                for row in whole..self.m {
+                for row in whole..end {
                     self.tile::<S, 1>(simd, panel, group, [row, column]);
                 }
             }
@@ -153,7 +237,7 @@ impl Multiply<'_> {
                 *sums = sums.map(|sum| simd.max_f32s(sum, simd.splat_f32s(0.0)));
             }
             let sums: &[f32] = bytemuck::cast_slice(sums);
-            let from = (row + r) * n + column;
+            let from = (row + r - self.rows.start) * n + column;
             self.out[from..from + width].copy_from_slice(&sums[..width]);
         }
     }
@@ -233,6 +317,24 @@ mod tests {
 
     fn transposed(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
         (0..columns).flat_map(|c| (0..rows).map(move |r| matrix[r * columns + c])).collect()
+    }
+
+    #[test]
+    fn a_product_shared_out_is_the_same() {
+        let [m, k, n] = [523, 241, 87];
+        let (a, b) = (numbers(1, m * k), numbers(2, k * n));
+        assert!(m * k * n > 2 * SHARED_OUT);
+        let panels = Panels::of(Right::Rows(&b), None, [k, n]);
+        let product = |left: Left<'_>, threads| {
+            let mut out = vec![f32::NAN; m * n];
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| panels.multiply_together(left, m, false, &mut out));
+            out
+        };
+        let a_columns = transposed(&a, m, k);
+        for left in [Left::Rows(&a), Left::Columns(&a_columns)] {
+            assert_eq!(product(left, 1), product(left, 2));
+        }
     }
 
     proptest! {

@@ -66,8 +66,8 @@ impl Tape {
                 if n == 1 {
                     weighted_row_sum(input, delta, &mut gradients[layer.weights()]);
                 } else {
-                    panels.pack(Right::Rows(delta), None, [batch, n]);
-                    panels.multiply(Left::Columns(input), m, false, &mut gradients[layer.weights()]);
+                    panels.pack_together(Right::Rows(delta), None, [batch, n]);
+                    panels.multiply_together(Left::Columns(input), m, false, &mut gradients[layer.weights()]);
                 }
                 row_sum(delta, &mut gradients[layer.biases()]);
             }
@@ -77,8 +77,8 @@ impl Tape {
                 if n == 1 {
                     outer_where_positive(delta, weights, input, below);
                 } else {
-                    panels.pack(Right::Columns(weights), None, [n, m]);
-                    panels.multiply(Left::Rows(delta), batch, false, below);
+                    panels.pack_together(Right::Columns(weights), None, [n, m]);
+                    panels.multiply_together(Left::Rows(delta), batch, false, below);
                     where_positive(input, below);
                 }
                 std::mem::swap(delta, below);

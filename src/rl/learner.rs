@@ -11,7 +11,7 @@ use super::adam::Adam;
 use super::backprop::Tape;
 use super::config::{LearningConfig, NetworkConfig, Td3Config};
 use super::replay::Batch;
-use crate::policy::{Network, STATE};
+use crate::policy::{Network, STATE, with_hands_ready};
 use crate::random::{self, Purpose, Stream};
 
 /// A network, the target that follows it, and its optimiser.
@@ -104,6 +104,11 @@ impl Learner {
 
     /// One update on a batch. `noise` feeds target smoothing.
     pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
+        let widest = self.networks().flat_map(Network::layers).map(|layer| layer.inputs * layer.outputs).max();
+        with_hands_ready(batch.len() * widest.unwrap_or(0), || self.update_alone(batch, noise))
+    }
+
+    fn update_alone(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
         self.set_goals(batch, noise);
         let actor_is_due = (self.updates + 1).is_multiple_of(u64::from(self.td3.actor_every));
         let mut losses = Losses::default();

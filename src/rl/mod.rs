@@ -1,8 +1,8 @@
 //! Learning to drive: deep deterministic policy gradient on the paper's task.
 //!
 //! [`TrainingConfig`] says how, a seed decides the rest: first weights, scenarios, tried actions, draws from memory. A
-//! training is single-threaded and always does its arithmetic in the same order, so a seed gives the same policy file
-//! to the last byte, alone or beside others, in one go or resumed.
+//! training always does its arithmetic in the same order, on however many threads, so a seed gives the same policy file to
+//! the last byte, alone or beside others, in one go or resumed.
 //!
 //! The update is written out by hand ([`Learner`]) over the same products that a policy acts with. [`oracle`] is the
 //! plain formulation on candle's automatic differentiation, which it is tested against.

@@ -83,9 +83,10 @@ fn judge<E: From<TrainingError>>(
 
 /// Does `work` for each item on `threads` threads, one item a thread at a time, and returns the results in order.
 ///
-/// Each thread has a pool of its own with no other threads in it: whatever runs in parallel inside `work` stays on it, and
-/// no training waits for another.
+/// Each item has a pool of its own: whatever runs in parallel inside `work` stays in it, and no training waits for another.
+/// Threads that would have no item of their own join the pools of the others.
 pub fn side_by_side<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn(&I) -> R + Sync) -> Vec<R> {
+    let at_once = threads.clamp(1, items.len().max(1));
     let next = AtomicUsize::new(0);
     let results: Mutex<Vec<(usize, R)>> = Mutex::new(Vec::with_capacity(items.len()));
     let take_turns = || {
@@ -98,8 +99,8 @@ pub fn side_by_side<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn
         }
     };
     std::thread::scope(|scope| {
-        for _ in 0..threads.clamp(1, items.len().max(1)) {
-            scope.spawn(|| match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+        for _ in 0..at_once {
+            scope.spawn(|| match rayon::ThreadPoolBuilder::new().num_threads(threads / at_once).build() {
                 Ok(pool) => pool.install(take_turns),
                 // Without a pool of its own the thread uses the common one: slower, with the same results.
                 Err(_) => take_turns(),

@@ -213,3 +213,18 @@ fn the_optimum_of_a_two_state_problem_is_found() {
         assert!((value - expected).abs() < 0.4, "td3 {td3}: {value} {expected}");
     }
 }
+
+/// An update of wide networks is shared out among threads.
+#[test]
+fn an_update_is_the_same_on_any_number_of_threads() {
+    let (config, batch) = (config(&[192, 224]), batch(1, 300));
+    let networks = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let (mut learner, mut noise) = (learner(&config, 2), stream(2, Purpose::TargetNoise, 0));
+        pool.install(|| (0..5).for_each(|_| _ = learner.update(&batch, &mut noise)));
+        learner.networks().cloned().collect::<Vec<_>>()
+    };
+    let alone = networks(1);
+    assert!(alone == networks(2));
+    assert!(alone == networks(3));
+}
