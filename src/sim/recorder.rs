@@ -15,6 +15,14 @@ impl Tally {
     pub(super) const NOTHING_YET: Self = Self { min_ttc_s: f64::INFINITY, max_brake_mps2: 0.0 };
 }
 
+/// The hardest braking once a vehicle has had `acceleration_mps2`.
+///
+/// By hand, since of 0 and -0 `f64::max` may give either, and then engines that are compiled apart differ.
+#[inline(always)]
+pub(super) fn hardest_brake_mps2(so_far_mps2: f64, acceleration_mps2: f64) -> f64 {
+    if -acceleration_mps2 > so_far_mps2 { -acceleration_mps2 } else { so_far_mps2 }
+}
+
 /// Time to collision in seconds; infinite for a gap that does not close. A gap that is negative by rounding counts as 0.
 #[inline]
 pub(crate) fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {

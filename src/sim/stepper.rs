@@ -2,7 +2,7 @@
 
 use super::actuator::{Actuator, Disturbance, unless_at_rest};
 use super::platoon::Platoon;
-use super::recorder::{Tally, finished, summary, ttc_s};
+use super::recorder::{Tally, finished, hardest_brake_mps2, summary, ttc_s};
 use super::run::{Pilot, truth};
 use super::shielding::interventions;
 use super::{AfterContact, Impact, Keep, Motion, Run, Simulated, Trace};
@@ -115,7 +115,7 @@ impl<'r, 's> Stepper<'r, 's> {
             trace.sample(from_s, platoon.motion.iter().copied());
         }
         for (tally, motion) in tallies.iter_mut().zip(&platoon.motion) {
-            tally.max_brake_mps2 = tally.max_brake_mps2.max(-motion.acceleration_mps2);
+            tally.max_brake_mps2 = hardest_brake_mps2(tally.max_brake_mps2, motion.acceleration_mps2);
         }
         let after_contact = self.run.options().after_contact;
         let done_s = platoon.advance(from_s, self.run.dt_s(), after_contact, impacts);

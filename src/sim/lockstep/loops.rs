@@ -9,7 +9,7 @@ use crate::control::Idm;
 use crate::scenario::Brake;
 use crate::sim::actuator::{unless_at_rest, within};
 use crate::sim::motion;
-use crate::sim::recorder::ttc_s;
+use crate::sim::recorder::{hardest_brake_mps2, ttc_s};
 
 /// Cuts commands to what the vehicles can do.
 #[inline(always)]
@@ -69,9 +69,9 @@ pub(super) fn advance(dt_s: f64, [x, v, a]: [&[f64]; 3], next_x: &mut [f64], nex
 
 /// Takes in how hard vehicles brake.
 #[inline(always)]
-pub(super) fn note_braking(hardest_brake_mps2: &mut [f64], a: &[f64]) {
-    for (hardest, &a) in hardest_brake_mps2.iter_mut().zip(a) {
-        *hardest = if -a > *hardest { -a } else { *hardest };
+pub(super) fn note_braking(hardest_mps2: &mut [f64], a: &[f64]) {
+    for (hardest_mps2, &a) in hardest_mps2.iter_mut().zip(a) {
+        *hardest_mps2 = hardest_brake_mps2(*hardest_mps2, a);
     }
 }
 

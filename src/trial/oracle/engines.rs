@@ -30,12 +30,10 @@ pub fn engines_agree(question: &Question<'_>) -> Finding {
     for (index, ((run, traced), summed)) in runs.iter().zip(&traced).zip(&summed).enumerate() {
         let is_the_trial = std::ptr::eq(run.scenario(), scenario);
         let mut alone = if is_the_trial { question.result.clone() } else { question.system.simulate(run, Keep::Trace) };
-        must(bits(&alone) == bits(traced), Law::Engines, || {
-            format!("run {index}: alone {:?}, in the batch {:?}", alone.outcome, traced.outcome)
-        })?;
+        must(bits(&alone) == bits(traced), Law::Engines, || format!("run {index}: {}", difference(&alone, traced)))?;
         alone.trace = None;
         must(bits(&alone) == bits(summed), Law::Engines, || {
-            format!("run {index} without trace: {:?}, in the batch {:?}", alone.outcome, summed.outcome)
+            format!("run {index} without trace: {}", difference(&alone, summed))
         })?;
     }
     Ok(Checked::Holds)
@@ -44,24 +42,49 @@ pub fn engines_agree(question: &Question<'_>) -> Finding {
 /// Everything a result holds, as bits: 0 and -0 are different here.
 #[must_use]
 pub fn bits(result: &Simulated) -> Vec<u64> {
-    let mut numbers: Vec<f64> = Vec::new();
-    for impact in &result.impacts {
+    numbers(result).iter().map(|(.., number)| number.to_bits()).collect()
+}
+
+/// Where two results differ first.
+fn difference(alone: &Simulated, batch: &Simulated) -> String {
+    let (one, other) = (numbers(alone), numbers(batch));
+    let differing = one.iter().zip(&other).find(|(one, other)| one.2.to_bits() != other.2.to_bits());
+    let outcomes = format!("alone {:?}, in the batch {:?}", alone.outcome, batch.outcome);
+    match differing {
+        Some((&(name, index, one), &(.., other))) => format!("{name} {index} is {one:?} and {other:?}; {outcomes}"),
+        None => format!("{} numbers and {}; {outcomes}", one.len(), other.len()),
+    }
+}
+
+/// Everything a result holds: a name, the index of the impact, vehicle or sample, and the number.
+fn numbers(result: &Simulated) -> Vec<(&'static str, usize, f64)> {
+    let mut numbers = Vec::new();
+    for (index, impact) in result.impacts.iter().enumerate() {
         let contact = &impact.contact;
         let indices = [contact.front_vehicle, contact.rear_vehicle, impact.first_involved, impact.last_involved];
-        numbers.extend(indices.map(|index| index as f64));
-        numbers.extend([contact.time_s, contact.front_speed_mps, contact.rear_speed_mps]);
-        numbers.extend([contact.impact_speed_mps, impact.common_speed_mps]);
+        numbers.extend(indices.map(|vehicle| ("vehicle of impact", index, vehicle as f64)));
+        let speeds =
+            [contact.front_speed_mps, contact.rear_speed_mps, contact.impact_speed_mps, impact.common_speed_mps];
+        numbers.push(("time of impact", index, contact.time_s));
+        numbers.extend(speeds.map(|speed_mps| ("speed of impact", index, speed_mps)));
     }
-    for vehicle in &result.vehicles {
+    for (index, vehicle) in result.vehicles.iter().enumerate() {
         let absent = f64::from_bits(u64::MAX);
-        numbers.extend([vehicle.min_gap_m.unwrap_or(absent), vehicle.min_ttc_s.unwrap_or(absent)]);
-        numbers.extend([vehicle.max_brake_mps2, f64::from(vehicle.stopped)]);
+        numbers.push(("smallest gap of vehicle", index, vehicle.min_gap_m.unwrap_or(absent)));
+        numbers.push(("smallest time to collision of vehicle", index, vehicle.min_ttc_s.unwrap_or(absent)));
+        numbers.push(("hardest braking of vehicle", index, vehicle.max_brake_mps2));
+        numbers.push(("whether it stopped, vehicle", index, f64::from(vehicle.stopped)));
     }
     if let Some(trace) = &result.trace {
-        numbers.extend(&trace.time_s);
+        let samples = |name: &'static str, values: &[f64]| {
+            values.iter().copied().enumerate().map(|(index, value)| (name, index, value)).collect::<Vec<_>>()
+        };
+        numbers.extend(samples("time of sample", &trace.time_s));
         for Track { position_m, speed_mps, acceleration_mps2, .. } in &trace.vehicles {
-            numbers.extend([position_m, speed_mps, acceleration_mps2].into_iter().flatten());
+            numbers.extend(samples("position of sample", position_m));
+            numbers.extend(samples("speed of sample", speed_mps));
+            numbers.extend(samples("acceleration of sample", acceleration_mps2));
         }
     }
-    numbers.into_iter().map(f64::to_bits).collect()
+    numbers
 }
