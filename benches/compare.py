@@ -17,6 +17,9 @@ are set and from which they are taken. Starting it is not counted.
 Training: DDPG with eight numbers seen, one acceleration chosen and an update after each decision, on an environment of those
 three vehicles, written in plain Python for Stable-Baselines3. Its time includes that environment, about 10 µs a step.
 
+Each figure is a mean over many scenarios or decisions. A scenario is counted from its making to its end: with SUMO vehicles are
+set and taken away (and a network loaded, in the first line), here a scenario is edited, checked and made ready to run.
+
 All times are processor times of one thread, so that a busy machine changes them little.
 """
 

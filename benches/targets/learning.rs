@@ -83,6 +83,9 @@ fn time_to_safe_s(config: &TrainingConfig, held_out: &HeldOut, seed: u64) -> f64
     let mut trainer = Trainer::new(config, seed);
     let is_safe = |trainer: &mut Trainer| trainer.evaluate(held_out).expect("fits").is_mastered(0.0);
     while !(trainer.evaluation_is_due() && is_safe(&mut trainer)) {
+        if trainer.is_done() {
+            return f64::INFINITY;
+        }
         trainer.run_episode().expect("converges");
     }
     now_s() - start_s

@@ -29,13 +29,17 @@ pub fn campaign_memory(say: &mut dyn FnMut(Figure)) {
     let mut campaign = command.spawn().expect("starts");
     let account = format!("/proc/{}/status", campaign.id());
     let mut most_kib = 0.0_f64;
-    while campaign.try_wait().expect("is there").is_none() {
+    let status = loop {
+        if let Some(status) = campaign.try_wait().expect("is there") {
+            break status;
+        }
         let text = std::fs::read_to_string(&account).unwrap_or_default();
         let peak = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         let kib = peak.and_then(|peak| peak.trim().trim_end_matches(" kB").parse().ok());
         most_kib = most_kib.max(kib.unwrap_or(0.0));
         std::thread::sleep(std::time::Duration::from_millis(50));
-    }
+    };
+    assert!(status.success() && most_kib > 0.0, "{status}, {most_kib} KiB");
     say(Figure::at_most(
         500.0,
         "MB",

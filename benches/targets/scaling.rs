@@ -48,6 +48,8 @@ impl Growth {
     }
 }
 
+const BUDGETS: [usize; 6] = [64, 128, 256, 512, 1024, 2048];
+
 pub fn measure() -> Vec<Growth> {
     vec![
         Growth::measure("vehicles (3 to 100)", &[3, 6, 12, 25, 50, 100], |vehicles| drive(vehicles, 5.0, 64)),
@@ -56,7 +58,12 @@ pub fn measure() -> Vec<Growth> {
         }),
         Growth::measure("runs in a batch (64 to 2048)", &[64, 128, 256, 512, 1024, 2048], |runs| drive(3, 5.0, runs)),
         Growth::measure("transitions in an update (32 to 1024)", &[32, 64, 128, 256, 512, 1024], update),
-        Growth::measure("evaluations in a search (20 to 640)", &[20, 40, 80, 160, 320, 640], search),
+        Growth::measure("evaluations in a search, `uniform` (64 to 2048)", &BUDGETS, |budget| {
+            search(Method::Uniform, budget)
+        }),
+        Growth::measure("evaluations in a search, `auto` (64 to 2048)", &BUDGETS, |budget| {
+            search(Method::Auto, budget)
+        }),
     ]
 }
 
@@ -75,11 +82,11 @@ fn update(count: usize) -> Box<dyn FnMut()> {
 }
 
 /// A search that never succeeds, so that it spends its budget.
-fn search(budget: usize) -> Box<dyn FnMut()> {
+fn search(method: Method, budget: usize) -> Box<dyn FnMut()> {
     let formula: Formula = SPECIFICATIONS[3].1.parse().expect("a formula");
     let cube = Cube::new([PIECES, PIECES]).expect("not empty");
     Box::new(move || {
-        let mut search = Method::Uniform.start(&cube, 1);
+        let mut search = method.start(&cube, 1);
         let mut made = 0;
         while made < budget {
             let points = search.ask();
@@ -112,6 +119,6 @@ pub fn figure(all: &[Growth]) -> Svg {
         panel.note((0.15, 5.3 - 0.35 * index as f64), Anchor::Start, &label, Ink::Series(index));
     }
     let content = panel.draw(&Svg::id("scaling", "frame"));
-    let description = "Five quantities that decide the cost of a rollout, an update and a search, over a factor of 32.";
+    let description = "Six quantities that decide the cost of a rollout, an update and a search, over a factor of 32.";
     Svg::new("scaling", (WIDTH, HEADING + HEIGHT + BELOW), title, description, content)
 }

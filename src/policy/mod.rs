@@ -17,6 +17,8 @@ use network::Acting;
 pub use network::{Network, Workspace};
 pub(crate) use product::{Left, Panels, Right, multiply_vector, with_hands_ready};
 pub(crate) use wide::Wide;
+#[cfg(test)]
+pub(crate) use wide::every_path;
 
 use crate::estimate::Observation;
 

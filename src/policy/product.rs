@@ -97,7 +97,11 @@ impl Panels {
     pub(crate) fn multiply(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
         let (Left::Rows(data) | Left::Columns(data)) = left;
         debug_assert_eq!((data.len(), out.len()), (m * self.rows, m * self.columns));
-        Arch::new().dispatch(Multiply { panels: self, left, m, rows: 0..m, rectified, out });
+        self.multiply_by(Arch::new(), left, m, rectified, out);
+    }
+
+    fn multiply_by(&self, path: Arch, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+        path.dispatch(Multiply { panels: self, left, m, rows: 0..m, rectified, out });
     }
 
     /// The same on all threads of the pool it is called in: for what does not run beside others of its kind.
@@ -145,7 +149,8 @@ fn fill(data: &mut [Row], from: usize, right: Right<'_>, start: Option<&[f32]>, 
 /// Does `work`, in which some products are computed together, while the other threads of the pool stand by.
 ///
 /// Those that find nothing to do fall asleep after some microseconds, and to wake them up takes tens of them each time: as
-/// long as a small product. So they are kept awake, if any product will be as large as `largest` multiplications.
+/// long as a small product. So they are kept awake, if any product will be as large as `largest` multiplications; on a busy
+/// machine they give way. They do whatever there is to do in the pool, so it must be a pool for this work alone.
 pub(crate) fn with_hands_ready<R>(largest: usize, work: impl FnOnce() -> R) -> R {
     /// Says so when it goes, even if `work` panics.
     struct Done<'a>(&'a AtomicBool);
@@ -159,9 +164,9 @@ pub(crate) fn with_hands_ready<R>(largest: usize, work: impl FnOnce() -> R) -> R
         for _ in 1..rayon::current_num_threads().min(largest / SHARED_OUT) {
             scope.spawn(|_| {
                 while !is_done.load(Ordering::Acquire) {
-                    // Does what there is to do.
-                    rayon::yield_now();
-                    std::hint::spin_loop();
+                    if rayon::yield_now() != Some(rayon::Yield::Executed) {
+                        std::thread::yield_now();
+                    }
                 }
             });
         }
@@ -305,6 +310,7 @@ pub(crate) fn multiply_vector(rows: &[f32], factor: &[f32], start: f32, out: &mu
 
 #[cfg(test)]
 mod tests {
+    use super::super::wide::every_path;
     use super::*;
     use proptest::prelude::*;
     use rand::RngExt;
@@ -321,9 +327,9 @@ mod tests {
 
     #[test]
     fn a_product_shared_out_is_the_same() {
-        let [m, k, n] = [523, 241, 87];
+        let [m, k, n] = [523, 241, 127];
         let (a, b) = (numbers(1, m * k), numbers(2, k * n));
-        assert!(m * k * n > 2 * SHARED_OUT);
+        assert!(m * k * n > 3 * SHARED_OUT);
         let panels = Panels::of(Right::Rows(&b), None, [k, n]);
         let product = |left: Left<'_>, threads| {
             let mut out = vec![f32::NAN; m * n];
@@ -333,12 +339,14 @@ mod tests {
         };
         let a_columns = transposed(&a, m, k);
         for left in [Left::Rows(&a), Left::Columns(&a_columns)] {
-            assert_eq!(product(left, 1), product(left, 2));
+            let alone = product(left, 1);
+            assert_eq!(alone, product(left, 2));
+            assert_eq!(alone, product(left, 3));
         }
     }
 
     proptest! {
-        /// The definition, element by element and to the last bit, from any of the four layouts.
+        /// The definition, element by element and to the last bit, from any of the four layouts, in registers of any width.
         #[test]
         fn products_are_the_sums_in_order(seed: u64, m in 1..40_usize, k in 1..50_usize, n in 1..80_usize, rectified: bool) {
             let (a, b, start) = (numbers(seed, m * k), numbers(seed ^ 1, k * n), numbers(seed ^ 2, n));
@@ -352,9 +360,11 @@ mod tests {
             for right in [Right::Rows(&b), Right::Columns(&b_columns)] {
                 let panels = Panels::of(right, Some(&start), [k, n]);
                 for left in [Left::Rows(&a), Left::Columns(&a_columns)] {
-                    let mut out = vec![f32::NAN; m * n];
-                    panels.multiply(left, m, rectified, &mut out);
-                    prop_assert_eq!(&out, &expected);
+                    for path in every_path() {
+                        let mut out = vec![f32::NAN; m * n];
+                        panels.multiply_by(path, left, m, rectified, &mut out);
+                        prop_assert_eq!(&out, &expected);
+                    }
                 }
             }
         }

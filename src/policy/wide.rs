@@ -16,3 +16,15 @@ impl<R, F: FnMut() -> R> WithSimd for Wide<F> {
         (self.0)()
     }
 }
+
+/// All widths of registers that this machine has, the narrowest first.
+#[cfg(test)]
+pub(crate) fn every_path() -> Vec<pulp::Arch> {
+    let mut paths = vec![pulp::Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    {
+        paths.extend(pulp::x86::V3::try_new().map(pulp::Arch::V3));
+        paths.extend(pulp::x86::V4::try_new().map(pulp::Arch::V4));
+    }
+    paths
+}

@@ -28,9 +28,9 @@ impl Adam {
     /// With `follow`, a target network and a share τ, the target then becomes (1 - τ) target + τ parameters.
     pub fn step(&mut self, parameters: &mut [f32], gradients: &[f32], rate: f32, follow: Option<(&mut [f32], f32)>) {
         self.steps += 1;
-        let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
-        let unbias_1 = (1.0 / (1.0 - f64::from(BETA_1).powi(steps))) as f32;
-        let unbias_2 = (1.0 / (1.0 - f64::from(BETA_2).powi(steps))) as f32;
+        // Not `powi`, whose rounding differs between platforms.
+        let unbias = |beta: f32| (1.0 / (1.0 - libm::pow(f64::from(beta), self.steps as f64))) as f32;
+        let (unbias_1, unbias_2) = (unbias(BETA_1), unbias(BETA_2));
         let (first, second) = (self.first.as_mut_slice(), self.second.as_mut_slice());
         let (target, share) = follow.unwrap_or((&mut [], 0.0));
         Arch::new().dispatch(Wide(

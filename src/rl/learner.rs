@@ -105,10 +105,10 @@ impl Learner {
     /// One update on a batch. `noise` feeds target smoothing.
     pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
         let widest = self.networks().flat_map(Network::layers).map(|layer| layer.inputs * layer.outputs).max();
-        with_hands_ready(batch.len() * widest.unwrap_or(0), || self.update_alone(batch, noise))
+        with_hands_ready(batch.len() * widest.unwrap_or(0), || self.step(batch, noise))
     }
 
-    fn update_alone(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
+    fn step(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
         self.set_goals(batch, noise);
         let actor_is_due = (self.updates + 1).is_multiple_of(u64::from(self.td3.actor_every));
         let mut losses = Losses::default();

@@ -84,7 +84,7 @@ fn judge<E: From<TrainingError>>(
 /// Does `work` for each item on `threads` threads, one item a thread at a time, and returns the results in order.
 ///
 /// Each item has a pool of its own: whatever runs in parallel inside `work` stays in it, and no training waits for another.
-/// Threads that would have no item of their own join the pools of the others.
+/// Threads that have no item of their own from the start join the pools of the others.
 pub fn side_by_side<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn(&I) -> R + Sync) -> Vec<R> {
     let at_once = threads.clamp(1, items.len().max(1));
     let next = AtomicUsize::new(0);
@@ -99,8 +99,10 @@ pub fn side_by_side<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn
         }
     };
     std::thread::scope(|scope| {
-        for _ in 0..at_once {
-            scope.spawn(|| match rayon::ThreadPoolBuilder::new().num_threads(threads / at_once).build() {
+        let take_turns = &take_turns;
+        for place in 0..at_once {
+            let share = threads.max(1) / at_once + usize::from(place < threads % at_once);
+            scope.spawn(move || match rayon::ThreadPoolBuilder::new().num_threads(share).build() {
                 Ok(pool) => pool.install(take_turns),
                 // Without a pool of its own the thread uses the common one: slower, with the same results.
                 Err(_) => take_turns(),

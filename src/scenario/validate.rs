@@ -11,8 +11,8 @@ const fn above(min: f64, max: f64) -> Range {
     Range { min, max, above_min: true }
 }
 
-/// Steps times vehicles beyond which a scenario is refused: 20 million, a trace of half a gigabyte.
-const MOST_VEHICLE_STEPS: usize = 20_000_000;
+/// Steps times vehicles beyond which a scenario is refused: a trace of 120 MB, and some 300 MB as text.
+const MOST_VEHICLE_STEPS: usize = 5_000_000;
 
 /// Checks a spec and returns its number of steps.
 pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {

@@ -72,9 +72,13 @@ impl Actuator {
 }
 
 /// A command cut to what the vehicle can do; NaN counts as 0.
+///
+/// By hand, since of 0 and -0 `f64::max` and `f64::min` may give either, and then engines that are compiled apart differ.
 #[inline]
 pub(super) fn within(command_mps2: f64, max_brake_mps2: f64, max_accel_mps2: f64) -> f64 {
-    if command_mps2.is_nan() { 0.0 } else { command_mps2.max(-max_brake_mps2).min(max_accel_mps2) }
+    let command_mps2 = if command_mps2.is_nan() { 0.0 } else { command_mps2 };
+    let command_mps2 = if command_mps2 < -max_brake_mps2 { -max_brake_mps2 } else { command_mps2 };
+    if command_mps2 > max_accel_mps2 { max_accel_mps2 } else { command_mps2 }
 }
 
 /// A vehicle that stands and does not want to move is held by its brakes: nothing, noise included, moves it.

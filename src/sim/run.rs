@@ -13,8 +13,8 @@ use crate::policy::Policy;
 use crate::random::{self, Purpose};
 use crate::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, VehicleSpec, whole_multiple};
 
-/// Samples times vehicles beyond which a run is refused: 20 million, a trace of half a gigabyte.
-const MOST_VEHICLE_SAMPLES: usize = 20_000_000;
+/// Samples times vehicles beyond which a run is refused: a trace of 120 MB, and some 300 MB as text.
+const MOST_VEHICLE_SAMPLES: usize = 5_000_000;
 
 /// What drives the vehicles under test.
 #[derive(Clone)]
@@ -202,12 +202,11 @@ impl<'s> Run<'s> {
             None => 1,
             Some(dt_s) => whole_multiple(step_s, dt_s).ok_or(RunError::Dt { dt_s, step_s })?,
         };
-        let found = scenario.steps().saturating_mul(scenario.vehicles().len()).saturating_mul(substeps);
-        if found > MOST_VEHICLE_SAMPLES {
-            let dt_s = options.dt_s.unwrap_or(step_s);
-            return Err(RunError::TooFine { dt_s, limit: MOST_VEHICLE_SAMPLES, found });
-        }
         let mut run = Self { scenario, options, substeps, tuning: OnceLock::new(), frames: Vec::new() };
+        let found = run.vehicle_samples();
+        if found > MOST_VEHICLE_SAMPLES {
+            return Err(RunError::TooFine { dt_s: run.dt_s(), limit: MOST_VEHICLE_SAMPLES, found });
+        }
         run.frames = run.shield_frames()?;
         for index in 0..scenario.vehicles().len() {
             if let Pilot::Controller(controller) = run.pilot(index)
@@ -241,6 +240,11 @@ impl<'s> Run<'s> {
     #[must_use]
     pub fn dt_s(&self) -> f64 {
         self.scenario.spec().step_s / self.substeps as f64
+    }
+
+    /// Integration steps times vehicles.
+    pub(super) fn vehicle_samples(&self) -> usize {
+        self.scenario.steps().saturating_mul(self.scenario.vehicles().len()).saturating_mul(self.substeps)
     }
 
     /// The instant `substep` integration steps after the start of step `step`, in seconds.

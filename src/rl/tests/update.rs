@@ -217,7 +217,7 @@ fn the_optimum_of_a_two_state_problem_is_found() {
 /// An update of wide networks is shared out among threads.
 #[test]
 fn an_update_is_the_same_on_any_number_of_threads() {
-    let (config, batch) = (config(&[192, 224]), batch(1, 300));
+    let (config, batch) = (config(&[192, 224]), batch(1, 400));
     let networks = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let (mut learner, mut noise) = (learner(&config, 2), stream(2, Purpose::TargetNoise, 0));

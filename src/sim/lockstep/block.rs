@@ -39,7 +39,7 @@ struct Exact {
 }
 
 impl<'a, 's> Block<'a, 's> {
-    pub(super) fn new(runs: &'a [Run<'s>], members: &[usize], keep: Keep) -> Self {
+    pub(super) fn new(arch: Arch, runs: &'a [Run<'s>], members: &[usize], keep: Keep) -> Self {
         let platoons: Vec<Platoon> = members.iter().map(|&index| runs[index].platoon()).collect();
         let lanes: Vec<_> = members
             .iter()
@@ -52,7 +52,7 @@ impl<'a, 's> Block<'a, 's> {
             .collect();
         let vehicles = platoons.first().map_or(0, |platoon| platoon.motion.len());
         let mut block = Self {
-            arch: Arch::new(),
+            arch,
             keep,
             columns: (0..vehicles).map(|vehicle| Column::new(&lanes, &platoons, vehicle)).collect(),
             lanes,

@@ -16,6 +16,7 @@ mod view;
 
 use std::cmp::Ordering;
 
+use pulp::Arch;
 use rayon::prelude::*;
 
 use self::block::Block;
@@ -29,6 +30,9 @@ const MOST_RUNS: usize = Runs::MOST;
 /// The same when traces are kept: each thread holds those of a whole block.
 const MOST_TRACED_RUNS: usize = 8;
 
+/// Samples of a vehicle in all traces that a thread holds, unless a single run has more: 48 MB.
+const MOST_TRACED_SAMPLES: usize = 2_000_000;
+
 /// Runs all of `runs` and hands each result to `reduce`, with the index of its run, as soon as it is there.
 ///
 /// Returns what `reduce` returned, in the order of `runs`. Only the results under way are in memory at any time, so
@@ -36,7 +40,9 @@ const MOST_TRACED_RUNS: usize = 8;
 pub fn simulate_batch<R: Send>(runs: &[Run<'_>], keep: Keep, reduce: impl Fn(usize, Simulated) -> R + Sync) -> Vec<R> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     order.sort_by(|&a, &b| compare_shapes(&runs[a], &runs[b]).then(a.cmp(&b)));
-    let most = if keep == Keep::Trace { MOST_TRACED_RUNS } else { MOST_RUNS };
+    let largest = runs.iter().map(Run::vehicle_samples).max().unwrap_or(1);
+    let traced = (MOST_TRACED_SAMPLES / largest.max(1)).clamp(1, MOST_TRACED_RUNS);
+    let most = if keep == Keep::Trace { traced } else { MOST_RUNS };
     let blocks: Vec<&[usize]> = order
         .chunk_by(|&a, &b| compare_shapes(&runs[a], &runs[b]) == Ordering::Equal)
         .flat_map(|alike| alike.chunks(alike.len().div_ceil(rayon::current_num_threads()).min(most)))
@@ -45,7 +51,8 @@ pub fn simulate_batch<R: Send>(runs: &[Run<'_>], keep: Keep, reduce: impl Fn(usi
         .into_par_iter()
         .flat_map_iter(|members| {
             let mut done = Vec::with_capacity(members.len());
-            Block::new(runs, members, keep).run(|index, simulated| done.push((index, reduce(index, simulated))));
+            Block::new(Arch::new(), runs, members, keep)
+                .run(|index, simulated| done.push((index, reduce(index, simulated))));
             done
         })
         .collect();
@@ -73,4 +80,32 @@ fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
     let spec = run.scenario().spec();
     let steps = (spec.step_s.to_bits(), run.dt_s().to_bits());
     (spec.vehicles.len(), steps.0, steps.1, under_test, run.options().estimator.name())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::every_path;
+    use crate::scenario::{Driver, PaperDistribution};
+    use crate::sim::RunOptions;
+
+    /// The width of the registers changes no bit.
+    #[test]
+    fn every_path_gives_the_same_results() {
+        let draws = (0..20).map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap());
+        let lines = draws.map(|draw| draw.edited(|spec| spec.vehicles[2].driver = Driver::UnderTest).unwrap());
+        let lines: Vec<_> = lines.collect();
+        for spec in ControllerSpec::built_in() {
+            let runs: Vec<_> =
+                lines.iter().map(|line| Run::new(line, RunOptions::new(spec.clone())).unwrap()).collect();
+            let members: Vec<usize> = (0..runs.len()).collect();
+            let results = every_path().into_iter().map(|path| {
+                let mut results = Vec::new();
+                Block::new(path, &runs, &members, Keep::Trace).run(|index, result| results.push((index, result)));
+                results
+            });
+            let results: Vec<_> = results.collect();
+            assert!(results.windows(2).all(|pair| pair[0] == pair[1]), "{}", spec.name());
+        }
+    }
 }

@@ -7,7 +7,7 @@ use crate::worst_case::Verdict;
 
 /// What is proved of all drivers in exact arithmetic, the simulation may miss by rounding, in metres.
 const ROUNDING_M: f64 = 1e-6;
-/// Longer scenarios are not asked about: up to 64 programs with a variable or more a step take seconds, and with a fuzzer's
+/// Longer scenarios are not asked about: dozens of programs with a variable or more a step take seconds, and with a fuzzer's
 /// counters in the solver's loops half a minute.
 const MOST_STEPS: usize = 500;
 

@@ -75,12 +75,19 @@ fn numbers(result: &Simulated) -> Vec<(&'static str, usize, f64)> {
         numbers.push(("hardest braking of vehicle", index, vehicle.max_brake_mps2));
         numbers.push(("whether it stopped, vehicle", index, f64::from(vehicle.stopped)));
     }
+    for (index, done) in result.interventions.iter().enumerate() {
+        let flags = [done.outside_kernel, done.rear_conflict].map(f64::from);
+        let all = [done.vehicle as f64, done.from_s, done.to_s, flags[0], flags[1]];
+        numbers.extend(all.map(|number| ("intervention", index, number)));
+    }
     if let Some(trace) = &result.trace {
         let samples = |name: &'static str, values: &[f64]| {
             values.iter().copied().enumerate().map(|(index, value)| (name, index, value)).collect::<Vec<_>>()
         };
         numbers.extend(samples("time of sample", &trace.time_s));
-        for Track { position_m, speed_mps, acceleration_mps2, .. } in &trace.vehicles {
+        for (index, track) in trace.vehicles.iter().enumerate() {
+            let Track { length_m, mass_kg, position_m, speed_mps, acceleration_mps2 } = track;
+            numbers.extend([("length of vehicle", index, *length_m), ("mass of vehicle", index, *mass_kg)]);
             numbers.extend(samples("position of sample", position_m));
             numbers.extend(samples("speed of sample", speed_mps));
             numbers.extend(samples("acceleration of sample", acceleration_mps2));

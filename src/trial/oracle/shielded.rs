@@ -3,7 +3,7 @@
 use super::{Checked, Finding, Question, must};
 use crate::estimate::EstimatorKind;
 use crate::scenario::Driver;
-use crate::sim::{AfterContact, Keep, Outcome, Run, RunOptions, Stress};
+use crate::sim::{AfterContact, Keep, Outcome, Run, RunError, RunOptions, Stress};
 use crate::trial::Law;
 
 /// Behind a shield that knows the truth, full throttle hits the vehicle ahead only where there was no way out when the
@@ -15,8 +15,12 @@ pub fn shield_keeps_clear(question: &Question<'_>) -> Finding {
     let scenario = &question.trial.scenario;
     let options = RunOptions { dt_s: question.run.options().dt_s, ..RunOptions::new(question.system.full_throttle()) };
     let options = options.with_estimator(EstimatorKind::Truth).with_after_contact(AfterContact::Stop);
-    // A shield refuses vehicles it cannot vouch for.
-    let Ok(run) = Run::new(scenario, options) else { return Ok(Checked::DoesNotApply) };
+    let run = match Run::new(scenario, options) {
+        Ok(run) => run,
+        // A shield refuses vehicles it cannot vouch for.
+        Err(RunError::Shield { .. }) => return Ok(Checked::DoesNotApply),
+        Err(error) => return Err((Law::Runs, error.to_string())),
+    };
     let result = question.system.simulate(&run, Keep::Summary);
     let Outcome::Collision(contact) = result.outcome else { return Ok(Checked::Holds) };
     let striker = contact.rear_vehicle;
