@@ -105,18 +105,18 @@ pub fn figure(all: &[Growth]) -> Svg {
     let octaves = |last: i32| (0..=last).map(|k| (f64::from(k), format!("{}", 1 << k))).collect::<Vec<_>>();
     let frame = Frame { left: LEFT, top: HEADING, width: WIDTH - LEFT - 16.0, height: HEIGHT };
     let x = Axis::marked("size, as a multiple of the smallest", (0.0, 5.2), octaves(5));
-    let y = Axis::marked("", (-0.2, 5.6), octaves(5));
+    let y = Axis::marked("", (-0.2, 7.2), octaves(7));
     let title = "Time as a multiple of that of the smallest size";
     let mut panel = Panel::new(frame, title, x, y);
     panel.line(&[(0.0, 0.0), (5.2, 5.2)], Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
-    panel.note((4.6, 4.3), Anchor::Start, "proportional", Ink::Muted);
+    panel.note((4.3, 3.3), Anchor::Start, "proportional", Ink::Muted);
     for (index, growth) in all.iter().enumerate() {
         let points: Vec<_> = growth.relative().iter().map(|(x, y)| (x.log2(), y.log2())).collect();
         panel.line(&points, Stroke::series(index));
         let marker = [Marker::Disc, Marker::Ring, Marker::Square, Marker::Cross][index % 4];
         panel.marks(&points, marker, Ink::Series(index));
         let label = format!("{}: exponent {:.2}", growth.what, growth.exponent());
-        panel.note((0.15, 5.3 - 0.35 * index as f64), Anchor::Start, &label, Ink::Series(index));
+        panel.note((0.15, 6.8 - 0.45 * index as f64), Anchor::Start, &label, Ink::Series(index));
     }
     let content = panel.draw(&Svg::id("scaling", "frame"));
     let description = "Six quantities that decide the cost of a rollout, an update and a search, over a factor of 32.";
