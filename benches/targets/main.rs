@@ -62,7 +62,6 @@ const PARTS: [Part; 6] = [
     ("long", |say| {
         learning::first_safe(10, say);
         programs::assessment(say);
-        proofs::reach_step_by_step(say);
     }),
 ];
 
