@@ -63,7 +63,6 @@ const PARTS: [Part; 6] = [
         learning::first_safe(10, say);
         programs::assessment(say);
         programs::campaign_memory(say);
-        proofs::reach_step_by_step(say);
     }),
 ];
 

@@ -18,12 +18,8 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
         let [seconds] = least_s(3, [&mut || _ = black_box(avoid(&scenario, options).expect("the grid fits"))]);
         say(Figure::at_most(target_s, "s", format!("avoidability of paper-1, grid of {grid_s} s"), seconds));
     }
-    say(reach(0.1));
-}
-
-/// A decision at every step, as the paper has it: minutes.
-pub fn reach_step_by_step(say: &mut dyn FnMut(Figure)) {
-    say(reach(PAPER_STEP_S));
+    // As the policy was trained, and a decision at every step, as the paper has it.
+    [0.1, PAPER_STEP_S].into_iter().for_each(|interval_s| say(reach(interval_s)));
 }
 
 fn reach(interval_s: f64) -> Figure {

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_verify::{Accepted, Certificate, ParseError, Rejection, Statement, check_with};
+use crumple_verify::{Accepted, Certificate, ParseError, Rejection, Statement, WorkLimit, check_within};
 use serde::Serialize;
 
 use super::simulate::Format;
@@ -17,8 +17,8 @@ use crate::worst_case::is_about;
 #[derive(Args)]
 #[command(after_long_help = "\
 The checker (crate crumple-verify) shares no code with the simulation, the search or the solver: it reads the file and \
-recomputes everything in outward-rounded interval arithmetic. Exit code 1 if a certificate is rejected, or is not about the \
-scenario named with --scenario; 2 if a file is no certificate.
+recomputes everything in outward-rounded interval arithmetic. Exit code 1 if a certificate is rejected, or takes more work to \
+check than --work-limit allows, or is not about the scenario named with --scenario; 2 if a file is no certificate.
 
 Examples:
   crumple avoid paper-1 --certificate paper-1.json
@@ -33,6 +33,9 @@ pub(super) struct Check {
     /// The policy file of certificates about a policy; the one beside the certificate without it
     #[arg(long, value_name = "F")]
     policy: Option<PathBuf>,
+    /// Billions of operations that checking one certificate may take; the default is some ten minutes of one core
+    #[arg(long, value_name = "N", default_value_t = WorkLimit::default().in_billions())]
+    work_limit: u64,
     /// How to print: for a reader, or one JSON object a certificate
     #[arg(long, value_enum, default_value = "text")]
     format: Format,
@@ -62,7 +65,8 @@ impl Check {
         let mut text = String::new();
         let mut refused = Vec::new();
         for (path, certificate) in &certificates {
-            let checked = check_with(certificate, self.policy_bytes(certificate, path).as_deref());
+            let policy = self.policy_bytes(certificate, path);
+            let checked = check_within(certificate, policy.as_deref(), WorkLimit::billions(self.work_limit));
             let about = scenario.as_ref().map(|scenario| is_about(certificate, scenario));
             if checked.is_err() || about == Some(false) {
                 refused.push(path.display().to_string());

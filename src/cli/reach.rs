@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_verify::check_with;
+use crumple_verify::{WorkLimit, check_within};
 
 use super::output::{self, Files};
 use super::simulate::Format;
@@ -54,7 +54,7 @@ impl Reach {
         };
         let partition = plan.partition(self.depth, told).map_err(failed)?;
         bar.finish_and_clear();
-        let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()))
+        let accepted = check_within(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::NONE)
             .map_err(|rejection| Failure::Gate(format!("not shown: {rejection}")))?;
         if let Some(path) = &self.certificate {
             let mut files = Files::default();

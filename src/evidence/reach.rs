@@ -119,7 +119,7 @@ pub struct Doubts {
     pub ahead: usize,
     /// The follower may touch.
     pub behind: usize,
-    /// Bounds became too wide, or cases too many.
+    /// Bounds became too wide, or instants at which the follower may brake too many.
     pub too_wide: usize,
 }
 
@@ -345,7 +345,8 @@ impl ReachPlan {
             partition,
             verified_share_at_least: verified,
             falsified_share_at_least: falsified,
-            min_gap_m_at_least: if gap_m.is_finite() { gap_m } else { 0.0 },
+            // Whole micrometres: what another version rounds otherwise is still proved.
+            min_gap_m_at_least: if gap_m.is_finite() { (gap_m * 1e6).floor() / 1e6 } else { 0.0 },
             ..self.claim.clone()
         };
         let certificate = certificate(&self.scenario.spec().name, Statement::Reach(claim));
@@ -413,7 +414,8 @@ mod tests {
             Accepted::Reach { verified_share, falsified_share, smallest_gap_m } => {
                 assert_eq!(verified_share, claim.verified_share_at_least);
                 assert_eq!(falsified_share, claim.falsified_share_at_least);
-                assert_eq!(smallest_gap_m, claim.min_gap_m_at_least);
+                let spare_m = smallest_gap_m - claim.min_gap_m_at_least;
+                assert!((0.0..1.001e-6).contains(&spare_m), "{spare_m:e}");
                 assert!(verified_share > 0.1 && falsified_share > 0.1, "{:?}", partition.shares);
             }
             other => panic!("{other:?}"),

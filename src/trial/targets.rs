@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use crumple_verify::{Certificate, Statement};
+use crumple_verify::{Certificate, WorkLimit, check_within};
 
 use super::oracle::motion_is_physical;
 use super::{Checked, Crumple, FileFormat, Law, ORACLES, Question, Setup, System, Trial, Violation};
@@ -29,9 +29,8 @@ pub const TARGETS: [(&str, Target); 6] = [
 
 /// Most steps times vehicles of a scenario from a file that is run.
 const MOST_VEHICLE_STEPS: usize = 20_000;
-/// Most cells times steps of a statement about reach that is checked: the work is in proportion, so that some kilobytes can
-/// ask for days.
-const MOST_CELL_STEPS: usize = 2_000;
+/// What checking a certificate may take: some hundredths of a second.
+const WORK: WorkLimit = WorkLimit::operations(100_000_000);
 /// Samples that formulas are judged on.
 const SAMPLES: usize = 16;
 
@@ -129,13 +128,8 @@ pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
     let again = Certificate::from_json(&written).ok();
     let same = again.as_ref() == Some(&read);
     must(same, Law::Certificates, text, || format!("it came back as {again:?}"))?;
-    if let Statement::Reach(reach) = &read.statement
-        && reach.partition.len().saturating_mul(reach.steps as usize) > MOST_CELL_STEPS
-    {
-        return Ok(());
-    }
-    let said = crumple_verify::check_with(&read, Some(Policy::reference_bytes()));
-    let said_again = again.map(|again| crumple_verify::check_with(&again, Some(Policy::reference_bytes())));
+    let check = |certificate: &Certificate| check_within(certificate, Some(Policy::reference_bytes()), WORK);
+    let (said, said_again) = (check(&read), again.as_ref().map(check));
     // Both are words: a reason may hold a number that is none.
     let (said, said_again) = (format!("{said:?}"), format!("{:?}", said_again.unwrap_or_else(|| said.clone())));
     must(said == said_again, Law::Certificates, text, || format!("first {said}, then {said_again}"))

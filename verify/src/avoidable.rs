@@ -23,10 +23,15 @@ use crate::certificate::Avoidable;
 use crate::claim::Scene;
 use crate::interval::Interval;
 use crate::motion::{after, expand};
+use crate::work::{OF_INTERVAL, Work};
 use crate::{Accepted, Rejection};
 
-pub(crate) fn check(claim: &Avoidable) -> Result<Accepted, Rejection> {
+/// Operations for one step of one vehicle.
+const A_STEP: u64 = 20 * OF_INTERVAL;
+
+pub(crate) fn check(claim: &Avoidable, work: &Work) -> Result<Accepted, Rejection> {
     claim.scene.check()?;
+    work.spend(claim.scene.instants() * claim.scene.vehicles() * A_STEP)?;
     check_profiles(claim)?;
     let smallest_gap_m = smallest_gap_m(claim)?;
     let stated_m = claim.min_gap_m_at_least.unwrap_or(0.0);

@@ -6,7 +6,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::claim::{Held, Scene};
+use crate::bounded;
+use crate::claim::{Held, MOST_EGOS, MOST_STEPS, Scene};
 use crate::kernel::Kernel;
 use crate::rate::{Comparison, Rate};
 use crate::reach::Reach;
@@ -164,6 +165,7 @@ pub struct Avoidable {
     /// What it speaks about.
     pub scene: Scene,
     /// Acceleration of each ego over each of the N steps, in m/s².
+    #[serde(deserialize_with = "bounded::list::<MOST_EGOS, _, _>")]
     pub witness: Vec<Vec<Held<f64>>>,
     /// Also claimed, if stated: no gap is ever smaller, in metres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -177,6 +179,7 @@ pub struct Unavoidable {
     /// What it speaks about.
     pub scene: Scene,
     /// A proof for each range of instants at which the follower's brake may fire; one for all if there is no follower.
+    #[serde(deserialize_with = "bounded::list::<{ MOST_STEPS as usize + 1 }, _, _>")]
     pub branches: Vec<Branch>,
 }
 
@@ -196,10 +199,12 @@ pub struct Branch {
     /// The first ego stays behind the leader, instants 0 to N.
     pub front: Rows,
     /// Ego i + 1 stays behind ego i, one list for each pair.
+    #[serde(deserialize_with = "bounded::list::<MOST_EGOS, _, _>")]
     pub between: Vec<Rows>,
     /// The last ego stays ahead of the follower, instants 0 to N.
     pub rear: Rows,
     /// No ego reverses, one list for each ego, instants 0 to N.
+    #[serde(deserialize_with = "bounded::list::<MOST_EGOS, _, _>")]
     pub speed: Vec<Rows>,
     /// The follower's brake has not fired, instants before `first`.
     pub unfired: Rows,

@@ -6,6 +6,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::Rejection;
+use crate::bounded;
 use crate::interval::Interval;
 
 /// Most steps of a scene.
@@ -28,6 +29,7 @@ pub struct Scene {
     /// Vehicle 0.
     pub leader: Leader,
     /// Vehicles 1 to n, n at least 1.
+    #[serde(deserialize_with = "bounded::list::<MOST_EGOS, _, _>")]
     pub egos: Vec<Ego>,
     /// Vehicle n + 1, if there is one.
     pub follower: Option<Follower>,
@@ -44,6 +46,7 @@ pub struct Leader {
     /// Speed at the start.
     pub speed_mps: Interval,
     /// Acceleration over each of the N steps.
+    #[serde(deserialize_with = "bounded::list::<{ MOST_STEPS as usize }, _, _>")]
     pub acceleration_mps2: Vec<Held<Interval>>,
 }
 
@@ -111,6 +114,16 @@ impl Scene {
             check_range("follower", &fields)?;
         }
         Ok(())
+    }
+
+    /// N + 1.
+    pub(crate) fn instants(&self) -> u64 {
+        u64::from(self.steps) + 1
+    }
+
+    /// Leader, egos and follower.
+    pub(crate) fn vehicles(&self) -> u64 {
+        1 + self.egos.len() as u64 + u64::from(self.follower.is_some())
     }
 
     /// Whether a profile lasts for exactly N steps.

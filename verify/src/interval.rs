@@ -4,13 +4,16 @@
 //! at most half a gap away from the exact result, so the exact result lies inside. What overflows or has no value becomes
 //! the whole line, about which nothing can be proved.
 
+use std::fmt;
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Deserializer, Error, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
 /// All real numbers from `low` to `high`. In a file a plain number, or `{"low": …, "high": …}`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "Written")]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(into = "Written")]
 pub struct Interval {
     low: f64,
     high: f64,
@@ -170,27 +173,60 @@ impl Mul for Interval {
 }
 
 /// An interval as a file states it.
-#[derive(Serialize, Deserialize)]
-#[serde(untagged, deny_unknown_fields, expecting = "expected a number or {\"low\": number, \"high\": number}")]
+#[derive(Serialize)]
+#[serde(untagged)]
 enum Written {
     Number(f64),
-    Ends { low: f64, high: f64 },
+    Ends(Ends),
 }
 
-impl TryFrom<Written> for Interval {
-    type Error = String;
-
-    fn try_from(written: Written) -> Result<Self, String> {
-        let (low, high) = match written {
-            Written::Number(value) => (value, value),
-            Written::Ends { low, high } => (low, high),
-        };
-        Self::new(low, high).ok_or_else(|| format!("an interval from {low} to {high} has no members"))
-    }
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Ends {
+    low: f64,
+    high: f64,
 }
 
 impl From<Interval> for Written {
     fn from(Interval { low, high }: Interval) -> Self {
-        if low == high { Self::Number(low) } else { Self::Ends { low, high } }
+        if low == high { Self::Number(low) } else { Self::Ends(Ends { low, high }) }
     }
+}
+
+// By hand, since an untagged enumeration keeps whatever it finds in memory before it looks at it.
+impl<'de> Deserialize<'de> for Interval {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        from.deserialize_any(Reader)
+    }
+}
+
+struct Reader;
+
+impl<'de> Visitor<'de> for Reader {
+    type Value = Interval;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("a number or {\"low\": number, \"high\": number}")
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<Interval, E> {
+        from_ends(value, value)
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<Interval, E> {
+        self.visit_f64(value as f64)
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<Interval, E> {
+        self.visit_f64(value as f64)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, fields: A) -> Result<Interval, A::Error> {
+        let Ends { low, high } = Ends::deserialize(MapAccessDeserializer::new(fields))?;
+        from_ends(low, high)
+    }
+}
+
+fn from_ends<E: Error>(low: f64, high: f64) -> Result<Interval, E> {
+    Interval::new(low, high).ok_or_else(|| E::custom(format!("an interval from {low} to {high} has no members")))
 }

@@ -49,8 +49,11 @@ use num_traits::Signed;
 use serde::{Deserialize, Serialize};
 
 use crate::polynomial::Polynomial;
+use crate::work::Work;
 use crate::{Accepted, Rejection};
 
+/// What it takes for the longest numbers: the polynomials are always the same ones.
+const OPERATIONS: u64 = 50_000_000;
 /// Longest number that is read, in characters.
 const MOST_CHARACTERS: usize = 100;
 
@@ -79,7 +82,8 @@ pub struct Kernel {
 ///
 /// # Errors
 /// [`Rejection`] names the field that is no number or not positive, or the first case in which the proof fails.
-pub(crate) fn check(kernel: &Kernel) -> Result<Accepted, Rejection> {
+pub(crate) fn check(kernel: &Kernel, work: &Work) -> Result<Accepted, Rejection> {
+    work.spend(OPERATIONS)?;
     let positive = |field, text| match number(field, text)? {
         value if value.is_positive() => Ok(value),
         _ => Err(Rejection::invalid(field, "must be positive")),

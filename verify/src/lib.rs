@@ -10,7 +10,7 @@
 //! 5. [`kernel`]: from which states contact can be avoided for ever; [`polynomial`] is its arithmetic;
 //! 6. [`rate`]: what counted failures show;
 //! 7. [`reach`]: where a learned policy can take a whole box of starts;
-//! 8. [`certificate`]: the file.
+//! 8. [`certificate`]: the file; [`work`]: how long it may keep the checker busy.
 //!
 //! # What is claimed
 //! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test; behind them, perhaps, a follower
@@ -56,6 +56,7 @@
 //! ```
 
 pub mod avoidable;
+mod bounded;
 pub mod certificate;
 pub mod claim;
 pub mod interval;
@@ -65,6 +66,7 @@ pub mod polynomial;
 pub mod rate;
 pub mod reach;
 pub mod unavoidable;
+pub mod work;
 
 pub use certificate::{
     Assumption, Avoidable, Branch, Certificate, ParseError, Provenance, Rows, Statement, Unavoidable,
@@ -74,6 +76,8 @@ pub use interval::Interval;
 pub use kernel::Kernel;
 pub use rate::{Comparison, Rate, Registration};
 pub use reach::Reach;
+use work::Work;
+pub use work::WorkLimit;
 
 /// What has been proved.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -209,6 +213,12 @@ pub enum Rejection {
         /// What stands against it.
         problem: String,
     },
+    /// Checking takes more work than is allowed: nothing is said for or against the claim.
+    #[error("checking it takes more than {limit} operations, and no more are allowed")]
+    TooMuchWork {
+        /// What is allowed.
+        limit: WorkLimit,
+    },
     /// What was observed is not rare enough where the claim is false.
     #[error(
         "what was observed, or better, may have probability {tail:e} if the claim is false, and {allowed:e} is allowed"
@@ -230,7 +240,7 @@ impl Rejection {
 /// Checks a certificate that needs no other file.
 ///
 /// # Errors
-/// [`Rejection`] if it does not prove what it states.
+/// [`Rejection`] if it does not prove what it states, or that takes more than the default limit of work to find out.
 pub fn check(certificate: &Certificate) -> Result<Accepted, Rejection> {
     check_with(certificate, None)
 }
@@ -238,17 +248,26 @@ pub fn check(certificate: &Certificate) -> Result<Accepted, Rejection> {
 /// Checks a certificate, with the bytes of the policy file it speaks about.
 ///
 /// # Errors
-/// [`Rejection`] if it does not prove what it states.
+/// [`Rejection`] if it does not prove what it states, or that takes more than the default limit of work to find out.
 pub fn check_with(certificate: &Certificate, policy: Option<&[u8]>) -> Result<Accepted, Rejection> {
+    check_within(certificate, policy, WorkLimit::default())
+}
+
+/// The same with another limit of work.
+///
+/// # Errors
+/// [`Rejection`] if it does not prove what it states, or that takes more work to find out than is allowed.
+pub fn check_within(certificate: &Certificate, policy: Option<&[u8]>, limit: WorkLimit) -> Result<Accepted, Rejection> {
     if !certificate.lists_its_assumptions() {
         return Err(Rejection::Assumptions { needed: certificate.statement.assumptions() });
     }
+    let work = &Work::within(limit);
     match &certificate.statement {
-        Statement::Avoidable(claim) => avoidable::check(claim),
-        Statement::Unavoidable(claim) => unavoidable::check(claim),
-        Statement::Kernel(claim) => kernel::check(claim),
-        Statement::Rate(claim) => rate::check_rate(claim),
-        Statement::Comparison(claim) => rate::check_comparison(claim),
-        Statement::Reach(claim) => reach::check(claim, policy),
+        Statement::Avoidable(claim) => avoidable::check(claim, work),
+        Statement::Unavoidable(claim) => unavoidable::check(claim, work),
+        Statement::Kernel(claim) => kernel::check(claim, work),
+        Statement::Rate(claim) => rate::check_rate(claim, work),
+        Statement::Comparison(claim) => rate::check_comparison(claim, work),
+        Statement::Reach(claim) => reach::check(claim, policy, work),
     }
 }

@@ -23,16 +23,24 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::bounded;
+use crate::work::Work;
 use crate::{Accepted, Rejection};
 
 /// Most runs a certificate may speak about: evaluating its tail takes as many multiplications.
 pub const MOST_RUNS: u64 = 100_000_000;
+
+/// Most entries of a registered configuration.
+const MOST_ENTRIES: usize = 10_000;
+/// Operations for the factors and the term of one run.
+const A_RUN: u64 = 100;
 
 /// What was fixed before the first run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Registration {
     /// What was to be run: controllers, policy, space, seed, version. Nothing is concluded from it.
+    #[serde(deserialize_with = "bounded::map::<MOST_ENTRIES, _>")]
     pub configuration: BTreeMap<String, String>,
     /// n, the number of runs.
     pub runs: u64,
@@ -78,23 +86,25 @@ pub struct Comparison {
     pub only_second_failed: u64,
 }
 
-pub(crate) fn check_rate(claim: &Rate) -> Result<Accepted, Rejection> {
+pub(crate) fn check_rate(claim: &Rate, work: &Work) -> Result<Accepted, Rejection> {
     let registration = &claim.registration;
     check_registration(registration, &claim.registration_sha256)?;
     if !(claim.rate_at_most > 0.0 && claim.rate_at_most < 1.0) {
         return Err(Rejection::invalid("rate_at_most", "must be between 0 and 1"));
     }
+    work.spend(registration.runs.saturating_mul(A_RUN))?;
     check_rare(claim.failures, registration.runs, claim.rate_at_most, registration.confidence)?;
     Ok(Accepted::Rate { at_most: claim.rate_at_most, confidence: registration.confidence })
 }
 
-pub(crate) fn check_comparison(claim: &Comparison) -> Result<Accepted, Rejection> {
+pub(crate) fn check_comparison(claim: &Comparison, work: &Work) -> Result<Accepted, Rejection> {
     let registration = &claim.registration;
     check_registration(registration, &claim.registration_sha256)?;
     let differ = claim.only_first_failed.saturating_add(claim.only_second_failed);
     if differ > registration.runs {
         return Err(Rejection::invalid("only_first_failed", "and `only_second_failed` must not exceed the runs"));
     }
+    work.spend(differ.saturating_mul(A_RUN))?;
     check_rare(claim.only_first_failed, differ, 0.5, registration.confidence)?;
     Ok(Accepted::FailsLessOften { confidence: registration.confidence })
 }
@@ -118,11 +128,11 @@ fn check_rare(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<()
     if tail <= allowed { Ok(()) } else { Err(Rejection::TooLikely { tail, allowed }) }
 }
 
-/// An upper bound of F(k; n, p) for 0 < p < 1, within about n · 4e-16 of it.
+/// An upper bound of F(k; n, p) for 0 < p < 1, within about n · 4e-16 of it; 1 for more than [`MOST_RUNS`] runs.
 #[must_use]
 pub fn tail_at_most(failures: u64, runs: u64, rate: f64) -> f64 {
     let up = |rounded: f64| rounded.next_up();
-    if failures >= runs {
+    if failures >= runs || runs > MOST_RUNS {
         return 1.0;
     }
     let (k, n) = (failures, runs);

@@ -38,15 +38,20 @@
 use crate::certificate::{Branch, Rows, Unavoidable};
 use crate::claim::{Ego, Scene};
 use crate::interval::Interval;
+use crate::work::{OF_INTERVAL, Work};
 use crate::{Accepted, Rejection};
 
-/// Most branches times egos times instants.
-const MOST_WORK: u64 = 100_000_000;
+/// Operations for one instant and one vehicle in a branch.
+const AN_INSTANT: u64 = 20 * OF_INTERVAL;
 
-pub(crate) fn check(Unavoidable { scene, branches }: &Unavoidable) -> Result<Accepted, Rejection> {
+pub(crate) fn check(Unavoidable { scene, branches }: &Unavoidable, work: &Work) -> Result<Accepted, Rejection> {
     scene.check()?;
     check_tiling(scene, branches)?;
-    let mut overlaps_m = branches.iter().enumerate().map(|(index, branch)| check_branch(scene, branch, index));
+    let a_branch = scene.instants() * scene.vehicles() * AN_INSTANT;
+    let mut overlaps_m = branches.iter().enumerate().map(|(index, branch)| {
+        work.spend(a_branch)?;
+        check_branch(scene, branch, index)
+    });
     let overlap_m = overlaps_m.try_fold(f64::INFINITY, |least_m, overlap_m| Ok(overlap_m?.min(least_m)))?;
     Ok(Accepted::Unavoidable { overlap_m })
 }
@@ -68,10 +73,6 @@ pub fn check_branch(scene: &Scene, branch: &Branch, index: usize) -> Result<f64,
 
 /// The branches cover 0 to N, in order, each instant once; without a follower there is one.
 fn check_tiling(scene: &Scene, branches: &[Branch]) -> Result<(), Rejection> {
-    let work = (u64::from(scene.steps) + 1) * scene.egos.len() as u64 * branches.len() as u64;
-    if work > MOST_WORK {
-        return Err(Rejection::invalid("branches", "times egos times steps are too many to check"));
-    }
     let mut next = Some(0);
     for (index, &Branch { first, last, .. }) in branches.iter().enumerate() {
         if Some(first) != next || last < first || last > scene.steps {

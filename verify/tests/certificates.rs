@@ -140,7 +140,8 @@ fn files_that_are_no_certificates_say_where() {
         ("\"length_m\"", "\"position_m\"", "duplicate field"),
         ("\"steps\": 20", "\"steps\": 20.5", "expected u32"),
         ("\"steps\": 20", "\"steps\": -20", "expected u32"),
-        ("\"low\"", "\"lowest\"", "{\"low\": number, \"high\": number}"),
+        ("\"low\"", "\"lowest\"", "unknown field `lowest`, expected `low` or `high`"),
+        ("\"brake_mps2\": 6", "\"brake_mps2\": [6]", "{\"low\": number, \"high\": number}"),
     ] {
         assert!(text.contains(from), "{from}");
         let message = Certificate::from_json(&text.replacen(from, to, 1)).unwrap_err().to_string();

@@ -96,6 +96,7 @@ proptest! {
         let mut shifted = x.clone();
         shifted.shift(factor);
         prop_assert!(holds(&shifted, &(&of_x + exact(by))));
+        prop_assert!(holds(&x.joined(&y), &of_x) && holds(&x.joined(&y), &of_y));
         let mut wide = x.clone();
         wide.widen(by.abs());
         prop_assert!(holds(&wide, &(&of_x + exact(by))) && holds(&wide, &(&of_x - exact(by))));
@@ -111,6 +112,7 @@ proptest! {
         prop_assert!(exact(difference.radius()) <= rests.clone() * (BigRational::one() + exact(1e-9)) + rounding.clone());
         // A single number is itself.
         prop_assert_eq!(Form::constant(Interval::point(x.centre())).rest(), 0.0);
+        prop_assert_eq!(x.joined(&x), x.clone());
         // A symbol may take over what nobody shares: the set stays the same.
         let settled = x.clone().settled(SYMBOLS);
         prop_assert!((settled.radius() - x.radius()).abs() <= 1e-14 * x.radius());

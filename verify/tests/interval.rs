@@ -90,8 +90,8 @@ fn files_say_what_was_expected() {
         ("\"3\"", "a number or"),
         ("[1]", "a number or"),
         ("null", "a number or"),
-        ("{\"low\": 1}", "a number or"),
-        ("{\"low\": 1, \"high\": 2, \"middle\": 1.5}", "a number or"),
+        ("{\"low\": 1}", "missing field `high`"),
+        ("{\"low\": 1, \"high\": 2, \"middle\": 1.5}", "unknown field `middle`"),
         ("{\"low\": 2, \"high\": 1}", "no members"),
         ("1e400", "out of range"),
     ] {

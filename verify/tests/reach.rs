@@ -1,6 +1,8 @@
 //! What reach statements say of a box is true of each of its members.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub)]
 
+use crumple_verify::reach::actor::answer;
+use crumple_verify::reach::form::Form;
 use crumple_verify::reach::{Actor, Cell, Dimension, Doubt, Layer, Ranges, Reach, Scene, reach, reach_with_tube};
 use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, check, check_with};
 use proptest::prelude::*;
@@ -76,6 +78,32 @@ fn network(widths: &[usize], gain: f64, seed: u64) -> Actor {
     }
 }
 
+/// The reference policy with each hidden unit there several times, of which each copy counts as much less.
+fn widened(actor: &Actor, copies: usize) -> Actor {
+    let last = actor.layers.len() - 1;
+    let widen = |(index, layer): (usize, &Layer)| {
+        let (in_copies, out_copies) = (if index == 0 { 1 } else { copies }, if index == last { 1 } else { copies });
+        let (inputs, outputs) = (layer.inputs * in_copies, layer.outputs * out_copies);
+        let weight =
+            |i: usize, o: usize| layer.weights[i / in_copies * layer.outputs + o / out_copies] / in_copies as f64;
+        let weights = (0..inputs * outputs).map(|place| weight(place / outputs, place % outputs)).collect();
+        Layer { inputs, outputs, weights, biases: (0..outputs).map(|o| layer.biases[o / out_copies]).collect() }
+    };
+    Actor { layers: actor.layers.iter().enumerate().map(widen).collect(), ..actor.clone() }
+}
+
+/// A network in double precision, without what is done with its answer.
+fn forward(layers: &[Layer], seen: [f64; 8]) -> f64 {
+    let last = layers.len() - 1;
+    let answer = layers.iter().enumerate().fold(seen.to_vec(), |h, (index, layer)| {
+        let sum = |o: usize| {
+            layer.biases[o] + h.iter().zip(layer.weights.chunks(layer.outputs)).map(|(h, row)| h * row[o]).sum::<f64>()
+        };
+        (0..layer.outputs).map(|o| if index < last { sum(o).max(0.0) } else { sum(o) }).collect()
+    });
+    answer[0]
+}
+
 fn any_unit() -> impl Strategy<Value = [f64; 8]> {
     prop::array::uniform8(0.0..=1.0_f64)
 }
@@ -100,14 +128,44 @@ prop_compose! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(100))]
+    #![proptest_config(ProptestConfig::with_cases(1000))]
+
+    /// What a network answers to any member of a set of observations is where the form of its answer has it.
+    #[test]
+    fn a_network_s_answers_are_in_its_bounds(
+        depth in 1..4_usize, gain in 0.2..2.0_f64, seed: u64, radii in prop::array::uniform8(0.0..0.5_f64),
+        at in prop::collection::vec(prop::array::uniform8(-1.0..=1.0_f64), 10),
+    ) {
+        let mut numbers = Numbers(seed | 1);
+        let actor = network(&vec![12; depth], gain, seed);
+        // Eight numbers that share eight symbols.
+        let centre: [f64; 8] = std::array::from_fn(|_| numbers.signed());
+        let share: [[f64; 8]; 8] = std::array::from_fn(|i| std::array::from_fn(|_| radii[i] * numbers.signed()));
+        let forms: [Form; 8] = std::array::from_fn(|i| {
+            share[i].iter().enumerate().fold(Form::constant(Interval::point(centre[i])), |mut form, (symbol, &share)| {
+                form.add(&Form::symbol(symbol, between(-1.0, 1.0)), Interval::point(share));
+                form
+            })
+        });
+        let answer = answer(&actor.layers, &forms);
+        for at in at {
+            let seen = std::array::from_fn(|i| centre[i] + share[i].iter().zip(&at).map(|(s, at)| s * at).sum::<f64>());
+            let exact = forward(&actor.layers, seen);
+            let expected = answer.centre() + answer.terms().iter().zip(&at).map(|(term, at)| term * at).sum::<f64>();
+            prop_assert!((exact - expected).abs() <= answer.rest() + 1e-12, "{exact} {expected} {}", answer.rest());
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
 
     /// Whatever a network does, with and without a follower, through stops, fires and contacts: every number that is observed
     /// is inside the bounds at every decision, and no gap is ever below its bound.
     #[test]
     fn bounds_hold_whatever_happens(
         ranges in any_ranges(), seed: u64, gain in 0.2..1.2_f64, has_follower: bool,
-        places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 5, 10]),
+        places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 2, 5, 10]),
     ) {
         let actor = network(&[12, 9], gain, seed);
         let scene = Scene {
@@ -137,6 +195,20 @@ proptest! {
             }
         }
     }
+}
+
+/// An ego that stands from the start is among those whose follower fires: here it rolls up to two millimetres from it.
+#[test]
+fn who_stands_is_not_forgotten() {
+    let actor = network(&[12, 9], 0.2, 0);
+    let mut ranges = paper(0.0, 0.0);
+    for (dimension, value) in Dimension::ALL.into_iter().zip([0.004, 21.59, 18.6, 0.0, 5.397, 0.0, 0.0, 0.0]) {
+        *ranges.get_mut(dimension) = Interval::point(value);
+    }
+    let scene = Scene { steps: 400, decision_steps: 1, stop_at_doubt: false, ..scene(&actor, ranges) };
+    let (_, least) = simulate(&scene, member(&ranges, [0.0; 8]));
+    assert!(least[1] > 0.0 && least[1] < 0.01, "{least:?}");
+    assert!(!reach(&scene).touches);
 }
 
 /// Starts that come as close to contact as hill climbing finds; the smallest gap.
@@ -303,6 +375,39 @@ fn why_a_box_is_undecided_is_said() {
     assert!(matches!(reach(&scene(&actor, wide)).doubt, Some(Doubt::TooWide { step: 0 })));
 }
 
+/// A policy that decides at every step stops at hundreds of instants, of which none may open a case of its own.
+#[test]
+fn a_decision_at_every_step_is_bounded_as_well() {
+    let reference = Actor::from_bytes(&reference()).unwrap();
+    let wide = widened(&reference, 4);
+    for (actor, ranges) in [(&reference, paper(0.1, 0.02)), (&wide, paper(0.02, 0.0))] {
+        let scene = Scene { decision_steps: 1, stop_at_doubt: false, ..scene(actor, ranges) };
+        let begin = std::time::Instant::now();
+        let (reached, tube) = reach_with_tube(&scene);
+        println!("{:?}, {:?}", begin.elapsed(), reached.gaps_m);
+        assert_eq!(reached.doubt, None);
+        let (tube, mut numbers) = (tube.unwrap(), Numbers(5));
+        assert_eq!(tube.len(), 1501);
+        let mut found_m = [f64::INFINITY; 2];
+        for start in 0..40 {
+            let place = std::array::from_fn(|_| if start % 2 == 0 { numbers.unit() } else { numbers.unit().round() });
+            let (trace, least) = simulate(&scene, member(&ranges, place));
+            found_m = std::array::from_fn(|pair| found_m[pair].min(least[pair]));
+            for (bounds, seen) in tube.iter().zip(&trace) {
+                assert!(
+                    bounds
+                        .iter()
+                        .zip(seen)
+                        .all(|(bound, seen)| bound.low() - 1e-8 <= *seen && *seen <= bound.high() + 1e-8)
+                );
+            }
+        }
+        for (proved, found) in reached.gaps_m.into_iter().zip(found_m) {
+            assert!(proved <= found && found < proved + 0.5, "{proved} {found}");
+        }
+    }
+}
+
 /// One box of the reference policy, and of a network four times as wide; times are for optimised builds and idle machines.
 #[test]
 fn a_box_takes_a_fraction_of_a_second() {
@@ -328,7 +433,7 @@ proptest! {
     fn functions_of_forms_hold_the_values(
         centre in -6.0..6.0_f64, radii in prop::array::uniform3(0.0..2.0_f64), at in prop::array::uniform3(-1.0..=1.0_f64),
     ) {
-        use crumple_verify::reach::{form::Form, relax};
+        use crumple_verify::reach::relax;
         let mut form = Form::constant(Interval::point(centre));
         let mut value = centre;
         for (symbol, (radius, at)) in radii.into_iter().zip(at).enumerate() {

@@ -19,17 +19,19 @@
 //! one; libm's is within 2⁻²³ in tests. Each is added to ρ.
 //!
 //! # Rounding of these bounds
-//! Sums of up to 4096 products in double precision err by less than 10⁻¹² of the sum of the absolute values, which is added too.
+//! Sums of up to 8500 products in double precision err by less than 10⁻¹² of the sum of the absolute values, which is added too.
 
-use super::form::{Form, SLACK, up};
-use super::relax::{hyperbolic_tangent, rectified, rectifier};
+use super::bounds::{Bounds, Inputs};
+use super::form::{Form, SLACK};
+use super::relax::{hyperbolic_tangent, rectified};
 use crate::interval::Interval;
+use crate::work::{Work, WorkLimit};
 
 /// Numbers that are observed: gap ahead, gap behind, speed ahead, own, behind, acceleration ahead, own, behind.
 pub const OBSERVED: usize = 8;
 
 /// Rounding of single precision.
-const U: f64 = 1.0 / (1 << 24) as f64;
+pub(super) const U: f64 = 1.0 / (1 << 24) as f64;
 
 /// Assumed of the single-precision tanh: how far it is from the true one at most.
 pub const TANH_ERROR: f64 = 1.0 / (1 << 22) as f64;
@@ -66,29 +68,29 @@ pub struct Layer {
     pub biases: Vec<f64>,
 }
 
-/// Bounds of the numbers between two layers: one row of `width` factors (the Λᵢ and Eⱼ) for each.
-struct Bounds {
-    width: usize,
-    rows: Vec<f64>,
-    centre: Vec<f64>,
-    rho: Vec<f64>,
-    /// Excess of rectifiers of the last layer, not yet columns: (which number, radius).
-    excess: Vec<(usize, f64)>,
-}
-
-/// The observations as one matrix: `terms` has one row of eight for each symbol.
-struct Inputs {
-    terms: Vec<[f64; OBSERVED]>,
-    rest: [f64; OBSERVED],
-    radius: [f64; OBSERVED],
-}
-
 impl Actor {
+    /// How many bytes the bounds between two layers take at most.
+    pub(super) fn bytes_to_decide(&self) -> usize {
+        let mut width = OBSERVED;
+        let of_layer = |layer: &Layer| {
+            width += layer.outputs;
+            width.saturating_mul(layer.outputs)
+        };
+        // Those before a layer and those after it.
+        self.layers.iter().map(of_layer).max().unwrap_or(0).saturating_mul(2 * size_of::<f64>())
+    }
+
     /// The acceleration that is wanted for observations of which each may be off by `error`, in m/s².
     #[must_use]
     pub fn decide(&self, seen: &[Form; OBSERVED], error: &[f64; OBSERVED]) -> Form {
+        self.decide_within(seen, error, &Work::within(WorkLimit::NONE))
+    }
+
+    /// The same; any number at all where it takes too much work.
+    pub(super) fn decide_within(&self, seen: &[Form; OBSERVED], error: &[f64; OBSERVED], work: &Work) -> Form {
         let scaled: [Form; OBSERVED] = std::array::from_fn(|i| self.scaled(i, &seen[i], error[i]));
-        let mut tanh = hyperbolic_tangent(&answer(&self.layers, &scaled));
+        let answer = answer_within(&self.layers, &scaled, work).unwrap_or_else(Form::line);
+        let mut tanh = hyperbolic_tangent(&answer);
         tanh.widen(TANH_ERROR);
         let [low, high] = self.action_mps2.map(Interval::point);
         let half = Interval::point(0.5);
@@ -122,126 +124,30 @@ impl Actor {
 /// What the layers answer to inputs, rectified between layers, as a form in the inputs' symbols.
 #[must_use]
 pub fn answer(layers: &[Layer], inputs: &[Form; OBSERVED]) -> Form {
-    let symbols = inputs.iter().map(|form| form.terms().len()).max().unwrap_or(0);
-    let term = |symbol: usize, form: &Form| form.terms().get(symbol).copied().unwrap_or(0.0);
-    let matrix = Inputs {
-        terms: (0..symbols).map(|symbol| std::array::from_fn(|i| term(symbol, &inputs[i]))).collect(),
-        rest: std::array::from_fn(|i| inputs[i].rest()),
-        radius: std::array::from_fn(|i| inputs[i].radius()),
-    };
-    let identity = |i: usize| (0..OBSERVED).map(move |column| f64::from(u8::from(i == column)));
-    let mut bounds = Bounds {
-        width: OBSERVED,
-        rows: (0..OBSERVED).flat_map(identity).collect(),
-        centre: inputs.iter().map(Form::centre).collect(),
-        rho: vec![0.0; OBSERVED],
-        excess: Vec::new(),
-    };
+    answer_within(layers, inputs, &Work::within(WorkLimit::NONE)).unwrap_or_else(Form::line)
+}
+
+/// The same; none where it takes too much work, or the layers do not end in one number.
+fn answer_within(layers: &[Layer], inputs: &[Form; OBSERVED], work: &Work) -> Option<Form> {
+    let seen = Inputs::new(inputs);
+    let mut bounds = Bounds::of_inputs(inputs);
     for (index, layer) in layers.iter().enumerate() {
-        bounds = bounds.through(layer, &matrix);
+        if !work.may_do(bounds.operations(layer)) {
+            return None;
+        }
+        bounds = bounds.through(layer, &seen);
         if index + 1 < layers.len() {
-            bounds.rectify(&matrix);
+            bounds.rectify(&seen);
         }
     }
-    let ([centre], [rho]) = (bounds.centre.as_slice(), bounds.rho.as_slice()) else { return Form::line() };
+    let ([centre], [rho]) = (bounds.centre.as_slice(), bounds.rho.as_slice()) else { return None };
     let mut form = Form::constant(Interval::point(*centre));
-    let (on_inputs, on_excess) = bounds.rows.split_at(OBSERVED);
+    let (on_inputs, on_excess) = bounds.columns.split_at_checked(OBSERVED)?;
     for (input, &factor) in inputs.iter().zip(on_inputs) {
         let mut deviation = input.clone();
         deviation.shift(-Interval::point(input.centre()));
         form.add(&deviation, Interval::point(factor));
     }
     form.widen((on_excess.iter().map(|term| term.abs()).sum::<f64>() + rho) * (1.0 + SLACK));
-    form
-}
-
-fn weigh(sizes: &[f64; OBSERVED], slopes: &[f64; OBSERVED]) -> f64 {
-    sizes.iter().zip(slopes).map(|(size, slope)| size * slope.abs()).sum()
-}
-
-impl Inputs {
-    /// Largest |Σ Λᵢ (yᵢ - middle)|.
-    fn together(&self, slopes: &[f64; OBSERVED]) -> f64 {
-        let along = |terms: &[f64; OBSERVED]| (0..OBSERVED).map(|i| terms[i] * slopes[i]).sum::<f64>().abs();
-        self.terms.iter().map(along).sum::<f64>() + weigh(&self.rest, slopes) + 2.0 * SLACK * self.apart(slopes)
-    }
-
-    /// The same if the yᵢ had nothing in common.
-    fn apart(&self, slopes: &[f64; OBSERVED]) -> f64 {
-        weigh(&self.radius, slopes)
-    }
-}
-
-impl Bounds {
-    /// Λ and E of a number.
-    fn row(&self, number: usize) -> ([f64; OBSERVED], &[f64]) {
-        let (slopes, terms) = self.rows[number * self.width..(number + 1) * self.width].split_at(OBSERVED);
-        (std::array::from_fn(|i| slopes[i]), terms)
-    }
-
-    /// h W + b with what single and double precision may add.
-    fn through(&self, layer: &Layer, inputs: &Inputs) -> Self {
-        let (n, outputs) = (layer.inputs as f64 + 2.0, layer.outputs);
-        let relative = n * U / (1.0 - n * U) * (1.0 + 1e-6) + 2.0 * SLACK;
-        let width = self.width + self.excess.len();
-        let mut rows = vec![0.0; outputs * width];
-        let mut centre = layer.biases.clone();
-        let mut rho: Vec<f64> = layer.biases.iter().map(|bias| bias.abs() * relative + n * 1e-44).collect();
-        let mut excess = self.excess.iter().copied().zip(self.width..).peekable();
-        for input in 0..layer.inputs {
-            let weights = &layer.weights[input * outputs..(input + 1) * outputs];
-            let (slopes, terms) = self.row(input);
-            let new = excess.next_if(|((number, _), _)| *number == input);
-            let new_radius = new.map_or(0.0, |((_, radius), _)| radius);
-            let size = self.centre[input].abs()
-                + inputs.apart(&slopes)
-                + terms.iter().map(|term| term.abs()).sum::<f64>()
-                + new_radius
-                + self.rho[input];
-            if size == 0.0 {
-                continue;
-            }
-            let share = self.rho[input] + relative * size;
-            let row = &self.rows[input * self.width..(input + 1) * self.width];
-            for (output, &weight) in weights.iter().enumerate() {
-                centre[output] += weight * self.centre[input];
-                rho[output] += weight.abs() * share;
-                let target = &mut rows[output * width..(output + 1) * width];
-                for (to, from) in target.iter_mut().zip(row) {
-                    *to += weight * from;
-                }
-                if let Some(((_, radius), column)) = new {
-                    target[column] = weight * radius;
-                }
-            }
-        }
-        rho.iter_mut().for_each(|rho| *rho = up(*rho * (1.0 + SLACK)));
-        Self { width, rows, centre, rho, excess: Vec::new() }
-    }
-
-    /// max(0, ·) of each number.
-    fn rectify(&mut self, inputs: &Inputs) {
-        for number in 0..self.centre.len() {
-            let (slopes, terms) = self.row(number);
-            let (together, apart) = (inputs.together(&slopes), inputs.apart(&slopes));
-            let own = terms.iter().map(|term| term.abs()).sum::<f64>();
-            let radius = up((together + own + self.rho[number]) * (1.0 + SLACK));
-            let (low, high) = ((self.centre[number] - radius).next_down(), (self.centre[number] + radius).next_up());
-            if low >= 0.0 {
-                continue;
-            }
-            let row = &mut self.rows[number * self.width..(number + 1) * self.width];
-            if high <= 0.0 {
-                row.fill(0.0);
-                (self.centre[number], self.rho[number]) = (0.0, 0.0);
-                continue;
-            }
-            let (slope, excess) = rectifier(low, high);
-            row.iter_mut().for_each(|factor| *factor *= slope);
-            let size = self.centre[number].abs() + apart + own + excess;
-            self.centre[number] = self.centre[number] * slope + 0.5 * excess;
-            self.rho[number] = up(self.rho[number] * slope + SLACK * size);
-            self.excess.push((number, up(0.5 * excess)));
-        }
-    }
+    Some(form)
 }

@@ -47,6 +47,12 @@ impl Braking {
         Self { speed, rate, half_over_rate, onset, onset_range, mean_held_m }
     }
 
+    /// Whether all members have stood for a step at instant k: from then on nothing about them changes.
+    pub(super) fn has_stood(&self, k: u32, step: Interval) -> bool {
+        let since = Interval::point(f64::from(k) - 1.0) - self.onset_range;
+        since.low() >= 0.0 && (self.speed.range() - self.rate.range() * since * step).high() <= 0.0
+    }
+
     /// At instant k.
     pub(super) fn at(&self, k: u32, step: Interval) -> Seen {
         let k = f64::from(k);

@@ -8,9 +8,12 @@ use serde_json::Value;
 
 use super::actor::{Actor, Layer, OBSERVED};
 
-/// Deepest and widest network that is read: bounds on rounding rely on the width.
+/// Deepest and widest network that is read, and most numbers between its layers: bounds on rounding rely on the last two.
 const MOST_LAYERS: usize = 16;
 const WIDEST_LAYER: usize = 4096;
+const MOST_NUMBERS: usize = 8192;
+/// Longest header, in bytes: what is read of it takes some twenty times as many.
+const LONGEST_HEADER: usize = 1 << 20;
 
 #[derive(Deserialize)]
 struct Header {
@@ -43,11 +46,18 @@ impl Actor {
         let (length, rest) = bytes.split_first_chunk::<8>().ok_or("is too short")?;
         let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|error| error.to_string())?;
         let (listing, data) = rest.split_at_checked(length).ok_or("is shorter than it says")?;
+        if length > LONGEST_HEADER {
+            return Err("has too long a header".to_owned());
+        }
         let listing: Value = serde_json::from_slice(listing).map_err(|error| error.to_string())?;
         let text = listing.pointer("/__metadata__/crumple_policy").and_then(Value::as_str);
         let header: Header = serde_json::from_str(text.ok_or("describes no policy")?).map_err(|e| e.to_string())?;
         let sizes = [&[OBSERVED], header.hidden.as_slice(), &[1]].concat();
-        if sizes.len() > MOST_LAYERS + 2 || sizes.iter().any(|size| !(1..=WIDEST_LAYER).contains(size)) {
+        let numbers = header.hidden.iter().fold(0_usize, |sum, size| sum.saturating_add(*size));
+        if sizes.len() > MOST_LAYERS + 2
+            || numbers > MOST_NUMBERS
+            || sizes.iter().any(|size| !(1..=WIDEST_LAYER).contains(size))
+        {
             return Err("describes too large a network".to_owned());
         }
         let layers = sizes.windows(2).enumerate().map(|(index, pair)| {

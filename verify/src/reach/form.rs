@@ -6,12 +6,12 @@
 //! # Rounding
 //! An operation that changes terms computes each of them with at most three roundings. Each rounding of a result r errs by at
 //! most u |r| with u = 2⁻⁵³, or by less than 10⁻³⁰⁰ if it underflows. The sum of the |r| times 4u goes into `rest`, twice what is
-//! needed, which also pays for rounding that very sum. Sums of n ≤ 4096 numbers that are not negative err by less than
+//! needed, which also pays for rounding that very sum. Sums of n ≤ 8500 numbers that are not negative err by less than
 //! 10⁻¹² of themselves. A number that is not finite makes the form the whole line.
 
 use crate::interval::Interval;
 
-/// More than the relative error of a sum of 4096 products, (4096 + 2) 2⁻⁵³.
+/// More than the relative error of a sum of 8500 products, (8500 + 2) 2⁻⁵³.
 pub(super) const SLACK: f64 = 1e-12;
 
 /// An upper bound of a number that is not negative and was computed with at most five roundings.
@@ -161,6 +161,30 @@ impl Form {
     pub fn minus(mut self, other: &Self) -> Self {
         self.add(other, Interval::point(-1.0));
         self
+    }
+
+    /// A form that holds what either holds, for the same values of the symbols. Of each term it keeps what the two have in common, so
+    /// that its range is no wider than the ranges of both together.
+    #[must_use]
+    pub fn joined(&self, other: &Self) -> Self {
+        if self == other {
+            return self.clone();
+        }
+        let in_common = |(&a, &b): (&f64, &f64)| if a * b > 0.0 { a.abs().min(b.abs()).copysign(a) } else { 0.0 };
+        let terms = self.terms.iter().zip(&other.terms).map(in_common).collect();
+        let mut joined = Self { centre: 0.5 * self.centre + 0.5 * other.centre, terms, rest: 0.0 };
+        let beyond = |form: &Self| form.clone().minus(&joined).range();
+        joined.shift(beyond(self).hull(beyond(other)));
+        joined
+    }
+
+    /// Puts other terms in the place of those from a symbol on, and adds what may be any number from -`by` to `by`.
+    pub(super) fn replace(&mut self, from: usize, terms: impl Iterator<Item = f64>, by: f64) {
+        self.terms.resize(from, 0.0);
+        self.terms.extend(terms);
+        if by != 0.0 {
+            self.widen(by);
+        }
     }
 
     /// The product: (c + α)(d + β) = c (d + β) + d α + α β, where |α β| is at most the product of the radii.

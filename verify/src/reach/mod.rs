@@ -14,8 +14,9 @@
 //! | cut of observations at the limit | two rectifiers | nothing while no member is cut |
 //! | single and double precision | bounds of each sum, from the weights | about 10⁻⁵ m/s² |
 //! | products (braking rate and time) | product of the radii | second order |
-//! | standing or not | one set for each decision interval in which some stop | some centimetres |
-//! | which instant the follower fires at | one set for each decision interval in which it may, the instant a symbol | little |
+//! | standing or not | a set for those who move and one for those who stand, joined at each decision | some centimetres |
+//! | which instant the follower fires at | a run for each decision interval in which it may, the instant a symbol | little |
+//! | what decisions long past were off by | symbols that act alike become one | next to nothing |
 //! | inside a decision interval | m (D h)²/8 off the smaller gap at its ends | about 2 cm |
 //!
 //! # What is not covered
@@ -25,21 +26,29 @@
 //! simulator in double precision rounds.
 
 pub mod actor;
+mod bounds;
 pub mod braking;
 mod container;
 pub mod drive;
 pub mod form;
+mod members;
 mod ranges;
 pub mod relax;
+mod window;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::bounded;
+use crate::work::Work;
 use crate::{Accepted, Rejection};
 pub use actor::{Actor, Layer, OBSERVED};
+use drive::reach_within;
 pub use drive::{Scene, Tube, reach, reach_with_tube};
 pub use ranges::{Dimension, Ranges};
 
+/// Most bytes that all threads together take for what is between two layers.
+const MOST_BYTES: usize = 256 << 20;
 /// Most cells of a partition, and most cuts of one cell.
 const MOST_CELLS: usize = 2_000_000;
 const MOST_CUTS: usize = 48;
@@ -66,6 +75,7 @@ pub struct Reach {
     /// The box.
     pub ranges: Ranges,
     /// How it is cut: a cut is followed by all of its lower half, then all of its upper half.
+    #[serde(deserialize_with = "bounded::list::<MOST_CELLS, _, _>")]
     pub partition: Vec<Cell>,
     /// Share of the box's volume in which nobody touches.
     pub verified_share_at_least: f64,
@@ -109,7 +119,7 @@ pub enum Doubt {
         /// When.
         step: u32,
     },
-    /// Too many cases have to be told apart: in which interval the follower fires, and the ego stops.
+    /// The follower may fire in too many intervals.
     #[error("too many cases have to be told apart at step {step}")]
     TooManySets {
         /// When.
@@ -204,7 +214,7 @@ pub(crate) fn digest(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>) -> Result<Accepted, Rejection> {
+pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>, work: &Work) -> Result<Accepted, Rejection> {
     let policy = policy.ok_or_else(|| Rejection::Policy { problem: "is not there".to_owned() })?;
     let found = digest(policy);
     if found != claim.policy_sha256 {
@@ -213,7 +223,9 @@ pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>) -> Result<Accepted, Re
     let actor = Actor::from_bytes(policy).map_err(|problem| Rejection::Policy { problem })?;
     let scene = claim.scene(&actor)?;
     let leaves = claim.leaves()?;
-    let verdicts = judged(&scene, &leaves);
+    let verdicts = judged(&scene, &leaves, work);
+    // Whether it was too much does not depend on which thread was first to notice.
+    work.spend(0)?;
     let (mut verified_share, mut falsified_share, mut smallest_gap_m) = (0.0, 0.0, f64::INFINITY);
     for (index, (&(cell, _, share), verdict)) in leaves.iter().zip(verdicts).enumerate() {
         let gap_m = verdict.map_err(|problem| Rejection::Leaf { leaf: index, problem })?;
@@ -236,9 +248,10 @@ pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>) -> Result<Accepted, Re
 }
 
 /// For each leaf the smallest gap that is proved, or what stands against it; on all cores, in order.
-fn judged(scene: &Scene<'_>, leaves: &[(Cell, Ranges, f64)]) -> Vec<Result<f64, String>> {
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let judge = |(cell, ranges, _): &(Cell, Ranges, f64)| judge(scene, cell, ranges);
+fn judged(scene: &Scene<'_>, leaves: &[(Cell, Ranges, f64)], work: &Work) -> Vec<Result<f64, String>> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = cores.min(MOST_BYTES / scene.actor.bytes_to_decide().max(1)).max(1);
+    let judge = |(cell, ranges, _): &(Cell, Ranges, f64)| judge(scene, cell, ranges, work);
     std::thread::scope(|scope| {
         let parts = leaves.chunks(leaves.len().div_ceil(threads).max(1));
         let parts: Vec<_> = parts.map(|part| scope.spawn(move || part.iter().map(judge).collect::<Vec<_>>())).collect();
@@ -247,16 +260,16 @@ fn judged(scene: &Scene<'_>, leaves: &[(Cell, Ranges, f64)]) -> Vec<Result<f64, 
     })
 }
 
-fn judge(scene: &Scene<'_>, cell: &Cell, ranges: &Ranges) -> Result<f64, String> {
+fn judge(scene: &Scene<'_>, cell: &Cell, ranges: &Ranges, work: &Work) -> Result<f64, String> {
     match cell {
         Cell::Verified => {
-            let reached = reach(&Scene { ranges: *ranges, ..scene.clone() });
+            let reached = reach_within(&Scene { ranges: *ranges, ..scene.clone() }, work);
             let gap_m = reached.gaps_m[0].min(reached.gaps_m[1]);
             reached.doubt.map_or(Ok(gap_m), |doubt| Err(doubt.to_string()))
         }
         Cell::Falsified(point) => {
             let ranges = ranges.at(point).ok_or("the point is not in it")?;
-            let reached = reach(&Scene { ranges, stop_at_doubt: false, ..scene.clone() });
+            let reached = reach_within(&Scene { ranges, stop_at_doubt: false, ..scene.clone() }, work);
             if reached.touches { Ok(f64::INFINITY) } else { Err("the point is not shown to touch".to_owned()) }
         }
         Cell::Undecided | Cell::Cut(_) => Ok(f64::INFINITY),

@@ -29,7 +29,13 @@ fn line(x: &Form, slope: f64, low: f64, high: f64) -> Form {
 /// max(0, x).
 #[must_use]
 pub fn rectified(x: &Form) -> Form {
-    let (low, high) = (x.range().low(), x.range().high());
+    rectified_above(x, f64::NEG_INFINITY)
+}
+
+/// max(0, x) for those x that are at least `floor`, which is not positive; anything for the others.
+#[must_use]
+pub(super) fn rectified_above(x: &Form, floor: f64) -> Form {
+    let (low, high) = (x.range().low().max(floor), x.range().high());
     if low >= 0.0 {
         return x.clone();
     }
@@ -112,15 +118,16 @@ pub fn hyperbolic_tangent(z: &Form) -> Form {
         -least_on_tangent(|z| -tanh(z.low()), steepness, -slope, touch, [a, b])
     };
     let at = |end: f64, value: Interval| value - Interval::point(slope) * Interval::point(end);
-    let (at_low, at_high) = (at(low, at_low), at(high, at_high));
-    let mut bounds = at_low.hull(at_high);
+    let mut bounds = at(low, at_low).hull(at(high, at_high));
     if high > 0.0 {
         bounds = bounds.hull(Interval::point(most(low.max(0.0), high)));
     }
     if low < 0.0 {
         bounds = bounds.hull(Interval::point(-most((-high).max(0.0), -low)));
     }
-    line(z, slope, bounds.low(), bounds.high())
+    let line = line(z, slope, bounds.low(), bounds.high());
+    // A line that leaves what tanh can be says less than that.
+    if line.radius() < 1.0 { line } else { Form::constant(at_low.hull(at_high)) }
 }
 
 /// tanh of a number.

@@ -1,0 +1,62 @@
+//! Lists in a file that are no longer than what they are about: an empty list takes two characters there and twenty-four bytes
+//! in memory, so that the length of the file alone is not enough of a bound.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor};
+
+/// A list of at most `N` entries.
+pub(crate) fn list<'de, const N: usize, D: Deserializer<'de>, T: Deserialize<'de>>(
+    from: D,
+) -> Result<Vec<T>, D::Error> {
+    from.deserialize_seq(List::<N, T>(PhantomData))
+}
+
+/// A map of at most `N` entries.
+pub(crate) fn map<'de, const N: usize, D: Deserializer<'de>>(from: D) -> Result<BTreeMap<String, String>, D::Error> {
+    from.deserialize_map(Map::<N>)
+}
+
+struct List<const N: usize, T>(PhantomData<T>);
+
+struct Map<const N: usize>;
+
+impl<'de, const N: usize, T: Deserialize<'de>> Visitor<'de> for List<N, T> {
+    type Value = Vec<T>;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "a list of at most {N} entries")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut entries: A) -> Result<Self::Value, A::Error> {
+        let mut list = Vec::new();
+        while let Some(entry) = entries.next_element()? {
+            if list.len() == N {
+                return Err(A::Error::invalid_length(N + 1, &self));
+            }
+            list.push(entry);
+        }
+        Ok(list)
+    }
+}
+
+impl<'de, const N: usize> Visitor<'de> for Map<N> {
+    type Value = BTreeMap<String, String>;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "at most {N} names with a text each")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Self::Value, A::Error> {
+        let mut map = BTreeMap::new();
+        while let Some((name, text)) = entries.next_entry()? {
+            map.insert(name, text);
+            if map.len() > N {
+                return Err(A::Error::invalid_length(N + 1, &self));
+            }
+        }
+        Ok(map)
+    }
+}

@@ -1,0 +1,158 @@
+//! Bounds of the numbers between the layers of a network: see [`actor`](super::actor).
+
+use super::actor::{Layer, OBSERVED, U};
+use super::form::{Form, SLACK, up};
+use super::relax::rectifier;
+
+/// The observations as matrices: a row of as many numbers as there are symbols for each of the eight.
+pub(super) struct Inputs {
+    symbols: usize,
+    terms: Vec<f64>,
+    rest: [f64; OBSERVED],
+    radius: [f64; OBSERVED],
+}
+
+/// The Λᵢ and Eⱼ of all numbers, the middles, and ρ.
+pub(super) struct Bounds {
+    /// One after the other the Λᵢ of all numbers, then the Eⱼ of all numbers.
+    pub(super) columns: Vec<f64>,
+    pub(super) centre: Vec<f64>,
+    pub(super) rho: Vec<f64>,
+    /// Excess of rectifiers of the last layer, not yet columns: (which number, radius), in order.
+    excess: Vec<(usize, f64)>,
+}
+
+impl Inputs {
+    pub(super) fn new(inputs: &[Form; OBSERVED]) -> Self {
+        let symbols = inputs.iter().map(|form| form.terms().len()).max().unwrap_or(0);
+        let row =
+            |form: &Form| form.terms().iter().copied().chain(std::iter::repeat(0.0)).take(symbols).collect::<Vec<_>>();
+        Self {
+            symbols,
+            terms: inputs.iter().flat_map(row).collect(),
+            rest: inputs.each_ref().map(Form::rest),
+            radius: inputs.each_ref().map(Form::radius),
+        }
+    }
+
+    /// Largest |Σ Λᵢ (yᵢ - middle)|, if the same with nothing in common between the yᵢ is `apart`.
+    fn together(&self, slopes: &[f64; OBSERVED], apart: f64) -> f64 {
+        let mut sums = vec![0.0; self.symbols];
+        for (row, &slope) in self.terms.chunks_exact(self.symbols.max(1)).zip(slopes) {
+            add_scaled(&mut sums, row, slope);
+        }
+        let rest: f64 = self.rest.iter().zip(slopes).map(|(rest, slope)| rest * slope.abs()).sum();
+        sums.iter().map(|sum| sum.abs()).sum::<f64>() + rest + 2.0 * SLACK * apart
+    }
+}
+
+impl Bounds {
+    /// Each input is itself.
+    pub(super) fn of_inputs(inputs: &[Form; OBSERVED]) -> Self {
+        let identity = |i: usize| (0..OBSERVED).map(move |number| f64::from(u8::from(i == number)));
+        Self {
+            columns: (0..OBSERVED).flat_map(identity).collect(),
+            centre: inputs.iter().map(Form::centre).collect(),
+            rho: vec![0.0; OBSERVED],
+            excess: Vec::new(),
+        }
+    }
+
+    fn width(&self) -> usize {
+        self.columns.len() / self.centre.len().max(1)
+    }
+
+    /// What a layer costs, more or less.
+    pub(super) fn operations(&self, layer: &Layer) -> u64 {
+        let width = (self.width() + self.excess.len()) as u64;
+        let alive = self.centre.iter().filter(|&&centre| centre != 0.0).count() as u64;
+        alive * layer.outputs as u64 * (width + 2) + 1000
+    }
+
+    /// For each number the largest |Σ Λᵢ (yᵢ - middle)| if the yᵢ had nothing in common, and the largest |Σ Eⱼ ηⱼ|.
+    fn sizes(&self, inputs: &Inputs) -> (Vec<f64>, Vec<f64>) {
+        let numbers = self.centre.len();
+        let (mut apart, mut own) = (vec![0.0; numbers], vec![0.0; numbers]);
+        for (index, column) in self.columns.chunks_exact(numbers.max(1)).enumerate() {
+            match inputs.radius.get(index) {
+                Some(radius) => apart.iter_mut().zip(column).for_each(|(sum, slope)| *sum += radius * slope.abs()),
+                None => own.iter_mut().zip(column).for_each(|(sum, term)| *sum += term.abs()),
+            }
+        }
+        (apart, own)
+    }
+
+    /// h W + b with what single and double precision may add.
+    pub(super) fn through(&self, layer: &Layer, inputs: &Inputs) -> Self {
+        let (n, numbers, outputs) = (layer.inputs as f64 + 2.0, self.centre.len(), layer.outputs.max(1));
+        let relative = n * U / (1.0 - n * U) * (1.0 + 1e-6) + 2.0 * SLACK;
+        let width = self.width();
+        let (apart, own) = self.sizes(inputs);
+        let mut columns = vec![0.0; outputs * (width + self.excess.len())];
+        let (dense, sparse) = columns.split_at_mut(outputs * width);
+        let mut sparse = sparse.chunks_exact_mut(outputs);
+        let mut centre = layer.biases.clone();
+        let mut rho: Vec<f64> = layer.biases.iter().map(|bias| bias.abs() * relative + n * 1e-44).collect();
+        let mut excess = self.excess.iter().peekable();
+        for (input, weights) in layer.weights.chunks_exact(outputs).take(numbers).enumerate() {
+            let new = excess.next_if(|(number, _)| *number == input).map(|(_, radius)| *radius);
+            let size = self.centre[input].abs() + apart[input] + own[input] + new.unwrap_or(0.0) + self.rho[input];
+            if size == 0.0 {
+                continue;
+            }
+            let share = self.rho[input] + relative * size;
+            add_scaled(&mut centre, weights, self.centre[input]);
+            rho.iter_mut().zip(weights).for_each(|(rho, weight)| *rho += weight.abs() * share);
+            for (to, from) in dense.chunks_exact_mut(outputs).zip(self.columns.chunks_exact(numbers)) {
+                if from[input] != 0.0 {
+                    add_scaled(to, weights, from[input]);
+                }
+            }
+            if let Some(radius) = new
+                && let Some(to) = sparse.next()
+            {
+                add_scaled(to, weights, radius);
+            }
+        }
+        rho.iter_mut().for_each(|rho| *rho = up(*rho * (1.0 + SLACK)));
+        Self { columns, centre, rho, excess: Vec::new() }
+    }
+
+    /// max(0, ·) of each number.
+    pub(super) fn rectify(&mut self, inputs: &Inputs) {
+        let numbers = self.centre.len();
+        let (apart, own) = self.sizes(inputs);
+        for number in 0..numbers {
+            let within = |by: f64| {
+                let radius = up((by + own[number] + self.rho[number]) * (1.0 + SLACK));
+                ((self.centre[number] - radius).next_down(), (self.centre[number] + radius).next_up())
+            };
+            let (mut low, mut high) = within(apart[number]);
+            if low < 0.0 && high > 0.0 {
+                let slopes = std::array::from_fn(|i| self.columns[i * numbers + number]);
+                (low, high) = within(inputs.together(&slopes, apart[number]));
+            }
+            if low >= 0.0 {
+                continue;
+            }
+            let dies = high <= 0.0;
+            let (slope, excess) = if dies { (0.0, 0.0) } else { rectifier(low, high) };
+            let size = self.centre[number].abs() + apart[number] + own[number] + excess;
+            for factor in self.columns.iter_mut().skip(number).step_by(numbers) {
+                *factor = if dies { 0.0 } else { *factor * slope };
+            }
+            if dies {
+                (self.centre[number], self.rho[number]) = (0.0, 0.0);
+                continue;
+            }
+            self.centre[number] = self.centre[number] * slope + 0.5 * excess;
+            self.rho[number] = up(self.rho[number] * slope + SLACK * size);
+            self.excess.push((number, up(0.5 * excess)));
+        }
+    }
+}
+
+/// Adds numbers times a factor.
+fn add_scaled(to: &mut [f64], from: &[f64], factor: f64) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to += factor * from);
+}
