@@ -26,15 +26,15 @@
 //! simulator in double precision rounds.
 
 pub mod actor;
-mod bounds;
+pub mod bounds;
 pub mod braking;
 mod container;
 pub mod drive;
 pub mod form;
-mod members;
+pub mod members;
 mod ranges;
 pub mod relax;
-mod window;
+pub mod window;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
