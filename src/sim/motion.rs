@@ -178,6 +178,15 @@ mod tests {
         assert!((closest_m - 0.875).abs() < 1e-12, "{closest_m}");
     }
 
+    #[test]
+    fn calm_steps_are_waved_through() {
+        let (far_m, dt_s) = (50.0, 0.01);
+        assert!(!needs_care(far_m, [20.0, 20.0], [1.0, 1.0], dt_s), "closing throughout");
+        assert!(!needs_care(far_m, [20.0, 20.0], [-1.0, -1.0], dt_s), "opening throughout");
+        assert!(!needs_care(far_m, [20.0, 20.0], [-1.0, 1.0], dt_s), "farthest inside");
+        assert!(needs_care(far_m, [20.0, 20.0], [1.0, -1.0], dt_s), "closest inside");
+    }
+
     proptest! {
         /// Brute force over a fine grid brackets the root and the smallest gap.
         #[test]

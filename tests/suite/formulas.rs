@@ -1,7 +1,7 @@
 //! How runs are measured, and formulas over them.
 
-use crumple::measure::stl::{Formula, SyntaxProblem, motion_signal_names, motion_signals};
-use crumple::sim::AfterContact;
+use crumple::measure::stl::{Formula, Signals, SyntaxProblem, motion_signal_names, motion_signals, naive_robustness};
+use crumple::sim::{AfterContact, Trace, Track};
 use crumple::trial::any_formula;
 use proptest::prelude::*;
 
@@ -14,12 +14,39 @@ proptest! {
     #[test]
     fn a_formula_is_followed_by_nothing(
         bytes in prop::collection::vec(any::<u8>(), 0..80),
-        more in prop::sample::select(vec![")", "x > 0", "]", "1"]),
+        (more, found) in prop::sample::select(vec![(")", "`)`"), ("x > 0", "`x`"), ("]", "`]`"), ("1", "1")]),
     ) {
         let formula = any_formula(&bytes, &["x", "y"], 0.1).unwrap().to_string();
         let error = format!("({formula}) {more}").parse::<Formula>().expect_err("more than a formula");
         prop_assert_eq!(error.column, formula.chars().count() + 4);
         prop_assert!(matches!(error.problem, SyntaxProblem::Expected { .. }), "{}", error.problem);
+        prop_assert!(error.problem.to_string().ends_with(&format!("found {found}")), "{}", error.problem);
+    }
+
+    /// A number is what it is anywhere else, exponent and its sign included.
+    #[test]
+    fn numbers_are_read_as_written(number in "[0-9]{1,3}(\\.[0-9]{0,3})?([eE][+-]?[0-9]{1,2})?") {
+        let Formula::Compare(comparison) = format!("x > {number}").parse().unwrap() else { panic!("no comparison") };
+        prop_assert_eq!(comparison.bound(), number.parse::<f64>().unwrap());
+    }
+
+    /// Windows that begin late in a trace that is worked on in pieces.
+    #[test]
+    fn long_traces_are_monitored_as_the_definition_says(
+        samples in 1500..2600_usize,
+        formula in prop::sample::select(vec![
+            "eventually[5, 12] (always[0, 1] (x + 0.5 * y > 0.2))",
+            "always[11, 14] ((x > 0.5) or (y < 0.1))",
+            "(x < 0.9) until[4, 11] (eventually[0, 2] (y > 0.9))",
+        ]),
+        [rate, other] in prop::array::uniform2(0.001..0.1_f64),
+    ) {
+        let mut signals = Signals::new(0.01, samples).unwrap();
+        for (name, rate) in [("x", rate), ("y", other)] {
+            signals.insert(name, (0..samples).map(|k| (rate * k as f64).sin()).collect::<Vec<f64>>()).unwrap();
+        }
+        let formula: Formula = formula.parse().unwrap();
+        prop_assert_eq!(formula.robustness(&signals).unwrap(), naive_robustness(&formula, &signals, 0).unwrap());
     }
 
     /// Vehicles that stick together are at distance zero, exactly: "never apart again" must not be decided by rounding.
@@ -37,5 +64,67 @@ proptest! {
             let mut after = trace.time_s.iter().zip(gaps_m).filter(|(t, _)| **t > impact.contact.time_s + 1e-9);
             prop_assert!(after.all(|(_, gap_m)| *gap_m == 0.0), "{impact:?}: {gaps_m:?}");
         }
+    }
+}
+
+/// Positions of a trace from elsewhere are rounded: a gap next to nothing is none.
+#[test]
+fn rounding_opens_no_gap() {
+    let track = |position_m: [f64; 3]| Track {
+        length_m: 2.0,
+        mass_kg: 1.0,
+        position_m: position_m.to_vec(),
+        speed_mps: vec![1.0; 3],
+        acceleration_mps2: vec![0.0; 3],
+    };
+    let vehicles = vec![track([5.0; 3]), track([3.0 - 1e-10, 3.0 + 1e-10, 2.999])];
+    let trace = Trace { time_s: vec![0.0, 0.1, 0.2], vehicles };
+    let signals = motion_signals(&trace, 0.1, &["v1.gap_m"]).unwrap();
+    let gaps_m = signals.get("v1.gap_m").unwrap();
+    assert_eq!(gaps_m[..2], [0.0, 0.0]);
+    assert!((gaps_m[2] - 0.001).abs() < 1e-12);
+}
+
+/// Where both sides are equal the robustness is zero, and strictness decides.
+#[test]
+fn equality_satisfies_what_is_not_strict() {
+    let mut signals = Signals::new(0.1, 1).unwrap();
+    signals.insert("x", vec![1.0]).unwrap();
+    let cases = [
+        ("x > 1", false),
+        ("x >= 1", true),
+        ("x < 1", false),
+        ("x <= 1", true),
+        ("not x > 1", true),
+        ("not x <= 1", false),
+    ];
+    for (text, holds) in cases {
+        let formula: Formula = text.parse().unwrap();
+        assert_eq!(formula.robustness(&signals).unwrap(), 0.0, "{text}");
+        assert_eq!(formula.is_satisfied(&signals).unwrap(), holds, "{text}");
+    }
+}
+
+/// A sum that is no number is told with its time, and the definition tells the same.
+#[test]
+fn what_is_undefined_is_told_with_its_time() {
+    let mut signals = Signals::new(0.1, 10).unwrap();
+    for name in ["x", "y"] {
+        let samples: Vec<f64> = (0..10).map(|k| if k == 7 { f64::INFINITY } else { 0.0 }).collect();
+        signals.insert(name, samples).unwrap();
+    }
+    let formula: Formula = "always (x - y >= 0)".parse().unwrap();
+    let error = formula.robustness(&signals).unwrap_err().to_string();
+    assert_eq!(naive_robustness(&formula, &signals, 0).unwrap_err().to_string(), error);
+    assert!(error.contains("0.7"), "{error}");
+}
+
+/// Two relations or two untils in a row could be read in two ways.
+#[test]
+fn two_in_a_row_are_refused() {
+    for (text, column) in [("0 < x < 1", 7), ("(x > 0) until (x > 1) until (x > 2)", 23)] {
+        let error = text.parse::<Formula>().unwrap_err();
+        assert!(matches!(error.problem, SyntaxProblem::Chained), "{text}: {error}");
+        assert_eq!(error.column, column, "{text}");
     }
 }

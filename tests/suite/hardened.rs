@@ -100,3 +100,16 @@ fn the_hardened_policy_is_known_by_name() {
     let found = Contender::find("hardened", Path::new("")).unwrap();
     assert_eq!(found.policy().unwrap().digest(), sha256(Policy::hardened_bytes()));
 }
+
+/// A shield is not learned, and what it guards may be.
+#[test]
+fn what_is_learned_has_a_policy_behind_a_shield_too() {
+    let digest = |name: &str| Contender::find(name, Path::new("")).unwrap().policy().map(|policy| policy.digest());
+    let reference = Some(Policy::reference().digest());
+    for name in ["policy", "shield:policy", "shield,ahead=7.5,gap-error=0:policy", "shield:shield:policy"] {
+        assert_eq!(digest(name), reference, "{name}");
+    }
+    for name in ["baseline", "idm", "shield:match-leader", "full-throttle"] {
+        assert_eq!(digest(name), None, "{name}");
+    }
+}

@@ -163,6 +163,21 @@ proptest! {
         prop_assert_eq!(result.outcome, Outcome::NoCollision);
     }
 
+    /// Whoever never brakes by itself brakes when its shield says so, and never else.
+    #[test]
+    fn interventions_are_told_step_by_step(chase in chase(false)) {
+        let scenario = chase.scenario();
+        let controller = shielded(Stress::FullThrottle.into(), ShieldSettings::default());
+        let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
+        let result = simulate(&Run::new(&scenario, options).unwrap(), Keep::Trace);
+        let trace = result.trace.unwrap();
+        for (k, at_s) in trace.time_s.iter().enumerate().take(scenario.steps()) {
+            let told = result.interventions.iter().any(|one| one.from_s < at_s + 1e-6 && *at_s < one.to_s - 1e-6);
+            let accel_mps2 = trace.vehicles[1].acceleration_mps2[k];
+            prop_assert_eq!(accel_mps2 <= 0.0, told, "{} m/s² at {} s: {:?}", accel_mps2, at_s, result.interventions);
+        }
+    }
+
     /// Both engines make the same of a shield.
     #[test]
     fn engines_agree_about_shields(chases in prop::collection::vec(chase(true), 2..6)) {
@@ -252,4 +267,40 @@ fn a_conflict_with_the_vehicle_behind_is_reported() {
     let result = with_truth(&scenario, shielded(Stress::FullThrottle.into(), ShieldSettings::default()));
     assert!(result.outcome.contact().is_some_and(|contact| contact.rear_vehicle == 2), "{:?}", result.outcome);
     assert!(result.interventions.iter().any(|one| one.rear_conflict && one.vehicle == 1));
+}
+
+/// The vehicle behind needs its reaction time and its way to stop, and no more.
+#[test]
+fn a_vehicle_far_behind_is_no_conflict() {
+    let conflict = |behind_m: f64, speed_mps: f64| {
+        let scenario = crumple::scenario::built_in("paper-1").unwrap().edited(|spec| {
+            spec.vehicles[2].position_m = spec.vehicles[1].position_m - behind_m;
+            spec.vehicles[2].speed_mps = speed_mps;
+            (spec.vehicles[2].reaction_delay_s, spec.vehicles[2].actuator_delay_s) = (0.3, 0.1);
+        });
+        let result = with_truth(&scenario.unwrap(), shielded(Stress::FullThrottle.into(), ShieldSettings::default()));
+        assert!(!result.interventions.is_empty());
+        result.interventions.iter().any(|one| one.rear_conflict)
+    };
+    assert!(conflict(10.0, 25.0) && !conflict(250.0, 8.0));
+}
+
+/// What the filter may be wrong by grows with what the vehicle ahead may do, and noise may make it brake harder.
+#[test]
+fn a_livelier_vehicle_ahead_is_kept_farther_away() {
+    let first_s = |accel_mps2: f64, noise_mps2: f64| {
+        let scenario = crumple::scenario::built_in("paper-1").unwrap().edited(|spec| {
+            spec.vehicles[0].max_accel_mps2 = Some(accel_mps2);
+            spec.vehicles[0].acceleration_noise_mps2 = noise_mps2;
+            spec.vehicles[1].position_m -= 30.0;
+            spec.vehicles.truncate(2);
+        });
+        let settings = ShieldSettings { ahead_brake_mps2: Some(6.0), errors: None };
+        let options = RunOptions::new(shielded(Stress::FullThrottle.into(), settings));
+        let scenario = scenario.unwrap();
+        let result = simulate(&Run::new(&scenario, options).unwrap(), Keep::Summary);
+        result.interventions.first().expect("it has to brake").from_s
+    };
+    let (calm_s, lively_s, noisy_s) = (first_s(1.0, 0.0), first_s(8.0, 0.0), first_s(1.0, 0.2));
+    assert!(lively_s < calm_s && noisy_s < calm_s, "{lively_s} {noisy_s} {calm_s}");
 }

@@ -246,7 +246,7 @@ fn verified_boxes_survive_search() {
     let mut other = paper(0.1, 0.05);
     (other.gap_ahead_m, other.gap_behind_m) = (between(18.0, 18.3), between(17.0, 17.2));
     (other.follower_speed_mps, other.onset_steps) = (between(24.0, 24.1), between(120.0, 123.5));
-    for ranges in [paper(0.5, 0.1), light, other] {
+    for (ranges, least_m) in [(paper(0.5, 0.1), 1.8), (light, 2.7), (other, 1.75)] {
         let scene = scene(&actor, ranges);
         let reached = reach(&scene);
         assert_eq!(reached.doubt, None);
@@ -254,7 +254,7 @@ fn verified_boxes_survive_search() {
         let found_m = attacked(&scene, 10_000, 1000, 9);
         println!("proved {proved_m:.3} m, found {found_m:.3} m");
         assert!(found_m >= proved_m, "{found_m} {reached:?}");
-        assert!(found_m < proved_m + 2.0, "the bound is not idle: {found_m} {proved_m}");
+        assert!(proved_m > least_m, "the bound is not idle: {found_m} {proved_m}");
     }
 }
 

@@ -254,3 +254,22 @@ proptest! {
         }
     }
 }
+
+/// Noise on an acceleration is normal, with the deviation stated and no memory.
+#[test]
+fn noise_is_as_large_as_stated() {
+    let deviation_mps2 = 0.3;
+    let body = |x: f64| Body { x, v: 30.0, a: 0.0 };
+    let scenario = scenario(body(1000.0), body(0.0), 0.01, 2000).edited(|spec| {
+        spec.vehicles[0].acceleration_noise_mps2 = deviation_mps2;
+    });
+    let result = run(&scenario.expect("valid"));
+    let trace = trace_of(&result);
+    let noise = &trace.vehicles[0].acceleration_mps2[..2000];
+    let mean = |of: &dyn Fn(usize) -> f64| (0..1999).map(of).sum::<f64>() / 1999.0;
+    // Each of these is off by more than that once in ten thousand runs.
+    assert!(mean(&|k| noise[k]).abs() < 4.0 * deviation_mps2 / 2000.0_f64.sqrt());
+    assert!((mean(&|k| noise[k].powi(2)).sqrt() / deviation_mps2 - 1.0).abs() < 4.0 / 4000.0_f64.sqrt());
+    assert!((mean(&|k| noise[k] * noise[k + 1]) / deviation_mps2.powi(2)).abs() < 4.0 / 2000.0_f64.sqrt());
+    assert!(trace.vehicles[1].acceleration_mps2.iter().all(|a| *a == 0.0), "nobody else has noise");
+}

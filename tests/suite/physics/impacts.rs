@@ -62,6 +62,18 @@ proptest! {
             prop_assert!((before + impulse - after).abs() <= 1e-9 * before.max(1.0), "step {k}: {before} {after}");
         }
     }
+
+    /// A vehicle that stands is held, whatever it and those it sticks to want: it is never braked.
+    #[test]
+    fn nobody_who_stands_is_braked(scenario in pile_up()) {
+        let result = traced(&scenario, &going_on().options(scenario.spec().step_s));
+        for (index, track) in trace_of(&result).vehicles.iter().enumerate() {
+            let standing = (0..track.speed_mps.len() - 1).filter(|&k| track.speed_mps[k] == 0.0);
+            for (k, a) in standing.map(|k| (k, track.acceleration_mps2[k])) {
+                prop_assert!(a >= 0.0, "vehicle {index} stands at sample {k} and has {a} m/s²");
+            }
+        }
+    }
 }
 
 /// The properties above are about something.

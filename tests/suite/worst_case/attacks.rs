@@ -7,7 +7,7 @@ use crumple::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, Scenario, b
 use crumple::sim::{Keep, Outcome, Run, RunOptions, simulate, simulate_batch};
 use crumple::worst_case::{Aim, Envelope, Way, attack};
 
-use super::scenes::Dice;
+use super::scenes::{Dice, small};
 
 fn options(controller: &str) -> RunOptions {
     RunOptions::new(ControllerSpec::named(controller).expect("built in")).with_estimator(EstimatorKind::Truth)
@@ -40,6 +40,7 @@ fn the_mildest_profile_is_milder_than_any_sample() {
         let envelope = Envelope::of(&scenario);
         let mildest = attack(&scenario, &options("baseline"), Aim::Mildest, envelope, 0).unwrap().expect("collides");
         assert_eq!(mildest.way, Way::Exact);
+        assert!(mildest.programs <= 40, "{name}: {} programs", mildest.programs);
         assert!(mildest.outcome.contact().is_some());
         let mut dice = Dice(7);
         let samples: Vec<_> = (0..4000).map(|_| sample(&scenario, envelope, &mut dice)).collect();
@@ -53,6 +54,38 @@ fn the_mildest_profile_is_milder_than_any_sample() {
         assert!(peak.peak_brake_mps2 <= mildest.peak_brake_mps2 + 1e-6);
         assert!(peak.effort_m2ps3 >= mildest.effort_m2ps3 - 1e-6);
     }
+}
+
+/// With nobody behind it is the leader that has to be hit: no plain braking does it with less.
+#[test]
+fn the_mildest_way_to_be_hit_is_milder_than_any_plain_braking() {
+    let mut exact = 0;
+    for seed in 0..16 {
+        let scenario = small(seed).edited(|spec| spec.vehicles.truncate(2)).unwrap();
+        let found = attack(&scenario, &options("baseline"), Aim::Mildest, Envelope::of(&scenario), 0).unwrap();
+        let steps = scenario.steps();
+        let plain = (0..=90).map(|tenths| {
+            let accel_mps2: Vec<f64> = (1..=steps).map(|step| -(0.1 * f64::from(tenths)).min(step as f64)).collect();
+            let effort = accel_mps2.iter().map(|a| a * a * 0.1).sum::<f64>();
+            let from_s = (0..steps).map(|step| step as f64 * 0.1).collect();
+            let script = Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2 }));
+            (effort, scenario.edited(|spec| spec.vehicles[0].driver = script).unwrap())
+        });
+        let collides = |scenario: &Scenario| {
+            let run = Run::new(scenario, options("baseline")).unwrap();
+            simulate(&run, Keep::Summary).outcome != Outcome::NoCollision
+        };
+        let least = plain.filter(|(_, scenario)| collides(scenario)).map(|(effort, _)| effort).reduce(f64::min);
+        match (found, least) {
+            (Some(found), least) => {
+                exact += usize::from(found.way == Way::Exact);
+                let least = least.unwrap_or(f64::INFINITY);
+                assert!(found.effort_m2ps3 <= least * (1.0 + 1e-6), "{seed}: {found:?} against {least}");
+            }
+            (None, least) => assert_eq!(least, None, "{seed}"),
+        }
+    }
+    assert!(exact >= 5, "{exact} of 16");
 }
 
 /// Against controllers of which nothing is known but what they do.
@@ -80,17 +113,29 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
 /// The sequential program knows nothing of the baseline's rule, and comes no lower than the exact one.
 #[test]
 fn nothing_is_milder_than_the_exact_profile() {
-    let scenario = built_in("paper-1").unwrap().edited(|spec| spec.duration_s = 8.0).unwrap();
-    let envelope = Envelope::of(&scenario);
-    let exact = attack(&scenario, &options("baseline"), Aim::Mildest, envelope, 0).unwrap().expect("collides");
+    // What the sequential program comes down to is no promise, and should not become worse unseen.
+    for (delays_s, most_m2ps3) in [([0.0, 0.0], 7.5), ([0.3, 0.2], 6.3)] {
+        let scenario = built_in("paper-1").unwrap().edited(|spec| {
+            spec.duration_s = 8.0;
+            [spec.vehicles[1].reaction_delay_s, spec.vehicles[1].actuator_delay_s] = delays_s;
+        });
+        compare_with_exact(&scenario.unwrap(), most_m2ps3);
+    }
+}
+
+fn compare_with_exact(scenario: &Scenario, most_m2ps3: f64) {
+    let envelope = Envelope::of(scenario);
+    let exact = attack(scenario, &options("baseline"), Aim::Mildest, envelope, 0).unwrap().expect("collides");
     // The same controller from outside takes the other way.
     let build = std::sync::Arc::new(|ego: &crumple::control::Ego| {
         Box::new(crumple::control::Baseline::new(&crumple::scenario::AebSettings::default(), ego))
             as Box<dyn crumple::control::Controller>
     });
     let custom = RunOptions { controller: crumple::sim::UnderTest::Custom(build), ..options("baseline") };
-    let found = attack(&scenario, &custom, Aim::Mildest, envelope, 3000).unwrap().expect("collides");
+    let found = attack(scenario, &custom, Aim::Mildest, envelope, 3000).unwrap().expect("collides");
     assert_eq!((exact.way, found.way), (Way::Exact, Way::Sequential));
+    assert!(exact.programs <= 150, "{} programs", exact.programs);
+    assert!(found.effort_m2ps3 < most_m2ps3, "{} m²/s³", found.effort_m2ps3);
     assert!(found.effort_m2ps3 > 0.95 * exact.effort_m2ps3, "{} against {}", found.effort_m2ps3, exact.effort_m2ps3);
 }
 
@@ -131,6 +176,22 @@ fn no_profile_is_rougher_than_the_envelope() {
             assert!((-6.0..=0.0).contains(&accel_mps2));
             before = (from_s, accel_mps2);
         }
+    }
+}
+
+/// When the brake acts is enumerated only where it acts as decided.
+#[test]
+fn whoever_answers_late_or_with_noise_is_not_enumerated() {
+    let changes: [fn(&mut crumple::scenario::ScenarioSpec); 4] = [
+        |spec| spec.vehicles[1].actuator_lag_s = 0.2,
+        |spec| spec.vehicles[1].jerk_limit_mps3 = Some(20.0),
+        |spec| spec.vehicles[1].acceleration_noise_mps2 = 0.02,
+        |spec| spec.vehicles[0].acceleration_noise_mps2 = 0.02,
+    ];
+    for (index, change) in changes.into_iter().enumerate() {
+        let scenario = built_in("paper-1").unwrap().edited(change).unwrap();
+        let found = attack(&scenario, &options("baseline"), Aim::Mildest, Envelope::of(&scenario), 200).unwrap();
+        assert_eq!(found.expect("collides").way, Way::Sequential, "change {index}");
     }
 }
 

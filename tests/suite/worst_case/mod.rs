@@ -7,7 +7,9 @@ mod mutants;
 mod scenes;
 
 use crumple::estimate::EstimatorKind;
-use crumple::scenario::{ControllerSpec, Scenario, built_in, file};
+use crumple::scenario::{
+    AebSettings, Brake, ControllerSpec, Driver, LeadProfile, Scenario, ScenarioSpec, built_in, file,
+};
 use crumple::sim::{Keep, Outcome, Run, RunOptions, Simulated, simulate};
 use crumple::worst_case::{
     AvoidOptions, Avoidance, EscapeKind, Family, FieldRange, Ranges, Reason, Verdict, avoid, avoid_all, certify,
@@ -81,11 +83,13 @@ fn smoother_escapes_cost_less_and_keep_half_the_gap() {
         let avoidance = avoid(&scenario, AvoidOptions { escape, ..AvoidOptions::default() }).unwrap();
         let escape = avoidance.verdict.escape().expect("avoidable").clone();
         assert!(escape.min_gap_m > 4.0, "{}", escape.min_gap_m);
-        escape.effort_m2ps3()
+        let changes = escape.acceleration_mps2[0].windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>();
+        (escape.effort_m2ps3(), escape.acceleration_mps2[0][0].powi(2) + changes)
     };
     let [largest, gentlest, smoothest] =
         [EscapeKind::LargestGap, EscapeKind::Gentlest, EscapeKind::LeastJerk].map(effort);
-    assert!(gentlest < largest && gentlest <= smoothest, "{largest} {gentlest} {smoothest}");
+    assert!(gentlest.0 < largest.0 && gentlest.0 <= smoothest.0, "{largest:?} {gentlest:?} {smoothest:?}");
+    assert!(smoothest.1 < largest.1 && smoothest.1 < gentlest.1, "{largest:?} {gentlest:?} {smoothest:?}");
 }
 
 /// Every choice among full braking, coasting and full acceleration, changed once in half a second.
@@ -127,10 +131,11 @@ fn brute_force_m(scenario: &Scenario) -> f64 {
 #[test]
 fn no_controller_contradicts_a_verdict() {
     let count: u64 = 100 * u64::from(crate::generate::cases(256).cases) / 256;
-    let (mut undecided, mut avoidable, mut unavoidable) = (Vec::new(), 0, 0);
+    let (mut undecided, mut avoidable, mut unavoidable, mut programs) = (Vec::new(), 0, 0, 0);
     for seed in 0..count {
         let scenario = random(seed);
         let avoidance = decide(&scenario);
+        programs += avoidance.programs;
         let kept_m = ControllerSpec::built_in().into_iter().map(|controller| {
             let results =
                 [EstimatorKind::Truth, EstimatorKind::Kalman].map(|eyes| run(&scenario, &controller, eyes, 1.0));
@@ -147,6 +152,7 @@ fn no_controller_contradicts_a_verdict() {
             }
             Verdict::Unavoidable(certificate) => {
                 unavoidable += 1;
+                assert_eq!(avoidance.min_gap_bound_m, None, "{seed}: there is no escape to bound");
                 for (name, kept_m) in kept_m {
                     assert!(kept_m <= 0.0, "{seed}: {name} survives what nobody can");
                 }
@@ -156,9 +162,68 @@ fn no_controller_contradicts_a_verdict() {
             Verdict::Undecided(reason) => undecided.push((seed, reason.clone())),
         }
     }
-    println!("{avoidable} avoidable, {unavoidable} unavoidable, undecided: {undecided:?}");
+    println!("{avoidable} avoidable, {unavoidable} unavoidable, {programs} programs, undecided: {undecided:?}");
     assert!(undecided.len() as u64 * 50 <= count, "{undecided:?}");
+    // The multipliers of one program have to say much about the others.
+    assert!(programs as u64 <= 25 * count, "{programs} programs for {count} scenes");
     assert!(avoidable * 5 > count && unavoidable * 20 > count, "{avoidable} and {unavoidable}: nothing to tell apart");
+}
+
+/// A certificate is about its own scenario alone, and not about one next to it.
+#[test]
+fn a_certificate_is_about_its_own_scenario() {
+    fn brake(spec: &mut ScenarioSpec) -> &mut Brake {
+        match &mut spec.vehicles[0].driver {
+            Driver::Profile(LeadProfile::Brake(brake)) => brake,
+            other => panic!("{other:?}"),
+        }
+    }
+    let changes: [fn(&mut ScenarioSpec); 19] = [
+        |s| s.duration_s -= s.step_s,
+        |s| s.step_s *= 0.5,
+        |s| s.environment.friction = 0.9,
+        |s| s.vehicles[0].position_m += 1e-3,
+        |s| s.vehicles[0].speed_mps += 1e-3,
+        |s| s.vehicles[0].length_m = Some(5.5),
+        |s| brake(s).rate_mps2 -= 1e-3,
+        |s| brake(s).onset_s += s.step_s,
+        |s| s.vehicles[1].position_m -= 1e-3,
+        |s| s.vehicles[1].speed_mps += 1e-3,
+        |s| s.vehicles[1].length_m = Some(5.5),
+        |s| s.vehicles[1].max_brake_mps2 = Some(5.5),
+        |s| s.vehicles[1].max_accel_mps2 = Some(1.25),
+        |s| s.vehicles[2].position_m -= 1e-3,
+        |s| s.vehicles[2].speed_mps += 1e-3,
+        |s| s.vehicles[2].max_brake_mps2 = Some(5.5),
+        |s| s.vehicles[2].reaction_delay_s += s.step_s,
+        |s| s.vehicles[2].driver = Driver::Controller(ControllerSpec::Baseline(AebSettings { ttc_s: 1.3 })),
+        |s| s.vehicles.truncate(2),
+    ];
+    let certified = |scenario: &Scenario| match decide(scenario).verdict {
+        Verdict::Avoidable(escape) => Some(certify(&Family::point(scenario), &escape).expect("accepted")),
+        Verdict::Unavoidable(certificate) => Some(*certificate),
+        Verdict::Undecided(_) => None,
+    };
+    // Nobody who answers late can follow a profile that begins at once.
+    let paper_1 = built_in("paper-1").unwrap();
+    let late = paper_1.edited(|spec| spec.vehicles[1].reaction_delay_s = 0.2).unwrap();
+    let (early, waits) = (certified(&paper_1).expect("decided"), certified(&late).expect("decided"));
+    assert!(!is_about(&early, &late) && is_about(&waits, &late) && is_about(&waits, &paper_1));
+    let mut kinds = std::collections::BTreeSet::new();
+    for scenario in (0..12).map(small) {
+        let pair = scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap();
+        if let Some(certificate) = certified(&pair) {
+            assert!(is_about(&certificate, &pair) && !is_about(&certificate, &scenario), "{}", scenario.spec().name);
+        }
+        let Some(certificate) = certified(&scenario) else { continue };
+        kinds.insert(certificate.statement.name());
+        assert!(is_about(&certificate, &scenario), "{}", scenario.spec().name);
+        for (index, change) in changes.iter().enumerate() {
+            let other = scenario.edited(change).unwrap();
+            assert!(!is_about(&certificate, &other), "{}: change {index}", scenario.spec().name);
+        }
+    }
+    assert_eq!(kinds.len(), 2, "{kinds:?}");
 }
 
 /// Whatever single change of a file the checker accepts is a true statement: it is solved or replayed anew.
@@ -255,6 +320,19 @@ fn a_box_is_decided_as_a_whole() {
     // At 10 m/s it stops.
     let partly = Family::new(&wall, &speeds(10.0, 40.0)).unwrap();
     assert!(matches!(avoid_all(&partly, AvoidOptions::default()).unwrap().verdict, Verdict::Undecided(_)));
+    // Braking that begins sooner or later is escaped by one profile, too.
+    let onset = |low, high| Ranges {
+        version: 1,
+        ranges: vec![FieldRange { field: "vehicles[0].driver.brake.onset_s".into(), low, high }],
+    };
+    let family = Family::new(&paper_1, &onset(0.9, 1.1)).unwrap();
+    let Verdict::Avoidable(escape) = avoid_all(&family, AvoidOptions::default()).unwrap().verdict else { panic!() };
+    check(&certify(&family, &escape).unwrap());
+    for onset_s in [0.9, 1.0, 1.1] {
+        let member = Family::new(&escape.scenario, &onset(onset_s, onset_s)).unwrap();
+        let replayed = run(member.centre(), &ControllerSpec::MatchLeader, EstimatorKind::Truth, 10.0);
+        assert!(smallest_gap_m(&replayed) >= escape.min_gap_m - 1e-9, "{onset_s}");
+    }
     let bad = Ranges { version: 1, ranges: vec![FieldRange { field: "seed".into(), low: 0.0, high: 1.0 }] };
     assert!(Family::new(&paper_1, &bad).is_err());
 }
@@ -277,6 +355,10 @@ fn what_is_not_modelled_is_undecided_or_still_proved() {
     assert_eq!(reason(&|s| s.vehicles[1].reaction_delay_s = 0.2), None);
     assert_eq!(reason(&|s| (s.vehicles[0].speed_mps, s.vehicles[1].actuator_lag_s) = (0.0, 0.2)), None);
     assert_eq!(reason(&|s| s.vehicles[0].acceleration_noise_mps2 = 0.01), None);
+    // Noise of the ego may take it beyond any bound.
+    let noisy = built_in("paper-1").unwrap().edited(|s| s.vehicles[1].acceleration_noise_mps2 = 0.01).unwrap();
+    let avoidance = decide(&noisy);
+    assert!(avoidance.best_min_gap_m.is_some() && avoidance.min_gap_bound_m.is_none(), "{avoidance:?}");
 }
 
 /// A certificate has room for sixteen.

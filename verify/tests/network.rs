@@ -1,0 +1,149 @@
+//! What a network may answer, against the formulas of `reach::actor` written out number by number.
+#![allow(clippy::unwrap_used)]
+
+use crumple_verify::Interval;
+use crumple_verify::reach::actor::answer;
+use crumple_verify::reach::form::Form;
+use crumple_verify::reach::{Layer, OBSERVED};
+use proptest::prelude::*;
+
+/// Symbols that the observations share.
+const SYMBOLS: usize = 3;
+
+/// c + Σ Λᵢ (yᵢ - middle of yᵢ) + Σ Eⱼ ηⱼ + ρ.
+#[derive(Debug, Clone, Default)]
+struct Number {
+    centre: f64,
+    slopes: [f64; OBSERVED],
+    excess: Vec<f64>,
+    rho: f64,
+}
+
+fn total(values: &[f64]) -> f64 {
+    values.iter().map(|value| value.abs()).sum()
+}
+
+/// Σ |Λᵢ| times something of each observation.
+fn weighed(slopes: &[f64; OBSERVED], seen: &[Form; OBSERVED], of: impl Fn(&Form) -> f64) -> f64 {
+    slopes.iter().zip(seen).map(|(slope, seen)| slope.abs() * of(seen)).sum()
+}
+
+/// Σ Λᵢ aᵢₛ for each symbol.
+fn terms(slopes: &[f64; OBSERVED], seen: &[Form; OBSERVED]) -> [f64; SYMBOLS] {
+    let of = |form: &Form, symbol: usize| form.terms().get(symbol).copied().unwrap_or(0.0);
+    std::array::from_fn(|symbol| slopes.iter().zip(seen).map(|(slope, seen)| slope * of(seen, symbol)).sum())
+}
+
+/// h W + b in single precision: off by at most γ (Σ|w||h| + |b|), γ = (n + 2) u / (1 - (n + 2) u).
+fn through(numbers: &[Number], layer: &Layer, seen: &[Form; OBSERVED]) -> Vec<Number> {
+    let nu = (layer.inputs as f64 + 2.0) * 2.0_f64.powi(-24);
+    let gamma = nu / (1.0 - nu);
+    let of_output = |output: usize| {
+        let bias = layer.biases[output];
+        let mut sum = Number { centre: bias, rho: gamma * bias.abs(), ..Number::default() };
+        for (input, number) in numbers.iter().enumerate() {
+            let weight = layer.weights[input * layer.outputs + output];
+            let most =
+                number.centre.abs() + weighed(&number.slopes, seen, Form::radius) + total(&number.excess) + number.rho;
+            sum.centre += weight * number.centre;
+            sum.rho += weight.abs() * (number.rho + gamma * most);
+            sum.slopes.iter_mut().zip(number.slopes).for_each(|(sum, slope)| *sum += weight * slope);
+            sum.excess.resize(sum.excess.len().max(number.excess.len()), 0.0);
+            sum.excess.iter_mut().zip(&number.excess).for_each(|(sum, excess)| *sum += weight * excess);
+        }
+        sum
+    };
+    (0..layer.outputs).map(of_output).collect()
+}
+
+/// max(0, ·): the chord from l to h, and half its largest distance on either side as a column of its own.
+fn rectify(numbers: &mut [Number], seen: &[Form; OBSERVED]) {
+    let mut columns = numbers.iter().map(|number| number.excess.len()).max().unwrap_or(0);
+    for number in numbers {
+        let radius = total(&terms(&number.slopes, seen))
+            + weighed(&number.slopes, seen, Form::rest)
+            + total(&number.excess)
+            + number.rho;
+        let (low, high) = (number.centre - radius, number.centre + radius);
+        if high <= 0.0 {
+            *number = Number::default();
+        } else if low < 0.0 {
+            let slope = high / (high - low);
+            let half = -0.5 * slope * low;
+            number.centre = slope * number.centre + half;
+            number.slopes.iter_mut().chain(&mut number.excess).for_each(|factor| *factor *= slope);
+            number.rho *= slope;
+            number.excess.resize(columns + 1, 0.0);
+            number.excess[columns] = half;
+            columns += 1;
+        }
+    }
+}
+
+prop_compose! {
+    fn observation()(
+        centre in -2.0..2.0_f64,
+        factors in prop::array::uniform3(prop_oneof![Just(0.0), -0.5..0.5_f64]),
+        rest in prop_oneof![Just(0.0), 0.0..0.2_f64],
+    ) -> Form {
+        let mut form = Form::constant(Interval::point(centre));
+        for (symbol, factor) in factors.into_iter().enumerate() {
+            form.add(&Form::symbol(symbol, Interval::new(-1.0, 1.0).unwrap()), Interval::point(factor));
+        }
+        if rest > 0.0 {
+            form.widen(rest);
+        }
+        form
+    }
+}
+
+fn layer(inputs: usize, outputs: usize) -> impl Strategy<Value = Layer> {
+    let weights = prop::collection::vec(prop_oneof![4 => -1.0..1.0_f64, 1 => Just(0.0)], inputs * outputs);
+    (weights, prop::collection::vec(-2.0..2.0_f64, outputs)).prop_map(move |(weights, biases)| Layer {
+        inputs,
+        outputs,
+        weights,
+        biases,
+    })
+}
+
+/// Two layers of a few rectifiers and one number at the end.
+fn layers() -> impl Strategy<Value = Vec<Layer>> {
+    (1..6_usize, 1..6_usize).prop_flat_map(|(first, second)| {
+        (layer(OBSERVED, first), layer(first, second), layer(second, 1)).prop_map(|(a, b, c)| vec![a, b, c])
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(1000))]
+
+    /// Centre, terms and rest are those of the formulas; rounding is allowed for in full, and with hardly anything on top. It
+    /// is a millionth of what it is added to, so that no sample of what the network does would miss it.
+    #[test]
+    fn bounds_are_those_of_the_formulas(seen in prop::collection::vec(observation(), OBSERVED), layers in layers()) {
+        let seen: [Form; OBSERVED] = seen.try_into().unwrap();
+        let mut numbers: Vec<Number> = (0..OBSERVED)
+            .map(|i| Number {
+                centre: seen[i].centre(),
+                slopes: std::array::from_fn(|column| f64::from(u8::from(i == column))),
+                ..Number::default()
+            })
+            .collect();
+        for (index, layer) in layers.iter().enumerate() {
+            numbers = through(&numbers, layer, &seen);
+            if index + 1 < layers.len() {
+                rectify(&mut numbers, &seen);
+            }
+        }
+        let expected = &numbers[0];
+        let off = 1e-3 * expected.rho + 1e-40;
+        let found = answer(&layers, &seen);
+        prop_assert!((found.centre() - expected.centre).abs() <= off, "{found:?} {expected:?}");
+        for (symbol, expected) in terms(&expected.slopes, &seen).into_iter().enumerate() {
+            let found = found.terms().get(symbol).copied().unwrap_or(0.0);
+            prop_assert!((found - expected).abs() <= off, "symbol {symbol}: {found} {expected}");
+        }
+        let rest = weighed(&expected.slopes, &seen, Form::rest) + total(&expected.excess) + expected.rho;
+        prop_assert!((found.rest() - rest).abs() <= off, "{} {rest} {expected:?}", found.rest());
+    }
+}
