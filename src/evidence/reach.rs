@@ -203,7 +203,10 @@ impl ReachPlan {
             ego_speed_mps: or(given.ego_speed_mps, ego.speed_mps),
             follower_speed_mps: of_follower(given.follower_speed_mps, |v| v.speed_mps),
             leader_brake_mps2: or(given.leader_brake_mps2, brake.rate_mps2),
-            follower_brake_mps2: of_follower(given.follower_brake_mps2, crate::scenario::VehicleSpec::max_brake_mps2),
+            follower_brake_mps2: or(
+                given.follower_brake_mps2,
+                rest.first().map_or(0.0, |_| scenario.usable_brake_mps2(2)),
+            ),
             onset_steps: Interval::new(onset_s.low() / step_s, onset_s.high() / step_s)
                 .ok_or_else(|| InvalidBox::Ranges("onset_s: too large".to_owned()))?,
         };

@@ -77,3 +77,18 @@ fn what_makes_no_sense_is_named() {
         }
     }
 }
+
+/// A dead unit with weights near the end of single precision: nothing in real numbers, infinity times nothing in the engine.
+#[test]
+fn a_network_that_can_overflow_is_refused() {
+    let mut bytes =
+        std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap();
+    assert!(Actor::from_bytes(&bytes).is_ok());
+    let length = u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
+    let listing: serde_json::Value = serde_json::from_slice(&bytes[8..8 + length]).unwrap();
+    for tensor in ["actor.0.weight", "actor.0.bias"] {
+        let from = listing[tensor]["data_offsets"][0].as_u64().unwrap() as usize;
+        bytes[8 + length + from..][..4].copy_from_slice(&3e38_f32.to_le_bytes());
+    }
+    assert_eq!(Actor::from_bytes(&bytes).unwrap_err(), "can leave single precision in layer 0");
+}

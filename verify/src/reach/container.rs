@@ -75,7 +75,27 @@ impl Actor {
             return Err("has a scaling that makes no sense".to_owned());
         }
         let decision_interval_s = header.decision_interval_s;
-        Ok(Self { layers, offset, scale, limit, empty_gap_m, action_mps2, decision_interval_s })
+        let actor = Self { layers, offset, scale, limit, empty_gap_m, action_mps2, decision_interval_s };
+        match actor.overflowing_layer() {
+            None => Ok(actor),
+            Some(layer) => Err(format!("can leave single precision in layer {layer}")),
+        }
+    }
+
+    /// The first layer whose sums could leave single precision, by the bound |h W + b| <= |h| |W| + |b|, which holds for every
+    /// partial sum too. Everything that is said of the network's rounding is said of sums that do not.
+    fn overflowing_layer(&self) -> Option<usize> {
+        // Half of the range is left for rounding.
+        let highest = 0.5 * f64::from(f32::MAX);
+        let mut bounds = vec![self.limit; OBSERVED];
+        self.layers.iter().position(|layer| {
+            let mut sums: Vec<f64> = layer.biases.iter().map(|bias| bias.abs()).collect();
+            for (bound, row) in bounds.iter().zip(layer.weights.chunks_exact(layer.outputs)) {
+                sums.iter_mut().zip(row).for_each(|(sum, weight)| *sum += bound * weight.abs());
+            }
+            bounds = sums;
+            !bounds.iter().all(|&bound| bound <= highest)
+        })
     }
 }
 

@@ -22,8 +22,9 @@
 //! # What is not covered
 //! The estimator: the claim is for observations within stated errors of the truth, at each decision anew and in any combination.
 //! Noise on accelerations, delays and lags: the claim is for vehicles that have none. Whether the policy file drives the
-//! simulator as said here: tests compare. Motion is that of real numbers; stated observation errors of 10⁻⁹ also cover what a
-//! simulator in double precision rounds.
+//! simulator as said here: tests compare. Whether the vehicle can do what the policy asks for: whoever draws up a box compares, a
+//! certificate does not know the vehicle. Motion is that of real numbers; stated observation errors of 10⁻⁹ also cover what a
+//! simulator in double precision rounds, but for who stands or brakes at an instant that rounding decides.
 
 pub mod actor;
 pub mod bounds;

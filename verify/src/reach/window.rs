@@ -10,7 +10,7 @@ use super::members::{ByKind, Kind, Members};
 
 /// Windows become longer if they would be more than these...
 const FEW: usize = 10;
-/// ... but no longer than this, in seconds, unless a decision interval is.
+/// ... but their first instants are no further apart than this, in seconds.
 const LONGEST_S: f64 = 0.1;
 
 /// Instants at which the follower's brake may fire.
