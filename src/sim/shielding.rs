@@ -124,3 +124,28 @@ impl Run<'_> {
 fn noise_of(vehicle: &VehicleSpec) -> f64 {
     DEVIATIONS * vehicle.acceleration_noise_mps2
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::{ControllerSpec, built_in};
+    use crate::sim::RunOptions;
+
+    /// Seeing late and acting late are one thing, one's own as well as that of the vehicle behind.
+    #[test]
+    fn delays_add_up() {
+        let frame = |reaction_delay_s: f64, actuator_delay_s: f64| {
+            let late = built_in("paper-1").unwrap().edited(|spec| {
+                for vehicle in &mut spec.vehicles[1..] {
+                    (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (reaction_delay_s, actuator_delay_s);
+                }
+            });
+            let late = late.unwrap();
+            let run = Run::new(&late, RunOptions::new(ControllerSpec::MatchLeader)).unwrap();
+            run.frame(1, &ShieldSettings::default()).unwrap()
+        };
+        let frames = [(0.3, 0.1), (0.1, 0.3), (0.4, 0.0), (0.0, 0.4)].map(|(seeing, acting)| frame(seeing, acting));
+        assert!(frames.iter().all(|other| *other == frames[0]), "{frames:?}");
+        assert_eq!((frames[0].delay_steps, frames[0].behind.map(|behind| behind.reaction_s)), (40, Some(0.4)));
+    }
+}
