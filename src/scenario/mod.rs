@@ -20,7 +20,7 @@ pub(crate) use invalid::short;
 pub use invalid::{InvalidField, Problem, Range};
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};
-pub(crate) use validate::whole_multiple;
+pub(crate) use validate::{MOST_VEHICLE_STEPS, whole_multiple};
 pub use vehicle::{VehicleClass, VehicleSpec};
 
 /// The version of the scenario file format this release reads and writes.

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use crate::control::within;
 use crate::random::{self, Normals, Purpose, Stream};
 use crate::scenario::Scenario;
 
@@ -69,16 +70,6 @@ impl Actuator {
             }
         }
     }
-}
-
-/// A command cut to what the vehicle can do; NaN counts as 0.
-///
-/// By hand, since of 0 and -0 `f64::max` and `f64::min` may give either, and then engines that are compiled apart differ.
-#[inline]
-pub(super) fn within(command_mps2: f64, max_brake_mps2: f64, max_accel_mps2: f64) -> f64 {
-    let command_mps2 = if command_mps2.is_nan() { 0.0 } else { command_mps2 };
-    let command_mps2 = if command_mps2 < -max_brake_mps2 { -max_brake_mps2 } else { command_mps2 };
-    if command_mps2 > max_accel_mps2 { max_accel_mps2 } else { command_mps2 }
 }
 
 /// A vehicle that stands and does not want to move is held by its brakes: nothing, noise included, moves it.

@@ -11,10 +11,7 @@ use crate::control::{AnyController, Controller, Ego, Frame, FullThrottle, Random
 use crate::estimate::{EgoEstimator, EgoTuning, EstimatorKind, Neighbour, Observation, TrueState};
 use crate::policy::Policy;
 use crate::random::{self, Purpose};
-use crate::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, VehicleSpec, whole_multiple};
-
-/// Samples times vehicles beyond which a run is refused: a trace of 120 MB, and some 300 MB as text.
-const MOST_VEHICLE_SAMPLES: usize = 5_000_000;
+use crate::scenario::{ControllerSpec, Driver, LeadProfile, MOST_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple};
 
 /// What drives the vehicles under test.
 #[derive(Clone)]
@@ -204,8 +201,8 @@ impl<'s> Run<'s> {
         };
         let mut run = Self { scenario, options, substeps, tuning: OnceLock::new(), frames: Vec::new() };
         let found = run.vehicle_samples();
-        if found > MOST_VEHICLE_SAMPLES {
-            return Err(RunError::TooFine { dt_s: run.dt_s(), limit: MOST_VEHICLE_SAMPLES, found });
+        if found > MOST_VEHICLE_STEPS {
+            return Err(RunError::TooFine { dt_s: run.dt_s(), limit: MOST_VEHICLE_STEPS, found });
         }
         run.frames = run.shield_frames()?;
         for index in 0..scenario.vehicles().len() {

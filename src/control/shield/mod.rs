@@ -31,7 +31,7 @@ pub use kernel::Kernel;
 
 use std::collections::VecDeque;
 
-use super::{AnyController, Controller};
+use super::{AnyController, Controller, within};
 use crate::estimate::Observation;
 use kernel::{largest_closing_m, moved};
 
@@ -122,7 +122,7 @@ impl Shield {
 
 impl Controller for Shield {
     fn act(&mut self, seen: &Observation) -> f64 {
-        let wanted_mps2 = self.frame.within(self.controller.act(seen));
+        let wanted_mps2 = within(self.controller.act(seen), self.frame.brake_mps2, self.frame.accel_mps2);
         let mut command_mps2 = wanted_mps2;
         if let Some(state) = self.worst_state(seen)
             && !self.frame.admits(state, wanted_mps2)
@@ -146,13 +146,8 @@ impl Controller for Shield {
 }
 
 impl Frame {
-    /// A command cut to what the vehicle can do; NaN counts as 0, as it does for the actuator.
-    fn within(&self, command_mps2: f64) -> f64 {
-        if command_mps2.is_nan() { 0.0 } else { command_mps2.max(-self.brake_mps2).min(self.accel_mps2) }
-    }
-
     fn response_mps2(&self, response_mps2: f64, due_mps2: f64) -> f64 {
-        response_mps2 + self.share * (self.within(due_mps2) - response_mps2)
+        response_mps2 + self.share * (within(due_mps2, self.brake_mps2, self.accel_mps2) - response_mps2)
     }
 
     /// The fastest the vehicle may accelerate over a step; a vehicle that stands and does not want to move is held.

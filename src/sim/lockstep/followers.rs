@@ -11,11 +11,13 @@ use crate::policy::Wide;
 /// One model a run, number by number: it is the car-following model of traffic, and so the driver there are most of.
 pub(super) struct Followers([PerRun; 5]);
 
-impl Followers {
-    pub(super) fn new(models: &[Idm]) -> Self {
+impl From<Vec<Idm>> for Followers {
+    fn from(models: Vec<Idm>) -> Self {
         Self(std::array::from_fn(|number| PerRun::of(models.iter().map(|model| model.numbers()[number]))))
     }
+}
 
+impl Followers {
     /// The model of one run.
     pub(super) fn model(&self, run: usize) -> Idm {
         Idm::of_numbers(std::array::from_fn(|number| self.0[number][run]))

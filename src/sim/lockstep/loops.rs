@@ -5,9 +5,9 @@
 //! one length. Slices are arguments, not fields, since only so does the compiler know that what is written is not what is read.
 
 use super::per_run::Runs;
-use crate::control::Idm;
+use crate::control::{Idm, within};
 use crate::scenario::Brake;
-use crate::sim::actuator::{unless_at_rest, within};
+use crate::sim::actuator::unless_at_rest;
 use crate::sim::motion;
 use crate::sim::recorder::{hardest_brake_mps2, ttc_s};
 

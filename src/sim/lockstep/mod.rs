@@ -40,9 +40,12 @@ const MOST_TRACED_SAMPLES: usize = 2_000_000;
 pub fn simulate_batch<R: Send>(runs: &[Run<'_>], keep: Keep, reduce: impl Fn(usize, Simulated) -> R + Sync) -> Vec<R> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     order.sort_by(|&a, &b| compare_shapes(&runs[a], &runs[b]).then(a.cmp(&b)));
-    let largest = runs.iter().map(Run::vehicle_samples).max().unwrap_or(1);
-    let traced = (MOST_TRACED_SAMPLES / largest.max(1)).clamp(1, MOST_TRACED_RUNS);
-    let most = if keep == Keep::Trace { traced } else { MOST_RUNS };
+    let most = if keep == Keep::Trace {
+        let largest = runs.iter().map(Run::vehicle_samples).max().unwrap_or(1);
+        (MOST_TRACED_SAMPLES / largest.max(1)).clamp(1, MOST_TRACED_RUNS)
+    } else {
+        MOST_RUNS
+    };
     let blocks: Vec<&[usize]> = order
         .chunk_by(|&a, &b| compare_shapes(&runs[a], &runs[b]) == Ordering::Equal)
         .flat_map(|alike| alike.chunks(alike.len().div_ceil(rayon::current_num_threads()).min(most)))

@@ -1,14 +1,12 @@
 //! The drivers of one vehicle position over all runs of a block.
 
-use std::convert::identity;
-
 use pulp::Arch;
 
 use super::followers::Followers;
 use super::leaders::Leaders;
 use super::view::View;
 use crate::control::{
-    AccAeb, AnyController, Baseline, BaselineUnlatched, ConstantBrake, Controller, Idm, MatchLeader, PolicyDriver,
+    AccAeb, AnyController, Baseline, BaselineUnlatched, ConstantBrake, Controller, MatchLeader, PolicyDriver,
 };
 use crate::estimate::Observation;
 use crate::sim::run::Pilot;
@@ -38,7 +36,7 @@ impl<'s> Pilots<'s> {
             if pilots.iter().all(is) { Ok(pilots.into_iter().filter_map(take).collect()) } else { Err(pilots) }
         }
         macro_rules! try_kind {
-            ($pilots:ident, $kind:ident, $together:expr) => {
+            ($pilots:ident, $kind:ident) => {
                 match sorted(
                     $pilots,
                     |pilot| matches!(pilot, Pilot::Controller(AnyController::$kind(_))),
@@ -47,7 +45,7 @@ impl<'s> Pilots<'s> {
                         _ => None,
                     },
                 ) {
-                    Ok(all) => return Self::$kind($together(all)),
+                    Ok(all) => return Self::$kind(all.into()),
                     Err(pilots) => pilots,
                 }
             };
@@ -63,13 +61,13 @@ impl<'s> Pilots<'s> {
             Ok(all) => return Self::Profile(Leaders::new(all)),
             Err(pilots) => pilots,
         };
-        let pilots = try_kind!(pilots, Baseline, identity);
-        let pilots = try_kind!(pilots, BaselineUnlatched, identity);
-        let pilots = try_kind!(pilots, MatchLeader, identity);
-        let pilots = try_kind!(pilots, ConstantBrake, identity);
-        let pilots = try_kind!(pilots, Idm, |all: Vec<Idm>| Followers::new(&all));
-        let pilots = try_kind!(pilots, AccAeb, identity);
-        let pilots = try_kind!(pilots, Policy, identity);
+        let pilots = try_kind!(pilots, Baseline);
+        let pilots = try_kind!(pilots, BaselineUnlatched);
+        let pilots = try_kind!(pilots, MatchLeader);
+        let pilots = try_kind!(pilots, ConstantBrake);
+        let pilots = try_kind!(pilots, Idm);
+        let pilots = try_kind!(pilots, AccAeb);
+        let pilots = try_kind!(pilots, Policy);
         Self::Mixed(pilots)
     }
 
