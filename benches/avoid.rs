@@ -5,8 +5,8 @@
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
-use crumple::scenario::{Brake, Driver, LeadProfile, built_in};
-use crumple::worst_case::{AvoidOptions, EscapeKind, Family, Verdict, avoid, certify};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, EscapeKind, Family, avoid, certify};
+use crumple_world::scenario::{Brake, Driver, LeadProfile, built_in};
 use divan::Bencher;
 
 fn main() {
@@ -63,11 +63,11 @@ fn check_escape(bencher: Bencher<'_, '_>) {
 #[divan::bench(sample_count = 20)]
 fn check_proof(bencher: Bencher<'_, '_>) {
     let verdict = avoid(&hopeless(), AvoidOptions::default()).expect("the grid fits").verdict;
-    let Verdict::Unavoidable(proof) = verdict else { return };
+    let AvoidanceVerdict::Unavoidable(proof) = verdict else { return };
     bencher.bench_local(|| crumple_verify::check(&proof).expect("accepted"));
 }
 
-fn hopeless() -> crumple::scenario::Scenario {
+fn hopeless() -> crumple_world::scenario::Scenario {
     let paper_1 = built_in("paper-1").expect("built in");
     let closer = paper_1.edited(|spec| {
         spec.vehicles[2].position_m += 12.0;

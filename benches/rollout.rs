@@ -6,9 +6,9 @@
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
-use crumple::estimate::EstimatorKind;
-use crumple::scenario::Scenario;
-use crumple::sim::{Keep, Run, simulate, simulate_batch};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{Keep, Run, simulate, simulate_batch};
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use rayon::ThreadPool;

@@ -2,8 +2,8 @@
 
 #![allow(clippy::expect_used, reason = "a bench that cannot start must say so")]
 
-use crumple::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, simulate};
-use crumple::measure::stl::Formula;
+use crumple_search::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, simulate};
+use crumple_world::measure::stl::Formula;
 use divan::Bencher;
 
 fn main() {
@@ -35,5 +35,5 @@ fn simulation(bencher: Bencher) {
 #[divan::bench]
 fn simulation_to_robustness(bencher: Bencher) {
     let formula: Formula = SPECIFICATIONS[3].1.parse().expect("a formula");
-    bencher.bench(|| crumple::falsify::chasing_cars::robustness(&formula, divan::black_box(&inputs())));
+    bencher.bench(|| crumple_search::falsify::chasing_cars::robustness(&formula, divan::black_box(&inputs())));
 }

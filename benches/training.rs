@@ -10,12 +10,12 @@
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
-use crumple::estimate::EstimatorKind;
-use crumple::policy::Workspace;
-use crumple::random::{Purpose, stream};
-use crumple::rl::oracle::Oracle;
-use crumple::scenario::{PAPER_STEP_S, PaperDistribution};
-use crumple::sim::{Keep, Run, RunOptions, Simulated, simulate_batch};
+use crumple_learn::rl::oracle::Oracle;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::policy::Workspace;
+use crumple_world::random::{Purpose, stream};
+use crumple_world::scenario::{PAPER_STEP_S, PaperDistribution};
+use crumple_world::sim::{Keep, Run, RunOptions, Simulated, simulate_batch};
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use pulp::{Arch, Simd, WithSimd};

@@ -8,7 +8,7 @@
 
 use std::error::Error;
 
-use crumple::trial::Hunt;
+use crumple_fuzzing::Hunt;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let path = std::env::args().nth(1).ok_or("name the input, a file under fuzz/artifacts or fuzz/corpus")?;

@@ -4,11 +4,11 @@
 
 #![allow(clippy::expect_used, reason = "an example may stop at what cannot happen")]
 
-use crumple::estimate::EstimatorKind;
-use crumple::falsify::{Cube, Method};
-use crumple::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, Scenario, built_in};
-use crumple::sim::{Keep, Outcome, Run, RunOptions, simulate_batch};
-use crumple::worst_case::{Aim, Envelope, attack, hunt};
+use crumple_search::falsify::{Cube, Method};
+use crumple_search::worst_case::{Aim, Envelope, attack, hunt};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, Scenario, built_in};
+use crumple_world::sim::{Keep, Outcome, Run, RunOptions, simulate_batch};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 

@@ -14,37 +14,22 @@
 //!
 //! ## Map
 //!
-//! One way through, each module using only those above it:
+//! Crates depend downwards only, and the compiler sees to it. Each has its own map.
 //!
-//! | module | what it holds |
+//! | crate | what it holds |
 //! |---|---|
-//! | `digest` | SHA-256, as it stands in files and reports |
-//! | [`random`] | seeded streams: one seed decides everything |
-//! | [`scenario`] | what may happen: vehicles, drivers, lead profiles, the file format, the paper's scenarios |
-//! | [`estimate`] | what the ego knows: sensors and the Kalman filter |
-//! | [`policy`] | the actor network and its file: acting, one state or many |
-//! | [`control`] | who decides: one trait, one file for each controller |
-//! | [`sim`] | how it happens: exact steps, contact times, two engines with one meaning, the trace |
-//! | [`measure`] | how it was: surrogate safety measures; formulas of signal temporal logic and their monitor |
-//! | [`recording`] | recorded traffic turned into scenarios |
-//! | [`export`], [`draw`] | traces as tables and as pictures |
-//! | [`rl`] | learning to drive: DDPG, its environment, its presets |
-//! | [`worst_case`] | convex programs: could anyone have avoided it, how little does it take; certificates |
-//! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
-//! | [`evidence`] | claims with certificates: kernels of shields, failure rates; estimates of rare failures |
-//! | [`report`] | the assessment and its renderings |
-//! | [`harden`] | search, train on what could have been avoided, accept what breaks nothing; again |
-//! | [`trial`] | crash tests of crumple itself: any scenario, and laws that hold in it |
-//! | [`cli`] | the command line |
+//! | [`world`] | what happens: scenarios, drivers, estimators, two engines with one meaning, measures, recordings |
+//! | [`search`] | what goes wrong: worst cases, falsification, evidence with certificates |
+//! | [`learn`] | what can be learned: training, and retraining against what was found |
+//! | [`report`] | how it is told: figures, tables, the assessment |
 //!
 //! ## Example
 //!
 //! ```
-//! use crumple::scenario::{ControllerSpec, built_in};
-//! use crumple::sim::{Keep, Outcome, Run, RunOptions, simulate};
+//! use crumple::{ControllerSpec, Keep, Outcome, Run, RunOptions, simulate};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let scenario = built_in("paper-1").ok_or("not built in")?;
+//! let scenario = crumple::world::scenario::built_in("paper-1").ok_or("not built in")?;
 //! let baseline = ControllerSpec::named("baseline").ok_or("not built in")?;
 //! let run = Run::new(&scenario, RunOptions::new(baseline))?;
 //! let result = simulate(&run, Keep::Summary);
@@ -54,23 +39,10 @@
 //! # }
 //! ```
 
-pub mod cli;
-pub mod control;
-mod digest;
-pub mod draw;
-pub mod estimate;
-pub mod evidence;
-pub mod export;
-pub mod falsify;
-pub mod harden;
-pub mod measure;
-pub mod policy;
-pub mod random;
-pub mod recording;
-pub mod report;
-pub mod rl;
-pub mod scenario;
-pub mod sim;
-#[doc(hidden)]
-pub mod trial;
-pub mod worst_case;
+pub use crumple_learn as learn;
+pub use crumple_report as report;
+pub use crumple_search as search;
+pub use crumple_world as world;
+
+pub use crumple_world::scenario::{ControllerSpec, Scenario};
+pub use crumple_world::sim::{Keep, Outcome, Run, RunOptions, simulate, simulate_batch};

@@ -1,7 +1,9 @@
-//! The `crumple` program: see [`crumple::cli`].
+//! The `crumple` program: one file a subcommand under `cli`, all of them thin.
+
+mod cli;
 
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    crumple::cli::run(std::env::args_os())
+    cli::run(std::env::args_os())
 }

@@ -4,10 +4,10 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
-use crumple::estimate::EstimatorKind;
-use crumple::random::{Purpose, stream};
-use crumple::rl::{HeldOut, Learner, Trainer, TrainingConfig};
-use crumple::sim::{Keep, simulate_batch};
+use crumple_learn::rl::{HeldOut, Learner, Trainer, TrainingConfig};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::random::{Purpose, stream};
+use crumple_world::sim::{Keep, simulate_batch};
 
 use crate::clock::{least_s, least_wall_s, now_s};
 use crate::table::Figure;

@@ -2,8 +2,8 @@
 
 use std::hint::black_box;
 
-use crumple::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, simulate};
-use crumple::measure::stl::Formula;
+use crumple_search::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, simulate};
+use crumple_world::measure::stl::Formula;
 
 use crate::clock::least_s;
 use crate::table::Figure;

@@ -3,16 +3,16 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
-use crumple::evidence::{BoxSpec, ReachPlan};
-use crumple::scenario::PAPER_STEP_S;
-use crumple::worst_case::{AvoidOptions, avoid};
+use crumple_search::evidence::{BoxSpec, ReachPlan};
+use crumple_search::worst_case::{AvoidOptions, avoid};
+use crumple_world::scenario::PAPER_STEP_S;
 
 use crate::clock::{least_s, now_s};
 use crate::table::Figure;
 use crate::work::networks::widened_reference;
 
 pub fn figures(say: &mut dyn FnMut(Figure)) {
-    let scenario = crumple::scenario::built_in("paper-1").expect("built in");
+    let scenario = crumple_world::scenario::built_in("paper-1").expect("built in");
     for (grid_s, target_s) in [(0.1, 0.05), (0.01, 1.0)] {
         let options = AvoidOptions { grid_s: Some(grid_s), ..AvoidOptions::default() };
         let [seconds] = least_s(3, [&mut || _ = black_box(avoid(&scenario, options).expect("the grid fits"))]);

@@ -1,8 +1,8 @@
 //! Rollouts with built-in controllers, on one thread and on two.
 
-use crumple::estimate::EstimatorKind;
-use crumple::scenario::Driver;
-use crumple::sim::{Keep, Outcome, simulate_batch};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::Driver;
+use crumple_world::sim::{Keep, Outcome, simulate_batch};
 
 use crate::clock::{least_s, least_wall_s, now_s};
 use crate::table::Figure;
@@ -31,7 +31,7 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
 /// Scenarios a second, one thread, from their making to their outcome: the paper's first scenario with a car-following model
 /// in all followers. A mean over some seconds.
 pub fn scenarios_per_second() -> f64 {
-    let paper = crumple::scenario::built_in("paper-1").expect("built in");
+    let paper = crumple_world::scenario::built_in("paper-1").expect("built in");
     let of_run = |index: u64| {
         let scenario = paper.edited(|spec| {
             spec.seed = index;

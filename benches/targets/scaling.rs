@@ -2,13 +2,13 @@
 
 use std::hint::black_box;
 
-use crumple::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg};
-use crumple::estimate::EstimatorKind;
-use crumple::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, robustness};
-use crumple::falsify::{Cube, Method};
-use crumple::measure::stl::Formula;
-use crumple::random::{Purpose, stream};
-use crumple::sim::{Keep, simulate_batch};
+use crumple_report::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg};
+use crumple_search::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, robustness};
+use crumple_search::falsify::{Cube, Method};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::measure::stl::Formula;
+use crumple_world::random::{Purpose, stream};
+use crumple_world::sim::{Keep, simulate_batch};
 
 use crate::clock::least_s;
 use crate::work::long_lines::line;

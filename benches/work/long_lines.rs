@@ -1,6 +1,6 @@
 //! Scenarios of any number of vehicles and any duration.
 
-use crumple::scenario::{Driver, Scenario, built_in};
+use crumple_world::scenario::{Driver, Scenario, built_in};
 
 /// The paper's first scenario with more vehicles under test, all of them at its distance, and a duration of its own.
 pub fn line(vehicles: usize, duration_s: f64) -> Scenario {
@@ -11,7 +11,11 @@ pub fn line(vehicles: usize, duration_s: f64) -> Scenario {
         spec.vehicles.truncate(1);
         for index in 1..vehicles {
             let position_m = front_m - spacing_m * index as f64;
-            spec.vehicles.push(crumple::scenario::VehicleSpec { position_m, driver: Driver::UnderTest, ..ego.clone() });
+            spec.vehicles.push(crumple_world::scenario::VehicleSpec {
+                position_m,
+                driver: Driver::UnderTest,
+                ..ego.clone()
+            });
         }
         spec.duration_s = duration_s;
     });

@@ -1,10 +1,10 @@
 //! Networks that benches act with and train, and the matrix products in that.
 
-use crumple::estimate::{EstimatorKind, Neighbour, Observation};
-use crumple::policy::{ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE};
-use crumple::random::{Purpose, stream};
-use crumple::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
-use crumple::scenario::PAPER_STEP_S;
+use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
+use crumple_world::estimate::{EstimatorKind, Neighbour, Observation};
+use crumple_world::policy::{ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE};
+use crumple_world::random::{Purpose, stream};
+use crumple_world::scenario::PAPER_STEP_S;
 use rand::RngExt;
 
 /// Side of the product that shows what the machine can do.

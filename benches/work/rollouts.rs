@@ -1,9 +1,9 @@
 //! Rollouts that benches measure: draws of the paper's distribution with its noise, in which everybody but the leader is
 //! under test.
 
-use crumple::estimate::EstimatorKind;
-use crumple::scenario::{ControllerSpec, Driver, PaperDistribution, Scenario};
-use crumple::sim::{Keep, Run, RunOptions, Simulated, UnderTest, simulate_batch};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::{ControllerSpec, Driver, PaperDistribution, Scenario};
+use crumple_world::sim::{Keep, Run, RunOptions, Simulated, UnderTest, simulate_batch};
 
 pub fn scenarios(count: u64) -> Vec<Scenario> {
     let draw = |index| {

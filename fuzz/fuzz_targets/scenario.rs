@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use crumple::trial::{Hunt, TRIAL_BYTES, behaviour};
+use crumple_fuzzing::{Hunt, TRIAL_BYTES, behaviour};
 use libfuzzer_sys::{Corpus, fuzz_target};
 
 /// What libFuzzer reads beside the code that was reached. It sets all to zero before each run, a word at a time; nothing

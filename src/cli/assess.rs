@@ -5,10 +5,13 @@ use std::{fs, io};
 
 use clap::Args;
 
-use super::output::{self, Files};
+use super::output;
 use super::{Failure, progress};
-use crate::digest::sha256;
-use crate::report::{AssessError, ComparisonError, Earlier, Plan, Store, StoreError, assess, files_of_evidence};
+use crumple_report::assessment::{
+    AssessError, ComparisonError, Earlier, Plan, Store, StoreError, assess, files_of_evidence,
+};
+use crumple_search::disk::{DiskError, Files};
+use crumple_world::digest::sha256;
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
@@ -71,13 +74,13 @@ impl Assess {
         for (name, text) in &rendered {
             let path = self.out.join(name);
             let folder = path.parent().unwrap_or(&self.out);
-            fs::create_dir_all(folder).map_err(|source| Failure::environment(folder, source))?;
+            fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
             files.stage(&path, text.as_bytes())?;
         }
         files.commit()?;
         for name in earlier.iter().filter(|name| !rendered.iter().any(|(known, _)| known == *name)) {
             let path = self.out.join(name);
-            fs::remove_file(&path).or_else(missing_is_fine).map_err(|source| Failure::environment(&path, source))?;
+            fs::remove_file(&path).or_else(missing_is_fine).map_err(DiskError::at(&path))?;
         }
         let (pieces, reused) = store.reused();
         let again =
@@ -112,8 +115,11 @@ fn program() -> String {
 }
 
 impl From<StoreError> for Failure {
-    fn from(StoreError { path, source }: StoreError) -> Self {
-        Self::Environment { path, source }
+    fn from(error: StoreError) -> Self {
+        match error {
+            StoreError::Disk(error) => error.into(),
+            other => Self::input(other),
+        }
     }
 }
 

@@ -7,12 +7,13 @@ use clap::Args;
 use serde::Serialize;
 
 use super::finding::Finding;
-use super::output::{self, Files};
-use super::{Failure, subject};
-use crate::scenario::{Scenario, file};
-use crate::worst_case::{
-    AvoidOptions, Avoidance, Escape, EscapeKind, Family, Ranges, Reason, Verdict, avoid_all, certify,
+use super::output;
+use super::{Failure, choice, subject};
+use crumple_search::disk::Files;
+use crumple_search::worst_case::{
+    AvoidOptions, Avoidance, AvoidanceVerdict, Escape, EscapeKind, Family, Ranges, Reason, avoid_all, certify,
 };
+use crumple_world::scenario::{Scenario, file};
 
 /// Say whether anyone could have avoided a collision: by an escape, or by a proof that there is none
 #[derive(Args)]
@@ -47,7 +48,7 @@ pub(super) struct Avoid {
     grid: Option<f64>,
     /// Which escape to show; the verdict does not depend on it. Only the largest gap is optimal over all firings of the
     /// brake behind
-    #[arg(long, value_enum, default_value = "largest-gap")]
+    #[arg(long, value_name = "ESCAPE", default_value = "largest-gap", value_parser = choice::one_of(choice::ESCAPES))]
     escape: EscapeKind,
     /// Write what `crumple check` accepts: the escape or the proof
     #[arg(long, value_name = "F.json")]
@@ -98,13 +99,13 @@ impl Avoid {
     fn write_certificate(&self, family: &Family, avoidance: &Avoidance, files: &mut Files) -> Result<(), Failure> {
         let Some(path) = &self.certificate else { return Ok(()) };
         let certificate = match &avoidance.verdict {
-            Verdict::Avoidable(escape) => certify(family, escape),
-            Verdict::Unavoidable(certificate) => Ok((**certificate).clone()),
-            Verdict::Undecided(reason) => Err(reason.clone()),
+            AvoidanceVerdict::Avoidable(escape) => certify(family, escape),
+            AvoidanceVerdict::Unavoidable(certificate) => Ok((**certificate).clone()),
+            AvoidanceVerdict::Undecided(reason) => Err(reason.clone()),
         };
         match certificate {
             Ok(certificate) => {
-                files.stage(path, (serde_json::to_string(&certificate).map_err(Failure::input)? + "\n").as_bytes())
+                Ok(files.stage(path, serde_json::to_string(&certificate).map_err(Failure::input)? + "\n")?)
             }
             Err(reason) => {
                 // Asked for and not written: that is said even to those who want to hear of errors only.
@@ -120,8 +121,8 @@ impl Avoid {
     fn report<'a>(&self, scenario: &'a Scenario, avoidance: &'a Avoidance) -> Report<'a> {
         let escape = avoidance.verdict.escape();
         let reason = match &avoidance.verdict {
-            Verdict::Undecided(reason) => Some(reason),
-            Verdict::Avoidable(_) | Verdict::Unavoidable(_) => None,
+            AvoidanceVerdict::Undecided(reason) => Some(reason),
+            AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Unavoidable(_) => None,
         };
         Report {
             scenario: &scenario.spec().name,

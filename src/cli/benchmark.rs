@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use super::output::Files;
 use super::simulate::Format;
 use super::{Failure, output};
-use crate::falsify::Method;
-use crate::falsify::chasing_cars::{Benchmark, CounterexampleFile, benchmark};
+use crumple_search::disk::{DiskError, Files};
+use crumple_search::falsify::Method;
+use crumple_search::falsify::chasing_cars::{Benchmark, CounterexampleFile, benchmark};
 
 /// Measure a search method on a public falsification problem
 #[derive(Args)]
@@ -68,13 +68,13 @@ fn check_empty(folder: &Path) -> Result<(), Failure> {
         Ok(false) => Err(Failure::Input(format!("--out: {} is not empty: choose another folder", folder.display()))),
         Ok(true) => Ok(()),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        Err(source) => Err(Failure::environment(folder, source)),
+        Err(source) => Err(DiskError::at(folder)(source).into()),
     }
 }
 
 /// Writes each counterexample to a file of its own, reads it back and replays it from there.
 fn keep(measured: &Benchmark, folder: &Path, quiet: bool) -> Result<(), Failure> {
-    std::fs::create_dir_all(folder).map_err(|source| Failure::environment(folder, source))?;
+    std::fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
     let found: Vec<CounterexampleFile> = measured.counterexample_files();
     let mut files = Files::default();
     let mut paths = Vec::new();

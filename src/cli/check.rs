@@ -9,9 +9,9 @@ use serde::Serialize;
 
 use super::simulate::Format;
 use super::{Failure, output, subject};
-use crate::policy::Policy;
-use crate::scenario::Scenario;
-use crate::worst_case::is_about;
+use crumple_search::worst_case::is_about;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::Scenario;
 
 /// Accept or reject certificates with the small checker alone
 #[derive(Args)]

@@ -2,18 +2,19 @@
 
 use std::fmt;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use super::output;
-use crate::recording::RecordingError;
-use crate::report::ConfigError;
-use crate::scenario::file::FileError;
-use crate::sim::RunError;
+use crumple_report::assessment::ConfigError;
+use crumple_search::disk::DiskError;
+use crumple_world::recording::RecordingError;
+use crumple_world::scenario::file::FileError;
+use crumple_world::sim::RunError;
 
 /// Why a subcommand did not succeed.
 #[derive(Debug, thiserror::Error)]
-pub enum Failure {
+pub(super) enum Failure {
     /// A gate did not hold: exit code 1.
     #[error("{0}")]
     Gate(String),
@@ -21,13 +22,8 @@ pub enum Failure {
     #[error("{0}")]
     Input(String),
     /// The environment failed: exit code 3.
-    #[error("{}: {source}", path.display())]
-    Environment {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    #[error(transparent)]
+    Environment(DiskError),
     /// Whoever read standard output has gone: exit code 0, as other command-line tools do.
     #[error("standard output is closed")]
     NobodyListens,
@@ -39,17 +35,13 @@ impl Failure {
         Self::Input(error.to_string())
     }
 
-    pub(super) fn environment(path: &Path, source: io::Error) -> Self {
-        Self::Environment { path: path.to_owned(), source }
-    }
-
     /// The exit code, as `--help` documents it.
     #[must_use]
-    pub fn exit_code(&self) -> ExitCode {
+    pub(super) fn exit_code(&self) -> ExitCode {
         match self {
             Self::Gate(_) => ExitCode::from(1),
             Self::Input(_) => ExitCode::from(2),
-            Self::Environment { .. } => ExitCode::from(3),
+            Self::Environment(_) => ExitCode::from(3),
             Self::NobodyListens => ExitCode::SUCCESS,
         }
     }
@@ -71,7 +63,16 @@ impl Failure {
             io::ErrorKind::NotFound | io::ErrorKind::IsADirectory | io::ErrorKind::InvalidData => {
                 Self::Input(format!("{}: {source}", path.display()))
             }
-            _ => Self::Environment { path, source },
+            _ => Self::Environment(DiskError { path, source }),
+        }
+    }
+}
+
+impl From<DiskError> for Failure {
+    fn from(error: DiskError) -> Self {
+        match error.source.kind() {
+            io::ErrorKind::AlreadyExists => Self::input(error),
+            _ => Self::Environment(error),
         }
     }
 }

@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::simulate::Format;
-use super::{Failure, interrupt, output, progress, subject};
-use crate::estimate::EstimatorKind;
-use crate::falsify::Method;
-use crate::falsify::campaign::{Aim, Campaign, CampaignError, Progress, Specification};
-use crate::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
-use crate::sim::Contender;
+use super::{Failure, choice, interrupt, output, progress, subject};
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{Aim, Campaign, CampaignError, Progress};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::measure::Specification;
+use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
+use crumple_world::sim::Contender;
 
 /// Search for scenarios in which a controller fails
 #[derive(Args)]
@@ -53,7 +54,7 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
     spec: String,
     /// What the vehicles under test look through
-    #[arg(long, value_enum, default_value = "kalman")]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
     /// Folder of the campaign; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "crumple-campaign")]
@@ -128,7 +129,7 @@ fn space(name: &str) -> Result<Space, Failure> {
 impl From<CampaignError> for Failure {
     fn from(error: CampaignError) -> Self {
         match error {
-            CampaignError::Environment { path, source } => Self::Environment { path, source },
+            CampaignError::Disk(error) => error.into(),
             other => Self::input(other),
         }
     }

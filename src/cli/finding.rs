@@ -6,10 +6,11 @@ use clap::Args;
 use serde::Serialize;
 
 use super::Failure;
-use super::output::{self, Files};
+use super::output;
 use super::simulate::{self, Format};
-use crate::scenario::{Scenario, file};
-use crate::sim::Simulated;
+use crumple_search::disk::Files;
+use crumple_world::scenario::{Scenario, file};
+use crumple_world::sim::Simulated;
 
 /// Where a finding goes.
 #[derive(Args)]

@@ -7,8 +7,9 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Failure;
-use super::output::{self, Files};
-use crate::recording::{ImportOptions, Imported, MinBrake, import};
+use super::output;
+use crumple_search::disk::{DiskError, Files};
+use crumple_world::recording::{ImportOptions, Imported, MinBrake, import};
 
 /// Turn braking episodes of recorded platoons into scenario files
 #[derive(Args)]
@@ -36,7 +37,7 @@ impl Import {
             Some(mps2) => MinBrake::new(mps2).map_err(|error| Failure::Input(format!("--min-brake: {error}")))?,
         };
         let imported = import(&self.recordings, &ImportOptions { min_brake })?;
-        fs::create_dir_all(&self.out).map_err(|source| Failure::environment(&self.out, source))?;
+        fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
         let mut files = Files::default();
         for scenario in &imported.scenarios {
             files.stage(&self.out.join(&scenario.file_name), scenario.toml.as_bytes())?;
@@ -61,7 +62,7 @@ impl Import {
 
     /// Scenario files in the folder that this import did not write, such as those of an earlier one with another threshold.
     fn other_scenarios(&self, imported: &Imported) -> Result<usize, Failure> {
-        let entries = fs::read_dir(&self.out).map_err(|source| Failure::environment(&self.out, source))?;
+        let entries = fs::read_dir(&self.out).map_err(DiskError::at(&self.out))?;
         let written = |name: &OsStr| imported.scenarios.iter().any(|scenario| OsStr::new(&scenario.file_name) == name);
         let is_scenario = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "toml");
         let others = entries.flatten().map(|entry| entry.path()).filter(is_scenario);

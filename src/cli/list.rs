@@ -6,10 +6,10 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::{Failure, output};
-use crate::falsify::Method;
-use crate::scenario::space::BUILT_IN_SPACES;
-use crate::scenario::{ControllerSpec, built_in_names};
-use crate::sim::{HARDENED, Stress};
+use crumple_search::falsify::Method;
+use crumple_world::scenario::space::BUILT_IN_SPACES;
+use crumple_world::scenario::{ControllerSpec, built_in_names};
+use crumple_world::sim::{HARDENED, Stress};
 
 const SHIELD: (&str, &str) =
     ("shield:policy", "policy, or full braking where it would leave no way out; shield: goes before any controller");

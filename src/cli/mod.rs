@@ -4,6 +4,7 @@ mod assess;
 mod avoid;
 mod benchmark;
 mod check;
+mod choice;
 mod failure;
 mod falsify;
 mod finding;
@@ -26,7 +27,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
-pub use failure::Failure;
+use failure::Failure;
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -66,7 +67,7 @@ enum Command {
 }
 
 /// Runs the command line with given arguments, the program's name first.
-pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let command = Arguments::command().mut_subcommands(with_exit_codes);
     let arguments = match command.try_get_matches_from(arguments).and_then(|found| Arguments::from_arg_matches(&found))
     {

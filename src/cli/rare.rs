@@ -4,13 +4,14 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::simulate::Format;
-use super::verify::{make_folder, write};
+use super::verify::write;
 use super::{Failure, output, progress};
-use crate::evidence::rare::{Estimate, MOST_LEVELS, RarePlan, RareReport};
+use crumple_search::disk;
+use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, RarePlan, RareReport};
 
 /// Estimates, writes the estimate to `folder` and prints it.
 pub(super) fn estimate(plan: &RarePlan, folder: &Path, format: Format, quiet: bool) -> Result<(), Failure> {
-    make_folder(folder)?;
+    disk::make_folder(folder)?;
     let bar = progress::counter("placing levels", quiet);
     let pilot = plan.pilot(&|runs| bar.inc(runs));
     bar.finish_and_clear();

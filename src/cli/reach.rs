@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use crumple_search::disk::{DiskError, Files};
 use crumple_verify::{WorkLimit, check_within};
 
-use super::output::{self, Files};
+use super::output;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
-use crate::evidence::{BoxSpec, Partition, ReachPlan, Shares};
-use crate::sim::Contender;
+use crumple_search::evidence::{BoxSpec, Partition, ReachPlan, Shares};
+use crumple_world::sim::Contender;
 
 /// From which part of a box of starts a learned policy touches nobody
 #[derive(Args)]
@@ -41,11 +42,11 @@ pub(super) struct Reach {
 impl Reach {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let place = self.starts.display();
-        let failed = |error: crate::evidence::InvalidBox| Failure::Input(format!("{place}: {error}"));
-        let is_shielded = matches!(self.controller.controller, crate::sim::UnderTest::Shielded(_));
+        let failed = |error: crumple_search::evidence::InvalidBox| Failure::Input(format!("{place}: {error}"));
+        let is_shielded = matches!(self.controller.controller, crumple_world::sim::UnderTest::Shielded(_));
         let policy = self.controller.policy().filter(|_| !is_shielded);
         let policy = policy.ok_or_else(|| Failure::Input("--controller: must be a learned policy".to_owned()))?;
-        let text = std::fs::read_to_string(&self.starts).map_err(|e| Failure::environment(&self.starts, e))?;
+        let text = std::fs::read_to_string(&self.starts).map_err(DiskError::at(&self.starts))?;
         let plan = ReachPlan::new(policy, &BoxSpec::from_toml(&text).map_err(failed)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
         let told = |now: &Shares| {
@@ -71,7 +72,7 @@ impl Reach {
             }
             Format::Text => {
                 let lines: String = shares.iter().map(|now| line(now) + "\n").collect();
-                let crate::evidence::Doubts { ahead, behind, too_wide } = doubts;
+                let crumple_search::evidence::Doubts { ahead, behind, too_wide } = doubts;
                 format!(
                     "{lines}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too wide\n\
                      accepted: {accepted}\n"

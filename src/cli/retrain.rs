@@ -7,11 +7,12 @@ use indicatif::ProgressBar;
 
 use super::simulate::Format;
 use super::{Failure, output, progress, subject};
-use crate::falsify::Method;
-use crate::harden::{HardenError, Plan, Progress, Report, Settings, training_preset};
-use crate::rl::TrainingConfig;
-use crate::scenario::space::Space;
-use crate::sim::Contender;
+use crumple_learn::retrain::{HardenError, Plan, Progress, Report, Settings, training_preset};
+use crumple_learn::rl::TrainingConfig;
+use crumple_search::disk::DiskError;
+use crumple_search::falsify::Method;
+use crumple_world::scenario::space::Space;
+use crumple_world::sim::Contender;
 
 /// Harden a policy: search for failures, train on those that could have been avoided, accept what breaks nothing
 #[derive(Args)]
@@ -105,6 +106,9 @@ impl Retrain {
         let report = plan.run(&self.out, self.resume, &mut |state| show(&bar, state));
         bar.finish_and_clear();
         let report = report?;
+        let picture = self.out.join("report.svg");
+        std::fs::write(&picture, crumple_report::figures::retraining(&report).document())
+            .map_err(DiskError::at(&picture))?;
         let out = self.out.display();
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
         output::print(&match self.format {
@@ -127,7 +131,7 @@ fn gate(report: &Report) -> Result<(), Failure> {
 fn training(name: &str) -> Result<TrainingConfig, Failure> {
     let path = Path::new(name);
     if path.extension().is_some() {
-        let text = crate::scenario::file::read(path)?;
+        let text = crumple_world::scenario::file::read(path)?;
         return TrainingConfig::parse(&text).map_err(|error| Failure::Input(format!("{name}: {error}")));
     }
     if name == "harden" { training_preset() } else { TrainingConfig::preset(name) }.map_err(Failure::input)
@@ -157,7 +161,7 @@ fn show(bar: &ProgressBar, state: Progress) {
 impl From<HardenError> for Failure {
     fn from(error: HardenError) -> Self {
         match error {
-            HardenError::Environment { path, source } => Self::Environment { path, source },
+            HardenError::Disk(error) => error.into(),
             HardenError::Campaign(campaign) => campaign.into(),
             HardenError::Training(training) => training.into(),
             other => Self::input(other),

@@ -5,16 +5,17 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::output::{self, Files};
-use super::{Failure, subject};
-use crate::draw::{self, Layout, MotionFigure, PNG_SCALE};
-use crate::estimate::EstimatorKind;
-use crate::export;
-use crate::falsify::campaign::{Judged, Specification};
-use crate::scenario::{Driver, Scenario};
-use crate::sim::{
+use super::output;
+use super::{Failure, choice, subject};
+use crumple_report::draw::{self, Layout, MotionFigure, PNG_SCALE};
+use crumple_report::export;
+use crumple_search::disk::Files;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::measure::{Specification, SpecificationError};
+use crumple_world::scenario::{Driver, Scenario};
+use crumple_world::sim::{
     AfterContact, Contender, Impact, Intervention, Keep, Outcome, Run, RunOptions, Simulated, Trace, VehicleSummary,
-    simulate_batch,
+    simulate, simulate_batch,
 };
 
 /// Run scenarios and say what happened
@@ -39,7 +40,7 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = subject::controller)]
     controller: Contender,
     /// What the vehicles under test look through
-    #[arg(long, value_enum, default_value = "kalman")]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
     /// Seed of all noise instead of the scenario's
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
@@ -48,7 +49,7 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     dt: Option<f64>,
     /// What happens when vehicles touch
-    #[arg(long, value_enum, default_value = "stop")]
+    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = choice::one_of(choice::AFTER_CONTACT))]
     after_contact: AfterContact,
     /// Draw position, speed and spacing over time
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| ending_in(path, ["svg", "png"]))]
@@ -124,6 +125,16 @@ struct Report<'a> {
     interventions: &'a [Intervention],
     #[serde(skip_serializing_if = "Vec::is_empty")]
     specifications: Vec<Judged>,
+}
+
+/// What a specification says of a scenario.
+#[derive(Serialize)]
+struct Judged {
+    specification: String,
+    satisfied: bool,
+    /// Below 0 if and only if it does not hold.
+    #[serde(with = "crumple_search::falsify::non_finite")]
+    robustness: f64,
 }
 
 /// What becomes of one run.
@@ -214,11 +225,6 @@ impl Simulate {
     fn report<'a>(&'a self, run: &Run<'a>, result: &'a Simulated) -> Result<Report<'a>, Failure> {
         let scenario = run.scenario();
         let spec = scenario.spec();
-        let judge = |text: &String| {
-            let unfit = |error: &dyn std::fmt::Display| Failure::Input(format!("--spec: {error}"));
-            let specification = Specification::parse(text, scenario).map_err(|error| unfit(&error))?;
-            specification.judge_scenario(scenario, self.options()).map_err(|error| unfit(&error))
-        };
         Ok(Report {
             scenario: &spec.name,
             controller: &self.controller.name,
@@ -230,8 +236,31 @@ impl Simulate {
             impacts: &result.impacts,
             vehicles_involved: result.vehicles_involved(),
             interventions: &result.interventions,
-            specifications: self.spec.iter().map(judge).collect::<Result<_, _>>()?,
+            specifications: self.judge(scenario).map_err(|error| Failure::Input(format!("--spec: {error}")))?,
         })
+    }
+
+    /// What each specification says; those that need the same kind of run share one.
+    fn judge(&self, scenario: &Scenario) -> Result<Vec<Judged>, SpecificationError> {
+        let mut runs: Vec<(Run<'_>, Keep, Simulated)> = Vec::new();
+        let judge = |text: &String| {
+            let specification = Specification::parse(text, scenario)?;
+            let (keep, after_contact) = (specification.keep(), specification.after_contact());
+            let known = |(run, kept, _): &_| (*kept, Run::options(run).after_contact) == (keep, after_contact);
+            let index = match runs.iter().position(known) {
+                Some(index) => index,
+                None => {
+                    let run = Run::new(scenario, self.options().with_after_contact(after_contact))?;
+                    let result = simulate(&run, keep);
+                    runs.push((run, keep, result));
+                    runs.len() - 1
+                }
+            };
+            let verdict = specification.judge(&runs[index].0, &runs[index].2)?;
+            let (satisfied, robustness) = (!verdict.is_violation(), verdict.robustness);
+            Ok(Judged { specification: specification.to_string(), satisfied, robustness })
+        };
+        self.spec.iter().map(judge).collect()
     }
 
     fn check_expectation(&self, runs: &[Run<'_>], results: &[Rendered]) -> Result<(), Failure> {

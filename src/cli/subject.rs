@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use super::Failure;
-use crate::estimate::EstimatorKind;
-use crate::scenario::space::{self, BUILT_IN_SPACES, Space, built_in_space};
-use crate::scenario::{ControllerSpec, Scenario, built_in, built_in_names, file};
-use crate::sim::{Contender, Keep, Run, RunOptions, Simulated, simulate};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::space::{self, BUILT_IN_SPACES, Space, built_in_space};
+use crumple_world::scenario::{ControllerSpec, Scenario, built_in, built_in_names, file};
+use crumple_world::sim::{Contender, Keep, Run, RunOptions, Simulated, simulate};
 
 /// A built-in scenario, or the one in a file.
 pub(super) fn scenario(name_or_path: &str) -> Result<Scenario, Failure> {

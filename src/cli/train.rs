@@ -10,12 +10,13 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
-use super::output::{self, Files};
+use super::output;
 use super::{Failure, progress};
-use crate::rl::{
-    Evaluation, Event, HeldOut, LearningCurve, Observer, Trainer, TrainingConfig, TrainingError, UNSEEN_DRAWS, curve,
+use crumple_learn::rl::{
+    Evaluation, Event, HeldOut, LearningCurve, Observer, Trainer, TrainingConfig, TrainingError, UNSEEN_DRAWS,
     side_by_side, train, unseen_contacts,
 };
+use crumple_search::disk::{DiskError, Files};
 
 /// Train a driving policy by reinforcement learning
 #[derive(Args)]
@@ -90,7 +91,7 @@ impl Train {
         let bar = progress::training_bar(config.episodes.saturating_mul(seeds.len() as u64), quiet);
         let results = side_by_side(&seeds, rayon::current_num_threads(), |seed| {
             let folder = folder(seed);
-            fs::create_dir_all(&folder).map_err(|source| Failure::environment(&folder, source))?;
+            fs::create_dir_all(&folder).map_err(DiskError::at(&folder))?;
             let result = train_seed(&config, *seed, &held_out, &folder, self.resume, &bar);
             if let (Err(failure), true) = (&result, seeds.len() > 1) {
                 bar.suspend(|| output::note(&format!("seed {seed}: {failure}"), quiet));
@@ -115,7 +116,7 @@ impl Train {
     fn config(&self) -> Result<TrainingConfig, Failure> {
         let path = Path::new(&self.preset);
         let mut config = if path.extension().is_some() {
-            let text = crate::scenario::file::read(path)?;
+            let text = crumple_world::scenario::file::read(path)?;
             TrainingConfig::parse(&text).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))?
         } else {
             TrainingConfig::preset(&self.preset).map_err(Failure::input)?
@@ -133,13 +134,16 @@ impl Train {
             .iter()
             .map(|result| {
                 let path = self.out.join(format!("seed-{}", result.seed)).join(LOG);
-                fs::read_to_string(&path).map_err(|source| Failure::environment(&path, source))
+                fs::read_to_string(&path).map_err(DiskError::at(&path))
             })
             .collect::<Result<Vec<_>, _>>()?;
         let curve = LearningCurve::from_logs(&config.name, &logs);
         let json = serde_json::to_string_pretty(&curve).map_err(Failure::input)?;
         files.stage(&self.out.join("learning-curve.json"), format!("{json}\n").as_bytes())?;
-        files.stage(&self.out.join("learning-curve.svg"), curve.figure().document().as_bytes())?;
+        files.stage(
+            &self.out.join("learning-curve.svg"),
+            crumple_report::figures::learning_curve(&curve).document().as_bytes(),
+        )?;
         files.commit()?;
         let curve = self.out.join("learning-curve.svg");
         output::note(&format!("wrote {} (and training.json)", curve.display()), quiet);
@@ -164,7 +168,7 @@ fn train_seed(
         Ok(bytes) if resume => Trainer::from_checkpoint(&bytes, config, seed)
             .map_err(|error| Failure::Input(format!("{}: {error}", path.display())))?,
         Err(source) if resume && source.kind() != io::ErrorKind::NotFound => {
-            return Err(Failure::environment(&path, source));
+            return Err(DiskError::at(&path)(source).into());
         }
         _ => Trainer::new(config, seed),
     };
@@ -202,13 +206,15 @@ impl<'a> Scribe<'a> {
         let before = if episode > 0 { fs::read_to_string(&path).unwrap_or_default() } else { String::new() };
         let kept: String = before
             .split_inclusive('\n')
-            .take_while(|line| line.ends_with('\n') && curve::episode_of(line).is_some_and(|e| e <= episode))
+            .take_while(|line| {
+                line.ends_with('\n') && crumple_learn::rl::episode_of(line).is_some_and(|e| e <= episode)
+            })
             .collect();
         let mut files = Files::default();
         files.stage(&path, kept.as_bytes())?;
         files.commit()?;
         bar.inc(episode);
-        let log = OpenOptions::new().append(true).open(&path).map_err(|e| Failure::environment(&path, e))?;
+        let log = OpenOptions::new().append(true).open(&path).map_err(DiskError::at(&path))?;
         Ok(Self { seed: trainer.seed(), folder, log, bar, rewards: VecDeque::new(), safe_share: None })
     }
 }
@@ -216,7 +222,7 @@ impl<'a> Scribe<'a> {
 impl Observer<Failure> for Scribe<'_> {
     fn event(&mut self, event: &Event) -> Result<(), Failure> {
         let line = serde_json::to_string(event).map_err(Failure::input)?;
-        writeln!(self.log, "{line}").map_err(|source| Failure::environment(&self.folder.join(LOG), source))?;
+        writeln!(self.log, "{line}").map_err(DiskError::at(&self.folder.join(LOG)))?;
         match event {
             Event::Episode(record) => {
                 self.rewards.push_back(record.reward);
@@ -241,7 +247,7 @@ impl Observer<Failure> for Scribe<'_> {
         let policy = trainer.policy()?.to_bytes().map_err(TrainingError::from)?;
         files.stage(&self.folder.join(POLICY), &policy)?;
         files.stage(&self.folder.join(CHECKPOINT), &trainer.to_checkpoint()?)?;
-        files.commit()
+        Ok(files.commit()?)
     }
 }
 

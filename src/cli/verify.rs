@@ -5,18 +5,19 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use crumple_search::disk::{self, DiskError};
 use crumple_verify::{Certificate, Registration, check};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::output::{self, Files};
+use super::output;
 use super::simulate::Format;
-use super::{Failure, interrupt, progress, rare, reach, subject};
-use crate::estimate::EstimatorKind;
-use crate::evidence::rare::{Effort, RarePlan};
-use crate::evidence::{Plan, PlanDriver, Tally, shipped_kernels};
-use crate::scenario::space::Space;
-use crate::sim::Contender;
+use super::{Failure, choice, interrupt, progress, rare, reach, subject};
+use crumple_search::evidence::rare::{Effort, RarePlan};
+use crumple_search::evidence::{Plan, PlanDriver, Tally, shipped_kernels};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::space::Space;
+use crumple_world::sim::Contender;
 
 /// Make claims and write certificates that `crumple check` accepts by itself
 #[derive(Args)]
@@ -90,7 +91,7 @@ struct Rate {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// What the vehicles under test look through
-    #[arg(long, value_enum, default_value = "kalman")]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
     /// Where registration, progress and certificate go
     #[arg(long, value_name = "DIR", default_value = "crumple-rate")]
@@ -112,7 +113,7 @@ impl Verify {
 
 impl Shield {
     fn run(self) -> Result<(), Failure> {
-        make_folder(&self.out)?;
+        disk::make_folder(&self.out)?;
         let mut text = String::new();
         for (name, certificate) in shipped_kernels() {
             let path = self.out.join(format!("{name}.json"));
@@ -138,7 +139,7 @@ impl Rate {
         })
         .map_err(Failure::input)?;
         let registration = plan.registration();
-        make_folder(&self.out)?;
+        disk::make_folder(&self.out)?;
         let mut tally = plan.tally();
         match (registered.exists(), self.resume) {
             (false, _) => write(&registered, registration)?,
@@ -216,21 +217,15 @@ fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
     }
 }
 
-pub(super) fn make_folder(path: &Path) -> Result<(), Failure> {
-    fs::create_dir_all(path).map_err(|source| Failure::environment(path, source))
-}
-
 pub(super) fn write(path: &Path, contents: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string_pretty(contents).map_err(Failure::input)? + "\n";
-    let mut files = Files::default();
-    files.stage(path, text.as_bytes())?;
-    files.commit()
+    Ok(disk::write(path, text)?)
 }
 
 fn read<T: DeserializeOwned>(path: &Path) -> Result<T, Failure> {
     let text = fs::read_to_string(path).map_err(|source| match source.kind() {
         io::ErrorKind::InvalidData => Failure::Input(format!("{}: {source}", path.display())),
-        _ => Failure::environment(path, source),
+        _ => DiskError::at(path)(source).into(),
     })?;
     serde_json::from_str(&text).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))
 }

@@ -2,15 +2,15 @@
 
 use std::fmt::Write;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde::Serialize;
 
 use super::finding::Finding;
-use super::output::Files;
-use super::{Failure, subject};
-use crate::estimate::EstimatorKind;
-use crate::sim::{Contender, Keep, Outcome, Run, RunOptions, simulate};
-use crate::worst_case::{Aim, Attack, Envelope, Way, attack};
+use super::{Failure, choice, subject};
+use crumple_search::disk::Files;
+use crumple_search::worst_case::{Aim, Attack, Envelope, Way, attack};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::sim::{Contender, Keep, Outcome, Run, RunOptions, simulate};
 
 /// Find the mildest braking of the leader that makes a controller collide, or the severest impact
 #[derive(Args)]
@@ -32,10 +32,10 @@ pub(super) struct WorstCase {
     #[arg(long, value_name = "C", value_parser = subject::controller)]
     controller: Contender,
     /// What the vehicles under test look through
-    #[arg(long, value_enum, default_value = "kalman")]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
     /// What to look for: least ∫a², least peak, or the fastest impact
-    #[arg(long, value_enum, default_value = "mildest")]
+    #[arg(long, value_name = "AIM", default_value = "mildest", value_parser = choice::one_of(choice::AIMS))]
     aim: Aim,
     /// Hardest braking of the leader in m/s²; default all it has on this road
     #[arg(long, value_name = "A", allow_negative_numbers = true)]
@@ -56,7 +56,7 @@ struct Report<'a> {
     scenario: &'a str,
     controller: &'a str,
     estimator: &'static str,
-    aim: String,
+    aim: &'static str,
     found: bool,
     way: Option<Way>,
     outcome: Option<Outcome>,
@@ -94,7 +94,7 @@ impl WorstCase {
             scenario,
             controller: &self.controller.name,
             estimator: self.estimator.name(),
-            aim: self.aim.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned()),
+            aim: choice::name_of(choice::AIMS, self.aim),
             found: found.is_some(),
             way: found.map(|attack| attack.way),
             outcome: found.map(|attack| attack.outcome),

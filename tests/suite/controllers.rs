@@ -1,9 +1,9 @@
 //! What every built-in controller promises, whatever it is shown.
 
-use crumple::control::{AnyController, Baseline, Controller, Ego};
-use crumple::estimate::{Neighbour, Observation};
-use crumple::measure::ttc_s;
-use crumple::scenario::AebSettings;
+use crumple_world::control::{AnyController, Baseline, Controller, Ego};
+use crumple_world::estimate::{Neighbour, Observation};
+use crumple_world::measure::ttc_s;
+use crumple_world::scenario::AebSettings;
 use proptest::prelude::*;
 
 use crate::generate::{any_controller, cases};

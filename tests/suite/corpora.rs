@@ -3,9 +3,9 @@
 use std::fs;
 use std::path::PathBuf;
 
-use crumple::falsify::campaign::Specification;
-use crumple::falsify::counterexample::{Avoidability, AvoidabilityClass, ExpectedFile};
-use crumple::scenario::file::load;
+use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass, ExpectedFile};
+use crumple_world::measure::Specification;
+use crumple_world::scenario::file::load;
 
 fn folder() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpora/scenarios")

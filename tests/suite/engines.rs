@@ -1,10 +1,10 @@
 //! The two engines are one: the batch engine gives the scalar engine's results to the last bit, whatever shares a block,
 //! on any number of threads.
 
-use crumple::scenario::{ControllerSpec, PaperDistribution, Scenario};
-use crumple::sim::{AfterContact, Keep, Run, RunOptions, simulate, simulate_batch};
-use crumple::trial::oracle::bits;
-use crumple::trial::{Kind, Setup, Shape};
+use crumple_fuzzing::oracle::bits;
+use crumple_fuzzing::{Kind, Setup, Shape};
+use crumple_world::scenario::{ControllerSpec, PaperDistribution, Scenario};
+use crumple_world::sim::{AfterContact, Keep, Run, RunOptions, simulate, simulate_batch};
 use proptest::prelude::*;
 
 use crate::generate::{any_after_contact, any_setup, any_shape, cases, scenario_of};

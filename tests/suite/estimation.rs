@@ -6,13 +6,13 @@
 
 mod world;
 
-use crumple::estimate::{
+use crumple_fuzzing::oracle::estimates_are_sane;
+use crumple_world::estimate::{
     EgoEstimator, EgoTuning, EstimatorKind, Filter, Inertia, Neighbour, Observation, Sensor, TrueState,
 };
-use crumple::random::Purpose;
-use crumple::scenario::{ControllerSpec, PaperDistribution, Scenario, Sensors, built_in};
-use crumple::sim::{Keep, Run, RunOptions, Stepper};
-use crumple::trial::oracle::estimates_are_sane;
+use crumple_world::random::Purpose;
+use crumple_world::scenario::{ControllerSpec, PaperDistribution, Scenario, Sensors, built_in};
+use crumple_world::sim::{Keep, Run, RunOptions, Stepper};
 use proptest::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 

@@ -1,8 +1,10 @@
 //! How runs are measured, and formulas over them.
 
-use crumple::measure::stl::{Formula, Signals, SyntaxProblem, motion_signal_names, motion_signals, naive_robustness};
-use crumple::sim::{AfterContact, Trace, Track};
-use crumple::trial::any_formula;
+use crumple_fuzzing::any_formula;
+use crumple_world::measure::stl::{
+    Formula, Signals, SyntaxProblem, motion_signal_names, motion_signals, naive_robustness,
+};
+use crumple_world::sim::{AfterContact, Trace, Track};
 use proptest::prelude::*;
 
 use crate::generate::{any_trial, cases, traced};

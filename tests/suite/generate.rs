@@ -1,12 +1,12 @@
 //! Random scenarios for the property tests, and how many of them to try.
 //!
-//! Everything is read from random bytes by [`crumple::trial`], as the fuzzer reads it: one definition of what can happen.
+//! Everything is read from random bytes by [`crumple_fuzzing`], as the fuzzer reads it: one definition of what can happen.
 //! Bytes shrink to zero, and zero bytes are the paper's scenario 1.
 
 use arbitrary::Unstructured;
-use crumple::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, ScenarioSpec};
-use crumple::sim::{AfterContact, Keep, Run, RunOptions, Simulated, simulate};
-use crumple::trial::{self, Checked, Crumple, Oracle, SCENARIO_BYTES, SETUP_BYTES, Setup, Shape, TRIAL_BYTES, Trial};
+use crumple_fuzzing::{self, Checked, Crumple, Oracle, SCENARIO_BYTES, SETUP_BYTES, Setup, Shape, TRIAL_BYTES, Trial};
+use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, ScenarioSpec};
+use crumple_world::sim::{AfterContact, Keep, Run, RunOptions, Simulated, simulate};
 use proptest::prelude::*;
 
 /// A configuration for `normal` cases, scaled by `PROPTEST_CASES` as every other one is.
@@ -42,13 +42,13 @@ pub(crate) fn any_trial() -> impl Strategy<Value = Trial> {
 
 /// Any valid scenario, with all that a file can say.
 pub(crate) fn any_scenario() -> impl Strategy<Value = Scenario> {
-    bytes(SCENARIO_BYTES).prop_map(|bytes| trial::scenario(&mut Unstructured::new(&bytes)))
+    bytes(SCENARIO_BYTES).prop_map(|bytes| crumple_fuzzing::scenario(&mut Unstructured::new(&bytes)))
 }
 
 /// Any scenario of a shape.
 pub(crate) fn scenario_of(shape: &Shape) -> impl Strategy<Value = Scenario> + use<> {
     let shape = shape.clone();
-    bytes(SCENARIO_BYTES).prop_map(move |bytes| trial::scenario_of(&shape, &mut Unstructured::new(&bytes)))
+    bytes(SCENARIO_BYTES).prop_map(move |bytes| crumple_fuzzing::scenario_of(&shape, &mut Unstructured::new(&bytes)))
 }
 
 /// Any shape: 2 to 6 vehicles driven by anything.
@@ -68,12 +68,12 @@ pub(crate) fn any_after_contact() -> impl Strategy<Value = AfterContact> {
 
 /// The `index`-th sort of lead profile.
 pub(crate) fn any_profile(index: u8) -> impl Strategy<Value = LeadProfile> {
-    bytes(32).prop_map(move |bytes| trial::profile(index, &bytes))
+    bytes(32).prop_map(move |bytes| crumple_fuzzing::profile(index, &bytes))
 }
 
 /// The `index`-th built-in controller, with any sensible settings.
 pub(crate) fn any_controller(index: u8) -> impl Strategy<Value = ControllerSpec> {
-    bytes(32).prop_map(move |bytes| trial::controller(index, &bytes))
+    bytes(32).prop_map(move |bytes| crumple_fuzzing::controller(index, &bytes))
 }
 
 /// A scenario without noise, reaction or actuator delays left as they are.

@@ -4,20 +4,16 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crumple::estimate::EstimatorKind;
-use crumple::harden::{Cases, Judged, Report, training_preset};
-use crumple::policy::Policy;
-use crumple::scenario::space::{Space, built_in_space};
-use crumple::scenario::{PaperDistribution, Scenario, built_in};
-use crumple::sim::{Contender, Keep, Run, RunOptions, UnderTest, simulate_batch};
-use sha2::{Digest, Sha256};
+use crumple_learn::retrain::{Cases, Judged, Report, training_preset};
+use crumple_world::digest::{Sha256, sha256};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::space::{Space, built_in_space};
+use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
+use crumple_world::sim::{Contender, Keep, Run, RunOptions, UnderTest, simulate_batch};
 
 fn corpora() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora")
-}
-
-fn sha256(bytes: impl AsRef<[u8]>) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn read<T: serde::de::DeserializeOwned>(name: &str) -> T {
@@ -58,12 +54,11 @@ fn the_committed_files_are_those_of_the_report() {
 #[test]
 fn the_cases_are_the_ones_whose_hash_is_stated() {
     let cases: Cases = read("hardened-on.json");
-    let mut digest = Sha256::new();
+    let mut digest = Sha256::default();
     for case in cases.scenarios(&space()).unwrap() {
         digest.update(serde_json::to_string(case.spec()).unwrap());
     }
-    let digest: String = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-    assert_eq!(digest, cases.scenarios_sha256);
+    assert_eq!(digest.hexadecimal(), cases.scenarios_sha256);
     assert_eq!(cases.space_sha256, sha256(serde_json::to_string(space().spec()).unwrap()));
 }
 

@@ -4,7 +4,6 @@
 //! run, 25600 runs each a hundred times longer. Failures are kept beside the suite in `proptest-regressions/`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
 
-mod architecture;
 mod command_line;
 mod controllers;
 mod corpora;

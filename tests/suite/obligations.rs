@@ -4,8 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crumple::scenario::VehicleClass;
-use sha2::{Digest, Sha256};
+use crumple_world::scenario::VehicleClass;
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("verify/obligations")
@@ -56,7 +55,7 @@ fn obligations_are_those_of_the_shipped_limits_and_each_is_proved() {
         }
         let committed = fs::read_to_string(&path).unwrap_or_default();
         assert_eq!(committed, contents, "{file}: run with UPDATE_OBLIGATIONS=1, then verify/obligations/run.py");
-        let digest: String = Sha256::digest(&contents).iter().map(|byte| format!("{byte:02x}")).collect();
+        let digest = crumple_world::digest::sha256(&contents);
         let expected = if contents.contains("(set-info :status unsat)") { "unsat" } else { "sat" };
         let answers: Vec<_> =
             results.iter().filter(|r| r["file"] == file.as_str() && r["sha256"] == digest.as_str()).collect();

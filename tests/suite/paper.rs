@@ -1,8 +1,8 @@
 //! The paper's results, and those of the controllers it did not try.
 
-use crumple::estimate::EstimatorKind;
-use crumple::scenario::{ControllerSpec, Scenario, built_in};
-use crumple::sim::{AfterContact, Keep, Outcome, Run, RunOptions, Simulated, simulate};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::{ControllerSpec, Scenario, built_in};
+use crumple_world::sim::{AfterContact, Keep, Outcome, Run, RunOptions, Simulated, simulate};
 
 const PAPERS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 

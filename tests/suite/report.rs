@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use crumple::report::{Assessment, Best, Plan, Store, assess};
+use crumple_report::assessment::{Assessment, Best, Plan, Store, assess};
 use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
@@ -111,8 +111,8 @@ fn the_goal_structure_has_no_dangling_reference() {
 /// Every listed counterexample collides when its file is replayed alone, and is what its row says.
 #[test]
 fn every_counterexample_of_the_report_collides() {
-    use crumple::scenario::file;
-    use crumple::sim::{Contender, Keep, Run, RunOptions, simulate};
+    use crumple_world::scenario::file;
+    use crumple_world::sim::{Contender, Keep, Run, RunOptions, simulate};
     let files = BUILT_IN.files().expect("renders");
     let mut replayed = 0;
     for search in BUILT_IN.searches.spaces.iter().flat_map(|space| &space.controllers) {
@@ -134,13 +134,13 @@ fn every_counterexample_of_the_report_collides() {
 /// An earlier assessment beside this one: nothing changed against itself; one good claim turned bad is found, and only that.
 #[test]
 fn a_comparison_finds_what_was_changed() {
-    use crumple::report::Earlier;
+    use crumple_report::assessment::Earlier;
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("old.json");
     let again = |text: &str| {
         fs::write(&path, text).expect("writes");
         let earlier = Earlier::load(&path).expect("evidence");
-        crumple::report::Comparison::of(&earlier, &BUILT_IN).expect("comparable")
+        crumple_report::assessment::Comparison::of(&earlier, &BUILT_IN).expect("comparable")
     };
     let json = BUILT_IN.json().expect("serializes");
     let same = again(&json);

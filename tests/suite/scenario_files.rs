@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use crumple::scenario::file::{FileError, from_json, from_toml, to_toml};
-use crumple::scenario::{Scenario, built_in, built_in_names, json_schema};
+use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
+use crumple_world::scenario::{Scenario, built_in, built_in_names, json_schema};
 use proptest::prelude::*;
 
 use crate::generate::{any_scenario, cases};
@@ -156,7 +156,7 @@ proptest! {
 /// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
 #[test]
 fn the_committed_schema_is_that_of_the_types() {
-    assert_committed("src/scenario/scenario.schema.json", &json_schema());
+    assert_committed("crates/world/src/scenario/scenario.schema.json", &json_schema());
 }
 
 /// Built-in scenarios satisfy the schema, and it refuses what the program refuses, as far as a schema can say it.

@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
-use crumple::estimate::EstimatorKind;
-use crumple::falsify::Method;
-use crumple::falsify::campaign::{Aim, Campaign, Specification, Summary};
-use crumple::scenario::file;
-use crumple::scenario::space::{Space, built_in_space};
-use crumple::sim::Contender;
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::measure::Specification;
+use crumple_world::scenario::file;
+use crumple_world::scenario::space::{Space, built_in_space};
+use crumple_world::sim::Contender;
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 
@@ -76,7 +77,7 @@ proptest! {
                 campaign.specification.judge_scenario(&scenario, campaign.options()).unwrap()
             };
             let (shrunk, original) = (judged(&found.file), judged(&found.original_file));
-            prop_assert!(!shrunk.satisfied && !original.satisfied);
+            prop_assert!(shrunk.is_violation() && original.is_violation());
             prop_assert_eq!(shrunk.robustness, found.robustness);
             // Files hold positions to a billionth of a metre.
             prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", found.original_file);
@@ -102,7 +103,7 @@ proptest! {
             let coordinate = |k| (f64::from(index) * f64::from(4 * k + 3).sqrt()).fract();
             let point: Vec<f64> = (0..space.dimension() as u32).map(coordinate).collect();
             let scenario = space.at(&point).unwrap();
-            !campaign.specification.judge_scenario(&scenario, campaign.options()).unwrap().satisfied
+            campaign.specification.judge_scenario(&scenario, campaign.options()).unwrap().is_violation()
         };
         let share = (0..LATTICE).filter(|&index| fails(index)).count() as f64 / f64::from(LATTICE);
         let folder = tempfile::tempdir().unwrap();

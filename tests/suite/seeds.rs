@@ -5,17 +5,17 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crumple::evidence::{BoxSpec, ReachPlan, shipped_kernels};
-use crumple::measure::stl::Formula;
-use crumple::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE};
-use crumple::scenario::Scenario;
-use crumple::scenario::file::load;
-use crumple::sim::{Keep, Run, simulate};
-use crumple::trial::targets::TARGETS;
-use crumple::trial::{self, FileFormat, TRIAL_BYTES, Trial};
-use crumple::worst_case::{AvoidOptions, Family, Verdict, avoid, certify};
+use crumple_fuzzing::targets::TARGETS;
+use crumple_fuzzing::{self, FileFormat, TRIAL_BYTES, Trial};
+use crumple_search::evidence::{BoxSpec, ReachPlan, shipped_kernels};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Family, avoid, certify};
 use crumple_verify::reach::{Cell, Dimension};
 use crumple_verify::{Certificate, Reach, Statement};
+use crumple_world::measure::stl::Formula;
+use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE};
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::file::load;
+use crumple_world::sim::{Keep, Run, simulate};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
@@ -128,9 +128,9 @@ fn reaches() -> Vec<Certificate> {
 
 fn proved(scenario: &Scenario) -> Option<Certificate> {
     match avoid(scenario, AvoidOptions::default()).ok()?.verdict {
-        Verdict::Unavoidable(proof) => Some(*proof),
-        Verdict::Avoidable(escape) => certify(&Family::point(scenario), &escape).ok(),
-        Verdict::Undecided(_) => None,
+        AvoidanceVerdict::Unavoidable(proof) => Some(*proof),
+        AvoidanceVerdict::Avoidable(escape) => certify(&Family::point(scenario), &escape).ok(),
+        AvoidanceVerdict::Undecided(_) => None,
     }
 }
 
@@ -187,6 +187,6 @@ fn car_following(trial: &Trial) -> String {
 /// Over the names that the target has no trouble with.
 fn formulas() -> Vec<Vec<u8>> {
     let formula = prop::collection::vec(any::<u8>(), 0..80)
-        .prop_map(|bytes| trial::any_formula(&bytes, &["x", "gap1_m", "v0_mps"], 0.1).unwrap());
+        .prop_map(|bytes| crumple_fuzzing::any_formula(&bytes, &["x", "gap1_m", "v0_mps"], 0.1).unwrap());
     first(OF_EACH, &formula).iter().map(Formula::to_string).map(String::into_bytes).collect()
 }

@@ -1,11 +1,11 @@
 //! Behind a shield nobody hits the vehicle ahead, whatever that one does within its brake limit.
 
-use crumple::control::{ErrorBounds, Kernel, ShieldSettings};
-use crumple::estimate::EstimatorKind;
-use crumple::scenario::{
+use crumple_world::control::{ErrorBounds, Kernel, ShieldSettings};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::{
     ControllerSpec, Driver, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
-use crumple::sim::{
+use crumple_world::sim::{
     Keep, Outcome, Run, RunError, RunOptions, ShieldRefusal, Shielded, Simulated, Stress, UnderTest, simulate,
     simulate_batch,
 };
@@ -95,8 +95,8 @@ impl Chase {
             duration_s: 15.0,
             step_s: 0.01,
             seed: self.seed,
-            environment: crumple::scenario::Environment { friction: self.friction },
-            sensors: crumple::scenario::Sensors::default(),
+            environment: crumple_world::scenario::Environment { friction: self.friction },
+            sensors: crumple_world::scenario::Sensors::default(),
             vehicles,
         };
         Scenario::new(spec).unwrap()
@@ -263,7 +263,7 @@ fn what_a_shield_cannot_vouch_for_is_refused() {
 /// In the paper's first scenario the truck behind cannot stop for a car that must: the shield says so.
 #[test]
 fn a_conflict_with_the_vehicle_behind_is_reported() {
-    let scenario = crumple::scenario::built_in("paper-1").unwrap();
+    let scenario = crumple_world::scenario::built_in("paper-1").unwrap();
     let result = with_truth(&scenario, shielded(Stress::FullThrottle.into(), ShieldSettings::default()));
     assert!(result.outcome.contact().is_some_and(|contact| contact.rear_vehicle == 2), "{:?}", result.outcome);
     assert!(result.interventions.iter().any(|one| one.rear_conflict && one.vehicle == 1));
@@ -273,7 +273,7 @@ fn a_conflict_with_the_vehicle_behind_is_reported() {
 #[test]
 fn a_vehicle_far_behind_is_no_conflict() {
     let conflict = |behind_m: f64, speed_mps: f64| {
-        let scenario = crumple::scenario::built_in("paper-1").unwrap().edited(|spec| {
+        let scenario = crumple_world::scenario::built_in("paper-1").unwrap().edited(|spec| {
             spec.vehicles[2].position_m = spec.vehicles[1].position_m - behind_m;
             spec.vehicles[2].speed_mps = speed_mps;
             (spec.vehicles[2].reaction_delay_s, spec.vehicles[2].actuator_delay_s) = (0.3, 0.1);
@@ -289,7 +289,7 @@ fn a_vehicle_far_behind_is_no_conflict() {
 #[test]
 fn a_livelier_vehicle_ahead_is_kept_farther_away() {
     let first_s = |accel_mps2: f64, noise_mps2: f64| {
-        let scenario = crumple::scenario::built_in("paper-1").unwrap().edited(|spec| {
+        let scenario = crumple_world::scenario::built_in("paper-1").unwrap().edited(|spec| {
             spec.vehicles[0].max_accel_mps2 = Some(accel_mps2);
             spec.vehicles[0].acceleration_noise_mps2 = noise_mps2;
             spec.vehicles[1].position_m -= 30.0;

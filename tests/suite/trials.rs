@@ -5,10 +5,10 @@ mod bites;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crumple::sim::{Keep, Run, RunOptions, simulate};
-use crumple::trial::oracle::{nobody_does_the_impossible, one_story, shield_keeps_clear};
-use crumple::trial::targets::{self, TARGETS};
-use crumple::trial::{Hunt, ORACLES, TRIAL_BYTES, Trial, behaviour};
+use crumple_fuzzing::oracle::{nobody_does_the_impossible, one_story, shield_keeps_clear};
+use crumple_fuzzing::targets::{self, TARGETS};
+use crumple_fuzzing::{Hunt, ORACLES, TRIAL_BYTES, Trial, behaviour};
+use crumple_world::sim::{Keep, Run, RunOptions, simulate};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
@@ -75,7 +75,7 @@ fn a_violation_brings_a_scenario_file() {
     let trial = Trial::of_bytes(&[]);
     let violation = trial.ask(one_story, &Wrong(Fault::ContactForgotten)).expect_err("must be noticed");
     let path = Path::new("reproducer.toml");
-    let read = crumple::scenario::file::from_toml(&violation.reproducer, path).expect("a scenario file");
+    let read = crumple_world::scenario::file::from_toml(&violation.reproducer, path).expect("a scenario file");
     assert_eq!(read, trial.scenario);
     assert!(violation.reproducer.starts_with("# crumple simulate THIS-FILE.toml --controller baseline\n"));
     assert!(violation.to_string().contains("tell one story"), "{violation}");
@@ -91,11 +91,11 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
         let features = hunt.take(input).expect("no law is broken");
         assert!(!features.is_empty() && features.iter().all(|&feature| feature < behaviour::FEATURES));
     }
-    let mut files = crumple::scenario::file::load_all(folder.path()).expect("scenario files");
+    let mut files = crumple_world::scenario::file::load_all(folder.path()).expect("scenario files");
     assert_eq!(files.len(), 2, "the paper's scenario 1 once, and scenario 3");
     let (path, scenario) = files.remove(0);
     assert_eq!(path.file_name().unwrap(), "baseline-1-of-3-hit-by-baseline-at-10-mps.toml");
-    let baseline = crumple::scenario::ControllerSpec::named("baseline").unwrap();
+    let baseline = crumple_world::scenario::ControllerSpec::named("baseline").unwrap();
     let run = Run::new(&scenario, RunOptions::new(baseline)).unwrap();
     assert!(simulate(&run, Keep::Summary).outcome.contact().is_some());
     assert!(Hunt::new("nobody", None).is_err());

@@ -245,7 +245,7 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
 #[test]
 fn a_campaign_in_another_space_says_what_differs() {
     let folder = folder();
-    let good = include_str!("../../../src/scenario/space/built_in/paper.toml");
+    let good = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
     let campaign = |more: &[&str]| {
         let arguments = ["falsify", "--controller", "idm", "--space", "own.toml", "--budget", "5"];
         crumple(folder.path(), &[&arguments[..], more].concat())
@@ -266,7 +266,7 @@ fn a_campaign_in_another_space_says_what_differs() {
 #[test]
 fn mistakes_are_said_before_anything_is_written() {
     let folder = folder();
-    let good = include_str!("../../../src/scenario/space/built_in/paper.toml");
+    let good = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
     let line = 1 + good.lines().position(|line| line.contains("deviation = 0.2, low = 2.0")).unwrap();
     fs::write(folder.path().join("bad.toml"), good.replace("deviation = 0.2, low = 2.0", "deviation = -1, low = 2.0"))
         .unwrap();

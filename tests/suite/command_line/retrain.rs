@@ -4,14 +4,13 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::Value;
-use sha2::{Digest, Sha256};
 
 use super::falsify::assert_same;
 use super::{code, command, crumple, folder, killed_at_random, objects, stderr, stdout};
 
 /// The preset of the command on tiny networks that learn at once, with a checkpoint of its training every ten episodes.
 fn write_preset(folder: &Path) {
-    let mut preset = include_str!("../../../src/harden/preset.toml").to_owned();
+    let mut preset = include_str!("../../../crates/learn/src/retrain/preset.toml").to_owned();
     for (from, to) in [
         ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
         ("batch = 256", "batch = 8"),
@@ -54,7 +53,7 @@ fn retrain<'a>(out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
 }
 
 fn sha256(path: &Path) -> String {
-    Sha256::digest(fs::read(path).unwrap()).iter().map(|byte| format!("{byte:02x}")).collect()
+    crumple_world::digest::sha256(fs::read(path).unwrap())
 }
 
 #[test]

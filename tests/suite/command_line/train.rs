@@ -10,7 +10,7 @@ use super::{code, crumple, folder, stderr, stdout};
 
 /// The default preset on tiny networks, with a checkpoint every ten episodes and no early end.
 fn write_preset(folder: &Path) {
-    let mut preset = include_str!("../../../src/rl/presets/fast.toml").to_owned();
+    let mut preset = include_str!("../../../crates/learn/src/rl/presets/fast.toml").to_owned();
     for (from, to) in [
         ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
         ("batch = 128", "batch = 8"),

@@ -1,8 +1,8 @@
 //! The world the filter believes in.
 
-use crumple::estimate::{EgoTuning, Filter, Tuning};
-use crumple::random::{Purpose, Stream, stream};
-use crumple::scenario::Sensors;
+use crumple_world::estimate::{EgoTuning, Filter, Tuning};
+use crumple_world::random::{Purpose, Stream, stream};
+use crumple_world::scenario::Sensors;
 use nalgebra::{Matrix3, Vector3};
 use rand_distr::{Distribution, StandardNormal};
 

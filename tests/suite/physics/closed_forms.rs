@@ -1,11 +1,11 @@
 //! Stopping distances and contact times against closed forms, to 1e-9.
 
-use crumple::scenario::{
+use crumple_fuzzing::Setup;
+use crumple_world::scenario::{
     Brake, Driver, Environment, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
     VehicleSpec,
 };
-use crumple::sim::Simulated;
-use crumple::trial::Setup;
+use crumple_world::sim::Simulated;
 use proptest::prelude::*;
 
 use super::trace_of;

@@ -4,10 +4,10 @@ mod closed_forms;
 mod impacts;
 mod symmetry;
 
-use crumple::estimate::EstimatorKind;
-use crumple::scenario::Scenario;
-use crumple::sim::{Simulated, Trace};
-use crumple::trial::oracle::{monitor_agrees, motion_is_physical, one_story, same_impacts, step_size_decides_nothing};
+use crumple_fuzzing::oracle::{monitor_agrees, motion_is_physical, one_story, same_impacts, step_size_decides_nothing};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{Simulated, Trace};
 use proptest::prelude::*;
 
 use crate::generate::{any_trial, ask, cases, traced};
@@ -48,11 +48,11 @@ proptest! {
 /// The paper's scenarios, which everything is compared on, are among those that do not depend on the step.
 #[test]
 fn the_verdicts_of_the_papers_distribution_do_not_depend_on_the_step() {
-    let baseline = crumple::scenario::ControllerSpec::named("baseline").unwrap();
+    let baseline = crumple_world::scenario::ControllerSpec::named("baseline").unwrap();
     for index in 0..40 {
-        let scenario: Scenario = crumple::scenario::PaperDistribution { seed: 11 }.draw(index).unwrap();
+        let scenario: Scenario = crumple_world::scenario::PaperDistribution { seed: 11 }.draw(index).unwrap();
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-            let options = crumple::sim::RunOptions::new(baseline.clone()).with_estimator(estimator);
+            let options = crumple_world::sim::RunOptions::new(baseline.clone()).with_estimator(estimator);
             let [coarse, fine] = [0.01, 0.001].map(|dt_s| traced(&scenario, &options.clone().with_dt_s(dt_s)));
             same_impacts(&coarse, &fine, 0, 0.0).expect("the same verdict");
         }

@@ -1,10 +1,10 @@
 //! What may be moved, delayed or added without changing what happens.
 
-use crumple::estimate::EstimatorKind;
-use crumple::scenario::{Driver, LeadProfile, Recorded, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
-use crumple::sim::Simulated;
-use crumple::trial::oracle::{grazes, same_impacts};
-use crumple::trial::{Kind, Setup, Shape, script};
+use crumple_fuzzing::oracle::{grazes, same_impacts};
+use crumple_fuzzing::{Kind, Setup, Shape, script};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::{Driver, LeadProfile, Recorded, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
+use crumple_world::sim::Simulated;
 use proptest::prelude::*;
 
 use super::trace_of;

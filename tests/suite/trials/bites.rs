@@ -3,19 +3,19 @@
 use std::collections::HashSet;
 use std::sync::LazyLock;
 
-use crumple::estimate::Observation;
-use crumple::measure::stl::{Formula, MonitorError, Signals};
-use crumple::report;
-use crumple::scenario::Scenario;
-use crumple::scenario::file::FileError;
-use crumple::sim::{self, Keep, Outcome, Run, RunOptions, Simulated, Stress, UnderTest, simulate};
-use crumple::trial::oracle::{
+use crumple_fuzzing::oracle::{
     engines_agree, estimates_are_sane, files_keep_scenarios, impacts_are_inelastic, monitor_agrees, motion_is_physical,
     nobody_does_the_impossible, one_story, shield_keeps_clear, step_size_decides_nothing,
 };
-use crumple::trial::{Crumple, FileFormat, Law, ORACLES, Oracle, Sight, System, TRIAL_BYTES, Trial};
-use crumple::worst_case::{self, Avoidance};
+use crumple_fuzzing::{Crumple, FileFormat, Law, ORACLES, Oracle, Sight, System, TRIAL_BYTES, Trial};
+use crumple_search::worst_case::{self, Avoidance};
 use crumple_verify::Certificate;
+use crumple_world::estimate::Observation;
+use crumple_world::measure::ContactRole;
+use crumple_world::measure::stl::{Formula, MonitorError, Signals};
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::file::FileError;
+use crumple_world::sim::{self, Contact, Keep, Outcome, Run, RunOptions, Simulated, Stress, UnderTest, simulate};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
@@ -152,7 +152,7 @@ impl System for Wrong {
             avoidance.min_gap_bound_m = avoidance.min_gap_bound_m.map(|bound_m| 0.5 * bound_m);
         }
         if self.0 == Fault::Doom {
-            avoidance.verdict = worst_case::Verdict::Unavoidable(Box::new(PROOF.clone()));
+            avoidance.verdict = worst_case::AvoidanceVerdict::Unavoidable(Box::new(PROOF.clone()));
         }
         Some(avoidance)
     }
@@ -180,9 +180,9 @@ impl System for Wrong {
         Ok(self.0 == Fault::Yes || Crumple.is_satisfied(formula, signals)?)
     }
 
-    fn verdict(&self, result: &Simulated, scenario: &Scenario) -> report::Verdict {
-        match Crumple.verdict(result, scenario) {
-            report::Verdict::Hit(contact) if self.0 == Fault::Blame => report::Verdict::WasHit(contact),
+    fn contact_role(&self, contact: &Contact, scenario: &Scenario) -> ContactRole {
+        match Crumple.contact_role(contact, scenario) {
+            ContactRole::Hits if self.0 == Fault::Blame => ContactRole::IsHit,
             told => told,
         }
     }
@@ -268,7 +268,7 @@ fn every_oracle_bites() {
         (Fault::ContactForgotten, monitor_agrees, Law::Monitor),
         (Fault::GapOfTheNext, one_story, Law::OneStory),
         (Fault::Limitless, one_story, Law::Limits),
-        (Fault::Blame, one_story, Law::Report),
+        (Fault::Blame, one_story, Law::ContactRole),
         (Fault::RateSign, estimates_are_sane, Law::Estimates),
         (Fault::Reversing, estimates_are_sane, Law::Estimates),
         (Fault::RoundedFile, files_keep_scenarios, Law::Files),

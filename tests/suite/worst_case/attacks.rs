@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use crumple::estimate::EstimatorKind;
-use crumple::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, Scenario, built_in, file};
-use crumple::sim::{Keep, Outcome, Run, RunOptions, simulate, simulate_batch};
-use crumple::worst_case::{Aim, Envelope, Way, attack};
+use crumple_search::worst_case::{Aim, Envelope, Way, attack};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, Scenario, built_in, file};
+use crumple_world::sim::{Keep, Outcome, Run, RunOptions, simulate, simulate_batch};
 
 use super::scenes::{Dice, small};
 
@@ -127,11 +127,11 @@ fn compare_with_exact(scenario: &Scenario, most_m2ps3: f64) {
     let envelope = Envelope::of(scenario);
     let exact = attack(scenario, &options("baseline"), Aim::Mildest, envelope, 0).unwrap().expect("collides");
     // The same controller from outside takes the other way.
-    let build = std::sync::Arc::new(|ego: &crumple::control::Ego| {
-        Box::new(crumple::control::Baseline::new(&crumple::scenario::AebSettings::default(), ego))
-            as Box<dyn crumple::control::Controller>
+    let build = std::sync::Arc::new(|ego: &crumple_world::control::Ego| {
+        Box::new(crumple_world::control::Baseline::new(&crumple_world::scenario::AebSettings::default(), ego))
+            as Box<dyn crumple_world::control::Controller>
     });
-    let custom = RunOptions { controller: crumple::sim::UnderTest::Custom(build), ..options("baseline") };
+    let custom = RunOptions { controller: crumple_world::sim::UnderTest::Custom(build), ..options("baseline") };
     let found = attack(scenario, &custom, Aim::Mildest, envelope, 3000).unwrap().expect("collides");
     assert_eq!((exact.way, found.way), (Way::Exact, Way::Sequential));
     assert!(exact.programs <= 150, "{} programs", exact.programs);
@@ -182,7 +182,7 @@ fn no_profile_is_rougher_than_the_envelope() {
 /// When the brake acts is enumerated only where it acts as decided.
 #[test]
 fn whoever_answers_late_or_with_noise_is_not_enumerated() {
-    let changes: [fn(&mut crumple::scenario::ScenarioSpec); 4] = [
+    let changes: [fn(&mut crumple_world::scenario::ScenarioSpec); 4] = [
         |spec| spec.vehicles[1].actuator_lag_s = 0.2,
         |spec| spec.vehicles[1].jerk_limit_mps3 = Some(20.0),
         |spec| spec.vehicles[1].acceleration_noise_mps2 = 0.02,

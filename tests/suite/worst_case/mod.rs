@@ -6,16 +6,16 @@ mod attacks;
 mod mutants;
 mod scenes;
 
-use crumple::estimate::EstimatorKind;
-use crumple::scenario::{
-    AebSettings, Brake, ControllerSpec, Driver, LeadProfile, Scenario, ScenarioSpec, built_in, file,
-};
-use crumple::sim::{Keep, Outcome, Run, RunOptions, Simulated, simulate};
-use crumple::worst_case::{
-    AvoidOptions, Avoidance, EscapeKind, Family, FieldRange, Ranges, Reason, Verdict, avoid, avoid_all, certify,
-    is_about,
+use crumple_search::worst_case::{
+    AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, Family, FieldRange, Ranges, Reason, avoid, avoid_all,
+    certify, is_about,
 };
 use crumple_verify::{Accepted, Certificate, Statement};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::{
+    AebSettings, Brake, ControllerSpec, Driver, LeadProfile, Scenario, ScenarioSpec, built_in, file,
+};
+use crumple_world::sim::{Keep, Outcome, Run, RunOptions, Simulated, simulate};
 use serde_json::Value;
 
 use scenes::{random, scenario_of, small, with_profile};
@@ -101,7 +101,7 @@ fn brute_force_never_does_better() {
         let avoidance = decide(&scenario);
         let brute_m = brute_force_m(&scenario);
         match &avoidance.verdict {
-            Verdict::Unavoidable(_) => assert!(brute_m <= 0.0, "{seed}: brute force keeps {brute_m} m"),
+            AvoidanceVerdict::Unavoidable(_) => assert!(brute_m <= 0.0, "{seed}: brute force keeps {brute_m} m"),
             _ if brute_m > 0.0 => {
                 escaped += 1;
                 let bound_m = avoidance.min_gap_bound_m.expect("an escape needs a bound");
@@ -142,7 +142,7 @@ fn no_controller_contradicts_a_verdict() {
             (controller.name(), results.iter().map(smallest_gap_m).fold(0.0, f64::max))
         });
         match &avoidance.verdict {
-            Verdict::Avoidable(escape) => {
+            AvoidanceVerdict::Avoidable(escape) => {
                 avoidable += 1;
                 let bound_m = avoidance.min_gap_bound_m.expect("an escape needs a bound");
                 for (name, kept_m) in kept_m {
@@ -150,7 +150,7 @@ fn no_controller_contradicts_a_verdict() {
                 }
                 check(&certify(&Family::point(&scenario), escape).unwrap_or_else(|why| panic!("{seed}: {why}")));
             }
-            Verdict::Unavoidable(certificate) => {
+            AvoidanceVerdict::Unavoidable(certificate) => {
                 unavoidable += 1;
                 assert_eq!(avoidance.min_gap_bound_m, None, "{seed}: there is no escape to bound");
                 for (name, kept_m) in kept_m {
@@ -159,7 +159,7 @@ fn no_controller_contradicts_a_verdict() {
                 assert!(matches!(check(certificate), Accepted::Unavoidable { overlap_m } if overlap_m > 0.0));
                 assert!(is_about(certificate, &scenario));
             }
-            Verdict::Undecided(reason) => undecided.push((seed, reason.clone())),
+            AvoidanceVerdict::Undecided(reason) => undecided.push((seed, reason.clone())),
         }
     }
     println!("{avoidable} avoidable, {unavoidable} unavoidable, {programs} programs, undecided: {undecided:?}");
@@ -200,9 +200,9 @@ fn a_certificate_is_about_its_own_scenario() {
         |s| s.vehicles.truncate(2),
     ];
     let certified = |scenario: &Scenario| match decide(scenario).verdict {
-        Verdict::Avoidable(escape) => Some(certify(&Family::point(scenario), &escape).expect("accepted")),
-        Verdict::Unavoidable(certificate) => Some(*certificate),
-        Verdict::Undecided(_) => None,
+        AvoidanceVerdict::Avoidable(escape) => Some(certify(&Family::point(scenario), &escape).expect("accepted")),
+        AvoidanceVerdict::Unavoidable(certificate) => Some(*certificate),
+        AvoidanceVerdict::Undecided(_) => None,
     };
     // Nobody who answers late can follow a profile that begins at once.
     let paper_1 = built_in("paper-1").unwrap();
@@ -233,9 +233,9 @@ fn what_survives_mutation_is_true() {
     let (mut accepted, mut rejected, mut kinds) = (0, 0, [0, 0]);
     for (scenario, verdict) in verdicts {
         let (kind, certificate) = match verdict {
-            Verdict::Avoidable(escape) => (0, certify(&Family::point(&scenario), &escape).expect("accepted")),
-            Verdict::Unavoidable(certificate) => (1, *certificate),
-            Verdict::Undecided(_) => continue,
+            AvoidanceVerdict::Avoidable(escape) => (0, certify(&Family::point(&scenario), &escape).expect("accepted")),
+            AvoidanceVerdict::Unavoidable(certificate) => (1, *certificate),
+            AvoidanceVerdict::Undecided(_) => continue,
         };
         if kinds[kind] == 2 {
             continue;
@@ -264,7 +264,7 @@ fn is_true(original: &Certificate, mutant: &Value) -> bool {
         // The same claim with another proof.
         (Statement::Unavoidable(before), Statement::Unavoidable(after)) if before.scene == after.scene => true,
         (_, Statement::Unavoidable(claim)) => scenario_of(&claim.scene, &[])
-            .is_none_or(|scenario| !matches!(decide(&scenario).verdict, Verdict::Avoidable(_))),
+            .is_none_or(|scenario| !matches!(decide(&scenario).verdict, AvoidanceVerdict::Avoidable(_))),
         (_, Statement::Avoidable(claim)) => scenario_of(&claim.scene, &claim.witness).is_none_or(|scenario| {
             let replayed = run(&scenario, &ControllerSpec::MatchLeader, EstimatorKind::Truth, 10.0);
             smallest_gap_m(&replayed) >= claim.min_gap_m_at_least.unwrap_or(0.0).max(1e-12)
@@ -285,7 +285,7 @@ fn a_box_is_decided_as_a_whole() {
     };
     let family = Family::new(&paper_1, &ranges(2.9, 3.1)).unwrap();
     let avoidance = avoid_all(&family, AvoidOptions::default()).unwrap();
-    let Verdict::Avoidable(escape) = &avoidance.verdict else { panic!("{:?}", avoidance.verdict) };
+    let AvoidanceVerdict::Avoidable(escape) = &avoidance.verdict else { panic!("{:?}", avoidance.verdict) };
     let certificate = certify(&family, escape).unwrap();
     check(&certificate);
     assert!(is_about(&certificate, &paper_1), "a scenario of the box");
@@ -307,7 +307,9 @@ fn a_box_is_decided_as_a_whole() {
     // Nobody stops a car from 25 m/s in 16 m behind a wall, wherever in the box it stands.
     let wall = paper_1.edited(|s| s.vehicles[0].speed_mps = 0.0).unwrap();
     let hopeless = Family::new(&wall, &ranges(0.0, 3.0)).unwrap();
-    let Verdict::Unavoidable(proof) = avoid_all(&hopeless, AvoidOptions::default()).unwrap().verdict else { panic!() };
+    let AvoidanceVerdict::Unavoidable(proof) = avoid_all(&hopeless, AvoidOptions::default()).unwrap().verdict else {
+        panic!()
+    };
     check(&proof);
     // Nor at any of many speeds, fast or slow.
     let speeds = |low, high| Ranges {
@@ -315,18 +317,22 @@ fn a_box_is_decided_as_a_whole() {
         ranges: vec![FieldRange { field: "vehicles[1].speed_mps".into(), low, high }],
     };
     let wide = Family::new(&wall, &speeds(18.0, 40.0)).unwrap();
-    let Verdict::Unavoidable(proof) = avoid_all(&wide, AvoidOptions::default()).unwrap().verdict else { panic!() };
+    let AvoidanceVerdict::Unavoidable(proof) = avoid_all(&wide, AvoidOptions::default()).unwrap().verdict else {
+        panic!()
+    };
     check(&proof);
     // At 10 m/s it stops.
     let partly = Family::new(&wall, &speeds(10.0, 40.0)).unwrap();
-    assert!(matches!(avoid_all(&partly, AvoidOptions::default()).unwrap().verdict, Verdict::Undecided(_)));
+    assert!(matches!(avoid_all(&partly, AvoidOptions::default()).unwrap().verdict, AvoidanceVerdict::Undecided(_)));
     // Braking that begins sooner or later is escaped by one profile, too.
     let onset = |low, high| Ranges {
         version: 1,
         ranges: vec![FieldRange { field: "vehicles[0].driver.brake.onset_s".into(), low, high }],
     };
     let family = Family::new(&paper_1, &onset(0.9, 1.1)).unwrap();
-    let Verdict::Avoidable(escape) = avoid_all(&family, AvoidOptions::default()).unwrap().verdict else { panic!() };
+    let AvoidanceVerdict::Avoidable(escape) = avoid_all(&family, AvoidOptions::default()).unwrap().verdict else {
+        panic!()
+    };
     check(&certify(&family, &escape).unwrap());
     for onset_s in [0.9, 1.0, 1.1] {
         let member = Family::new(&escape.scenario, &onset(onset_s, onset_s)).unwrap();
@@ -339,15 +345,15 @@ fn a_box_is_decided_as_a_whole() {
 
 #[test]
 fn what_is_not_modelled_is_undecided_or_still_proved() {
-    let reason = |change: &dyn Fn(&mut crumple::scenario::ScenarioSpec)| {
+    let reason = |change: &dyn Fn(&mut crumple_world::scenario::ScenarioSpec)| {
         let changed = built_in("paper-1").unwrap().edited(|spec| change(spec)).unwrap();
         match decide(&changed).verdict {
-            Verdict::Undecided(reason) => Some(reason),
+            AvoidanceVerdict::Undecided(reason) => Some(reason),
             _ => None,
         }
     };
     let idm = ControllerSpec::named("idm").unwrap();
-    let idm = crumple::scenario::Driver::Controller(idm);
+    let idm = crumple_world::scenario::Driver::Controller(idm);
     assert_eq!(reason(&|s| s.vehicles[0].driver = idm.clone()), Some(Reason::Leader));
     assert_eq!(reason(&|s| s.vehicles[1].driver = idm.clone()), Some(Reason::NoEgo));
     assert_eq!(reason(&|s| s.vehicles[1].actuator_lag_s = 0.2), Some(Reason::EgoResponse { vehicle: 1 }));
@@ -371,9 +377,9 @@ fn too_many_vehicles_are_said_to_be() {
         spec.vehicles[0].speed_mps = 0.0;
         for index in 1..17 {
             let position_m = ego.position_m - 20.0 * f64::from(index);
-            spec.vehicles.push(crumple::scenario::VehicleSpec { position_m, ..ego.clone() });
+            spec.vehicles.push(crumple_world::scenario::VehicleSpec { position_m, ..ego.clone() });
         }
     });
     let avoidance = decide(&crowd.unwrap());
-    assert_eq!(avoidance.verdict, Verdict::Undecided(Reason::TooManyVehicles { egos: 17, most: 16 }));
+    assert_eq!(avoidance.verdict, AvoidanceVerdict::Undecided(Reason::TooManyVehicles { egos: 17, most: 16 }));
 }

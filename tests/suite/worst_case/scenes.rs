@@ -1,11 +1,11 @@
 //! Random scenes with an emergency in them.
 
-use crumple::random::derived_seed;
-use crumple::scenario::{
+use crumple_verify::{Held, Scene};
+use crumple_world::random::derived_seed;
+use crumple_world::scenario::{
     AebSettings, Brake, ControllerSpec, Driver, Environment, LeadProfile, Pieces, SCENARIO_VERSION, Scenario,
     ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
 };
-use crumple_verify::{Held, Scene};
 
 /// Numbers between 0 and 1 that depend on a seed alone.
 pub(crate) struct Dice(pub(crate) u64);

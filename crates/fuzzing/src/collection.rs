@@ -1,0 +1,42 @@
+//! Collisions found, one scenario file for each kind of them.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::{Trial, behaviour};
+use crumple_world::sim::Simulated;
+
+/// A folder of scenario files, each named after the collision in it.
+#[derive(Debug, Clone)]
+pub struct Collection {
+    folder: PathBuf,
+}
+
+impl Collection {
+    /// The collection in a folder, which is made if it is not there.
+    ///
+    /// # Errors
+    /// What the system says if it cannot be made.
+    pub fn in_folder(folder: &Path) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        Ok(Self { folder: folder.to_owned() })
+    }
+
+    /// Writes the scenario of a run in which a vehicle under test collided, unless one of its kind is there already.
+    ///
+    /// # Errors
+    /// What the system says if it cannot be written.
+    pub fn keep(&self, trial: &Trial, result: &Simulated) -> io::Result<Option<PathBuf>> {
+        let Some(kind) = behaviour::failure(trial, result) else { return Ok(None) };
+        let path = self.folder.join(format!("{kind}.toml"));
+        if path.exists() {
+            return Ok(None);
+        }
+        let about = format!("Found by `cargo fuzz run scenario` under {}.", trial.setup.controller.name());
+        let named = trial.scenario.edited(|spec| (spec.name, spec.about) = (kind, about));
+        let scenario = named.unwrap_or_else(|_| trial.scenario.clone());
+        fs::write(&path, Trial { scenario, setup: trial.setup.clone() }.reproducer())?;
+        Ok(Some(path))
+    }
+}

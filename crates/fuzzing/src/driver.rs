@@ -1,0 +1,129 @@
+//! Drivers of all sorts.
+
+use super::choices::Choices;
+use super::shape::Kind;
+use crumple_world::scenario::{
+    AccAebSettings, AebSettings, Brake, BrakeToSpeed, ConstantBrakeSettings, ControllerSpec, Driver, IdmSettings,
+    LeadProfile, Pieces, RampBrake, Recorded, VehicleSpec,
+};
+
+/// Bytes that a driver is read from.
+pub(super) const DRIVER_BYTES: usize = 26;
+/// Most entries of a script that is a list.
+const MOST_ENTRIES: u8 = 5;
+
+/// A driver of a sort.
+pub(super) fn driver(kind: Kind, choices: &mut Choices<'_>) -> Driver {
+    match kind {
+        Kind::UnderTest => Driver::UnderTest,
+        Kind::Profile(index) => Driver::Profile(profile_of(index, choices)),
+        Kind::Controller(index) => Driver::Controller(controller_of(index, choices)),
+    }
+}
+
+/// A lead profile of the `index`-th sort, with its onset in the first 3 s and never more than 9 m/s² of braking.
+#[must_use]
+pub fn profile(index: u8, bytes: &[u8]) -> LeadProfile {
+    profile_of(index, &mut Choices::new(bytes))
+}
+
+/// The `index`-th built-in controller with any sensible settings; no bytes are its defaults.
+#[must_use]
+pub fn controller(index: u8, bytes: &[u8]) -> ControllerSpec {
+    controller_of(index, &mut Choices::new(bytes))
+}
+
+fn profile_of(index: u8, choices: &mut Choices<'_>) -> LeadProfile {
+    // The paper's leader brakes at 3 m/s² from 1 s on.
+    let onset_s = |choices: &mut Choices<'_>| choices.about(1.0, [0.0, 3.0]);
+    let rate_mps2 = |choices: &mut Choices<'_>| choices.about(3.0, [0.0, 9.0]);
+    match index {
+        0 => LeadProfile::ConstantSpeed,
+        1 => LeadProfile::Brake(Brake { onset_s: onset_s(choices), rate_mps2: rate_mps2(choices) }),
+        2 => LeadProfile::RampBrake(RampBrake {
+            onset_s: onset_s(choices),
+            rate_mps2: rate_mps2(choices),
+            ramp_s: choices.about(1.5, [0.0, 2.0]),
+            release_s: choices.sometimes(128, |choices| choices.up_to(1.0)).unwrap_or_default(),
+        }),
+        3 => LeadProfile::BrakeToSpeed(BrakeToSpeed {
+            onset_s: onset_s(choices),
+            rate_mps2: rate_mps2(choices),
+            final_speed_mps: choices.up_to(30.0),
+        }),
+        4 => {
+            let (from_s, accel_mps2) = series(choices, 0.0, [-9.0, 4.0]);
+            LeadProfile::Pieces(Pieces { from_s, accel_mps2 })
+        }
+        _ => {
+            let (time_s, speed_mps) = series(choices, 25.0, [0.0, 40.0]);
+            LeadProfile::Recorded(Recorded { time_s, speed_mps })
+        }
+    }
+}
+
+/// Increasing times, and a value at each.
+fn series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
+    let entries = 1 + choices.byte() % MOST_ENTRIES;
+    let mut time_s = 0.0;
+    (0..entries)
+        .map(|_| {
+            time_s += choices.about(0.5, [0.001, 1.0]);
+            (time_s, choices.about(nominal, range))
+        })
+        .unzip()
+}
+
+fn controller_of(index: u8, choices: &mut Choices<'_>) -> ControllerSpec {
+    let aeb = |choices: &mut Choices<'_>| AebSettings { ttc_s: choices.about(1.4, [0.0, 4.0]) };
+    match index {
+        0 => ControllerSpec::Baseline(aeb(choices)),
+        1 => ControllerSpec::BaselineUnlatched(aeb(choices)),
+        2 => ControllerSpec::MatchLeader,
+        3 => {
+            let nominal = ConstantBrakeSettings::default();
+            ControllerSpec::ConstantBrake(ConstantBrakeSettings {
+                rate_mps2: choices.about(nominal.rate_mps2, [0.0, 9.0]),
+                trigger_mps2: choices.about(nominal.trigger_mps2, [0.0, 4.0]),
+                delay_s: choices.about(nominal.delay_s, [0.0, 1.0]),
+            })
+        }
+        4 => {
+            let nominal = IdmSettings::default();
+            ControllerSpec::Idm(IdmSettings {
+                desired_speed_mps: choices.about(nominal.desired_speed_mps, [5.0, 45.0]),
+                time_headway_s: choices.about(nominal.time_headway_s, [0.0, 3.0]),
+                standstill_gap_m: choices.about(nominal.standstill_gap_m, [0.0, 5.0]),
+                accel_mps2: choices.about(nominal.accel_mps2, [0.1, 4.0]),
+                comfortable_brake_mps2: choices.about(nominal.comfortable_brake_mps2, [0.1, 4.0]),
+            })
+        }
+        5 => {
+            let nominal = AccAebSettings::default();
+            ControllerSpec::AccAeb(AccAebSettings {
+                ttc_s: choices.about(nominal.ttc_s, [0.0, 4.0]),
+                time_headway_s: choices.about(nominal.time_headway_s, [0.0, 3.0]),
+                standstill_gap_m: choices.about(nominal.standstill_gap_m, [0.0, 5.0]),
+                gap_gain_per_s2: choices.about(nominal.gap_gain_per_s2, [0.0, 1.0]),
+                speed_gain_per_s: choices.about(nominal.speed_gain_per_s, [0.0, 2.0]),
+                comfort_brake_mps2: choices.about(nominal.comfort_brake_mps2, [0.0, 5.0]),
+                comfort_accel_mps2: choices.about(nominal.comfort_accel_mps2, [0.0, 3.0]),
+            })
+        }
+        _ => ControllerSpec::Policy,
+    }
+}
+
+/// Makes a vehicle follow a script that it is able to follow: strong enough, and without delay.
+pub fn script(vehicle: &mut VehicleSpec, profile: LeadProfile) {
+    let [lowest_mps2, highest_mps2] = profile.acceleration_range_mps2();
+    if -lowest_mps2 > vehicle.max_brake_mps2() {
+        vehicle.max_brake_mps2 = Some(-lowest_mps2);
+    }
+    if highest_mps2 > vehicle.max_accel_mps2() {
+        vehicle.max_accel_mps2 = Some(highest_mps2);
+    }
+    (vehicle.reaction_delay_s, vehicle.actuator_delay_s, vehicle.actuator_lag_s) = (0.0, 0.0, 0.0);
+    vehicle.jerk_limit_mps3 = None;
+    vehicle.driver = Driver::Profile(profile);
+}

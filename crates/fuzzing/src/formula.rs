@@ -1,0 +1,63 @@
+//! Formulas of signal temporal logic from bytes.
+
+use super::choices::Choices;
+use crumple_world::measure::stl::{Comparison, Formula, FormulaError, Interval, Relation};
+
+/// How deep formulas nest.
+const DEEPEST: u32 = 3;
+
+/// Any formula over some signals, with windows of whole steps.
+///
+/// # Errors
+/// [`FormulaError`] if a signal's name cannot be written in a formula.
+pub fn any_formula(bytes: &[u8], names: &[&str], step_s: f64) -> Result<Formula, FormulaError> {
+    Source { choices: Choices::new(bytes), names, step_s }.formula(DEEPEST)
+}
+
+struct Source<'a> {
+    choices: Choices<'a>,
+    names: &'a [&'a str],
+    step_s: f64,
+}
+
+impl Source<'_> {
+    fn formula(&mut self, depth: u32) -> Result<Formula, FormulaError> {
+        let kind = if depth == 0 { 0 } else { self.choices.byte() % 8 };
+        Ok(match kind {
+            0 => Formula::Compare(self.comparison()?),
+            1 => Formula::Not(self.boxed(depth)?),
+            2 => Formula::And(self.boxed(depth)?, self.boxed(depth)?),
+            3 => Formula::Or(self.boxed(depth)?, self.boxed(depth)?),
+            4 => Formula::Implies(self.boxed(depth)?, self.boxed(depth)?),
+            5 => Formula::Always(self.window()?, self.boxed(depth)?),
+            6 => Formula::Eventually(self.window()?, self.boxed(depth)?),
+            _ => Formula::Until(self.boxed(depth)?, self.window()?, self.boxed(depth)?),
+        })
+    }
+
+    fn boxed(&mut self, depth: u32) -> Result<Box<Formula>, FormulaError> {
+        self.formula(depth - 1).map(Box::new)
+    }
+
+    fn comparison(&mut self) -> Result<Comparison, FormulaError> {
+        let relations = [Relation::Above, Relation::AtLeast, Relation::Below, Relation::AtMost];
+        let relation = self.choices.one_of(&relations).unwrap_or(Relation::Above);
+        let name = self.choices.one_of(self.names).unwrap_or("x");
+        let other = self.choices.one_of(self.names).unwrap_or("x");
+        let weight = self.choices.about(1.0, [-2.0, 2.0]);
+        let weight = if weight == 0.0 { 1.0 } else { weight };
+        let bound = self.choices.about(0.0, [-30.0, 30.0]);
+        let single = name == other || self.choices.happens(128);
+        let terms = [(weight, name.to_owned()), (-1.0, other.to_owned())];
+        Comparison::new(terms.into_iter().take(if single { 1 } else { 2 }), relation, bound)
+    }
+
+    fn window(&mut self) -> Result<Interval, FormulaError> {
+        let (first, more) = (self.choices.byte() % 12, self.choices.byte());
+        if more == 0 {
+            return Ok(Interval::ALL);
+        }
+        let at = |steps: u8| f64::from(steps) * self.step_s;
+        Interval::new(at(first), at(first + more % 25))
+    }
+}

@@ -1,0 +1,117 @@
+//! Crash tests of the crash-tester: any scenario, and laws that must hold in it.
+//!
+//! One generator reads scenarios and setups from bytes, as departures from the paper's scenario 1: no bytes, and zero
+//! bytes, are that scenario under the baseline. Property suites hand it random bytes and fuzzers hand it evolved ones, so
+//! both search one space. Oracles take a [`Trial`] and answer [`Checked`] or a [`Violation`] with a scenario file that
+//! shows it again. [`targets`] are whole fuzz targets, which the suite replays without a fuzzer. [`behaviour`] is what a
+//! fuzzer is told about a run beyond the code it reached.
+//!
+//! For the project's own suites and fuzzers; no promise of stability is made to anybody else.
+
+pub mod behaviour;
+mod choices;
+mod collection;
+mod driver;
+mod formula;
+mod hunt;
+pub mod oracle;
+mod scenario;
+mod setup;
+mod shape;
+mod system;
+pub mod targets;
+mod violation;
+
+use std::fmt;
+
+use arbitrary::{Arbitrary, Unstructured};
+
+pub use collection::Collection;
+pub use driver::{controller, profile, script};
+pub use formula::any_formula;
+pub use hunt::{Hunt, HuntError};
+pub use oracle::{Checked, ORACLES, ORACLES_OF_A_RUN, Oracle, Question};
+pub use scenario::{SCENARIO_BYTES, scenario, scenario_of};
+pub use setup::{Candidate, Found, SETUP_BYTES, Setup};
+pub use shape::{Kind, Shape};
+pub use system::{Crumple, FileFormat, Sight, System};
+pub use violation::{Law, Violation};
+
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::Simulated;
+
+/// Bytes that a trial is read from.
+pub const TRIAL_BYTES: usize = SCENARIO_BYTES + SETUP_BYTES;
+
+/// A scenario and how it is run. Its debug format is a reproducer: a scenario file that says how to run it.
+#[derive(Clone, PartialEq)]
+pub struct Trial {
+    /// What happens.
+    pub scenario: Scenario,
+    /// Who is under test, and how it is simulated.
+    pub setup: Setup,
+}
+
+impl<'b> Arbitrary<'b> for Trial {
+    fn arbitrary(from: &mut Unstructured<'b>) -> arbitrary::Result<Self> {
+        Ok(Self { scenario: scenario(from), setup: Setup::read(from) })
+    }
+
+    fn size_hint(_depth: usize) -> (usize, Option<usize>) {
+        (0, Some(TRIAL_BYTES))
+    }
+}
+
+impl fmt::Debug for Trial {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(&self.reproducer())
+    }
+}
+
+impl Trial {
+    /// The trial that bytes stand for; no bytes are the paper's scenario 1 under the baseline.
+    #[must_use]
+    pub fn of_bytes(bytes: &[u8]) -> Self {
+        let mut from = Unstructured::new(bytes);
+        Self { scenario: scenario(&mut from), setup: Setup::read(&mut from) }
+    }
+
+    /// The same scenario with another controller under test.
+    #[must_use]
+    pub fn under_test(mut self, controller: Candidate) -> Self {
+        self.setup.controller = controller;
+        self
+    }
+
+    /// Asks every oracle and returns the run they were asked about.
+    ///
+    /// # Errors
+    /// The first [`Violation`] found.
+    pub fn examine(&self, system: &dyn System) -> Result<Simulated, Violation> {
+        self.ask_all(&ORACLES, system)
+    }
+
+    /// Asks the oracles that look at one run only, which costs little more than the run.
+    ///
+    /// # Errors
+    /// The first [`Violation`] found.
+    pub fn examine_run(&self, system: &dyn System) -> Result<Simulated, Violation> {
+        self.ask_all(&ORACLES[..ORACLES_OF_A_RUN], system)
+    }
+
+    fn ask_all(&self, oracles: &[Oracle], system: &dyn System) -> Result<Simulated, Violation> {
+        let question = Question::new(self, system)?;
+        for &oracle in oracles {
+            question.ask(oracle)?;
+        }
+        Ok(question.result)
+    }
+
+    /// Asks one oracle.
+    ///
+    /// # Errors
+    /// The [`Violation`] it found.
+    pub fn ask(&self, oracle: Oracle, system: &dyn System) -> Result<Checked, Violation> {
+        Question::new(self, system)?.ask(oracle)
+    }
+}

@@ -1,0 +1,97 @@
+//! The two engines are one.
+
+use super::{Checked, Finding, Question, must};
+use crate::Law;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{Keep, Run, Simulated, Track};
+
+/// The batch engine gives the scalar engine's results to the last bit, whatever shares a block with a run: here the trial
+/// itself twice, and the same line of vehicles with other noise, slower, on another road.
+///
+/// # Errors
+/// [`Law::Engines`].
+pub fn engines_agree(question: &Question<'_>) -> Finding {
+    let scenario = &question.trial.scenario;
+    let others = [
+        scenario.edited(|spec| (spec.seed, spec.duration_s) = (spec.seed ^ 1, spec.duration_s + spec.step_s)),
+        scenario.edited(|spec| {
+            spec.environment.friction = 0.5;
+            spec.vehicles.iter_mut().for_each(|vehicle| vehicle.speed_mps *= 0.75);
+        }),
+    ];
+    let others: Vec<Scenario> = others.into_iter().flatten().collect();
+    let scenarios = [scenario].into_iter().chain(&others).chain([scenario]);
+    let runs = scenarios.map(|scenario| Run::new(scenario, question.run.options().clone()));
+    let runs = runs.collect::<Result<Vec<_>, _>>().map_err(|error| (Law::Engines, error.to_string()))?;
+    let traced = question.system.simulate_batch(&runs, Keep::Trace);
+    let summed = question.system.simulate_batch(&runs, Keep::Summary);
+    let results = [traced.len(), summed.len()];
+    must(results == [runs.len(); 2], Law::Engines, || format!("{results:?} results of {} runs", runs.len()))?;
+    for (index, ((run, traced), summed)) in runs.iter().zip(&traced).zip(&summed).enumerate() {
+        let is_the_trial = std::ptr::eq(run.scenario(), scenario);
+        let mut alone = if is_the_trial { question.result.clone() } else { question.system.simulate(run, Keep::Trace) };
+        must(bits(&alone) == bits(traced), Law::Engines, || format!("run {index}: {}", difference(&alone, traced)))?;
+        alone.trace = None;
+        must(bits(&alone) == bits(summed), Law::Engines, || {
+            format!("run {index} without trace: {}", difference(&alone, summed))
+        })?;
+    }
+    Ok(Checked::Holds)
+}
+
+/// Everything a result holds, as bits: 0 and -0 are different here.
+#[must_use]
+pub fn bits(result: &Simulated) -> Vec<u64> {
+    numbers(result).iter().map(|(.., number)| number.to_bits()).collect()
+}
+
+/// Where two results differ first.
+fn difference(alone: &Simulated, batch: &Simulated) -> String {
+    let (one, other) = (numbers(alone), numbers(batch));
+    let differing = one.iter().zip(&other).find(|(one, other)| one.2.to_bits() != other.2.to_bits());
+    let outcomes = format!("alone {:?}, in the batch {:?}", alone.outcome, batch.outcome);
+    match differing {
+        Some((&(name, index, one), &(.., other))) => format!("{name} {index} is {one:?} and {other:?}; {outcomes}"),
+        None => format!("{} numbers and {}; {outcomes}", one.len(), other.len()),
+    }
+}
+
+/// Everything a result holds: a name, the index of the impact, vehicle or sample, and the number.
+fn numbers(result: &Simulated) -> Vec<(&'static str, usize, f64)> {
+    let mut numbers = Vec::new();
+    for (index, impact) in result.impacts.iter().enumerate() {
+        let contact = &impact.contact;
+        let indices = [contact.front_vehicle, contact.rear_vehicle, impact.first_involved, impact.last_involved];
+        numbers.extend(indices.map(|vehicle| ("vehicle of impact", index, vehicle as f64)));
+        let speeds =
+            [contact.front_speed_mps, contact.rear_speed_mps, contact.impact_speed_mps, impact.common_speed_mps];
+        numbers.push(("time of impact", index, contact.time_s));
+        numbers.extend(speeds.map(|speed_mps| ("speed of impact", index, speed_mps)));
+    }
+    for (index, vehicle) in result.vehicles.iter().enumerate() {
+        let absent = f64::from_bits(u64::MAX);
+        numbers.push(("smallest gap of vehicle", index, vehicle.min_gap_m.unwrap_or(absent)));
+        numbers.push(("smallest time to collision of vehicle", index, vehicle.min_ttc_s.unwrap_or(absent)));
+        numbers.push(("hardest braking of vehicle", index, vehicle.max_brake_mps2));
+        numbers.push(("whether it stopped, vehicle", index, f64::from(vehicle.stopped)));
+    }
+    for (index, done) in result.interventions.iter().enumerate() {
+        let flags = [done.outside_kernel, done.rear_conflict].map(f64::from);
+        let all = [done.vehicle as f64, done.from_s, done.to_s, flags[0], flags[1]];
+        numbers.extend(all.map(|number| ("intervention", index, number)));
+    }
+    if let Some(trace) = &result.trace {
+        let samples = |name: &'static str, values: &[f64]| {
+            values.iter().copied().enumerate().map(|(index, value)| (name, index, value)).collect::<Vec<_>>()
+        };
+        numbers.extend(samples("time of sample", &trace.time_s));
+        for (index, track) in trace.vehicles.iter().enumerate() {
+            let Track { length_m, mass_kg, position_m, speed_mps, acceleration_mps2 } = track;
+            numbers.extend([("length of vehicle", index, *length_m), ("mass of vehicle", index, *mass_kg)]);
+            numbers.extend(samples("position of sample", position_m));
+            numbers.extend(samples("speed of sample", speed_mps));
+            numbers.extend(samples("acceleration of sample", acceleration_mps2));
+        }
+    }
+    numbers
+}

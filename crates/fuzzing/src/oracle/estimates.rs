@@ -1,0 +1,110 @@
+//! What vehicles see is near the truth.
+
+use super::{Checked, Finding, Question, must};
+use crate::Law;
+use crumple_world::estimate::{BANDWIDTH_RAD_PER_S, EgoTuning, EstimatorKind, Neighbour, Observation};
+use crumple_world::scenario::{Driver, VehicleSpec};
+use crumple_world::sim::Motion;
+
+/// Standard deviations of noise that no estimate is off by.
+const DEVIATIONS: f64 = 12.0;
+
+/// Every number seen is finite and no speed is negative; who sees the truth sees the truth; and where no measurement is
+/// lost, estimated gaps and speeds are off by no more than noise, and what the filter lags behind, explain.
+///
+/// The lag is that of a third-order Butterworth filter of bandwidth ω. A jump Δa of acceleration makes it misjudge
+/// distance by about Δa/ω² and speed by about Δa/ω, a jump Δv of speed by Δv/ω and Δv; here both are allowed three times.
+///
+/// # Errors
+/// [`Law::Estimates`].
+pub fn estimates_are_sane(question: &Question<'_>) -> Finding {
+    let bounds = Bounds::of(question);
+    let mut finding = None;
+    let vehicles = question.trial.scenario.vehicles();
+    let estimates = |vehicle: &VehicleSpec| {
+        vehicle.driver == Driver::UnderTest && question.run.options().estimator == EstimatorKind::Kalman
+    };
+    question.system.observe(&question.run, &mut |sight| {
+        let truth = truth(sight.motion, vehicles, sight.vehicle);
+        let problem = match vehicles.get(sight.vehicle) {
+            Some(vehicle) if estimates(vehicle) => bounds.problem(&sight.seen, &truth),
+            _ => (sight.seen != truth).then(|| format!("it sees {:?}, the truth is {truth:?}", sight.seen)),
+        };
+        finding = problem.map(|problem| format!("vehicle {}: {problem}", sight.vehicle));
+        finding.is_none()
+    });
+    must(finding.is_none(), Law::Estimates, || finding.unwrap_or_default())?;
+    Ok(Checked::Holds)
+}
+
+/// What is true for a vehicle.
+fn truth(motion: &[Motion], vehicles: &[VehicleSpec], index: usize) -> Observation {
+    let gap_m = |rear: usize| {
+        let front = motion.get(rear.checked_sub(1)?)?;
+        Some(front.position_m - vehicles.get(rear - 1)?.length_m() - motion.get(rear)?.position_m)
+    };
+    let neighbour = |other: Option<&Motion>, gap_m: Option<f64>| {
+        let Motion { speed_mps, acceleration_mps2, .. } = *other?;
+        Some(Neighbour { gap_m: gap_m?, speed_mps, acceleration_mps2 })
+    };
+    let own = motion.get(index);
+    Observation {
+        speed_mps: own.map_or(f64::NAN, |own| own.speed_mps),
+        acceleration_mps2: own.map_or(f64::NAN, |own| own.acceleration_mps2),
+        ahead: index.checked_sub(1).and_then(|front| neighbour(motion.get(front), gap_m(index))),
+        behind: neighbour(motion.get(index + 1), gap_m(index + 1)),
+    }
+}
+
+/// How far estimates may be off; infinitely far where measurements are lost.
+struct Bounds {
+    gap_m: f64,
+    own_mps: f64,
+    neighbour_mps: f64,
+}
+
+impl Bounds {
+    fn of(question: &Question<'_>) -> Self {
+        let spec = question.trial.scenario.spec();
+        if spec.sensors.dropout > 0.0 {
+            return Self { gap_m: f64::INFINITY, own_mps: f64::INFINITY, neighbour_mps: f64::INFINITY };
+        }
+        let tuning = EgoTuning::new(spec.step_s, &spec.sensors);
+        let [gap_deviation_m, rate_deviation_mps, _] = tuning.gap().steady_deviations();
+        let [_, own_deviation_mps, _] = tuning.position().steady_deviations();
+        let tracks = question.result.trace.iter().flat_map(|trace| &trace.vehicles);
+        let accelerations = tracks.flat_map(|track| &track.acceleration_mps2);
+        let hardest_mps2 = accelerations.fold(0.0_f64, |most, a| most.max(a.abs()));
+        let jumps_mps: f64 = question.result.impacts.iter().map(|impact| impact.contact.impact_speed_mps).sum();
+        // Two vehicles may each do their worst, in opposite directions.
+        let lag_mps = 3.0 * (2.0 * hardest_mps2 / BANDWIDTH_RAD_PER_S + jumps_mps);
+        Self {
+            gap_m: lag_mps / BANDWIDTH_RAD_PER_S + DEVIATIONS * gap_deviation_m,
+            own_mps: lag_mps + DEVIATIONS * own_deviation_mps,
+            neighbour_mps: 2.0 * lag_mps + DEVIATIONS * own_deviation_mps.hypot(rate_deviation_mps),
+        }
+    }
+
+    fn problem(&self, seen: &Observation, truth: &Observation) -> Option<String> {
+        let own_off_mps = (seen.speed_mps - truth.speed_mps).abs();
+        if !(seen.speed_mps >= 0.0 && seen.acceleration_mps2.is_finite() && own_off_mps <= self.own_mps) {
+            return Some(format!("it sees itself at {} m/s, the truth is {} m/s", seen.speed_mps, truth.speed_mps));
+        }
+        for (seen, truth) in [(seen.ahead, truth.ahead), (seen.behind, truth.behind)] {
+            match (seen, truth) {
+                (None, None) => {}
+                (Some(seen), Some(truth)) if self.allows(&seen, &truth) => {}
+                (seen, truth) => return Some(format!("it sees {seen:?}, the truth is {truth:?}")),
+            }
+        }
+        None
+    }
+
+    fn allows(&self, seen: &Neighbour, truth: &Neighbour) -> bool {
+        let finite = seen.gap_m.is_finite() && seen.speed_mps.is_finite() && seen.acceleration_mps2.is_finite();
+        finite
+            && seen.speed_mps >= 0.0
+            && (seen.gap_m - truth.gap_m).abs() <= self.gap_m
+            && (seen.speed_mps - truth.speed_mps).abs() <= self.neighbour_mps
+    }
+}

@@ -1,0 +1,18 @@
+//! Scenario files keep scenarios.
+
+use super::{Checked, Finding, Question, must};
+use crate::{FileFormat, Law};
+
+/// A scenario survives both file formats, to the last bit of every number.
+///
+/// # Errors
+/// [`Law::Files`].
+pub fn files_keep_scenarios(question: &Question<'_>) -> Finding {
+    let scenario = &question.trial.scenario;
+    for format in FileFormat::ALL {
+        let back = question.system.through_file(scenario, format);
+        let back = back.map_err(|error| (Law::Files, format!("{format:?}: {error}")))?;
+        must(back == *scenario, Law::Files, || format!("{format:?}: it came back as {:?}", back.spec()))?;
+    }
+    Ok(Checked::Holds)
+}

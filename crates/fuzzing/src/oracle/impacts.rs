@@ -1,0 +1,65 @@
+//! What impacts do: vehicles stick together with common momentum.
+
+use super::{Checked, Finding, Question, must};
+use crate::Law;
+use crumple_world::sim::{AfterContact, Impact, Trace};
+
+/// Where two vehicles that stick together may seem to be apart, in metres.
+const STUCK_M: f64 = 1e-8;
+
+/// Every impact keeps the momentum of its two bodies and adds no energy; whoever touched stays together and touches once.
+///
+/// # Errors
+/// [`Law::Momentum`], [`Law::Energy`] or [`Law::Sticking`].
+pub fn impacts_are_inelastic(question: &Question<'_>) -> Finding {
+    let trace = question.trace()?;
+    let impacts = &question.result.impacts;
+    for impact in impacts {
+        check(trace, impact)?;
+    }
+    if question.run.options().after_contact == AfterContact::Stop {
+        must(impacts.len() <= 1, Law::Sticking, || format!("{} impacts in a run that ends at one", impacts.len()))?;
+        return Ok(Checked::Holds);
+    }
+    for (index, impact) in impacts.iter().enumerate() {
+        let rear = impact.contact.rear_vehicle;
+        let again = impacts.iter().skip(index + 1).any(|later| later.contact.rear_vehicle == rear);
+        must(!again, Law::Sticking, || format!("vehicle {rear} hits the same vehicle twice"))?;
+        let Some(pair) = trace.pair(rear) else { continue };
+        let speeds = pair.front.speed_mps.iter().zip(&pair.rear.speed_mps);
+        for ((t, gap_m), (front, behind)) in trace.time_s.iter().zip(pair.gaps_m()).zip(speeds) {
+            let together = gap_m.abs() < STUCK_M && front == behind;
+            let is_after = *t > impact.contact.time_s + 1e-9;
+            must(!is_after || together, Law::Sticking, || {
+                format!("vehicle {rear} at {t} s: {gap_m} m from what it hit, {behind} against {front} m/s")
+            })?;
+        }
+    }
+    Ok(Checked::Holds)
+}
+
+fn check(trace: &Trace, impact: &Impact) -> Result<(), (Law, String)> {
+    let contact = &impact.contact;
+    let mass_kg = |vehicles: std::ops::RangeInclusive<usize>| -> f64 {
+        trace.vehicles.get(vehicles).into_iter().flatten().map(|track| track.mass_kg).sum()
+    };
+    let front_kg = mass_kg(impact.first_involved..=contact.front_vehicle);
+    let rear_kg = mass_kg(contact.rear_vehicle..=impact.last_involved);
+    let [front_mps, rear_mps] = [contact.front_speed_mps, contact.rear_speed_mps];
+    let common_mps = impact.common_speed_mps;
+    let at = |what: &str| {
+        format!("{what}: {front_kg} kg at {front_mps} m/s and {rear_kg} kg at {rear_mps} m/s make {common_mps} m/s")
+    };
+    let momentum = front_kg * front_mps + rear_kg * rear_mps;
+    let kept = (momentum - (front_kg + rear_kg) * common_mps).abs() <= 1e-9 * momentum.max(1.0);
+    must(kept, Law::Momentum, || at("momentum is not kept"))?;
+    let energy = front_kg * front_mps * front_mps + rear_kg * rear_mps * rear_mps;
+    let left = (front_kg + rear_kg) * common_mps * common_mps;
+    must(left <= energy * (1.0 + 1e-12), Law::Energy, || at("energy is gained"))?;
+    let apart_mps = (contact.impact_speed_mps - (rear_mps - front_mps)).abs();
+    must(apart_mps <= 1e-9, Law::Momentum, || at("the impact speed is another"))?;
+    must(contact.impact_speed_mps >= -1e-9, Law::Continuity, || at("nobody drives into a faster vehicle ahead"))?;
+    let gained = impact.delta_v_mps(contact.front_vehicle) - (common_mps - front_mps);
+    let lost = impact.delta_v_mps(contact.rear_vehicle) - (rear_mps - common_mps);
+    must(gained.abs() < 1e-12 && lost.abs() < 1e-12, Law::Momentum, || at("a change of speed is told wrong"))
+}

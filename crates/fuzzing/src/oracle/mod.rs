@@ -1,0 +1,119 @@
+//! The oracles: each asks one question of a trial.
+
+mod avoidable;
+mod engines;
+mod estimates;
+mod files;
+mod impacts;
+mod monitor;
+mod motion;
+mod shielded;
+mod steps;
+mod story;
+
+use super::{Law, System, Trial, Violation};
+use crumple_world::sim::{Keep, Run, Simulated, Trace};
+
+pub use avoidable::nobody_does_the_impossible;
+pub use engines::{bits, engines_agree};
+pub use estimates::estimates_are_sane;
+pub use files::files_keep_scenarios;
+pub use impacts::impacts_are_inelastic;
+pub use monitor::monitor_agrees;
+pub use motion::motion_is_physical;
+pub use shielded::shield_keeps_clear;
+pub use steps::{same_impacts, step_size_decides_nothing};
+pub use story::one_story;
+
+/// Where rounding may put a gap that is zero, in metres: positions are of the order of 10 km.
+pub const ROUNDING_M: f64 = 1e-9;
+
+/// What an oracle found nothing wrong with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Checked {
+    /// The law holds.
+    Holds,
+    /// The trial says nothing about the law: rounding decides it.
+    Undecided,
+    /// The law says nothing about the trial.
+    DoesNotApply,
+}
+
+/// An oracle: a question to a trial.
+pub type Oracle = fn(&Question<'_>) -> Finding;
+
+/// What an oracle says: a broken law comes with what was seen.
+pub type Finding = Result<Checked, (Law, String)>;
+
+/// Every oracle, the cheapest first.
+pub const ORACLES: [Oracle; 10] = [
+    motion_is_physical,
+    one_story,
+    impacts_are_inelastic,
+    files_keep_scenarios,
+    monitor_agrees,
+    estimates_are_sane,
+    shield_keeps_clear,
+    engines_agree,
+    step_size_decides_nothing,
+    nobody_does_the_impossible,
+];
+
+/// How many of them, the first ones, look at one run only.
+pub const ORACLES_OF_A_RUN: usize = 3;
+
+/// A trial, the system that is questioned about it, and the run it made of it.
+pub struct Question<'t> {
+    /// The trial.
+    pub trial: &'t Trial,
+    /// Who is questioned.
+    pub system: &'t dyn System,
+    /// The trial made ready to run.
+    pub run: Run<'t>,
+    /// What came of it, with its trace.
+    pub result: Simulated,
+}
+
+impl<'t> Question<'t> {
+    /// Runs a trial.
+    ///
+    /// # Errors
+    /// [`Violation`] of [`Law::Runs`] if it cannot be run.
+    pub fn new(trial: &'t Trial, system: &'t dyn System) -> Result<Self, Violation> {
+        let options = trial.setup.options(trial.scenario.spec().step_s);
+        let run = Run::new(&trial.scenario, options).map_err(|error| Violation {
+            law: Law::Runs,
+            finding: error.to_string(),
+            reproducer: trial.reproducer(),
+        })?;
+        let result = system.simulate(&run, Keep::Trace);
+        Ok(Self { trial, system, run, result })
+    }
+
+    /// Asks an oracle.
+    ///
+    /// # Errors
+    /// The [`Violation`] it found.
+    pub fn ask(&self, oracle: Oracle) -> Result<Checked, Violation> {
+        let reproducer = || self.trial.reproducer();
+        oracle(self).map_err(|(law, finding)| Violation { law, finding, reproducer: reproducer() })
+    }
+
+    /// The trace of the run.
+    fn trace(&self) -> Result<&Trace, (Law, String)> {
+        self.result.trace.as_ref().ok_or_else(|| (Law::OneStory, "no trace was kept".to_owned()))
+    }
+}
+
+/// Whether two vehicles came so near to touching without it, or touched so softly, that rounding may decide the verdict.
+#[must_use]
+pub fn grazes(result: &Simulated) -> bool {
+    let near = |gap_m: f64| gap_m > 0.0 && gap_m < ROUNDING_M;
+    let soft = result.impacts.iter().any(|impact| impact.contact.impact_speed_mps < 1e-6);
+    soft || result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).any(near)
+}
+
+/// Goes on if a law holds, and says what was seen if not.
+fn must(holds: bool, law: Law, finding: impl FnOnce() -> String) -> Result<(), (Law, String)> {
+    if holds { Ok(()) } else { Err((law, finding())) }
+}

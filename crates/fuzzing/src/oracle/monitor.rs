@@ -1,0 +1,91 @@
+//! Formulas of signal temporal logic are judged as they are defined, and "never touch" as the run was.
+
+use super::{Checked, Finding, Question, ROUNDING_M, grazes, must};
+use crate::Law;
+use crate::formula::any_formula;
+use crumple_world::measure::stl::naive_robustness;
+use crumple_world::measure::stl::{
+    Comparison, Formula, FormulaError, Interval, MonitorError, Relation, Signals, SignalsError,
+};
+use crumple_world::sim::{Outcome, Trace};
+
+/// Samples that random formulas are judged on: the definition takes quadratic time.
+const FEW: usize = 40;
+
+/// "Always a gap" holds on the trace if and only if the verdict is no collision, and random formulas over gaps and speeds
+/// have the robustness of the definition at every sample.
+///
+/// # Errors
+/// [`Law::Monitor`].
+pub fn monitor_agrees(question: &Question<'_>) -> Finding {
+    let trace = question.trace()?;
+    let wrong = |finding: String| (Law::Monitor, finding);
+    let step_s = question.run.dt_s();
+    let all = signals(trace, step_s, 1).map_err(|error| wrong(error.to_string()))?;
+    let apart = never_touch(trace.vehicles.len()).map_err(|error| wrong(error.to_string()))?;
+    let robustness = first(question, &apart, &all)?;
+    let collided = question.result.outcome != Outcome::NoCollision;
+    let sign = if collided { robustness <= ROUNDING_M } else { robustness > 0.0 || grazes(&question.result) };
+    must(sign, Law::Monitor, || format!("{apart} has robustness {robustness}, collided: {collided}"))?;
+    let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
+    let least_m = gaps_m.fold(f64::INFINITY, f64::min);
+    must(robustness >= least_m - ROUNDING_M, Law::Monitor, || {
+        format!("{apart} has robustness {robustness}, but the smallest gap of the run is {least_m} m")
+    })?;
+    let few = signals(trace, step_s, trace.len().div_ceil(FEW)).map_err(|error| wrong(error.to_string()))?;
+    let names: Vec<&str> = few.names().collect();
+    // What is chosen here follows from the scenario alone, so that a trial stays one.
+    let mut bytes = Vec::new();
+    for vehicle in question.trial.scenario.vehicles() {
+        bytes.extend(vehicle.position_m.to_bits().to_le_bytes());
+        bytes.extend(vehicle.speed_mps.to_bits().to_le_bytes());
+    }
+    bytes.extend(question.trial.scenario.spec().seed.to_le_bytes());
+    let formula = any_formula(&bytes, &names, few.step_s()).map_err(|error| wrong(error.to_string()))?;
+    as_defined(question, &formula, &few)?;
+    Ok(Checked::Holds)
+}
+
+/// Robustness over time is that of the definition, and truth its sign.
+fn as_defined(question: &Question<'_>, formula: &Formula, signals: &Signals<'_>) -> Result<(), (Law, String)> {
+    let wrong = |error: MonitorError| (Law::Monitor, format!("{formula}: {error}"));
+    let over_time = question.system.robustness_over_time(formula, signals).map_err(wrong)?;
+    for (k, &value) in over_time.iter().enumerate() {
+        let defined = naive_robustness(formula, signals, k).map_err(wrong)?;
+        must(value == defined, Law::Monitor, || format!("{formula} at sample {k}: {value}, defined as {defined}"))?;
+    }
+    let satisfied = question.system.is_satisfied(formula, signals).map_err(wrong)?;
+    let sign = over_time.first().is_none_or(|&value| value == 0.0 || satisfied == (value > 0.0));
+    must(sign, Law::Monitor, || {
+        format!("{formula} is satisfied: {satisfied}, but has robustness {:?}", over_time.first())
+    })
+}
+
+fn first(question: &Question<'_>, formula: &Formula, signals: &Signals<'_>) -> Result<f64, (Law, String)> {
+    let over_time = question.system.robustness_over_time(formula, signals);
+    let over_time = over_time.map_err(|error| (Law::Monitor, error.to_string()))?;
+    over_time.first().copied().ok_or_else(|| (Law::Monitor, "no robustness at the first sample".to_owned()))
+}
+
+/// Every gap is above zero, always.
+fn never_touch(vehicles: usize) -> Result<Formula, FormulaError> {
+    let gap = |rear: usize| -> Result<Formula, FormulaError> {
+        let comparison = Comparison::new([(1.0, format!("gap{rear}_m"))], Relation::Above, 0.0)?;
+        Ok(Formula::Always(Interval::ALL, Box::new(Formula::Compare(comparison))))
+    };
+    (2..vehicles).try_fold(gap(1)?, |all, rear| Ok(Formula::And(Box::new(all), Box::new(gap(rear)?))))
+}
+
+/// Gaps and speeds of a trace, at every `every`-th sample.
+fn signals(trace: &Trace, step_s: f64, every: usize) -> Result<Signals<'static>, SignalsError> {
+    let every = every.max(1);
+    let mut signals = Signals::new(step_s * every as f64, trace.len().div_ceil(every))?;
+    for (index, track) in trace.vehicles.iter().enumerate() {
+        let speeds: Vec<f64> = track.speed_mps.iter().copied().step_by(every).collect();
+        signals.insert(format!("v{index}_mps"), speeds)?;
+        if let Some(pair) = trace.pair(index) {
+            signals.insert(format!("gap{index}_m"), pair.gaps_m().step_by(every).collect::<Vec<f64>>())?;
+        }
+    }
+    Ok(signals)
+}

@@ -1,0 +1,45 @@
+//! How vehicles move: forwards, continuously, and never faster for braking.
+
+use super::{Checked, Finding, Question, ROUNDING_M, must};
+use crate::Law;
+use crumple_world::sim::Simulated;
+
+/// No vehicle reverses; none is anywhere else than its speed can have taken it; braking never adds energy.
+///
+/// # Errors
+/// [`Law::ForwardMotion`], [`Law::Continuity`] or [`Law::Energy`].
+pub fn motion_is_physical(question: &Question<'_>) -> Finding {
+    let trace = question.trace()?;
+    for (vehicle, track) in trace.vehicles.iter().enumerate() {
+        let next = |values: &[f64]| values.iter().skip(1).copied().collect::<Vec<_>>();
+        let (next_s, next_m, next_mps) = (next(&trace.time_s), next(&track.position_m), next(&track.speed_mps));
+        let now = trace.time_s.iter().zip(&track.position_m).zip(&track.speed_mps).zip(&track.acceleration_mps2);
+        let then = next_s.iter().zip(&next_m).zip(&next_mps);
+        for (((((&t, &x), &v), &a), ((&t_next, &x_next), &v_next)), k) in now.zip(then).zip(0..) {
+            let at = |what: &str| {
+                format!("vehicle {vehicle} {what} at sample {k}, {t} s: {x} to {x_next} m, {v} to {v_next} m/s")
+            };
+            must(v >= 0.0 && v_next >= 0.0, Law::ForwardMotion, || at("reverses"))?;
+            must(x_next >= x, Law::ForwardMotion, || at("moves back"))?;
+            if hit_between(&question.result, vehicle, t, t_next) {
+                continue;
+            }
+            let [slower, faster] = [v.min(v_next), v.max(v_next)].map(|mps| mps * (t_next - t));
+            let stopped = v_next == 0.0;
+            must(x_next - x <= faster + ROUNDING_M, Law::Continuity, || at("leaps"))?;
+            must(stopped || x_next - x >= slower - ROUNDING_M, Law::Continuity, || at("lags behind its speed"))?;
+            must(a > 0.0 || v_next <= v, Law::Energy, || at("gains energy from its brakes"))?;
+            let gained_mps = a * (t_next - t);
+            must(stopped || (v_next - v - gained_mps).abs() <= 1e-9, Law::Continuity, || at("jumps in speed"))?;
+        }
+    }
+    Ok(Checked::Holds)
+}
+
+/// Whether a vehicle was involved in an impact between two instants.
+fn hit_between(result: &Simulated, vehicle: usize, from_s: f64, to_s: f64) -> bool {
+    result.impacts.iter().any(|impact| {
+        (impact.first_involved..=impact.last_involved).contains(&vehicle)
+            && (from_s - 1e-9..=to_s + 1e-9).contains(&impact.contact.time_s)
+    })
+}

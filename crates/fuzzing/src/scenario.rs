@@ -1,0 +1,172 @@
+//! Any valid scenario, as a departure from the paper's.
+
+use arbitrary::Unstructured;
+
+use super::choices::Choices;
+use super::driver::{DRIVER_BYTES, driver, script};
+use super::shape::{MOST_VEHICLES, Shape};
+use crumple_world::scenario::{
+    Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+};
+
+/// Bytes of each part: the road and the noise on it, then for each vehicle its motion and driver, then its body.
+const ROAD_BYTES: usize = 24;
+const DRIVE_BYTES: usize = 6 + DRIVER_BYTES;
+const BODY_BYTES: usize = 32;
+
+/// Bytes that a scenario is read from, its shape included.
+pub const SCENARIO_BYTES: usize = Shape::BYTES + ROAD_BYTES + MOST_VEHICLES * (DRIVE_BYTES + BODY_BYTES);
+
+/// The paper's duration, speed and bumper gap.
+const DURATION_S: f64 = 15.0;
+const SPEED_MPS: f64 = 25.0;
+const GAP_M: f64 = 16.0;
+
+/// Any valid scenario; no bytes are the paper's scenario 1.
+///
+/// Every field of a scenario has its place in the bytes, whatever stands in the others, so that a change of a byte is a
+/// change of a field. The shape comes first, then duration, road and noise, then gaps, speeds and drivers, and last what a
+/// vehicle is like.
+pub fn scenario(from: &mut Unstructured<'_>) -> Scenario {
+    let shape = Shape::read(from);
+    scenario_of(&shape, from)
+}
+
+/// Any valid scenario of a shape.
+#[expect(
+    clippy::expect_used,
+    reason = "valid by construction: a failure is a defect of this module, and tests look for it"
+)]
+pub fn scenario_of(shape: &Shape, from: &mut Unstructured<'_>) -> Scenario {
+    let mut road = Choices::block(from, ROAD_BYTES);
+    let mut drives = Choices::block(from, MOST_VEHICLES * DRIVE_BYTES);
+    let mut bodies = Choices::block(from, MOST_VEHICLES * BODY_BYTES);
+    let count = shape.drivers.len();
+    let vehicles = shape.drivers.iter().enumerate().map(|(index, &kind)| {
+        let (mut drive, mut body) = (drives.sub_block(DRIVE_BYTES), bodies.sub_block(BODY_BYTES));
+        let (gap_m, speed_mps) = motion(&mut drive);
+        let mut vehicle = vehicle(nominal_class(index, count), gap_m, speed_mps, &mut body);
+        match driver(kind, &mut drive) {
+            Driver::Profile(profile) => script(&mut vehicle, profile),
+            driver => vehicle.driver = driver,
+        }
+        vehicle
+    });
+    let vehicles = vehicles.collect();
+    Scenario::new(on_road(shape.step_s, vehicles, &mut road)).expect("valid by construction")
+}
+
+/// Everything but the vehicles, and each vehicle's place behind the one ahead.
+fn on_road(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choices<'_>) -> ScenarioSpec {
+    // Most scenarios are much shorter than the paper's: they cost less, and what happens happens early.
+    let steps = (DURATION_S / step_s * (1.0 - choices.up_to(1.0)).powi(3)).round().max(1.0);
+    let friction = choices.sometimes(85, |choices| choices.about(1.0, [0.05, 1.0])).unwrap_or(1.0);
+    let nominal = Sensors::default();
+    let sensors = Sensors {
+        position_noise_m: choices.about(nominal.position_noise_m, [0.0, 0.2]),
+        gap_noise_m: choices.about(nominal.gap_noise_m, [0.0, 0.2]),
+        dropout: match choices.byte() {
+            0..160 => 0.0,
+            160..176 => 1.0,
+            176.. => choices.up_to(0.5),
+        },
+    };
+    let seed = choices.seed();
+    let to_rear_m: f64 = vehicles.iter().skip(1).map(|vehicle| vehicle.position_m).sum();
+    let lengths_m: f64 = vehicles.iter().rev().skip(1).map(VehicleSpec::length_m).sum();
+    let rear_m = choices.about(0.0, [-1e4, 1e4]);
+    line_up(&mut vehicles, rear_m + to_rear_m + lengths_m);
+    ScenarioSpec {
+        version: SCENARIO_VERSION,
+        name: "trial".to_owned(),
+        about: String::new(),
+        duration_s: steps * step_s,
+        step_s,
+        seed,
+        environment: Environment { friction },
+        sensors,
+        vehicles,
+    }
+}
+
+/// Turns each position but the first, so far the gap ahead, into a place on the road behind a leader at `leader_m`.
+fn line_up(vehicles: &mut [VehicleSpec], leader_m: f64) {
+    let mut rear_bumper_m = None;
+    for vehicle in vehicles {
+        vehicle.position_m = rear_bumper_m.map_or(leader_m, |rear_bumper_m| rear_bumper_m - vehicle.position_m);
+        rear_bumper_m = Some(vehicle.position_m - vehicle.length_m());
+    }
+}
+
+/// The gap ahead and the speed at the start.
+fn motion(choices: &mut Choices<'_>) -> (f64, f64) {
+    let gap_m = choices.about(GAP_M, [0.01, 40.0]);
+    let speed_mps = choices.about(SPEED_MPS, [0.0, 45.0]);
+    let close_m = choices.byte();
+    let gap_m = if close_m > 212 { 0.05 * gap_m } else { gap_m };
+    let stands = choices.happens(42);
+    (gap_m.max(0.01), if stands { 0.0 } else { speed_mps })
+}
+
+fn nominal_class(index: usize, count: usize) -> VehicleClass {
+    if count > 2 && index + 1 == count { VehicleClass::Heavy } else { VehicleClass::Light }
+}
+
+/// A vehicle whose position is still the gap ahead of it.
+fn vehicle(nominal: VehicleClass, gap_m: f64, speed_mps: f64, choices: &mut Choices<'_>) -> VehicleSpec {
+    let other = if nominal == VehicleClass::Heavy { VehicleClass::Light } else { VehicleClass::Heavy };
+    let class = choices.one_of(&[nominal, other]).unwrap_or(nominal);
+    let delay_s = |choices: &mut Choices<'_>| choices.sometimes(64, |choices| choices.up_to(0.5)).unwrap_or_default();
+    VehicleSpec {
+        length_m: choices.sometimes(77, |choices| choices.about(class.length_m(), [0.5, 30.0])),
+        mass_kg: choices.sometimes(77, |choices| choices.about(class.mass_kg(), [500.0, 40_000.0])),
+        max_brake_mps2: choices.sometimes(77, |choices| choices.about(class.max_brake_mps2(), [2.0, 12.0])),
+        max_accel_mps2: choices.sometimes(77, |choices| choices.about(class.max_accel_mps2(), [0.0, 6.0])),
+        acceleration_noise_mps2: choices.sometimes(85, |choices| choices.up_to(1.0)).unwrap_or_default(),
+        reaction_delay_s: delay_s(choices),
+        actuator_delay_s: delay_s(choices),
+        actuator_lag_s: delay_s(choices),
+        jerk_limit_mps3: choices.sometimes(77, |choices| choices.about(10.0, [1.0, 50.0])),
+        ..VehicleSpec::new(class, gap_m, speed_mps, Driver::Profile(LeadProfile::ConstantSpeed))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::built_in;
+    use proptest::prelude::*;
+
+    #[test]
+    fn no_bytes_and_zero_bytes_are_the_papers_scenario() {
+        for bytes in [vec![], vec![0; 7], vec![0; SCENARIO_BYTES]] {
+            let paper_1 = built_in("paper-1").unwrap();
+            let named = |spec: &mut ScenarioSpec| (spec.name, spec.about) = ("trial".to_owned(), String::new());
+            assert_eq!(scenario(&mut Unstructured::new(&bytes)), paper_1.edited(named).unwrap());
+        }
+        // Two more vehicles make scenario 3.
+        let five = scenario(&mut Unstructured::new(&[3]));
+        assert_eq!(five.vehicles(), built_in("paper-3").unwrap().vehicles());
+    }
+
+    proptest! {
+        /// A byte belongs to one vehicle, or to the road: a change of it leaves all others alone.
+        #[test]
+        fn a_byte_of_a_vehicle_changes_that_vehicle_only(
+            bytes in prop::collection::vec(any::<u8>(), SCENARIO_BYTES),
+            place in Shape::BYTES + ROAD_BYTES..SCENARIO_BYTES,
+            byte in any::<u8>(),
+        ) {
+            let mut changed = bytes.clone();
+            changed[place] = byte;
+            let [before, after] = [bytes, changed].map(|bytes| scenario(&mut Unstructured::new(&bytes)));
+            let place = place - Shape::BYTES - ROAD_BYTES;
+            let drives = MOST_VEHICLES * DRIVE_BYTES;
+            let owner = if place < drives { place / DRIVE_BYTES } else { (place - drives) / BODY_BYTES };
+            for (index, (before, after)) in before.vehicles().iter().zip(after.vehicles()).enumerate() {
+                let placed = VehicleSpec { position_m: before.position_m, ..after.clone() };
+                prop_assert!(index == owner || *before == placed, "vehicle {index}, not {owner}");
+            }
+        }
+    }
+}

@@ -1,0 +1,180 @@
+//! How a scenario is run: what is under test, through which eyes, how finely.
+
+use std::fmt;
+use std::path::Path;
+use std::sync::Arc;
+
+use arbitrary::Unstructured;
+
+use super::choices::Choices;
+use super::driver::{DRIVER_BYTES, controller};
+use crumple_world::control::{Controller, Ego};
+use crumple_world::estimate::{EstimatorKind, Observation};
+use crumple_world::scenario::{AebSettings, ControllerSpec};
+use crumple_world::sim::{AfterContact, Contender, RunOptions, UnderTest, UnknownContender};
+
+/// Bytes that a setup is read from.
+pub const SETUP_BYTES: usize = 5 + DRIVER_BYTES;
+
+/// How to run scenarios, in words that a failure can print.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Setup {
+    /// What is put under test.
+    pub controller: Candidate,
+    /// What it looks through.
+    pub estimator: EstimatorKind,
+    /// Integration steps in a step of the scenario.
+    pub substeps: u32,
+    /// What happens at a contact.
+    pub after_contact: AfterContact,
+}
+
+/// What is put under test.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Candidate {
+    /// A built-in controller.
+    BuiltIn(ControllerSpec),
+    /// Anything else the command line knows by name: a policy file, a controller behind a shield.
+    Named(Found),
+    /// A controller from outside that uses all it may see, deciding every so many steps; at every step if 0.
+    Opinionated(u32),
+}
+
+/// A controller that was found by its name, which stands for it.
+#[derive(Clone)]
+pub struct Found(Contender);
+
+impl PartialEq for Found {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.name == other.0.name
+    }
+}
+
+impl fmt::Debug for Found {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(&self.0.name)
+    }
+}
+
+impl Setup {
+    /// The baseline, with true states, at the scenario's own step, up to the first contact.
+    #[must_use]
+    pub fn truthful() -> Self {
+        Self {
+            controller: Candidate::BuiltIn(ControllerSpec::Baseline(AebSettings::default())),
+            estimator: EstimatorKind::Truth,
+            substeps: 1,
+            after_contact: AfterContact::Stop,
+        }
+    }
+
+    /// Reads a setup; no bytes are the product's defaults: the baseline, through the filter, up to the first contact.
+    pub fn read(from: &mut Unstructured<'_>) -> Self {
+        let mut choices = Choices::block(from, SETUP_BYTES - DRIVER_BYTES);
+        let kind = choices.byte();
+        let interval_steps = u32::from(choices.byte() % 8);
+        let settings = from.bytes(DRIVER_BYTES.min(from.len())).unwrap_or_default();
+        Self {
+            controller: match kind {
+                0..192 => Candidate::BuiltIn(controller(kind % 7, settings)),
+                192.. => Candidate::Opinionated(interval_steps),
+            },
+            estimator: choices.one_of(&[EstimatorKind::Kalman, EstimatorKind::Truth]).unwrap_or_default(),
+            substeps: match choices.byte() {
+                0..192 => 1,
+                more @ 192.. => 2 + u32::from(more) % 6,
+            },
+            after_contact: choices.one_of(&[AfterContact::Stop, AfterContact::Continue]).unwrap_or_default(),
+        }
+    }
+
+    /// The estimator this is not.
+    #[must_use]
+    pub fn other_estimator(&self) -> EstimatorKind {
+        match self.estimator {
+            EstimatorKind::Kalman => EstimatorKind::Truth,
+            EstimatorKind::Truth => EstimatorKind::Kalman,
+        }
+    }
+
+    /// Whether the controller is a network, which rounds what it sees to single precision.
+    #[must_use]
+    pub fn is_learned(&self) -> bool {
+        match &self.controller {
+            Candidate::BuiltIn(spec) => *spec == ControllerSpec::Policy,
+            Candidate::Named(Found(found)) => found.policy().is_some(),
+            Candidate::Opinionated(_) => false,
+        }
+    }
+
+    /// Whether the controller cares for nobody behind.
+    #[must_use]
+    pub fn looks_ahead_only(&self) -> bool {
+        matches!(&self.controller, Candidate::BuiltIn(_)) && !self.is_learned()
+    }
+
+    /// The options for a scenario of a step.
+    #[must_use]
+    pub fn options(&self, step_s: f64) -> RunOptions {
+        let controller = match &self.controller {
+            Candidate::BuiltIn(spec) => UnderTest::from(spec.clone()),
+            Candidate::Named(Found(found)) => found.controller.clone(),
+            Candidate::Opinionated(steps) => opinionated(*steps),
+        };
+        let options = RunOptions::new(controller).with_estimator(self.estimator).with_after_contact(self.after_contact);
+        if self.substeps == 1 { options } else { options.with_dt_s(step_s / f64::from(self.substeps)) }
+    }
+}
+
+impl Candidate {
+    /// The controller that `crumple simulate --controller` would take by this name: built in, or a policy file.
+    ///
+    /// # Errors
+    /// [`UnknownContender`] if there is none.
+    pub fn named(name: &str) -> Result<Self, UnknownContender> {
+        let found = Contender::find(name, Path::new(""))?;
+        Ok(match found.controller {
+            UnderTest::BuiltIn(spec) => Self::BuiltIn(spec),
+            _ => Self::Named(Found(found)),
+        })
+    }
+
+    /// What it is called: as on the command line, but for the controller from outside.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        match self {
+            Self::BuiltIn(spec) => spec.name(),
+            Self::Named(Found(found)) => &found.name,
+            Self::Opinionated(_) => "opinionated",
+        }
+    }
+}
+
+fn opinionated(interval_steps: u32) -> UnderTest {
+    UnderTest::Custom(Arc::new(move |ego: &Ego| {
+        let interval_s = (interval_steps > 0).then(|| f64::from(interval_steps) * ego.step_s);
+        Box::new(Opinionated { interval_s, last_mps2: 0.0 })
+    }))
+}
+
+/// Uses all eight numbers it may see, and remembers its last answer.
+struct Opinionated {
+    interval_s: Option<f64>,
+    last_mps2: f64,
+}
+
+impl Controller for Opinionated {
+    fn act(&mut self, seen: &Observation) -> f64 {
+        let ahead =
+            seen.ahead.map_or(0.5, |n| 0.1 * (n.gap_m - 12.0) + n.speed_mps - seen.speed_mps + n.acceleration_mps2);
+        let behind =
+            seen.behind.map_or(0.0, |n| 0.2 * (n.speed_mps - seen.speed_mps) - 0.01 * n.gap_m + n.acceleration_mps2);
+        self.last_mps2 = 0.5 * self.last_mps2 + 0.4 * ahead + 0.1 * behind - 0.05 * seen.acceleration_mps2;
+        // Now and then no answer at all, which counts as 0.
+        if seen.speed_mps > 30.0 { f64::NAN } else { self.last_mps2 }
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        self.interval_s
+    }
+}

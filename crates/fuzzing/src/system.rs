@@ -1,0 +1,125 @@
+//! What the oracles question.
+
+use std::path::Path;
+
+use crumple_search::worst_case::{AvoidOptions, Avoidance, avoid};
+use crumple_world::control::ShieldSettings;
+use crumple_world::estimate::Observation;
+use crumple_world::measure::ContactRole;
+use crumple_world::measure::stl::{Formula, MonitorError, Signals};
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
+use crumple_world::sim::{self, Contact, Keep, Motion, Run, Shielded, Simulated, Stepper, Stress, UnderTest};
+
+/// The parts of the program that oracles question.
+///
+/// Every method is the program's own by default. An oracle's test overrides one of them by something wrong, and the
+/// oracle must notice.
+pub trait System {
+    /// One run, step by step.
+    fn simulate(&self, run: &Run<'_>, keep: Keep) -> Simulated {
+        sim::simulate(run, keep)
+    }
+
+    /// Many runs in lockstep.
+    fn simulate_batch(&self, runs: &[Run<'_>], keep: Keep) -> Vec<Simulated> {
+        sim::simulate_batch(runs, keep, |_, simulated| simulated)
+    }
+
+    /// Shows what every vehicle sees at every step, until `each` has seen enough and says false.
+    fn observe(&self, run: &Run<'_>, each: &mut dyn FnMut(&Sight<'_>) -> bool) {
+        let mut stepper = Stepper::new(run, Keep::Summary);
+        while !stepper.has_ended() {
+            for vehicle in 0..run.scenario().vehicles().len() {
+                let Some(seen) = stepper.observe(vehicle) else { continue };
+                if !each(&Sight { vehicle, seen, motion: stepper.motion() }) {
+                    return;
+                }
+            }
+            stepper.step();
+        }
+    }
+
+    /// Full throttle behind a shield.
+    fn full_throttle(&self) -> UnderTest {
+        Shielded { controller: Stress::FullThrottle.into(), settings: ShieldSettings::default() }.into()
+    }
+
+    /// What anybody could have done in a scenario; none if that cannot be asked of it.
+    fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
+        avoid(scenario, AvoidOptions::default()).ok()
+    }
+
+    /// A scenario written to a file and read again.
+    ///
+    /// # Errors
+    /// [`FileError`] if what was written cannot be read.
+    fn through_file(&self, scenario: &Scenario, format: FileFormat) -> Result<Scenario, FileError> {
+        let text = format.text(scenario);
+        match format {
+            FileFormat::Toml => from_toml(&text, Path::new("trial.toml")),
+            FileFormat::Json => from_json(&text, Path::new("trial.json")),
+        }
+    }
+
+    /// The robustness of a formula over time.
+    ///
+    /// # Errors
+    /// [`MonitorError`] as [`Formula::robustness`].
+    fn robustness_over_time(&self, formula: &Formula, signals: &Signals<'_>) -> Result<Vec<f64>, MonitorError> {
+        formula.robustness_over_time(signals)
+    }
+
+    /// Whether a formula holds.
+    ///
+    /// # Errors
+    /// [`MonitorError`] as [`Formula::is_satisfied`].
+    fn is_satisfied(&self, formula: &Formula, signals: &Signals<'_>) -> Result<bool, MonitorError> {
+        formula.is_satisfied(signals)
+    }
+
+    /// Whose contact it is.
+    fn contact_role(&self, contact: &Contact, scenario: &Scenario) -> ContactRole {
+        ContactRole::of(contact, scenario)
+    }
+}
+
+/// The program as it is.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Crumple;
+
+impl System for Crumple {}
+
+/// What one vehicle sees at one step, and what is true.
+#[derive(Debug)]
+pub struct Sight<'m> {
+    /// Index of the vehicle.
+    pub vehicle: usize,
+    /// What it sees.
+    pub seen: Observation,
+    /// Where every vehicle is, front to rear.
+    pub motion: &'m [Motion],
+}
+
+/// The formats of scenario files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FileFormat {
+    /// TOML.
+    Toml,
+    /// JSON.
+    Json,
+}
+
+impl FileFormat {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Toml, Self::Json];
+
+    /// A scenario in this format; empty if it cannot be written, which no reader accepts.
+    #[must_use]
+    pub fn text(self, scenario: &Scenario) -> String {
+        match self {
+            Self::Toml => to_toml(scenario).unwrap_or_default(),
+            Self::Json => serde_json::to_string_pretty(scenario.spec()).unwrap_or_default(),
+        }
+    }
+}

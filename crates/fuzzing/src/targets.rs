@@ -1,0 +1,196 @@
+//! Whole fuzz targets: bytes in, a violation or nothing out. The targets under `fuzz/` call them, and so does the suite
+//! for every seed in `corpora/fuzz/`.
+
+use std::path::Path;
+
+use crumple_verify::{Certificate, WorkLimit, check_within};
+
+use super::oracle::motion_is_physical;
+use super::{Checked, Crumple, FileFormat, Law, ORACLES, Question, Setup, System, Trial, Violation};
+use crumple_world::measure::stl::{Formula, Signals, SyntaxProblem, naive_robustness};
+use crumple_world::policy::Policy;
+use crumple_world::recording::{self, MinBrake, episodes};
+use crumple_world::scenario::file::{from_json, from_toml, to_toml};
+use crumple_world::scenario::{Scenario, built_in};
+use crumple_world::sim::{Keep, Run, RunError, RunOptions, simulate};
+
+/// A target: what it makes of some bytes.
+pub type Target = fn(&[u8]) -> Result<(), Violation>;
+
+/// Every target and its name, which is that of its seeds' folder.
+pub const TARGETS: [(&str, Target); 6] = [
+    ("scenario", scenario),
+    ("scenario_file", scenario_file),
+    ("policy_file", policy_file),
+    ("certificate", certificate),
+    ("recording", recording),
+    ("stl", stl),
+];
+
+/// Most steps times vehicles of a scenario from a file that is run.
+const MOST_VEHICLE_STEPS: usize = 20_000;
+/// What checking a certificate may take: some hundredths of a second.
+const WORK: WorkLimit = WorkLimit::operations(100_000_000);
+/// Samples that formulas are judged on.
+const SAMPLES: usize = 16;
+
+/// Any trial, and every oracle. The fuzz target does the same in a [`super::Hunt`], which remembers and collects.
+///
+/// # Errors
+/// What an oracle found.
+pub fn scenario(bytes: &[u8]) -> Result<(), Violation> {
+    Trial::of_bytes(bytes).examine(&Crumple).map(drop)
+}
+
+/// How many of the oracles were not left in doubt by the trial that bytes stand for.
+///
+/// # Errors
+/// What an oracle found.
+pub fn decided(bytes: &[u8]) -> Result<usize, Violation> {
+    let trial = Trial::of_bytes(bytes);
+    let question = Question::new(&trial, &Crumple)?;
+    let answers = ORACLES.into_iter().map(|oracle| question.ask(oracle)).collect::<Result<Vec<_>, _>>()?;
+    Ok(answers.into_iter().filter(|answer| *answer != Checked::Undecided).count())
+}
+
+/// A text is a scenario file or refused with a line that exists; a scenario survives being written, and can be run.
+///
+/// # Errors
+/// A [`Violation`] of [`Law::Reading`] or [`Law::Files`], or what the run violated.
+pub fn scenario_file(bytes: &[u8]) -> Result<(), Violation> {
+    let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
+    for format in FileFormat::ALL {
+        let (path, read) = match format {
+            FileFormat::Toml => ("f.toml", from_toml(text, Path::new("f.toml"))),
+            FileFormat::Json => ("f.json", from_json(text, Path::new("f.json"))),
+        };
+        match read {
+            Ok(scenario) => accepted(&scenario, format)?,
+            Err(error) => {
+                let message = error.to_string();
+                let line = message.strip_prefix(path).and_then(|rest| rest.strip_prefix(':'));
+                let line = line.and_then(|rest| rest.split_once(": ")?.0.parse().ok());
+                let lines = 1 + text.matches('\n').count();
+                must(line.is_some_and(|line| (1..=lines).contains(&line)), Law::Reading, text, || message)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A scenario from a file survives both formats and moves as vehicles do.
+fn accepted(scenario: &Scenario, format: FileFormat) -> Result<(), Violation> {
+    let text = format.text(scenario);
+    let back = Crumple.through_file(scenario, format);
+    let same = back.as_ref().is_ok_and(|back| back == scenario);
+    must(same, Law::Files, &text, || format!("{format:?}: it came back as {back:?}"))?;
+    if scenario.steps().saturating_mul(scenario.vehicles().len()) <= MOST_VEHICLE_STEPS {
+        let trial = Trial { scenario: scenario.clone(), setup: Setup::truthful() };
+        let options = trial.setup.options(scenario.spec().step_s);
+        // A learned driver decides at instants that need not be this scenario's.
+        if !matches!(Run::new(scenario, options), Err(RunError::Interval { .. })) {
+            trial.ask(motion_is_physical, &Crumple)?;
+        }
+    }
+    Ok(())
+}
+
+/// Bytes are a policy file or refused; a policy has one file, and drives.
+///
+/// # Errors
+/// A [`Violation`] of [`Law::Reading`].
+pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
+    let Ok(policy) = Policy::from_bytes(bytes) else { return Ok(()) };
+    let header = format!("{:?}", policy.header());
+    let written = policy.to_bytes().ok();
+    let back = written.as_ref().and_then(|written| Policy::from_bytes(written).ok());
+    must(back.as_ref() == Some(&policy), Law::Reading, &header, || "it is not what was written of it".to_owned())?;
+    let Some(short) = built_in("paper-1").and_then(|paper| paper.edited(|spec| spec.duration_s = 2.0).ok()) else {
+        return Ok(());
+    };
+    // A policy may decide at instants that are not this scenario's.
+    if let Ok(run) = Run::new(&short, RunOptions::new(std::sync::Arc::new(policy))) {
+        let result = simulate(&run, Keep::Summary);
+        let moved = result.vehicles.iter().all(|vehicle| vehicle.max_brake_mps2.is_finite());
+        must(moved, Law::Reading, &header, || format!("it drives out of this world: {:?}", result.vehicles))?;
+    }
+    Ok(())
+}
+
+/// A text is a certificate or refused; it survives being written, and what the checker says of it, it says again.
+///
+/// # Errors
+/// A [`Violation`] of [`Law::Certificates`].
+pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
+    let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
+    let Ok(read) = Certificate::from_json(text) else { return Ok(()) };
+    let written = serde_json::to_string(&read).unwrap_or_default();
+    let again = Certificate::from_json(&written).ok();
+    let same = again.as_ref() == Some(&read);
+    must(same, Law::Certificates, text, || format!("it came back as {again:?}"))?;
+    let check = |certificate: &Certificate| check_within(certificate, Some(Policy::reference_bytes()), WORK);
+    let (said, said_again) = (check(&read), again.as_ref().map(check));
+    // Both are words: a reason may hold a number that is none.
+    let (said, said_again) = (format!("{said:?}"), format!("{:?}", said_again.unwrap_or_else(|| said.clone())));
+    must(said == said_again, Law::Certificates, text, || format!("first {said}, then {said_again}"))
+}
+
+/// Bytes are a recording or refused, and every braking episode in one makes a scenario or says why not.
+///
+/// # Errors
+/// A [`Violation`] of [`Law::Reading`].
+pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
+    let Ok(recording) = recording::read(bytes, Path::new("f.csv")) else { return Ok(()) };
+    for (number, episode) in episodes(&recording, MinBrake::default()).episodes.iter().enumerate() {
+        let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else { continue };
+        let text = to_toml(&scenario).unwrap_or_default();
+        let back = from_toml(&text, Path::new("f.toml"));
+        let same = back.as_ref().is_ok_and(|back| *back == scenario);
+        must(same, Law::Files, &text, || format!("it came back as {back:?}"))?;
+    }
+    for dropped in &recording.dropped {
+        must(!dropped.to_string().is_empty(), Law::Reading, "", || "something is dropped without a word".to_owned())?;
+    }
+    Ok(())
+}
+
+/// A text is a formula or refused with a column that exists; a formula has the robustness of the definition and is what
+/// its own text says.
+///
+/// # Errors
+/// A [`Violation`] of [`Law::Reading`] or [`Law::Monitor`].
+pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
+    let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
+    let formula: Formula = match text.parse() {
+        Ok(formula) => formula,
+        Err(crumple_world::measure::stl::ParseError { column, problem }) => {
+            let columns = 1..=1 + text.chars().count();
+            return must(columns.contains(&column), Law::Reading, text, || format!("column {column}: {problem}"));
+        }
+    };
+    let printed = formula.to_string();
+    match printed.parse::<Formula>() {
+        // Printing adds parentheses and may write a sum out: a text at the limits can exceed them.
+        Err(error) if matches!(error.problem, SyntaxProblem::TooLong { .. }) => {}
+        back => must(back.as_ref() == Ok(&formula), Law::Reading, text, || format!("{printed} is read as {back:?}"))?,
+    }
+    let Ok(mut signals) = Signals::new(0.1, SAMPLES) else { return Ok(()) };
+    for (name, seed) in formula.signal_names().into_iter().zip(1_usize..) {
+        // Small whole numbers, so that margins of exactly zero are common.
+        let samples: Vec<f64> = (0..SAMPLES).map(|k| ((k * k * seed + 3 * k + seed) % 7) as f64 - 3.0).collect();
+        if signals.insert(name.to_owned(), samples).is_err() {
+            return Ok(());
+        }
+    }
+    let (Ok(robustness), Ok(defined)) = (formula.robustness(&signals), naive_robustness(&formula, &signals, 0)) else {
+        return Ok(());
+    };
+    must(robustness == defined, Law::Monitor, text, || format!("robustness {robustness}, defined as {defined}"))?;
+    let satisfied = formula.is_satisfied(&signals);
+    let sign = robustness == 0.0 || satisfied == Ok(robustness > 0.0);
+    must(sign, Law::Monitor, text, || format!("robustness {robustness}, satisfied {satisfied:?}"))
+}
+
+fn must(holds: bool, law: Law, input: &str, finding: impl FnOnce() -> String) -> Result<(), Violation> {
+    if holds { Ok(()) } else { Err(Violation { law, finding: finding(), reproducer: input.to_owned() }) }
+}

@@ -1,0 +1,140 @@
+//! A law that was broken, and how to see it again.
+
+use std::fmt;
+
+use super::{Candidate, Trial};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::file::to_toml;
+use crumple_world::scenario::{ControllerSpec, Driver};
+use crumple_world::sim::AfterContact;
+
+/// What must hold, whatever happens.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Law {
+    /// A generated scenario can be run.
+    Runs,
+    /// No vehicle reverses.
+    ForwardMotion,
+    /// No vehicle is where its speed cannot have taken it.
+    Continuity,
+    /// Brakes and impacts take energy away.
+    Energy,
+    /// Impacts keep momentum.
+    Momentum,
+    /// Vehicles that touched stay together, and no pair touches twice.
+    Sticking,
+    /// Verdict, summary and trace tell one story.
+    OneStory,
+    /// No vehicle goes beyond what road and vehicle allow.
+    Limits,
+    /// The report's verdict is that of the trace.
+    ContactRole,
+    /// The batch engine gives the scalar engine's results to the last bit.
+    Engines,
+    /// The integration step decides nothing.
+    StepSize,
+    /// Estimates are finite, speeds not negative, errors bounded.
+    Estimates,
+    /// What is written to a file is read from it.
+    Files,
+    /// The monitor's robustness is that of the definition, and its sign the verdict.
+    Monitor,
+    /// Behind a shield nobody hits the vehicle ahead.
+    Shield,
+    /// No driver does what is proved impossible for all.
+    Avoidability,
+    /// A certificate that is accepted is accepted as it was written and read again.
+    Certificates,
+    /// A text or file is read or refused as documented.
+    Reading,
+}
+
+impl fmt::Display for Law {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Runs => "a valid scenario can be run",
+            Self::ForwardMotion => "no vehicle reverses",
+            Self::Continuity => "no vehicle is where its speed cannot have taken it",
+            Self::Energy => "brakes and impacts take energy away",
+            Self::Momentum => "impacts keep momentum",
+            Self::Sticking => "vehicles that touched stay together",
+            Self::OneStory => "verdict, summary and trace tell one story",
+            Self::Limits => "no vehicle goes beyond what road and vehicle allow",
+            Self::ContactRole => "whose contact it is said to be agrees with the trace",
+            Self::Engines => "the batch engine is the scalar engine, to the last bit",
+            Self::StepSize => "the integration step decides nothing",
+            Self::Estimates => "estimates are finite and near the truth",
+            Self::Files => "what is written to a file is read from it",
+            Self::Monitor => "robustness is that of the definition, and its sign the verdict",
+            Self::Shield => "behind a shield nobody hits the vehicle ahead",
+            Self::Avoidability => "no driver does what is proved impossible for all",
+            Self::Certificates => "the checker accepts what it accepted before it was written and read again",
+            Self::Reading => "a file is read, or refused with a reason",
+        })
+    }
+}
+
+/// A law that was broken.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("broken: {law}\n{finding}\n\n{reproducer}")]
+pub struct Violation {
+    /// Which law.
+    pub law: Law,
+    /// What was found.
+    pub finding: String,
+    /// How to see it again: a scenario file, and the command that runs it.
+    pub reproducer: String,
+}
+
+impl Violation {
+    /// Ends the program, for suites and fuzzers whose way of being told is a panic.
+    ///
+    /// # Panics
+    /// Always.
+    #[expect(clippy::panic, reason = "this is what fuzzers and test suites listen to")]
+    pub fn panic(self) -> ! {
+        panic!("{self}")
+    }
+}
+
+impl Trial {
+    /// A scenario file whose first lines say how to run it.
+    #[must_use]
+    pub fn reproducer(&self) -> String {
+        let Self { scenario, setup } = self;
+        let name = setup.controller.name();
+        let as_named = match &setup.controller {
+            Candidate::BuiltIn(spec) => ControllerSpec::named(name).as_ref() == Some(spec),
+            Candidate::Named(_) => true,
+            Candidate::Opinionated(_) => false,
+        };
+        let mut scenario = scenario.clone();
+        let mut how = Vec::new();
+        if as_named {
+            how.push(format!("--controller {name}"));
+        } else if let (Candidate::BuiltIn(spec), EstimatorKind::Truth) = (&setup.controller, setup.estimator) {
+            // Drivers of the scenario's own see the truth: they can stand in for a controller under test that does.
+            let put = |driver: &mut Driver| {
+                if *driver == Driver::UnderTest {
+                    *driver = Driver::Controller(spec.clone());
+                }
+            };
+            let filled = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|v| put(&mut v.driver)));
+            scenario = filled.unwrap_or(scenario);
+        } else {
+            how.push(format!("--controller ... (under test: {:?})", setup.controller));
+        }
+        if setup.estimator != EstimatorKind::default() {
+            how.push(format!("--estimator {}", setup.estimator.name()));
+        }
+        if setup.substeps > 1 {
+            how.push(format!("--dt {}", scenario.spec().step_s / f64::from(setup.substeps)));
+        }
+        if setup.after_contact == AfterContact::Continue {
+            how.push("--after-contact continue".to_owned());
+        }
+        let text = to_toml(&scenario).unwrap_or_default();
+        format!("# crumple simulate THIS-FILE.toml {}\n{text}", how.join(" "))
+    }
+}

@@ -1,0 +1,78 @@
+//! The cases a policy is hardened on.
+
+use serde::{Deserialize, Serialize};
+
+use super::HardenError;
+use super::corpus::CORPUS_VERSION;
+use super::files::scenarios_sha256;
+use crumple_world::digest::sha256;
+use crumple_world::scenario::space::Space;
+use crumple_world::scenario::{Scenario, ScenarioSpec};
+
+/// Avoidable scenarios in which the policy of some round touched somebody: the file `hardened-on.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cases {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Name of the space.
+    pub space: String,
+    /// SHA-256 of the space as JSON.
+    pub space_sha256: String,
+    /// SHA-256 over the JSON of all cases, counterexamples first.
+    pub scenarios_sha256: String,
+    /// Draws of the space, round by round.
+    pub draws: Vec<TouchedDraws>,
+    /// Counterexamples of the searches, shrunk.
+    pub counterexamples: Vec<ScenarioSpec>,
+}
+
+/// Draws of one seed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TouchedDraws {
+    /// Round that found them.
+    pub round: u64,
+    /// Seed of the draws.
+    pub seed: u64,
+    /// Which of them, as [`Space::draw`] counts.
+    pub indices: Vec<u64>,
+}
+
+impl Cases {
+    /// No cases yet.
+    pub(super) fn none(space: &Space) -> Result<Self, HardenError> {
+        let spec = serde_json::to_string(space.spec()).map_err(HardenError::encoding)?;
+        Ok(Self {
+            version: CORPUS_VERSION,
+            space: space.name().to_owned(),
+            space_sha256: sha256(spec),
+            scenarios_sha256: sha256([]),
+            draws: Vec::new(),
+            counterexamples: Vec::new(),
+        })
+    }
+
+    /// All of them, counterexamples first.
+    ///
+    /// # Errors
+    /// [`HardenError::Scenario`] if one of them is none.
+    pub fn scenarios(&self, space: &Space) -> Result<Vec<Scenario>, HardenError> {
+        let counterexamples = self.counterexamples.iter().map(|spec| Scenario::new(spec.clone()));
+        let drawn = self.draws.iter().flat_map(|of| of.indices.iter().map(|&index| space.draw(of.seed, index)));
+        Ok(counterexamples.chain(drawn).collect::<Result<_, _>>()?)
+    }
+
+    /// These and those of another round.
+    pub(super) fn extended(
+        mut self,
+        space: &Space,
+        draws: TouchedDraws,
+        counterexamples: Vec<ScenarioSpec>,
+    ) -> Result<Self, HardenError> {
+        self.draws.push(draws);
+        self.counterexamples.extend(counterexamples);
+        self.scenarios_sha256 = scenarios_sha256(self.scenarios(space)?.iter())?;
+        Ok(self)
+    }
+}

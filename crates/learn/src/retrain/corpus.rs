@@ -1,0 +1,196 @@
+//! Draws of a space, classed: which of them somebody could have avoided.
+
+use std::ops::Range;
+use std::path::Path;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::HardenError;
+use super::files::{add, read_json, write_json};
+use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
+use crumple_world::digest::{Sha256, sha256};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::measure::Specification;
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::Space;
+use crumple_world::sim::{Contact, Contender, Keep, Run, RunError, RunOptions, UnderTest, simulate_batch};
+
+/// The version of corpus files.
+pub const CORPUS_VERSION: u32 = 1;
+
+/// Draws that are classed together, at most.
+const BLOCK: u64 = 500;
+/// A space of which less than this share can be avoided is given up, once that many have been looked at.
+const LEAST_SHARE: f64 = 0.01;
+
+/// The avoidable ones among the first draws of a space by one seed. Nearly all are, so the others are listed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Corpus {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Name of the space.
+    pub space: String,
+    /// SHA-256 of the space as JSON.
+    pub space_sha256: String,
+    /// Seed of the draws.
+    pub seed: u64,
+    /// Draws that were classed: those from 0 to this, excluded.
+    pub draws: u64,
+    /// How many of them somebody could have avoided: they are the corpus.
+    pub avoidable: u64,
+    /// Those that nobody could have avoided, by proof.
+    pub unavoidable: Vec<u64>,
+    /// Those of which neither is known.
+    pub undecided: Vec<u64>,
+    /// SHA-256 over the JSON of the corpus's scenarios, in order; empty until it is complete.
+    pub scenarios_sha256: String,
+}
+
+impl Corpus {
+    /// An empty one.
+    pub(super) fn begin(space: &Space, seed: u64) -> Result<Self, HardenError> {
+        let spec = serde_json::to_string(space.spec()).map_err(HardenError::encoding)?;
+        Ok(Self {
+            version: CORPUS_VERSION,
+            space: space.name().to_owned(),
+            space_sha256: sha256(spec),
+            seed,
+            draws: 0,
+            avoidable: 0,
+            unavoidable: Vec::new(),
+            undecided: Vec::new(),
+            scenarios_sha256: String::new(),
+        })
+    }
+
+    /// Indices of the corpus's draws.
+    pub fn indices(&self) -> impl Iterator<Item = u64> {
+        let is_out =
+            |index: &u64| self.unavoidable.binary_search(index).is_ok() || self.undecided.binary_search(index).is_ok();
+        (0..self.draws).filter(move |index| !is_out(index))
+    }
+
+    /// The corpus's scenarios, in order.
+    ///
+    /// # Errors
+    /// [`HardenError::Scenario`] if a draw is none; [`Space::draw`] has none.
+    pub fn scenarios(&self, space: &Space) -> Result<Vec<Scenario>, HardenError> {
+        Ok(self.indices().map(|index| space.draw(self.seed, index)).collect::<Result<_, _>>()?)
+    }
+
+    /// Classes the next draws, as long as fewer than `wanted` are avoidable, and tells `seen` what each witness did in each
+    /// of those that are.
+    pub(super) fn grow(
+        &mut self,
+        space: &Space,
+        wanted: u64,
+        witnesses: &[Contender],
+        estimator: EstimatorKind,
+        mut seen: impl FnMut(&[Option<Contact>]),
+    ) -> Result<(), HardenError> {
+        // No more than are missing: what a block holds beyond the last one wanted would be classed for nothing.
+        let range = self.draws..self.draws + (wanted - self.avoidable).min(BLOCK);
+        let classed = class(space, self.seed, range.clone(), witnesses, estimator)?;
+        for (index, (class, contacts)) in range.zip(classed) {
+            self.draws += 1;
+            match class {
+                AvoidabilityClass::Avoidable => {
+                    self.avoidable += 1;
+                    seen(&contacts);
+                }
+                AvoidabilityClass::Unavoidable => self.unavoidable.push(index),
+                AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => self.undecided.push(index),
+            }
+        }
+        let share = self.avoidable as f64 / self.draws as f64;
+        if self.draws >= BLOCK && share < LEAST_SHARE {
+            let (space, draws, avoidable) = (self.space.clone(), self.draws, self.avoidable);
+            return Err(HardenError::Hopeless { space, draws, avoidable, wanted });
+        }
+        Ok(())
+    }
+
+    /// States the hash of what has been gathered.
+    pub(super) fn seal(&mut self, space: &Space) -> Result<(), HardenError> {
+        let mut digest = Sha256::default();
+        for index in self.indices() {
+            add(&mut digest, &space.draw(self.seed, index)?)?;
+        }
+        self.scenarios_sha256 = digest.hexadecimal();
+        Ok(())
+    }
+
+    /// The corpus in a file, gathered first if it is not there or not complete.
+    pub(super) fn at(
+        path: &Path,
+        space: &Space,
+        (seed, wanted): (u64, u64),
+        witnesses: &[Contender],
+        estimator: EstimatorKind,
+        progress: &mut dyn FnMut(u64),
+    ) -> Result<Self, HardenError> {
+        let mut corpus = Self::begin(space, seed)?;
+        if let Some(found) = read_json::<Self>(path)? {
+            if (found.seed, &found.space_sha256) != (seed, &corpus.space_sha256) {
+                return Err(HardenError::Folder(format!("{}: draws of another space or seed", path.display())));
+            }
+            corpus = found;
+        }
+        while corpus.scenarios_sha256.is_empty() {
+            progress(corpus.avoidable);
+            if corpus.avoidable < wanted {
+                corpus.grow(space, wanted, witnesses, estimator, |_| {})?;
+            } else {
+                corpus.seal(space)?;
+            }
+            write_json(path, &corpus)?;
+        }
+        Ok(corpus)
+    }
+}
+
+/// Class of each draw, and what became of it with each witness.
+type Classed = (AvoidabilityClass, Vec<Option<Contact>>);
+
+fn class(
+    space: &Space,
+    seed: u64,
+    range: Range<u64>,
+    witnesses: &[Contender],
+    estimator: EstimatorKind,
+) -> Result<Vec<Classed>, HardenError> {
+    let scenarios = range.map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
+    let mut contacts = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
+    for witness in witnesses {
+        let found = drive(&scenarios, &witness.controller, estimator)?;
+        contacts.iter_mut().zip(found).for_each(|(of, contact)| of.push(contact));
+    }
+    let survived: Vec<bool> = contacts.iter().map(|of| of.iter().any(Option::is_none)).collect();
+    let classes = classes(&scenarios, &survived);
+    Ok(classes.into_iter().zip(contacts).collect())
+}
+
+/// Classes of scenarios: what a witness has survived is avoidable; of the others convex programming says it.
+pub(super) fn classes(scenarios: &[Scenario], survived: &[bool]) -> Vec<AvoidabilityClass> {
+    let class = |(scenario, &survived): (&Scenario, &bool)| {
+        if survived {
+            AvoidabilityClass::Avoidable
+        } else {
+            Avoidability::of(&Specification::NoContact, scenario).class()
+        }
+    };
+    scenarios.par_iter().zip(survived).map(class).collect()
+}
+
+/// The first contact of each run, if there is one.
+pub(super) fn drive(
+    scenarios: &[Scenario],
+    controller: &UnderTest,
+    estimator: EstimatorKind,
+) -> Result<Vec<Option<Contact>>, RunError> {
+    let options = RunOptions::new(controller.clone()).with_estimator(estimator);
+    let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+    Ok(simulate_batch(&runs, Keep::Summary, |_, result| result.outcome.contact().copied()))
+}

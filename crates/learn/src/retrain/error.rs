@@ -1,0 +1,58 @@
+//! Why a hardening stops.
+
+use crate::rl::TrainingError;
+use crumple_search::disk::DiskError;
+use crumple_search::falsify::campaign::CampaignError;
+use crumple_world::policy::PolicyError;
+use crumple_world::scenario::InvalidField;
+use crumple_world::sim::RunError;
+
+/// Why a hardening stops.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum HardenError {
+    /// A file or folder cannot be read or written.
+    #[error(transparent)]
+    Disk(#[from] DiskError),
+    /// The folder holds another hardening, or one already, or a file in it is damaged.
+    #[error("{0}")]
+    Folder(String),
+    /// Hardly anything in the space can be avoided.
+    #[error(
+        "of the first {draws} draws of the space `{space}` only {avoidable} could be avoided, and {wanted} are needed"
+    )]
+    Hopeless {
+        /// Name of the space.
+        space: String,
+        /// Draws that were classed.
+        draws: u64,
+        /// Those that could be avoided.
+        avoidable: u64,
+        /// How many were needed.
+        wanted: u64,
+    },
+    /// A search failed.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
+    /// A training failed.
+    #[error(transparent)]
+    Training(#[from] TrainingError),
+    /// A scenario cannot be run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A draw is no scenario.
+    #[error(transparent)]
+    Scenario(#[from] InvalidField),
+    /// A policy cannot be read or written.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// A file cannot be encoded.
+    #[error("cannot encode a file of the hardening: {0}")]
+    Encoding(String),
+}
+
+impl HardenError {
+    pub(super) fn encoding(error: impl std::fmt::Display) -> Self {
+        Self::Encoding(error.to_string())
+    }
+}

@@ -1,0 +1,53 @@
+//! Hardening a policy: search for failures, train on those that could have been avoided, accept what breaks nothing; again.
+//!
+//! A round of [`Plan::run`]:
+//!
+//! 1. **Search.** A campaign ([`crumple_search::falsify::campaign`]) with a stated budget against the policy as it stands, and a number
+//!    of draws of the space. If nothing avoidable is found, the hardening is over.
+//! 2. **Keep.** Distinct counterexamples, and draws that ended in contact, if somebody could have avoided them: a witness
+//!    drives through without contact, or [`crumple_search::worst_case::avoid()`] finds an escape. What nobody can avoid teaches nothing.
+//! 3. **Train on.** The learner goes on with its networks and its memory, on a mixture of the paper's distribution, draws of
+//!    the space, and all cases kept so far. Of its checkpoints the best on a selection of avoidable draws is the candidate.
+//! 4. **Judge.** The candidate drives the paper's scenarios, draws of the paper's distribution, and a corpus kept aside. It is
+//!    accepted only if nothing of the paper's that was safe fails and the contacts kept aside do not rise ([`rule`]).
+//!
+//! Four sets of draws never meet: training, selection, kept aside (acceptance), and judged, which is drawn after the
+//! last round and decides nothing. A rejected candidate is not taken over, but its learner goes on.
+//!
+//! The folder of a hardening:
+//!
+//! | file | what it holds |
+//! |---|---|
+//! | `retrain.toml` | everything that decides the results |
+//! | `policy.safetensors` | the policy at the end |
+//! | `hardened-on.json` | the cases it was trained on, beside draws of space and paper |
+//! | `kept-aside.json`, `selection.json` | the draws that accepted rounds, and those that selected checkpoints |
+//! | `judged-on.json` | the draws it was judged on, and what each controller did in them |
+//! | `report.md`, `report.json`, `report.svg` | what each round found, fixed and broke, with the hashes of all these files |
+//! | `rounds/NN/` | the campaign, the candidate and the record of each round |
+//!
+//! One seed decides everything, whatever the number of threads and whether or not it was interrupted.
+
+mod cases;
+mod corpus;
+mod error;
+mod files;
+mod judged;
+mod plan;
+mod report;
+mod round;
+mod ruling;
+mod run;
+mod standing;
+mod training;
+
+pub use cases::{Cases, TouchedDraws};
+pub use corpus::{CORPUS_VERSION, Corpus};
+pub use error::HardenError;
+pub use judged::{Judged, Pairs, Tally};
+pub use plan::{HARDEN_VERSION, Plan, Settings, training_preset};
+pub use report::{Ending, FileHash, Report};
+pub use round::{Checkpoint, Found, Round, Trained};
+pub use ruling::{Change, Objection, Ruling, rule};
+pub use run::Progress;
+pub use standing::Standing;

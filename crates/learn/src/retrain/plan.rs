@@ -1,0 +1,212 @@
+//! What a hardening is: everything that decides its results, as a file.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::HardenError;
+use crumple_search::disk;
+
+use crate::rl::{ConfigError, TrainingConfig};
+use crumple_search::falsify::Method;
+use crumple_world::digest::sha256;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::random::derived_seed;
+use crumple_world::scenario::space::{Space, SpaceSpec};
+
+/// The version of the file `retrain.toml`.
+pub const HARDEN_VERSION: u32 = 1;
+
+/// Everything that decides the results of a hardening.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// The policy to begin with.
+    pub first: Arc<Policy>,
+    /// What it is called: a built-in name or a path.
+    pub first_name: String,
+    /// Where failures are looked for.
+    pub space: Space,
+    /// How the learner learns. Its number of episodes is replaced by the settings'; its screening draws are of the paper's
+    /// distribution, and its ranking draws are avoidable draws of the space.
+    pub training: TrainingConfig,
+    /// Search method.
+    pub method: Method,
+    /// Seed of searches and trainings.
+    pub seed: u64,
+    /// How much of everything.
+    pub settings: Settings,
+}
+
+/// How much of everything.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Rounds at most.
+    pub rounds: u64,
+    /// Episodes of training in a round.
+    pub episodes: u64,
+    /// Evaluations of the search method in a round, and of each yardstick.
+    pub budget: u64,
+    /// Draws of the space that a round's search drives beside.
+    pub draws: u64,
+    /// Avoidable draws kept aside, which accept or reject a round.
+    pub kept_aside: u64,
+    /// Draws of the paper's distribution, likewise.
+    pub nominal: u64,
+    /// Avoidable draws on which the result is judged at the end.
+    pub judged: u64,
+    /// Share of the training episodes that are drawn from the paper's distribution.
+    pub nominal_share: f64,
+    /// Share of the others that drive one of the cases kept; the rest are draws of the space.
+    pub case_share: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            rounds: 3,
+            episodes: 1000,
+            budget: 1000,
+            draws: 1000,
+            kept_aside: 2000,
+            nominal: 10_000,
+            judged: 10_000,
+            nominal_share: 0.2,
+            case_share: 0.2,
+        }
+    }
+}
+
+const PRESET: &str = include_str!("preset.toml");
+
+/// How a learner learns in a hardening unless told otherwise.
+///
+/// # Errors
+/// None: a test reads it.
+pub fn training_preset() -> Result<TrainingConfig, ConfigError> {
+    TrainingConfig::parse(PRESET)
+}
+
+/// The file `retrain.toml`.
+#[derive(Serialize)]
+struct PlanFile<'a> {
+    version: u32,
+    crumple: &'a str,
+    policy: &'a str,
+    policy_sha256: String,
+    method: &'a str,
+    seed: u64,
+    settings: Settings,
+    training: &'a TrainingConfig,
+    space: &'a SpaceSpec,
+}
+
+/// Seeds of the sets of draws that are the same for every hardening in a space, so that results can be compared.
+pub(super) const SELECTION_SEED: u64 = 0x0073_656c_6563_7465;
+pub(super) const KEPT_ASIDE_SEED: u64 = 0x006b_6570_7461_7364;
+pub(super) const JUDGED_SEED: u64 = 0x006a_7564_6765_6420;
+pub(super) const NOMINAL_SEED: u64 = 0x006e_6f6d_696e_616c;
+
+/// Indices of derived seeds: searches count from one, trainings from the other.
+const SEARCHES: u64 = 1 << 32;
+const TRAININGS: u64 = 2 << 32;
+
+impl Plan {
+    /// What the vehicles under test look through.
+    #[must_use]
+    pub fn estimator(&self) -> EstimatorKind {
+        self.training.environment.estimator
+    }
+
+    pub(super) fn search_seed(&self, round: u64) -> u64 {
+        derived_seed(self.seed, SEARCHES + round)
+    }
+
+    pub(super) fn training_seed(&self, round: u64) -> u64 {
+        derived_seed(self.seed, TRAININGS + round)
+    }
+
+    /// The text of `retrain.toml`.
+    ///
+    /// # Errors
+    /// [`HardenError::Encoding`] in principle, if the writer fails.
+    pub fn to_toml(&self) -> Result<String, HardenError> {
+        let file = PlanFile {
+            version: HARDEN_VERSION,
+            crumple: env!("CARGO_PKG_VERSION"),
+            policy: &self.first_name,
+            policy_sha256: self.first.digest(),
+            method: self.method.name(),
+            seed: self.seed,
+            settings: self.settings,
+            training: &self.training,
+            space: self.space.spec(),
+        };
+        toml::to_string(&file).map_err(HardenError::encoding)
+    }
+
+    /// SHA-256 of that text.
+    ///
+    /// # Errors
+    /// As for the text.
+    pub fn digest(&self) -> Result<String, HardenError> {
+        Ok(sha256(self.to_toml()?))
+    }
+
+    /// Leaves its file in a folder, or makes sure that the folder is of this plan.
+    pub(super) fn claim(&self, folder: &Path, resume: bool) -> Result<(), HardenError> {
+        let path = folder.join("retrain.toml");
+        let expected = self.to_toml()?;
+        match disk::read(&path)? {
+            None => Ok(disk::write(&path, expected)?),
+            Some(_) if !resume => Err(HardenError::Folder(format!(
+                "{} holds a retraining already: use --resume, or another --out",
+                folder.display()
+            ))),
+            Some(found) if found == expected.as_bytes() => Ok(()),
+            Some(found) => Err(HardenError::Folder(difference(&path, &found, &expected))),
+        }
+    }
+}
+
+/// In what a file on disk differs from the one expected.
+fn difference(path: &Path, found: &[u8], expected: &str) -> String {
+    let table = |text: &str| text.parse::<toml::Table>().ok();
+    let (Some(old), Some(new)) = (std::str::from_utf8(found).ok().and_then(table), table(expected)) else {
+        return format!("{}: not the file of a retraining", path.display());
+    };
+    let field = differing(&old, &new).unwrap_or_else(|| "file".to_owned());
+    format!("{}: the retraining there has another `{field}`", path.display())
+}
+
+/// The path of the first field in which two tables differ.
+fn differing(old: &toml::Table, new: &toml::Table) -> Option<String> {
+    new.iter().find(|(name, value)| old.get(*name) != Some(value)).map(|(name, value)| {
+        let inner = match (old.get(name), value) {
+            (Some(toml::Value::Table(old)), toml::Value::Table(new)) => differing(old, new),
+            _ => None,
+        };
+        inner.map_or(name.clone(), |inner| format!("{name}.{inner}"))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_preset_is_valid_and_never_ends_by_itself() {
+        let preset = training_preset().unwrap();
+        assert_eq!((preset.name.as_str(), preset.evaluation.master_gap_m), ("harden", 0.0));
+    }
+
+    #[test]
+    fn a_difference_is_named_by_its_path() {
+        let table = |text: &str| text.parse::<toml::Table>().unwrap();
+        let (old, new) = (table("a = 1\n[b]\nc = 2\nd = 3"), table("a = 1\n[b]\nc = 2\nd = 4"));
+        assert_eq!(differing(&old, &new), Some("b.d".to_owned()));
+        assert_eq!(differing(&old, &old), None);
+    }
+}

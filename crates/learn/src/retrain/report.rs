@@ -1,0 +1,265 @@
+//! What a hardening reached, for programs and for readers.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::files::to_json;
+use super::judged::{CONFIDENCE, Judged, Pairs, Tally};
+use super::plan::{HARDEN_VERSION, Plan, Settings};
+use super::round::{Found, Round};
+use super::run::{HARDENED_ON, JUDGED_ON, KEPT_ASIDE, POLICY};
+use super::{HardenError, Standing};
+use crumple_search::disk;
+use crumple_world::digest::sha256;
+
+/// Why a hardening ended.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Ending {
+    /// All rounds were made.
+    RoundsSpent,
+    /// A search found nothing that could have been avoided.
+    NothingFound {
+        /// That search.
+        search: Box<Found>,
+    },
+}
+
+/// A file and its hash.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileHash {
+    /// Its name in the folder.
+    pub file: String,
+    /// SHA-256.
+    pub sha256: String,
+}
+
+/// The file `report.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Report {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Version of crumple.
+    pub crumple: String,
+    /// SHA-256 of `retrain.toml`.
+    pub plan_sha256: String,
+    /// The policy to begin with: a name or a path.
+    pub first: String,
+    /// SHA-256 of its file.
+    pub first_sha256: String,
+    /// SHA-256 of the policy at the end.
+    pub hardened_sha256: String,
+    /// Name of the space.
+    pub space: String,
+    /// Name of the training configuration.
+    pub preset: String,
+    /// Name of the search method.
+    pub method: String,
+    /// Seed.
+    pub seed: u64,
+    /// How much of everything.
+    pub settings: Settings,
+    /// The rounds.
+    pub rounds: Vec<Round>,
+    /// Why there are no more.
+    pub ending: Ending,
+    /// Where the first policy stands.
+    pub first_standing: Standing,
+    /// Where the hardened one stands.
+    pub hardened_standing: Standing,
+    /// Avoidable draws on which controllers were judged.
+    pub judged_draws: u64,
+    /// What each of them did.
+    pub tallies: Vec<Tally>,
+    /// The two policies on the same draws.
+    pub pairs: Pairs,
+    /// The policy and the corpora.
+    pub files: Vec<FileHash>,
+}
+
+impl Report {
+    pub(super) fn new(
+        plan: &Plan,
+        folder: &Path,
+        (first_standing, hardened_standing): (Standing, Standing),
+        rounds: Vec<Round>,
+        ending: Ending,
+        judged: Judged,
+    ) -> Result<Self, HardenError> {
+        let hash = |name: &str| -> Result<FileHash, HardenError> {
+            Ok(FileHash { file: name.to_owned(), sha256: sha256(disk::read(&folder.join(name))?.unwrap_or_default()) })
+        };
+        let files = [POLICY, HARDENED_ON, "selection.json", KEPT_ASIDE, JUDGED_ON]
+            .map(hash)
+            .into_iter()
+            .collect::<Result<Vec<_>, _>>()?;
+        Ok(Self {
+            version: HARDEN_VERSION,
+            crumple: env!("CARGO_PKG_VERSION").to_owned(),
+            plan_sha256: plan.digest()?,
+            first: plan.first_name.clone(),
+            first_sha256: plan.first.digest(),
+            hardened_sha256: files.first().map(|file| file.sha256.clone()).unwrap_or_default(),
+            space: plan.space.name().to_owned(),
+            preset: plan.training.name.clone(),
+            method: plan.method.name().to_owned(),
+            seed: plan.seed,
+            settings: plan.settings,
+            rounds,
+            ending,
+            first_standing,
+            hardened_standing,
+            judged_draws: judged.corpus.avoidable,
+            tallies: judged.tallies,
+            pairs: judged.pairs,
+            files,
+        })
+    }
+
+    /// Whether any round was accepted.
+    #[must_use]
+    pub fn is_hardened(&self) -> bool {
+        self.rounds.iter().any(|round| round.ruling.is_accepted())
+    }
+
+    pub(super) fn write(&self, folder: &Path) -> Result<(), HardenError> {
+        disk::write(&folder.join("report.md"), self.to_markdown())?;
+        Ok(disk::write(&folder.join("report.json"), self.to_json()?)?)
+    }
+
+    /// The text of `report.json`.
+    ///
+    /// # Errors
+    /// [`HardenError::Encoding`] in principle, if the writer fails.
+    pub fn to_json(&self) -> Result<String, HardenError> {
+        to_json(self)
+    }
+
+    /// How many times rarer contacts are than with the first policy, at least: the lower end of the first policy's interval over
+    /// the upper end of the hardened one's. Each end is wrong with a probability of at most half of 5 %, so both hold at 95 %.
+    #[must_use]
+    pub fn factor_at_least(&self) -> Option<f64> {
+        let [first, hardened, ..] = self.tallies.as_slice() else { return None };
+        Some(first.interval(self.judged_draws).lower / hardened.interval(self.judged_draws).upper)
+    }
+
+    /// The text of `report.md`.
+    #[must_use]
+    pub fn to_markdown(&self) -> String {
+        let mut text = String::new();
+        // Writing to a string cannot fail.
+        let _ = self.write_markdown(&mut text);
+        text
+    }
+
+    fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
+        let Settings { rounds, episodes, budget, draws, kept_aside, nominal, nominal_share, case_share, .. } =
+            self.settings;
+        writeln!(out, "# Hardening of `{}` in the space `{}`\n", self.first, self.space)?;
+        writeln!(
+            out,
+            "At most {rounds} rounds of {episodes} episodes (preset `{}`, seed {}): {:.0} % from the paper's distribution, of the \
+             others {:.0} % cases kept and the rest draws of the space. Each search: {budget} evaluations of `{}` and of each \
+             yardstick, and {draws} draws. {}\n",
+            self.preset,
+            self.seed,
+            100.0 * nominal_share,
+            100.0 * case_share,
+            self.method,
+            self.ended()
+        )?;
+        out.push_str("## Judged on draws that had no part in it\n\n");
+        self.write_judged(out)?;
+        out.push_str("\n## Rounds\n\n![Contacts of every checkpoint](report.svg)\n\n");
+        self.write_rounds(out)?;
+        writeln!(
+            out,
+            "\nA change reads: contacts of the policy before the round → of the candidate (fixed, new). *Cases* are all avoidable \
+             scenarios kept up to the round, *kept aside* are {kept_aside} avoidable draws of the space, *paper-1..3* the paper's \
+             scenarios, each through the filter and with the true state, *paper's draws* {nominal} draws of its distribution. A \
+             round is accepted if nothing new fails in the last two columns and contacts kept aside do not rise.\n"
+        )?;
+        out.push_str("## Files\n\n| file | SHA-256 |\n|---|---|\n");
+        for FileHash { file, sha256 } in &self.files {
+            writeln!(out, "| `{file}` | `{sha256}` |")?;
+        }
+        writeln!(out, "\nFirst policy: `{}`. Plan: `{}`.", self.first_sha256, self.plan_sha256)
+    }
+
+    fn ended(&self) -> String {
+        let accepted = self.rounds.iter().filter(|round| round.ruling.is_accepted()).count();
+        let made = format!("{} made, {accepted} accepted", self.rounds.len());
+        match &self.ending {
+            Ending::RoundsSpent => format!("It ended with its last round: {made}."),
+            Ending::NothingFound { search } => format!(
+                "It ended because a search of {} evaluations and {} draws found nothing that could have been avoided: {made}.",
+                search.evaluations, search.draws
+            ),
+        }
+    }
+
+    fn write_judged(&self, out: &mut String) -> std::fmt::Result {
+        let runs = self.judged_draws;
+        writeln!(
+            out,
+            "| controller | contacts in {runs} | into the leader | from behind | rate | exact {:.0} % interval |",
+            100.0 * CONFIDENCE
+        )?;
+        out.push_str("|---|---|---|---|---|---|\n");
+        for tally in &self.tallies {
+            let interval = tally.interval(runs);
+            writeln!(
+                out,
+                "| {} | {} | {} | {} | {:.3} % | {:.3} to {:.3} % |",
+                tally.controller,
+                tally.contacts,
+                tally.into_the_leader,
+                tally.contacts - tally.into_the_leader,
+                100.0 * tally.contacts as f64 / runs.max(1) as f64,
+                100.0 * interval.lower,
+                100.0 * interval.upper
+            )?;
+        }
+        let Pairs { both, first_only, hardened_only, neither } = self.pairs;
+        writeln!(
+            out,
+            "\nOf the first policy's contacts {first_only} are fixed and {both} are left; {hardened_only} are new; {neither} draws \
+             are safe with both. All draws could have been avoided by somebody."
+        )?;
+        match self.factor_at_least() {
+            Some(factor) => {
+                writeln!(out, "Contacts are at least {factor:.2} times rarer than with the first policy, at 95 %.")
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn write_rounds(&self, out: &mut String) -> std::fmt::Result {
+        out.push_str(
+            "| round | found: distinct (avoidable, not, undecided) | draws touched (avoidable) | episodes (best after) | cases | kept \
+             aside | paper-1..3 | paper's draws | ruling |\n|---|---|---|---|---|---|---|---|---|\n",
+        );
+        for round in &self.rounds {
+            let Found { avoidable, unavoidable, undecided, draws_touched, draws_avoidable, .. } = &round.found;
+            writeln!(
+                out,
+                "| {} | {} ({avoidable}, {unavoidable}, {undecided}) | {draws_touched} ({}) | {} ({}) | {} | {} | {} | {} | {} |",
+                round.round,
+                avoidable + unavoidable + undecided,
+                draws_avoidable.indices.len(),
+                round.trained.to_episode,
+                round.trained.best_episode,
+                round.in_cases,
+                round.in_kept_aside,
+                round.in_paper,
+                round.in_nominal,
+                round.ruling
+            )?;
+        }
+        Ok(())
+    }
+}

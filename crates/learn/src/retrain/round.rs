@@ -1,0 +1,282 @@
+//! One round: search, keep, train on, judge.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::cases::{Cases, TouchedDraws};
+use super::corpus::{Corpus, classes, drive};
+use super::files::{read_json, write_json};
+use super::judged::witnesses;
+use super::plan::{Plan, SELECTION_SEED};
+use super::ruling::{Change, Objection, Ruling, rule};
+use super::run::{Progress, Show};
+use super::training::LEARNER;
+use super::{HardenError, Standing};
+use crate::rl::TrainingError;
+use crumple_search::disk;
+use crumple_search::falsify::campaign::{Aim, Campaign};
+use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_world::measure::Specification;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::{Scenario, ScenarioSpec, file};
+use crumple_world::sim::{Contender, UnderTest};
+
+/// What a search found.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Found {
+    /// Evaluations of the campaign, of all its methods together.
+    pub evaluations: u64,
+    /// Those that ended in contact.
+    pub failures: u64,
+    /// Distinct counterexamples among them that somebody could have avoided.
+    pub avoidable: usize,
+    /// Those that nobody could have avoided, by proof.
+    pub unavoidable: usize,
+    /// Those of which neither is known.
+    pub undecided: usize,
+    /// Draws of the space that were driven beside.
+    pub draws: u64,
+    /// Those that ended in contact.
+    pub draws_touched: usize,
+    /// Those of them that somebody could have avoided.
+    pub draws_avoidable: TouchedDraws,
+    /// The avoidable counterexamples, as scenarios.
+    pub counterexamples: Vec<String>,
+}
+
+/// How a round trained.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Trained {
+    /// Seed of the learner. It goes on from round to round, unless a training diverges.
+    pub seed: u64,
+    /// Episodes it had done before the round.
+    pub from_episode: u64,
+    /// Episodes it has done after it; 0 if it diverged.
+    pub to_episode: u64,
+    /// Episode after which the candidate was taken.
+    pub best_episode: u64,
+    /// Its checkpoints, in order.
+    pub checkpoints: Vec<Checkpoint>,
+}
+
+/// A policy on the way, as the selection saw it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Checkpoint {
+    /// Episodes done.
+    pub episode: u64,
+    /// Contacts among the avoidable draws of the selection; none if it touched somebody in what the paper has.
+    pub contacts: Option<u64>,
+}
+
+/// The record of a round.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Round {
+    /// Number, from 1.
+    pub round: u64,
+    /// SHA-256 of the policy that was searched for failures.
+    pub before_sha256: String,
+    /// What the search found.
+    pub found: Found,
+    /// Cases trained on: those of all rounds so far.
+    pub cases: usize,
+    /// The training.
+    pub trained: Trained,
+    /// SHA-256 of the candidate; none if the training diverged.
+    pub candidate_sha256: Option<String>,
+    /// Contacts in all cases, before and after.
+    pub in_cases: Change,
+    /// In draws kept aside.
+    pub in_kept_aside: Change,
+    /// In the paper's scenarios, through the filter and with the true state.
+    pub in_paper: Change,
+    /// In draws of the paper's distribution.
+    pub in_nominal: Change,
+    /// The decision.
+    pub ruling: Ruling,
+    /// Where the candidate stands.
+    pub after: Standing,
+}
+
+/// What a round starts from.
+pub(super) struct Before<'a> {
+    pub(super) plan: &'a Plan,
+    pub(super) folder: &'a Path,
+    pub(super) kept_aside: &'a Corpus,
+    pub(super) selection: &'a Corpus,
+    pub(super) policy: Arc<Policy>,
+    pub(super) standing: Standing,
+    pub(super) cases: Cases,
+    pub(super) last: Option<&'a Round>,
+}
+
+/// The file of a candidate.
+pub(super) const CANDIDATE: &str = "candidate.safetensors";
+
+/// The folder of a round.
+pub(super) fn round_folder(folder: &Path, round: u64) -> PathBuf {
+    folder.join("rounds").join(format!("{round:02}"))
+}
+
+impl Before<'_> {
+    pub(super) fn number(&self) -> u64 {
+        self.last.map_or(1, |last| last.round + 1)
+    }
+
+    pub(super) fn path(&self, name: &str) -> PathBuf {
+        round_folder(self.folder, self.number()).join(name)
+    }
+
+    /// Searches for failures; all that was kept is in the result.
+    pub(super) fn search(&self, show: &mut Show<'_>) -> Result<Found, HardenError> {
+        let path = self.path("found.json");
+        if let Some(found) = read_json(&path)? {
+            return Ok(found);
+        }
+        disk::make_folder(&round_folder(self.folder, self.number()))?;
+        disk::write(&self.path("before.safetensors"), self.policy.to_bytes()?)?;
+        let (plan, round) = (self.plan, self.number());
+        let folder = self.path("search");
+        // Relative to the folder of the counterexamples, so that their recorded verdicts can be replayed.
+        let name = "../../before.safetensors".to_owned();
+        let campaign = Campaign {
+            controller: Contender { name, controller: UnderTest::Policy(Arc::clone(&self.policy)) },
+            estimator: plan.estimator(),
+            space: plan.space.clone(),
+            specification: Specification::NoContact,
+            aim: Aim::default(),
+            method: plan.method,
+            budget: plan.settings.budget,
+            seed: plan.search_seed(round),
+        };
+        disk::make_folder(&folder)?;
+        let summary = campaign.run(&folder, true, &mut |state| show(Progress::Searching { round, state: *state }))?;
+        let classed = |class| summary.counterexamples.iter().filter(move |one| one.avoidability.class() == class);
+        let [avoidable, unavoidable, undecided] =
+            [AvoidabilityClass::Avoidable, AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided]
+                .map(|class| classed(class).count());
+        let counterexamples = classed(AvoidabilityClass::Avoidable).map(|one| one.file.clone()).collect();
+        let (draws_touched, draws_avoidable) = self.draws(show)?;
+        let found = Found {
+            evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
+            failures: summary.methods.iter().map(|method| method.failures).sum(),
+            avoidable,
+            unavoidable,
+            undecided,
+            draws: plan.settings.draws,
+            draws_touched,
+            draws_avoidable,
+            counterexamples,
+        };
+        write_json(&path, &found)?;
+        Ok(found)
+    }
+
+    /// Draws that end in contact: how many, and which of them could have been avoided.
+    fn draws(&self, show: &mut Show<'_>) -> Result<(usize, TouchedDraws), HardenError> {
+        let (plan, round) = (self.plan, self.number());
+        let seed = plan.search_seed(round);
+        show(Progress::Drawing { round, draws: plan.settings.draws });
+        let all = (0..plan.settings.draws).map(|index| plan.space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
+        let contacts = drive(&all, &UnderTest::Policy(Arc::clone(&self.policy)), plan.estimator())?;
+        let touched = all.into_iter().enumerate().zip(contacts).filter(|(_, contact)| contact.is_some());
+        let (indices, touched): (Vec<usize>, Vec<Scenario>) = touched.map(|(one, _)| one).unzip();
+        let mut survived = vec![false; touched.len()];
+        for witness in witnesses(&[]) {
+            let contacts = drive(&touched, &witness.controller, plan.estimator())?;
+            survived.iter_mut().zip(contacts).for_each(|(survived, contact)| *survived |= contact.is_none());
+        }
+        let classes = classes(&touched, &survived);
+        let avoidable = indices.into_iter().zip(classes).filter(|(_, class)| *class == AvoidabilityClass::Avoidable);
+        let indices = avoidable.map(|(index, _)| index as u64).collect();
+        Ok((touched.len(), TouchedDraws { round, seed, indices }))
+    }
+
+    /// The cases so far and those of this round.
+    pub(super) fn cases_with(&self, found: &Found) -> Result<Cases, HardenError> {
+        let read = |name: &String| file::load(&self.path("search").join(name)).map(|scenario| scenario.spec().clone());
+        let counterexamples: Vec<ScenarioSpec> = found
+            .counterexamples
+            .iter()
+            .map(read)
+            .collect::<Result<_, _>>()
+            .map_err(|error| HardenError::Folder(error.to_string()))?;
+        self.cases.clone().extended(&self.plan.space, found.draws_avoidable.clone(), counterexamples)
+    }
+
+    /// Trains on, judges and decides; leaves the record of the round behind.
+    pub(super) fn finish(&self, found: Found, cases: &Cases, show: &mut Show<'_>) -> Result<Round, HardenError> {
+        let scenarios = cases.scenarios(&self.plan.space)?;
+        let (trained, candidate, problem) = match self.train(cases, show) {
+            Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
+            Err(HardenError::Training(diverged @ TrainingError::Diverged { .. })) => {
+                disk::remove(&self.path(LEARNER))?;
+                let (seed, from_episode) = self.learner_from();
+                let trained = Trained { seed, from_episode, to_episode: 0, best_episode: 0, checkpoints: Vec::new() };
+                (trained, None, Some(diverged.to_string()))
+            }
+            Err(other) => return Err(other),
+        };
+        show(Progress::Judging { round: self.number() });
+        let after = match &candidate {
+            Some(candidate) => Standing::of(candidate, self.plan, self.kept_aside)?,
+            None => self.standing.clone(),
+        };
+        let is_new = candidate.as_ref().is_some_and(|candidate| candidate.network() != self.policy.network());
+        let ruling = match problem {
+            Some(problem) => Ruling::Rejected { objections: vec![Objection::Diverged { problem }] },
+            None if !is_new => Ruling::Rejected { objections: vec![Objection::Unchanged] },
+            None => rule(&self.standing, &after),
+        };
+        let touched = |policy: &Arc<Policy>| -> Result<Vec<usize>, HardenError> {
+            let contacts = drive(&scenarios, &UnderTest::Policy(Arc::clone(policy)), self.plan.estimator())?;
+            Ok((0..scenarios.len()).zip(contacts).filter(|(_, contact)| contact.is_some()).map(|(at, _)| at).collect())
+        };
+        let round = Round {
+            round: self.number(),
+            before_sha256: self.policy.digest(),
+            found,
+            cases: scenarios.len(),
+            trained,
+            candidate_sha256: candidate.as_ref().map(|candidate| candidate.digest()),
+            in_cases: Change::between(&touched(&self.policy)?, &touched(candidate.as_ref().unwrap_or(&self.policy))?),
+            in_kept_aside: Change::between(&self.standing.kept_aside, &after.kept_aside),
+            in_paper: Change::between(&self.standing.paper, &after.paper),
+            in_nominal: Change::between(&self.standing.nominal, &after.nominal),
+            ruling,
+            after,
+        };
+        if let Some(candidate) = &candidate {
+            disk::write(&self.path(CANDIDATE), candidate.to_bytes()?)?;
+        }
+        write_json(&self.path(RECORD), &round)?;
+        Ok(round)
+    }
+}
+
+/// The record of a round, which completes it.
+pub(super) const RECORD: &str = "round.json";
+
+/// The avoidable draws that select checkpoints.
+pub(super) fn selection(plan: &Plan, folder: &Path, show: &mut Show<'_>) -> Result<Corpus, HardenError> {
+    gathered(plan, folder, ("selection.json", SELECTION_SEED, plan.training.evaluation.ranking_draws), show)
+}
+
+/// A corpus of the plan in its file.
+pub(super) fn gathered(
+    plan: &Plan,
+    folder: &Path,
+    (name, seed, wanted): (&'static str, u64, u64),
+    show: &mut Show<'_>,
+) -> Result<Corpus, HardenError> {
+    let first = Contender { name: plan.first_name.clone(), controller: UnderTest::Policy(Arc::clone(&plan.first)) };
+    let witnesses = witnesses(&[first]);
+    Corpus::at(&folder.join(name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), &mut |done| {
+        show(Progress::Gathering { what: name, done, wanted });
+    })
+}

@@ -1,0 +1,150 @@
+//! Running a hardening, from its first search to its report.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::cases::Cases;
+use super::files::{read_json, write_json};
+use super::judged::{Judged, witnesses};
+use super::plan::{KEPT_ASIDE_SEED, Plan};
+use super::report::{Ending, Report};
+use super::round::{Before, CANDIDATE, Found, RECORD, Round, gathered, round_folder, selection};
+use super::training::{forget_checkpoints, forget_learner};
+use super::{HardenError, Standing};
+use crumple_search::disk;
+use crumple_search::falsify::campaign::{self};
+use crumple_world::policy::Policy;
+use crumple_world::sim::{Contender, UnderTest};
+
+/// How far a hardening is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Progress {
+    /// Draws are classed for a corpus.
+    Gathering {
+        /// Its file.
+        what: &'static str,
+        /// Avoidable ones so far.
+        done: u64,
+        /// How many are wanted.
+        wanted: u64,
+    },
+    /// A campaign is under way.
+    Searching {
+        /// Round, from 1.
+        round: u64,
+        /// How far the campaign is.
+        state: campaign::Progress,
+    },
+    /// Draws of the space are driven and classed.
+    Drawing {
+        /// Round, from 1.
+        round: u64,
+        /// How many.
+        draws: u64,
+    },
+    /// The learner is at work.
+    Training {
+        /// Round, from 1.
+        round: u64,
+        /// Episode of the round, from 1.
+        episode: u64,
+        /// Episodes of the round.
+        episodes: u64,
+        /// Fewest contacts of any checkpoint in the selection.
+        fewest: Option<u64>,
+    },
+    /// A candidate is judged.
+    Judging {
+        /// Round, from 1.
+        round: u64,
+    },
+}
+
+/// Whoever is told.
+pub(super) type Show<'a> = dyn FnMut(Progress) + 'a;
+
+/// What the policy at the end is called in tables.
+const HARDENED: &str = "hardened";
+
+/// The files of the results.
+pub(super) const POLICY: &str = "policy.safetensors";
+pub(super) const HARDENED_ON: &str = "hardened-on.json";
+pub(super) const JUDGED_ON: &str = "judged-on.json";
+pub(super) const KEPT_ASIDE: &str = "kept-aside.json";
+
+impl Plan {
+    /// Runs the hardening in `folder`, or goes on with it where `resume` says so.
+    ///
+    /// # Errors
+    /// [`HardenError`] if the folder cannot be used, a search or a training fails, or hardly anything in the space is avoidable.
+    pub fn run(&self, folder: &Path, resume: bool, show: &mut dyn FnMut(Progress)) -> Result<Report, HardenError> {
+        disk::make_folder(folder)?;
+        self.claim(folder, resume)?;
+        let wanted = self.settings.kept_aside;
+        let kept_aside = gathered(self, folder, (KEPT_ASIDE, KEPT_ASIDE_SEED, wanted), show)?;
+        let selection = selection(self, folder, show)?;
+        let mut policy = Arc::clone(&self.first);
+        let first = Standing::of(&policy, self, &kept_aside)?;
+        let mut standing = first.clone();
+        let mut cases = Cases::none(&self.space)?;
+        let mut rounds: Vec<Round> = Vec::new();
+        let ending = loop {
+            if rounds.len() as u64 == self.settings.rounds {
+                break Ending::RoundsSpent;
+            }
+            let before = Before {
+                plan: self,
+                folder,
+                kept_aside: &kept_aside,
+                selection: &selection,
+                policy: Arc::clone(&policy),
+                standing: standing.clone(),
+                cases: cases.clone(),
+                last: rounds.last(),
+            };
+            let found = before.search(show)?;
+            if found.is_nothing() {
+                break Ending::NothingFound { search: Box::new(found) };
+            }
+            cases = before.cases_with(&found)?;
+            let number = rounds.len() as u64 + 1;
+            let own = round_folder(folder, number);
+            let round: Round = match read_json(&own.join(RECORD))? {
+                Some(round) => round,
+                None => before.finish(found, &cases, show)?,
+            };
+            forget_checkpoints(folder, number)?;
+            forget_learner(folder, number - 1)?;
+            if round.ruling.is_accepted() {
+                policy = Arc::new(candidate(&own.join(CANDIDATE))?);
+                standing = round.after.clone();
+            }
+            rounds.push(round);
+        };
+        forget_learner(folder, rounds.len() as u64)?;
+        disk::write(&folder.join(POLICY), policy.to_bytes()?)?;
+        write_json(&folder.join(HARDENED_ON), &cases)?;
+        let contender = |name: &str, policy: &Arc<Policy>| Contender {
+            name: name.to_owned(),
+            controller: UnderTest::Policy(Arc::clone(policy)),
+        };
+        let contenders = witnesses(&[contender(&self.first_name, &self.first), contender(HARDENED, &policy)]);
+        let judged = Judged::at(&folder.join(JUDGED_ON), self, &contenders, &mut |done| {
+            show(Progress::Gathering { what: JUDGED_ON, done, wanted: self.settings.judged });
+        })?;
+        let report = Report::new(self, folder, (first, standing), rounds, ending, judged)?;
+        report.write(folder)?;
+        Ok(report)
+    }
+}
+
+impl Found {
+    fn is_nothing(&self) -> bool {
+        self.avoidable == 0 && self.draws_avoidable.indices.is_empty()
+    }
+}
+
+fn candidate(path: &Path) -> Result<Policy, HardenError> {
+    let missing = || HardenError::Folder(format!("{}: the candidate is missing", path.display()));
+    Ok(Policy::from_bytes(&disk::read(path)?.ok_or_else(missing)?)?)
+}

@@ -1,0 +1,52 @@
+//! Where a policy stands: what it does in everything that a round must not make worse.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::HardenError;
+use super::corpus::{Corpus, drive};
+use super::plan::{NOMINAL_SEED, Plan};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::{PaperDistribution, Scenario, built_in, built_in_names};
+use crumple_world::sim::UnderTest;
+
+/// Everything in which a policy touches somebody.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Standing {
+    /// The paper's scenarios, each with the estimator through which it happens.
+    pub paper: Vec<String>,
+    /// Draws of the paper's distribution, by index.
+    pub nominal: Vec<u64>,
+    /// Draws kept aside, by index.
+    pub kept_aside: Vec<u64>,
+}
+
+impl Standing {
+    /// Drives a policy through all of it.
+    pub(super) fn of(policy: &Arc<Policy>, plan: &Plan, kept_aside: &Corpus) -> Result<Self, HardenError> {
+        let controller = UnderTest::Policy(Arc::clone(policy));
+        let touched = |scenarios: &[Scenario], estimator| -> Result<Vec<usize>, HardenError> {
+            let contacts = drive(scenarios, &controller, estimator)?;
+            Ok(contacts.iter().enumerate().filter(|(_, contact)| contact.is_some()).map(|(place, _)| place).collect())
+        };
+        let names = built_in_names().map(|(name, _)| name);
+        let scenarios: Vec<Scenario> = names.iter().filter_map(|name| built_in(name)).collect();
+        let mut paper = Vec::new();
+        for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
+            let found = touched(&scenarios, estimator)?;
+            paper.extend(
+                found.iter().filter_map(|&place| Some(format!("{} ({})", names.get(place)?, estimator.name()))),
+            );
+        }
+        let draws = PaperDistribution { seed: NOMINAL_SEED };
+        let nominal = (0..plan.settings.nominal).map(|index| draws.draw(index)).collect::<Result<Vec<_>, _>>()?;
+        let nominal = touched(&nominal, plan.estimator())?.into_iter().map(|place| place as u64).collect();
+        let indices: Vec<u64> = kept_aside.indices().collect();
+        let aside = touched(&kept_aside.scenarios(&plan.space)?, plan.estimator())?;
+        let kept_aside = aside.into_iter().filter_map(|place| indices.get(place).copied()).collect();
+        Ok(Self { paper, nominal, kept_aside })
+    }
+}

@@ -1,0 +1,115 @@
+//! The training of a round.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::HardenError;
+use super::cases::Cases;
+use super::files::{read_json, write_json};
+use super::round::{Before, Checkpoint, Trained, round_folder};
+use super::run::{Progress, Show};
+use crate::rl::{Blend, Event, HeldOut, Mixed, Observer, PaperDraws, ScenarioSource, Trainer, TrainingConfig, train};
+use crumple_search::disk;
+use crumple_world::policy::Policy;
+
+/// The file of the learner on its way.
+pub(super) const LEARNER: &str = "learner.safetensors";
+/// The list of checkpoints while a training is under way.
+const CHECKPOINTS: &str = "checkpoints.json";
+
+impl Before<'_> {
+    /// Seed of the learner and the episodes it has done: one that diverged is followed by another.
+    pub(super) fn learner_from(&self) -> (u64, u64) {
+        match self.last {
+            Some(last) if last.trained.to_episode > 0 => (last.trained.seed, last.trained.to_episode),
+            _ => (self.plan.training_seed(self.number()), 0),
+        }
+    }
+
+    /// What a round draws its episodes from.
+    fn source(&self, cases: &Cases) -> Result<Arc<dyn ScenarioSource>, HardenError> {
+        let (space, settings) = (&self.plan.space, &self.plan.settings);
+        let mixed = Mixed::new(cases.scenarios(space)?, settings.case_share, Arc::new(space.clone()));
+        Ok(Arc::new(Blend::new(Arc::new(PaperDraws), settings.nominal_share, Arc::new(mixed))))
+    }
+
+    /// The learner as it goes into the round, or as it was when it was interrupted.
+    fn learner(&self, cases: &Cases) -> Result<(Trainer, u64), HardenError> {
+        let (seed, from_episode) = self.learner_from();
+        let episodes = from_episode + self.plan.settings.episodes;
+        let config = TrainingConfig { episodes, ..self.plan.training.clone() };
+        let source = self.source(cases)?;
+        if let Some(bytes) = disk::read(&self.path(LEARNER))? {
+            return Ok((Trainer::from_checkpoint_with(&bytes, &config, seed, source)?, from_episode));
+        }
+        let Some(last) = self.last.filter(|_| from_episode > 0) else {
+            return Ok((Trainer::with_source(&config, seed, source).from_policy(&self.policy), from_episode));
+        };
+        let path = round_folder(self.folder, last.round).join(LEARNER);
+        let missing = || HardenError::Folder(format!("{}: the learner is missing", path.display()));
+        let bytes = disk::read(&path)?.ok_or_else(missing)?;
+        let mut trainer = Trainer::from_checkpoint_with(&bytes, &config, seed, self.source(&self.cases)?)?;
+        trainer.turn_to(source, episodes);
+        Ok((trainer, from_episode))
+    }
+
+    pub(super) fn train(&self, cases: &Cases, show: &mut Show<'_>) -> Result<(Trained, Policy), HardenError> {
+        let (mut trainer, from_episode) = self.learner(cases)?;
+        let environment = &self.plan.training.environment;
+        let selection = self.selection.scenarios(&self.plan.space)?;
+        let held_out = HeldOut::new(&self.plan.training.evaluation, environment).with_ranking(selection);
+        let mut checkpoints: Vec<Checkpoint> = read_json(&self.path(CHECKPOINTS))?.unwrap_or_default();
+        checkpoints.retain(|checkpoint| checkpoint.episode <= trainer.episode() && trainer.episode() > from_episode);
+        let mut scribe = Scribe { before: self, from_episode, checkpoints, show };
+        train::<HardenError>(&mut trainer, &held_out, &mut scribe)?;
+        let trained = Trained {
+            seed: trainer.seed(),
+            from_episode,
+            to_episode: trainer.episode(),
+            best_episode: trainer.best().map_or(0, |best| best.episode),
+            checkpoints: scribe.checkpoints,
+        };
+        Ok((trained, trainer.policy()?))
+    }
+}
+
+/// Removes the list that the record holds as well.
+pub(super) fn forget_checkpoints(folder: &Path, round: u64) -> Result<(), HardenError> {
+    Ok(disk::remove(&round_folder(folder, round).join(CHECKPOINTS))?)
+}
+
+/// Removes what only the next round needed.
+pub(super) fn forget_learner(folder: &Path, round: u64) -> Result<(), HardenError> {
+    Ok(disk::remove(&round_folder(folder, round).join(LEARNER))?)
+}
+
+/// Writes down how a training goes.
+struct Scribe<'a, 'b, 'c> {
+    before: &'a Before<'b>,
+    from_episode: u64,
+    checkpoints: Vec<Checkpoint>,
+    show: &'a mut Show<'c>,
+}
+
+impl Observer<HardenError> for Scribe<'_, '_, '_> {
+    fn event(&mut self, event: &Event) -> Result<(), HardenError> {
+        match event {
+            Event::Evaluation { episode, result, .. } => {
+                self.checkpoints.push(Checkpoint { episode: *episode, contacts: result.ranking_contacts });
+            }
+            Event::Episode(record) => (self.show)(Progress::Training {
+                round: self.before.number(),
+                episode: record.episode - self.from_episode,
+                episodes: self.before.plan.settings.episodes,
+                fewest: self.checkpoints.iter().filter_map(|checkpoint| checkpoint.contacts).min(),
+            }),
+        }
+        Ok(())
+    }
+
+    fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), HardenError> {
+        // The learner last: what the list has beyond it is cut off.
+        write_json(&self.before.path(CHECKPOINTS), &self.checkpoints)?;
+        Ok(disk::write(&self.before.path(LEARNER), trainer.to_checkpoint()?)?)
+    }
+}

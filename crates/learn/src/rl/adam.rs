@@ -1,0 +1,98 @@
+//! Adam (Kingma and Ba, 2015, algorithm 1) and the targets' soft update, in one pass over the parameters.
+
+use pulp::Arch;
+
+use crumple_world::policy::Wide;
+
+const BETA_1: f32 = 0.9;
+const BETA_2: f32 = 0.999;
+const EPSILON: f32 = 1e-8;
+
+/// The moments of one network's gradients.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Adam {
+    pub(crate) first: Vec<f32>,
+    pub(crate) second: Vec<f32>,
+    pub(crate) steps: u64,
+}
+
+impl Adam {
+    /// No moments yet, for so many parameters.
+    #[must_use]
+    pub fn new(parameters: usize) -> Self {
+        Self { first: vec![0.0; parameters], second: vec![0.0; parameters], steps: 0 }
+    }
+
+    /// One step down the gradient.
+    ///
+    /// With `follow`, a target network and a share τ, the target then becomes (1 - τ) target + τ parameters.
+    pub fn step(&mut self, parameters: &mut [f32], gradients: &[f32], rate: f32, follow: Option<(&mut [f32], f32)>) {
+        self.steps += 1;
+        // Not `powi`, whose rounding differs between platforms.
+        let unbias = |beta: f32| (1.0 / (1.0 - libm::pow(f64::from(beta), self.steps as f64))) as f32;
+        let (unbias_1, unbias_2) = (unbias(BETA_1), unbias(BETA_2));
+        let (first, second) = (self.first.as_mut_slice(), self.second.as_mut_slice());
+        let (target, share) = follow.unwrap_or((&mut [], 0.0));
+        Arch::new().dispatch(Wide(
+            #[inline(always)]
+            || {
+                let n = parameters.len();
+                let (gradients, first, second) = (&gradients[..n], &mut first[..n], &mut second[..n]);
+                for i in 0..n {
+                    let g = gradients[i];
+                    first[i] = BETA_1 * first[i] + (1.0 - BETA_1) * g;
+                    second[i] = BETA_2 * second[i] + (1.0 - BETA_2) * (g * g);
+                    parameters[i] -= rate * (first[i] * unbias_1) / ((second[i] * unbias_2).sqrt() + EPSILON);
+                }
+                for (target, &parameter) in target.iter_mut().zip(parameters.iter()) {
+                    *target += share * (parameter - *target);
+                }
+            },
+        ));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn agrees_with_the_algorithm_in_double_precision() {
+        let mut parameters = [1.0_f32, -2.0, 0.5];
+        let mut exact = parameters.map(f64::from);
+        let (mut m, mut v) = ([0.0; 3], [0.0; 3]);
+        let mut adam = Adam::new(3);
+        for t in 1..=50 {
+            let gradients: [f32; 3] = std::array::from_fn(|i| ((t * (i + 1)) as f32).sin());
+            adam.step(&mut parameters, &gradients, 0.01, None);
+            for i in 0..3 {
+                let g = f64::from(gradients[i]);
+                m[i] = 0.9 * m[i] + 0.1 * g;
+                v[i] = 0.999 * v[i] + 0.001 * g * g;
+                let unbiased = [m[i] / (1.0 - 0.9_f64.powi(t as i32)), v[i] / (1.0 - 0.999_f64.powi(t as i32))];
+                exact[i] -= 0.01 * unbiased[0] / (unbiased[1].sqrt() + 1e-8);
+            }
+        }
+        for (found, expected) in parameters.iter().zip(exact) {
+            assert!((f64::from(*found) - expected).abs() < 1e-5, "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn the_first_step_is_the_rate_against_the_gradient() {
+        let mut parameters = [0.0_f32; 2];
+        Adam::new(2).step(&mut parameters, &[3.0, -1e-3], 0.1, None);
+        assert!((parameters[0] + 0.1).abs() < 1e-6 && (parameters[1] - 0.1).abs() < 1e-5, "{parameters:?}");
+    }
+
+    #[test]
+    fn a_target_follows_a_resting_network_geometrically() {
+        let (mut parameters, mut target) = ([1.0_f32], [0.0_f32]);
+        let mut adam = Adam::new(1);
+        for _ in 0..100 {
+            adam.step(&mut parameters, &[0.0], 0.1, Some((&mut target, 0.005)));
+        }
+        // After n updates 1 - (1 - τ)ⁿ of the way is covered.
+        assert!((f64::from(target[0]) - (1.0 - 0.995_f64.powi(100))).abs() < 1e-6, "{target:?}");
+    }
+}

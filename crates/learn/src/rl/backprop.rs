@@ -1,0 +1,144 @@
+//! Forward and backward through a network, by hand.
+//!
+//! With a loss L, layer inputs x, outputs z = x W + b and δ = ∂L/∂z for every row of a batch: ∂L/∂W = xᵀ δ,
+//! ∂L/∂b = Σ δ and ∂L/∂x = δ Wᵀ, which a rectified layer below passes on where its output is positive.
+
+use pulp::Arch;
+
+use crumple_world::policy::{Left, Network, Panels, Right, Wide, multiply_vector};
+
+/// What a forward pass leaves for the backward pass, and working space for both.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Tape {
+    /// The input, then every layer's output.
+    values: Vec<Vec<f32>>,
+    delta: Vec<f32>,
+    below: Vec<f32>,
+    panels: Panels,
+}
+
+impl Tape {
+    /// Runs a batch through a network and returns the output, one row after the other.
+    pub(crate) fn forward(&mut self, network: &Network, batch: usize, fill: impl FnOnce(&mut Vec<f32>)) -> &[f32] {
+        let layers = network.layers();
+        let count = layers.len();
+        self.values.resize_with(count + 1, Vec::new);
+        self.values[0].clear();
+        fill(&mut self.values[0]);
+        for (index, layer) in layers.enumerate() {
+            let (before, after) = self.values.split_at_mut(index + 1);
+            let out = &mut after[0];
+            out.resize(batch * layer.outputs, 0.0);
+            network.layer_forward(layer, index + 1 < count, &before[index], batch, out, &mut self.panels);
+        }
+        &self.values[count]
+    }
+
+    /// The output of the last forward pass.
+    pub(crate) fn output(&self) -> &[f32] {
+        self.values.last().map_or(&[], Vec::as_slice)
+    }
+
+    /// Gradients of all parameters, given ∂L/∂output of the last forward pass.
+    pub(crate) fn backward(&mut self, network: &Network, output_gradient: &[f32], gradients: &mut [f32]) {
+        self.descend(network, output_gradient, Some(gradients));
+    }
+
+    /// ∂L/∂(last input) of every row, given ∂L/∂output of the last forward pass.
+    pub(crate) fn backward_to_last_input(&mut self, network: &Network, output_gradient: &[f32], out: &mut [f32]) {
+        self.descend(network, output_gradient, None);
+        if let Some(first) = network.layers().next() {
+            let weights = &network.parameters()[first.weights()];
+            multiply_vector(&self.delta, &weights[(first.inputs - 1) * first.outputs..], 0.0, out);
+        }
+    }
+
+    /// Takes δ from the output down to the first layer's outputs.
+    fn descend(&mut self, network: &Network, output_gradient: &[f32], mut gradients: Option<&mut [f32]>) {
+        let Self { values, delta, below, panels } = self;
+        delta.clear();
+        delta.extend_from_slice(output_gradient);
+        for (index, layer) in network.layers().enumerate().rev() {
+            let (m, n) = (layer.inputs, layer.outputs);
+            let batch = delta.len() / n;
+            let input = &values[index];
+            if let Some(gradients) = gradients.as_deref_mut() {
+                if n == 1 {
+                    weighted_row_sum(input, delta, &mut gradients[layer.weights()]);
+                } else {
+                    panels.pack_together(Right::Rows(delta), None, [batch, n]);
+                    panels.multiply_together(Left::Columns(input), m, false, &mut gradients[layer.weights()]);
+                }
+                row_sum(delta, &mut gradients[layer.biases()]);
+            }
+            if index > 0 {
+                let weights = &network.parameters()[layer.weights()];
+                below.resize(batch * m, 0.0);
+                if n == 1 {
+                    outer_where_positive(delta, weights, input, below);
+                } else {
+                    panels.pack_together(Right::Columns(weights), None, [n, m]);
+                    panels.multiply_together(Left::Rows(delta), batch, false, below);
+                    where_positive(input, below);
+                }
+                std::mem::swap(delta, below);
+            }
+        }
+    }
+}
+
+/// Σ over rows of factor · row.
+fn weighted_row_sum(rows: &[f32], factors: &[f32], out: &mut [f32]) {
+    Arch::new().dispatch(Wide(
+        #[inline(always)]
+        || {
+            out.fill(0.0);
+            for (row, &factor) in rows.chunks_exact(out.len()).zip(factors) {
+                for (sum, &value) in out.iter_mut().zip(row) {
+                    *sum += factor * value;
+                }
+            }
+        },
+    ));
+}
+
+fn row_sum(rows: &[f32], out: &mut [f32]) {
+    Arch::new().dispatch(Wide(
+        #[inline(always)]
+        || {
+            out.fill(0.0);
+            for row in rows.chunks_exact(out.len()) {
+                for (sum, &value) in out.iter_mut().zip(row) {
+                    *sum += value;
+                }
+            }
+        },
+    ));
+}
+
+/// Row b of `out` becomes factor b times `row`, and 0 where `gate` is not positive.
+fn outer_where_positive(factors: &[f32], row: &[f32], gate: &[f32], out: &mut [f32]) {
+    Arch::new().dispatch(Wide(
+        #[inline(always)]
+        || {
+            let rows = out.chunks_exact_mut(row.len()).zip(gate.chunks_exact(row.len()));
+            for ((out, gate), &factor) in rows.zip(factors) {
+                for ((out, &gate), &value) in out.iter_mut().zip(gate).zip(row) {
+                    *out = if gate > 0.0 { factor * value } else { 0.0 };
+                }
+            }
+        },
+    ));
+}
+
+/// Sets `out` to 0 where `gate` is not positive.
+fn where_positive(gate: &[f32], out: &mut [f32]) {
+    Arch::new().dispatch(Wide(
+        #[inline(always)]
+        || {
+            for (out, &gate) in out.iter_mut().zip(gate) {
+                *out = if gate > 0.0 { *out } else { 0.0 };
+            }
+        },
+    ));
+}

@@ -1,0 +1,233 @@
+//! A training on disk: everything that decides how it goes on.
+
+use std::sync::Arc;
+
+use safetensors::SafeTensors;
+use safetensors::tensor::{Dtype, TensorView};
+use serde::{Deserialize, Serialize};
+
+use super::config::TrainingConfig;
+use super::evaluation::Evaluation;
+use super::learner::Trained;
+use super::replay::Replay;
+use super::source::{PaperDraws, ScenarioSource};
+use super::trainer::{Best, Trainer, TrainingError};
+use crumple_world::digest::Sha256;
+use crumple_world::policy::Network;
+
+const KEY: &str = "crumple_training";
+
+/// What a checkpoint says beside its arrays.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Header {
+    version: u32,
+    /// The release that wrote it.
+    crumple: String,
+    /// SHA-256 of everything else: this header with an empty string here, and each array's name and bytes.
+    sha256: String,
+    config: TrainingConfig,
+    seed: u64,
+    /// Where its scenarios come from, unless it is the paper's distribution.
+    scenarios: Option<String>,
+    episode: u64,
+    decisions: u64,
+    updates: u64,
+    adam_steps: Vec<u64>,
+    stored: u64,
+    best: Option<(u64, Evaluation)>,
+    mastered: bool,
+}
+
+const VERSION: u32 = 2;
+
+/// This release: another one may train differently, and a training that goes on must go on as it began.
+const RELEASE: &str = env!("CARGO_PKG_VERSION");
+
+impl Header {
+    fn digest<'a>(&self, arrays: impl Iterator<Item = (&'a str, &'a [u8])>) -> Result<String, TrainingError> {
+        let mut digest = Sha256::default();
+        digest.update(serde_json::to_string(self).map_err(broken)?);
+        for (name, bytes) in arrays {
+            digest.update(name);
+            digest.update((bytes.len() as u64).to_le_bytes());
+            digest.update(bytes);
+        }
+        Ok(digest.hexadecimal())
+    }
+}
+
+/// Refuses what another version or release wrote, by the two fields that every version of the header has or may lack.
+fn check_origin(text: &str) -> Result<(), TrainingError> {
+    let header: serde_json::Value = serde_json::from_str(text).map_err(broken)?;
+    let version = header.get("version").and_then(serde_json::Value::as_u64);
+    if version != Some(u64::from(VERSION)) {
+        let found = version.map_or("that is not stated".to_owned(), |version| version.to_string());
+        return Err(broken(format!("version {found} is not supported: this release reads {VERSION}")));
+    }
+    match header.get("crumple").and_then(serde_json::Value::as_str) {
+        Some(RELEASE) => Ok(()),
+        Some(other) => Err(broken(format!(
+            "release {other} wrote it, and a training ends in the release it began in; this is {RELEASE}"
+        ))),
+        None => Err(broken("it does not say which release wrote it")),
+    }
+}
+
+fn broken(problem: impl std::fmt::Display) -> TrainingError {
+    TrainingError::Checkpoint(problem.to_string())
+}
+
+impl Trainer {
+    /// The training as bytes: between two episodes, it can be taken up again from here.
+    ///
+    /// # Errors
+    /// [`TrainingError::Checkpoint`] in principle, if the writers fail.
+    pub fn to_checkpoint(&self) -> Result<Vec<u8>, TrainingError> {
+        let (stored, replay) = self.replay.to_numbers();
+        let mut header = Header {
+            version: VERSION,
+            crumple: RELEASE.to_owned(),
+            sha256: String::new(),
+            config: self.config.clone(),
+            seed: self.seed,
+            scenarios: self.source.identity(),
+            episode: self.episode,
+            decisions: self.decisions,
+            updates: self.learner.updates,
+            adam_steps: self.parts().map(|(_, part)| part.adam.steps).collect(),
+            stored,
+            best: self.best.as_ref().map(|best| (best.episode, best.evaluation)),
+            mastered: self.mastered,
+        };
+        let mut arrays: Vec<(String, &[f32])> = vec![("replay".to_owned(), &replay)];
+        for (name, part) in self.parts() {
+            for (what, values) in [
+                ("network", part.network.parameters()),
+                ("target", part.target.parameters()),
+                ("first", &part.adam.first),
+                ("second", &part.adam.second),
+            ] {
+                arrays.push((format!("{name}.{what}"), values));
+            }
+        }
+        if let Some(best) = &self.best {
+            arrays.push(("best".to_owned(), best.network.parameters()));
+        }
+        let mut bytes: Vec<(String, Vec<u8>)> = arrays
+            .into_iter()
+            .map(|(name, values)| (name, values.iter().flat_map(|value| value.to_le_bytes()).collect()))
+            .collect();
+        bytes.sort_unstable_by(|(a, _), (b, _)| a.cmp(b));
+        header.sha256 = header.digest(bytes.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice())))?;
+        let views = bytes
+            .iter()
+            .map(|(name, bytes)| Ok((name, TensorView::new(Dtype::F32, vec![bytes.len() / 4], bytes)?)))
+            .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
+            .map_err(broken)?;
+        let text = serde_json::to_string(&header).map_err(broken)?;
+        safetensors::serialize(views, Some([(KEY.to_owned(), text)].into())).map_err(broken)
+    }
+
+    /// The training that [`Trainer::to_checkpoint`] wrote, which must have been one of `config` and `seed`; only the
+    /// number of episodes may differ.
+    ///
+    /// # Errors
+    /// [`TrainingError::Checkpoint`] for anything else: another release's, another training's, a truncated one, or one whose
+    /// content is not what was written.
+    pub fn from_checkpoint(bytes: &[u8], config: &TrainingConfig, seed: u64) -> Result<Self, TrainingError> {
+        Self::from_checkpoint_with(bytes, config, seed, Arc::new(PaperDraws))
+    }
+
+    /// The same for a training on scenarios of `source`.
+    ///
+    /// # Errors
+    /// [`TrainingError::Checkpoint`] as above, and if it was of another source.
+    pub fn from_checkpoint_with(
+        bytes: &[u8],
+        config: &TrainingConfig,
+        seed: u64,
+        source: Arc<dyn ScenarioSource>,
+    ) -> Result<Self, TrainingError> {
+        let (_, container) = SafeTensors::read_metadata(bytes).map_err(broken)?;
+        let text = container.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
+        let text = text.ok_or_else(|| broken("this is no checkpoint of a training"))?;
+        check_origin(text)?;
+        let mut header: Header = serde_json::from_str(text).map_err(broken)?;
+        let arrays = SafeTensors::deserialize(bytes).map_err(broken)?;
+        let written = std::mem::take(&mut header.sha256);
+        let mut found: Vec<_> = arrays.iter().map(|(name, view)| (name, view.data())).collect();
+        found.sort_unstable_by_key(|(name, _)| *name);
+        if header.digest(found.into_iter())? != written {
+            return Err(broken("its content does not match its SHA-256: it is corrupt"));
+        }
+        if header.seed != seed {
+            return Err(broken(format!("it is of seed {}, not {seed}", header.seed)));
+        }
+        if (TrainingConfig { episodes: config.episodes, ..header.config }) != *config {
+            return Err(broken("it is of another configuration: only the number of episodes may differ"));
+        }
+        if header.scenarios != source.identity() {
+            let name = |source: Option<String>| source.unwrap_or_else(|| "the paper's distribution".to_owned());
+            let (found, asked) = (name(header.scenarios), name(source.identity()));
+            return Err(broken(format!("it is of a training on {found}, not on {asked}")));
+        }
+        if header.episode > config.episodes {
+            let (done, asked) = (header.episode, config.episodes);
+            return Err(broken(format!("{done} episodes are done already, more than the {asked} asked for")));
+        }
+        let mut trainer = Self::with_source(config, seed, source);
+        let mut adam_steps = header.adam_steps.into_iter();
+        for (name, part) in trainer.parts_mut() {
+            read(&arrays, &format!("{name}.network"), part.network.parameters_mut())?;
+            read(&arrays, &format!("{name}.target"), part.target.parameters_mut())?;
+            read(&arrays, &format!("{name}.first"), &mut part.adam.first)?;
+            read(&arrays, &format!("{name}.second"), &mut part.adam.second)?;
+            part.adam.steps = adam_steps.next().ok_or_else(|| broken("an optimiser is missing"))?;
+        }
+        let replay = numbers(&arrays, "replay")?;
+        trainer.replay = Replay::from_numbers(config.replay.capacity, header.stored, &replay)
+            .ok_or_else(|| broken("the replay memory has another size than the header says"))?;
+        if let Some((episode, evaluation)) = header.best {
+            let mut network = Network::zeros(trainer.learner.actor.network.sizes());
+            read(&arrays, "best", network.parameters_mut())?;
+            trainer.best = Some(Best { episode, evaluation, network });
+        }
+        (trainer.episode, trainer.decisions) = (header.episode, header.decisions);
+        (trainer.learner.updates, trainer.mastered) = (header.updates, header.mastered);
+        Ok(trainer)
+    }
+
+    fn parts(&self) -> impl Iterator<Item = (String, &Trained)> {
+        let critics = self.learner.critics.iter().enumerate().map(|(i, critic)| (format!("critic-{i}"), critic));
+        std::iter::once(("actor".to_owned(), &self.learner.actor)).chain(critics)
+    }
+
+    fn parts_mut(&mut self) -> impl Iterator<Item = (String, &mut Trained)> {
+        let critics = self.learner.critics.iter_mut().enumerate().map(|(i, critic)| (format!("critic-{i}"), critic));
+        std::iter::once(("actor".to_owned(), &mut self.learner.actor)).chain(critics)
+    }
+}
+
+fn numbers(arrays: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, TrainingError> {
+    let view = arrays.tensor(name).map_err(broken)?;
+    if view.dtype() != Dtype::F32 {
+        return Err(broken(format!("`{name}` must be F32, found {:?}", view.dtype())));
+    }
+    let (values, _) = view.data().as_chunks::<4>();
+    let values: Vec<f32> = values.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect();
+    if values.iter().all(|value| value.is_finite()) {
+        Ok(values)
+    } else {
+        Err(broken(format!("`{name}` holds a number that is not finite")))
+    }
+}
+
+fn read(arrays: &SafeTensors<'_>, name: &str, out: &mut [f32]) -> Result<(), TrainingError> {
+    let values = numbers(arrays, name)?;
+    if values.len() != out.len() {
+        return Err(broken(format!("`{name}` must hold {} numbers, found {}", out.len(), values.len())));
+    }
+    out.copy_from_slice(&values);
+    Ok(())
+}

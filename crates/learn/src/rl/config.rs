@@ -1,0 +1,276 @@
+//! The training configuration: what a preset file states.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crumple_world::estimate::EstimatorKind;
+
+/// Version of the preset format this release reads.
+pub const TRAINING_VERSION: u32 = 1;
+
+/// Everything that decides a training, apart from the seed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TrainingConfig {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Name of the preset.
+    pub name: String,
+    /// Episodes at most.
+    pub episodes: u64,
+    /// What the agent lives in.
+    pub environment: EnvironmentConfig,
+    /// The two networks.
+    pub network: NetworkConfig,
+    /// How they learn.
+    pub learning: LearningConfig,
+    /// How actions are tried out.
+    pub exploration: ExplorationConfig,
+    /// What is remembered.
+    pub replay: ReplayConfig,
+    /// Twin delayed DDPG (Fujimoto, van Hoof and Meger, 2018): options beside plain DDPG.
+    pub td3: Td3Config,
+    /// How checkpoints are judged.
+    pub evaluation: EvaluationConfig,
+}
+
+/// The Markov decision process (paper, section "Markov decision process").
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EnvironmentConfig {
+    /// Steps of 0.01 s between decisions; 1 in the paper.
+    pub decision_steps: u32,
+    /// What the ego looks through.
+    pub estimator: EstimatorKind,
+    /// Reward of a step without contact; 15 in the paper.
+    pub step_reward: f64,
+    /// Reward of a contact, which ends the episode; -3000 in the paper.
+    pub contact_reward: f64,
+    /// The learner sees rewards times this. Returns and logs are unscaled.
+    pub reward_scale: f64,
+    /// What the end of the scenario's time means to the learner.
+    pub time_limit: TimeLimit,
+    /// Highest acceleration the actor can choose, in m/s²; the lowest is -7.5.
+    pub max_accel_mps2: f64,
+}
+
+/// What the end of an episode's time means.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum TimeLimit {
+    /// The episode is cut off: life goes on, and the last state has a value.
+    Truncation,
+    /// Life ends: nothing comes after.
+    End,
+}
+
+/// Shapes and first weights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// Widths of the hidden layers of both networks.
+    pub hidden: Vec<usize>,
+    /// Output weights start uniform within plus and minus this; 0 for the fan-in bound that all other layers have.
+    pub final_layer_bound: f32,
+}
+
+/// The update.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LearningConfig {
+    /// Adam's step size of the actor.
+    pub actor_rate: f32,
+    /// Adam's step size of the critic.
+    pub critic_rate: f32,
+    /// Discount a decision.
+    pub discount: f64,
+    /// Share of the new weights that the targets take on in an update.
+    pub soft_update: f32,
+    /// Transitions in an update.
+    pub batch: usize,
+    /// Decisions between updates.
+    pub decisions_per_update: u32,
+    /// Weight in the actor's loss of the mean of max(0, |z| - 1)², z being its output before the tanh: an actor that has
+    /// saturated gets no gradient back through the tanh, and this leads it out again.
+    pub saturation_penalty: f32,
+}
+
+/// Noise on actions.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ExplorationConfig {
+    /// Episodes of uniformly random actions before learning begins: the stage rich in collisions.
+    pub random_episodes: u64,
+    /// Steps of 0.01 s for which a random action is held; at least until the next decision. Held longer, random actions
+    /// average out less, and more episodes end in contact.
+    pub random_hold_steps: u32,
+    /// Standard deviation of the noise on actions between -1 and 1, after that stage.
+    pub noise: f64,
+    /// Factor on it after each episode; 0.9995 in the paper.
+    pub noise_decay: f64,
+}
+
+/// The memory of transitions.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ReplayConfig {
+    /// Transitions kept; 10 000 in the paper.
+    pub capacity: usize,
+    /// Share of a batch drawn among transitions that ended in contact, once there are any; 0 draws all alike.
+    pub contact_share: f64,
+}
+
+/// TD3's three changes to DDPG.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Td3Config {
+    /// Two critics, the smaller of which is believed.
+    pub twin_critic: bool,
+    /// Critic updates for each update of the actor and the targets.
+    pub actor_every: u32,
+    /// Standard deviation of the noise on target actions; 0 for none.
+    pub target_noise: f32,
+    /// Cut of that noise.
+    pub target_noise_limit: f32,
+}
+
+/// Held-out scenarios and when training is done.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EvaluationConfig {
+    /// Episodes between evaluations, and between checkpoints.
+    pub every_episodes: u64,
+    /// Held-out draws that every evaluation drives, beside the paper's three scenarios.
+    pub screening_draws: u64,
+    /// Held-out draws that rank a policy which survives all of those; without any, no policy counts as having mastered the task.
+    pub ranking_draws: u64,
+    /// Training ends once a policy survives all of these too and keeps this distance everywhere, in metres; 0 never ends it.
+    pub master_gap_m: f64,
+}
+
+/// The presets by name.
+pub const PRESETS: [(&str, &str); 3] = [
+    ("fast", include_str!("presets/fast.toml")),
+    ("paper", include_str!("presets/paper.toml")),
+    ("paper-net", include_str!("presets/paper-net.toml")),
+];
+
+/// Why a configuration cannot be trained with.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// No such preset.
+    #[error("there is no preset `{0}`; there are fast, paper, paper-net")]
+    Unknown(String),
+    /// The text does not parse.
+    #[error("{0}")]
+    Syntax(String),
+    /// A field is out of range.
+    #[error("{field}: {problem}")]
+    Field {
+        /// Path of the field.
+        field: &'static str,
+        /// What is wrong.
+        problem: String,
+    },
+}
+
+impl TrainingConfig {
+    /// A committed preset.
+    ///
+    /// # Errors
+    /// [`ConfigError::Unknown`] for any other name.
+    pub fn preset(name: &str) -> Result<Self, ConfigError> {
+        match PRESETS.iter().find(|(known, _)| *known == name) {
+            Some((_, text)) => Self::parse(text),
+            None => Err(ConfigError::Unknown(name.to_owned())),
+        }
+    }
+
+    /// A configuration from TOML.
+    ///
+    /// # Errors
+    /// [`ConfigError`] if it does not parse or a field is out of range.
+    pub fn parse(text: &str) -> Result<Self, ConfigError> {
+        let config: Self = toml::from_str(text).map_err(|error| ConfigError::Syntax(error.to_string()))?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Whether it can be trained with.
+    ///
+    /// # Errors
+    /// [`ConfigError::Field`] names the first field that is out of range.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let within = |field, value: f64, [low, high]: [f64; 2]| {
+            if (low..=high).contains(&value) {
+                Ok(())
+            } else {
+                let problem = format!("must be between {low} and {high}, found {value}");
+                Err(ConfigError::Field { field, problem })
+            }
+        };
+        within("version", f64::from(self.version), [1.0, f64::from(TRAINING_VERSION)])?;
+        within("episodes", self.episodes as f64, [1.0, 1e9])?;
+        within("environment.decision_steps", f64::from(self.environment.decision_steps), [1.0, 1500.0])?;
+        within("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
+        within("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;
+        within("environment.reward_scale", self.environment.reward_scale, [1e-9, 1e3])?;
+        within("environment.max_accel_mps2", self.environment.max_accel_mps2, [0.1, 30.0])?;
+        within("network.hidden", self.network.hidden.len() as f64, [1.0, 16.0])?;
+        for &width in &self.network.hidden {
+            within("network.hidden", width as f64, [1.0, 4096.0])?;
+        }
+        within("network.final_layer_bound", f64::from(self.network.final_layer_bound), [0.0, 1.0])?;
+        within("learning.actor_rate", f64::from(self.learning.actor_rate), [0.0, 1.0])?;
+        within("learning.critic_rate", f64::from(self.learning.critic_rate), [0.0, 1.0])?;
+        within("learning.discount", self.learning.discount, [0.0, 0.999_999_9])?;
+        within("learning.soft_update", f64::from(self.learning.soft_update), [0.0, 1.0])?;
+        within("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
+        within("learning.decisions_per_update", f64::from(self.learning.decisions_per_update), [1.0, 1e6])?;
+        within("learning.saturation_penalty", f64::from(self.learning.saturation_penalty), [0.0, 1e3])?;
+        within("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
+        within("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
+        within("exploration.noise_decay", self.exploration.noise_decay, [0.0, 1.0])?;
+        within("replay.capacity", self.replay.capacity as f64, [self.learning.batch as f64, 1e8])?;
+        within("replay.contact_share", self.replay.contact_share, [0.0, 1.0])?;
+        within("td3.actor_every", f64::from(self.td3.actor_every), [1.0, 1e6])?;
+        within("td3.target_noise", f64::from(self.td3.target_noise), [0.0, 10.0])?;
+        within("td3.target_noise_limit", f64::from(self.td3.target_noise_limit), [0.0, 10.0])?;
+        within("evaluation.every_episodes", self.evaluation.every_episodes as f64, [1.0, 1e9])?;
+        within("evaluation.screening_draws", self.evaluation.screening_draws as f64, [1.0, 1e6])?;
+        within("evaluation.ranking_draws", self.evaluation.ranking_draws as f64, [0.0, 1e6])?;
+        within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_is_valid_and_called_by_its_name() {
+        for (name, _) in PRESETS {
+            assert_eq!(TrainingConfig::preset(name).unwrap().name, name);
+        }
+        assert!(TrainingConfig::preset("slow").is_err());
+    }
+
+    #[test]
+    fn the_paper_preset_is_the_papers() {
+        let paper = TrainingConfig::preset("paper").unwrap();
+        assert_eq!(paper.network.hidden, [256; 3]);
+        let LearningConfig { actor_rate, critic_rate, discount, soft_update, batch, .. } = paper.learning;
+        assert_eq!((actor_rate, critic_rate, discount, soft_update, batch), (0.001, 0.002, 0.99999, 0.005, 512));
+        assert_eq!((paper.replay.capacity, paper.exploration.noise_decay), (10_000, 0.9995));
+        assert_eq!((paper.environment.step_reward, paper.environment.contact_reward), (15.0, -3000.0));
+        assert_eq!((paper.environment.decision_steps, paper.environment.reward_scale), (1, 1.0));
+    }
+
+    #[test]
+    fn a_field_out_of_range_is_named() {
+        let text = PRESETS[0].1.replace("soft_update = 0.005", "soft_update = 1.5");
+        let error = TrainingConfig::parse(&text).expect_err("refused").to_string();
+        assert!(error.contains("learning.soft_update: must be between 0 and 1"), "{error}");
+    }
+}

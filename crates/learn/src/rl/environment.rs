@@ -1,0 +1,207 @@
+//! The paper's Markov decision process on the simulator (section "Markov decision process").
+
+use super::config::{EnvironmentConfig, TimeLimit};
+use crumple_world::policy::{ActionBounds, ObservationScaling, STATE};
+use crumple_world::sim::{Keep, Run, Stepper};
+
+/// Index of the vehicle the agent drives.
+pub(super) const EGO: usize = 1;
+
+/// All vehicles must have stood for this long before the rest of an episode counts as decided, in seconds: the agent has
+/// then chosen to stay where it is more than once.
+const SETTLED_S: f64 = 0.5;
+
+/// How an episode stands after a decision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ending {
+    /// It goes on.
+    None,
+    /// Vehicles touched: termination.
+    Contact,
+    /// Everybody stands for good, and the rest of the reward is credited: termination.
+    AtRest,
+    /// The scenario's time is over: truncation, or termination if the configuration says so.
+    TimeOver,
+}
+
+/// What a decision led to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Consequence {
+    /// Reward for the learner, scaled. At rest it includes the value of standing still from then on.
+    pub reward: f32,
+    /// What is seen next.
+    pub next_state: [f32; STATE],
+    /// Whether and how the episode ended.
+    pub ending: Ending,
+    /// Whether the value of the next state counts.
+    pub continues: bool,
+}
+
+/// One episode under way.
+pub struct Episode<'r, 's> {
+    stepper: Stepper<'r, 's>,
+    config: EnvironmentConfig,
+    discount: f64,
+    scaling: ObservationScaling,
+    bounds: ActionBounds,
+    steps: usize,
+    settled_steps: usize,
+    standing_steps: usize,
+    undiscounted: f64,
+}
+
+impl<'r, 's> Episode<'r, 's> {
+    /// An episode on a run with one vehicle under test behind the leader. `discount` is that of one decision.
+    #[must_use]
+    pub fn new(run: &'r Run<'s>, config: &EnvironmentConfig, discount: f64) -> Self {
+        Self {
+            stepper: Stepper::new(run, Keep::Summary),
+            config: config.clone(),
+            discount,
+            scaling: ObservationScaling::default(),
+            bounds: bounds(config),
+            steps: run.scenario().steps(),
+            settled_steps: (SETTLED_S / run.scenario().spec().step_s).round() as usize,
+            standing_steps: 0,
+            undiscounted: 0.0,
+        }
+    }
+
+    /// The state now.
+    pub fn state(&mut self) -> [f32; STATE] {
+        self.stepper.observe(EGO).map_or([0.0; STATE], |seen| self.scaling.state(&seen))
+    }
+
+    /// Holds an action, between -1 and 1, until the next decision.
+    pub fn decide(&mut self, action: f32) -> Consequence {
+        let acceleration_mps2 = self.bounds.acceleration_mps2(action);
+        let mut reward = 0.0;
+        let mut ending = Ending::None;
+        for _ in 0..self.config.decision_steps {
+            self.stepper.command(EGO, acceleration_mps2);
+            self.stepper.step();
+            reward += if self.stepper.has_touched() { self.config.contact_reward } else { self.config.step_reward };
+            let at_rest = self.stepper.motion().iter().all(|motion| motion.speed_mps == 0.0);
+            self.standing_steps = if at_rest { self.standing_steps + 1 } else { 0 };
+            ending = if self.stepper.has_touched() {
+                Ending::Contact
+            } else if self.stepper.has_ended() {
+                Ending::TimeOver
+            } else if self.standing_steps >= self.settled_steps {
+                Ending::AtRest
+            } else {
+                Ending::None
+            };
+            if ending != Ending::None {
+                break;
+            }
+        }
+        self.undiscounted += reward;
+        let mut to_learn = reward;
+        if ending == Ending::AtRest {
+            let steps_left = (self.steps - self.stepper.steps_made()) as f64;
+            self.undiscounted += steps_left * self.config.step_reward;
+            to_learn += self.discount * self.value_of_standing(steps_left / f64::from(self.config.decision_steps));
+        }
+        let over = matches!(ending, Ending::Contact | Ending::AtRest)
+            || (ending == Ending::TimeOver && self.config.time_limit == TimeLimit::End);
+        Consequence {
+            reward: (to_learn * self.config.reward_scale) as f32,
+            next_state: self.state(),
+            ending,
+            continues: !over,
+        }
+    }
+
+    /// Discounted reward of standing still for the decisions that are left, or for ever if the time limit is no end.
+    fn value_of_standing(&self, decisions_left: f64) -> f64 {
+        let each = self.config.step_reward * f64::from(self.config.decision_steps);
+        let for_ever = each / (1.0 - self.discount);
+        match self.config.time_limit {
+            TimeLimit::Truncation => for_ever,
+            TimeLimit::End => for_ever * (1.0 - self.discount.powf(decisions_left)),
+        }
+    }
+
+    /// The episode's reward so far as the paper counts it: undiscounted, unscaled, 22 500 when nothing touched.
+    #[must_use]
+    pub fn total_reward(&self) -> f64 {
+        self.undiscounted
+    }
+
+    /// Steps that were simulated.
+    #[must_use]
+    pub fn steps_made(&self) -> usize {
+        self.stepper.steps_made()
+    }
+}
+
+/// The accelerations an agent of this configuration chooses from.
+#[must_use]
+pub fn bounds(config: &EnvironmentConfig) -> ActionBounds {
+    ActionBounds { high_mps2: config.max_accel_mps2, ..ActionBounds::default() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rl::TrainingConfig;
+    use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, built_in};
+    use crumple_world::sim::RunOptions;
+
+    /// Drives paper-2 with one action throughout; also returns what was learned from each decision.
+    fn drive(config: &EnvironmentConfig, action: f32) -> (f64, Vec<Consequence>) {
+        let scenario = built_in("paper-2").unwrap();
+        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader)).unwrap();
+        let mut episode = Episode::new(&run, config, 0.99);
+        let mut all = vec![episode.decide(action)];
+        while all.last().unwrap().ending == Ending::None {
+            all.push(episode.decide(action));
+        }
+        (episode.total_reward(), all)
+    }
+
+    fn config() -> EnvironmentConfig {
+        TrainingConfig::preset("fast").unwrap().environment
+    }
+
+    #[test]
+    fn a_safe_episode_is_worth_22_500_and_standing_is_credited() {
+        // -2.9 m/s² from the start stops behind the leader, and the follower's emergency brake stops behind the ego.
+        let action = (-2.9 + 2.25) / 5.25;
+        let (total, all) = drive(&config(), action as f32);
+        let last = all.last().unwrap();
+        assert_eq!((last.ending, last.continues, total), (Ending::AtRest, false, 22_500.0));
+        assert!(all.len() < 150, "ended early");
+        assert!((f64::from(last.reward) - (1.0 + 0.99 * 100.0)).abs() < 1.0, "{}", last.reward);
+        let end = EnvironmentConfig { time_limit: TimeLimit::End, ..config() };
+        let left = 150.0 - all.len() as f64;
+        let credit = f64::from(drive(&end, action as f32).1.last().unwrap().reward);
+        assert!((credit - (1.0 - 0.99_f64.powf(left + 1.0)) / 0.01).abs() < 1.0, "{credit}");
+    }
+
+    #[test]
+    fn a_contact_costs_3000_and_ends_everything() {
+        let (total, all) = drive(&config(), 1.0);
+        let last = all.last().unwrap();
+        assert_eq!((last.ending, last.continues), (Ending::Contact, false));
+        assert_eq!((total + 3000.0) % 15.0, 0.0);
+        assert!(last.reward < -19.0 && all[0].reward == 1.0);
+    }
+
+    #[test]
+    fn the_time_limit_is_no_end_unless_it_is_said_to_be() {
+        // 0 m/s² behind a leader that holds its speed: nobody ever stops.
+        let scenario = built_in("paper-2").unwrap();
+        let hold = Driver::Profile(LeadProfile::ConstantSpeed);
+        let scenario = scenario.edited(|spec| spec.vehicles[0].driver = hold).unwrap();
+        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader)).unwrap();
+        for (time_limit, continues) in [(TimeLimit::Truncation, true), (TimeLimit::End, false)] {
+            let config = EnvironmentConfig { time_limit, ..config() };
+            let mut episode = Episode::new(&run, &config, 0.99);
+            let last = (0..150).map(|_| episode.decide((2.25 / 5.25) as f32)).last().unwrap();
+            assert_eq!((last.ending, last.continues), (Ending::TimeOver, continues));
+        }
+    }
+}

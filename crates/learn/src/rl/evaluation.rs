@@ -1,0 +1,177 @@
+//! How good a policy is: held-out scenarios, driven without noise.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::config::{EnvironmentConfig, EvaluationConfig};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
+use crumple_world::sim::{Keep, Run, RunError, RunOptions, simulate_batch};
+
+/// Seed of the held-out draws: the same for every training, and never a seed of training draws.
+const HELD_OUT_SEED: u64 = 0x0068_656c_646f_7574;
+
+/// The scenarios of all evaluations.
+#[derive(Debug, Clone)]
+pub struct HeldOut {
+    paper: Vec<Scenario>,
+    screening: Vec<Scenario>,
+    ranking: Vec<Scenario>,
+    /// How many of the paper's scenarios, in order, a policy must survive to be ranked.
+    paper_needed: usize,
+    environment: EnvironmentConfig,
+}
+
+/// The paper's scenarios.
+const PAPER: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
+
+/// What an evaluation found.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Evaluation {
+    /// Whether each of the paper's scenarios stayed without contact, through the filter and with the true state.
+    pub paper_safe: [bool; 3],
+    /// Share of screening draws without contact.
+    pub safe_share: f64,
+    /// Mean reward over screening draws, as the paper counts it.
+    pub mean_reward: f64,
+    /// Ranking draws that ended in contact; none if ranking was not reached, or there are no such draws.
+    pub ranking_contacts: Option<u64>,
+    /// Smallest gap between any two vehicles over everything that was driven, in metres.
+    pub smallest_gap_m: f64,
+}
+
+impl Evaluation {
+    /// Orders evaluations; greater is better: first safety where it was tested, then paper-3, then the margin.
+    #[must_use]
+    pub fn score(&self) -> [f64; 5] {
+        let safe = |is: bool| f64::from(u8::from(is));
+        [
+            self.safe_share + safe(self.paper_safe[0]) + safe(self.paper_safe[1]),
+            self.ranking_contacts.map_or(f64::NEG_INFINITY, |contacts| -(contacts as f64)),
+            safe(self.paper_safe[2]),
+            self.smallest_gap_m,
+            self.mean_reward,
+        ]
+    }
+
+    /// Whether nothing touched anything, paper-3 included, and the margin is at least `gap_m`. Without ranking draws nothing is
+    /// mastered: the few screening draws cannot tell.
+    #[must_use]
+    pub fn is_mastered(&self, gap_m: f64) -> bool {
+        self.paper_safe == [true; 3] && self.ranking_contacts == Some(0) && self.smallest_gap_m >= gap_m
+    }
+}
+
+impl HeldOut {
+    /// Draws the scenarios.
+    #[must_use]
+    pub fn new(evaluation: &EvaluationConfig, environment: &EnvironmentConfig) -> Self {
+        let draws = PaperDistribution { seed: HELD_OUT_SEED };
+        let draw = |indices: std::ops::Range<u64>| indices.filter_map(|index| draws.draw(index).ok());
+        let first = evaluation.screening_draws;
+        Self {
+            paper: PAPER.into_iter().filter_map(built_in).collect(),
+            screening: draw(0..first).collect(),
+            ranking: draw(first..first + evaluation.ranking_draws).collect(),
+            paper_needed: 2,
+            environment: environment.clone(),
+        }
+    }
+
+    /// The same with other scenarios for the ranking, which only policies reach that survive all three of the paper's.
+    #[must_use]
+    pub fn with_ranking(mut self, ranking: Vec<Scenario>) -> Self {
+        (self.ranking, self.paper_needed) = (ranking, PAPER.len());
+        self
+    }
+
+    /// Drives a policy through the screening and, if it survives that, through the ranking.
+    ///
+    /// # Errors
+    /// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
+    pub fn evaluate(&self, policy: &Arc<Policy>) -> Result<Evaluation, RunError> {
+        let of = self.environment.estimator;
+        let mut paper_safe = [true; 3];
+        let mut smallest_gap_m = f64::INFINITY;
+        for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
+            let driven = drive(&self.paper, policy, estimator)?;
+            for (safe, run) in paper_safe.iter_mut().zip(&driven) {
+                *safe &= run.contact_s.is_none();
+            }
+            smallest_gap_m = smallest_gap_m.min(smallest(&driven));
+        }
+        let draws = drive(&self.screening, policy, of)?;
+        let safe = draws.iter().filter(|run| run.contact_s.is_none()).count();
+        let mut evaluation = Evaluation {
+            paper_safe,
+            safe_share: safe as f64 / draws.len().max(1) as f64,
+            mean_reward: draws.iter().map(|run| self.reward(run)).sum::<f64>() / draws.len().max(1) as f64,
+            ranking_contacts: None,
+            smallest_gap_m: smallest_gap_m.min(smallest(&draws)),
+        };
+        let is_paper_safe = paper_safe.iter().take(self.paper_needed).all(|&safe| safe);
+        if safe == draws.len() && is_paper_safe && !self.ranking.is_empty() {
+            let ranked = drive(&self.ranking, policy, of)?;
+            let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
+            evaluation.ranking_contacts = Some(contacts as u64);
+            evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(smallest(&ranked));
+        }
+        Ok(evaluation)
+    }
+
+    /// The paper's reward of a run of 1500 steps.
+    fn reward(&self, run: &Driven) -> f64 {
+        match run.contact_s {
+            None => run.steps as f64 * self.environment.step_reward,
+            Some(contact_s) => {
+                (contact_s / run.step_s).floor() * self.environment.step_reward + self.environment.contact_reward
+            }
+        }
+    }
+}
+
+/// Draws in the final test of a policy.
+pub const UNSEEN_DRAWS: u64 = 1000;
+
+/// Seed of those draws: what `crumple assess` draws unless it is told otherwise. Neither training nor evaluation sees them.
+const UNSEEN_SEED: u64 = 0;
+
+/// Contacts among [`UNSEEN_DRAWS`] draws of the paper's distribution that took no part in training or selection.
+///
+/// # Errors
+/// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
+pub fn unseen_contacts(policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<u64, RunError> {
+    let draws = PaperDistribution { seed: UNSEEN_SEED };
+    let scenarios: Vec<_> = (0..UNSEEN_DRAWS).filter_map(|index| draws.draw(index).ok()).collect();
+    Ok(drive(&scenarios, policy, estimator)?.iter().filter(|run| run.contact_s.is_some()).count() as u64)
+}
+
+/// One evaluated run.
+struct Driven {
+    contact_s: Option<f64>,
+    /// Smallest gap between any two vehicles, in metres.
+    smallest_gap_m: f64,
+    steps: usize,
+    step_s: f64,
+}
+
+fn smallest(runs: &[Driven]) -> f64 {
+    runs.iter().map(|run| run.smallest_gap_m).fold(f64::INFINITY, f64::min)
+}
+
+fn drive(scenarios: &[Scenario], policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<Vec<Driven>, RunError> {
+    let options = RunOptions::new(Arc::clone(policy)).with_estimator(estimator);
+    let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+    Ok(simulate_batch(&runs, Keep::Summary, |index, result| {
+        let scenario = runs[index].scenario();
+        let gaps = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
+        Driven {
+            contact_s: result.outcome.contact().map(|contact| contact.time_s),
+            smallest_gap_m: gaps.fold(f64::INFINITY, f64::min),
+            steps: scenario.steps(),
+            step_s: scenario.spec().step_s,
+        }
+    }))
+}

@@ -1,0 +1,241 @@
+//! Deep deterministic policy gradient (Lillicrap et al. 2015, algorithm 1), by hand and in single precision.
+//!
+//! Critic: minimise the mean of (Q(s, a) - y)² with y = r + γ Q'(s', π'(s')), and y = r where nothing follows.
+//! Actor: maximise the mean of Q(s, π(s)). Targets Q', π' follow by soft update.
+//! Options of TD3 (Fujimoto, van Hoof and Meger 2018): the smaller of two critics, noise on π'(s'), delayed actor.
+
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::adam::Adam;
+use super::backprop::Tape;
+use super::config::{LearningConfig, NetworkConfig, Td3Config};
+use super::replay::Batch;
+use crumple_world::policy::{Network, STATE, with_hands_ready};
+use crumple_world::random::{self, Purpose, Stream};
+
+/// A network, the target that follows it, and its optimiser.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trained {
+    /// The network that learns.
+    pub network: Network,
+    /// The target.
+    pub target: Network,
+    /// Its optimiser.
+    pub adam: Adam,
+}
+
+impl Trained {
+    fn new(network: Network) -> Self {
+        Self { target: network.clone(), adam: Adam::new(network.parameters().len()), network }
+    }
+}
+
+/// Actor and critics under training.
+#[derive(Debug, Clone)]
+pub struct Learner {
+    /// π, before its tanh.
+    pub actor: Trained,
+    /// Q, or Q₁ and Q₂.
+    pub critics: Vec<Trained>,
+    /// Updates made.
+    pub updates: u64,
+    learning: LearningConfig,
+    td3: Td3Config,
+    space: Space,
+}
+
+/// Working space of an update.
+#[derive(Debug, Clone, Default)]
+struct Space {
+    actor: Tape,
+    critic: Tape,
+    target: Tape,
+    actions: Vec<f32>,
+    goals: Vec<f32>,
+    slopes: Vec<f32>,
+    actor_gradients: Vec<f32>,
+    critic_gradients: Vec<f32>,
+}
+
+/// What an update found.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Losses {
+    /// Mean squared error of the (first) critic.
+    pub critic: f64,
+    /// Mean value of the batch's states and actions.
+    pub mean_value: f64,
+}
+
+impl Learner {
+    /// Every network, targets included.
+    pub(super) fn networks(&self) -> impl Iterator<Item = &Network> {
+        std::iter::once(&self.actor).chain(&self.critics).flat_map(|part| [&part.network, &part.target])
+    }
+
+    /// First weights from `seed`.
+    #[must_use]
+    pub fn new(network: &NetworkConfig, learning: &LearningConfig, td3: &Td3Config, seed: u64) -> Self {
+        let sizes = |inputs| [&[inputs], network.hidden.as_slice(), &[1]].concat();
+        let fresh = |index, inputs| {
+            let mut stream = random::stream(seed, Purpose::FirstWeights, index);
+            Trained::new(first_weights(&sizes(inputs), network.final_layer_bound, &mut stream))
+        };
+        let critics = if td3.twin_critic { 2 } else { 1 };
+        Self {
+            actor: fresh(0, STATE),
+            critics: (1..=critics).map(|index| fresh(index, STATE + 1)).collect(),
+            updates: 0,
+            learning: learning.clone(),
+            td3: td3.clone(),
+            space: Space::default(),
+        }
+    }
+
+    /// The actor's answers, between -1 and 1, to states row after row.
+    pub fn act(&mut self, states: &[f32]) -> &[f32] {
+        let Space { actor, actions, .. } = &mut self.space;
+        let batch = states.len() / STATE;
+        let raw = actor.forward(&self.actor.network, batch, |input| input.extend_from_slice(states));
+        actions.clear();
+        actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
+        actions
+    }
+
+    /// One update on a batch. `noise` feeds target smoothing.
+    pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
+        let widest = self.networks().flat_map(Network::layers).map(|layer| layer.inputs * layer.outputs).max();
+        with_hands_ready(batch.len() * widest.unwrap_or(0), || self.step(batch, noise))
+    }
+
+    fn step(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
+        self.set_goals(batch, noise);
+        let actor_is_due = (self.updates + 1).is_multiple_of(u64::from(self.td3.actor_every));
+        let mut losses = Losses::default();
+        for index in 0..self.critics.len() {
+            let found = self.critic_gradient(index, batch);
+            let Trained { network, target, adam } = &mut self.critics[index];
+            let follow = actor_is_due.then_some((target.parameters_mut(), self.learning.soft_update));
+            adam.step(network.parameters_mut(), &self.space.critic_gradients, self.learning.critic_rate, follow);
+            if index == 0 {
+                losses = found;
+            }
+        }
+        if actor_is_due {
+            self.actor_gradient(batch);
+            let Trained { network, target, adam } = &mut self.actor;
+            let follow = Some((target.parameters_mut(), self.learning.soft_update));
+            adam.step(network.parameters_mut(), &self.space.actor_gradients, self.learning.actor_rate, follow);
+        }
+        self.updates += 1;
+        losses
+    }
+
+    /// y for every transition of the batch.
+    fn set_goals(&mut self, batch: &Batch, noise: &mut Stream) {
+        let Space { target, actions, goals, .. } = &mut self.space;
+        let raw = target.forward(&self.actor.target, batch.len(), |input| input.extend_from_slice(&batch.next_states));
+        actions.clear();
+        actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
+        if self.td3.target_noise > 0.0 {
+            let limit = self.td3.target_noise_limit;
+            for action in actions.iter_mut() {
+                let normal: f32 = StandardNormal.sample(noise);
+                *action = (*action + (self.td3.target_noise * normal).clamp(-limit, limit)).clamp(-1.0, 1.0);
+            }
+        }
+        for (index, critic) in self.critics.iter().enumerate() {
+            let fill = |input: &mut Vec<f32>| beside(&batch.next_states, actions, input);
+            let values = target.forward(&critic.target, batch.len(), fill);
+            if index == 0 {
+                goals.clear();
+                goals.extend_from_slice(values);
+            } else {
+                goals.iter_mut().zip(values).for_each(|(goal, &value)| *goal = goal.min(value));
+            }
+        }
+        let discount = self.learning.discount as f32;
+        for ((goal, &reward), &continues) in goals.iter_mut().zip(&batch.rewards).zip(&batch.continues) {
+            *goal = reward + discount * continues * *goal;
+        }
+    }
+
+    /// Gradient of the mean squared error of critic `index` at the goals, into the working space.
+    fn critic_gradient(&mut self, index: usize, batch: &Batch) -> Losses {
+        let Space { critic: tape, goals, slopes, critic_gradients, .. } = &mut self.space;
+        let network = &self.critics[index].network;
+        let fill = |input: &mut Vec<f32>| beside(&batch.states, &batch.actions, input);
+        let values = tape.forward(network, batch.len(), fill);
+        let n = batch.len() as f64;
+        let mut losses = Losses::default();
+        slopes.clear();
+        for (&value, &goal) in values.iter().zip(goals.iter()) {
+            let error = value - goal;
+            losses.critic += f64::from(error * error) / n;
+            losses.mean_value += f64::from(value) / n;
+            slopes.push(2.0 * error / batch.len() as f32);
+        }
+        critic_gradients.resize(network.parameters().len(), 0.0);
+        tape.backward(network, slopes, critic_gradients);
+        losses
+    }
+
+    /// Gradient of the actor's loss, -mean Q(s, π(s)) + penalty · mean max(0, |z| - 1)², into the working space.
+    fn actor_gradient(&mut self, batch: &Batch) {
+        self.act(&batch.states);
+        let Space { actor, critic: tape, actions, slopes, actor_gradients, .. } = &mut self.space;
+        let critic = &self.critics[0].network;
+        let n = batch.len() as f32;
+        tape.forward(critic, batch.len(), |input| beside(&batch.states, actions, input));
+        slopes.clear();
+        slopes.resize(batch.len(), -1.0 / n);
+        let mut by_action = vec![0.0; batch.len()];
+        tape.backward_to_last_input(critic, slopes, &mut by_action);
+        let penalty = 2.0 * self.learning.saturation_penalty / n;
+        let outputs = actions.iter().zip(actor.output()).zip(&by_action);
+        slopes.clear();
+        slopes.extend(
+            outputs.map(|((&action, &raw), &slope)| {
+                slope * (1.0 - action * action) + penalty * (raw - raw.clamp(-1.0, 1.0))
+            }),
+        );
+        actor_gradients.resize(self.actor.network.parameters().len(), 0.0);
+        actor.backward(&self.actor.network, slopes, actor_gradients);
+    }
+
+    /// Gradients of each critic and of the actor at the present weights, without changing them: for tests against other
+    /// formulations.
+    pub fn gradients(&mut self, batch: &Batch, noise: &mut Stream) -> (Vec<Vec<f32>>, Vec<f32>) {
+        self.set_goals(batch, noise);
+        let mut critics = Vec::new();
+        for index in 0..self.critics.len() {
+            self.critic_gradient(index, batch);
+            critics.push(self.space.critic_gradients.clone());
+        }
+        self.actor_gradient(batch);
+        (critics, self.space.actor_gradients.clone())
+    }
+}
+
+/// Rows of states with the action as last number.
+fn beside(states: &[f32], actions: &[f32], input: &mut Vec<f32>) {
+    for (state, &action) in states.chunks_exact(STATE).zip(actions) {
+        input.extend_from_slice(state);
+        input.push(action);
+    }
+}
+
+/// Weights and biases uniform within 1/√(inputs), of the last layer within `final_bound` unless that is 0.
+fn first_weights(sizes: &[usize], final_bound: f32, stream: &mut Stream) -> Network {
+    let mut network = Network::zeros(sizes);
+    let layers = network.layers();
+    let last = layers.len() - 1;
+    for (index, layer) in layers.enumerate() {
+        let fan_in = (layer.inputs as f32).sqrt().recip();
+        let bound = if index == last && final_bound > 0.0 { final_bound } else { fan_in };
+        for parameter in &mut network.parameters_mut()[layer.from..layer.biases().end] {
+            *parameter = stream.random_range(-bound..=bound);
+        }
+    }
+    network
+}

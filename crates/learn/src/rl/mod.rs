@@ -1,0 +1,40 @@
+//! Learning to drive: deep deterministic policy gradient on the paper's task.
+//!
+//! [`TrainingConfig`] says how, a seed decides the rest: first weights, scenarios, tried actions, draws from memory. A
+//! training always does its arithmetic in the same order, on however many threads, so a seed gives the same policy file to
+//! the last byte, alone or beside others, in one go or resumed.
+//!
+//! The update is written out by hand ([`Learner`]) over the same products that a policy acts with. `oracle` (a feature) is
+//! the plain formulation on candle's automatic differentiation, which it is tested against.
+
+mod adam;
+mod backprop;
+mod checkpoint;
+mod config;
+mod curve;
+mod environment;
+mod evaluation;
+mod learner;
+#[cfg(any(test, feature = "oracle"))]
+pub mod oracle;
+mod replay;
+mod seeds;
+mod source;
+mod trainer;
+
+pub use adam::Adam;
+pub use config::{
+    ConfigError, EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS,
+    ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
+};
+pub use curve::{CurvePoint, LearningCurve, PERFECT, episode_of};
+pub use environment::{Consequence, Ending, Episode, bounds};
+pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
+pub use learner::{Learner, Losses, Trained};
+pub use replay::{Batch, Replay, Transition};
+pub use seeds::{Event, Observer, side_by_side, train};
+pub use source::{Blend, Mixed, PaperDraws, ScenarioSource};
+pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
+
+#[cfg(test)]
+mod tests;

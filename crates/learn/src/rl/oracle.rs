@@ -1,0 +1,229 @@
+//! The same update, stated plainly on candle's tensors and automatic differentiation.
+//!
+//! Slow and easy to believe: what [`Learner`] computes by hand is tested against this, and its speed is
+//! measured against it. TD3's options included.
+
+use candle_core::{DType, Device, Result, Tensor, Var};
+use candle_nn::{AdamW, Linear, Module, Optimizer, ParamsAdamW};
+
+use rand_distr::{Distribution, StandardNormal};
+
+use super::config::{LearningConfig, Td3Config};
+use super::learner::{Learner, Losses, Trained};
+use super::replay::Batch;
+use crumple_world::policy::{Network, STATE};
+use crumple_world::random::Stream;
+
+/// Actor, critics and targets as candle sees them.
+pub struct Oracle {
+    actor: Pair,
+    critics: Vec<Pair>,
+    learning: LearningConfig,
+    td3: Td3Config,
+    updates: u64,
+}
+
+/// A network, its target and its optimiser.
+struct Pair {
+    network: Mlp,
+    target: Mlp,
+    optimiser: AdamW,
+}
+
+impl Pair {
+    fn new(trained: &Trained, rate: f32) -> Result<Self> {
+        let network = Mlp::new(&trained.network)?;
+        let params = ParamsAdamW { lr: f64::from(rate), weight_decay: 0.0, ..ParamsAdamW::default() };
+        let optimiser = AdamW::new(network.vars.clone(), params)?;
+        Ok(Self { network, target: Mlp::new(&trained.target)?, optimiser })
+    }
+}
+
+/// A network whose variables are kept in order, weights and biases by turns.
+struct Mlp {
+    vars: Vec<Var>,
+}
+
+impl Mlp {
+    /// candle's layers hold one row an output, ours one row an input.
+    fn new(network: &Network) -> Result<Self> {
+        let mut vars = Vec::new();
+        let mut rest = network.parameters();
+        for sizes in network.sizes().windows(2) {
+            let (weights, after) = rest.split_at(sizes[0] * sizes[1]);
+            let (biases, after) = after.split_at(sizes[1]);
+            rest = after;
+            let weights = Tensor::from_slice(weights, (sizes[0], sizes[1]), &Device::Cpu)?.t()?.contiguous()?;
+            vars.push(Var::from_tensor(&weights)?);
+            vars.push(Var::from_slice(biases, sizes[1], &Device::Cpu)?);
+        }
+        Ok(Self { vars })
+    }
+
+    fn forward(&self, input: &Tensor) -> Result<Tensor> {
+        let mut value = input.clone();
+        let layers = self.vars.chunks_exact(2);
+        let last = layers.len() - 1;
+        for (index, layer) in layers.enumerate() {
+            let linear = Linear::new(layer[0].as_tensor().clone(), Some(layer[1].as_tensor().clone()));
+            value = linear.forward(&value)?;
+            if index < last {
+                value = value.relu()?;
+            }
+        }
+        Ok(value)
+    }
+
+    fn follow(&self, network: &Self, share: f64) -> Result<()> {
+        for (target, var) in self.vars.iter().zip(&network.vars) {
+            target.set(&((target.as_tensor() * (1.0 - share))? + (var.as_tensor() * share)?)?)?;
+        }
+        Ok(())
+    }
+
+    /// One value for each variable, in the order of [`Network::parameters`].
+    fn flat(&self, of: impl Fn(&Var) -> Result<Tensor>) -> Result<Vec<f32>> {
+        let mut all = Vec::new();
+        for layer in self.vars.chunks_exact(2) {
+            all.extend(of(&layer[0])?.t()?.contiguous()?.flatten_all()?.to_vec1::<f32>()?);
+            all.extend(of(&layer[1])?.to_vec1::<f32>()?);
+        }
+        Ok(all)
+    }
+}
+
+/// A batch as tensors.
+struct Rows {
+    states: Tensor,
+    actions: Tensor,
+    rewards: Tensor,
+    next_states: Tensor,
+    continues: Tensor,
+}
+
+impl Rows {
+    fn new(batch: &Batch) -> Result<Self> {
+        let n = batch.len();
+        let rows = |values: &[f32], width: usize| Tensor::from_slice(values, (n, width), &Device::Cpu);
+        Ok(Self {
+            states: rows(&batch.states, STATE)?,
+            actions: rows(&batch.actions, 1)?,
+            rewards: rows(&batch.rewards, 1)?,
+            next_states: rows(&batch.next_states, STATE)?,
+            continues: rows(&batch.continues, 1)?,
+        })
+    }
+}
+
+/// Gradients of each critic, and of the actor.
+type Gradients = (Vec<Vec<f32>>, Vec<f32>);
+
+impl Oracle {
+    /// The networks of a learner that has made no update.
+    ///
+    /// # Errors
+    /// candle's, in principle.
+    pub fn new(learner: &Learner, learning: &LearningConfig, td3: &Td3Config) -> Result<Self> {
+        Ok(Self {
+            actor: Pair::new(&learner.actor, learning.actor_rate)?,
+            critics: learner.critics.iter().map(|c| Pair::new(c, learning.critic_rate)).collect::<Result<_>>()?,
+            learning: learning.clone(),
+            td3: td3.clone(),
+            updates: 0,
+        })
+    }
+
+    /// y: the reward, and the discounted value of what follows by the least of the critics' targets, at the actor target's
+    /// action with a little noise.
+    fn goals(&self, rows: &Rows, noise: &mut Stream) -> Result<Tensor> {
+        let mut actions = self.actor.target.forward(&rows.next_states)?.tanh()?;
+        if self.td3.target_noise > 0.0 {
+            let normals: Vec<f32> = (0..actions.dim(0)?).map(|_| StandardNormal.sample(noise)).collect();
+            let normals = Tensor::from_vec(normals, actions.shape(), &Device::Cpu)?;
+            let limit = self.td3.target_noise_limit;
+            let smoothing = (normals * f64::from(self.td3.target_noise))?.clamp(-limit, limit)?;
+            actions = (actions + smoothing)?.clamp(-1_f32, 1_f32)?;
+        }
+        let states_and_actions = Tensor::cat(&[&rows.next_states, &actions], 1)?;
+        let mut values: Option<Tensor> = None;
+        for critic in &self.critics {
+            let value = critic.target.forward(&states_and_actions)?;
+            values = Some(match values {
+                Some(least) => least.minimum(&value)?,
+                None => value,
+            });
+        }
+        let values = values.ok_or_else(|| candle_core::Error::Msg("the learner has no critic".to_owned()))?;
+        Ok((&rows.rewards + (&rows.continues * (values * self.learning.discount)?)?)?.detach())
+    }
+
+    fn critic_loss(&self, critic: &Pair, rows: &Rows, goals: &Tensor) -> Result<(Tensor, Tensor)> {
+        let values = critic.network.forward(&Tensor::cat(&[&rows.states, &rows.actions], 1)?)?;
+        Ok(((&values - goals)?.sqr()?.mean_all()?, values))
+    }
+
+    fn actor_loss(&self, rows: &Rows) -> Result<Tensor> {
+        let raw = self.actor.network.forward(&rows.states)?;
+        let values = self.critics[0].network.forward(&Tensor::cat(&[&rows.states, &raw.tanh()?], 1)?)?;
+        let beyond = (raw.abs()? - 1.0)?.relu()?.sqr()?.mean_all()?;
+        (beyond * f64::from(self.learning.saturation_penalty))? - values.mean_all()?
+    }
+
+    /// One update. `noise` feeds target smoothing, one normal number a transition, in order.
+    ///
+    /// # Errors
+    /// candle's, in principle.
+    pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Result<Losses> {
+        let rows = Rows::new(batch)?;
+        let goals = self.goals(&rows, noise)?;
+        let number = |tensor: Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();
+        let mut losses = Losses::default();
+        for index in 0..self.critics.len() {
+            let (loss, values) = self.critic_loss(&self.critics[index], &rows, &goals)?;
+            self.critics[index].optimiser.backward_step(&loss)?;
+            if index == 0 {
+                losses = Losses { critic: number(loss)?, mean_value: number(values.mean_all()?)? };
+            }
+        }
+        self.updates += 1;
+        if self.updates.is_multiple_of(u64::from(self.td3.actor_every)) {
+            self.actor.optimiser.backward_step(&self.actor_loss(&rows)?)?;
+            let share = f64::from(self.learning.soft_update);
+            for pair in self.pairs() {
+                pair.target.follow(&pair.network, share)?;
+            }
+        }
+        Ok(losses)
+    }
+
+    /// Gradients of each critic and of the actor at the present weights.
+    ///
+    /// # Errors
+    /// candle's, in principle.
+    pub fn gradients(&self, batch: &Batch, noise: &mut Stream) -> Result<Gradients> {
+        let rows = Rows::new(batch)?;
+        let goals = self.goals(&rows, noise)?;
+        let of = |network: &Mlp, loss: Tensor| {
+            let found = loss.backward()?;
+            network.flat(|var| match found.get(var) {
+                Some(gradient) => Ok(gradient.clone()),
+                None => var.zeros_like(),
+            })
+        };
+        let critics = self.critics.iter().map(|critic| of(&critic.network, self.critic_loss(critic, &rows, &goals)?.0));
+        Ok((critics.collect::<Result<_>>()?, of(&self.actor.network, self.actor_loss(&rows)?)?))
+    }
+
+    /// Parameters of every network, each followed by its target's: the actor, then the critics.
+    ///
+    /// # Errors
+    /// candle's, in principle.
+    pub fn parameters(&self) -> Result<Vec<Vec<f32>>> {
+        let networks = self.pairs().flat_map(|pair| [&pair.network, &pair.target]);
+        networks.map(|network| network.flat(|var| Ok(var.as_tensor().clone()))).collect()
+    }
+
+    fn pairs(&self) -> impl Iterator<Item = &Pair> {
+        std::iter::once(&self.actor).chain(&self.critics)
+    }
+}

@@ -1,0 +1,204 @@
+//! Where the scenarios of a training come from.
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use rand::RngExt;
+
+use crumple_world::digest::{Sha256, sha256};
+
+use super::environment::EGO;
+use crumple_world::random::{self, Purpose};
+use crumple_world::scenario::space::Space;
+use crumple_world::scenario::{Driver, InvalidField, PAPER_STEP_S, PaperDistribution, Scenario};
+
+/// Something to draw scenarios from, one an episode.
+pub trait ScenarioSource: Debug + Send + Sync {
+    /// The scenario of episode `index`. The same seed and index give the same scenario, in any order.
+    ///
+    /// # Errors
+    /// [`InvalidField`] if what was drawn is no valid scenario.
+    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField>;
+
+    /// What tells this source from every other: a training is resumed only with the source that it began with, and a policy
+    /// file states it. None for the paper's distribution, which needs no mention.
+    fn identity(&self) -> Option<String>;
+}
+
+/// The paper's distribution: what the presets train on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PaperDraws;
+
+impl ScenarioSource for PaperDraws {
+    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+        PaperDistribution { seed }.draw(index)
+    }
+
+    fn identity(&self) -> Option<String> {
+        None
+    }
+}
+
+/// Draws of a space by its distribution.
+impl ScenarioSource for Space {
+    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+        Self::draw(self, seed, index)
+    }
+
+    fn identity(&self) -> Option<String> {
+        // A space that was read can be written.
+        let digest = sha256(serde_json::to_string(self.spec()).unwrap_or_default());
+        Some(format!("the space `{}` (sha256 {digest})", self.name()))
+    }
+}
+
+/// Two sources by turns.
+#[derive(Debug, Clone)]
+pub struct Blend {
+    first: Arc<dyn ScenarioSource>,
+    share: f64,
+    otherwise: Arc<dyn ScenarioSource>,
+}
+
+impl Blend {
+    /// A `share` of the episodes, cut to `[0, 1]`, is drawn from `first`, the others from `otherwise`; each episode is the same
+    /// as in its source alone.
+    #[must_use]
+    pub fn new(first: Arc<dyn ScenarioSource>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
+        Self { first, share: share.clamp(0.0, 1.0), otherwise }
+    }
+}
+
+/// Sets the stream of the blend apart from that of a mixture inside it.
+const TURN: u64 = u64::MAX - 2;
+
+impl ScenarioSource for Blend {
+    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+        let mut stream = random::stream(random::derived_seed(seed, TURN), Purpose::ScenarioDraw, index);
+        let source = if stream.random::<f64>() < self.share { &self.first } else { &self.otherwise };
+        source.draw(seed, index)
+    }
+
+    fn identity(&self) -> Option<String> {
+        let name = |source: &Arc<dyn ScenarioSource>| source.identity().unwrap_or_else(|| PAPER.to_owned());
+        Some(format!("a share of {} of {}, otherwise {}", self.share, name(&self.first), name(&self.otherwise)))
+    }
+}
+
+/// What the source without an identity is called.
+const PAPER: &str = "the paper's distribution";
+
+/// A list of scenarios, such as counterexamples, mixed into another source.
+#[derive(Debug, Clone)]
+pub struct Mixed {
+    cases: Vec<Scenario>,
+    share: f64,
+    otherwise: Arc<dyn ScenarioSource>,
+}
+
+impl Mixed {
+    /// A `share` of the episodes, cut to `[0, 1]`, drives one of `cases`, each of them equally likely and as it is, noise
+    /// included; the others are drawn from `otherwise`, and are the same episode by episode as without the cases.
+    #[must_use]
+    pub fn new(cases: Vec<Scenario>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
+        Self { cases, share: share.clamp(0.0, 1.0), otherwise }
+    }
+}
+
+/// Sets the stream of the mixture apart from those of what is mixed.
+const CHOICE: u64 = u64::MAX - 1;
+
+impl ScenarioSource for Mixed {
+    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+        let mut stream = random::stream(random::derived_seed(seed, CHOICE), Purpose::ScenarioDraw, index);
+        if !self.cases.is_empty() && stream.random::<f64>() < self.share {
+            Ok(self.cases[stream.random_range(0..self.cases.len())].clone())
+        } else {
+            self.otherwise.draw(seed, index)
+        }
+    }
+
+    fn identity(&self) -> Option<String> {
+        let mut digest = Sha256::default();
+        for case in &self.cases {
+            // A valid scenario can always be written.
+            digest.update(serde_json::to_string(case.spec()).unwrap_or_default());
+        }
+        let digest = digest.hexadecimal();
+        let otherwise = self.otherwise.identity().unwrap_or_else(|| PAPER.to_owned());
+        let (share, count) = (self.share, self.cases.len());
+        Some(format!("a share of {share} of {count} cases (sha256 {digest}), otherwise {otherwise}"))
+    }
+}
+
+/// Why the agent cannot be trained on a scenario; none if it can.
+pub(super) fn unsuited(scenario: &Scenario) -> Option<String> {
+    let vehicles = scenario.vehicles().iter().enumerate();
+    let agents: Vec<usize> =
+        vehicles.filter(|(_, vehicle)| vehicle.driver == Driver::UnderTest).map(|(index, _)| index).collect();
+    if agents != [EGO] {
+        return Some(format!("vehicle {EGO} and no other must be under test, found {agents:?}"));
+    }
+    let step_s = scenario.spec().step_s;
+    (step_s != PAPER_STEP_S).then(|| format!("the step must be {PAPER_STEP_S} s, found {step_s}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::built_in;
+
+    #[test]
+    fn cases_get_their_share_and_leave_the_other_episodes_as_they_are() {
+        let cases = vec![built_in("paper-1").unwrap(), built_in("paper-2").unwrap()];
+        let mixed = Mixed::new(cases.clone(), 0.3, Arc::new(PaperDraws));
+        let mut counts = [0_u32; 2];
+        for index in 0..4000 {
+            let drawn = mixed.draw(7, index).unwrap();
+            match cases.iter().position(|case| *case == drawn) {
+                Some(case) => counts[case] += 1,
+                None => assert_eq!(drawn, PaperDraws.draw(7, index).unwrap()),
+            }
+        }
+        // Four standard deviations of a count of mean 600.
+        assert!(counts.iter().all(|count| count.abs_diff(600) < 4 * 23), "{counts:?}");
+        let none = Mixed::new(Vec::new(), 1.0, Arc::new(PaperDraws));
+        assert_eq!(none.draw(7, 0).unwrap(), PaperDraws.draw(7, 0).unwrap());
+    }
+
+    #[test]
+    fn a_blend_takes_its_share_of_each_source_as_it_is() {
+        let space = crumple_world::scenario::space::built_in_space("high-risk").unwrap();
+        let blend = Blend::new(Arc::new(PaperDraws), 0.25, Arc::new(space.clone()));
+        let nominal = (0..2000).filter(|&index| {
+            let drawn = blend.draw(7, index).unwrap();
+            let is_nominal = drawn == PaperDraws.draw(7, index).unwrap();
+            assert!(is_nominal || drawn == space.draw(7, index).unwrap());
+            is_nominal
+        });
+        // Four standard deviations of a count of mean 500.
+        assert!(nominal.count().abs_diff(500) < 4 * 20);
+        assert!(
+            blend
+                .identity()
+                .unwrap()
+                .starts_with("a share of 0.25 of the paper's distribution, otherwise the space `high-risk`")
+        );
+    }
+
+    #[test]
+    fn a_source_is_known_by_its_cases_and_their_share() {
+        let of = |name: &str, share| Mixed::new(vec![built_in(name).unwrap()], share, Arc::new(PaperDraws)).identity();
+        assert_eq!(of("paper-1", 0.5), of("paper-1", 0.5));
+        assert_ne!(of("paper-1", 0.5), of("paper-2", 0.5));
+        assert_ne!(of("paper-1", 0.5), of("paper-1", 0.6));
+    }
+
+    #[test]
+    fn scenarios_that_the_agent_cannot_drive_are_known() {
+        assert_eq!(unsuited(&PaperDraws.draw(0, 0).unwrap()), None);
+        assert!(unsuited(&built_in("paper-3").unwrap()).unwrap().contains("found [1, 2, 3]"));
+        let coarse = built_in("paper-1").unwrap().edited(|spec| spec.step_s = 0.02).unwrap();
+        assert!(unsuited(&coarse).unwrap().contains("found 0.02"));
+    }
+}

@@ -1,0 +1,199 @@
+//! Trainings that are interrupted, go astray, or run side by side, and the policy that one of them left.
+
+use std::sync::Arc;
+
+use crate::rl::*;
+
+/// A small training that takes a second.
+fn small() -> TrainingConfig {
+    let mut config = TrainingConfig::preset("fast").unwrap();
+    config.network.hidden = vec![16, 16];
+    config.learning.batch = 16;
+    (config.episodes, config.exploration.random_episodes) = (12, 4);
+    config.td3 = Td3Config { twin_critic: true, actor_every: 2, target_noise: 0.1, target_noise_limit: 0.2 };
+    config.replay = ReplayConfig { capacity: 600, contact_share: 0.1 };
+    config.evaluation.master_gap_m = 0.0;
+    (config.evaluation.every_episodes, config.evaluation.screening_draws, config.evaluation.ranking_draws) = (3, 4, 4);
+    config
+}
+
+/// Keeps every event, and the checkpoint after a given episode.
+#[derive(Default)]
+struct Diary {
+    events: Vec<Event>,
+}
+
+impl Observer<TrainingError> for Diary {
+    fn event(&mut self, event: &Event) -> Result<(), TrainingError> {
+        self.events.push(*event);
+        Ok(())
+    }
+
+    fn checkpoint(&mut self, _: &Trainer) -> Result<(), TrainingError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_resumed_training_equals_one_that_was_never_interrupted() {
+    let config = small();
+    let held_out = HeldOut::new(&config.evaluation, &config.environment);
+    let mut through = Trainer::new(&config, 8);
+    let mut diary = Diary::default();
+    train(&mut through, &held_out, &mut diary).unwrap();
+    for stop in [2, 5, 9] {
+        let mut first = Trainer::new(&TrainingConfig { episodes: stop, ..config.clone() }, 8);
+        let mut events = Diary::default();
+        let result = first.evaluate(&held_out).unwrap();
+        events.events.push(Event::Evaluation { episode: 0, best: true, result });
+        while first.episode() < stop {
+            events.events.push(Event::Episode(first.run_episode().unwrap()));
+            if first.episode() > 4 && first.episode().is_multiple_of(3) {
+                first.evaluate(&held_out).unwrap();
+            }
+        }
+        let bytes = first.to_checkpoint().unwrap();
+        let mut second = Trainer::from_checkpoint(&bytes, &config, 8).unwrap();
+        train(&mut second, &held_out, &mut events).unwrap();
+        assert!(second.to_checkpoint().unwrap() == through.to_checkpoint().unwrap(), "stopped after {stop}");
+        assert!(second.policy().unwrap() == through.policy().unwrap(), "stopped after {stop}");
+        assert_eq!(diary.events[0], events.events[0], "the untrained policy is judged first");
+        assert!(diary.events.ends_with(&events.events[1 + stop as usize..]), "stopped after {stop}");
+    }
+}
+
+#[test]
+fn checkpoints_of_another_training_are_refused() {
+    let config = small();
+    let bytes = Trainer::new(&config, 1).to_checkpoint().unwrap();
+    assert!(Trainer::from_checkpoint(&bytes, &config, 1).is_ok());
+    let mut other = config.clone();
+    other.learning.batch = 17;
+    for (config, seed) in [(&config, 2), (&other, 1)] {
+        assert!(matches!(Trainer::from_checkpoint(&bytes, config, seed), Err(TrainingError::Checkpoint(_))));
+    }
+    assert!(Trainer::from_checkpoint(&bytes[..bytes.len() / 2], &config, 1).is_err());
+    let says = |bytes: &[u8], words: &str| {
+        let error = Trainer::from_checkpoint(bytes, &config, 1).err().unwrap().to_string();
+        assert!(error.contains(words), "{error}");
+    };
+    // Any byte of the arrays, and numbers of the header that no array depends on.
+    for place in [bytes.len() - 1, bytes.len() / 2] {
+        let mut changed = bytes.clone();
+        changed[place] ^= 1;
+        says(&changed, "does not match its SHA-256");
+    }
+    let edited = |from: &str, to: &str| {
+        let place = bytes.windows(from.len()).position(|window| window == from.as_bytes()).unwrap();
+        [&bytes[..place], to.as_bytes(), &bytes[place + from.len()..]].concat()
+    };
+    says(&edited(r#"\"decisions\":0"#, r#"\"decisions\":7"#), "does not match its SHA-256");
+    says(&edited(r#"\"version\":2"#, r#"\"version\":1"#), "version 1 is not supported: this release reads 2");
+    let release = concat!(r#"\"crumple\":\""#, env!("CARGO_PKG_VERSION"));
+    says(&edited(release, &release.replace('0', "9")), "wrote it");
+}
+
+#[test]
+fn a_training_on_other_scenarios_says_so_and_is_not_mixed_up() {
+    let config = small();
+    let source = |name| -> Arc<dyn ScenarioSource> {
+        Arc::new(Mixed::new(vec![crumple_world::scenario::built_in(name).unwrap()], 0.5, Arc::new(PaperDraws)))
+    };
+    let mut trainer = Trainer::with_source(&config, 1, source("paper-1"));
+    trainer.run_episode().unwrap();
+    assert!(trainer.policy().unwrap().header().training["scenarios"].as_str().unwrap().contains("0.5 of 1 cases"));
+    let bytes = trainer.to_checkpoint().unwrap();
+    assert!(Trainer::from_checkpoint_with(&bytes, &config, 1, source("paper-1")).is_ok());
+    for refused in [
+        Trainer::from_checkpoint(&bytes, &config, 1),
+        Trainer::from_checkpoint_with(&bytes, &config, 1, source("paper-2")),
+    ] {
+        assert!(refused.err().unwrap().to_string().contains("it is of a training on a share of 0.5"));
+    }
+    let mut unsuited = Trainer::with_source(&config, 1, source("paper-3"));
+    let error = (0..12).find_map(|_| unsuited.run_episode().err()).unwrap();
+    assert!(error.to_string().contains("`paper-3` cannot be trained on"), "{error}");
+}
+
+#[test]
+fn a_random_action_is_held_and_then_more_episodes_end_in_contact() {
+    let contacts = |hold| {
+        let mut config = TrainingConfig::preset("paper").unwrap();
+        config.network.hidden = vec![4];
+        config.exploration.random_hold_steps = hold;
+        let mut trainer = Trainer::new(&config, 3);
+        (0..20).filter(|_| trainer.run_episode().unwrap().ending == Ending::Contact).count()
+    };
+    let (each_step, each_second) = (contacts(1), contacts(100));
+    assert!(each_step <= 5 && each_second >= 12, "{each_step} {each_second} of 20");
+}
+
+#[test]
+fn without_ranking_draws_nothing_is_mastered() {
+    let mut config = TrainingConfig::preset("fast").unwrap();
+    config.evaluation.screening_draws = 4;
+    let master_gap_m = config.evaluation.master_gap_m;
+    for (ranking_draws, contacts) in [(4, Some(0)), (0, None)] {
+        config.evaluation.ranking_draws = ranking_draws;
+        let held_out = HeldOut::new(&config.evaluation, &config.environment);
+        let found = held_out.evaluate(&crumple_world::policy::Policy::reference()).unwrap();
+        assert_eq!((found.ranking_contacts, found.is_mastered(master_gap_m)), (contacts, contacts.is_some()));
+    }
+}
+
+#[test]
+fn a_seed_gives_the_same_policy_whatever_the_threads() {
+    let config = TrainingConfig { episodes: 8, ..small() };
+    let held_out = HeldOut::new(&config.evaluation, &config.environment);
+    let policies = |threads| {
+        side_by_side(&[1, 2, 3], threads, |&seed| {
+            let mut trainer = Trainer::new(&config, seed);
+            train(&mut trainer, &held_out, &mut Diary::default()).unwrap();
+            trainer.policy().unwrap().to_bytes().unwrap()
+        })
+    };
+    let alone = policies(1);
+    assert!(alone == policies(3));
+    assert!(alone[0] != alone[1]);
+}
+
+#[test]
+fn divergence_stops_with_a_message() {
+    for factor in [f32::NAN, 1e6] {
+        let mut trainer = Trainer::new(&small(), 1);
+        for parameter in trainer.learner.critics[0].network.parameters_mut() {
+            *parameter *= factor;
+        }
+        let error = loop {
+            if let Err(error) = trainer.run_episode() {
+                break error;
+            }
+            assert!(trainer.episode() < 12, "nothing was noticed");
+        };
+        assert!(error.to_string().contains("seed 1 diverged in episode"), "{error}");
+    }
+}
+
+#[test]
+fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
+    use crumple_world::estimate::EstimatorKind;
+    use crumple_world::policy::Policy;
+    use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
+    use crumple_world::sim::{Keep, Outcome, Run, RunOptions, simulate_batch};
+
+    let policy = Policy::reference();
+    let fast = serde_json::to_value(TrainingConfig::preset("fast").unwrap()).unwrap();
+    assert_eq!(policy.header().training, fast, "the committed preset reproduces the committed policy");
+    let contacts = |scenarios: &[Scenario], estimator| {
+        let options = RunOptions::new(Arc::clone(&policy)).with_estimator(estimator);
+        let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, options.clone()).unwrap()).collect();
+        let safe = simulate_batch(&runs, Keep::Summary, |_, result| result.outcome == Outcome::NoCollision);
+        safe.into_iter().filter(|safe| !safe).count()
+    };
+    let paper: Vec<_> = ["paper-1", "paper-2", "paper-3"].map(|name| built_in(name).unwrap()).into();
+    for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
+        assert_eq!(contacts(&paper, estimator), 0, "{estimator:?}");
+    }
+    let draws: Vec<_> = (0..1000).map(|index| PaperDistribution { seed: 1 }.draw(index).unwrap()).collect();
+    assert!(contacts(&draws, EstimatorKind::Kalman) <= 1);
+}

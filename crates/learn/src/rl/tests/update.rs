@@ -1,0 +1,230 @@
+//! The update against other formulations, and on a problem with a known optimum.
+
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+
+use crate::rl::oracle::Oracle;
+use crate::rl::*;
+use crumple_world::policy::{Network, STATE};
+use crumple_world::random::{Purpose, Stream, stream};
+
+fn config(hidden: &[usize]) -> TrainingConfig {
+    let mut config = TrainingConfig::preset("fast").unwrap();
+    config.network.hidden = hidden.to_vec();
+    // Large output weights: every gradient is well above rounding.
+    config.network.final_layer_bound = 1.0;
+    config
+}
+
+fn learner(config: &TrainingConfig, seed: u64) -> Learner {
+    Learner::new(&config.network, &config.learning, &config.td3, seed)
+}
+
+fn batch(seed: u64, count: usize) -> Batch {
+    let mut stream = Stream::seed_from_u64(seed);
+    let mut batch = Batch::default();
+    for _ in 0..count {
+        let mut state = || std::array::from_fn(|_| stream.random_range(-1.5..1.5));
+        let (state, next_state): ([f32; STATE], [f32; STATE]) = (state(), state());
+        batch.push(&Transition {
+            state,
+            action: stream.random_range(-1.0..1.0),
+            reward: stream.random_range(-2.0..1.0),
+            next_state,
+            continues: stream.random_bool(0.8),
+            contact: false,
+        });
+    }
+    batch
+}
+
+/// Output of a network in double precision, straight from the definition.
+fn forward(sizes: &[usize], parameters: &[f64], input: &[f64]) -> f64 {
+    let (mut value, mut rest) = (input.to_vec(), parameters);
+    for (index, pair) in sizes.windows(2).enumerate() {
+        let (weights, after) = rest.split_at(pair[0] * pair[1]);
+        let (biases, after) = after.split_at(pair[1]);
+        rest = after;
+        value = (0..pair[1])
+            .map(|j| {
+                let sum = biases[j] + (0..pair[0]).map(|i| value[i] * weights[i * pair[1] + j]).sum::<f64>();
+                if index + 2 < sizes.len() { sum.max(0.0) } else { sum }
+            })
+            .collect();
+    }
+    value[0]
+}
+
+fn double(values: &[f32]) -> Vec<f64> {
+    values.iter().copied().map(f64::from).collect()
+}
+
+fn rows(values: &[f32]) -> impl Iterator<Item = Vec<f64>> {
+    values.chunks_exact(STATE).map(double)
+}
+
+/// Central differences of a loss at every parameter.
+fn differences(parameters: &[f64], loss: impl Fn(&[f64]) -> f64) -> Vec<f64> {
+    (0..parameters.len())
+        .map(|index| {
+            let at = |shift: f64| {
+                let mut shifted = parameters.to_vec();
+                shifted[index] += shift;
+                loss(&shifted)
+            };
+            (at(1e-6) - at(-1e-6)) / 2e-6
+        })
+        .collect()
+}
+
+fn agree(found: &[f32], expected: &[f64], tolerance: f64) {
+    let largest = expected.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    assert!(largest > 1e-4, "nothing to compare");
+    for (index, (&found, &expected)) in found.iter().zip(expected).enumerate() {
+        let error = (f64::from(found) - expected).abs();
+        assert!(error <= tolerance * largest, "{index}: {found} {expected}");
+    }
+}
+
+#[test]
+fn gradients_agree_with_finite_differences_in_double_precision() {
+    let config = config(&[12, 7]);
+    let mut learner = learner(&config, 3);
+    // Two updates part networks and targets.
+    for seed in 0..2 {
+        learner.update(&batch(seed, 16), &mut stream(0, Purpose::TargetNoise, 0));
+    }
+    let batch = batch(9, 24);
+    let (critics_found, actor_found) = learner.gradients(&batch, &mut stream(0, Purpose::TargetNoise, 0));
+    let critic = &learner.critics[0];
+    let (actor_sizes, critic_sizes) = (learner.actor.network.sizes(), critic.network.sizes());
+    let [actor, actor_target] = [&learner.actor.network, &learner.actor.target].map(|n| double(n.parameters()));
+    let [critic, critic_target] = [&critic.network, &critic.target].map(|n| double(n.parameters()));
+    let (discount, penalty) = (config.learning.discount, f64::from(config.learning.saturation_penalty));
+    let value = |parameters: &[f64], state: &[f64], action: f64| {
+        forward(critic_sizes, parameters, &[state, &[action]].concat())
+    };
+    let goals: Vec<f64> = rows(&batch.next_states)
+        .zip(batch.rewards.iter().zip(&batch.continues))
+        .map(|(next, (&reward, &continues))| {
+            let action = forward(actor_sizes, &actor_target, &next).tanh();
+            f64::from(reward) + discount * f64::from(continues) * value(&critic_target, &next, action)
+        })
+        .collect();
+    let n = batch.len() as f64;
+    let critic_loss = |parameters: &[f64]| {
+        let errors = rows(&batch.states)
+            .zip(batch.actions.iter().zip(&goals))
+            .map(|(state, (&action, goal))| (value(parameters, &state, f64::from(action)) - goal).powi(2));
+        errors.sum::<f64>() / n
+    };
+    let actor_loss = |parameters: &[f64]| {
+        let each = rows(&batch.states).map(|state| {
+            let raw = forward(actor_sizes, parameters, &state);
+            penalty * (raw.abs() - 1.0).max(0.0).powi(2) - value(&critic, &state, raw.tanh())
+        });
+        each.sum::<f64>() / n
+    };
+    agree(&critics_found[0], &differences(&critic, critic_loss), 2e-4);
+    agree(&actor_found, &differences(&actor, actor_loss), 2e-4);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    /// Gradients and, over several updates, parameters, targets and losses of the plain formulation: DDPG, and TD3 with any
+    /// of its options.
+    #[test]
+    fn updates_agree_with_candle(
+        seed: u64,
+        hidden in proptest::collection::vec(1..70_usize, 1..4),
+        count in 1..70_usize,
+        twin_critic: bool,
+        actor_every in 1..4_u32,
+        target_noise in prop_oneof![Just(0.0_f32), 0.05..0.5_f32],
+    ) {
+        let mut config = config(&hidden);
+        config.td3 = Td3Config { twin_critic, actor_every, target_noise, target_noise_limit: 0.3 };
+        let mut learner = learner(&config, seed);
+        let mut oracle = Oracle::new(&learner, &config.learning, &config.td3).unwrap();
+        let noises = || [0; 2].map(|_| stream(seed, Purpose::TargetNoise, 0));
+        let close = |found: &[f32], expected: &[f32], tolerance: f32| {
+            let largest = expected.iter().fold(1e-3_f32, |largest, value| largest.max(value.abs()));
+            found.len() == expected.len()
+                && found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= tolerance * largest)
+        };
+        let first = batch(seed, count);
+        let [mut noise, mut oracle_noise] = noises();
+        let (critics, actor) = learner.gradients(&first, &mut noise);
+        let (oracle_critics, oracle_actor) = oracle.gradients(&first, &mut oracle_noise).unwrap();
+        prop_assert_eq!((critics.len(), oracle_critics.len()), (1 + usize::from(twin_critic), critics.len()));
+        prop_assert!(critics.iter().zip(&oracle_critics).all(|(found, expected)| close(found, expected, 1e-4)));
+        prop_assert!(close(&actor, &oracle_actor, 1e-4));
+        let [mut noise, mut oracle_noise] = noises();
+        for index in 0..6 {
+            let batch = batch(seed ^ index, count);
+            let found = learner.update(&batch, &mut noise);
+            let expected = oracle.update(&batch, &mut oracle_noise).unwrap();
+            prop_assert!((found.critic - expected.critic).abs() <= 2e-2 * expected.critic.max(0.01));
+        }
+        let expected = oracle.parameters().unwrap();
+        prop_assert_eq!(learner.networks().count(), expected.len());
+        for (found, expected) in learner.networks().map(Network::parameters).zip(expected) {
+            // Adam divides by the gradient's size, so a gradient near 0 may step either way by the rate.
+            let apart = found.iter().zip(&expected).filter(|(a, b)| (*a - *b).abs() > 1e-4).count();
+            prop_assert!(apart * 20 <= expected.len().max(20), "{} of {}", apart, expected.len());
+        }
+    }
+}
+
+/// Two states, told apart by the sign of the first number. The action is followed by the other state; in state ±1 the
+/// reward is 1 - (a ∓ ½)². The optimum is a = ±½ with value 1 / (1 - γ) everywhere.
+#[test]
+fn the_optimum_of_a_two_state_problem_is_found() {
+    for td3 in [false, true] {
+        let mut config = config(&[32, 32]);
+        config.network.final_layer_bound = 3e-3;
+        (config.learning.discount, config.learning.soft_update) = (0.8, 0.02);
+        (config.learning.actor_rate, config.learning.critic_rate) = (1e-3, 3e-3);
+        if td3 {
+            config.td3 = Td3Config { twin_critic: true, actor_every: 2, target_noise: 0.05, target_noise_limit: 0.1 };
+        }
+        let mut learner = learner(&config, 4);
+        let mut trials = Stream::seed_from_u64(5);
+        let mut noise = stream(4, Purpose::TargetNoise, 0);
+        let state = |sign: f32| std::array::from_fn(|i| if i == 0 { sign } else { 0.0 });
+        let mut batch = Batch::default();
+        for _ in 0..3000 {
+            batch = Batch::default();
+            for _ in 0..32 {
+                let sign = if trials.random::<bool>() { 1.0_f32 } else { -1.0 };
+                let action: f32 = trials.random_range(-1.0..1.0);
+                let reward = 1.0 - (action - 0.5 * sign).powi(2);
+                let (state, next_state) = (state(sign), state(-sign));
+                batch.push(&Transition { state, action, reward, next_state, continues: true, contact: false });
+            }
+            learner.update(&batch, &mut noise);
+        }
+        let actions = learner.act(&[state(1.0), state(-1.0)].concat()).to_vec();
+        assert!((actions[0] - 0.5).abs() < 0.05 && (actions[1] + 0.5).abs() < 0.05, "td3 {td3}: {actions:?}");
+        let value = learner.update(&batch, &mut noise).mean_value;
+        // The batch's actions are random: their mean reward is 1 - E(a - ½)² = 1 - (1/3 + 1/4), what follows is optimal.
+        let expected = 1.0 - (1.0 / 3.0 + 0.25) + 0.8 / 0.2;
+        assert!((value - expected).abs() < 0.4, "td3 {td3}: {value} {expected}");
+    }
+}
+
+/// An update of wide networks is shared out among threads.
+#[test]
+fn an_update_is_the_same_on_any_number_of_threads() {
+    let (config, batch) = (config(&[192, 224]), batch(1, 400));
+    let networks = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let (mut learner, mut noise) = (learner(&config, 2), stream(2, Purpose::TargetNoise, 0));
+        pool.install(|| (0..5).for_each(|_| _ = learner.update(&batch, &mut noise)));
+        learner.networks().cloned().collect::<Vec<_>>()
+    };
+    let alone = networks(1);
+    assert!(alone == networks(2));
+    assert!(alone == networks(3));
+}

@@ -1,0 +1,334 @@
+//! One training: episodes, updates, evaluations, and the best policy so far.
+
+use std::sync::Arc;
+
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+use serde::{Deserialize, Serialize};
+
+use super::config::{TimeLimit, TrainingConfig};
+use super::environment::{Ending, Episode, bounds};
+use super::evaluation::{Evaluation, HeldOut};
+use super::learner::{Learner, Losses};
+use super::replay::{Batch, Replay, Transition};
+use super::source::{PaperDraws, ScenarioSource, unsuited};
+use crumple_world::policy::{Network, ObservationScaling, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
+use crumple_world::random::{self, Purpose};
+use crumple_world::scenario::{ControllerSpec, InvalidField, PAPER_STEP_S};
+use crumple_world::sim::{Run, RunError, RunOptions};
+
+/// The critic may value a state at this many times the largest value that can be right before it counts as exploded.
+const EXPLODED: f64 = 10.0;
+
+/// Why a training stops early.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrainingError {
+    /// The networks hold numbers that are not finite, or values no return can have.
+    #[error(
+        "seed {seed} diverged in episode {episode}: critic loss {critic_loss:.3e}, mean value {mean_value:.3e} (no value \
+         can exceed {largest_value:.3e}); lower the learning rates or scale the reward"
+    )]
+    Diverged {
+        /// Seed of the training.
+        seed: u64,
+        /// Episode, from 1.
+        episode: u64,
+        /// Last critic loss.
+        critic_loss: f64,
+        /// Mean value of the last batch.
+        mean_value: f64,
+        /// Largest value that can be right.
+        largest_value: f64,
+    },
+    /// The agent cannot be trained on a scenario that was drawn.
+    #[error("scenario `{name}` cannot be trained on: {problem}")]
+    Unsuited {
+        /// Name of the scenario.
+        name: String,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A scenario cannot be drawn.
+    #[error(transparent)]
+    Scenario(#[from] InvalidField),
+    /// A run cannot be made.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The policy cannot be made.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// A checkpoint cannot be used.
+    #[error("checkpoint: {0}")]
+    Checkpoint(String),
+}
+
+/// One episode, as the log states it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct EpisodeRecord {
+    /// Number, from 1.
+    pub episode: u64,
+    /// Reward as the paper counts it, at most 22 500.
+    pub reward: f64,
+    /// Steps simulated.
+    pub steps: usize,
+    /// How it ended.
+    pub ending: Ending,
+    /// Mean critic loss of the episode's updates.
+    pub critic_loss: f64,
+    /// Mean value over the episode's updates.
+    pub mean_value: f64,
+}
+
+/// The best policy so far.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Best {
+    /// Episode after which it was taken.
+    pub episode: u64,
+    /// How it did.
+    pub evaluation: Evaluation,
+    /// Its actor.
+    pub network: Network,
+}
+
+/// A training under way.
+#[derive(Debug, Clone)]
+pub struct Trainer {
+    pub(super) config: TrainingConfig,
+    pub(super) seed: u64,
+    pub(super) learner: Learner,
+    pub(super) replay: Replay,
+    pub(super) episode: u64,
+    pub(super) decisions: u64,
+    pub(super) best: Option<Best>,
+    pub(super) mastered: bool,
+    pub(super) source: Arc<dyn ScenarioSource>,
+    batch: Batch,
+}
+
+impl Trainer {
+    /// A training on the paper's distribution, at its start.
+    #[must_use]
+    pub fn new(config: &TrainingConfig, seed: u64) -> Self {
+        Self::with_source(config, seed, Arc::new(PaperDraws))
+    }
+
+    /// A training on scenarios from anywhere, at its start.
+    #[must_use]
+    pub fn with_source(config: &TrainingConfig, seed: u64, source: Arc<dyn ScenarioSource>) -> Self {
+        Self {
+            learner: Learner::new(&config.network, &config.learning, &config.td3, seed),
+            replay: Replay::new(config.replay.capacity),
+            config: config.clone(),
+            seed,
+            episode: 0,
+            decisions: 0,
+            best: None,
+            mastered: false,
+            source,
+            batch: Batch::default(),
+        }
+    }
+
+    /// The same with the weights of `policy` for the actor and its target, if it is of the same shape; critics start anew.
+    #[must_use]
+    pub fn from_policy(mut self, policy: &Policy) -> Self {
+        let actor = &mut self.learner.actor;
+        if actor.network.sizes() == policy.network().sizes() {
+            actor.network = policy.network().clone();
+            actor.target = policy.network().clone();
+        }
+        self
+    }
+
+    /// Goes on with another source until `episodes` are done. Networks and memory stay; the best policy is looked for anew.
+    pub fn turn_to(&mut self, source: Arc<dyn ScenarioSource>, episodes: u64) {
+        self.source = source;
+        self.config.episodes = episodes;
+        (self.best, self.mastered) = (None, false);
+    }
+
+    /// Its seed.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Episodes done.
+    #[must_use]
+    pub fn episode(&self) -> u64 {
+        self.episode
+    }
+
+    /// The best policy so far.
+    #[must_use]
+    pub fn best(&self) -> Option<&Best> {
+        self.best.as_ref()
+    }
+
+    /// Whether all episodes are done, or the task is mastered by the configuration's measure.
+    #[must_use]
+    pub fn is_done(&self) -> bool {
+        self.mastered || self.episode >= self.config.episodes
+    }
+
+    /// Whether an evaluation is due after the episode just done.
+    #[must_use]
+    pub fn evaluation_is_due(&self) -> bool {
+        self.episode.is_multiple_of(self.config.evaluation.every_episodes)
+            && self.episode > self.config.exploration.random_episodes
+            || self.episode == self.config.episodes
+    }
+
+    /// Drives and learns from one episode.
+    ///
+    /// # Errors
+    /// [`TrainingError::Diverged`] if learning went astray; [`TrainingError::Scenario`] and [`TrainingError::Unsuited`] for a
+    /// source that draws what cannot be trained on.
+    pub fn run_episode(&mut self) -> Result<EpisodeRecord, TrainingError> {
+        let index = self.episode;
+        // The stream of training draws has a seed of its own, apart from every seed a user may assess with.
+        let scenario = self.source.draw(random::derived_seed(self.seed, u64::MAX), index)?;
+        if let Some(problem) = unsuited(&scenario) {
+            return Err(TrainingError::Unsuited { name: scenario.spec().name.clone(), problem });
+        }
+        // The ego's own controller is never asked: every step is commanded.
+        let options = RunOptions::new(ControllerSpec::MatchLeader).with_estimator(self.config.environment.estimator);
+        let run = Run::new(&scenario, options)?;
+        let mut episode = Episode::new(&run, &self.config.environment, self.config.learning.discount);
+        let mut trials = random::stream(self.seed, Purpose::Exploration, index);
+        let mut draws = random::stream(self.seed, Purpose::ReplayDraw, index);
+        let mut target_noise = random::stream(self.seed, Purpose::TargetNoise, index);
+        let learned_episodes = index.checked_sub(self.config.exploration.random_episodes);
+        let noise = learned_episodes.map(|episodes| {
+            let decay = self.config.exploration.noise_decay.powf(episodes as f64);
+            (self.config.exploration.noise * decay) as f32
+        });
+        let (mut sums, mut updates) = (Losses::default(), 0_u32);
+        let decisions_held =
+            u64::from(self.config.exploration.random_hold_steps / self.config.environment.decision_steps).max(1);
+        let (decisions_before, mut held) = (self.decisions, 0.0);
+        let mut state = episode.state();
+        let ending = loop {
+            let action = match noise {
+                None => {
+                    if (self.decisions - decisions_before).is_multiple_of(decisions_held) {
+                        held = trials.random_range(-1.0..=1.0);
+                    }
+                    held
+                }
+                Some(noise) => {
+                    let normal: f32 = StandardNormal.sample(&mut trials);
+                    let chosen = self.learner.act(&state).first().copied().unwrap_or_default();
+                    (chosen + noise * normal).clamp(-1.0, 1.0)
+                }
+            };
+            let after = episode.decide(action);
+            self.replay.push(Transition {
+                state,
+                action,
+                reward: after.reward,
+                next_state: after.next_state,
+                continues: after.continues,
+                contact: after.ending == Ending::Contact,
+            });
+            state = after.next_state;
+            self.decisions += 1;
+            let learning = &self.config.learning;
+            let is_due = self.decisions.is_multiple_of(u64::from(learning.decisions_per_update));
+            if noise.is_some() && is_due && self.replay.len() >= learning.batch {
+                let share = self.config.replay.contact_share;
+                self.replay.sample(&mut draws, learning.batch, share, &mut self.batch);
+                let losses = self.learner.update(&self.batch, &mut target_noise);
+                sums.critic += losses.critic;
+                sums.mean_value += losses.mean_value;
+                updates += 1;
+            }
+            if after.ending != Ending::None {
+                break after.ending;
+            }
+        };
+        self.episode += 1;
+        let n = f64::from(updates.max(1));
+        let record = EpisodeRecord {
+            episode: self.episode,
+            reward: episode.total_reward(),
+            steps: episode.steps_made(),
+            ending,
+            critic_loss: sums.critic / n,
+            mean_value: sums.mean_value / n,
+        };
+        self.check_divergence(&record, scenario.steps())?;
+        Ok(record)
+    }
+
+    fn check_divergence(&self, record: &EpisodeRecord, steps: usize) -> Result<(), TrainingError> {
+        let environment = &self.config.environment;
+        let each = environment.step_reward * f64::from(environment.decision_steps);
+        let discounted = each / (1.0 - self.config.learning.discount);
+        // Where life ends with the episode, no value exceeds what one episode pays.
+        let paid = match environment.time_limit {
+            TimeLimit::Truncation => discounted,
+            TimeLimit::End => discounted.min(steps as f64 * environment.step_reward),
+        };
+        let largest_value = environment.reward_scale * paid.max(-environment.contact_reward);
+        let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
+        // The rectifier turns NaN into 0, so a network can be broken while its outputs look sound.
+        let is_whole =
+            self.learner.networks().all(|network| network.parameters().iter().all(|value| value.is_finite()));
+        if is_whole && critic_loss.is_finite() && mean_value.abs() <= EXPLODED * largest_value {
+            return Ok(());
+        }
+        let (seed, episode) = (self.seed, record.episode);
+        Err(TrainingError::Diverged { seed, episode, critic_loss, mean_value, largest_value })
+    }
+
+    /// Judges the actor as it is, and keeps it if it is the best so far. An untrained one can be the best, but does not end
+    /// the training.
+    ///
+    /// # Errors
+    /// [`TrainingError::Run`] and [`TrainingError::Policy`], for a configuration that does not fit the scenarios.
+    pub fn evaluate(&mut self, held_out: &HeldOut) -> Result<Evaluation, TrainingError> {
+        let network = self.learner.actor.network.clone();
+        let policy = Arc::new(self.policy_of(network.clone(), self.episode)?);
+        let evaluation = held_out.evaluate(&policy)?;
+        let better = self.best.as_ref().is_none_or(|best| evaluation.score() > best.evaluation.score());
+        if better {
+            self.best = Some(Best { episode: self.episode, evaluation, network });
+        }
+        let master_gap_m = self.config.evaluation.master_gap_m;
+        self.mastered |= self.episode > 0 && master_gap_m > 0.0 && evaluation.is_mastered(master_gap_m);
+        Ok(evaluation)
+    }
+
+    /// The best policy so far, or the present one before the first evaluation.
+    ///
+    /// # Errors
+    /// [`TrainingError::Policy`] in principle; the trainer makes only valid ones.
+    pub fn policy(&self) -> Result<Policy, TrainingError> {
+        match &self.best {
+            Some(best) => self.policy_of(best.network.clone(), best.episode),
+            None => self.policy_of(self.learner.actor.network.clone(), self.episode),
+        }
+    }
+
+    fn policy_of(&self, network: Network, episode: u64) -> Result<Policy, TrainingError> {
+        let mut training = serde_json::to_value(&self.config).map_err(|e| TrainingError::Checkpoint(e.to_string()))?;
+        if let (Some(training), Some(source)) = (training.as_object_mut(), self.source.identity()) {
+            training.insert("scenarios".to_owned(), source.into());
+        }
+        let header = PolicyHeader {
+            version: POLICY_VERSION,
+            crumple: env!("CARGO_PKG_VERSION").to_owned(),
+            hidden: self.config.network.hidden.clone(),
+            observation: ObservationScaling::default(),
+            action: bounds(&self.config.environment),
+            decision_interval_s: f64::from(self.config.environment.decision_steps) * PAPER_STEP_S,
+            estimator: self.config.environment.estimator,
+            seed: self.seed,
+            episode,
+            training,
+        };
+        Ok(Policy::new(header, network)?)
+    }
+}

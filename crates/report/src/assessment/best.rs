@@ -1,0 +1,103 @@
+//! What the best driver could have made of a scenario, and how far a controller stays behind.
+
+use serde::{Deserialize, Serialize};
+
+use super::work::Work;
+use super::{Case, Rounded, StoreError};
+use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoid};
+use crumple_world::scenario::{Scenario, file};
+
+/// Whether anyone could have avoided a contact, and by how much.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Best {
+    /// There is a profile without contact, which was replayed.
+    Avoidable {
+        /// The largest smallest gap that was reached, between any two vehicles, in metres, rounded down.
+        min_gap_m: Rounded<2>,
+        /// No driver keeps a larger smallest gap, in metres, rounded up.
+        min_gap_bound_m: Option<Rounded<2>>,
+        /// When the emergency brake of the follower fires on that profile, in seconds.
+        follower_brakes_s: Option<Rounded<2>>,
+    },
+    /// No driver avoids a contact; the checker has accepted the proof.
+    Unavoidable,
+    /// Neither was shown.
+    Undecided {
+        /// Why.
+        reason: String,
+    },
+}
+
+impl Best {
+    /// The same, unless it is known from an earlier run.
+    pub(super) fn kept(scenario: &Scenario, work: &Work<'_>) -> Result<Self, StoreError> {
+        let text = file::to_toml(scenario).map_err(StoreError::encoding)?;
+        work.store.get(&format!("best of {}", scenario.spec().name), &text, || Ok(Self::of(scenario)))
+    }
+
+    pub(super) fn of(scenario: &Scenario) -> Self {
+        let undecided = |reason: String| Self::Undecided { reason };
+        let Avoidance { verdict, min_gap_bound_m, .. } = match avoid(scenario, AvoidOptions::default()) {
+            Ok(found) => found,
+            Err(error) => return undecided(error.to_string()),
+        };
+        match verdict {
+            AvoidanceVerdict::Avoidable(escape) => Self::Avoidable {
+                min_gap_m: Rounded::down(escape.min_gap_m),
+                min_gap_bound_m: min_gap_bound_m.map(Rounded::up),
+                follower_brakes_s: escape.trigger_time_s.map(Rounded::new),
+            },
+            AvoidanceVerdict::Unavoidable(_) => Self::Unavoidable,
+            AvoidanceVerdict::Undecided(reason) => undecided(reason.to_string()),
+        }
+    }
+
+    /// How much more of the smallest gap the best driver kept than the controller of a case, from the numbers as they are
+    /// shown; none if there is no best driver, or if others crashed first. Zero for a controller that did better than the
+    /// profile that was found, which can only be within its grid.
+    pub(super) fn regret_m(&self, case: &Case) -> Option<Rounded<2>> {
+        match self {
+            Self::Avoidable { min_gap_m, .. } if case.verdict.counts() => {
+                Some(Rounded::new((min_gap_m.value() - case.min_gap_m?.value()).max(0.0)))
+            }
+            _ => None,
+        }
+    }
+
+    /// In a sentence.
+    pub(super) fn words(&self) -> String {
+        match self {
+            Self::Avoidable { min_gap_m, min_gap_bound_m, follower_brakes_s } => {
+                let fires =
+                    follower_brakes_s.map(|time_s| format!(", firing the follower's emergency brake at {time_s} s"));
+                let bound = min_gap_bound_m.map(|bound_m| format!("; nobody can keep more than {bound_m} m"));
+                format!(
+                    "Avoidable: the best smallest gap anyone could have kept is {min_gap_m} m{}{}.",
+                    fires.unwrap_or_default(),
+                    bound.unwrap_or_default()
+                )
+            }
+            Self::Unavoidable => {
+                "Unavoidable: whatever is done, vehicles touch; the checker has accepted the proof.".to_owned()
+            }
+            Self::Undecided { reason } => format!("Undecided whether anyone could have avoided a contact: {reason}."),
+        }
+    }
+
+    /// In a word or two, for a cell.
+    pub(super) fn brief(&self) -> String {
+        match self {
+            Self::Avoidable { min_gap_m, .. } => format!("{min_gap_m} m"),
+            Self::Unavoidable => "unavoidable".to_owned(),
+            Self::Undecided { .. } => "undecided".to_owned(),
+        }
+    }
+}
+
+/// What the numbers are, and how they relate.
+pub(super) const WHAT_REGRET_IS: &str = "The best smallest gap is that of a profile for the vehicles under test, found by \
+    convex programming with knowledge of the future and held over steps of 0.1 s (or finer, where those do not decide), and \
+    replayed by the simulation. A controller's regret is that gap less its own smallest one, ahead or behind. The bound \
+    beside it comes from the multipliers of those programs and holds for every driver, so regret understates what was lost by \
+    no more than the distance between the two.";

@@ -1,0 +1,291 @@
+//! One controller in one scenario: what is reported of it.
+
+use serde::{Deserialize, Serialize};
+
+use super::Rounded;
+use super::table::Mark;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::measure::{self, ContactRole, Measures};
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{
+    AfterContact, Contact, Contender, Impact, Keep, Run, RunError, RunOptions, Simulated, Trace, simulate_batch,
+};
+
+/// What came of one controller in one scenario.
+///
+/// Where several vehicles are under test, each measure is that of the vehicle that fared worst by it.
+#[derive(Debug, Clone, Serialize)]
+pub struct Case {
+    /// The controller's name.
+    pub controller: String,
+    /// Whether and how vehicles touched.
+    pub verdict: CaseVerdict,
+    /// Towards the vehicle ahead of a vehicle under test.
+    pub ahead: Towards,
+    /// Of the vehicle behind towards a vehicle under test.
+    pub behind: Towards,
+    /// Smallest gap between any two vehicles until the first contact, in metres.
+    pub min_gap_m: Option<Rounded<2>>,
+    /// How much more the best driver kept of it, in metres; none where that is not known, or where others crashed first.
+    pub regret_m: Option<Rounded<2>>,
+    /// Hardest deceleration of a vehicle under test, in m/s².
+    pub peak_brake_mps2: Option<Rounded<2>>,
+    /// Largest jerk of a vehicle under test, in m/s³.
+    pub peak_jerk_mps3: Option<Rounded<1>>,
+    /// Hardest deceleration of the vehicle behind one under test, in m/s².
+    pub imposed_brake_mps2: Option<Rounded<2>>,
+    /// What follows if everybody drives on after the first contact.
+    pub pile_up: Option<PileUp>,
+    /// The motion until the first contact, for the figure.
+    #[serde(skip)]
+    pub(super) motion: Option<(Trace, Vec<Impact>)>,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum CaseVerdict {
+    /// Nobody touched anybody before the scenario was over.
+    Safe {
+        /// Time to collision between a vehicle under test and a neighbour when the scenario was over, in seconds, if it
+        /// was below [`STILL_CLOSING_TTC_S`]: then the scenario ended before its story did.
+        closing_ttc_s: Option<Rounded<1>>,
+    },
+    /// A vehicle under test hit the one ahead.
+    Hit(RoundedContact),
+    /// A vehicle under test was hit from behind, by a vehicle that is not.
+    WasHit(RoundedContact),
+    /// Two vehicles touched that are both not under test: this says nothing of the controller.
+    Others(RoundedContact),
+}
+
+/// A run that ends with a time to collision below this is said to be still closing, in seconds.
+pub const STILL_CLOSING_TTC_S: f64 = 30.0;
+
+/// A contact with the numbers a report needs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RoundedContact {
+    /// When, in seconds.
+    pub time_s: Rounded<2>,
+    /// Index of the vehicle that is hit.
+    pub front_vehicle: usize,
+    /// Index of the vehicle that hits it.
+    pub rear_vehicle: usize,
+    /// Speed of one relative to the other, in m/s.
+    pub impact_speed_mps: Rounded<1>,
+}
+
+/// Measures of one vehicle towards the one ahead of it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Towards {
+    /// Smallest gap, in metres.
+    pub min_gap_m: Option<Rounded<2>>,
+    /// Smallest time to collision, in seconds.
+    pub min_ttc_s: Option<Rounded<2>>,
+    /// Smallest time headway, front bumper to front bumper, in seconds.
+    pub min_time_headway_s: Option<Rounded<2>>,
+    /// Smallest time gap, bumper to bumper, in seconds.
+    pub min_time_gap_s: Option<Rounded<2>>,
+    /// Largest deceleration rate to avoid a crash (DRAC), in m/s²; none if there was a contact.
+    pub max_drac_mps2: Option<Rounded<2>>,
+    /// Largest deceleration required against the braking of the vehicle ahead, in m/s²; none if there was a contact.
+    pub max_required_brake_mps2: Option<Rounded<2>>,
+    /// Time exposed time to collision (TET), in seconds.
+    pub tet_s: Rounded<2>,
+    /// Time integrated time to collision (TIT), in s².
+    pub tit_s2: Rounded<2>,
+    /// Gap at standstill, in metres.
+    pub standstill_gap_m: Option<Rounded<2>>,
+}
+
+/// The crash when it is played to its end, vehicles sticking together.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PileUp {
+    /// Impacts.
+    pub impacts: usize,
+    /// Vehicles involved.
+    pub vehicles: usize,
+    /// Largest change of speed of any vehicle in one impact, in m/s.
+    pub max_delta_v_mps: Option<Rounded<1>>,
+}
+
+impl CaseVerdict {
+    /// The verdict on a run of a scenario; without a trace nothing is said of what was still closing.
+    #[must_use]
+    pub fn of(simulated: &Simulated, scenario: &Scenario) -> Self {
+        let Some(contact) = simulated.outcome.contact() else {
+            let tested = (1..scenario.vehicles().len())
+                .filter(|&rear| scenario.is_under_test(rear) || scenario.is_under_test(rear - 1));
+            let closing = tested.map(|rear| closing_ttc_s(simulated.trace.as_ref()?, rear));
+            return Self::Safe { closing_ttc_s: smallest(closing).map(Rounded::new) };
+        };
+        match ContactRole::of(contact, scenario) {
+            ContactRole::Hits => Self::Hit(contact.into()),
+            ContactRole::IsHit => Self::WasHit(contact.into()),
+            ContactRole::Bystander => Self::Others(contact.into()),
+        }
+    }
+
+    /// Whether a vehicle under test touched or was touched.
+    #[must_use]
+    pub fn is_collision(&self) -> bool {
+        matches!(self, Self::Hit(_) | Self::WasHit(_))
+    }
+
+    /// Whether the run says anything of the controller: not if others crashed first.
+    #[must_use]
+    pub fn counts(&self) -> bool {
+        !matches!(self, Self::Others(_))
+    }
+
+    pub(super) fn mark(&self) -> Mark {
+        match self {
+            Self::Safe { .. } => Mark::Good,
+            Self::Hit(_) | Self::WasHit(_) => Mark::Bad,
+            Self::Others(_) => Mark::None,
+        }
+    }
+
+    /// The verdict in a few words.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let at = |contact: &RoundedContact| format!("{} s, {} m/s", contact.time_s, contact.impact_speed_mps);
+        match self {
+            Self::Safe { closing_ttc_s: None } => "no contact".to_owned(),
+            Self::Safe { closing_ttc_s: Some(ttc_s) } => {
+                format!("no contact, but still closing at the end (TTC {ttc_s} s)")
+            }
+            Self::Hit(contact) => format!("{} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact)),
+            Self::WasHit(contact) => {
+                format!("{} hit from behind by {} at {}", contact.front_vehicle, contact.rear_vehicle, at(contact))
+            }
+            Self::Others(contact) => {
+                format!("traffic: {} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact))
+            }
+        }
+    }
+}
+
+/// Time to collision at the last sample, if it is below [`STILL_CLOSING_TTC_S`].
+fn closing_ttc_s(trace: &Trace, rear: usize) -> Option<f64> {
+    let pair = trace.pair(rear)?;
+    let closing_mps = pair.rear.speed_mps.last()? - pair.front.speed_mps.last()?;
+    measure::ttc_s(pair.gaps_m().last()?, closing_mps).filter(|&ttc_s| ttc_s < STILL_CLOSING_TTC_S)
+}
+
+impl From<&Contact> for RoundedContact {
+    fn from(contact: &Contact) -> Self {
+        Self {
+            time_s: contact.time_s.into(),
+            front_vehicle: contact.front_vehicle,
+            rear_vehicle: contact.rear_vehicle,
+            impact_speed_mps: contact.impact_speed_mps.into(),
+        }
+    }
+}
+
+/// Whether cases keep their motion, for figures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Motion {
+    Kept,
+    Dropped,
+}
+
+/// Runs every controller in every scenario and reports scenario by scenario, in the order given.
+pub(super) fn run_cases(
+    scenarios: &[&Scenario],
+    controllers: &[Contender],
+    estimator: EstimatorKind,
+    motion: Motion,
+) -> Result<Vec<Vec<Case>>, RunError> {
+    let prepare = |scenario, controller: &Contender, after_contact| {
+        let options =
+            RunOptions::new(controller.controller.clone()).with_estimator(estimator).with_after_contact(after_contact);
+        Run::new(scenario, options)
+    };
+    let pairs: Vec<_> = scenarios.iter().flat_map(|&s| controllers.iter().map(move |c| (s, c))).collect();
+    let runs = pairs.iter().map(|(s, c)| prepare(s, c, AfterContact::Stop)).collect::<Result<Vec<_>, _>>()?;
+    let mut cases = simulate_batch(&runs, Keep::Trace, |index, simulated| {
+        let mut case = Case::of(pairs[index].0, pairs[index].1, simulated);
+        if motion == Motion::Dropped {
+            case.motion = None;
+        }
+        case
+    });
+    let collided = (0..cases.len()).filter(|&index| !matches!(cases[index].verdict, CaseVerdict::Safe { .. }));
+    let collided: Vec<usize> = collided.collect();
+    let to_the_end = collided.iter().map(|&index| prepare(pairs[index].0, pairs[index].1, AfterContact::Continue));
+    let to_the_end = to_the_end.collect::<Result<Vec<_>, _>>()?;
+    let pile_ups = simulate_batch(&to_the_end, Keep::Summary, |_, simulated| PileUp::of(&simulated));
+    for (index, pile_up) in collided.into_iter().zip(pile_ups) {
+        cases[index].pile_up = pile_up;
+    }
+    let mut cases = cases.into_iter();
+    Ok(scenarios.iter().map(|_| cases.by_ref().take(controllers.len()).collect()).collect())
+}
+
+impl PileUp {
+    fn of(simulated: &Simulated) -> Option<Self> {
+        let of = |vehicle| measure::max_delta_v_mps(&simulated.impacts, vehicle);
+        (!simulated.impacts.is_empty()).then(|| Self {
+            impacts: simulated.impacts.len(),
+            vehicles: simulated.vehicles_involved(),
+            max_delta_v_mps: largest((0..simulated.vehicles.len()).map(of)).map(Rounded::new),
+        })
+    }
+}
+
+impl Case {
+    fn of(scenario: &Scenario, controller: &Contender, simulated: Simulated) -> Self {
+        let trace = simulated.trace.as_ref();
+        let measured = |index: usize| trace.and_then(|trace| Measures::of(trace, &simulated.impacts, index));
+        let under_test: Vec<usize> =
+            (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).collect();
+        let own: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index)).collect();
+        let followers: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index + 1)).collect();
+        Self {
+            controller: controller.name.clone(),
+            verdict: CaseVerdict::of(&simulated, scenario),
+            ahead: Towards::worst(&own),
+            behind: Towards::worst(&followers),
+            min_gap_m: smallest(simulated.vehicles.iter().map(|vehicle| vehicle.min_gap_m)).map(Rounded::new),
+            regret_m: None,
+            peak_brake_mps2: largest(own.iter().map(|m| m.peak_brake_mps2)).map(Rounded::new),
+            peak_jerk_mps3: largest(own.iter().map(|m| m.peak_jerk_mps3)).map(Rounded::new),
+            imposed_brake_mps2: largest(own.iter().map(|m| m.imposed.and_then(|imposed| imposed.peak_brake_mps2)))
+                .map(Rounded::new),
+            pile_up: None,
+            motion: simulated.trace.map(|trace| (trace, simulated.impacts)),
+        }
+    }
+}
+
+impl Towards {
+    fn worst(vehicles: &[Measures]) -> Self {
+        let ahead: Vec<_> = vehicles.iter().filter_map(|measures| measures.ahead).collect();
+        // At a contact the deceleration that would have avoided it grows without bound: no number is the worst one.
+        let touched = ahead.iter().any(|a| a.min_gap_m == Some(0.0));
+        let demand = |of: fn(&measure::Ahead) -> Option<f64>| {
+            if touched { None } else { largest(ahead.iter().map(of)).map(Rounded::new) }
+        };
+        Self {
+            min_gap_m: smallest(ahead.iter().map(|a| a.min_gap_m)).map(Rounded::new),
+            min_ttc_s: smallest(ahead.iter().map(|a| a.min_ttc_s)).map(Rounded::new),
+            min_time_headway_s: smallest(ahead.iter().map(|a| a.min_time_headway_s)).map(Rounded::new),
+            min_time_gap_s: smallest(ahead.iter().map(|a| a.min_time_gap_s)).map(Rounded::new),
+            max_drac_mps2: demand(|a| a.max_drac_mps2),
+            max_required_brake_mps2: demand(|a| a.max_required_brake_mps2),
+            tet_s: largest(ahead.iter().map(|a| Some(a.tet_s))).unwrap_or(0.0).into(),
+            tit_s2: largest(ahead.iter().map(|a| Some(a.tit_s2))).unwrap_or(0.0).into(),
+            standstill_gap_m: smallest(ahead.iter().map(|a| a.standstill_gap_m)).map(Rounded::new),
+        }
+    }
+}
+
+pub(super) fn smallest(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    values.flatten().min_by(f64::total_cmp)
+}
+
+pub(super) fn largest(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    values.flatten().max_by(f64::total_cmp)
+}

@@ -1,0 +1,140 @@
+//! What to assess: the configuration file of `crumple assess`.
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::gate::Gate;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::ControllerSpec;
+use crumple_world::scenario::file::FileError;
+
+/// The version of the configuration format this release reads.
+pub const CONFIG_VERSION: u32 = 1;
+
+/// The configuration as a file states it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "Assessment", title = "crumple assessment, version 1")]
+pub struct AssessConfig {
+    /// Version of the file format: 1.
+    pub version: u32,
+    /// Controllers to compare, built-in names or policy files, the baseline first. Default: all built-in ones, the policy
+    /// behind a shield, and the hardened policy.
+    #[serde(default = "all_controllers")]
+    pub controllers: Vec<String>,
+    /// The controller that the argument is about, one of those. Default: the first learned one, or else the last.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub subject: Option<String>,
+    /// What the vehicles under test look through. Default: the Kalman filter.
+    #[serde(default)]
+    pub estimator: EstimatorKind,
+    /// Draws of the paper's distribution for each controller. Default 1000.
+    #[serde(default = "default_draws")]
+    pub draws: u64,
+    /// Seed of the draws. Default 0.
+    #[serde(default)]
+    pub seed: u64,
+    /// Scenario files, and folders of them, relative to the configuration file. Default none.
+    #[serde(default)]
+    pub scenarios: Vec<PathBuf>,
+    /// How failures are searched for.
+    #[serde(default)]
+    pub search: SearchConfig,
+    /// How failures of the learned controllers are counted for a certificate.
+    #[serde(default)]
+    pub rates: RatesConfig,
+    /// Certificates to check, relative to the configuration file. Default: those shipped about the reference policy, if it is
+    /// among the controllers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub certificates: Option<Vec<PathBuf>>,
+    /// What must hold; `crumple assess` ends with exit code 1 if something does not. Default none.
+    #[serde(default)]
+    pub gates: Vec<Gate>,
+}
+
+/// How failures are searched for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct SearchConfig {
+    /// Spaces, built-in names or files relative to the configuration file. Default: `paper` and `high-risk`.
+    pub spaces: Vec<String>,
+    /// Evaluations of the search, and of each yardstick. Default 400.
+    pub budget: u64,
+}
+
+impl Default for SearchConfig {
+    fn default() -> Self {
+        Self { spaces: vec!["paper".to_owned(), "high-risk".to_owned()], budget: 400 }
+    }
+}
+
+/// How failures are counted for a certificate: on draws of the paper's distribution, with a seed of their own.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RatesConfig {
+    /// Runs of each learned controller; none for no count. Default 4000.
+    pub runs: u64,
+    /// Confidence of each bound, above 1/2 and below 1. Default 0.999.
+    pub confidence: f64,
+}
+
+impl Default for RatesConfig {
+    fn default() -> Self {
+        Self { runs: 4000, confidence: 0.999 }
+    }
+}
+
+fn all_controllers() -> Vec<String> {
+    let built_in = ControllerSpec::built_in();
+    built_in.iter().map(ControllerSpec::name).chain(["shield:policy", "hardened"]).map(str::to_owned).collect()
+}
+
+fn default_draws() -> u64 {
+    1000
+}
+
+impl Default for AssessConfig {
+    fn default() -> Self {
+        let (baseline, policy) = ("baseline".to_owned(), "policy".to_owned());
+        Self {
+            version: CONFIG_VERSION,
+            controllers: all_controllers(),
+            subject: None,
+            estimator: EstimatorKind::default(),
+            draws: default_draws(),
+            seed: 0,
+            scenarios: Vec::new(),
+            search: SearchConfig::default(),
+            rates: RatesConfig::default(),
+            certificates: None,
+            gates: vec![
+                Gate::NoContactInPaperScenarios { controller: policy.clone() },
+                Gate::RateNotAbove { controller: policy, than: baseline },
+                Gate::ProofsAccepted,
+            ],
+        }
+    }
+}
+
+/// Why a configuration cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// The configuration, or a scenario file it names, cannot be read.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// A field is out of range.
+    #[error("{}:{line}: {field}: {problem}", path.display())]
+    Field {
+        /// The configuration file.
+        path: PathBuf,
+        /// Line of the field, from 1.
+        line: usize,
+        /// Path of the field.
+        field: String,
+        /// What is wrong.
+        problem: String,
+    },
+}

@@ -1,0 +1,183 @@
+//! Gates: what must hold for an assessment to pass.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Assessment, Comparison, Rounded};
+use crumple_search::falsify::counterexample::AvoidabilityClass;
+
+/// Something that must hold.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "require", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Gate {
+    /// A controller collides in none of the paper's scenarios.
+    NoContactInPaperScenarios {
+        /// The controller.
+        controller: String,
+    },
+    /// A controller collides in none of the scenarios from files.
+    NoContactInTraffic {
+        /// The controller.
+        controller: String,
+    },
+    /// The exact upper bound on a controller's failure rate in the paper's distribution is at most this.
+    RateAtMost {
+        /// The controller.
+        controller: String,
+        /// Largest bound that passes, in percent.
+        percent: f64,
+    },
+    /// A controller collides in no more of the draws than another one.
+    RateNotAbove {
+        /// The controller.
+        controller: String,
+        /// The other one.
+        than: String,
+    },
+    /// No search found a failure of a controller that someone else would have avoided, or that is undecided.
+    NoAvoidableFailure {
+        /// The controller.
+        controller: String,
+        /// In which space.
+        space: String,
+    },
+    /// Every certificate is accepted.
+    ProofsAccepted,
+    /// Nothing is worse than in the assessment that this one is compared with, and there is one.
+    NothingWorse,
+}
+
+/// What came of a gate.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GateResult {
+    /// What must hold.
+    pub gate: String,
+    /// Whether it does.
+    pub holds: bool,
+    /// What decides it.
+    pub because: String,
+}
+
+impl Gate {
+    /// The controllers it is about, each with its field.
+    pub(super) fn controllers(&self) -> Vec<(&'static str, &str)> {
+        match self {
+            Self::RateNotAbove { controller, than } => vec![("controller", controller), ("than", than)],
+            Self::NoContactInPaperScenarios { controller }
+            | Self::NoContactInTraffic { controller }
+            | Self::RateAtMost { controller, .. }
+            | Self::NoAvoidableFailure { controller, .. } => vec![("controller", controller)],
+            Self::ProofsAccepted | Self::NothingWorse => Vec::new(),
+        }
+    }
+
+    pub(super) fn judge(&self, found: &Assessment) -> GateResult {
+        let (holds, because) = match self {
+            Self::NoContactInPaperScenarios { controller } => no_contact(&found.paper_scenarios.scenarios, controller),
+            Self::NoContactInTraffic { controller } => match &found.traffic {
+                Some(traffic) => no_contact(&traffic.scenarios, controller),
+                None => (false, "the configuration names no scenarios".to_owned()),
+            },
+            Self::RateAtMost { controller, percent } => rate_at_most(found, controller, *percent),
+            Self::RateNotAbove { controller, than } => rate_not_above(found, controller, than),
+            Self::NoAvoidableFailure { controller, space } => no_avoidable_failure(found, controller, space),
+            Self::ProofsAccepted => proofs_accepted(found),
+            Self::NothingWorse => nothing_worse(found.comparison.as_ref()),
+        };
+        GateResult { gate: self.words(), holds, because }
+    }
+
+    fn words(&self) -> String {
+        match self {
+            Self::NoContactInPaperScenarios { controller } => {
+                format!("{controller}: no contact in the paper's scenarios")
+            }
+            Self::NoContactInTraffic { controller } => format!("{controller}: no contact in the scenarios from files"),
+            Self::RateAtMost { controller, percent } => {
+                format!("{controller}: failure rate in the paper's distribution at most {percent} %")
+            }
+            Self::RateNotAbove { controller, than } => {
+                format!("{controller}: failure rate in the paper's distribution not above that of {than}")
+            }
+            Self::NoAvoidableFailure { controller, space } => {
+                format!("{controller}: no avoidable failure in `{space}` within the budget")
+            }
+            Self::ProofsAccepted => "every proof is accepted".to_owned(),
+            Self::NothingWorse => "nothing is worse than before".to_owned(),
+        }
+    }
+}
+
+fn no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bool, String) {
+    let cases = scenarios.iter().flat_map(|scenario| {
+        let own = scenario.cases.iter().filter(|case| case.controller == controller && case.verdict.counts());
+        own.map(|case| (scenario.scenario.as_str(), case.verdict.is_collision()))
+    });
+    let (failing, passing): (Vec<_>, Vec<_>) = cases.partition(|(_, collides)| *collides);
+    let names: Vec<_> = failing.iter().map(|(name, _)| *name).collect();
+    match (names.is_empty(), passing.is_empty()) {
+        (false, _) => (false, format!("it collides in {}", names.join(", "))),
+        (true, true) => (false, "it was never tried".to_owned()),
+        (true, false) => (true, format!("0 of {} runs collide", passing.len())),
+    }
+}
+
+fn rate_at_most(found: &Assessment, controller: &str, percent: f64) -> (bool, String) {
+    let distribution = &found.distribution;
+    match distribution.controllers.iter().find(|sampled| sampled.controller == controller) {
+        Some(sampled) if distribution.draws > 0 => {
+            let upper = 100.0 * sampled.bounds(distribution).upper;
+            (upper <= percent, format!("the upper bound is {} %", Rounded::<2>::up(upper)))
+        }
+        _ => (false, "no draws were made".to_owned()),
+    }
+}
+
+fn rate_not_above(found: &Assessment, controller: &str, than: &str) -> (bool, String) {
+    let distribution = &found.distribution;
+    let collisions = |name: &str| Some(distribution.controllers.iter().find(|s| s.controller == name)?.collisions);
+    match (collisions(controller), collisions(than)) {
+        (Some(own), Some(other)) if distribution.draws > 0 => {
+            (own <= other, format!("{own} against {other} of the same {} draws collide", distribution.draws))
+        }
+        _ => (false, "no draws were made".to_owned()),
+    }
+}
+
+fn no_avoidable_failure(found: &Assessment, controller: &str, space: &str) -> (bool, String) {
+    let searches = found.searches.spaces.iter().filter(|of| of.name == space).flat_map(|of| &of.controllers);
+    let Some(search) = searches.into_iter().find(|search| search.controller == controller) else {
+        return (false, "it was not searched for".to_owned());
+    };
+    let (avoidable, undecided) =
+        (search.count(AvoidabilityClass::Avoidable), search.count(AvoidabilityClass::Undecided));
+    match avoidable + undecided {
+        0 => (true, format!("none in {} evaluations", search.evaluations())),
+        _ => (false, format!("{avoidable} avoidable and {undecided} undecided ones were found")),
+    }
+}
+
+fn proofs_accepted(found: &Assessment) -> (bool, String) {
+    let all = found.proofs.certificates.len();
+    let rejected: Vec<_> = found.proofs.certificates.iter().filter(|one| !one.is_accepted()).collect();
+    match rejected.first() {
+        None => (all > 0, format!("{all} of {all} certificates are accepted")),
+        Some(first) => (false, format!("{} of {all} are rejected, first {}", rejected.len(), first.name)),
+    }
+}
+
+fn nothing_worse(comparison: Option<&Comparison>) -> (bool, String) {
+    match comparison {
+        None => (false, "there is no earlier assessment: name one with --against".to_owned()),
+        Some(comparison) => {
+            // A failure that is new, and anything else that is gone, is as bad as what got worse.
+            let new = comparison.new.iter().filter(|change| change.is_failure);
+            let gone = comparison.gone.iter().filter(|change| !change.is_failure);
+            let bad: Vec<_> = comparison.worse.iter().chain(new).chain(gone).collect();
+            match bad.as_slice() {
+                [] => (true, "nothing is".to_owned()),
+                [first, ..] => (false, format!("{} worse, newly failing or gone, first {}", bad.len(), first.what)),
+            }
+        }
+    }
+}

@@ -1,0 +1,414 @@
+//! This assessment beside an earlier one: what got better, worse, new, gone.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use maud::{Markup, html};
+use serde::{Deserialize, Serialize};
+
+use super::Strength;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::{Assessment, EVIDENCE_VERSION, Part};
+use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_world::digest::sha256;
+
+/// What changed since an earlier assessment.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    /// SHA-256 of the evidence it is compared with.
+    pub earlier_sha256: String,
+    /// Whether both were made with the same configuration.
+    pub same_configuration: bool,
+    /// What got better.
+    pub better: Vec<Change>,
+    /// What got worse.
+    pub worse: Vec<Change>,
+    /// What is here and was not there.
+    pub new: Vec<Change>,
+    /// What was there and is not here.
+    pub gone: Vec<Change>,
+    /// How much is as it was.
+    pub unchanged: usize,
+}
+
+/// Something that differs.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Change {
+    /// What it is.
+    pub what: String,
+    /// What was said of it.
+    pub before: Option<String>,
+    /// What is said of it now.
+    pub now: Option<String>,
+    /// Whether it is a failure that a search found.
+    pub is_failure: bool,
+}
+
+/// An earlier assessment, as far as it is compared.
+#[derive(Debug, Clone)]
+pub struct Earlier {
+    sha256: String,
+    config_sha256: String,
+    facts: Facts,
+}
+
+/// Why an earlier assessment cannot be compared with.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ComparisonError {
+    /// The file cannot be read.
+    #[error("{}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// It is no evidence of an assessment.
+    #[error("{}:{line}: {problem}", path.display())]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong.
+        problem: String,
+    },
+    /// It is evidence of another format.
+    #[error("{}: version: {found}, and this release compares with {EVIDENCE_VERSION}", path.display())]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        found: u32,
+    },
+}
+
+/// What is said of each thing, and how good that is: the larger the better.
+type Facts = BTreeMap<String, Fact>;
+
+#[derive(Debug, Clone)]
+struct Fact {
+    score: f64,
+    words: String,
+    /// A failure that was found: bad to be there at all.
+    is_failure: bool,
+}
+
+/// The evidence, as far as it is compared.
+#[derive(Deserialize)]
+struct View {
+    version: u32,
+    summary: SummaryView,
+    paper_scenarios: ScenariosView,
+    traffic: Option<ScenariosView>,
+    searches: SearchesView,
+    proofs: ProofsView,
+    provenance: ProvenanceView,
+}
+
+#[derive(Deserialize)]
+struct ProvenanceView {
+    config_sha256: String,
+}
+
+#[derive(Deserialize)]
+struct SummaryView {
+    controllers: Vec<String>,
+    claims: Vec<ClaimView>,
+}
+
+#[derive(Deserialize)]
+struct ClaimView {
+    claim: String,
+    strengths: Vec<Strength>,
+}
+
+#[derive(Deserialize)]
+struct ScenariosView {
+    scenarios: Vec<ScenarioView>,
+}
+
+#[derive(Deserialize)]
+struct ScenarioView {
+    scenario: String,
+    cases: Vec<CaseView>,
+}
+
+#[derive(Deserialize)]
+struct CaseView {
+    controller: String,
+    min_gap_m: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct SearchesView {
+    spaces: Vec<SpaceView>,
+}
+
+#[derive(Deserialize)]
+struct SpaceView {
+    name: String,
+    controllers: Vec<SearchView>,
+}
+
+#[derive(Deserialize)]
+struct SearchView {
+    controller: String,
+    failures: Vec<FailureView>,
+}
+
+#[derive(Deserialize)]
+struct FailureView {
+    kind: String,
+    class: AvoidabilityClass,
+}
+
+#[derive(Deserialize)]
+struct ProofsView {
+    certificates: Vec<ProofView>,
+}
+
+#[derive(Deserialize)]
+struct ProofView {
+    name: String,
+    status: super::ProofStatus,
+}
+
+impl View {
+    fn facts(self) -> Facts {
+        let mut facts = Facts::new();
+        for claim in self.summary.claims {
+            for (controller, strength) in self.summary.controllers.iter().zip(claim.strengths) {
+                let what = format!("{controller}: {}", claim.claim);
+                // What nobody tried is neither better nor worse than anything: it is not there.
+                if strength != Strength::Untried {
+                    facts.insert(what, Fact { score: score(&strength), words: strength.words(), is_failure: false });
+                }
+            }
+        }
+        let scenarios = self.paper_scenarios.scenarios.into_iter();
+        for scenario in scenarios.chain(self.traffic.into_iter().flat_map(|traffic| traffic.scenarios)) {
+            for case in scenario.cases {
+                if let Some(gap_m) = case.min_gap_m {
+                    let what = format!("{}: smallest gap in {}", case.controller, scenario.scenario);
+                    facts.insert(what, Fact { score: gap_m, words: format!("{gap_m:.2} m"), is_failure: false });
+                }
+            }
+        }
+        for space in self.searches.spaces {
+            for search in space.controllers {
+                for failure in search.failures {
+                    let class = match failure.class {
+                        AvoidabilityClass::Avoidable => "avoidable",
+                        AvoidabilityClass::Unavoidable => "unavoidable",
+                        AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => "not classed",
+                    };
+                    let what = format!("{}: failure in `{}`: {}", search.controller, space.name, failure.kind);
+                    let fact = Fact { score: 0.0, words: "found".to_owned(), is_failure: true };
+                    facts.insert(format!("{what}, {class}"), fact);
+                }
+            }
+        }
+        for proof in self.proofs.certificates {
+            let score = f64::from(matches!(proof.status, super::ProofStatus::Accepted { .. }));
+            let fact = Fact { score, words: proof.status.words(), is_failure: false };
+            facts.insert(format!("certificate {}", proof.name), fact);
+        }
+        facts
+    }
+}
+
+/// The larger the better: first how strongly the claim is supported, then by the number that goes with it.
+fn score(strength: &Strength) -> f64 {
+    let within = match strength {
+        Strength::Proved { .. } | Strength::Untried => 0.0,
+        Strength::Tested { runs } => (*runs as f64).ln_1p(),
+        Strength::ProvedIn { share_percent } => share_percent.value(),
+        Strength::Bounded { upper_percent, .. } | Strength::Undecided { upper_percent, .. } => -upper_percent.value(),
+        Strength::Exceeded { lower_percent, .. } => -lower_percent.value(),
+        Strength::Refuted { failures, runs } => -100.0 * *failures as f64 / (*runs).max(1) as f64,
+        Strength::Found { failures, avoidable } => -(0.001 * *failures as f64) - *avoidable as f64,
+        Strength::Defeated { peak_brake_mps2 } => peak_brake_mps2.value(),
+    };
+    1000.0 * f64::from(strength.rank()) + within
+}
+
+impl Earlier {
+    /// Reads the evidence of an earlier assessment, `assessment.json`.
+    ///
+    /// # Errors
+    /// [`ComparisonError`] if it cannot be read, or is no such evidence.
+    pub fn load(path: &Path) -> Result<Self, ComparisonError> {
+        let text =
+            fs::read_to_string(path).map_err(|source| ComparisonError::Read { path: path.to_owned(), source })?;
+        Self::from_json(&text, path)
+    }
+
+    fn from_json(text: &str, path: &Path) -> Result<Self, ComparisonError> {
+        #[derive(Deserialize)]
+        struct Versioned {
+            version: u32,
+        }
+        let syntax = |error: serde_json::Error| ComparisonError::Syntax {
+            path: path.to_owned(),
+            line: error.line(),
+            problem: format!("not the evidence of an assessment: {error}"),
+        };
+        let Versioned { version } = serde_json::from_str(text).map_err(syntax)?;
+        if version != EVIDENCE_VERSION {
+            return Err(ComparisonError::Version { path: path.to_owned(), found: version });
+        }
+        let view: View = serde_json::from_str(text).map_err(syntax)?;
+        if let Some(claim) = view.summary.claims.iter().find(|c| c.strengths.len() != view.summary.controllers.len()) {
+            let problem = format!("summary.claims: `{}` is not about each controller", claim.claim);
+            return Err(ComparisonError::Syntax { path: path.to_owned(), line: 1, problem });
+        }
+        let config_sha256 = view.provenance.config_sha256.clone();
+        Ok(Self { sha256: sha256(text), config_sha256, facts: view.facts() })
+    }
+}
+
+impl Comparison {
+    /// What changed from `earlier` to `now`; none if the evidence of now cannot be read back, which is a fault of its format.
+    #[must_use]
+    pub fn of(earlier: &Earlier, now: &Assessment) -> Option<Self> {
+        let text = now.json().ok()?;
+        let view: View = serde_json::from_str(&text).ok()?;
+        debug_assert_eq!(view.version, EVIDENCE_VERSION);
+        let same_configuration = view.provenance.config_sha256 == earlier.config_sha256;
+        Some(Self { same_configuration, ..Self::between(earlier, &view.facts()) })
+    }
+
+    fn between(earlier: &Earlier, facts: &Facts) -> Self {
+        let (mut better, mut worse, mut new, mut unchanged) = (Vec::new(), Vec::new(), Vec::new(), 0);
+        for (what, fact) in facts {
+            let before = earlier.facts.get(what);
+            let change = Change {
+                what: what.clone(),
+                before: before.map(|before| before.words.clone()),
+                now: Some(fact.words.clone()),
+                is_failure: fact.is_failure,
+            };
+            match before.map(|before| fact.score.total_cmp(&before.score)) {
+                None => new.push(change),
+                Some(std::cmp::Ordering::Greater) => better.push(change),
+                Some(std::cmp::Ordering::Less) => worse.push(change),
+                Some(std::cmp::Ordering::Equal) => unchanged += 1,
+            }
+        }
+        let gone = earlier.facts.iter().filter(|(what, _)| !facts.contains_key(*what));
+        let gone = gone.map(|(what, fact)| Change {
+            what: what.clone(),
+            before: Some(fact.words.clone()),
+            now: None,
+            is_failure: fact.is_failure,
+        });
+        Self {
+            earlier_sha256: earlier.sha256.clone(),
+            same_configuration: true,
+            better,
+            worse,
+            new,
+            gone: gone.collect(),
+            unchanged,
+        }
+    }
+
+    /// In a sentence.
+    #[must_use]
+    pub fn words(&self) -> String {
+        format!(
+            "Compared with the earlier assessment{}: {} better, {} worse, {} new, {} gone, {} as before.",
+            if self.same_configuration { "" } else { ", which was configured otherwise" },
+            self.better.len(),
+            self.worse.len(),
+            self.new.len(),
+            self.gone.len(),
+            self.unchanged
+        )
+    }
+
+    fn table(&self) -> Table {
+        let mut table = Table::new(&["change", "what", "before", "now"]);
+        let dash = |words: &Option<String>| Cell::text(words.as_deref().unwrap_or("–"));
+        for (kind, changes, judged) in [
+            ("worse", &self.worse, Some(false)),
+            ("better", &self.better, Some(true)),
+            ("new", &self.new, None),
+            ("gone", &self.gone, None),
+        ] {
+            for change in changes {
+                let kind = judged.map_or_else(|| Cell::text(kind), |good| Cell::judged(kind, good));
+                table.row(vec![kind, Cell::text(&change.what), dash(&change.before), dash(&change.now)]);
+            }
+        }
+        table
+    }
+
+    fn is_empty(&self) -> bool {
+        self.better.len() + self.worse.len() + self.new.len() + self.gone.len() == 0
+    }
+}
+
+impl Part for Comparison {
+    fn id(&self) -> &'static str {
+        "changes"
+    }
+
+    fn title(&self) -> String {
+        "Since the earlier assessment".to_owned()
+    }
+
+    fn html(&self) -> Markup {
+        html! { p { (self.words()) } @if !self.is_empty() { (self.table().html()) } }
+    }
+
+    fn markdown(&self) -> String {
+        if self.is_empty() { self.words() + "\n" } else { format!("{}\n\n{}", self.words(), self.table().markdown()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn earlier(facts: &[(&str, f64)]) -> Earlier {
+        Earlier { sha256: String::new(), config_sha256: String::new(), facts: of(facts) }
+    }
+
+    fn of(facts: &[(&str, f64)]) -> Facts {
+        let fact = |score: f64| Fact { score, words: score.to_string(), is_failure: false };
+        facts.iter().map(|(what, score)| ((*what).to_owned(), fact(*score))).collect()
+    }
+
+    #[test]
+    fn everything_falls_into_one_place() {
+        let before = earlier(&[("a", 1.0), ("b", 1.0), ("c", 1.0), ("d", 1.0)]);
+        let found = Comparison::between(&before, &of(&[("a", 2.0), ("b", 0.0), ("c", 1.0), ("e", 1.0)]));
+        let names = |changes: &[Change]| changes.iter().map(|change| change.what.clone()).collect::<String>();
+        let all = [&found.better, &found.worse, &found.new, &found.gone].map(|changes| names(changes));
+        assert_eq!((all, found.unchanged), (["a", "b", "e", "d"].map(str::to_owned), 1));
+    }
+
+    #[test]
+    fn stronger_support_scores_higher() {
+        let in_order = [
+            Strength::Refuted { failures: 9, runs: 10 },
+            Strength::Refuted { failures: 1, runs: 10 },
+            Strength::Tested { runs: 3 },
+            Strength::Tested { runs: 30 },
+            Strength::Proved { certificates: 1 },
+        ];
+        assert!(in_order.windows(2).all(|pair| score(&pair[0]) < score(&pair[1])));
+    }
+
+    #[test]
+    fn what_is_no_evidence_is_refused_with_its_line() {
+        let refused = |text: &str| Earlier::from_json(text, Path::new("old.json")).unwrap_err().to_string();
+        assert!(refused("{}").starts_with("old.json:1: "), "{}", refused("{}"));
+        assert!(refused("{\"version\": 0}").contains("version: 0"));
+    }
+}

@@ -1,0 +1,293 @@
+//! The paper's distribution: failure rates with exact bounds, and paired comparison.
+
+use maud::{Markup, html};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::assessment::case::CaseVerdict;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, Part, Plan, Rounded};
+use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
+use crumple_search::evidence::RateInterval;
+use crumple_world::scenario::{PaperDistribution, Scenario};
+use crumple_world::sim::{Contender, Keep, Run, RunError, RunOptions, Simulated, simulate_batch};
+
+/// Confidence of the intervals.
+const CONFIDENCE: f64 = 0.95;
+
+/// Draws simulated at a time: enough to fill all cores, few enough not to fill memory.
+const DRAWS_AT_ONCE: u64 = 4096;
+
+/// Every controller on the same draws of the paper's distribution.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Distribution {
+    /// Draws for each controller.
+    pub draws: u64,
+    /// Seed of the draws.
+    pub seed: u64,
+    /// Confidence of the intervals.
+    pub confidence: f64,
+    /// One entry a controller.
+    pub controllers: Vec<Sampled>,
+}
+
+/// How one controller did on all draws.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Sampled {
+    /// The controller's name.
+    pub controller: String,
+    /// Draws in which vehicles touched.
+    pub collisions: u64,
+    /// Draws in which a vehicle under test hit the one ahead first.
+    pub hit: u64,
+    /// Draws in which a vehicle under test was hit from behind first.
+    pub was_hit: u64,
+    /// The share of collisions, in percent, and its exact bounds.
+    pub rate_percent: Percent,
+    /// Smallest gap ahead of a vehicle under test over all draws, in metres.
+    pub min_gap_ahead_m: Option<Rounded<2>>,
+    /// Smallest gap behind a vehicle under test over all draws, in metres.
+    pub min_gap_behind_m: Option<Rounded<2>>,
+    /// Mean impact speed of the collisions, in m/s.
+    pub mean_impact_speed_mps: Option<Rounded<1>>,
+    /// The same draws under the first controller beside this one; none for the first itself.
+    pub paired: Option<Paired>,
+}
+
+/// A share in percent with its bounds.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub struct Percent {
+    /// As observed.
+    pub observed: Rounded<2>,
+    /// Lower bound.
+    pub lower: Rounded<2>,
+    /// Upper bound.
+    pub upper: Rounded<2>,
+}
+
+/// Two controllers on the same draws.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+pub struct Paired {
+    /// Both collide.
+    pub both: u64,
+    /// Only the first controller collides.
+    pub only_first: u64,
+    /// Only this one collides.
+    pub only_this: u64,
+}
+
+/// What is kept of one run.
+struct Draw {
+    verdict: CaseVerdict,
+    impact_speed_mps: Option<f64>,
+    gaps_m: [Option<f64>; 2],
+}
+
+impl Sampled {
+    /// The exact bounds on the share of collisions, not rounded.
+    pub(in crate::assessment) fn bounds(&self, distribution: &Distribution) -> RateInterval {
+        RateInterval::exact(self.collisions, distribution.draws, distribution.confidence)
+    }
+}
+
+impl Distribution {
+    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+        let inputs = json!([plan.config.draws, plan.config.seed, plan.identities()]);
+        work.store.get("distribution", &inputs, || Self::run(plan, work))
+    }
+
+    fn run(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+        let config = &plan.config;
+        let mut tallies: Vec<Tally> = plan.controllers.iter().map(|_| Tally::default()).collect();
+        for from in (0..config.draws).step_by(DRAWS_AT_ONCE as usize) {
+            let to = config.draws.min(from + DRAWS_AT_ONCE);
+            let distribution = PaperDistribution { seed: config.seed };
+            let scenarios = (from..to).map(|index| distribution.draw(index)).collect::<Result<Vec<_>, _>>()?;
+            let mut first: Vec<bool> = Vec::new();
+            for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
+                let draws = run_draws(&scenarios, controller, plan)?;
+                let collides: Vec<bool> = draws.iter().map(|draw| draw.verdict.is_collision()).collect();
+                if first.is_empty() {
+                    first.clone_from(&collides);
+                }
+                tally.add(&draws, first.iter().copied().zip(collides));
+            }
+            work.did((to - from) * plan.controllers.len() as u64);
+        }
+        let controllers = plan
+            .controllers
+            .iter()
+            .zip(tallies)
+            .enumerate()
+            .map(|(index, (controller, tally))| tally.finish(controller, index > 0))
+            .collect();
+        Ok(Self { draws: config.draws, seed: config.seed, confidence: CONFIDENCE, controllers })
+    }
+
+    fn introduction(&self) -> String {
+        format!(
+            "{} draws (seed {}), the same for every controller: start, lead braking and its onset, the follower's class and \
+             braking, and noise on the leader's and the follower's acceleration are random. Bounds are exact \
+             (Clopper–Pearson, {} %, each controller by itself), their ends rounded outwards.",
+            self.draws,
+            self.seed,
+            100.0 * self.confidence
+        )
+    }
+
+    fn table(&self) -> Table {
+        let first = self.controllers.first().map_or("", |sampled| sampled.controller.as_str());
+        let paired = [format!("only {first} collides"), "only this one".to_owned()];
+        let mut table = Table::new(&[
+            "controller",
+            "collisions",
+            "rate %",
+            "bounds %",
+            "hit ahead",
+            "hit from behind",
+            "min gap ahead m",
+            "min gap behind m",
+            "mean impact m/s",
+            &paired[0],
+            &paired[1],
+        ]);
+        for sampled in &self.controllers {
+            let rate = sampled.rate_percent;
+            let pair = |of: fn(&Paired) -> u64| sampled.paired.as_ref().map_or("–".to_owned(), |p| of(p).to_string());
+            let dash = |value: Option<Rounded<2>>| value.map_or("–".to_owned(), |value| value.to_string());
+            table.row(vec![
+                Cell::text(&sampled.controller),
+                Cell::judged(sampled.collisions, sampled.collisions == 0),
+                Cell::number(rate.observed),
+                Cell::number(format!("{} – {}", rate.lower, rate.upper)),
+                Cell::number(sampled.hit),
+                Cell::number(sampled.was_hit),
+                Cell::number(dash(sampled.min_gap_ahead_m)),
+                Cell::number(dash(sampled.min_gap_behind_m)),
+                Cell::number(sampled.mean_impact_speed_mps.map_or("–".to_owned(), |speed| speed.to_string())),
+                Cell::number(pair(|p| p.only_first)),
+                Cell::number(pair(|p| p.only_this)),
+            ]);
+        }
+        table
+    }
+
+    fn figure(&self) -> Svg {
+        let names: Vec<_> = self.controllers.iter().map(|sampled| sampled.controller.as_str()).collect();
+        let left = names.iter().map(|name| text_width(name, crate::draw::SMALL)).fold(0.0, f64::max) + 16.0;
+        let (width, height) = (480.0, 30.0 * names.len() as f64);
+        let frame = Frame { left, top: crate::draw::HEADING, width: width - left - 24.0, height };
+        let axis = Axis::numbers("Collisions (% of draws)", (0.0, 100.0), 5);
+        let mut panel =
+            Panel::new(frame, "Collision rate and its exact bounds", axis, Axis::names("", &names).reversed());
+        for (index, sampled) in self.controllers.iter().enumerate() {
+            let y = (names.len() - 1 - index) as f64;
+            let Percent { observed, lower, upper } = sampled.rate_percent;
+            let ink = if sampled.collisions == 0 { Ink::Series(0) } else { Ink::Alert };
+            let marker = if sampled.collisions == 0 { Marker::Ring } else { Marker::Cross };
+            panel.segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
+            panel.marks(&[(observed.value(), y)], marker, ink);
+        }
+        let description = self.controllers.iter().map(|s| format!("{} {} %", s.controller, s.rate_percent.observed));
+        let description = description.collect::<Vec<_>>().join(", ");
+        let size = (width, frame.bottom() + crate::draw::BELOW);
+        Svg::new("rates", size, "Collision rates", &description, panel.draw(&Svg::id("rates", "panel")))
+    }
+}
+
+fn run_draws(scenarios: &[Scenario], controller: &Contender, plan: &Plan) -> Result<Vec<Draw>, RunError> {
+    let options = RunOptions::new(controller.controller.clone()).with_estimator(plan.config.estimator);
+    let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+    Ok(simulate_batch(&runs, Keep::Summary, |index, simulated| Draw::of(runs[index].scenario(), &simulated)))
+}
+
+impl Draw {
+    /// The ego of this distribution is vehicle 1.
+    fn of(scenario: &Scenario, simulated: &Simulated) -> Self {
+        let gap_m = |index: usize| simulated.vehicles.get(index).and_then(|vehicle| vehicle.min_gap_m);
+        Self {
+            verdict: CaseVerdict::of(simulated, scenario),
+            impact_speed_mps: simulated.outcome.contact().map(|contact| contact.impact_speed_mps),
+            gaps_m: [gap_m(1), gap_m(2)],
+        }
+    }
+}
+
+/// Sums over draws.
+#[derive(Default)]
+struct Tally {
+    draws: u64,
+    collisions: u64,
+    hit: u64,
+    was_hit: u64,
+    impact_speed_sum_mps: f64,
+    min_gaps_m: [Option<f64>; 2],
+    paired: Paired,
+}
+
+impl Tally {
+    fn add(&mut self, draws: &[Draw], with_first: impl Iterator<Item = (bool, bool)>) {
+        for draw in draws {
+            self.draws += 1;
+            self.collisions += u64::from(draw.verdict.is_collision());
+            self.hit += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_)));
+            self.was_hit += u64::from(matches!(draw.verdict, CaseVerdict::WasHit(_)));
+            self.impact_speed_sum_mps += draw.impact_speed_mps.unwrap_or(0.0);
+            for (smallest, gap_m) in self.min_gaps_m.iter_mut().zip(draw.gaps_m) {
+                *smallest = [*smallest, gap_m].into_iter().flatten().min_by(f64::total_cmp);
+            }
+        }
+        for (first, this) in with_first {
+            match (first, this) {
+                (true, true) => self.paired.both += 1,
+                (true, false) => self.paired.only_first += 1,
+                (false, true) => self.paired.only_this += 1,
+                (false, false) => {}
+            }
+        }
+    }
+
+    fn finish(self, controller: &Contender, is_paired: bool) -> Sampled {
+        let bounds = RateInterval::exact(self.collisions, self.draws, CONFIDENCE);
+        let observed = if self.draws == 0 { 0.0 } else { self.collisions as f64 / self.draws as f64 };
+        let mean_impact_mps = self.impact_speed_sum_mps / self.collisions as f64;
+        Sampled {
+            controller: controller.name.clone(),
+            collisions: self.collisions,
+            hit: self.hit,
+            was_hit: self.was_hit,
+            rate_percent: Percent {
+                observed: Rounded::new(100.0 * observed),
+                lower: Rounded::down(100.0 * bounds.lower),
+                upper: Rounded::up(100.0 * bounds.upper),
+            },
+            min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
+            min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),
+            mean_impact_speed_mps: (self.collisions > 0).then(|| mean_impact_mps.into()),
+            paired: is_paired.then_some(self.paired),
+        }
+    }
+}
+
+impl Part for Distribution {
+    fn id(&self) -> &'static str {
+        "distribution"
+    }
+
+    fn title(&self) -> String {
+        "The paper's distribution".to_owned()
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (self.introduction()) }
+            (self.table().html())
+            figure { (self.figure()) }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        format!("{}\n\n{}", self.introduction(), self.table().markdown())
+    }
+}

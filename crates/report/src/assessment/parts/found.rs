@@ -1,0 +1,123 @@
+//! A failure that a search found, as a report shows it.
+
+use serde::Serialize;
+
+use crate::assessment::Rounded;
+use crumple_search::falsify::campaign::MethodSummary;
+use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed, Counterexample};
+use crumple_world::digest::sha256;
+
+/// What a method reached within its budget.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct MethodReached {
+    /// The method.
+    pub method: String,
+    /// Runs it made.
+    pub evaluations: u64,
+    /// In which of them, from 1, it met its first failure.
+    pub first_failure: Option<u64>,
+    /// How many of them failed.
+    pub failures: u64,
+}
+
+impl From<&MethodSummary> for MethodReached {
+    fn from(summary: &MethodSummary) -> Self {
+        Self {
+            method: summary.method.clone(),
+            evaluations: summary.evaluations,
+            first_failure: summary.first_falsification,
+            failures: summary.failures,
+        }
+    }
+}
+
+/// A distinct failure, shrunk.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Failure {
+    /// The scenario file, from the folder of the report.
+    pub file: String,
+    /// SHA-256 of that file.
+    pub sha256: String,
+    /// How to see it happen.
+    pub replay: String,
+    /// What happens.
+    pub kind: String,
+    /// When vehicles first touch, in seconds.
+    pub contact_time_s: Option<Rounded<2>>,
+    /// Difference of their speeds, in m/s.
+    pub impact_speed_mps: Option<Rounded<1>>,
+    /// Largest change of speed of any vehicle when the crash is played to its end, in m/s.
+    pub max_delta_v_mps: Option<Rounded<1>>,
+    /// Vehicles involved then.
+    pub vehicles: usize,
+    /// Whether anyone could have avoided it.
+    pub class: AvoidabilityClass,
+    /// The smallest gap of the best escape, in metres, rounded down.
+    pub best_gap_m: Option<Rounded<2>>,
+    /// Place among all of its search by likelihood, from 1.
+    pub likelihood_rank: usize,
+    /// Whether it disappears at a tenth of the step.
+    pub dt_fragile: bool,
+    /// Which method found it.
+    pub found_by: String,
+    /// In which of its runs, from 1.
+    pub found_at: u64,
+    /// Parameters that are not nominal.
+    pub changed: Vec<String>,
+    /// The file itself.
+    #[serde(skip)]
+    pub(in crate::assessment) text: String,
+}
+
+impl Failure {
+    pub(super) fn of(found: &Counterexample, place: &str, text: String, replay: &dyn Fn(&str) -> String) -> Self {
+        let name = found.file.rsplit('/').next().unwrap_or(&found.file);
+        let file = format!("{place}/{name}");
+        Self {
+            sha256: sha256(&text),
+            replay: replay(&file),
+            file,
+            kind: found.kind.clone(),
+            contact_time_s: found.contact_time_s.map(Rounded::new),
+            impact_speed_mps: found.impact_speed_mps.map(Rounded::new),
+            max_delta_v_mps: found.max_delta_v_mps.map(Rounded::new),
+            vehicles: found.vehicles_involved,
+            class: found.avoidability.class(),
+            best_gap_m: found.avoidability.best_min_gap_m().map(Rounded::down),
+            likelihood_rank: found.likelihood_rank,
+            dt_fragile: found.dt_fragile,
+            found_by: found.found_by.clone(),
+            found_at: found.found_at,
+            changed: found.changed.iter().map(changed).collect(),
+            text,
+        }
+    }
+
+    /// Its file's name without folders.
+    pub(super) fn short_name(&self) -> &str {
+        self.file.rsplit('/').next().unwrap_or(&self.file).trim_end_matches(".toml")
+    }
+
+    pub(super) fn words(&self) -> String {
+        let fragile = if self.dt_fragile { ", only at the scenario's step" } else { "" };
+        match (self.impact_speed_mps, self.contact_time_s) {
+            (Some(speed), Some(time)) => format!("{} at {speed} m/s after {time} s{fragile}", self.kind),
+            _ => format!("{}{fragile}", self.kind),
+        }
+    }
+
+    pub(super) fn class_words(&self) -> String {
+        match (self.class, self.best_gap_m) {
+            (AvoidabilityClass::Avoidable, Some(gap_m)) => format!("avoidable, by {gap_m} m"),
+            (AvoidabilityClass::Avoidable, None) => "avoidable".to_owned(),
+            (AvoidabilityClass::Unavoidable, _) => "unavoidable, proved".to_owned(),
+            (AvoidabilityClass::Undecided, _) => "undecided".to_owned(),
+            (AvoidabilityClass::NotAsked, _) => "not asked".to_owned(),
+        }
+    }
+}
+
+fn changed(changed: &Changed) -> String {
+    let unit = if changed.unit == "1" { String::new() } else { format!(" {}", changed.unit) };
+    format!("{} {}{}", changed.parameter, changed.value, unit.trim_end())
+}

@@ -1,0 +1,233 @@
+//! Learned policies: where they come from, and how they brake.
+
+use maud::{Markup, html};
+use serde::Serialize;
+
+use super::{PaperScenarios, ScenarioCases};
+use crate::assessment::case::Case;
+use crate::assessment::rounded::or_dash;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::{Part, Plan, Rounded};
+use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, Stroke, Svg, TaggedLine};
+use crumple_learn::rl::LearningCurve;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::ControllerSpec;
+use crumple_world::sim::{Trace, Track};
+
+/// The learned policies among the controllers.
+#[derive(Debug, Clone, Serialize)]
+pub struct Learned {
+    /// One entry a policy.
+    pub policies: Vec<LearnedPolicy>,
+    /// When each policy brakes in the paper's scenarios, with the first controller beside it.
+    pub braking: Vec<Braking>,
+    /// How the preset behind the reference policy learns, seed after seed; none if that policy is not among the controllers.
+    pub learning_curve: Option<LearningCurve>,
+    #[serde(skip)]
+    figures: Vec<(String, Svg)>,
+}
+
+/// The curve of `crumple train --preset fast --seeds 30`; `corpora/policy/README.md` says how it was made.
+const REFERENCE_CURVE: &str = include_str!("../built_in/learning-curve.json");
+
+/// A policy and its origin.
+#[derive(Debug, Clone, Serialize)]
+pub struct LearnedPolicy {
+    /// The name it goes by here.
+    pub name: String,
+    /// SHA-256 of its file.
+    pub sha256: String,
+    /// Release, preset, seed and episode it comes from.
+    pub origin: String,
+    /// Its network and how it is used.
+    pub network: String,
+}
+
+/// When the first vehicle under test and the one behind it begin to brake.
+#[derive(Debug, Clone, Serialize)]
+pub struct Braking {
+    /// The scenario.
+    pub scenario: String,
+    /// The controller.
+    pub controller: String,
+    /// When the leader first brakes, in seconds.
+    pub leader_brakes_s: Option<Rounded<2>>,
+    /// When the first vehicle under test first brakes harder than [`BRAKING_MPS2`], in seconds.
+    pub ego_brakes_s: Option<Rounded<2>>,
+    /// When the emergency brake of the last vehicle fires, in seconds.
+    pub follower_brakes_s: Option<Rounded<2>>,
+    /// Hardest deceleration of the first vehicle under test in the second before that, in m/s².
+    pub ego_brake_before_mps2: Option<Rounded<2>>,
+    /// Largest acceleration of the first vehicle under test after that while it still moves, in m/s².
+    pub ego_acceleration_after_mps2: Option<Rounded<2>>,
+}
+
+/// A vehicle counts as braking once it decelerates harder than this, in m/s².
+pub const BRAKING_MPS2: f64 = 0.5;
+
+impl Learned {
+    pub(in crate::assessment) fn of(plan: &Plan, paper: &PaperScenarios) -> Option<Self> {
+        let learned: Vec<_> = plan.controllers.iter().filter_map(|c| Some((c.name.clone(), c.policy()?))).collect();
+        if learned.is_empty() {
+            return None;
+        }
+        let first = plan.controllers.first().map(|controller| controller.name.as_str());
+        let is_shown = |name: &str| Some(name) == first || learned.iter().any(|(policy, _)| policy == name);
+        let mut braking = Vec::new();
+        let mut figures = Vec::new();
+        for scenario in &paper.scenarios {
+            let shown: Vec<_> = scenario.cases.iter().filter(|case| is_shown(&case.controller)).collect();
+            braking.extend(shown.iter().filter_map(|case| Braking::of(scenario, case)));
+            for case in shown.iter().filter(|case| case.motion.is_some()) {
+                let name = format!("{}, {}", scenario.scenario, case.controller);
+                figures.extend(case.motion.as_ref().map(|(trace, _)| (name.clone(), accelerations(&name, trace))));
+            }
+        }
+        let policies = learned.iter().map(|(name, policy)| LearnedPolicy::of(name, policy)).collect();
+        let has_reference = learned.iter().any(|(name, _)| name == ControllerSpec::Policy.name());
+        let learning_curve = has_reference.then(|| serde_json::from_str(REFERENCE_CURVE).ok()).flatten();
+        Some(Self { policies, braking, learning_curve, figures })
+    }
+
+    fn origins(&self) -> Table {
+        let mut table = Table::new(&["policy", "trained by", "network", "SHA-256"]);
+        for policy in &self.policies {
+            let digest = policy.sha256.get(..16).unwrap_or_default();
+            table.row(vec![
+                Cell::text(&policy.name),
+                Cell::text(&policy.origin),
+                Cell::text(&policy.network),
+                Cell::text(format!("{digest}…")),
+            ]);
+        }
+        table
+    }
+
+    fn times(&self) -> Table {
+        let mut table = Table::new(&[
+            "scenario, controller",
+            "leader brakes (s)",
+            "ego brakes (s)",
+            "follower's AEB fires (s)",
+            "ego's peak brake in the second before (m/s²)",
+            "ego's peak acceleration after (m/s²)",
+        ]);
+        for braking in &self.braking {
+            table.row(vec![
+                Cell::text(format!("{}, {}", braking.scenario, braking.controller)),
+                Cell::number(or_dash(braking.leader_brakes_s)),
+                Cell::number(or_dash(braking.ego_brakes_s)),
+                Cell::number(or_dash(braking.follower_brakes_s)),
+                Cell::number(or_dash(braking.ego_brake_before_mps2)),
+                Cell::number(or_dash(braking.ego_acceleration_after_mps2)),
+            ]);
+        }
+        table
+    }
+}
+
+impl LearnedPolicy {
+    fn of(name: &str, policy: &Policy) -> Self {
+        let header = policy.header();
+        let preset = header.training.get("name").and_then(serde_json::Value::as_str).unwrap_or("unnamed");
+        Self {
+            name: name.to_owned(),
+            sha256: policy.digest(),
+            origin: format!(
+                "crumple {}, preset {preset}, seed {}, episode {}, estimator {}",
+                header.crumple,
+                header.seed,
+                header.episode,
+                header.estimator.name()
+            ),
+            network: format!("hidden layers {:?}, a decision every {} s", header.hidden, header.decision_interval_s),
+        }
+    }
+}
+
+impl Braking {
+    /// In the paper's scenarios vehicle 0 leads, vehicle 1 is the first under test, and the last one follows.
+    fn of(scenario: &ScenarioCases, case: &Case) -> Option<Self> {
+        let (trace, _) = case.motion.as_ref()?;
+        let [leader, ego, .., follower] = trace.vehicles.as_slice() else { return None };
+        let brakes_s = |track: &Track| {
+            let sample = track.acceleration_mps2.iter().position(|&a| a < -BRAKING_MPS2)?;
+            trace.time_s.get(sample).copied()
+        };
+        let fires_s = brakes_s(follower);
+        let within = |from_s: f64, to_s: f64| {
+            let samples = trace.time_s.iter().zip(&ego.acceleration_mps2).zip(&ego.speed_mps);
+            samples.filter(move |((t, _), v)| **t >= from_s && **t < to_s && **v > 0.0).map(|((_, &a), _)| a)
+        };
+        Some(Self {
+            scenario: scenario.scenario.clone(),
+            controller: case.controller.clone(),
+            leader_brakes_s: brakes_s(leader).map(Rounded::new),
+            ego_brakes_s: brakes_s(ego).map(Rounded::new),
+            follower_brakes_s: fires_s.map(Rounded::new),
+            ego_brake_before_mps2: fires_s
+                .and_then(|fires_s| within(fires_s - 1.0, fires_s).map(|a| -a).max_by(f64::total_cmp))
+                .map(Rounded::new),
+            ego_acceleration_after_mps2: fires_s
+                .and_then(|fires_s| within(fires_s, f64::INFINITY).max_by(f64::total_cmp))
+                .map(Rounded::new),
+        })
+    }
+}
+
+/// Acceleration of every vehicle over time.
+fn accelerations(name: &str, trace: &Trace) -> Svg {
+    let (width, height) = (720.0, 200.0);
+    let frame = Frame { left: LEFT, top: HEADING, width: width - LEFT - 16.0, height };
+    let end_s = trace.time_s.last().copied().unwrap_or(1.0);
+    let time = Axis::numbers("Time (s)", (0.0, end_s), 8);
+    let mut panel = Panel::new(frame, &format!("Acceleration (m/s²): {name}"), time, Axis::numbers("", (-8.0, 4.0), 6));
+    let mut tags = Vec::new();
+    for (index, track) in trace.vehicles.iter().enumerate() {
+        let samples = trace.time_s.iter().zip(&track.acceleration_mps2).zip(&track.speed_mps);
+        // At rest an acceleration is a command to the brakes, not motion.
+        let points: Vec<_> = samples.map(|((&t, &a), &v)| (t, if v > 0.0 { a } else { 0.0 })).collect();
+        panel.line(&points, Stroke::series(index));
+        tags.push(TaggedLine { points, tag: index.to_string(), ink: Ink::Series(index) });
+    }
+    panel.tags(&tags);
+    let prefix = format!("acceleration-{name}");
+    let description = "Acceleration of every vehicle over time, numbered from the front.";
+    Svg::new(&prefix, (width, HEADING + height + BELOW), name, description, panel.draw(&Svg::id(&prefix, "panel")))
+}
+
+const INTRODUCTION: &str = "The paper reports that the learned controller brakes sharply early, which fires the follower's \
+    emergency brake before it is too late, and that it may speed up again at the end to leave room behind. Whether a policy \
+    here does so can be read off: when it first brakes, beside when its leader does; how hard in the second before the \
+    follower's brake fires; and whether it speeds up afterwards. A policy that brakes before its leader does has learned the \
+    paper's scenarios rather than the road: the paper's reward asks for no contact and charges nothing for braking.";
+
+impl Part for Learned {
+    fn id(&self) -> &'static str {
+        "learned"
+    }
+
+    fn title(&self) -> String {
+        "How the learned policy drives".to_owned()
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            (self.origins().html())
+            @if let Some(curve) = &self.learning_curve { figure { (crate::figures::learning_curve(curve)) } }
+            p { (INTRODUCTION) }
+            (self.times().html())
+            @for (name, figure) in &self.figures {
+                details { summary { "accelerations: " (name) } (figure) }
+            }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        let curve = self.learning_curve.as_ref().map_or(String::new(), |curve| {
+            let last = curve.points.last().map_or(0.0, |point| point.mean_reward);
+            format!("{} seeds of preset {} reach a mean reward of {last} of 22500.\n\n", curve.seeds, curve.preset)
+        });
+        format!("{}\n{curve}{INTRODUCTION}\n\n{}", self.origins().markdown(), self.times().markdown())
+    }
+}

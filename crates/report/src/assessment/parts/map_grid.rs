@@ -1,0 +1,122 @@
+//! The grid of a failure map: two parameters of a space, the values they take, and the scenario of every cell.
+
+use serde::{Deserialize, Serialize};
+
+use crate::assessment::{AssessError, Rounded};
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::{Parameter, Space};
+
+/// A parameter that varies over a map.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MapAxis {
+    /// Its name in the space.
+    pub parameter: String,
+    /// What it is, for readers.
+    pub title: String,
+    /// Its unit.
+    pub unit: String,
+    /// Where the first cell begins.
+    pub low: Rounded<2>,
+    /// Where the last cell ends.
+    pub high: Rounded<2>,
+    /// Its value in each column from the left, or in each row from the bottom.
+    pub values: Vec<Rounded<2>>,
+    /// Whether the values grow by a factor rather than by a step.
+    pub by_factor: bool,
+}
+
+/// A parameter that does not vary.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Held {
+    /// Its name in the space.
+    pub parameter: String,
+    /// Its value as a reader knows it, with its unit.
+    pub value: String,
+}
+
+impl MapAxis {
+    /// The middles of as many cells over the parameter's range, as they are shown.
+    pub(super) fn of(space: &Space, parameter: &Parameter, title: &str, cells: usize) -> Self {
+        let [low, high] = parameter.range();
+        let at = |share: f64| {
+            let mut point = space.point(&space.nominal());
+            set(&mut point, parameter, share);
+            space.values(&point).get(parameter.coordinates().start).copied().unwrap_or(low)
+        };
+        let values = (0..cells).map(|cell| Rounded::new(at((cell as f64 + 0.5) / cells as f64))).collect();
+        // The middle of a range is its arithmetic mean unless values grow by a factor.
+        let by_factor = (at(0.5) - 0.5 * (low + high)).abs() > 1e-6 * (high - low);
+        Self {
+            parameter: parameter.name().to_owned(),
+            title: title.to_owned(),
+            unit: parameter.unit().to_owned(),
+            low: low.into(),
+            high: high.into(),
+            values,
+            by_factor,
+        }
+    }
+
+    /// Where on the axis a value stands: 0 at its start, 1 at its end.
+    pub(super) fn share(&self, value: f64) -> f64 {
+        let (low, high) = (self.low.value(), self.high.value());
+        if self.by_factor { (value / low).ln() / (high / low).ln() } else { (value - low) / (high - low) }
+    }
+}
+
+/// Sets every coordinate of a parameter.
+fn set(values: &mut [f64], parameter: &Parameter, to: f64) {
+    for value in values.get_mut(parameter.coordinates()).unwrap_or_default() {
+        *value = to;
+    }
+}
+
+/// The scenario of every cell, row by row from the top, each row from the left.
+pub(super) fn scenarios(
+    space: &Space,
+    (across, up): (&Parameter, &Parameter),
+    axes: &(MapAxis, MapAxis),
+) -> Result<Vec<Scenario>, AssessError> {
+    let at = |x: Rounded<2>, y: Rounded<2>| {
+        let mut values = space.nominal();
+        set(&mut values, across, x.value());
+        set(&mut values, up, y.value());
+        Ok(space.scenario(&values)?)
+    };
+    let cells = axes.1.values.iter().rev().flat_map(|&y| axes.0.values.iter().map(move |&x| (x, y)));
+    cells.map(|(x, y)| at(x, y)).collect()
+}
+
+/// What does not vary.
+pub(super) fn held(space: &Space, varied: (&Parameter, &Parameter)) -> Vec<Held> {
+    let others = space.parameters().iter().filter(|p| p.name() != varied.0.name() && p.name() != varied.1.name());
+    let one = |parameter: &Parameter| {
+        let mut shown: Vec<String> = parameter.nominal().iter().map(|&value| parameter.show(value)).collect();
+        shown.dedup();
+        let unit = if parameter.unit() == "1" { "" } else { parameter.unit() };
+        let value = format!("{} {unit}", shown.join(", "));
+        Held { parameter: parameter.name().to_owned(), value: value.trim_end().to_owned() }
+    };
+    others.map(one).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::space::built_in_space;
+
+    #[test]
+    fn an_axis_by_factors_is_even_in_the_logarithm() {
+        let space = built_in_space("high-risk").unwrap();
+        let axis = |name: &str| {
+            let parameter = space.parameters().iter().find(|p| p.name() == name).unwrap();
+            MapAxis::of(&space, parameter, "", 8)
+        };
+        for (axis, by_factor) in [(axis("gap_behind_m"), true), (axis("speed_mps"), false)] {
+            assert_eq!(axis.by_factor, by_factor);
+            for (cell, value) in axis.values.iter().enumerate() {
+                assert!((axis.share(value.value()) - (cell as f64 + 0.5) / 8.0).abs() < 2e-3);
+            }
+        }
+    }
+}

@@ -1,0 +1,130 @@
+//! The paper's three scenarios.
+
+use maud::{Markup, html};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::ScenarioCases;
+use crate::assessment::best::{Best, WHAT_REGRET_IS};
+use crate::assessment::case::{Case, Motion, run_cases};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, Part, Plan};
+use crate::draw::Svg;
+use crumple_world::scenario::{Scenario, built_in, built_in_names};
+
+/// Every controller in the paper's three scenarios.
+#[derive(Debug, Clone, Serialize)]
+pub struct PaperScenarios {
+    /// One entry a scenario.
+    pub scenarios: Vec<ScenarioCases>,
+    /// Which cases of each scenario are shown beside each other.
+    #[serde(skip)]
+    beside: Vec<usize>,
+}
+
+/// The scenario in which a collision of the first controller is shown from above.
+const FROM_ABOVE: &str = "paper-2";
+
+impl PaperScenarios {
+    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+        let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
+        let known = built_in_names().into_iter().filter_map(|(name, _)| built_in(name));
+        let scenarios = known.map(seeded).collect::<Result<Vec<_>, _>>()?;
+        let all: Vec<&Scenario> = scenarios.iter().collect();
+        let cases = run_cases(&all, &plan.controllers, plan.config.estimator, Motion::Kept)?;
+        work.did((all.len() * plan.controllers.len()) as u64);
+        let bests = all.par_iter().map(|scenario| Best::kept(scenario, work)).collect::<Result<Vec<_>, _>>()?;
+        let seed = if plan.config.seed == 0 { String::new() } else { format!(" --seed {}", plan.config.seed) };
+        let options = plan.simulate_options() + &seed;
+        let scenarios = scenarios
+            .iter()
+            .zip(cases)
+            .zip(bests)
+            .map(|((scenario, cases), best)| {
+                ScenarioCases::new(scenario, &format!("{}{options}", scenario.spec().name), cases).with_best(best)
+            })
+            .collect();
+        // The first controller, and the first learned one or else the second.
+        let learned = (1..plan.controllers.len()).find(|&index| plan.controllers[index].policy().is_some());
+        let beside =
+            [Some(0), learned.or(Some(1))].into_iter().flatten().filter(|&index| index < plan.controllers.len());
+        Ok(Self { scenarios, beside: beside.collect() })
+    }
+}
+
+impl PaperScenarios {
+    /// The figures that stand beside each other, as files.
+    pub(in crate::assessment) fn plates(&self) -> impl Iterator<Item = (String, Svg)> {
+        self.scenarios.iter().map(|scenario| {
+            let (beside, _) = self.split(scenario);
+            (format!("figures/{}.svg", scenario.scenario), scenario.plate(&beside))
+        })
+    }
+
+    /// The cases to show beside each other, and the others.
+    fn split<'a>(&self, scenario: &'a ScenarioCases) -> (Vec<&'a Case>, Vec<&'a Case>) {
+        let numbered = scenario.cases.iter().enumerate();
+        let (beside, others): (Vec<_>, Vec<_>) = numbered.partition(|(index, _)| self.beside.contains(index));
+        let cases = |numbered: Vec<(usize, &'a Case)>| numbered.into_iter().map(|(_, case)| case).collect();
+        (cases(beside), cases(others))
+    }
+}
+
+/// What the columns are.
+const MEASURES: &str = "TTC is the gap over the closing speed, DRAC the closing speed squared over twice the gap, the required brake \
+    what stops short of a vehicle ahead that holds its braking to standstill. TET is how long TTC was below 3 s, TIT by how much, \
+    integrated. Headway is measured between front bumpers, the time gap between bumpers. Peak jerk is the largest change of \
+    acceleration within 0.1 s, divided by it. Delta-v is the change of speed in an impact in which vehicles stick together, by mass.";
+
+const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s²; behind it, at 16 m, the vehicle or vehicles under test; \
+    last, a follower whose emergency brake (the baseline's) fires at TTC < 1.4 s. Each measure is that of the vehicle \
+    under test that fared worst by it, up to the first contact. The pile-up is what follows when everybody drives on and \
+    vehicles that touch stick together.";
+
+impl Part for PaperScenarios {
+    fn id(&self) -> &'static str {
+        "paper"
+    }
+
+    fn title(&self) -> String {
+        "The paper's scenarios".to_owned()
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (INTRODUCTION) }
+            p { (WHAT_REGRET_IS) }
+            p { (MEASURES) }
+            @for scenario in &self.scenarios {
+                h3 { (scenario.scenario) }
+                p { (scenario.about) }
+                @let (beside, others) = self.split(scenario);
+                figure { (scenario.figures_beside(&beside)) }
+                p.replay { @for case in &beside { code { (scenario.replay_of(case)) } " " } }
+                @if let (true, Some(first)) = (scenario.scenario == FROM_ABOVE, scenario.cases.first()) {
+                    figure { (scenario.animation(first)) }
+                }
+                p { (scenario.best_words()) }
+                (scenario.tables())
+                @for case in others { (scenario.folded_figure(case)) }
+            }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        let scenario = |s: &ScenarioCases| {
+            format!(
+                "### {}\n\n{}\n\n{}\n\n{}\n{}\n",
+                s.scenario,
+                s.about,
+                s.best_words(),
+                s.table().markdown(),
+                s.further_measures().markdown()
+            )
+        };
+        format!(
+            "{INTRODUCTION}\n\n{WHAT_REGRET_IS}\n\n{MEASURES}\n\n{}",
+            self.scenarios.iter().map(scenario).collect::<String>()
+        )
+    }
+}

@@ -1,0 +1,167 @@
+//! What is proved, and what the proofs take for granted.
+
+use crumple_verify::Assumption;
+use maud::{Markup, html};
+use serde::Serialize;
+
+use super::certified::{self, Proof};
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, Part, Plan, Rounded};
+use crumple_world::control::Kernel;
+use crumple_world::scenario::VehicleClass;
+
+/// Certificates, each checked in this very run or in one that asked the same.
+#[derive(Debug, Clone, Serialize)]
+pub struct Proofs {
+    /// What the shield's kernels demand, one entry a pair of vehicle classes.
+    pub kernels: Vec<KernelGap>,
+    /// Every certificate.
+    pub certificates: Vec<Proof>,
+    /// What has to hold besides for a shield to keep the vehicle ahead untouched.
+    pub conditions: [&'static str; 4],
+}
+
+/// What the kernel of a pair of vehicle classes demands on a dry road.
+#[derive(Debug, Clone, Serialize)]
+pub struct KernelGap {
+    /// Name of the pair, and of the certificate.
+    pub pair: String,
+    /// What the own vehicle can brake at, in m/s².
+    pub own_brake_mps2: Rounded<2>,
+    /// What the vehicle ahead never brakes harder than, in m/s².
+    pub ahead_brake_mps2: Rounded<2>,
+    /// Gap demanded at [`EXAMPLE_MPS`], in metres, rounded up.
+    pub example_gap_m: Rounded<2>,
+}
+
+/// Own speed and speed ahead for which demanded gaps are shown, in m/s.
+pub const EXAMPLE_MPS: [f64; 2] = [25.0, 20.0];
+
+/// The way from a kernel to a vehicle that does not touch the one ahead.
+const CONDITIONS: [&str; 4] = [
+    "the vehicle starts inside the kernel; from outside it a shield brakes fully and reports that contact cannot be ruled out",
+    "what the shield sees is off by no more than its bounds: nothing with the true state, six standard deviations of the \
+     noise with the Kalman filter, or what the user states",
+    "the vehicle ahead is of the class assumed, and the road's friction is known to the shield",
+    "the code of the shield does what the kernel says: that is tested, not proved",
+];
+
+impl Proofs {
+    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+        let pairs = VehicleClass::ALL.into_iter().flat_map(|own| VehicleClass::ALL.map(|ahead| (own, ahead)));
+        Ok(Self {
+            kernels: pairs.map(|(own, ahead)| KernelGap::of(own, ahead)).collect(),
+            certificates: certified::gather(plan, work)?,
+            conditions: CONDITIONS,
+        })
+    }
+
+    /// How many certificates of kernels were accepted, if all were and there is one for each pair of classes.
+    pub(super) fn kernels_accepted(&self) -> Option<usize> {
+        let accepted = |kernel: &KernelGap| {
+            let own = self.certificates.iter().find(|proof| proof.name == kernel.pair);
+            own.is_some_and(Proof::is_accepted)
+        };
+        self.kernels.iter().all(accepted).then_some(self.kernels.len())
+    }
+
+    fn gaps(&self) -> Table {
+        let [own, ahead] = EXAMPLE_MPS;
+        let example = format!("gap demanded at {own} m/s behind {ahead} m/s (m)");
+        let mut table =
+            Table::new(&["own class behind class ahead", "own brake (m/s²)", "hardest brake ahead (m/s²)", &example]);
+        for kernel in &self.kernels {
+            table.row(vec![
+                Cell::text(&kernel.pair),
+                Cell::number(kernel.own_brake_mps2),
+                Cell::number(kernel.ahead_brake_mps2),
+                Cell::number(kernel.example_gap_m),
+            ]);
+        }
+        table
+    }
+
+    fn table(&self) -> Table {
+        let mut table = Table::new(&["certificate", "about", "what is shown", "SHA-256"]);
+        for proof in &self.certificates {
+            table.row(vec![
+                Cell::text(&proof.name),
+                Cell::text(&proof.about),
+                Cell::judged(proof.status.words(), proof.is_accepted()),
+                Cell::text(format!("{}…", proof.sha256.get(..16).unwrap_or_default())),
+            ]);
+        }
+        table
+    }
+
+    /// For each kind of statement what its certificates take for granted.
+    fn assumptions(&self) -> Vec<String> {
+        let mut lines: Vec<String> = Vec::new();
+        let mut said: Vec<(&str, &[Assumption])> = Vec::new();
+        for proof in &self.certificates {
+            let own = (proof.statement, proof.assumptions.as_slice());
+            if !said.contains(&own) {
+                said.push(own);
+                let all: Vec<_> = proof.assumptions.iter().map(Assumption::to_string).collect();
+                lines.push(format!("{} assumes that {}", proof.statement, all.join("; that ")));
+            }
+        }
+        lines.extend(self.conditions.iter().map(|condition| format!("a shield needs besides: {condition}")));
+        lines
+    }
+}
+
+impl KernelGap {
+    fn of(own: VehicleClass, ahead: VehicleClass) -> Self {
+        let kernel = Kernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
+        let [own_mps, ahead_mps] = EXAMPLE_MPS;
+        Self {
+            pair: format!("{}-behind-{}", own.name(), ahead.name()),
+            own_brake_mps2: kernel.own_brake_mps2.into(),
+            ahead_brake_mps2: kernel.ahead_brake_mps2.into(),
+            example_gap_m: Rounded::up(kernel.demanded_gap_m(own_mps, ahead_mps)),
+        }
+    }
+}
+
+const INTRODUCTION: &str = "Each claim here is a file that the checker accepted; it shares no code with the simulation, the \
+    search, the training or the solver. A kernel is the set of gaps, at given speeds, from which full braking avoids the \
+    vehicle ahead however that one brakes within its limit, and nothing avoids it from any other: a shield (shield:policy, \
+    or before any other controller) lets an action through only if the state stays inside. A rate bounds the share of \
+    failures from counted runs that were registered before the first of them; a comparison says which of two controllers \
+    fails less often. Reach bounds the closed loop of a policy over a whole box of starts. Nothing is proved of the vehicle \
+    behind a shield, nor that a shielded vehicle drives well; on another friction the gaps of a kernel scale by its inverse.";
+
+const RECHECK: &str = "crumple check certificates/*.json";
+
+impl Part for Proofs {
+    fn id(&self) -> &'static str {
+        "proofs"
+    }
+
+    fn title(&self) -> String {
+        "Proofs".to_owned()
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (INTRODUCTION) }
+            (self.table().html())
+            p { "Check again, in the folder of this report: " code { (RECHECK) } }
+            h3 { "What the kernels demand" }
+            (self.gaps().html())
+            h3 { "What the proofs take for granted" }
+            ul { @for line in self.assumptions() { li { (line) } } }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        let lines = self.assumptions().into_iter().map(|line| format!("- {line}\n")).collect::<String>();
+        format!(
+            "{INTRODUCTION}\n\n{}\nCheck again, in the folder of this report: `{RECHECK}`\n\n{}\n{lines}",
+            self.table().markdown(),
+            self.gaps().markdown()
+        )
+    }
+}

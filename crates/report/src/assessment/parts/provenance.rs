@@ -1,0 +1,86 @@
+//! Where the evidence comes from.
+
+use maud::{Markup, html};
+use serde::Serialize;
+
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::{AssessConfig, EvidenceHash, Part, Plan, Store};
+use crumple_world::digest::sha256;
+
+/// What it takes to get the same evidence again.
+#[derive(Debug, Clone, Serialize)]
+pub struct Provenance {
+    /// Version of crumple.
+    pub crumple: &'static str,
+    /// The configuration, defaults filled in.
+    pub config: AssessConfig,
+    /// SHA-256 of the configuration and of every scenario it names.
+    pub config_sha256: String,
+    /// Every piece of evidence that is kept between runs.
+    pub evidence: Vec<EvidenceHash>,
+}
+
+impl Provenance {
+    pub(in crate::assessment) fn of(plan: &Plan, store: &Store) -> Self {
+        // `Debug` writes every field of both, and cannot fail as a serializer can.
+        let scenarios = plan.traffic.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
+        let all = std::iter::once(format!("{:?}", plan.config)).chain(scenarios).collect::<Vec<_>>().join("\n");
+        Self {
+            crumple: env!("CARGO_PKG_VERSION"),
+            config: plan.config.clone(),
+            config_sha256: sha256(&all),
+            evidence: store.hashes(),
+        }
+    }
+
+    fn hashes(&self) -> Table {
+        let mut table = Table::new(&["evidence", "from inputs, SHA-256", "says, SHA-256"]);
+        for hash in &self.evidence {
+            let short = |text: &str| Cell::text(format!("{}…", text.get(..16).unwrap_or_default()));
+            table.row(vec![Cell::text(&hash.name), short(&hash.inputs_sha256), short(&hash.evidence_sha256)]);
+        }
+        table
+    }
+
+    fn lines(&self) -> Vec<(&'static str, String)> {
+        let lines = vec![
+            ("crumple", self.crumple.to_owned()),
+            ("estimator of the vehicles under test", self.config.estimator.name().to_owned()),
+            ("controllers", self.config.controllers.join(", ")),
+            ("draws", self.config.draws.to_string()),
+            ("seed", self.config.seed.to_string()),
+            (
+                "searches",
+                format!("{}, {} evaluations a method", self.config.search.spaces.join(", "), self.config.search.budget),
+            ),
+            ("counted runs", format!("{} at confidence {}", self.config.rates.runs, self.config.rates.confidence)),
+            (
+                "scenarios from files",
+                self.config.scenarios.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", "),
+            ),
+            ("configuration, SHA-256", self.config_sha256.clone()),
+        ];
+        lines.into_iter().filter(|(_, value)| !value.is_empty()).collect()
+    }
+}
+
+impl Part for Provenance {
+    fn id(&self) -> &'static str {
+        "provenance"
+    }
+
+    fn title(&self) -> String {
+        "Provenance".to_owned()
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            dl { @for (name, value) in self.lines() { dt { (name) } dd { (value) } } }
+            details { summary { "hashes of the evidence" } (self.hashes().html()) }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        self.lines().into_iter().map(|(name, value)| format!("- {name}: `{value}`\n")).collect()
+    }
+}

@@ -1,0 +1,198 @@
+//! All controllers in one scenario: a table, and a figure for each.
+
+use maud::{Markup, html};
+use serde::Serialize;
+
+use crate::assessment::Best;
+use crate::assessment::case::Case;
+use crate::assessment::rounded::or_dash;
+use crate::assessment::table::{Cell, Table};
+use crate::draw::{MotionFigure, Svg, animation, motion_beside, motion_plate, motion_responsive, vehicle_names};
+use crumple_world::scenario::Scenario;
+
+/// What came of every controller in one scenario.
+#[derive(Debug, Clone, Serialize)]
+pub struct ScenarioCases {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Why it exists.
+    pub about: String,
+    /// How to run it again.
+    pub replay: String,
+    /// The best anyone could have made of it; none if that was not asked.
+    pub best: Option<Best>,
+    /// One case a controller.
+    pub cases: Vec<Case>,
+    /// The scenario and the names of its vehicles, for figures.
+    #[serde(skip)]
+    drawn: Scenario,
+    #[serde(skip)]
+    labels: Vec<String>,
+}
+
+impl ScenarioCases {
+    /// The cases of a scenario that `crumple simulate` finds under `reach`.
+    pub(in crate::assessment) fn new(scenario: &Scenario, reach: &str, cases: Vec<Case>) -> Self {
+        Self {
+            scenario: scenario.spec().name.clone(),
+            about: scenario.spec().about.clone(),
+            replay: format!("crumple simulate {reach}"),
+            best: None,
+            cases,
+            drawn: scenario.clone(),
+            labels: vehicle_names(scenario),
+        }
+    }
+
+    /// With the best anyone could have made of the scenario, and each controller's regret.
+    pub(in crate::assessment) fn with_best(mut self, best: Best) -> Self {
+        for case in &mut self.cases {
+            case.regret_m = best.regret_m(case);
+        }
+        self.best = Some(best);
+        self
+    }
+
+    /// The best anyone could have made of it, in a sentence.
+    pub(in crate::assessment) fn best_words(&self) -> String {
+        self.best.as_ref().map(Best::words).unwrap_or_default()
+    }
+
+    /// Outcomes and the measures to look at first, one row a controller.
+    pub(in crate::assessment) fn table(&self) -> Table {
+        let header = [
+            "controller",
+            "outcome",
+            "min gap ahead (m)",
+            "min gap behind (m)",
+            "regret (m)",
+            "min TTC (s)",
+            "peak brake (m/s²)",
+            "imposed behind (m/s²)",
+            "pile-up (vehicles)",
+            "max delta-v (m/s)",
+        ];
+        self.rows(&header, |case| {
+            vec![
+                Cell::marked(case.verdict.words(), case.verdict.mark()),
+                Cell::number(or_dash(case.ahead.min_gap_m)),
+                Cell::number(or_dash(case.behind.min_gap_m)),
+                Cell::number(or_dash(case.regret_m)),
+                Cell::number(or_dash(case.ahead.min_ttc_s)),
+                Cell::number(or_dash(case.peak_brake_mps2)),
+                Cell::number(or_dash(case.imposed_brake_mps2)),
+                Cell::number(case.pile_up.map_or("–".to_owned(), |pile_up| pile_up.vehicles.to_string())),
+                Cell::number(or_dash(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))),
+            ]
+        })
+    }
+
+    /// The other measures, one row a controller.
+    pub(in crate::assessment) fn further_measures(&self) -> Table {
+        let header = [
+            "controller",
+            "min time headway (s)",
+            "min time gap (s)",
+            "max DRAC (m/s²)",
+            "required brake (m/s²)",
+            "TET (s)",
+            "TIT (s²)",
+            "peak jerk (m/s³)",
+            "standstill gap ahead (m)",
+            "standstill gap behind (m)",
+            "max DRAC behind (m/s²)",
+            "TET behind (s)",
+        ];
+        self.rows(&header, |case| {
+            vec![
+                Cell::number(or_dash(case.ahead.min_time_headway_s)),
+                Cell::number(or_dash(case.ahead.min_time_gap_s)),
+                Cell::number(or_dash(case.ahead.max_drac_mps2)),
+                Cell::number(or_dash(case.ahead.max_required_brake_mps2)),
+                Cell::number(case.ahead.tet_s),
+                Cell::number(case.ahead.tit_s2),
+                Cell::number(or_dash(case.peak_jerk_mps3)),
+                Cell::number(or_dash(case.ahead.standstill_gap_m)),
+                Cell::number(or_dash(case.behind.standstill_gap_m)),
+                Cell::number(or_dash(case.behind.max_drac_mps2)),
+                Cell::number(case.behind.tet_s),
+            ]
+        })
+    }
+
+    fn rows(&self, header: &[&str], cells: impl Fn(&Case) -> Vec<Cell>) -> Table {
+        let mut table = Table::new(header);
+        for case in &self.cases {
+            table.row(std::iter::once(Cell::text(&case.controller)).chain(cells(case)).collect());
+        }
+        table
+    }
+
+    /// Both tables, the second one folded away.
+    pub(in crate::assessment) fn tables(&self) -> Markup {
+        html! {
+            (self.table().html())
+            details.measures { summary { "further measures" } (self.further_measures().html()) }
+        }
+    }
+
+    /// How to run one case again.
+    pub(in crate::assessment) fn replay_of(&self, case: &Case) -> String {
+        format!("{} --controller {}", self.replay, case.controller)
+    }
+
+    /// The paper's three diagrams of one case.
+    pub(in crate::assessment) fn figure(&self, case: &Case) -> Markup {
+        let Some((trace, impacts)) = &case.motion else { return html! {} };
+        let title = format!("{}, {}", self.scenario, case.controller);
+        let prefix = format!("{}-{}", self.scenario, case.controller);
+        motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &self.labels, trace, impacts })
+    }
+
+    /// The same of several cases beside each other, on the same axes.
+    pub(in crate::assessment) fn figures_beside(&self, cases: &[&Case]) -> Markup {
+        self.with_figures(cases, motion_beside)
+    }
+
+    /// The same as a file for itself.
+    pub(in crate::assessment) fn plate(&self, cases: &[&Case]) -> Svg {
+        self.with_figures(cases, |figures| motion_plate(&self.scenario, &self.scenario, figures))
+    }
+
+    fn with_figures<T>(&self, cases: &[&Case], draw: impl FnOnce(&[MotionFigure<'_>]) -> T) -> T {
+        let moved: Vec<_> = cases.iter().filter_map(|case| Some((*case, case.motion.as_ref()?))).collect();
+        let named = |name: &str| format!("{}-{name}", self.scenario);
+        let prefixes: Vec<_> = moved.iter().map(|(case, _)| named(&case.controller)).collect();
+        let titles: Vec<_> = moved.iter().map(|(case, _)| format!("{}, {}", self.scenario, case.controller)).collect();
+        let figures: Vec<_> = moved
+            .iter()
+            .zip(prefixes.iter().zip(&titles))
+            .map(|((_, (trace, impacts)), (prefix, title))| MotionFigure {
+                prefix,
+                title,
+                labels: &self.labels,
+                trace,
+                impacts,
+            })
+            .collect();
+        draw(&figures)
+    }
+
+    /// What a case looked like from above.
+    pub(in crate::assessment) fn animation(&self, case: &Case) -> Markup {
+        let Some((trace, impacts)) = &case.motion else { return html! {} };
+        let title = format!("{}, {}, from above: {}", self.scenario, case.controller, case.verdict.words());
+        animation(&format!("{}-{}", self.scenario, case.controller), &title, trace, &self.drawn, impacts)
+    }
+
+    /// The figure of one case, folded away behind its outcome.
+    pub(in crate::assessment) fn folded_figure(&self, case: &Case) -> Markup {
+        html! {
+            details {
+                summary { (case.controller) ": " (case.verdict.words()) }
+                (self.figure(case))
+                p.replay { code { (self.replay_of(case)) } }
+            }
+        }
+    }
+}

@@ -1,0 +1,380 @@
+//! The failure search: for each controller, what was searched, how hard, and what was found.
+
+use std::path::Path;
+
+use maud::{Markup, html};
+use rayon::prelude::*;
+use serde::Serialize;
+use serde_json::json;
+
+use super::ScenarioCases;
+use super::found::{Failure, MethodReached};
+use crate::assessment::case::{Motion, run_cases};
+use crate::assessment::plan::slug;
+use crate::assessment::prose::prose;
+use crate::assessment::rounded::or_dash;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, Part, Plan, Rounded, StoreError};
+use crumple_search::disk::DiskError;
+use crumple_search::evidence::RateInterval;
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
+use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_world::measure::Specification;
+use crumple_world::scenario::file;
+use crumple_world::scenario::space::{Space, file as space_file};
+use crumple_world::sim::Contender;
+
+/// Failures of one search that are shown, the severest first: more than a campaign of a few hundred runs tells apart.
+const MOST_SHOWN: usize = 100;
+/// Failures of one search that are drawn.
+const MOST_DRAWN: usize = 2;
+
+/// What was searched for failures, and what was found.
+#[derive(Debug, Clone, Serialize)]
+pub struct Searches {
+    /// One entry a space.
+    pub spaces: Vec<SpaceSearches>,
+}
+
+/// Every controller in one space.
+#[derive(Debug, Clone, Serialize)]
+pub struct SpaceSearches {
+    /// The space, as `--space` takes it.
+    pub name: String,
+    /// What the space covers and why.
+    pub about: String,
+    /// One entry a controller.
+    pub controllers: Vec<Search>,
+}
+
+/// One controller in one space.
+#[derive(Debug, Clone, Serialize)]
+pub struct Search {
+    /// The controller.
+    pub controller: String,
+    /// How to search again.
+    pub command: String,
+    /// What each method reached: the search, then the yardsticks.
+    pub methods: Vec<MethodReached>,
+    /// Distinct failures found, by class.
+    pub distinct: Vec<(AvoidabilityClass, usize)>,
+    /// The severest of them.
+    pub failures: Vec<Failure>,
+    #[serde(skip)]
+    drawn: Vec<ScenarioCases>,
+}
+
+impl Searches {
+    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+        let pairs: Vec<_> = plan
+            .spaces
+            .iter()
+            .flat_map(|space| plan.controllers.iter().enumerate().map(move |one| (space, one)))
+            .collect();
+        let found = pairs.into_par_iter().map(|(space, controller)| Search::gather(plan, space, controller, work));
+        let mut found = found.collect::<Result<Vec<_>, _>>()?.into_iter();
+        let spaces = plan.spaces.iter().map(|(name, space)| SpaceSearches {
+            name: name.clone(),
+            about: space.spec().about.clone(),
+            controllers: found.by_ref().take(plan.controllers.len()).collect(),
+        });
+        Ok(Self { spaces: spaces.collect() })
+    }
+
+    /// Every failure that is shown.
+    pub(in crate::assessment) fn failures(&self) -> impl Iterator<Item = &Failure> {
+        self.spaces.iter().flat_map(|space| &space.controllers).flat_map(|search| &search.failures)
+    }
+}
+
+impl SpaceSearches {
+    /// Of one controller.
+    pub(in crate::assessment) fn of(&self, controller: &str) -> Option<&Search> {
+        self.controllers.iter().find(|search| search.controller == controller)
+    }
+
+    fn table(&self) -> Table {
+        let mut table = Table::new(&[
+            "controller",
+            "distinct failures",
+            "avoidable",
+            "unavoidable",
+            "undecided",
+            "severest impact (m/s)",
+            "first after (runs)",
+            "uniform: first after",
+            "share failing",
+            "Halton: first after",
+        ]);
+        for search in &self.controllers {
+            let first = |method| search.reached(method).and_then(|reached| reached.first_failure);
+            let or_none = |first: Option<u64>| first.map_or("none".to_owned(), |first| first.to_string());
+            table.row(vec![
+                Cell::text(&search.controller),
+                Cell::judged(search.total(), search.total() == 0),
+                Cell::number(search.count(AvoidabilityClass::Avoidable)),
+                Cell::number(search.count(AvoidabilityClass::Unavoidable)),
+                Cell::number(search.count(AvoidabilityClass::Undecided)),
+                Cell::number(or_dash(search.failures.first().and_then(|failure| failure.impact_speed_mps))),
+                Cell::number(or_none(search.methods.first().and_then(|reached| reached.first_failure))),
+                Cell::number(or_none(first(Method::Uniform))),
+                Cell::number(search.uniform_share().map_or("–".to_owned(), |share| format!("{share} %"))),
+                Cell::number(or_none(first(Method::Halton))),
+            ]);
+        }
+        table
+    }
+}
+
+impl Search {
+    fn gather(
+        plan: &Plan,
+        space: &(String, Space),
+        (index, controller): (usize, &Contender),
+        work: &Work<'_>,
+    ) -> Result<Self, AssessError> {
+        let (name, space) = space;
+        let campaign = Campaign {
+            controller: controller.clone(),
+            estimator: plan.config.estimator,
+            space: space.clone(),
+            specification: Specification::NoContact,
+            aim: Aim::default(),
+            method: Method::Auto,
+            budget: plan.config.search.budget,
+            seed: plan.config.seed,
+        };
+        let item = format!("search {} in {}", controller.name, space.name());
+        let inputs = json!([
+            plan.identity(controller),
+            space_file::to_toml(space).unwrap_or_default(),
+            campaign.budget,
+            campaign.seed
+        ]);
+        let (summary, texts): (Summary, Vec<String>) = work.store.get(&item, &inputs, || {
+            let folder = work.store.workplace(&item, &inputs)?;
+            let mut done = 0;
+            let summary = campaign.run(folder.path(), true, &mut |progress| {
+                work.did(progress.evaluations - done);
+                done = progress.evaluations;
+            })?;
+            let shown = summary.counterexamples.iter().take(MOST_SHOWN);
+            let texts = shown.map(|found| read(&folder.path().join(&found.file))).collect::<Result<Vec<_>, _>>()?;
+            folder.remove()?;
+            Ok::<_, AssessError>((summary, texts))
+        })?;
+        let place = format!("counterexamples/{}/{}", slug(space.name()), plan.slug(index));
+        let replay =
+            |file: &str| format!("crumple simulate {file} --controller {}{}", controller.name, plan.simulate_options());
+        let found = summary.counterexamples.iter().zip(texts);
+        let failures: Vec<_> = found.map(|(found, text)| Failure::of(found, &place, text, &replay)).collect();
+        let classes = [
+            AvoidabilityClass::Avoidable,
+            AvoidabilityClass::Unavoidable,
+            AvoidabilityClass::Undecided,
+            AvoidabilityClass::NotAsked,
+        ];
+        let count = |class| summary.counterexamples.iter().filter(|one| one.avoidability.class() == class).count();
+        let command = format!(
+            "crumple falsify --controller {} --space {name} --budget {} --seed {}{}",
+            controller.name,
+            campaign.budget,
+            campaign.seed,
+            plan.simulate_options()
+        );
+        let drawn = if is_drawn(plan, index, controller) { draw(plan, controller, &failures)? } else { Vec::new() };
+        Ok(Self {
+            controller: controller.name.clone(),
+            command,
+            methods: summary.methods.iter().map(MethodReached::from).collect(),
+            distinct: classes.map(|class| (class, count(class))).into_iter().filter(|(_, n)| *n > 0).collect(),
+            failures,
+            drawn,
+        })
+    }
+
+    /// Distinct failures of a class.
+    #[must_use]
+    pub fn count(&self, class: AvoidabilityClass) -> usize {
+        self.distinct.iter().filter(|(of, _)| *of == class).map(|(_, count)| count).sum()
+    }
+
+    /// All distinct failures.
+    #[must_use]
+    pub fn total(&self) -> usize {
+        self.distinct.iter().map(|(_, count)| count).sum()
+    }
+
+    /// Evaluations of all methods together.
+    #[must_use]
+    pub fn evaluations(&self) -> u64 {
+        self.methods.iter().map(|reached| reached.evaluations).sum()
+    }
+
+    /// Share of uniform points that fail, in percent.
+    pub(super) fn uniform_share(&self) -> Option<Rounded<1>> {
+        let uniform = self.reached(Method::Uniform)?;
+        Some(Rounded::new(100.0 * uniform.failures as f64 / uniform.evaluations.max(1) as f64))
+    }
+
+    fn reached(&self, method: Method) -> Option<&MethodReached> {
+        self.methods.iter().find(|reached| reached.method == method.name())
+    }
+
+    fn table(&self) -> Table {
+        let mut table = Table::new(&[
+            "failure",
+            "what happens",
+            "class",
+            "delta-v (m/s)",
+            "vehicles",
+            "rank by likelihood",
+            "found by",
+            "what is not nominal",
+        ]);
+        for failure in &self.failures {
+            table.row(vec![
+                Cell::text(failure.short_name()),
+                Cell::text(failure.words()),
+                Cell::text(failure.class_words()),
+                Cell::number(or_dash(failure.max_delta_v_mps)),
+                Cell::number(failure.vehicles),
+                Cell::number(failure.likelihood_rank),
+                Cell::text(format!("{}, run {}", failure.found_by, failure.found_at)),
+                Cell::text(failure.changed.join(", ")),
+            ]);
+        }
+        table
+    }
+
+    fn in_short(&self) -> String {
+        let avoidable = self.count(AvoidabilityClass::Avoidable);
+        match self.total() {
+            0 => "no failure found".to_owned(),
+            1 => format!("one failure, {}", if avoidable == 1 { "avoidable" } else { "not known to be avoidable" }),
+            total => format!("{total} distinct failures, {avoidable} of them avoidable"),
+        }
+    }
+
+    /// In a sentence or two: how hard was looked, and what random points made of it.
+    fn effort(&self) -> String {
+        let (Some(main), Some(uniform)) = (self.methods.first(), self.reached(Method::Uniform)) else {
+            return String::new();
+        };
+        let random = match uniform.failures {
+            0 => {
+                let upper = RateInterval::exact(0, uniform.evaluations, 0.9).upper;
+                format!(
+                    "of {} uniform points none fails, so that with 95 % confidence a random point fails with a probability below \
+                     {} % and random search would need more than {:.0} runs on average",
+                    uniform.evaluations,
+                    Rounded::<2>::up(100.0 * upper),
+                    (1.0 / upper).floor()
+                )
+            }
+            failures => format!(
+                "of {} uniform points {failures} fail, one in {:.1}",
+                uniform.evaluations,
+                uniform.evaluations as f64 / failures as f64
+            ),
+        };
+        let first = match main.first_failure {
+            Some(first) => format!("`{}` met its first failure in run {first} of {}", main.method, main.evaluations),
+            None => format!("`{}` met none in {} runs", main.method, main.evaluations),
+        };
+        let rest = self.total().saturating_sub(self.failures.len());
+        let rest = if rest == 0 { String::new() } else { format!(" {rest} further distinct failures are not listed.") };
+        format!("{first}; {random}.{rest}")
+    }
+}
+
+/// Those whose failures are drawn: the first controller and the learned ones.
+fn is_drawn(plan: &Plan, index: usize, controller: &Contender) -> bool {
+    index == 0 || index == plan.subject || controller.policy().is_some()
+}
+
+fn draw(plan: &Plan, controller: &Contender, failures: &[Failure]) -> Result<Vec<ScenarioCases>, AssessError> {
+    let mut drawn = Vec::new();
+    for failure in failures.iter().take(MOST_DRAWN) {
+        // What a campaign wrote and read back can be read again.
+        let Ok(scenario) = file::from_toml(&failure.text, Path::new(&failure.file)) else { continue };
+        // Unique on the page, with the controller's: names of scenarios are those of spaces.
+        let named = scenario.edited(|spec| spec.name = format!("{} {}", spec.name, failure.short_name()))?;
+        let one = std::slice::from_ref(controller);
+        let cases = run_cases(&[&named], one, plan.config.estimator, Motion::Kept)?;
+        let reach = format!("{}{}", failure.file, plan.simulate_options());
+        drawn.extend(cases.into_iter().map(|cases| ScenarioCases::new(&named, &reach, cases)));
+    }
+    Ok(drawn)
+}
+
+fn read(path: &Path) -> Result<String, AssessError> {
+    Ok(std::fs::read_to_string(path).map_err(DiskError::at(path)).map_err(StoreError::from)?)
+}
+
+const INTRODUCTION: &str = "A search looks for contacts; points drawn evenly over the ranges (uniform) and a Halton sequence get the same budget. Failures are \
+    replayed at the scenario's step and at a tenth of it, shrunk towards the nominal scenario, told apart, ranked by severity \
+    and by likelihood, and classed: avoidable, if a driver who knows the future has an escape; unavoidable, if the checker has \
+    accepted a proof that nobody has one. A failure says that something can happen, not how often.";
+
+const WHERE: &str = "Commands run in the folder of this report; a policy file or space that the configuration names is named \
+    as it is there, relative to the configuration.";
+
+impl Part for Searches {
+    fn id(&self) -> &'static str {
+        "search"
+    }
+
+    fn title(&self) -> String {
+        "Failure search".to_owned()
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (INTRODUCTION) " " (WHERE) }
+            @for space in &self.spaces {
+                h3 { "Space " (space.name) }
+                p { (prose(&space.about)) }
+                (space.table().html())
+                @for search in &space.controllers {
+                    details.measures {
+                        summary { (search.controller) ": " (search.in_short()) }
+                        p { (prose(&search.effort())) }
+                        @if !search.failures.is_empty() {
+                            (search.table().html())
+                            ul { @for failure in &search.failures { li { code { (failure.replay) } } } }
+                        }
+                        p { "Search again: " code { (search.command) } }
+                        @if !search.drawn.is_empty() {
+                            details {
+                                summary { "the severest, drawn" }
+                                @for (rank, cases) in search.drawn.iter().enumerate() {
+                                    @for case in &cases.cases {
+                                        figure { (cases.figure(case)) }
+                                        @if rank == 0 { figure { (cases.animation(case)) } }
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        let mut text = format!("{INTRODUCTION} {WHERE}\n");
+        for space in &self.spaces {
+            text += &format!("\n### Space {}\n\n{}\n\n{}", space.name, space.about, space.table().markdown());
+            for search in &space.controllers {
+                text += &format!("\n{}: {} Search again: `{}`\n\n", search.controller, search.effort(), search.command);
+                for failure in &search.failures {
+                    text += &format!("- {}, {}: `{}`\n", failure.words(), failure.class_words(), failure.replay);
+                }
+            }
+        }
+        text
+    }
+}

@@ -1,0 +1,145 @@
+//! Scenarios from files: recorded traffic, and whatever else the configuration names.
+
+use std::path::Path;
+
+use maud::{Markup, html};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::ScenarioCases;
+use crate::assessment::best::{Best, WHAT_REGRET_IS};
+use crate::assessment::case::{Case, CaseVerdict, Motion, run_cases};
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, Part, Plan};
+use crumple_world::sim::RunError;
+
+/// Scenarios whose figures are shown: a page of hundreds is no use to anybody.
+const MOST_FIGURES: usize = 12;
+
+/// Every controller in every scenario the configuration names.
+#[derive(Debug, Clone, Serialize)]
+pub struct Traffic {
+    /// One entry a scenario.
+    pub scenarios: Vec<ScenarioCases>,
+    /// Those shown in detail.
+    #[serde(skip)]
+    closest_first: Vec<usize>,
+}
+
+impl Traffic {
+    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        if plan.traffic.is_empty() {
+            return Ok(None);
+        }
+        let options = plan.simulate_options();
+        let run = |indices: &[usize], motion: Motion| -> Result<Vec<ScenarioCases>, RunError> {
+            let chosen: Vec<_> = indices.iter().filter_map(|&index| plan.traffic.get(index)).collect();
+            let scenarios: Vec<_> = chosen.iter().map(|(_, scenario)| scenario).collect();
+            let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
+            let named = chosen.iter().zip(cases).map(|((path, scenario), cases)| {
+                ScenarioCases::new(scenario, &format!("{}{options}", for_shell(path)), cases)
+            });
+            Ok(named.collect())
+        };
+        let mut scenarios = run(&(0..plan.traffic.len()).collect::<Vec<_>>(), Motion::Dropped)?;
+        // Motion is kept only where it is drawn: hundreds of traces would not fit in memory.
+        let closest_first = most_telling(&scenarios);
+        work.did((plan.traffic.len() * plan.controllers.len()) as u64);
+        let best = |&index: &usize| plan.traffic.get(index).map(|(_, scenario)| Best::kept(scenario, work)).transpose();
+        let bests = closest_first.par_iter().map(best).collect::<Result<Vec<_>, _>>()?;
+        for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, Motion::Kept)?).zip(bests) {
+            scenarios[index] = match best {
+                Some(best) => drawn.with_best(best),
+                None => drawn,
+            };
+        }
+        Ok(Some(Self { scenarios, closest_first }))
+    }
+
+    fn overview(&self) -> Table {
+        let names =
+            self.scenarios.first().map_or(&[][..], |scenario| &scenario.cases).iter().map(|c| c.controller.as_str());
+        let header: Vec<&str> = std::iter::once("scenario").chain(names).chain(["best anyone could"]).collect();
+        let mut table = Table::new(&header);
+        for scenario in &self.scenarios {
+            let cells = scenario.cases.iter().map(|case| Cell::marked(words(case), case.verdict.mark()));
+            let best = Cell::text(scenario.best.as_ref().map_or("–".to_owned(), Best::brief));
+            table.row(std::iter::once(Cell::text(&scenario.scenario)).chain(cells).chain([best]).collect());
+        }
+        table
+    }
+}
+
+/// Indices of the scenarios to show in detail: those in which somebody came closest, contacts first.
+fn most_telling(scenarios: &[ScenarioCases]) -> Vec<usize> {
+    let closest_m = |index: &usize| {
+        let gaps = scenarios[*index].cases.iter().flat_map(|case| [case.ahead.min_gap_m, case.behind.min_gap_m]);
+        gaps.flatten().map(|gap| gap.value()).fold(f64::INFINITY, f64::min)
+    };
+    let mut indices: Vec<usize> = (0..scenarios.len()).collect();
+    indices.sort_by(|a, b| closest_m(a).total_cmp(&closest_m(b)));
+    indices.truncate(MOST_FIGURES);
+    indices
+}
+
+/// A path as a shell takes it.
+fn for_shell(path: &Path) -> String {
+    let path = path.to_string_lossy();
+    // Only a NUL cannot be quoted, and no path holds one.
+    shlex::try_quote(&path).map_or_else(|_| path.to_string(), |quoted| quoted.into_owned())
+}
+
+fn words(case: &Case) -> String {
+    let gaps = [case.ahead.min_gap_m, case.behind.min_gap_m].into_iter().flatten();
+    match (gaps.min_by(|a, b| a.value().total_cmp(&b.value())), case.verdict) {
+        (Some(gap_m), CaseVerdict::Safe { closing_ttc_s: None }) => format!("{gap_m} m"),
+        (Some(gap_m), CaseVerdict::Safe { closing_ttc_s: Some(ttc_s) }) => {
+            format!("{gap_m} m, closing (TTC {ttc_s} s)")
+        }
+        _ => case.verdict.words(),
+    }
+}
+
+const INTRODUCTION: &str = "Each scenario the configuration names, under every controller: the smallest gap ahead of or \
+    behind a vehicle under test, or the first contact. \"Closing\" is a run that ended while two vehicles still approached \
+    each other: the scenario was over before its story was.";
+
+impl Part for Traffic {
+    fn id(&self) -> &'static str {
+        "traffic"
+    }
+
+    fn title(&self) -> String {
+        "Recorded traffic and other scenarios".to_owned()
+    }
+
+    fn html(&self) -> Markup {
+        let telling: Vec<_> = self.closest_first.iter().filter_map(|&index| self.scenarios.get(index)).collect();
+        html! {
+            p { (INTRODUCTION) }
+            p { (WHAT_REGRET_IS) " It was looked for in the scenarios shown in detail." }
+            (self.overview().html())
+            p {
+                @if telling.len() < self.scenarios.len() {
+                    "Details of the " (telling.len()) " of " (self.scenarios.len()) " scenarios in which somebody came closest:"
+                } @else {
+                    "Details, closest first:"
+                }
+            }
+            @for scenario in telling {
+                details {
+                    summary { (scenario.scenario) }
+                    p { (scenario.about) }
+                    p { (scenario.best_words()) }
+                    (scenario.tables())
+                    @for case in &scenario.cases { (scenario.folded_figure(case)) }
+                }
+            }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        format!("{INTRODUCTION}\n\n{WHAT_REGRET_IS}\n\n{}", self.overview().markdown())
+    }
+}

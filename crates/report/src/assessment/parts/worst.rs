@@ -1,0 +1,250 @@
+//! The gentlest lead braking that makes each controller collide.
+
+use maud::{Markup, html};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::worst_figure;
+use crate::assessment::best::Best;
+use crate::assessment::case::{Case, CaseVerdict, Motion, PileUp, run_cases};
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, Part, Plan, Rounded};
+use crumple_search::worst_case::{Aim, Attack, Envelope, Hunt, Way, hunt};
+use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in};
+use crumple_world::sim::{Contender, RunOptions};
+
+/// The scenario whose leader brakes.
+const SCENARIO: &str = "paper-1";
+
+/// Most simulations for each controller, roughly: what `crumple worst-case` does unless told otherwise.
+pub(in crate::assessment) const BUDGET: usize = 3000;
+
+/// The mildest braking of the leader found against every controller.
+#[derive(Debug, Clone, Serialize)]
+pub struct WorstProfiles {
+    /// The scenario whose leader brakes.
+    pub scenario: &'static str,
+    /// Its length, in seconds.
+    pub duration_s: Rounded<2>,
+    /// Hardest braking the leader was allowed, in m/s².
+    pub max_brake_mps2: Rounded<2>,
+    /// Fastest change of its acceleration, in m/s³.
+    pub max_jerk_mps3: Rounded<1>,
+    /// One entry a controller.
+    pub profiles: Vec<WorstProfile>,
+}
+
+/// What was found against one controller.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct WorstProfile {
+    /// The controller.
+    pub controller: String,
+    /// How to find it again.
+    pub replay: String,
+    /// Simulations spent.
+    pub evaluations: usize,
+    /// Convex programs solved.
+    pub programs: usize,
+    /// The mildest braking that makes it collide; none if none was found.
+    pub mildest: Option<Mildest>,
+}
+
+/// A braking of the leader that ends in a collision.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Mildest {
+    /// Hardest deceleration of the leader, in m/s².
+    pub peak_brake_mps2: Rounded<2>,
+    /// ∫ a² of the leader, in m²/s³.
+    pub effort_m2ps3: Rounded<2>,
+    /// What follows.
+    pub verdict: CaseVerdict,
+    /// What follows if everybody drives on after that.
+    pub pile_up: Option<PileUp>,
+    /// Whether anyone could have avoided it.
+    pub best: Best,
+    /// Margin that the last convex program predicted, in metres: the smallest gap, or minus v²/10 of an impact at v m/s.
+    pub predicted_margin_m: Rounded<3>,
+    /// The same as simulated.
+    pub margin_m: Rounded<3>,
+    /// Whether a milder one is ruled out on this grid, or it is a local optimum.
+    pub way: Way,
+    /// The profile, for the figure.
+    #[serde(skip)]
+    pub(super) profile: Option<Pieces>,
+}
+
+impl WorstProfiles {
+    /// None if the scenario is not shipped.
+    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        let Some(scenario) = built_in(SCENARIO) else { return Ok(None) };
+        let scenario = scenario.edited(|spec| spec.seed = plan.config.seed)?;
+        let envelope = Envelope::of(&scenario);
+        let against = |controller: &Contender| {
+            let item = format!("worst profile against {}", controller.name);
+            // The profile stands beside: evidence that is published holds rounded numbers only.
+            let (mut found, profile): (WorstProfile, Option<Pieces>) =
+                work.store.get(&item, &(plan.config.seed, plan.identity(controller)), || {
+                    let found = WorstProfile::of(&scenario, controller, envelope, plan)?;
+                    let profile = found.mildest.as_ref().and_then(|mildest| mildest.profile.clone());
+                    Ok::<_, AssessError>((found, profile))
+                })?;
+            if let Some(mildest) = &mut found.mildest {
+                mildest.profile = profile;
+            }
+            work.did(BUDGET as u64);
+            Ok::<_, AssessError>(found)
+        };
+        let profiles = plan.controllers.par_iter().map(against).collect::<Result<Vec<_>, _>>()?;
+        Ok(Some(Self {
+            scenario: SCENARIO,
+            duration_s: scenario.spec().duration_s.into(),
+            max_brake_mps2: envelope.max_brake_mps2.into(),
+            max_jerk_mps3: envelope.jerk_mps3.into(),
+            profiles,
+        }))
+    }
+
+    fn found(&self) -> impl Iterator<Item = (&str, &Mildest)> {
+        self.profiles.iter().filter_map(|profile| Some((profile.controller.as_str(), profile.mildest.as_ref()?)))
+    }
+
+    fn table(&self) -> Table {
+        let mut table = Table::new(&[
+            "controller",
+            "peak of the leader (m/s²)",
+            "∫a² (m²/s³)",
+            "what follows",
+            "pile-up (vehicles)",
+            "best gap anyone could keep",
+            "margin predicted (m)",
+            "simulated (m)",
+            "a milder one is",
+        ]);
+        for (controller, mildest) in self.found() {
+            let pile_up = mildest.pile_up.map_or("–".to_owned(), |pile_up| pile_up.vehicles.to_string());
+            table.row(vec![
+                Cell::text(controller),
+                Cell::number(mildest.peak_brake_mps2),
+                Cell::number(mildest.effort_m2ps3),
+                Cell::marked(mildest.verdict.words(), mildest.verdict.mark()),
+                Cell::number(pile_up),
+                Cell::text(mildest.best.brief()),
+                Cell::number(mildest.predicted_margin_m),
+                Cell::number(mildest.margin_m),
+                Cell::text(match mildest.way {
+                    Way::Exact => "ruled out on this grid",
+                    Way::Widened => "not ruled out, but near the least",
+                    Way::Sequential => "not ruled out",
+                }),
+            ]);
+        }
+        table
+    }
+
+    fn introduction(&self) -> String {
+        format!(
+            "How little must the leader of {} brake for a controller to collide? Any braking up to {} m/s² that changes by at \
+             most {} m/s³ may take the place of its script; mild is what has a small ∫a². Against the baseline the search \
+             enumerates when its brake fires, exactly for the true state and somewhat beyond it for a filter; against the others it is a local one along rollouts, so a milder \
+             braking may exist. Each profile was simulated: the margin, the smallest gap or minus v²/10 after a contact at v \
+             m/s, stands beside what the last convex program predicted. A program aims a little beyond the edge of contact, and \
+             for the baseline it predicts no more than that: once its brake fires, the impact is whatever follows.",
+            self.scenario, self.max_brake_mps2, self.max_jerk_mps3
+        )
+    }
+
+    fn avoidable(&self) -> String {
+        let (found, avoidable) = self.found().fold((0, 0), |(found, avoidable), (_, mildest)| {
+            (found + 1, avoidable + usize::from(matches!(mildest.best, Best::Avoidable { .. })))
+        });
+        format!("Another driver would have avoided {avoidable} of these {found} collisions.")
+    }
+
+    /// For each controller that withstood, how hard was tried.
+    fn withstood(&self) -> Vec<String> {
+        let none = self.profiles.iter().filter(|profile| profile.mildest.is_none());
+        none.map(|profile| {
+            format!(
+                "{}: no braking was found that makes it collide, in {} simulations and {} convex programs. The search is a \
+                 local one: this is no proof that there is none.",
+                profile.controller, profile.evaluations, profile.programs
+            )
+        })
+        .collect()
+    }
+}
+
+impl WorstProfile {
+    fn of(scenario: &Scenario, controller: &Contender, envelope: Envelope, plan: &Plan) -> Result<Self, AssessError> {
+        let options = RunOptions::new(controller.controller.clone()).with_estimator(plan.config.estimator);
+        let Hunt { found, evaluations, programs } = hunt(scenario, &options, Aim::Mildest, envelope, BUDGET)?;
+        let mildest = match found {
+            Some(attack) => Mildest::of(attack, controller, plan)?,
+            None => None,
+        };
+        let replay =
+            format!("crumple worst-case {SCENARIO}{} --controller {}", plan.simulate_options(), controller.name);
+        Ok(Self { controller: controller.name.clone(), replay, evaluations, programs, mildest })
+    }
+}
+
+impl Mildest {
+    fn of(attack: Attack, controller: &Contender, plan: &Plan) -> Result<Option<Self>, AssessError> {
+        let one = std::slice::from_ref(controller);
+        let cases = run_cases(&[&attack.scenario], one, plan.config.estimator, Motion::Dropped)?;
+        let Some(Case { verdict, pile_up, .. }) = cases.into_iter().flatten().next() else { return Ok(None) };
+        let best = Best::of(&attack.scenario);
+        let leader = attack.scenario.vehicles().first().map(|leader| &leader.driver);
+        let Some(Driver::Profile(LeadProfile::Pieces(profile))) = leader.cloned() else { return Ok(None) };
+        Ok(Some(Self {
+            peak_brake_mps2: attack.peak_brake_mps2.into(),
+            effort_m2ps3: attack.effort_m2ps3.into(),
+            verdict,
+            pile_up,
+            best,
+            predicted_margin_m: attack.predicted_margin_m.into(),
+            margin_m: attack.margin_m.into(),
+            way: attack.way,
+            profile: Some(profile),
+        }))
+    }
+}
+
+impl Part for WorstProfiles {
+    fn id(&self) -> &'static str {
+        "worst"
+    }
+
+    fn title(&self) -> String {
+        "Worst brake profiles".to_owned()
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (self.introduction()) }
+            @if self.found().next().is_some() {
+                (self.table().html())
+                p { (self.avoidable()) }
+                figure { (worst_figure::responsive(self.found(), self.duration_s.value())) }
+            }
+            @for line in self.withstood() { p { (line) } }
+            details {
+                summary { "commands that find them again" }
+                ul { @for profile in &self.profiles { li { code { (profile.replay) } } } }
+            }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        let mut text = self.introduction() + "\n\n";
+        if self.found().next().is_some() {
+            text += &format!("{}\n{}\n\n", self.table().markdown(), self.avoidable());
+        }
+        for line in self.withstood() {
+            text += &format!("{line}\n\n");
+        }
+        let commands = self.profiles.iter().map(|profile| format!("- `{}`\n", profile.replay)).collect::<String>();
+        text + "Commands that find them again:\n\n" + &commands
+    }
+}

@@ -1,0 +1,292 @@
+//! A configuration that was found valid, with everything it names.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crumple_verify::Certificate;
+use serde_json::{Value, json};
+
+use super::config::{AssessConfig, CONFIG_VERSION, ConfigError};
+use super::gate::Gate;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::file;
+use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
+use crumple_world::scenario::{ControllerSpec, Scenario, built_in_names};
+use crumple_world::sim::{Contender, UnderTest};
+
+/// Most draws a configuration may ask for.
+const MOST_DRAWS: u64 = 10_000_000;
+
+/// Most evaluations of one search.
+const MOST_EVALUATIONS: u64 = 1_000_000_000;
+
+/// A configuration that was found valid, with everything it names.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    pub(super) config: AssessConfig,
+    pub(super) controllers: Vec<Contender>,
+    /// Which of them the argument is about.
+    pub(super) subject: usize,
+    /// Scenarios from files, in order of their paths, with the path as the configuration reaches it.
+    pub(super) traffic: Vec<(PathBuf, Scenario)>,
+    /// Where failures are searched for, with the name to ask `crumple falsify` for.
+    pub(super) spaces: Vec<(String, Space)>,
+    pub(super) certificates: Vec<GivenCertificate>,
+}
+
+/// A certificate that was made earlier.
+#[derive(Debug, Clone)]
+pub(super) struct GivenCertificate {
+    /// What it is called, without an extension.
+    pub(super) name: String,
+    pub(super) certificate: Certificate,
+    /// The policy it speaks about, if it does and if it was found.
+    pub(super) policy: Option<Vec<u8>>,
+}
+
+/// Certificates about the reference policy; `corpora/certificates/README.md` says how they were made.
+const SHIPPED: [(&str, &str); 2] = [
+    ("reach-paper-1", include_str!("built_in/reach-paper-1.json")),
+    ("reach-paper-2", include_str!("built_in/reach-paper-2.json")),
+];
+
+impl Plan {
+    /// The built-in assessment.
+    #[must_use]
+    pub fn built_in() -> Self {
+        let config = AssessConfig::default();
+        let controllers: Vec<_> =
+            config.controllers.iter().filter_map(|name| Contender::find(name, Path::new("")).ok()).collect();
+        let spaces = config.search.spaces.iter().filter_map(|name| Some((name.clone(), built_in_space(name)?)));
+        let (spaces, certificates) = (spaces.collect(), shipped(&controllers));
+        Self { subject: subject(&controllers), config, controllers, traffic: Vec::new(), spaces, certificates }
+    }
+
+    /// Reads a configuration file and everything it names.
+    ///
+    /// # Errors
+    /// [`ConfigError`] for a file that cannot be read, parsed or accepted.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = file::read(path)?;
+        let config: AssessConfig = file::parse_toml(&text, path)?;
+        let loading = Loading { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
+        loading.check_numbers(&config)?;
+        let controllers = loading.controllers(&config)?;
+        let named = |name: &str| controllers.iter().position(|controller| controller.name == name);
+        let subject = match &config.subject {
+            None => subject(&controllers),
+            Some(name) => named(name).ok_or_else(|| loading.wrong("subject", not_among(name)))?,
+        };
+        for (index, gate) in config.gates.iter().enumerate() {
+            if let Some((field, name)) = gate.controllers().into_iter().find(|(_, name)| named(name).is_none()) {
+                return Err(loading.wrong(&format!("gates[{index}].{field}"), not_among(name)));
+            }
+            if let Gate::RateAtMost { percent, .. } = gate
+                && !(0.0..=100.0).contains(percent)
+            {
+                let problem = format!("must be from 0 to 100, found {percent}");
+                return Err(loading.wrong(&format!("gates[{index}].percent"), problem));
+            }
+            if let Gate::NoAvoidableFailure { space, .. } = gate
+                && !config.search.spaces.contains(space)
+            {
+                let problem = format!("`{space}` is not among `search.spaces`");
+                return Err(loading.wrong(&format!("gates[{index}].space"), problem));
+            }
+        }
+        let (traffic, spaces) = (loading.traffic(&config)?, loading.spaces(&config)?);
+        let certificates = match &config.certificates {
+            None => shipped(&controllers),
+            Some(paths) => loading.certificates(paths)?,
+        };
+        Ok(Self { config, controllers, subject, traffic, spaces, certificates })
+    }
+
+    /// The options that make `crumple simulate` run a scenario as this plan does.
+    pub(super) fn simulate_options(&self) -> String {
+        match self.config.estimator {
+            EstimatorKind::Kalman => String::new(),
+            EstimatorKind::Truth => " --estimator truth".to_owned(),
+        }
+    }
+
+    /// The controller that the argument is about.
+    pub(super) fn subject(&self) -> Option<&Contender> {
+        self.controllers.get(self.subject)
+    }
+
+    /// Everything about the controllers that evidence depends on: their names, and what their policies are.
+    pub(super) fn identities(&self) -> Value {
+        self.controllers.iter().map(|controller| self.identity(controller)).collect()
+    }
+
+    /// The same of one controller.
+    pub(super) fn identity(&self, controller: &Contender) -> Value {
+        let policy = controller.policy().map(|policy| policy.digest());
+        json!([controller.name, policy, self.config.estimator.name()])
+    }
+
+    /// A controller's name as part of a path; different ones for different controllers.
+    pub(super) fn slug(&self, index: usize) -> String {
+        let of = |index: usize| self.controllers.get(index).map(|controller| slug(&controller.name));
+        let own = of(index).unwrap_or_default();
+        let is_taken = (0..index).any(|other| of(other).as_deref() == Some(own.as_str()));
+        if is_taken { format!("{own}-{index}") } else { own }
+    }
+}
+
+/// A name as part of a path.
+pub(super) fn slug(name: &str) -> String {
+    name.chars().map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '-' }).collect()
+}
+
+/// The first learned controller without a shield, or else the last one.
+fn subject(controllers: &[Contender]) -> usize {
+    let is_bare = |controller: &Contender| {
+        controller.policy().is_some() && !matches!(controller.controller, UnderTest::Shielded(_))
+    };
+    controllers.iter().position(is_bare).unwrap_or(controllers.len().saturating_sub(1))
+}
+
+fn shipped(controllers: &[Contender]) -> Vec<GivenCertificate> {
+    if !controllers.iter().any(|controller| controller.name == ControllerSpec::Policy.name()) {
+        return Vec::new();
+    }
+    let given = |(name, text): &(&str, &str)| {
+        let policy = Some(Policy::reference_bytes().to_vec());
+        Some(GivenCertificate { name: (*name).to_owned(), certificate: Certificate::from_json(text).ok()?, policy })
+    };
+    SHIPPED.iter().filter_map(given).collect()
+}
+
+fn not_among(name: &str) -> String {
+    format!("`{name}` is not among `controllers`")
+}
+
+/// A configuration file on its way to a plan.
+struct Loading<'a> {
+    path: &'a Path,
+    text: &'a str,
+    folder: &'a Path,
+}
+
+impl Loading<'_> {
+    fn wrong(&self, field: &str, problem: String) -> ConfigError {
+        ConfigError::Field {
+            path: self.path.to_owned(),
+            line: file::line_in_toml(self.text, field),
+            field: field.to_owned(),
+            problem,
+        }
+    }
+
+    fn check_numbers(&self, config: &AssessConfig) -> Result<(), ConfigError> {
+        if config.version != CONFIG_VERSION {
+            let problem = format!("version {} is not supported: this release reads {CONFIG_VERSION}", config.version);
+            return Err(self.wrong("version", problem));
+        }
+        if config.draws > MOST_DRAWS {
+            return Err(self.wrong("draws", format!("must be at most {MOST_DRAWS}, found {}", config.draws)));
+        }
+        let (budget, runs) = (config.search.budget, config.rates.runs);
+        if !(1..=MOST_EVALUATIONS).contains(&budget) {
+            return Err(self.wrong("search.budget", format!("must be from 1 to {MOST_EVALUATIONS}, found {budget}")));
+        }
+        if runs > MOST_DRAWS {
+            return Err(self.wrong("rates.runs", format!("must be at most {MOST_DRAWS}, found {runs}")));
+        }
+        let confidence = config.rates.confidence;
+        if !(confidence > 0.5 && confidence < 1.0) {
+            return Err(self.wrong("rates.confidence", format!("must be between 0.5 and 1, found {confidence}")));
+        }
+        Ok(())
+    }
+
+    fn controllers(&self, config: &AssessConfig) -> Result<Vec<Contender>, ConfigError> {
+        if config.controllers.is_empty() {
+            return Err(self.wrong("controllers", "must name at least one controller".to_owned()));
+        }
+        let mut controllers = Vec::new();
+        for (index, name) in config.controllers.iter().enumerate() {
+            let field = format!("controllers[{index}]");
+            let controller =
+                Contender::find(name, self.folder).map_err(|error| self.wrong(&field, error.to_string()))?;
+            if controllers.iter().any(|known: &Contender| known.name == controller.name) {
+                return Err(self.wrong(&field, format!("`{name}` is named twice")));
+            }
+            controllers.push(controller);
+        }
+        Ok(controllers)
+    }
+
+    fn traffic(&self, config: &AssessConfig) -> Result<Vec<(PathBuf, Scenario)>, ConfigError> {
+        let mut traffic = Vec::new();
+        for (index, named) in config.scenarios.iter().enumerate() {
+            let field = format!("scenarios[{index}]");
+            let at = self.folder.join(named);
+            if !at.exists() {
+                return Err(self.wrong(&field, format!("there is no {}", at.display())));
+            }
+            let found = file::load_all(&at)?;
+            if found.is_empty() {
+                let problem = format!("the folder {} holds no scenario file", named.display());
+                return Err(self.wrong(&field, problem));
+            }
+            let untested = found.iter().find(|(_, scenario)| !scenario.has_vehicle_under_test());
+            if let Some((path, _)) = untested {
+                return Err(self.wrong(&field, format!("{}: no vehicle is under test", path.display())));
+            }
+            traffic.extend(found);
+        }
+        let mut names: Vec<_> = built_in_names().iter().map(|(name, _)| (*name).to_owned()).collect();
+        for (found_at, scenario) in &traffic {
+            let name = &scenario.spec().name;
+            if names.contains(name) {
+                let problem = format!("{}: the name `{name}` is taken by another scenario", found_at.display());
+                return Err(self.wrong("scenarios", problem));
+            }
+            names.push(name.clone());
+        }
+        Ok(traffic)
+    }
+
+    fn spaces(&self, config: &AssessConfig) -> Result<Vec<(String, Space)>, ConfigError> {
+        let mut spaces: Vec<(String, Space)> = Vec::new();
+        for (index, name) in config.search.spaces.iter().enumerate() {
+            let field = format!("search.spaces[{index}]");
+            let space = match built_in_space(name) {
+                Some(space) => space,
+                None if name.ends_with(".toml") => space_file::load(&self.folder.join(name))?,
+                None => {
+                    let problem = format!("`{name}` is neither a built-in space nor a .toml file");
+                    return Err(self.wrong(&field, problem));
+                }
+            };
+            if spaces.iter().any(|(_, known)| known.name() == space.name()) {
+                return Err(self.wrong(&field, format!("the name `{}` is taken by another space", space.name())));
+            }
+            spaces.push((name.clone(), space));
+        }
+        Ok(spaces)
+    }
+
+    fn certificates(&self, paths: &[PathBuf]) -> Result<Vec<GivenCertificate>, ConfigError> {
+        let mut given: Vec<GivenCertificate> = Vec::new();
+        for (index, path) in paths.iter().enumerate() {
+            let field = format!("certificates[{index}]");
+            let at = self.folder.join(path);
+            let text =
+                fs::read_to_string(&at).map_err(|error| self.wrong(&field, format!("{}: {error}", at.display())))?;
+            let certificate = Certificate::from_json(&text)
+                .map_err(|error| self.wrong(&field, format!("{}: {error}", at.display())))?;
+            let name = at.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
+            if given.iter().any(|known| known.name == name) {
+                return Err(self.wrong(&field, format!("the name `{name}` is taken by another certificate")));
+            }
+            let policy = certificate.policy_bytes(&at, None).or_else(|| Some(Policy::reference_bytes().to_vec()));
+            given.push(GivenCertificate { name, certificate, policy });
+        }
+        Ok(given)
+    }
+}

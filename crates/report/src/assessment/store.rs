@@ -1,0 +1,233 @@
+//! Evidence kept between runs: what has not changed is not gathered again.
+//!
+//! Every piece of evidence has a name and depends on stated inputs. It is kept in a file of its own under the SHA-256 of the
+//! program, the name and the inputs, so that whatever changes makes another file, and an assessment that was interrupted goes
+//! on where it stopped. The file holds the hash of what it keeps; one that was altered is gathered again.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::plan::slug;
+use crumple_search::disk::{self, DiskError};
+use crumple_world::digest::sha256;
+
+/// A piece of evidence: its name, what it depends on, and what it says, as hashes.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct EvidenceHash {
+    /// Which evidence.
+    pub name: String,
+    /// SHA-256 of what it depends on, without the program.
+    pub inputs_sha256: String,
+    /// SHA-256 of the evidence itself, as JSON.
+    pub evidence_sha256: String,
+}
+
+/// Where evidence is kept, if it is.
+#[derive(Debug, Default)]
+pub struct Store {
+    folder: Option<PathBuf>,
+    program: String,
+    fresh: bool,
+    gathered: Mutex<Gathered>,
+}
+
+#[derive(Debug, Default)]
+struct Gathered {
+    hashes: Vec<EvidenceHash>,
+    reused: usize,
+}
+
+/// Why evidence cannot be kept.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StoreError {
+    /// A file or folder cannot be read or written.
+    #[error(transparent)]
+    Disk(#[from] DiskError),
+    /// Evidence, or what it depends on, cannot be encoded.
+    #[error("cannot encode a piece of evidence: {0}")]
+    Encoding(String),
+}
+
+impl StoreError {
+    pub(super) fn encoding(error: impl std::fmt::Display) -> Self {
+        Self::Encoding(error.to_string())
+    }
+}
+
+/// A folder to work in.
+#[derive(Debug)]
+pub(super) struct Workplace {
+    path: PathBuf,
+    /// Removes itself.
+    _temporary: Option<tempfile::TempDir>,
+}
+
+impl Workplace {
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Once the evidence is complete.
+    pub(super) fn remove(self) -> Result<(), StoreError> {
+        Ok(fs::remove_dir_all(&self.path).map_err(DiskError::at(&self.path))?)
+    }
+}
+
+/// What a file holds. Hashes guard against files that were cut, edited or moved, not against somebody who recomputes them.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    name: String,
+    inputs_sha256: String,
+    program: String,
+    evidence_sha256: String,
+    evidence: String,
+}
+
+impl Store {
+    /// Keeps nothing.
+    #[must_use]
+    pub fn none() -> Self {
+        Self::default()
+    }
+
+    /// Keeps evidence in `folder`, which is made if it is not there. `program` stands for everything that could make the same
+    /// inputs give other evidence: the hash of the executable. What is there is not looked at if all is to be gathered
+    /// `fresh`.
+    ///
+    /// # Errors
+    /// [`StoreError`] if the folder cannot be made.
+    pub fn open(folder: &Path, program: &str, fresh: bool) -> Result<Self, StoreError> {
+        fs::create_dir_all(folder).map_err(DiskError::at(&folder))?;
+        Ok(Self { folder: Some(folder.to_owned()), program: program.to_owned(), fresh, gathered: Mutex::default() })
+    }
+
+    /// The evidence of that name if what it depends on is as it was; otherwise what `gather` says.
+    ///
+    /// # Errors
+    /// The error of `gather`, or [`StoreError`].
+    pub(super) fn get<T, E>(
+        &self,
+        name: &str,
+        inputs: &impl Serialize,
+        gather: impl FnOnce() -> Result<T, E>,
+    ) -> Result<T, E>
+    where
+        T: Serialize + DeserializeOwned,
+        E: From<StoreError>,
+    {
+        let inputs_sha256 = sha256(text(inputs)?);
+        let file = format!("{}.json", self.file_stem(name, &inputs_sha256));
+        let path = self.folder.as_ref().map(|folder| folder.join(file));
+        if let Some((evidence, value)) =
+            path.as_deref().filter(|_| !self.fresh).and_then(|path| self.read(path, name, &inputs_sha256))
+        {
+            self.note(name, inputs_sha256, &evidence, true);
+            return Ok(value);
+        }
+        let value = gather()?;
+        let evidence = text(&value)?;
+        if let Some(path) = path {
+            let kept = Kept {
+                name: name.to_owned(),
+                inputs_sha256: inputs_sha256.clone(),
+                program: self.program.clone(),
+                evidence_sha256: sha256(&evidence),
+                evidence: evidence.clone(),
+            };
+            disk::write(&path, text(&kept)?).map_err(StoreError::from)?;
+        }
+        self.note(name, inputs_sha256, &evidence, false);
+        Ok(value)
+    }
+
+    /// A folder in which the evidence of that name is gathered: what an interrupted run left in it is still there.
+    ///
+    /// # Errors
+    /// [`StoreError`] if it cannot be made.
+    pub(super) fn workplace(&self, name: &str, inputs: &impl Serialize) -> Result<Workplace, StoreError> {
+        let Some(folder) = &self.folder else {
+            let made = tempfile::tempdir().map_err(DiskError::at(&std::env::temp_dir()))?;
+            return Ok(Workplace { path: made.path().to_owned(), _temporary: Some(made) });
+        };
+        let path = folder.join(self.file_stem(name, &sha256(text(inputs)?)));
+        fs::create_dir_all(&path).map_err(DiskError::at(&path))?;
+        Ok(Workplace { path, _temporary: None })
+    }
+
+    fn file_stem(&self, name: &str, inputs_sha256: &str) -> String {
+        let key = sha256(format!("{}\n{name}\n{inputs_sha256}", self.program));
+        format!("{}-{}", slug(name), key.get(..16).unwrap_or_default())
+    }
+
+    /// The text of the evidence and its value, if the file is what its name says.
+    fn read<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
+        let kept: Kept = serde_json::from_str(&fs::read_to_string(path).ok()?).ok()?;
+        let is_asked_for = kept.name == name && kept.inputs_sha256 == inputs_sha256 && kept.program == self.program;
+        let is_whole = sha256(&kept.evidence) == kept.evidence_sha256;
+        let value = (is_asked_for && is_whole).then(|| serde_json::from_str(&kept.evidence).ok()).flatten()?;
+        Some((kept.evidence, value))
+    }
+
+    fn note(&self, name: &str, inputs_sha256: String, evidence: &str, reused: bool) {
+        let hash = EvidenceHash { name: name.to_owned(), inputs_sha256, evidence_sha256: sha256(evidence) };
+        // Nothing is left half done under this lock, so that a panic elsewhere does not spoil it.
+        let mut gathered = self.gathered.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        gathered.hashes.push(hash);
+        gathered.reused += usize::from(reused);
+    }
+
+    /// Hashes of all evidence so far, by name.
+    pub(super) fn hashes(&self) -> Vec<EvidenceHash> {
+        let gathered = self.gathered.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut hashes = gathered.hashes.clone();
+        hashes.sort();
+        hashes
+    }
+
+    /// How many pieces of evidence there are, and how many of them were kept from earlier.
+    #[must_use]
+    pub fn reused(&self) -> (usize, usize) {
+        let gathered = self.gathered.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        (gathered.hashes.len(), gathered.reused)
+    }
+}
+
+fn text(value: &impl Serialize) -> Result<String, StoreError> {
+    serde_json::to_string(value).map_err(StoreError::encoding)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn get(store: &Store, inputs: &str, value: f64) -> f64 {
+        store.get::<_, StoreError>("a piece", &inputs, || Ok(value)).unwrap()
+    }
+
+    #[test]
+    fn evidence_is_gathered_again_once_anything_about_it_has_changed() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path(), "program", false).unwrap();
+        assert_eq!((get(&store, "inputs", 0.1), get(&store, "inputs", 0.2)), (0.1, 0.1));
+        assert_eq!(get(&store, "other inputs", 0.3), 0.3);
+        assert_eq!(get(&Store::open(folder.path(), "other program", false).unwrap(), "inputs", 0.4), 0.4);
+        assert_eq!(store.reused(), (3, 1));
+        for file in fs::read_dir(folder.path()).unwrap() {
+            let path = file.unwrap().path();
+            fs::write(&path, fs::read_to_string(&path).unwrap().replace("0.1", "0.9")).unwrap();
+        }
+        assert_eq!(get(&store, "inputs", 0.5), 0.5, "altered evidence is not believed");
+        assert_eq!(get(&Store::none(), "inputs", 0.6), 0.6);
+        assert_eq!(get(&Store::open(folder.path(), "program", true).unwrap(), "inputs", 0.7), 0.7);
+        let [one, other] = ["inputs", "other inputs"].map(|inputs| {
+            folder.path().join(format!("{}.json", store.file_stem("a piece", &sha256(text(&inputs).unwrap()))))
+        });
+        fs::copy(&other, &one).unwrap();
+        assert_eq!(get(&store, "inputs", 0.8), 0.8, "evidence from other inputs is not believed");
+    }
+}

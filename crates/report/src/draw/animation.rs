@@ -1,0 +1,184 @@
+//! A run as it would be seen from above: vehicles on a lane, a time slider, live speeds and gaps.
+//!
+//! What is drawn here is the last instant, which is all there is without a script and in print. The page's one script,
+//! [`ANIMATION_SCRIPT`], finds every animation of the page and moves what is drawn, by numbers that stand in it as JSON.
+
+use maud::{Markup, PreEscaped, html};
+
+use super::animation_data::AnimationData;
+use super::label::Frame;
+use super::names::vehicle_names;
+use super::panel::{Anchor, Marker, mark, straight, tag, tag_width, words};
+use super::path::Px;
+use super::scale::signed;
+use super::theme::{Ink, SMALL, Stroke};
+use super::{Place, Svg};
+use crumple_world::scenario::{Scenario, VehicleClass};
+use crumple_world::sim::{Impact, Trace};
+
+/// The style sheet of a page that holds animations, besides [`STYLE`](super::STYLE).
+pub const ANIMATION_STYLE: &str = include_str!("animation.css");
+
+/// The script of a page that holds animations: once a page, at its end, in a `<script>` element.
+pub const ANIMATION_SCRIPT: &str = include_str!("animation.js");
+
+/// Height of the lane and of what stands above and below it, in pixels.
+const LANE: f64 = 46.0;
+const ABOVE: f64 = 26.0;
+const BELOW_LANE: f64 = 44.0;
+
+/// A dash of the lane's middle and the pause after it are together this long, in metres.
+const DASH_M: f64 = 10.0;
+
+/// One way to draw the lane, by its width.
+struct View<'a> {
+    data: &'a AnimationData,
+    width: f64,
+    px_per_m: f64,
+    camera_m: f64,
+}
+
+/// The block of one run. `id` differs between the figures of a page.
+///
+/// `trace` is of a run of `scenario`, and `impacts` are that run's.
+#[must_use]
+pub fn animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario, impacts: &[Impact]) -> Markup {
+    let labels = vehicle_names(scenario);
+    let classes: Vec<VehicleClass> = scenario.vehicles().iter().map(|vehicle| vehicle.class).collect();
+    let data = AnimationData::of(trace, impacts);
+    let last = data.samples().saturating_sub(1);
+    let end = format!("{:.2} s", data.end_s());
+    let view = |name: &str, width: f64| {
+        let px_per_m = width / data.window_m();
+        let view = View { data: &data, width, px_per_m, camera_m: data.camera_m(last) };
+        view.svg(&Svg::id(id, name), title, &classes)
+    };
+    html! {
+        div.draw-animation id=(Svg::id(id, "animation")) data-dash=(DASH_M) role="group" aria-label=(title) {
+            p.draw-title { (title) }
+            div.draw-wide { (view("above-wide", 960.0)) }
+            div.draw-narrow { (view("above-narrow", 360.0)) }
+            div.draw-controls hidden {
+                button type="button" { "Play" }
+                input type="range" min="0" max=(last) value=(last) step="1" aria-label="Time" aria-valuetext=(end);
+            }
+            p.draw-state { span.draw-time { (end) } " " span.draw-event { (data.event(data.end_s())) } }
+            div.scroll tabindex="0" { table {
+                thead { tr {
+                    th scope="col" { "vehicle" }
+                    th.number scope="col" { "speed (m/s)" }
+                    th.number scope="col" { "acceleration (m/s²)" }
+                    th.number scope="col" { "gap ahead (m)" }
+                } }
+                tbody { @for (index, vehicle) in data.vehicles().iter().enumerate() { tr {
+                    th scope="row" { (index) " " (labels.get(index).map_or("", String::as_str)) }
+                    td.number { (vehicle.speed_mps(last).map_or(String::new(), |v| signed(v, 1))) }
+                    td.number { (vehicle.acceleration_mps2(last).map_or(String::new(), |a| signed(a, 1))) }
+                    td.number { (data.gap_m(index, last).map_or("–".to_owned(), |gap| signed(gap, 2))) }
+                } } }
+            } }
+            // Only numbers stand in it: nothing there can end the element.
+            script type="application/json" { (PreEscaped(data.json())) }
+        }
+    }
+}
+
+impl View<'_> {
+    fn x(&self, position_m: f64) -> f64 {
+        self.width / 2.0 + (position_m - self.camera_m) * self.px_per_m
+    }
+
+    fn svg(&self, prefix: &str, title: &str, classes: &[VehicleClass]) -> Svg {
+        let last = self.data.samples().saturating_sub(1);
+        let (top, bottom) = (ABOVE, ABOVE + LANE);
+        let middle = ABOVE + LANE / 2.0;
+        let clip = Svg::id(prefix, "clip");
+        let edge = |y| straight((0.0, y), (self.width, y), Stroke::solid(Ink::Axis, 1.4));
+        let dash = DASH_M * self.px_per_m;
+        let content = html! {
+            clipPath id=(clip) { rect x="0" y="0" width=(Px(self.width)) height=(Px(bottom + BELOW_LANE)) {} }
+            g class="draw-view" data-width=(Px(self.width)) data-scale=(format!("{:.4}", self.px_per_m))
+                clip-path={ "url(#" (clip) ")" } {
+                (edge(top)) (edge(bottom))
+                path class="draw-lane" d={ "M0 " (Px(bottom + 5.0)) "H" (Px(self.width)) } stroke=(Ink::Muted.hex())
+                    stroke-width="3" stroke-dasharray={ (Px(0.3 * dash)) " " (Px(0.7 * dash)) }
+                    stroke-dashoffset=(Px(self.dash_offset())) {}
+                @for (index, vehicle) in self.data.vehicles().iter().enumerate() {
+                    @let class = classes.get(index).copied().unwrap_or(VehicleClass::Light);
+                    @let x = self.x(vehicle.position_m(last).unwrap_or(0.0));
+                    @let braking = vehicle.acceleration_mps2(last).is_some_and(|a| a < -0.5);
+                    g class="draw-vehicle" transform={ "translate(" (Px(x)) " " (Px(middle)) ")" } {
+                        (self.body(vehicle.length_m(), class, index, braking))
+                    }
+                }
+                @for rear in 1..self.data.vehicles().len() {
+                    (self.gap(rear, last, if rear % 2 == 1 { bottom + 22.0 } else { top - 8.0 }))
+                }
+                @for impact in self.data.impacts() {
+                    @let x = self.x(self.data.hit_m(impact, last));
+                    g class="draw-impact" transform={ "translate(" (Px(x)) " " (Px(middle)) ")" } {
+                        (mark((0.0, 0.0), Marker::Burst, Ink::Alert))
+                    }
+                }
+            }
+            (self.scale_bar((self.width - 8.0, bottom + BELOW_LANE - 6.0)))
+        };
+        let description = "The vehicles of a run on their lane, seen from above, moving to the right. Lengths and gaps are to \
+            scale, widths are not. A bar at a vehicle's rear means that it brakes, a star contact.";
+        Svg::new(prefix, (self.width, bottom + BELOW_LANE), title, description, content)
+    }
+
+    /// A vehicle that ends at x = 0 in front, centred on y = 0.
+    fn body(&self, length_m: f64, class: VehicleClass, index: usize, braking: bool) -> Markup {
+        let length = (length_m * self.px_per_m).max(3.0);
+        let width = match class {
+            VehicleClass::Light => 22.0,
+            VehicleClass::Heavy => 30.0,
+        };
+        let Frame { left, top, .. } = Frame::around((-length / 2.0, 0.0), length, width);
+        let (ink, number) = (Ink::Series(index), index.to_string());
+        html! {
+            rect x=(Px(left)) y=(Px(top)) width=(Px(length)) height=(Px(width)) rx="3" fill=(ink.hex())
+                fill-opacity="0.3" stroke=(ink.hex()) stroke-width="1.6" {}
+            // A windscreen tells the front from the rear.
+            path d={ "M" (Px(-(0.28 * length).min(9.0))) " " (Px(top + 3.0)) "V" (Px(-top - 3.0)) } stroke=(ink.hex())
+                stroke-width="1.6" {}
+            path class="draw-brake" d={ "M" (Px(left + 1.5)) " " (Px(top + 2.0)) "V" (Px(-top - 2.0)) }
+                stroke=(Ink::Alert.hex()) stroke-width="4" visibility=[(!braking).then_some("hidden")] {}
+            @if length >= 1.9 * tag_width(&number) {
+                (tag((-length / 2.0, 0.0), &number, ink))
+            } @else {
+                (words((-length / 2.0, SMALL * 0.35), Anchor::Middle, &number, SMALL, Ink::Text, true))
+            }
+        }
+    }
+
+    /// The gap ahead of a vehicle as a line between two bumpers, and its length in words.
+    fn gap(&self, rear: usize, sample: usize, y: f64) -> Markup {
+        let gap_m = self.data.gap_m(rear, sample).unwrap_or(0.0);
+        let from = self.data.vehicles().get(rear).and_then(|vehicle| vehicle.position_m(sample)).unwrap_or(0.0);
+        let place: Place = (self.x(from + gap_m / 2.0), y);
+        html! {
+            g class="draw-gap" transform={ "translate(" (Px(place.0)) " " (Px(place.1)) ")" } {
+                (words((0.0, 0.0), Anchor::Middle, &format!("{} m", signed(gap_m, 1)), SMALL, Ink::Text, false))
+            }
+        }
+    }
+
+    fn scale_bar(&self, (right, y): Place) -> Markup {
+        let metres = if DASH_M * self.px_per_m > 24.0 { DASH_M } else { 5.0 * DASH_M };
+        let left = right - metres * self.px_per_m;
+        html! {
+            (straight((left, y), (right, y), Stroke::solid(Ink::Muted, 1.2)))
+            (straight((left, y - 3.0), (left, y + 3.0), Stroke::solid(Ink::Muted, 1.2)))
+            (straight((right, y - 3.0), (right, y + 3.0), Stroke::solid(Ink::Muted, 1.2)))
+            (words((left - 5.0, y + SMALL * 0.35), Anchor::End, &format!("{metres} m"), SMALL, Ink::Muted, false))
+        }
+    }
+
+    /// How far the dashes are behind the left edge, so that they stand still on the road.
+    fn dash_offset(&self) -> f64 {
+        let left_m = self.camera_m - self.width / 2.0 / self.px_per_m;
+        left_m.rem_euclid(DASH_M) * self.px_per_m
+    }
+}

@@ -1,0 +1,274 @@
+//! The numbers of an animation: a run sampled at even steps, rounded as they are embedded.
+
+use serde::Serialize;
+
+use super::scale::extent;
+use crumple_world::sim::{Impact, Trace, Track};
+
+/// Time from one sample to the next, in seconds; the last one may be shorter.
+pub(super) const STEP_S: f64 = 0.05;
+
+/// Most samples of a run: longer ones are shown from their start.
+const MOST_SAMPLES: usize = 6_000;
+
+/// The lane shows this much at least and at most, in metres.
+const WINDOW_M: (f64, f64) = (40.0, 220.0);
+
+/// A run, as the script reads it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct AnimationData {
+    step_s: f64,
+    start_s: f64,
+    end_s: f64,
+    /// Index of the vehicles in the middle between whose outer bumpers the picture is centred.
+    centred: (usize, usize),
+    vehicles: Vec<VehicleData>,
+    impacts: Vec<ImpactData>,
+}
+
+/// One vehicle: its length, and front bumper, speed and acceleration at each sample.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct VehicleData {
+    length_m: f64,
+    position_m: Vec<f64>,
+    speed_mps: Vec<f64>,
+    acceleration_mps2: Vec<f64>,
+}
+
+/// One impact, in order of time.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct ImpactData {
+    pub(super) time_s: f64,
+    pub(super) rear: usize,
+    pub(super) impact_speed_mps: f64,
+}
+
+impl AnimationData {
+    pub(super) fn of(trace: &Trace, impacts: &[Impact]) -> Self {
+        let (start_s, last_s) = match (trace.time_s.first(), trace.time_s.last()) {
+            (Some(&first), Some(&last)) if first.is_finite() && last >= first => (first, last),
+            _ => (0.0, 0.0),
+        };
+        let steps = ((last_s - start_s) / STEP_S - 1e-9).ceil().clamp(0.0, MOST_SAMPLES as f64) as usize;
+        let end_s = last_s.min(start_s + steps as f64 * STEP_S);
+        let times: Vec<f64> = (0..=steps).map(|step| (start_s + step as f64 * STEP_S).min(end_s)).collect();
+        let vehicles: Vec<VehicleData> =
+            trace.vehicles.iter().map(|track| VehicleData::of(&trace.time_s, track, &times)).collect();
+        let impacts: Vec<ImpactData> = impacts
+            .iter()
+            .map(|impact| &impact.contact)
+            .filter(|contact| contact.time_s.is_finite() && (1..vehicles.len()).contains(&contact.rear_vehicle))
+            .map(|contact| ImpactData {
+                time_s: rounded(contact.time_s, 4),
+                rear: contact.rear_vehicle,
+                // As a report rounds it, so that both say the same.
+                impact_speed_mps: rounded(contact.impact_speed_mps, 1),
+            })
+            .collect();
+        let mut data = Self {
+            step_s: STEP_S,
+            start_s: rounded(start_s, 4),
+            end_s: rounded(end_s, 4),
+            centred: (0, vehicles.len().saturating_sub(1)),
+            vehicles,
+            impacts,
+        };
+        // A line too long for the picture is seen where it touches first.
+        if let (true, Some(first)) = (data.widest_m() > WINDOW_M.1, data.impacts.first()) {
+            data.centred = (first.rear - 1, first.rear);
+        }
+        data
+    }
+
+    /// Number of samples of each vehicle.
+    pub(super) fn samples(&self) -> usize {
+        self.vehicles.first().map_or(0, |vehicle| vehicle.position_m.len())
+    }
+
+    pub(super) fn end_s(&self) -> f64 {
+        self.end_s
+    }
+
+    pub(super) fn vehicles(&self) -> &[VehicleData] {
+        &self.vehicles
+    }
+
+    pub(super) fn impacts(&self) -> &[ImpactData] {
+        &self.impacts
+    }
+
+    /// What the picture spans, in metres: all vehicles at all times where that is not too much.
+    pub(super) fn window_m(&self) -> f64 {
+        (1.08 * self.widest_m() + 2.0).clamp(WINDOW_M.0, WINDOW_M.1)
+    }
+
+    /// Longest distance from the front of the first to the rear of the last vehicle.
+    fn widest_m(&self) -> f64 {
+        let (Some(first), Some(last)) = (self.vehicles.first(), self.vehicles.last()) else { return 0.0 };
+        let spans = first.position_m.iter().zip(&last.position_m).map(|(front, rear)| front - rear + last.length_m);
+        extent(spans).1
+    }
+
+    /// Where the picture is centred.
+    pub(super) fn camera_m(&self, sample: usize) -> f64 {
+        let front = self.vehicles.get(self.centred.0).and_then(|vehicle| vehicle.position_m(sample));
+        let rear = self.vehicles.get(self.centred.1).and_then(|v| Some(v.position_m(sample)? - v.length_m));
+        (front.unwrap_or(0.0) + rear.unwrap_or(0.0)) / 2.0
+    }
+
+    /// The gap ahead of a vehicle; none for the leader.
+    pub(super) fn gap_m(&self, rear: usize, sample: usize) -> Option<f64> {
+        let front = self.vehicles.get(rear.checked_sub(1)?)?;
+        Some(front.position_m(sample)? - front.length_m - self.vehicles.get(rear)?.position_m(sample)?)
+    }
+
+    /// The front bumper of the vehicle that hits.
+    pub(super) fn hit_m(&self, impact: &ImpactData, sample: usize) -> f64 {
+        self.vehicles.get(impact.rear).and_then(|vehicle| vehicle.position_m(sample)).unwrap_or(0.0)
+    }
+
+    /// What has happened by then, as the script says it too.
+    pub(super) fn event(&self, time_s: f64) -> String {
+        let so_far: Vec<_> = self.impacts.iter().filter(|impact| impact.time_s <= time_s).collect();
+        match so_far.last() {
+            None => "no contact".to_owned(),
+            Some(ImpactData { time_s, rear, impact_speed_mps }) => {
+                format!("✗ {rear} hits {} at {time_s:.2} s, {impact_speed_mps:.1} m/s", rear - 1)
+            }
+        }
+    }
+
+    pub(super) fn json(&self) -> String {
+        // Finite numbers and fixed names always serialize.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}
+
+impl VehicleData {
+    fn of(time_s: &[f64], track: &Track, at_s: &[f64]) -> Self {
+        let sampled = |values: &[f64], digits| -> Vec<f64> {
+            at_s.iter().map(|&at| rounded(between(time_s, values, at), digits)).collect()
+        };
+        Self {
+            length_m: rounded(track.length_m, 2),
+            position_m: sampled(&track.position_m, 2),
+            speed_mps: sampled(&track.speed_mps, 2),
+            acceleration_mps2: at_s.iter().map(|&at| rounded(held(time_s, &track.acceleration_mps2, at), 1)).collect(),
+        }
+    }
+
+    pub(super) fn length_m(&self) -> f64 {
+        self.length_m
+    }
+
+    pub(super) fn position_m(&self, sample: usize) -> Option<f64> {
+        self.position_m.get(sample).copied()
+    }
+
+    pub(super) fn speed_mps(&self, sample: usize) -> Option<f64> {
+        self.speed_mps.get(sample).copied()
+    }
+
+    pub(super) fn acceleration_mps2(&self, sample: usize) -> Option<f64> {
+        self.acceleration_mps2.get(sample).copied()
+    }
+}
+
+/// A value between samples, on the straight line through both.
+fn between(time_s: &[f64], values: &[f64], at_s: f64) -> f64 {
+    let after = time_s.partition_point(|time| *time < at_s);
+    let last = values.last().copied().unwrap_or(0.0);
+    let (t1, v1) = (time_s.get(after).copied().unwrap_or(at_s), values.get(after).copied().unwrap_or(last));
+    let before = after.checked_sub(1).and_then(|before| Some((*time_s.get(before)?, *values.get(before)?)));
+    match before {
+        Some((t0, v0)) if t1 > t0 => v0 + (v1 - v0) * ((at_s - t0) / (t1 - t0)).clamp(0.0, 1.0),
+        _ => v1,
+    }
+}
+
+/// A value that is held from its sample to the next.
+fn held(time_s: &[f64], values: &[f64], at_s: f64) -> f64 {
+    let next = time_s.partition_point(|time| *time <= at_s + 1e-9);
+    let index = next.saturating_sub(1).min(values.len().saturating_sub(1));
+    values.get(index).copied().unwrap_or(0.0)
+}
+
+/// Rounded to so many digits; 0 for what is not finite, which JSON cannot hold.
+fn rounded(value: f64, digits: i32) -> f64 {
+    let scale = 10f64.powi(digits);
+    let rounded = (value * scale).round() / scale;
+    if rounded.is_finite() { rounded + 0.0 } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::{ControllerSpec, built_in};
+    use crumple_world::sim::{AfterContact, Keep, Run, RunOptions, simulate};
+    use proptest::num::f64::ANY as ANY_NUMBER;
+    use proptest::prelude::*;
+
+    fn run(name: &str, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
+        let scenario = built_in(name).unwrap();
+        let options = RunOptions::new(ControllerSpec::named("baseline").unwrap()).with_after_contact(after_contact);
+        let simulated = simulate(&Run::new(&scenario, options).unwrap(), Keep::Trace);
+        (simulated.trace.unwrap(), simulated.impacts)
+    }
+
+    #[test]
+    fn samples_are_the_trace_at_even_steps_and_end_with_it() {
+        for after_contact in [AfterContact::Stop, AfterContact::Continue] {
+            let (trace, impacts) = run("paper-2", after_contact);
+            let data = AnimationData::of(&trace, &impacts);
+            let json: serde_json::Value = serde_json::from_str(&data.json()).unwrap();
+            let mut compared = 0;
+            for (index, track) in trace.vehicles.iter().enumerate() {
+                let read = |name: &str| json["vehicles"][index][name].as_array().unwrap().clone();
+                let (positions, speeds) = (read("position_m"), read("speed_mps"));
+                assert_eq!(positions.len(), data.samples());
+                for (sample, (x, v)) in positions.iter().zip(&speeds).enumerate() {
+                    let time_s = (sample as f64 * STEP_S).min(*trace.time_s.last().unwrap());
+                    // The simulator's steps divide those of the animation, so most samples are samples of the trace.
+                    let Some(at) = trace.time_s.iter().position(|t| (t - time_s).abs() < 1e-9) else { continue };
+                    assert!((x.as_f64().unwrap() - track.position_m[at]).abs() <= 0.005 + 1e-9, "{time_s} s");
+                    assert!((v.as_f64().unwrap() - track.speed_mps[at]).abs() <= 0.005 + 1e-9, "{time_s} s");
+                    compared += 1;
+                }
+                let last = positions.last().unwrap().as_f64().unwrap();
+                assert!((last - track.position_m.last().unwrap()).abs() <= 0.005 + 1e-9);
+            }
+            assert!(compared > 3 * (data.samples() - 2), "{compared} of {}", 3 * data.samples());
+            assert!(data.event(data.end_s()).contains(" hits ") && data.event(0.0) == "no contact");
+        }
+    }
+
+    #[test]
+    fn vehicles_touch_where_the_run_ends_in_contact() {
+        let (trace, impacts) = run("paper-2", AfterContact::Stop);
+        let data = AnimationData::of(&trace, &impacts);
+        let (last, impact) = (data.samples() - 1, data.impacts()[0]);
+        assert!(data.gap_m(impact.rear, last).unwrap().abs() <= 0.021);
+        assert!((0..last).all(|sample| data.gap_m(impact.rear, sample).unwrap() > 0.0));
+        assert!(impact.time_s <= data.end_s() + 1e-9);
+    }
+
+    proptest! {
+        #[test]
+        fn any_trace_gives_data_that_json_can_hold(
+            times in proptest::collection::vec(ANY_NUMBER, 0..8),
+            values in proptest::collection::vec(proptest::collection::vec(ANY_NUMBER, 0..8), 0..4), length_m in ANY_NUMBER,
+        ) {
+            let track = |values: &Vec<f64>| Track {
+                length_m,
+                mass_kg: 1.0,
+                position_m: values.clone(),
+                speed_mps: values.clone(),
+                acceleration_mps2: values.clone(),
+            };
+            let trace = Trace { time_s: times, vehicles: values.iter().map(track).collect() };
+            let data = AnimationData::of(&trace, &[]);
+            prop_assert!(data.window_m().is_finite() && !data.json().is_empty());
+            prop_assert!(!data.json().contains("null") && !data.json().contains('<'));
+        }
+    }
+}

@@ -1,0 +1,155 @@
+//! An inset that enlarges the contact, or the closest approach: at full scale a car is thinner than a line.
+
+use maud::{Markup, html};
+
+use super::axis::Axis;
+use super::label::Frame;
+use super::motion::body;
+use super::panel::{Anchor, Marker, Panel, TaggedLine, straight};
+use super::path::Px;
+use super::scale::extent;
+use super::theme::{Ink, Stroke};
+use crumple_world::sim::{Trace, Track};
+
+/// What to look at: two successive vehicles at one instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Focus {
+    pub(super) time_s: f64,
+    pub(super) front: usize,
+    pub(super) rear: usize,
+    /// The gap between them, 0 at contact.
+    pub(super) gap_m: f64,
+    /// Whether they touch.
+    pub(super) contact: bool,
+}
+
+/// Shares of the host's width and height that the inset may take, the first that hides nothing.
+const SHARES: [(f64, f64); 4] = [(0.5, 0.46), (0.46, 0.42), (0.42, 0.37), (0.38, 0.33)];
+
+/// Distance of the inset from the host's frame, in pixels.
+const MARGIN: f64 = 8.0;
+
+/// Share of the trajectories' points that an inset may hide at most.
+const MOST_HIDDEN: f64 = 0.03;
+
+/// Adds the inset in the corner where it hides least; none where it would hide much.
+pub(super) fn add(host: &mut Panel, trace: &Trace, focus: &Focus, id: &str) {
+    let (Some(front), Some(rear)) = (trace.vehicles.get(focus.front), trace.vehicles.get(focus.rear)) else { return };
+    let (time, space) = window(trace, focus, front, rear);
+    let Some(frame) = corner(host, trace) else { return };
+
+    let mut inset = Panel::new(frame, "", Axis::hidden(time), Axis::hidden(space));
+    let from = trace.time_s.partition_point(|time_s| *time_s < time.0).saturating_sub(1);
+    let to = (trace.time_s.partition_point(|time_s| *time_s <= time.1) + 1).min(trace.time_s.len());
+    let mut tags = Vec::new();
+    for (index, track) in trace.vehicles.iter().enumerate() {
+        let Some(part) = excerpt(track, from, to) else { continue };
+        let (low, high) = extent(part.position_m.iter().copied());
+        if high < space.0 || low - part.length_m > space.1 {
+            continue;
+        }
+        let times = trace.time_s.get(from..to).unwrap_or_default();
+        body(&mut inset, times, &part, index);
+        let middle = times.iter().zip(&part.position_m).map(|(t, x)| (*t, x - part.length_m / 2.0));
+        tags.push(TaggedLine { points: middle.collect(), tag: index.to_string(), ink: Ink::Series(index) });
+    }
+    let touch = (focus.time_s, at(trace, rear, focus.time_s));
+    if focus.contact {
+        inset.marks(&[touch], Marker::Burst, Ink::Alert);
+    } else {
+        let (ahead_m, middle_m) = (touch.1 + focus.gap_m, touch.1 + focus.gap_m / 2.0);
+        inset.segment(touch, (focus.time_s, ahead_m), Stroke::solid(Ink::Text, 1.5));
+        let beside_s = focus.time_s - 0.03 * (time.1 - time.0);
+        inset.note((beside_s, middle_m), Anchor::End, &format!("{:.2} m", focus.gap_m), Ink::Text);
+    }
+    inset.tags(&tags);
+
+    let (left, top) = host.place((time.0, space.1));
+    let (right, bottom) = host.place((time.1, space.0));
+    let source = Frame { left, top, width: right - left, height: bottom - top };
+    host.overlay(html! {
+        (rays(source, frame))
+        (outline(source, "none"))
+        (outline(frame, Ink::Paper.hex()))
+        (inset.draw(id))
+    });
+}
+
+/// Two lines from corners of what is enlarged to corners of the enlargement, which do not cross it.
+fn rays(source: Frame, frame: Frame) -> Markup {
+    let below = source.top < frame.top;
+    let (near, far) = if below { (source.bottom(), frame.top) } else { (source.top, frame.bottom()) };
+    let stroke = Stroke::solid(Ink::Muted, 0.6);
+    html! {
+        (straight((source.left, near), (frame.left, far), stroke))
+        (straight((source.right(), near), (frame.right(), far), stroke))
+    }
+}
+
+fn outline(Frame { left, top, width, height }: Frame, fill: &str) -> Markup {
+    html! {
+        rect x=(Px(left)) y=(Px(top)) width=(Px(width)) height=(Px(height)) fill=(fill) stroke=(Ink::Muted.hex())
+            stroke-width="0.8" {}
+    }
+}
+
+/// Ranges of time and position to enlarge: room for both vehicles, and long enough that neither moves out of it.
+fn window(trace: &Trace, focus: &Focus, front: &Track, rear: &Track) -> ((f64, f64), (f64, f64)) {
+    let bodies_m = front.length_m.min(8.0) + rear.length_m.min(12.0);
+    let metres = (1.5 * (bodies_m + focus.gap_m.max(0.0))).clamp(12.0, 60.0);
+    let speed_mps = speed_at(trace, front, focus.time_s).max(speed_at(trace, rear, focus.time_s));
+    let seconds = (1.2 * metres / speed_mps.max(1.0)).clamp(0.4, 4.0);
+    let (first, last) = extent(trace.time_s.iter().copied());
+    let from = (focus.time_s - 0.65 * seconds).min(last + 0.07 * seconds - seconds).max(first);
+    let touch_m = at(trace, rear, focus.time_s);
+    let middle_m = touch_m + focus.gap_m / 2.0 + (front.length_m.min(8.0) - rear.length_m.min(12.0)) / 2.0;
+    ((from, from + seconds), (middle_m - metres / 2.0, middle_m + metres / 2.0))
+}
+
+/// A place in the lower right or the upper left corner of the host, as large as the trajectories leave free.
+fn corner(host: &Panel, trace: &Trace) -> Option<Frame> {
+    let around = host.frame();
+    let corners = |(wide, high): (f64, f64)| {
+        let (width, height) = (wide * around.width, high * around.height);
+        let (left, top) = (around.right() - width - MARGIN, around.bottom() - height - MARGIN);
+        let upper_left = Frame { left: around.left + MARGIN, top: around.top + MARGIN, width, height };
+        [Frame { left, top, width, height }, upper_left]
+    };
+    let every = (trace.len() / 64).max(1);
+    let samples = trace.vehicles.iter().flat_map(|track| {
+        let ends = trace.time_s.iter().zip(&track.position_m).step_by(every);
+        ends.flat_map(|(t, x)| [host.place((*t, *x)), host.place((*t, x - track.length_m))])
+    });
+    let samples: Vec<_> = samples.collect();
+    let hidden = |frame: &Frame| {
+        let (width, height) = (frame.width + MARGIN, frame.height + MARGIN);
+        let wider = Frame::around((frame.left + frame.width / 2.0, frame.top + frame.height / 2.0), width, height);
+        samples.iter().filter(|place| wider.holds(**place)).count()
+    };
+    let best = SHARES.into_iter().flat_map(corners).min_by_key(hidden)?;
+    (hidden(&best) as f64 <= MOST_HIDDEN * samples.len() as f64).then_some(best)
+}
+
+/// The samples from one index to before another.
+fn excerpt(track: &Track, from: usize, to: usize) -> Option<Track> {
+    let part = |values: &[f64]| values.get(from..to).map(<[f64]>::to_vec);
+    Some(Track {
+        length_m: track.length_m,
+        mass_kg: track.mass_kg,
+        position_m: part(&track.position_m)?,
+        speed_mps: part(&track.speed_mps)?,
+        acceleration_mps2: part(&track.acceleration_mps2)?,
+    })
+}
+
+/// Front bumper at the first sample not before `time_s`.
+fn at(trace: &Trace, track: &Track, time_s: f64) -> f64 {
+    let index = trace.time_s.partition_point(|time| *time < time_s);
+    track.position_m.get(index).or(track.position_m.last()).copied().unwrap_or(0.0)
+}
+
+/// Speed at the first sample not before `time_s`.
+fn speed_at(trace: &Trace, track: &Track, time_s: f64) -> f64 {
+    let index = trace.time_s.partition_point(|time| *time < time_s);
+    track.speed_mps.get(index).or(track.speed_mps.last()).copied().unwrap_or(0.0)
+}

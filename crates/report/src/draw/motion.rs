@@ -1,0 +1,303 @@
+//! The three diagrams of the paper's results, side by side or stacked: time-space, time-speed and spacing.
+
+use super::path::Px;
+use maud::{Markup, html};
+
+use super::axis::LEFT;
+use super::closeup::{self, Focus};
+use super::label::{Frame, spread, text_width};
+use super::motion_axes::MotionAxes;
+use super::panel::{Anchor, Marker, Panel, TaggedLine, straight, tag, tag_width, words};
+use super::plan::{LABEL_STEP, Plan, name_of};
+use super::scale::extent;
+use super::theme::{Ink, SMALL, Stroke, TEXT};
+use super::{Svg, path};
+use crumple_world::sim::{Contact, Impact, Trace, Track};
+
+/// What the figure of one run shows.
+#[derive(Debug, Clone, Copy)]
+pub struct MotionFigure<'a> {
+    /// Begins every identifier in the figure; different for each figure of a page.
+    pub prefix: &'a str,
+    /// Title above the panels; may be empty.
+    pub title: &'a str,
+    /// One name a vehicle, front to rear, such as `follower (heavy)`; the index is put before it.
+    pub labels: &'a [String],
+    /// The motion.
+    pub trace: &'a Trace,
+    /// Every impact in order of time; empty if nobody touched anybody.
+    pub impacts: &'a [Impact],
+}
+
+/// How the panels are arranged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Layout {
+    /// Side by side, 960 pixels wide: screens and paper.
+    Wide,
+    /// One above the other, 360 pixels wide: phones.
+    Stacked,
+    /// One above the other, 470 pixels wide and flat: half a page, for two runs beside each other.
+    Column,
+}
+
+/// With more vehicles than this, lines lie too close for tags on them to be of use.
+const MOST_TAGGED: usize = 60;
+
+/// Draws the three diagrams of one run.
+#[must_use]
+pub fn motion(figure: &MotionFigure<'_>, layout: Layout) -> Svg {
+    motion_on(figure, &MotionAxes::of(figure.trace), layout)
+}
+
+/// Draws the three diagrams of one run on given axes, so that it can be compared with others.
+#[must_use]
+pub fn motion_on(figure: &MotionFigure<'_>, axes: &MotionAxes, layout: Layout) -> Svg {
+    let plan = Plan::new(figure, layout);
+    let id = |name: &str| Svg::id(figure.prefix, name);
+    let content = html! {
+        (plan.title_and_key(figure))
+        (space(figure, &plan, axes, &id("closeup")).draw(&id("space")))
+        (speed(figure, plan.speed, axes).draw(&id("speed")))
+        (spacing(figure, plan.spacing, axes).draw(&id("spacing")))
+    };
+    Svg::new(figure.prefix, (plan.width, plan.height), figure.title, &description(figure), content)
+}
+
+/// Both layouts for an HTML page that holds [`STYLE`](super::STYLE), which shows the one that fits.
+#[must_use]
+pub fn motion_responsive(figure: &MotionFigure<'_>) -> Markup {
+    let (wide, narrow) = (format!("{}-wide", figure.prefix), format!("{}-narrow", figure.prefix));
+    html! {
+        div.draw-wide { (motion(&MotionFigure { prefix: &wide, ..*figure }, Layout::Wide)) }
+        div.draw-narrow { (motion(&MotionFigure { prefix: &narrow, ..*figure }, Layout::Stacked)) }
+    }
+}
+
+/// Several runs on the same axes, for an HTML page that holds [`STYLE`](super::STYLE): two columns where there is room,
+/// one below the other where there is not.
+#[must_use]
+pub fn motion_beside(figures: &[MotionFigure<'_>]) -> Markup {
+    let axes = MotionAxes::of_all(figures.iter().map(|figure| figure.trace));
+    let drawn = |figure: &MotionFigure<'_>, name: &str, layout| {
+        let prefix = format!("{}-{name}", figure.prefix);
+        motion_on(&MotionFigure { prefix: &prefix, ..*figure }, &axes, layout)
+    };
+    html! {
+        div.draw-wide { div.draw-beside {
+            @for figure in figures { (drawn(figure, "column", Layout::Column)) }
+        } }
+        div.draw-narrow { @for figure in figures { (drawn(figure, "narrow", Layout::Stacked)) } }
+    }
+}
+
+/// Several runs on the same axes as one figure, in columns: a file for itself.
+#[must_use]
+pub fn motion_plate(prefix: &str, title: &str, figures: &[MotionFigure<'_>]) -> Svg {
+    let axes = MotionAxes::of_all(figures.iter().map(|figure| figure.trace));
+    let drawn: Vec<Svg> = figures.iter().map(|figure| motion_on(figure, &axes, Layout::Column)).collect();
+    let lefts = drawn.iter().scan(0.0, |left, svg| Some(std::mem::replace(left, *left + svg.size().0 + PLATE_GAP)));
+    let content = html! {
+        @for (svg, left) in drawn.iter().zip(lefts) { g transform={ "translate(" (Px(left)) " 0)" } { (svg) } }
+    };
+    let width = drawn.iter().map(|svg| svg.size().0 + PLATE_GAP).sum::<f64>() - PLATE_GAP;
+    let height = drawn.iter().map(|svg| svg.size().1).fold(0.0, f64::max);
+    Svg::new(prefix, (width.max(0.0), height), title, "The runs beside each other, on the same axes.", content)
+}
+
+/// Between the columns of a plate, in pixels.
+const PLATE_GAP: f64 = 20.0;
+
+fn space(figure: &MotionFigure<'_>, plan: &Plan, axes: &MotionAxes, closeup_id: &str) -> Panel {
+    let MotionFigure { trace, .. } = figure;
+    let mut panel = Panel::new(plan.space, "Position of the vehicles (m)", axes.time(), axes.position());
+    for (index, track) in trace.vehicles.iter().enumerate() {
+        body(&mut panel, &trace.time_s, track, index);
+    }
+    mark_contacts(&mut panel, figure, plan.labels_right, |contact| {
+        let place = hit_position_m(trace, contact);
+        (format!("contact {} at {:.2} s, {:.1} m/s", pair(contact), contact.time_s, contact.impact_speed_mps), place)
+    });
+    if let Some(focus) = focus(figure) {
+        if !focus.contact {
+            strip(&mut panel, focus.time_s, "no contact", Ink::Muted, plan.labels_right);
+        }
+        closeup::add(&mut panel, trace, &focus, closeup_id);
+    }
+    end_labels(&mut panel, figure, plan);
+    panel
+}
+
+/// A vehicle as the band between its bumpers: the front edge in the vehicle's stroke, the rear edge thin.
+pub(super) fn body(panel: &mut Panel, time_s: &[f64], track: &Track, index: usize) {
+    let front = points(time_s, track.position_m.iter().copied());
+    let rear = points(time_s, track.position_m.iter().map(|front| front - track.length_m));
+    panel.band(&front, &rear, Ink::Series(index));
+    panel.line(&rear, Stroke::solid(Ink::Series(index), 0.7));
+    panel.line(&front, Stroke { width: 1.5, ..Stroke::series(index) });
+}
+
+/// Numbers, and where there is room names, to the right of where each vehicle ends up.
+fn end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &Plan) {
+    let frame = panel.frame();
+    let end = |track: &Track| {
+        let last = (figure.trace.time_s.last()?, track.position_m.last()?);
+        Some(panel.place((*last.0, last.1 - track.length_m / 2.0)))
+    };
+    let ends: Vec<_> = figure.trace.vehicles.iter().map(|track| end(track).unwrap_or_default()).collect();
+    let wanted: Vec<f64> = ends.iter().map(|(_, y)| *y).collect();
+    let heights = spread(&wanted, LABEL_STEP, (frame.top + 7.0, frame.bottom() - 7.0));
+    for (index, (&from, y)) in ends.iter().zip(heights).enumerate() {
+        let (ink, number) = (Ink::Series(index), index.to_string());
+        let left = frame.right() + 8.0;
+        let name_left = left + plan.widest_tag + 4.0;
+        panel.overlay(html! {
+            (straight(from, (left, y), Stroke::solid(ink, 0.8)))
+            (tag((left + tag_width(&number) / 2.0, y), &number, ink))
+            @if plan.layout == Layout::Wide {
+                (words((name_left, y + TEXT * 0.35), Anchor::Start, &name_of(figure, index), TEXT, Ink::Text, false))
+            }
+        });
+    }
+}
+
+fn speed(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
+    let MotionFigure { trace, .. } = figure;
+    let mut panel = Panel::new(frame, "Speed (m/s)", axes.time(), axes.speed());
+    let mut tags = Vec::new();
+    for (index, track) in trace.vehicles.iter().enumerate() {
+        let line = points(&trace.time_s, track.speed_mps.iter().copied());
+        panel.line(&line, Stroke::series(index));
+        tags.push(TaggedLine { points: line, tag: index.to_string(), ink: Ink::Series(index) });
+    }
+    let width = if figure.impacts.len() > 4 { 1.2 } else { 2.4 };
+    for Impact { contact, .. } in figure.impacts {
+        let at = |speed_mps| (contact.time_s, speed_mps);
+        panel.segment(at(contact.front_speed_mps), at(contact.rear_speed_mps), Stroke::solid(Ink::Alert, width));
+    }
+    mark_contacts(&mut panel, figure, frame.right() + 12.0, |contact| {
+        let (rear, front) = (contact.rear_speed_mps, contact.front_speed_mps);
+        (format!("contact {}: {rear:.1} into {front:.1} m/s", pair(contact)), (rear + front) / 2.0)
+    });
+    if tags.len() <= MOST_TAGGED {
+        panel.tags(&tags);
+    }
+    panel
+}
+
+fn spacing(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
+    let MotionFigure { trace, .. } = figure;
+    let gaps = |rear| trace.pair(rear).map(|pair| (rear, points(&trace.time_s, pair.gaps_m())));
+    let lines: Vec<_> = (1..trace.vehicles.len()).filter_map(gaps).collect();
+    let mut panel = Panel::new(frame, "Gap between bumpers (m)", axes.time(), axes.gap());
+    panel.rule_y(0.0, Stroke::solid(Ink::Text, 1.0));
+    let mut tags = Vec::new();
+    for (rear, line) in lines {
+        panel.line(&line, Stroke::series(rear));
+        let tag = format!("{}\u{2013}{rear}", rear - 1);
+        tags.push(TaggedLine { points: line, tag, ink: Ink::Series(rear) });
+    }
+    let right = frame.right() + 12.0;
+    mark_contacts(&mut panel, figure, right, |contact| {
+        (format!("contact {} at {:.2} s", pair(contact), contact.time_s), 0.0)
+    });
+    if let Some(Focus { time_s, front, rear, gap_m, contact: false }) = focus(figure) {
+        panel.marks(&[(time_s, gap_m)], Marker::Ring, Ink::Text);
+        let text = format!("smallest gap {gap_m:.2} m ({front}\u{2013}{rear}) at {time_s:.2} s");
+        strip(&mut panel, time_s, &text, Ink::Muted, right);
+    }
+    if tags.len() <= MOST_TAGGED {
+        panel.tags(&tags);
+    }
+    panel
+}
+
+/// A star at every impact, and over the first one a rule up to its description; `describe` gives text and height.
+fn mark_contacts(
+    panel: &mut Panel,
+    figure: &MotionFigure<'_>,
+    right: f64,
+    describe: impl Fn(&Contact) -> (String, f64),
+) {
+    for (rank, Impact { contact, .. }) in figure.impacts.iter().enumerate() {
+        let (text, height) = describe(contact);
+        if rank == 0 {
+            panel.rule_x(contact.time_s, Stroke { dash: "3 3", ..Stroke::solid(Ink::Alert, 1.0) });
+            let more = figure.impacts.len() - 1;
+            let text = if more == 0 { text } else { format!("{text}; {more} more") };
+            strip(panel, contact.time_s, &text, Ink::Alert, right);
+        }
+        panel.marks(&[(contact.time_s, height)], Marker::Burst, Ink::Alert);
+    }
+}
+
+/// Words between the heading and the frame, centred over an instant as far as there is room.
+fn strip(panel: &mut Panel, time_s: f64, text: &str, ink: Ink, right: f64) {
+    let frame = panel.frame();
+    let half = text_width(text, SMALL) / 2.0;
+    let (x, _) = panel.place((time_s, 0.0));
+    let centre = x.min(right - half).max(frame.left - LEFT + 2.0 + half);
+    panel.overlay(words((centre, frame.top - 7.0), Anchor::Middle, text, SMALL, ink, false));
+}
+
+/// Where to look: the first contact, or else the smallest gap.
+fn focus(figure: &MotionFigure<'_>) -> Option<Focus> {
+    if let Some(Impact { contact, .. }) = figure.impacts.first() {
+        let &Contact { time_s, front_vehicle: front, rear_vehicle: rear, .. } = contact;
+        return Some(Focus { time_s, front, rear, gap_m: 0.0, contact: true });
+    }
+    let mut closest: Option<Focus> = None;
+    for rear in 1..figure.trace.vehicles.len() {
+        let Some(pair) = figure.trace.pair(rear) else { continue };
+        for (&time_s, gap_m) in pair.time_s.iter().zip(pair.gaps_m()) {
+            if gap_m.is_finite() && closest.is_none_or(|closest| gap_m < closest.gap_m) {
+                closest = Some(Focus { time_s, front: rear - 1, rear, gap_m, contact: false });
+            }
+        }
+    }
+    closest
+}
+
+/// The front bumper of the hitting vehicle at the instant of contact.
+fn hit_position_m(trace: &Trace, contact: &Contact) -> f64 {
+    let position = |track: &Track| {
+        let after = trace.time_s.partition_point(|time_s| *time_s < contact.time_s);
+        track.position_m.get(after).or(track.position_m.last()).copied()
+    };
+    trace.vehicles.get(contact.rear_vehicle).and_then(position).unwrap_or(0.0)
+}
+
+/// Samples as points.
+fn points(time_s: &[f64], values: impl Iterator<Item = f64>) -> Vec<path::Place> {
+    time_s.iter().copied().zip(values).collect()
+}
+
+fn pair(contact: &Contact) -> String {
+    format!("{}\u{2013}{}", contact.front_vehicle, contact.rear_vehicle)
+}
+
+/// The figure in words.
+fn description(figure: &MotionFigure<'_>) -> String {
+    let (first, last) = extent(figure.trace.time_s.iter().copied());
+    let run = format!(
+        "Position, speed and bumper gaps of {} vehicles over {:.2} s.",
+        figure.trace.vehicles.len(),
+        last - first
+    );
+    let end = match (figure.impacts.first(), focus(figure)) {
+        (Some(Impact { contact, .. }), _) => format!(
+            "First contact: vehicle {} hits vehicle {} at {:.2} s, {:.1} into {:.1} m/s. Impacts: {}.",
+            contact.rear_vehicle,
+            contact.front_vehicle,
+            contact.time_s,
+            contact.rear_speed_mps,
+            contact.front_speed_mps,
+            figure.impacts.len()
+        ),
+        (None, Some(focus)) => format!(
+            "No contact; smallest gap {:.2} m between vehicles {} and {} at {:.2} s.",
+            focus.gap_m, focus.front, focus.rear, focus.time_s
+        ),
+        (None, None) => "No contact.".to_owned(),
+    };
+    format!("{run} {end}")
+}

@@ -1,0 +1,61 @@
+//! The axes of the three diagrams: those of one run, or of several that are compared.
+
+use super::axis::Axis;
+use super::scale::{extent, padded};
+use crumple_world::sim::{Trace, Track};
+
+/// What the axes of time, position, speed and gap span.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MotionAxes {
+    time_s: (f64, f64),
+    position_m: (f64, f64),
+    speed_mps: (f64, f64),
+    gap_m: (f64, f64),
+}
+
+impl MotionAxes {
+    /// Axes that hold one run.
+    #[must_use]
+    pub fn of(trace: &Trace) -> Self {
+        Self::of_all([trace])
+    }
+
+    /// Axes that hold all of these runs.
+    #[must_use]
+    pub fn of_all<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
+        let traces: Vec<&Trace> = traces.into_iter().collect();
+        let tracks = || traces.iter().flat_map(|trace| &trace.vehicles);
+        let ends = |track: &Track| {
+            let (low, high) = extent(track.position_m.iter().copied());
+            [low - track.length_m, high]
+        };
+        let pairs = traces.iter().flat_map(|trace| (1..trace.vehicles.len()).filter_map(|rear| trace.pair(rear)));
+        let (first_s, last_s) = extent(traces.iter().flat_map(|trace| trace.time_s.iter().copied()));
+        let (_, fastest_mps) = extent(tracks().flat_map(|track| track.speed_mps.iter().copied()));
+        let gaps_m: Vec<f64> = pairs.flat_map(|pair| pair.gaps_m().collect::<Vec<_>>()).collect();
+        let (least_m, most_m) = extent(gaps_m);
+        Self {
+            // A little after the last sample, so that a contact that ends the run is not cut in half.
+            time_s: (first_s, last_s + 0.02 * (last_s - first_s)),
+            position_m: padded(extent(tracks().flat_map(ends)), 0.03),
+            speed_mps: padded((0.0, fastest_mps.max(1.0)), 0.04),
+            gap_m: padded((least_m.min(0.0), most_m.max(1.0)), 0.05),
+        }
+    }
+
+    pub(super) fn time(&self) -> Axis {
+        Axis::numbers("Time (s)", self.time_s, 6)
+    }
+
+    pub(super) fn position(&self) -> Axis {
+        Axis::numbers("", self.position_m, 7)
+    }
+
+    pub(super) fn speed(&self) -> Axis {
+        Axis::numbers("", self.speed_mps, 6)
+    }
+
+    pub(super) fn gap(&self) -> Axis {
+        Axis::numbers("", self.gap_m, 6)
+    }
+}

@@ -1,0 +1,255 @@
+//! Properties of finished figures, read back from their SVG and PNG.
+
+use std::collections::HashSet;
+
+use proptest::num::f64::ANY as ANY_NUMBER;
+use proptest::prelude::*;
+use resvg::{tiny_skia, usvg};
+
+use super::*;
+use crumple_world::scenario::{
+    AebSettings, Brake, ControllerSpec, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in,
+};
+use crumple_world::sim::{AfterContact, Contact, Impact, Keep, Run, RunOptions, Trace, Track, simulate};
+
+/// The paper's first scenario with these vehicles, 16 m apart.
+///
+/// Behind the leader they brake fully below a time to collision of `ttc_s`, or, without one, as the leader does and 0.1 s
+/// after the vehicle ahead.
+fn line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
+    let scenario = built_in("paper-1").unwrap().edited(|spec| {
+        let mut position_m = 36.0;
+        let vehicle = |(rank, &heavy): (usize, &bool)| {
+            let class = if heavy { VehicleClass::Heavy } else { VehicleClass::Light };
+            let driver = match (rank, ttc_s) {
+                (1.., Some(ttc_s)) => Driver::Controller(ControllerSpec::Baseline(AebSettings { ttc_s })),
+                _ => Driver::Profile(LeadProfile::Brake(Brake { onset_s: 1.0 + 0.1 * rank as f64, rate_mps2: 3.0 })),
+            };
+            let vehicle = VehicleSpec::new(class, position_m, 25.0, driver);
+            position_m -= class.length_m() + 16.0;
+            vehicle
+        };
+        spec.vehicles = heavy.iter().enumerate().map(vehicle).collect();
+    });
+    let scenario = scenario.unwrap();
+    let nobody = RunOptions::new(ControllerSpec::MatchLeader);
+    let simulated = simulate(&Run::new(&scenario, nobody.with_after_contact(after_contact)).unwrap(), Keep::Trace);
+    (simulated.trace.unwrap(), simulated.impacts)
+}
+
+const LAYOUTS: [Layout; 3] = [Layout::Wide, Layout::Stacked, Layout::Column];
+
+fn names(count: usize) -> Vec<String> {
+    (0..count).map(|index| format!("vehicle of rank {index} <&>\u{7}")).collect()
+}
+
+fn drawn(trace: &Trace, impacts: &[Impact], layout: Layout) -> Svg {
+    let labels = names(trace.vehicles.len());
+    let title = "Scenario 1 & others <with a long title>, vehicles stick together";
+    motion(&MotionFigure { prefix: "fig", title, labels: &labels, trace, impacts }, layout)
+}
+
+fn tree(svg: &Svg) -> usvg::Tree {
+    usvg::Tree::from_str(&svg.document(), &png::options()).expect("valid SVG")
+}
+
+/// The boxes of all words of a figure, each with its words.
+fn word_boxes(group: &usvg::Group, found: &mut Vec<(String, Frame)>) {
+    for node in group.children() {
+        match node {
+            usvg::Node::Group(group) => word_boxes(group, found),
+            usvg::Node::Text(text) => {
+                let area = text.abs_bounding_box();
+                let [left, top, width, height] = [area.left(), area.top(), area.width(), area.height()].map(f64::from);
+                let words = text.chunks().iter().map(usvg::TextChunk::text).collect();
+                found.push((words, Frame { left, top, width, height }));
+            }
+            _ => {}
+        }
+    }
+}
+
+fn track(length_m: f64, position_m: Vec<f64>, speed_mps: Vec<f64>) -> Track {
+    Track { length_m, mass_kg: 1_500.0, acceleration_mps2: vec![0.0; speed_mps.len()], position_m, speed_mps }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn no_words_of_a_figure_overlap_and_all_lie_inside(
+        heavy in proptest::collection::vec(any::<bool>(), 2..=20), ttc_s in proptest::option::of(0.8..3.0f64),
+        go_on in any::<bool>(), layout in proptest::sample::select(LAYOUTS.to_vec()),
+    ) {
+        let after_contact = if go_on { AfterContact::Continue } else { AfterContact::Stop };
+        let (trace, impacts) = line(&heavy, ttc_s, after_contact);
+        let svg = drawn(&trace, &impacts, layout);
+        let mut words = Vec::new();
+        word_boxes(tree(&svg).root(), &mut words);
+        prop_assert!(words.len() > 20);
+        let (width, height) = svg.size();
+        let whole = Frame { left: 0.0, top: 0.0, width, height };
+        for (rank, (text, area)) in words.iter().enumerate() {
+            prop_assert!(whole.encloses(area), "{text:?} leaves the figure: {area:?}");
+            // Boxes go from the highest ascender to the lowest descender of the font, which the words hardly use.
+            let middle = (area.left + area.width / 2.0, area.top + area.height / 2.0);
+            let core = Frame::around(middle, area.width, area.height * 0.7);
+            for (other, other_area) in words.iter().skip(rank + 1) {
+                let middle = (other_area.left + other_area.width / 2.0, other_area.top + other_area.height / 2.0);
+                let other_core = Frame::around(middle, other_area.width, other_area.height * 0.7);
+                prop_assert!(!core.overlaps(&other_core), "{text:?} and {other:?} overlap: {area:?} {other_area:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn any_numbers_give_a_figure(
+        values in proptest::collection::vec(proptest::collection::vec(ANY_NUMBER, 0..12), 0..6),
+        lengths in proptest::collection::vec(ANY_NUMBER, 6), times in proptest::collection::vec(ANY_NUMBER, 0..12),
+        front_vehicle in 0usize..9, numbers in proptest::array::uniform3(ANY_NUMBER),
+        layout in proptest::sample::select(LAYOUTS.to_vec()),
+    ) {
+        let vehicles = values
+            .iter()
+            .zip(&lengths)
+            .map(|(values, length_m)| track(*length_m, values.clone(), values.iter().rev().copied().collect()))
+            .collect();
+        let [time_s, front_speed_mps, rear_speed_mps] = numbers;
+        let impact_speed_mps = rear_speed_mps - front_speed_mps;
+        let rear_vehicle = front_vehicle + 1;
+        let contact =
+            Contact { time_s, front_vehicle, rear_vehicle, front_speed_mps, rear_speed_mps, impact_speed_mps };
+        let impact = Impact { contact, common_speed_mps: 0.0, first_involved: 0, last_involved: 0 };
+        let impacts: Vec<Impact> = (front_vehicle < 4).then_some(impact).into_iter().collect();
+        let trace = Trace { time_s: times, vehicles };
+        let svg = drawn(&trace, &impacts, layout);
+        tree(&svg);
+    }
+}
+
+#[test]
+fn plain_traces_give_figures() {
+    let still = |length_m, at| track(length_m, vec![at; 4], vec![0.0; 4]);
+    let constant = Trace { time_s: vec![0.0, 1.0, 2.0, 3.0], vehicles: vec![still(2.0, 20.0), still(2.0, 0.0)] };
+    let one = |at| track(2.0, vec![at], vec![25.0]);
+    let single = Trace { time_s: vec![0.0], vehicles: vec![one(20.0), one(0.0)] };
+    let empty = Trace { time_s: vec![], vehicles: vec![] };
+    for trace in [constant, single, empty] {
+        for layout in LAYOUTS {
+            assert!(drawn(&trace, &[], layout).to_png(1.0).is_ok());
+        }
+    }
+}
+
+#[test]
+fn the_contact_is_written_and_drawn_in_every_panel() {
+    let (trace, impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let svg = drawn(&trace, &impacts, Layout::Wide);
+    let document = svg.document();
+    let impact_speed_mps = impacts[0].contact.impact_speed_mps;
+    let at = format!("contact 1\u{2013}2 at {:.2} s", impacts[0].contact.time_s);
+    assert!(document.contains(&format!(">{at}, {impact_speed_mps:.1} m/s<")), "{document}");
+    assert!(document.contains(&format!(">{at}<")) && document.contains(">contact 1\u{2013}2: "));
+    // One star a panel and one in the enlargement.
+    let star = format!("Z\" fill=\"{}\"", Ink::Alert.hex());
+    assert_eq!(document.matches(&star).count(), 4);
+
+    let (trace, impacts) = line(&[false, false, true], None, AfterContact::Stop);
+    let document = drawn(&trace, &impacts, Layout::Wide).document();
+    assert!(document.contains(">no contact<") && document.contains(">smallest gap "));
+    assert!(!document.contains(Ink::Alert.hex()));
+}
+
+#[test]
+fn figures_are_the_same_every_time_and_share_no_identifier() {
+    let (trace, impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let labels = names(3);
+    let figure = MotionFigure { prefix: "a b\"", title: "t", labels: &labels, trace: &trace, impacts: &impacts };
+    let page = |prefix| motion_responsive(&MotionFigure { prefix, ..figure }).into_string();
+    assert_eq!(page("one"), page("one"));
+    assert!(page("one").len() < 45_000, "thirty figures are to stay well under 2 MB: {}", page("one").len());
+
+    let text = page("one") + &page("two") + &page("3 \"");
+    let ids: Vec<&str> = text.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+    let unique: HashSet<&str> = ids.iter().copied().collect();
+    assert_eq!(unique.len(), ids.len(), "{ids:?}");
+    for used in text.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
+        assert!(unique.contains(used), "{used} is not defined");
+    }
+}
+
+#[test]
+fn a_png_has_its_size_and_shows_every_ink() {
+    let (trace, impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let svg = drawn(&trace, &impacts, Layout::Wide);
+    let (width, height) = svg.size();
+    let picture = tiny_skia::Pixmap::decode_png(&svg.to_png(PNG_SCALE).expect("drawn")).expect("a PNG");
+    assert_eq!((picture.width(), picture.height()), ((2.0 * width).round() as u32, (2.0 * height).round() as u32));
+    let seen: HashSet<String> = picture
+        .pixels()
+        .iter()
+        .map(|pixel| format!("#{:02x}{:02x}{:02x}", pixel.red(), pixel.green(), pixel.blue()))
+        .collect();
+    for ink in [Ink::Paper, Ink::Text, Ink::Alert, Ink::Series(0), Ink::Series(1), Ink::Series(2)] {
+        assert!(seen.contains(ink.hex()), "{ink:?} is missing");
+    }
+    assert!(picture.pixels().iter().all(|pixel| pixel.alpha() == 255));
+
+    for scale in [0.0, -1.0, f64::NAN, 1e6] {
+        assert!(matches!(svg.to_png(scale), Err(DrawError::Size { .. })), "{scale}");
+    }
+}
+
+#[test]
+fn runs_beside_each_other_are_drawn_on_the_same_axes() {
+    let (crash, crash_impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let (safe, safe_impacts) = line(&[false, false, true], None, AfterContact::Stop);
+    let labels = names(3);
+    let figure = |prefix, trace, impacts| MotionFigure { prefix, title: "t", labels: &labels, trace, impacts };
+    let figures = [figure("one", &crash, &crash_impacts), figure("two", &safe, &safe_impacts)];
+    let axes = MotionAxes::of_all([&crash, &safe]);
+    let labels_of = |svg: Svg| -> Vec<String> {
+        let document = svg.document();
+        let texts = document.split("<text ").skip(1).filter_map(|rest| rest.split("</text>").next());
+        texts
+            .filter(|text| text.contains("text-anchor=\"end\"") && !text.contains("stroke"))
+            .map(str::to_owned)
+            .collect()
+    };
+    let together = figures.map(|figure| labels_of(motion_on(&figure, &axes, Layout::Column)));
+    assert_eq!(together[0], together[1]);
+    assert!(together[0].len() > 12);
+    let alone = figures.map(|figure| labels_of(motion(&figure, Layout::Column)));
+    assert_ne!(alone[0], alone[1], "the runs differ too little to tell");
+
+    let page = motion_beside(&figures).into_string();
+    assert_eq!(page.matches("<svg").count(), 4);
+}
+
+#[test]
+fn an_animation_shows_the_end_without_its_script_and_shares_no_identifier() {
+    let scenario = built_in("paper-2").unwrap();
+    let options = RunOptions::new(ControllerSpec::named("baseline").unwrap());
+    let simulated = simulate(&Run::new(&scenario, options).unwrap(), Keep::Trace);
+    let (trace, impacts) = (simulated.trace.unwrap(), simulated.impacts);
+    let block = |id| animation(id, "a </script> title", &trace, &scenario, &impacts).into_string();
+    let text = block("a") + &block("b");
+    let Contact { time_s, front_vehicle, rear_vehicle, impact_speed_mps, .. } = impacts[0].contact;
+    assert!(text.contains(&format!("{rear_vehicle} hits {front_vehicle} at {time_s:.2} s, {impact_speed_mps:.1} m/s")));
+    for track in &trace.vehicles {
+        assert!(text.contains(&format!("<td class=\"number\">{:.1}</td>", track.speed_mps.last().unwrap())));
+    }
+    assert_eq!(text.matches("<script").count(), 2);
+    assert_eq!(text.matches("</script>").count(), 2);
+
+    let ids: Vec<&str> = text.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+    let unique: HashSet<&str> = ids.iter().copied().collect();
+    assert_eq!(unique.len(), ids.len(), "{ids:?}");
+    for used in text.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
+        assert!(unique.contains(used), "{used} is not defined");
+    }
+    // What the script looks for is there.
+    for name in ["draw-view", "draw-lane", "draw-vehicle", "draw-gap", "draw-impact", "draw-brake", "draw-event"] {
+        assert!(text.contains(name) && ANIMATION_SCRIPT.contains(name), "{name}");
+    }
+}

@@ -1,0 +1,157 @@
+//! Traces as tables: one row a sample and vehicle, in CSV or Parquet.
+//!
+//! Columns: `time_s`, `vehicle`, `position_m`, `speed_mps`, `acceleration_mps2`, `gap_m` (to the vehicle ahead; empty
+//! for the leader). Rows are in order of time, then of vehicle.
+
+use std::sync::Arc;
+
+use parquet::data_type::{DoubleType, Int32Type};
+use parquet::errors::ParquetError;
+use parquet::file::properties::WriterProperties;
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::parser::parse_message_type;
+
+use crumple_world::sim::Trace;
+
+const COLUMNS: [&str; 6] = ["time_s", "vehicle", "position_m", "speed_mps", "acceleration_mps2", "gap_m"];
+
+const PARQUET_SCHEMA: &str = "message trace {
+    REQUIRED DOUBLE time_s;
+    REQUIRED INT32 vehicle;
+    REQUIRED DOUBLE position_m;
+    REQUIRED DOUBLE speed_mps;
+    REQUIRED DOUBLE acceleration_mps2;
+    OPTIONAL DOUBLE gap_m;
+}";
+
+/// Why a table could not be encoded.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// The CSV writer failed.
+    #[error("cannot encode the trace as CSV: {0}")]
+    Csv(#[from] csv::Error),
+    /// The Parquet writer failed.
+    #[error("cannot encode the trace as Parquet: {0}")]
+    Parquet(#[from] ParquetError),
+}
+
+struct Row {
+    time_s: f64,
+    vehicle: i32,
+    position_m: f64,
+    speed_mps: f64,
+    acceleration_mps2: f64,
+    gap_m: Option<f64>,
+}
+
+fn rows(trace: &Trace) -> Vec<Row> {
+    let gaps_m = |rear| trace.pair(rear).map_or_else(Vec::new, |pair| pair.gaps_m().collect());
+    let gaps_m: Vec<Vec<f64>> = (0..trace.vehicles.len()).map(gaps_m).collect();
+    let mut rows = Vec::with_capacity(trace.len() * trace.vehicles.len());
+    for (sample, &time_s) in trace.time_s.iter().enumerate() {
+        for (vehicle, (track, gaps_m)) in trace.vehicles.iter().zip(&gaps_m).enumerate() {
+            let at = |column: &[f64]| column.get(sample).copied().unwrap_or(f64::NAN);
+            rows.push(Row {
+                time_s,
+                vehicle: vehicle as i32,
+                position_m: at(&track.position_m),
+                speed_mps: at(&track.speed_mps),
+                acceleration_mps2: at(&track.acceleration_mps2),
+                gap_m: gaps_m.get(sample).copied(),
+            });
+        }
+    }
+    rows
+}
+
+/// The trace as CSV with a header line.
+///
+/// # Errors
+/// [`ExportError::Csv`] if the encoder fails, which writing to memory does not.
+pub fn csv(trace: &Trace) -> Result<Vec<u8>, ExportError> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(COLUMNS)?;
+    for row in rows(trace) {
+        let numbers = [row.position_m, row.speed_mps, row.acceleration_mps2].map(|number| number.to_string());
+        let gap = row.gap_m.map(|gap_m| gap_m.to_string()).unwrap_or_default();
+        let [position, speed, acceleration] = numbers;
+        writer.write_record([row.time_s.to_string(), row.vehicle.to_string(), position, speed, acceleration, gap])?;
+    }
+    writer.into_inner().map_err(|error| ExportError::Csv(error.into_error().into()))
+}
+
+/// The trace as a Parquet file.
+///
+/// # Errors
+/// [`ExportError::Parquet`] if the encoder fails, which writing to memory does not.
+pub fn parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
+    let rows = rows(trace);
+    let doubles: [fn(&Row) -> f64; 3] = [|row| row.position_m, |row| row.speed_mps, |row| row.acceleration_mps2];
+    let schema = Arc::new(parse_message_type(PARQUET_SCHEMA)?);
+    let properties = WriterProperties::builder().set_compression(parquet::basic::Compression::SNAPPY).build();
+    let mut writer = SerializedFileWriter::new(Vec::new(), schema, Arc::new(properties))?;
+    let mut group = writer.next_row_group()?;
+    let mut index = 0;
+    while let Some(mut column) = group.next_column()? {
+        match index {
+            0 => {
+                let times: Vec<_> = rows.iter().map(|row| row.time_s).collect();
+                column.typed::<DoubleType>().write_batch(&times, None, None)?;
+            }
+            1 => {
+                let vehicles: Vec<_> = rows.iter().map(|row| row.vehicle).collect();
+                column.typed::<Int32Type>().write_batch(&vehicles, None, None)?;
+            }
+            5 => {
+                let gaps: Vec<_> = rows.iter().filter_map(|row| row.gap_m).collect();
+                let present: Vec<_> = rows.iter().map(|row| i16::from(row.gap_m.is_some())).collect();
+                column.typed::<DoubleType>().write_batch(&gaps, Some(&present), None)?;
+            }
+            other => {
+                let values: Vec<_> = doubles.get(other - 2).map_or_else(Vec::new, |of| rows.iter().map(of).collect());
+                column.typed::<DoubleType>().write_batch(&values, None, None)?;
+            }
+        }
+        column.close()?;
+        index += 1;
+    }
+    group.close()?;
+    Ok(writer.into_inner()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ::parquet::file::reader::{FileReader, SerializedFileReader};
+    use ::parquet::record::RowAccessor;
+    use crumple_world::scenario::{ControllerSpec, built_in};
+    use crumple_world::sim::{Keep, Run, RunOptions, simulate};
+
+    #[test]
+    fn both_formats_hold_the_same_numbers_as_the_trace() {
+        let scenario = built_in("paper-1").unwrap();
+        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::named("baseline").unwrap())).unwrap();
+        let trace = simulate(&run, Keep::Trace).trace.unwrap();
+        let csv = csv(&trace).unwrap();
+        let mut reader = csv::Reader::from_reader(csv.as_slice());
+        let parquet = SerializedFileReader::new(bytes::Bytes::from(parquet(&trace).unwrap())).unwrap();
+        let mut count = 0;
+        for (index, (from_csv, from_parquet)) in reader.records().zip(parquet.get_row_iter(None).unwrap()).enumerate() {
+            let (from_csv, from_parquet) = (from_csv.unwrap(), from_parquet.unwrap());
+            let track = &trace.vehicles[index % 3];
+            let expected = [trace.time_s[index / 3], track.position_m[index / 3], track.speed_mps[index / 3]];
+            for (column, expected) in [0, 2, 3].into_iter().zip(expected) {
+                assert_eq!(from_csv[column].parse::<f64>().unwrap(), expected);
+                assert_eq!(from_parquet.get_double(column).unwrap(), expected);
+            }
+            let gap_m = trace.vehicles[..index % 3]
+                .last()
+                .map(|ahead| ahead.position_m[index / 3] - ahead.length_m - track.position_m[index / 3]);
+            assert_eq!(from_csv[5].parse::<f64>().ok(), gap_m);
+            assert_eq!(from_parquet.get_double(5).ok(), from_csv[5].parse::<f64>().ok());
+            count += 1;
+        }
+        assert_eq!(count, trace.len() * 3);
+    }
+}

@@ -1,0 +1,81 @@
+//! Figures of a training and of a retraining.
+
+use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg};
+use crumple_learn::retrain::Report;
+use crumple_learn::rl::{CurvePoint, LearningCurve, PERFECT};
+
+/// Width of a figure, and height of its panel, in pixels.
+const WIDTH: f64 = 720.0;
+const HEIGHT: f64 = 260.0;
+
+/// A learning curve: the mean reward in evaluation over all seeds, and its standard deviation.
+#[must_use]
+pub fn learning_curve(curve: &LearningCurve) -> Svg {
+    let LearningCurve { preset, seeds, points } = curve;
+    let last = points.last().map_or(1.0, |point| point.episode as f64);
+    let low = points.iter().map(|point| point.mean_reward - point.deviation).fold(0.0, f64::min);
+    let frame = Frame { left: LEFT + 24.0, top: HEADING, width: WIDTH - LEFT - 40.0, height: HEIGHT };
+    let title = format!("Reward in evaluation, preset {preset}, {seeds} seeds: mean and standard deviation");
+    let x = Axis::numbers("episode", (0.0, last), 8);
+    let y = Axis::numbers("", (low, PERFECT * 1.06), 6);
+    let mut panel = Panel::new(frame, &title, x, y);
+    let line = |of: &dyn Fn(&CurvePoint) -> f64| points.iter().map(|p| (p.episode as f64, of(p))).collect::<Vec<_>>();
+    panel.band(&line(&|p| p.mean_reward + p.deviation), &line(&|p| p.mean_reward - p.deviation), Ink::Series(0));
+    panel.rule_y(PERFECT, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
+    panel.line(&line(&|p| p.mean_reward), Stroke::series(0));
+    panel.note((last * 0.995, PERFECT * 0.94), Anchor::End, "22 500: no contact", Ink::Muted);
+    let content = panel.draw(&Svg::id("learning-curve", "frame"));
+    let description =
+        "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact.";
+    Svg::new("learning-curve", (WIDTH, HEADING + HEIGHT + BELOW), &title, description, content)
+}
+
+/// Contacts in the selection over episodes; a ring is a candidate, a vertical line the end of a round.
+#[must_use]
+pub fn retraining(report: &Report) -> Svg {
+    let (mut done, mut points, mut candidates, mut ends) = (0, Vec::new(), Vec::new(), Vec::new());
+    for round in &report.rounds {
+        let trained = &round.trained;
+        // Episodes are counted on over learners that began anew.
+        let place = |episode: u64| (done + episode.saturating_sub(trained.from_episode)) as f64;
+        for checkpoint in &trained.checkpoints {
+            if let Some(contacts) = checkpoint.contacts {
+                points.push((place(checkpoint.episode), contacts as f64));
+                if checkpoint.episode == trained.best_episode {
+                    candidates.push((place(checkpoint.episode), contacts as f64));
+                }
+            }
+        }
+        let word = if round.ruling.is_accepted() { "accepted" } else { "rejected" };
+        done += report.settings.episodes;
+        ends.push((done as f64, format!("round {} {word}", round.round)));
+    }
+    let most = points.iter().map(|point| point.1).fold(1.0, f64::max);
+    let frame = Frame { left: LEFT + 24.0, top: HEADING, width: WIDTH - LEFT - 40.0, height: HEIGHT };
+    let title = "Contacts in the avoidable draws that select checkpoints";
+    let x = Axis::numbers("episode", (0.0, done.max(1) as f64), 8);
+    let mut panel = Panel::new(frame, title, x, Axis::numbers("", (0.0, most * 1.15), 6));
+    for (end, words) in &ends {
+        panel.rule_x(*end, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
+        panel.note((*end * 0.995, most * 1.08), Anchor::End, words, Ink::Muted);
+    }
+    panel.line(&points, Stroke::series(0));
+    panel.marks(&candidates, Marker::Ring, Ink::Series(1));
+    let content = panel.draw(&Svg::id("hardening", "frame"));
+    let description =
+        "A ring is the candidate of its round. Checkpoints that touch somebody in what the paper has are left out.";
+    Svg::new("hardening", (WIDTH, HEADING + HEIGHT + BELOW), title, description, content)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_learning_curve_names_its_seeds_and_the_best_reward() {
+        let point = |episode| CurvePoint { episode, mean_reward: 1000.0, deviation: 10.0 };
+        let curve = LearningCurve { preset: "fast".to_owned(), seeds: 2, points: vec![point(5), point(10)] };
+        let svg = learning_curve(&curve).document();
+        assert!(svg.contains("2 seeds") && svg.contains("22 500"));
+    }
+}

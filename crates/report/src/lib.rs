@@ -1,0 +1,13 @@
+//! How it is told: pictures, tables, and the assessment with its renderings.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`draw`] | traces and curves as pictures |
+//! | [`figures`] | figures of trainings |
+//! | [`export`] | traces as tables |
+//! | [`assessment`] | the safety case and its renderings |
+
+pub mod assessment;
+pub mod draw;
+pub mod export;
+pub mod figures;

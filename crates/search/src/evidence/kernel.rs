@@ -1,0 +1,117 @@
+//! Certificates of kernels: the closed form with exact coefficients.
+
+use crumple_verify::{Certificate, Statement};
+
+use super::certificate;
+use crumple_world::control::{Kernel, MARGIN_M};
+use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
+
+/// The certificate of each pair of vehicle classes on a dry road, with a name: `light-behind-heavy`.
+#[must_use]
+pub fn shipped_kernels() -> Vec<(String, Certificate)> {
+    let pairs = VehicleClass::ALL.into_iter().flat_map(|own| VehicleClass::ALL.map(|ahead| (own, ahead)));
+    let certificates = pairs.filter_map(|(own, ahead)| {
+        let kernel = Kernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
+        let name = format!("{}-behind-{}", own.name(), ahead.name());
+        let certificate = kernel_certificate(&name, &kernel, PAPER_STEP_S, MARGIN_M)?;
+        Some((name, certificate))
+    });
+    certificates.collect()
+}
+
+/// The certificate of a kernel; none if a limit is not positive, or too long a number.
+///
+/// Numbers are taken as they are printed: 7.5 is 15/2, and 0.01 is 1/100.
+#[must_use]
+pub fn kernel_certificate(about: &str, kernel: &Kernel, step_s: f64, margin_m: f64) -> Option<Certificate> {
+    let [b, c, h, m] = [kernel.own_brake_mps2, kernel.ahead_brake_mps2, step_s, margin_m].map(Quotient::of);
+    let (b, c) = (b?, c?);
+    let harder = b.minus(c)?;
+    Some(certificate(
+        about,
+        Statement::Kernel(crumple_verify::Kernel {
+            ego_brake_mps2: b.to_string(),
+            leader_brake_mps2: c.to_string(),
+            step_s: h?.to_string(),
+            margin_m: m?.to_string(),
+            stopping_own_squared: b.half_reciprocal()?.to_string(),
+            stopping_ahead_squared: format!("-{}", c.half_reciprocal()?),
+            catching_up_squared: if harder.over > 0 { Some(harder.half_reciprocal()?.to_string()) } else { None },
+        }),
+    ))
+}
+
+/// A quotient of whole numbers in lowest terms.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Quotient {
+    over: i128,
+    under: i128,
+}
+
+impl Quotient {
+    fn new(over: i128, under: i128) -> Option<Self> {
+        let (mut a, mut b) = (over.checked_abs()?, under);
+        while b != 0 {
+            (a, b) = (b, a % b);
+        }
+        (under > 0).then(|| Self { over: over / a, under: under / a })
+    }
+
+    /// A positive number as it is printed.
+    fn of(value: f64) -> Option<Self> {
+        let text = (value > 0.0 && value.is_finite()).then(|| value.to_string())?;
+        let (whole, places) = text.split_once('.').unwrap_or((&text, ""));
+        let ten = 10_i128.checked_pow(u32::try_from(places.len()).ok()?)?;
+        Self::new(format!("{whole}{places}").parse().ok()?, ten)
+    }
+
+    fn minus(self, other: Self) -> Option<Self> {
+        let (a, b) = (self.over.checked_mul(other.under)?, other.over.checked_mul(self.under)?);
+        Self::new(a.checked_sub(b)?, self.under.checked_mul(other.under)?)
+    }
+
+    /// 1 / (2 x)
+    fn half_reciprocal(self) -> Option<Self> {
+        Self::new(self.under, self.over.checked_mul(2)?)
+    }
+}
+
+impl std::fmt::Display for Quotient {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { over, under } = self;
+        if *under == 1 { write!(out, "{over}") } else { write!(out, "{over}/{under}") }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_verify::{Accepted, check};
+    use proptest::prelude::*;
+
+    #[test]
+    fn each_shipped_pair_is_proved() {
+        let shipped = shipped_kernels();
+        assert_eq!(shipped.len(), 4);
+        for (name, certificate) in shipped {
+            assert_eq!(check(&certificate), Ok(Accepted::Kernel), "{name}");
+        }
+    }
+
+    proptest! {
+        /// Any limits a scenario may have, friction included, and the same function as the shield's.
+        #[test]
+        fn any_pair_is_proved(b in 0.001..30.0_f64, c in 0.001..30.0_f64) {
+            let kernel = Kernel { own_brake_mps2: b, ahead_brake_mps2: c };
+            let certificate = kernel_certificate("any", &kernel, 0.01, 1e-6).unwrap();
+            prop_assert_eq!(check(&certificate), Ok(Accepted::Kernel));
+            let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };
+            let number = |text: &str| {
+                let (over, under) = text.split_once('/').unwrap_or((text, "1"));
+                over.parse::<f64>().unwrap() / under.parse::<f64>().unwrap()
+            };
+            let own = number(&stated.stopping_own_squared) * 30.0 * 30.0;
+            prop_assert!((own - kernel.demanded_gap_m(30.0, 0.0)).abs() <= 1e-9 * own);
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Splitting for a controller in a space.
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{Effort, Estimate, Problem, Splitting, State};
+use crumple_world::digest::sha256;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::measure::{Specification, SpecificationError};
+use crumple_world::scenario::InvalidField;
+use crumple_world::scenario::space::{Space, file};
+use crumple_world::sim::{Contender, Run, RunError, RunOptions, simulate_batch};
+
+/// How often a controller fails in a space: what `verify rate` counts, for failures too rare to count.
+///
+/// The margin of a run is the smallest gap between any two vehicles, in metres, and below 0 if vehicles touch.
+pub struct RarePlan {
+    /// What is put under test.
+    pub controller: Contender,
+    /// What runs are drawn from.
+    pub space: Space,
+    /// What the vehicles under test look through.
+    pub estimator: EstimatorKind,
+    /// Seed of everything.
+    pub seed: u64,
+    /// How much work goes into it.
+    pub effort: Effort,
+}
+
+/// Why a run cannot be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RareError {
+    /// The space made something invalid.
+    #[error(transparent)]
+    Scenario(#[from] InvalidField),
+    /// A controller cannot drive the scenario.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The run cannot be judged.
+    #[error(transparent)]
+    Specification(#[from] SpecificationError),
+}
+
+/// An estimate with all that decided it. No certificate: see [the module](super).
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RareReport {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Version of crumple.
+    pub crumple: String,
+    /// Always false: an estimate bounds nothing.
+    pub certified: bool,
+    /// What was put under test.
+    pub controller: String,
+    /// Hash of the policy, if that is what it is.
+    pub policy_sha256: Option<String>,
+    /// What it looked through.
+    pub estimator: EstimatorKind,
+    /// Name of the space.
+    pub space: String,
+    /// SHA-256 of the space as TOML, its base scenario spelled out.
+    pub space_sha256: String,
+    /// What counts as a failure.
+    pub failure: &'static str,
+    /// Seed of everything.
+    pub seed: u64,
+    /// How much work went into it.
+    #[serde(flatten)]
+    pub effort: Effort,
+    /// What came of it.
+    #[serde(flatten)]
+    pub estimate: Estimate,
+}
+
+impl Problem for RarePlan {
+    type Error = RareError;
+
+    fn dimension(&self) -> usize {
+        self.space.dimension()
+    }
+
+    fn margins(&self, states: &[State]) -> Result<Vec<f64>, RareError> {
+        let scenario = |state: &State| {
+            let uniform: Vec<f64> = state.normal.iter().map(|&x| share_below(x)).collect();
+            self.space.at_with_noise(&self.space.quantile(&uniform), state.noise)
+        };
+        let scenarios = states.par_iter().map(scenario).collect::<Result<Vec<_>, _>>()?;
+        let options = RunOptions::new(self.controller.controller.clone()).with_estimator(self.estimator);
+        let runs =
+            scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+        let specification = Specification::NoContact;
+        let margins = simulate_batch(&runs, specification.keep(), |index, result| {
+            runs.get(index).map(|run| specification.judge(run, &result).map(|verdict| verdict.robustness))
+        });
+        Ok(margins.into_iter().flatten().collect::<Result<_, _>>()?)
+    }
+}
+
+impl RarePlan {
+    /// Places the levels. `done` hears of every batch of runs.
+    ///
+    /// # Errors
+    /// [`RareError`] if a run cannot be made.
+    pub fn pilot(&self, done: &(dyn Fn(u64) + Sync)) -> Result<Splitting, RareError> {
+        Splitting::pilot(self, self.effort, self.seed, done)
+    }
+
+    /// Estimates with the levels of a pilot.
+    ///
+    /// # Errors
+    /// [`RareError`] if a run cannot be made.
+    pub fn report(&self, pilot: &Splitting, done: &(dyn Fn(u64) + Sync)) -> Result<RareReport, RareError> {
+        Ok(RareReport {
+            version: 1,
+            crumple: env!("CARGO_PKG_VERSION").to_owned(),
+            certified: false,
+            controller: self.controller.name.clone(),
+            policy_sha256: self.controller.policy().map(|policy| policy.digest()),
+            estimator: self.estimator,
+            space: self.space.name().to_owned(),
+            // A space that was built has a TOML form.
+            space_sha256: sha256(file::to_toml(&self.space).unwrap_or_default()),
+            failure: "vehicles touch",
+            seed: self.seed,
+            effort: self.effort,
+            estimate: pilot.estimate(self, done)?,
+        })
+    }
+}
+
+/// The share of the standard normal distribution below `x`. Its upper end has steps of 10⁻¹⁶.
+fn share_below(x: f64) -> f64 {
+    0.5 * libm::erfc(-x * std::f64::consts::FRAC_1_SQRT_2)
+}

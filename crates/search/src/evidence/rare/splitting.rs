@@ -1,0 +1,338 @@
+//! The climb: a pilot that places the levels, and repetitions that are unbiased.
+
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use super::{Effort, Estimate, Level};
+use crumple_world::random::{Purpose, Stream, stream};
+
+/// Levels after which the pilot gives up: failures are then rarer than about 10⁻¹².
+pub const MOST_LEVELS: usize = 18;
+/// Share of a population that passes a level.
+const SHARE: f64 = 0.2;
+/// Moves of each run below each level.
+const MOVES: usize = 4;
+/// Share of moves that also draw the noise anew.
+const NEW_NOISE: f64 = 0.25;
+/// Acceptance at which a random walk gets on fastest (Papaioannou and others, MCMC algorithms for subset simulation, 2015).
+const BEST_ACCEPTANCE: f64 = 0.44;
+/// How strongly the pilot's step reacts to the acceptance.
+const REACTION: f64 = 1.5;
+const SMALLEST_STEP: f64 = 0.02;
+
+/// Everything that chance decides in a run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    /// Independent standard normal numbers, one a parameter.
+    pub normal: Vec<f64>,
+    /// Seed of all noise.
+    pub noise: u64,
+}
+
+/// Runs with a margin.
+pub trait Problem: Sync {
+    /// Why a run cannot be made.
+    type Error: Send;
+
+    /// How many standard normal numbers decide a run.
+    fn dimension(&self) -> usize;
+
+    /// The margins of runs, in their order: negative where the run fails. NaN counts as far from failing.
+    ///
+    /// # Errors
+    /// The first run that cannot be made.
+    fn margins(&self, states: &[State]) -> Result<Vec<f64>, Self::Error>;
+}
+
+/// The levels that a pilot has placed.
+#[derive(Debug, Clone)]
+pub struct Splitting {
+    effort: Effort,
+    seed: u64,
+    stages: Vec<Stage>,
+    /// How many runs the pilot took.
+    pilot: u64,
+    reached: bool,
+    /// What the pilot saw, for want of anything better where it does not reach a failure.
+    pilot_levels: Vec<Level>,
+}
+
+/// A level on the way.
+#[derive(Debug, Clone, Copy)]
+struct Stage {
+    threshold: f64,
+    is_last: bool,
+    step: f64,
+}
+
+impl Stage {
+    const LAST: Self = Self { threshold: 0.0, is_last: true, step: 1.0 };
+
+    fn passes(&self, margin: f64) -> bool {
+        if self.is_last { margin < 0.0 } else { margin <= self.threshold }
+    }
+}
+
+/// A run and its margin.
+type Sample = (State, f64);
+
+/// One population, with a stream of its own.
+struct Climber<'a, P: Problem> {
+    problem: &'a P,
+    samples: usize,
+    random: Stream,
+    evaluations: u64,
+    done: &'a (dyn Fn(u64) + Sync),
+}
+
+/// What a repetition saw at one level.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    share: f64,
+    accepted: u64,
+    proposed: u64,
+}
+
+impl Splitting {
+    /// Runs the pilot. `done` hears of every batch of runs.
+    ///
+    /// # Errors
+    /// Those of the problem.
+    pub fn pilot<P: Problem>(
+        problem: &P,
+        effort: Effort,
+        seed: u64,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<Self, P::Error> {
+        let effort = Effort { samples: effort.samples.max(50), repetitions: effort.repetitions.max(5) };
+        let mut climber = Climber::new(problem, effort.samples, stream(seed, Purpose::RareEvents, 0), done);
+        let mut pilot = Self { effort, seed, stages: Vec::new(), pilot: 0, reached: false, pilot_levels: Vec::new() };
+        let mut population = climber.first()?;
+        let (mut step, mut probability, mut before) = (0.5, 1.0, f64::INFINITY);
+        let passing = (SHARE * effort.samples as f64).ceil() as usize;
+        loop {
+            let failing = population.iter().filter(|(_, margin)| *margin < 0.0).count();
+            if failing >= passing {
+                pilot.stages.push(Stage::LAST);
+                pilot.reached = true;
+                break;
+            }
+            let mut margins: Vec<f64> = population.iter().map(|(_, margin)| *margin).collect();
+            margins.sort_by(f64::total_cmp);
+            let quantile = margins.get(passing - 1).copied().unwrap_or(f64::INFINITY);
+            // Where most of the population lies on a plateau, the level is whatever lies below it, however few that are.
+            let plateau = before.min(margins.last().copied().unwrap_or(before));
+            let below = margins.iter().rev().copied().find(|margin| *margin < plateau);
+            let Some(threshold) = (if quantile < plateau { Some(quantile) } else { below }) else { break };
+            if threshold < 0.0 {
+                pilot.stages.push(Stage::LAST);
+                pilot.reached = true;
+                break;
+            }
+            if pilot.stages.len() == MOST_LEVELS {
+                break;
+            }
+            let mut stage = Stage { threshold, is_last: false, step };
+            let survivors: Vec<Sample> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
+            let share = survivors.len() as f64 / effort.samples as f64;
+            probability *= share;
+            population = climber.multiplied(survivors);
+            let (mut accepted, mut proposed) = (0, 0);
+            for _ in 0..MOVES {
+                let (taken, tried) = climber.moved(&mut population, &stage)?;
+                let acceptance = taken as f64 / tried.max(1) as f64;
+                stage.step = (stage.step * (REACTION * (acceptance - BEST_ACCEPTANCE)).exp()).clamp(SMALLEST_STEP, 1.0);
+                (accepted, proposed) = (accepted + taken, proposed + tried);
+            }
+            (step, before) = (stage.step, threshold);
+            pilot.stages.push(stage);
+            let acceptance = Some(accepted as f64 / proposed.max(1) as f64);
+            pilot.pilot_levels.push(Level { margin: threshold, probability, share, step: Some(step), acceptance });
+        }
+        pilot.pilot = climber.evaluations;
+        Ok(pilot)
+    }
+
+    /// Whether the pilot reached a failure.
+    #[must_use]
+    pub fn reaches_failure(&self) -> bool {
+        self.reached
+    }
+
+    /// How many runs the repetitions will make at most.
+    #[must_use]
+    pub fn runs_ahead(&self) -> u64 {
+        let moves = MOVES * self.stages.len().saturating_sub(1);
+        if self.reached { (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64 } else { 0 }
+    }
+
+    /// Runs the repetitions. The result depends neither on the number of threads nor on `done`.
+    ///
+    /// # Errors
+    /// Those of the problem.
+    pub fn estimate<P: Problem>(&self, problem: &P, done: &(dyn Fn(u64) + Sync)) -> Result<Estimate, P::Error> {
+        if !self.reached {
+            return Ok(Estimate {
+                probability: None,
+                coefficient_of_variation: None,
+                interval_95: None,
+                repetitions: Vec::new(),
+                evaluations: self.pilot,
+                levels: self.pilot_levels.clone(),
+            });
+        }
+        let repeat = |index: usize| {
+            let random = stream(self.seed, Purpose::RareEvents, 1 + index as u64);
+            let mut climber = Climber::new(problem, self.effort.samples, random, done);
+            let seen = climber.climb(&self.stages)?;
+            Ok((seen, climber.evaluations))
+        };
+        let repeated =
+            (0..self.effort.repetitions).into_par_iter().map(repeat).collect::<Result<Vec<_>, P::Error>>()?;
+        let evaluations = self.pilot + repeated.iter().map(|(_, evaluations)| evaluations).sum::<u64>();
+        let seen: Vec<Vec<Seen>> = repeated.into_iter().map(|(seen, _)| seen).collect();
+        // Whoever died out before the last level has seen no failure.
+        let product = |seen: &Vec<Seen>, levels: usize| -> f64 {
+            if seen.len() < levels { 0.0 } else { seen.iter().take(levels).map(|seen| seen.share).product() }
+        };
+        let levels = self.stages.iter().enumerate().map(|(index, stage)| {
+            let here: Vec<&Seen> = seen.iter().filter_map(|seen| seen.get(index)).collect();
+            let [accepted, proposed] =
+                [here.iter().map(|seen| seen.accepted).sum::<u64>(), here.iter().map(|seen| seen.proposed).sum()];
+            Level {
+                margin: stage.threshold,
+                probability: mean(&seen.iter().map(|seen| product(seen, index + 1)).collect::<Vec<_>>()),
+                share: mean(&here.iter().map(|seen| seen.share).collect::<Vec<_>>()),
+                step: (!stage.is_last).then_some(stage.step),
+                acceptance: (proposed > 0).then(|| accepted as f64 / proposed as f64),
+            }
+        });
+        let levels: Vec<Level> = levels.collect();
+        let repetitions: Vec<f64> = seen.iter().map(|seen| product(seen, self.stages.len())).collect();
+        let probability = mean(&repetitions);
+        let coefficient_of_variation = variation_of_mean(&repetitions, probability);
+        Ok(Estimate {
+            probability: Some(probability),
+            coefficient_of_variation,
+            interval_95: coefficient_of_variation.and_then(|cv| interval_95(probability, cv, repetitions.len())),
+            repetitions,
+            evaluations,
+            levels,
+        })
+    }
+}
+
+impl<'a, P: Problem> Climber<'a, P> {
+    fn new(problem: &'a P, samples: usize, random: Stream, done: &'a (dyn Fn(u64) + Sync)) -> Self {
+        Self { problem, samples, random, evaluations: 0, done }
+    }
+
+    fn climb(&mut self, stages: &[Stage]) -> Result<Vec<Seen>, P::Error> {
+        let mut seen = Vec::with_capacity(stages.len());
+        let mut population = self.first()?;
+        for stage in stages {
+            let survivors: Vec<Sample> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
+            let share = survivors.len() as f64 / self.samples as f64;
+            let mut here = Seen { share, accepted: 0, proposed: 0 };
+            population = self.multiplied(survivors);
+            if !stage.is_last && !population.is_empty() {
+                for _ in 0..MOVES {
+                    let (accepted, proposed) = self.moved(&mut population, stage)?;
+                    here = Seen { accepted: here.accepted + accepted, proposed: here.proposed + proposed, ..here };
+                }
+            }
+            seen.push(here);
+            if population.is_empty() {
+                break;
+            }
+        }
+        Ok(seen)
+    }
+
+    /// Independent draws.
+    fn first(&mut self) -> Result<Vec<Sample>, P::Error> {
+        let draw = |random: &mut Stream| State {
+            normal: (0..self.problem.dimension()).map(|_| StandardNormal.sample(random)).collect(),
+            noise: new_noise(random),
+        };
+        let states: Vec<State> = (0..self.samples).map(|_| draw(&mut self.random)).collect();
+        let margins = self.margins(&states)?;
+        Ok(states.into_iter().zip(margins).collect())
+    }
+
+    /// As many as at the start, each survivor as often as any other; who is copied once more is drawn by lot.
+    fn multiplied(&mut self, mut survivors: Vec<Sample>) -> Vec<Sample> {
+        let alive = survivors.len();
+        if alive == 0 {
+            return survivors;
+        }
+        // The first places of a shuffle.
+        for place in 0..self.samples % alive {
+            let other = self.random.random_range(place..alive);
+            survivors.swap(place, other);
+        }
+        survivors.iter().cycle().take(self.samples).cloned().collect()
+    }
+
+    /// One move of every run: what would leave the level is not done. Says how many moves that kept the noise were
+    /// accepted, and how many there were.
+    fn moved(&mut self, population: &mut [Sample], stage: &Stage) -> Result<(u64, u64), P::Error> {
+        // An autoregressive step keeps normal numbers normal (Neal, 1998; "preconditioned Crank-Nicolson").
+        let kept = (1.0 - stage.step * stage.step).sqrt();
+        let propose = |(state, _): &Sample, random: &mut Stream| {
+            let noise = if random.random::<f64>() < NEW_NOISE { new_noise(random) } else { state.noise };
+            let mut normal = |x: &f64| -> f64 {
+                let drawn: f64 = StandardNormal.sample(random);
+                kept * x + stage.step * drawn
+            };
+            State { normal: state.normal.iter().map(&mut normal).collect(), noise }
+        };
+        let proposals: Vec<State> = population.iter().map(|sample| propose(sample, &mut self.random)).collect();
+        let margins = self.margins(&proposals)?;
+        let (mut accepted, mut proposed) = (0, 0);
+        for (sample, (proposal, margin)) in population.iter_mut().zip(proposals.into_iter().zip(margins)) {
+            let passes = stage.passes(margin);
+            if proposal.noise == sample.0.noise {
+                proposed += 1;
+                accepted += u64::from(passes);
+            }
+            if passes {
+                *sample = (proposal, margin);
+            }
+        }
+        Ok((accepted, proposed))
+    }
+
+    fn margins(&mut self, states: &[State]) -> Result<Vec<f64>, P::Error> {
+        let mut margins = self.problem.margins(states)?;
+        margins.iter_mut().filter(|margin| margin.is_nan()).for_each(|margin| *margin = f64::INFINITY);
+        self.evaluations += states.len() as u64;
+        (self.done)(states.len() as u64);
+        Ok(margins)
+    }
+}
+
+/// A seed that a scenario file can hold.
+fn new_noise(random: &mut Stream) -> u64 {
+    random.random::<u64>() >> 1
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
+/// Standard deviation of the mean relative to the mean.
+fn variation_of_mean(values: &[f64], mean: f64) -> Option<f64> {
+    let n = values.len() as f64;
+    let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (n - 1.0);
+    (mean > 0.0).then(|| (variance / n).sqrt() / mean)
+}
+
+/// Products of many shares are nearly log-normal, and so is their mean.
+fn interval_95(mean: f64, variation: f64, repetitions: usize) -> Option<[f64; 2]> {
+    let student = StudentsT::new(0.0, 1.0, repetitions as f64 - 1.0).ok()?;
+    let factor = (student.inverse_cdf(0.975) * (variation * variation).ln_1p().sqrt()).exp();
+    Some([mean / factor, (mean * factor).min(1.0)])
+}

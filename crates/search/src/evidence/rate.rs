@@ -1,0 +1,285 @@
+//! Counting failures for a claim about their rate: registered before the first run, counted in order, resumable.
+
+use std::collections::BTreeMap;
+
+use crumple_verify::rate::{MOST_RUNS, tail_at_most};
+use crumple_verify::{Certificate, Comparison, Rate, Registration, Statement};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{Beta, ContinuousCDF};
+
+use super::certificate;
+use crumple_world::digest::sha256;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::InvalidField;
+use crumple_world::scenario::space::{Space, file};
+use crumple_world::sim::{Contender, Keep, Outcome, Run, RunError, RunOptions, simulate_batch};
+
+/// Runs that are drawn and simulated together.
+const BLOCK: u64 = 1000;
+
+/// What is to be counted: one controller, or two on the same draws.
+pub struct Plan {
+    drivers: Vec<Contender>,
+    space: Space,
+    seed: u64,
+    estimator: EstimatorKind,
+    registration: Registration,
+}
+
+/// What a plan is made of.
+pub struct PlanDriver {
+    /// The controller; a second one to compare it with.
+    pub controllers: (Contender, Option<Contender>),
+    /// What runs are drawn from, and its name.
+    pub space: (String, Space),
+    /// Seed of all draws.
+    pub seed: u64,
+    /// What the vehicles under test look through.
+    pub estimator: EstimatorKind,
+    /// How many runs.
+    pub runs: u64,
+    /// Confidence of the claim, above 1/2.
+    pub confidence: f64,
+}
+
+/// Why nothing can be claimed whatever is counted.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidPlan {
+    /// Number of runs.
+    #[error("{found} runs, and there must be from 1 to {MOST_RUNS}")]
+    Runs {
+        /// What was asked for.
+        found: u64,
+    },
+    /// Confidence.
+    #[error("a confidence of {found}, which must be between 1/2 and 1")]
+    Confidence {
+        /// What was asked for.
+        found: f64,
+    },
+}
+
+/// Why a run of a plan cannot be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RateError {
+    /// The space drew something invalid.
+    #[error("draw {index}: {source}")]
+    Draw {
+        /// Which draw.
+        index: u64,
+        /// What is wrong.
+        source: InvalidField,
+    },
+    /// A controller cannot drive the draw.
+    #[error("draw {index}: {source}")]
+    Run {
+        /// Which draw.
+        index: u64,
+        /// Why.
+        source: RunError,
+    },
+}
+
+/// What has been counted so far. A run fails if vehicles touch.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tally {
+    /// Digest of the registration this belongs to.
+    pub registration_sha256: String,
+    /// Runs made.
+    pub runs: u64,
+    /// Runs in which the controller failed; of two, both.
+    pub failures: u64,
+    /// Of two controllers: runs in which only the first failed.
+    pub only_first_failed: u64,
+    /// Runs in which only the second failed.
+    pub only_second_failed: u64,
+}
+
+impl Plan {
+    /// Fixes what is to be counted.
+    ///
+    /// # Errors
+    /// [`InvalidPlan`] if no claim could come of it.
+    pub fn new(parts: PlanDriver) -> Result<Self, InvalidPlan> {
+        let PlanDriver { controllers, space: (space_name, space), seed, estimator, runs, confidence } = parts;
+        if !(1..=MOST_RUNS).contains(&runs) {
+            return Err(InvalidPlan::Runs { found: runs });
+        }
+        if !(confidence > 0.5 && confidence < 1.0) {
+            return Err(InvalidPlan::Confidence { found: confidence });
+        }
+        let drivers: Vec<Contender> = std::iter::once(controllers.0).chain(controllers.1).collect();
+        let mut configuration = BTreeMap::from([
+            ("crumple".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("estimator".to_owned(), estimator.name().to_owned()),
+            ("failure".to_owned(), "vehicles touch".to_owned()),
+            ("seed".to_owned(), seed.to_string()),
+            ("space".to_owned(), space_name),
+            // A space that was built has a TOML form.
+            ("space_sha256".to_owned(), sha256(file::to_toml(&space).unwrap_or_default())),
+        ]);
+        for (place, driver) in ["controller", "against"].into_iter().zip(&drivers) {
+            configuration.insert(place.to_owned(), driver.name.clone());
+            if let Some(policy) = driver.policy() {
+                configuration.insert(format!("{place}_policy_sha256"), policy.digest());
+            }
+        }
+        let registration = Registration { configuration, runs, confidence };
+        Ok(Self { drivers, space, seed, estimator, registration })
+    }
+
+    /// What must be on record before the first run.
+    #[must_use]
+    pub fn registration(&self) -> &Registration {
+        &self.registration
+    }
+
+    /// Nothing counted yet.
+    #[must_use]
+    pub fn tally(&self) -> Tally {
+        Tally { registration_sha256: self.registration.digest(), ..Tally::default() }
+    }
+
+    /// Makes the next block of runs and adds them to `tally`; nothing once all are made.
+    ///
+    /// # Errors
+    /// [`RateError`] names the draw that could not be run; `tally` is then as it was.
+    pub fn count_block(&self, tally: &mut Tally) -> Result<(), RateError> {
+        let indices: Vec<u64> = (tally.runs..(tally.runs + BLOCK).min(self.registration.runs)).collect();
+        let draw = |&index: &u64| self.space.draw(self.seed, index).map_err(|source| RateError::Draw { index, source });
+        let scenarios = indices.par_iter().map(draw).collect::<Result<Vec<_>, _>>()?;
+        let failed = |driver: &Contender| {
+            let options = RunOptions::new(driver.controller.clone()).with_estimator(self.estimator);
+            let runs = scenarios.iter().zip(&indices).map(|(scenario, &index)| {
+                Run::new(scenario, options.clone()).map_err(|source| RateError::Run { index, source })
+            });
+            let runs = runs.collect::<Result<Vec<_>, _>>()?;
+            Ok(simulate_batch(&runs, Keep::Summary, |_, result| result.outcome != Outcome::NoCollision))
+        };
+        let failed = self.drivers.iter().map(failed).collect::<Result<Vec<_>, RateError>>()?;
+        tally.runs += indices.len() as u64;
+        match failed.as_slice() {
+            [first, second] => {
+                for pair in first.iter().zip(second) {
+                    match pair {
+                        (true, true) => tally.failures += 1,
+                        (true, false) => tally.only_first_failed += 1,
+                        (false, true) => tally.only_second_failed += 1,
+                        (false, false) => {}
+                    }
+                }
+            }
+            alone => tally.failures += alone.iter().flatten().filter(|&&failed| failed).count() as u64,
+        }
+        Ok(())
+    }
+
+    /// What a full tally shows. For one controller the lowest rate that is accepted, to nine digits.
+    #[must_use]
+    pub fn certificate(&self, tally: &Tally) -> Certificate {
+        let registration = self.registration.clone();
+        let registration_sha256 = registration.digest();
+        let about = registration.configuration.get("space").cloned().unwrap_or_default();
+        let statement = if self.drivers.len() == 2 {
+            Statement::Comparison(Comparison {
+                registration,
+                registration_sha256,
+                only_first_failed: tally.only_first_failed,
+                only_second_failed: tally.only_second_failed,
+            })
+        } else {
+            let rate_at_most = upper_bound(tally.failures, registration.runs, registration.confidence);
+            Statement::Rate(Rate { registration, registration_sha256, failures: tally.failures, rate_at_most })
+        };
+        certificate(&about, statement)
+    }
+}
+
+/// A rate that the checker accepts, little above the bound of Clopper and Pearson; 1 if there is none below.
+fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
+    let (k, n) = (failures as f64, runs as f64);
+    let quantile = Beta::new(k + 1.0, n - k).map_or(1.0, |beta| beta.inverse_cdf(confidence));
+    // The quantile is approximate: step up until the outward-rounded tail agrees.
+    let candidates = (0..40).map(|doubling| quantile * (1.0 + 1e-10 * f64::from(2_u32.pow(doubling.min(30)))));
+    candidates
+        .take_while(|rate| *rate > 0.0 && *rate < 1.0)
+        .find(|&rate| tail_at_most(failures, runs, rate) <= 1.0 - confidence)
+        .unwrap_or(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_verify::{Accepted, check};
+    use crumple_world::scenario::ControllerSpec;
+    use crumple_world::scenario::space::built_in_space;
+
+    fn plan(controller: &str, against: Option<&str>, runs: u64) -> Plan {
+        let contender = |name: &str| Contender::from(ControllerSpec::named(name).unwrap());
+        Plan::new(PlanDriver {
+            controllers: (contender(controller), against.map(contender)),
+            space: ("paper".to_owned(), built_in_space("paper").unwrap()),
+            seed: 3,
+            estimator: EstimatorKind::Truth,
+            runs,
+            confidence: 0.99,
+        })
+        .unwrap()
+    }
+
+    fn counted(plan: &Plan) -> Tally {
+        let mut tally = plan.tally();
+        while tally.runs < plan.registration().runs {
+            plan.count_block(&mut tally).unwrap();
+        }
+        tally
+    }
+
+    #[test]
+    fn bounds_are_accepted_and_hardly_above_the_closed_form() {
+        for (failures, runs, confidence) in
+            [(0, 1000, 0.99), (3, 1000, 0.999), (0, 138_149, 1.0 - 1e-6), (999, 1000, 0.9)]
+        {
+            let bound = upper_bound(failures, runs, confidence);
+            assert!(tail_at_most(failures, runs, bound) <= 1.0 - confidence);
+            assert!(tail_at_most(failures, runs, bound * (1.0 - 1e-6)) > 1.0 - confidence, "{failures} {runs} {bound}");
+        }
+        assert!(upper_bound(0, 138_149, 1.0 - 1e-6) <= 1e-4);
+        assert!(upper_bound(0, 138_148, 1.0 - 1e-6) > 1e-4);
+        assert_eq!(upper_bound(10, 10, 0.99), 1.0);
+    }
+
+    #[test]
+    fn a_rate_and_a_comparison_are_counted_and_accepted() {
+        let rate = plan("idm", None, 1500);
+        let tally = counted(&rate);
+        assert_eq!((tally.runs, tally.failures), (1500, 0));
+        let accepted = check(&rate.certificate(&tally)).unwrap();
+        assert!(matches!(accepted, Accepted::Rate { at_most, .. } if at_most < 0.0031), "{accepted:?}");
+
+        let comparison = plan("idm", Some("baseline"), 500);
+        let tally = counted(&comparison);
+        assert_eq!((tally.only_first_failed, tally.only_second_failed), (0, 500));
+        assert!(matches!(check(&comparison.certificate(&tally)), Ok(Accepted::FailsLessOften { .. })));
+        let turned = plan("baseline", Some("idm"), 500);
+        assert!(check(&turned.certificate(&counted(&turned))).is_err());
+    }
+
+    #[test]
+    fn a_registration_says_everything_that_decides_the_count() {
+        let digests: std::collections::HashSet<_> = [
+            plan("match-leader", None, 10),
+            plan("policy", None, 10),
+            plan("idm", Some("policy"), 10),
+            plan("idm", None, 11),
+        ]
+        .map(|plan| plan.registration().digest())
+        .into();
+        assert_eq!(digests.len(), 4);
+        assert!(plan("policy", None, 10).registration().configuration.contains_key("controller_policy_sha256"));
+    }
+}

@@ -1,0 +1,435 @@
+//! Which part of a box of starts a policy keeps free of contact: cutting it until the checker's bounds suffice.
+//!
+//! All of the mathematics is `crumple_verify`'s. Here it is decided which box to cut where: every box that is undecided is cut
+//! in two along the dimension that accounts for most of what is in doubt. Boxes are independent and are taken depth by
+//! depth, so that the result does not depend on the number of threads.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use crumple_verify::reach::{Actor, Cell, Dimension, Doubt, Ranges, Reach, Reached, Scene, reach};
+use crumple_verify::{Certificate, Interval, Statement};
+use rand::RngExt;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::certificate;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::random::{self, Purpose};
+use crumple_world::scenario::{Brake, ControllerSpec, Driver, InvalidField, LeadProfile, Scenario, built_in};
+use crumple_world::sim::{Keep, Outcome, Run, RunError, RunOptions, simulate};
+
+/// Covers what a simulator in double precision rounds, in metres, m/s and m/s².
+const ROUNDING: f64 = 1e-9;
+/// Random starts simulated in each box that remains undecided.
+const STARTS: u64 = 16;
+
+/// A box of starts as a file states it: a scenario, and ranges of what differs from it.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoxSpec {
+    /// Version of the file format: 1.
+    pub version: u32,
+    /// Why these ranges.
+    #[serde(default)]
+    pub about: String,
+    /// A built-in scenario: a leader that brakes, a vehicle under test, and at most one follower with the baseline.
+    pub scenario: String,
+    /// What varies.
+    pub ranges: RangesSpec,
+    /// Largest error of each of the eight numbers that are observed, in metres, m/s and m/s². Default: none to speak of.
+    #[serde(default = "exact")]
+    pub observation_error: [f64; 8],
+}
+
+fn exact() -> [f64; 8] {
+    [ROUNDING; 8]
+}
+
+/// Ranges of what may differ from the scenario. Each is a number or `{ low = …, high = … }`.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[expect(missing_docs, reason = "each is what its name says, in the unit that its name says")]
+pub struct RangesSpec {
+    pub gap_ahead_m: Option<Interval>,
+    pub gap_behind_m: Option<Interval>,
+    pub leader_speed_mps: Option<Interval>,
+    pub ego_speed_mps: Option<Interval>,
+    pub follower_speed_mps: Option<Interval>,
+    pub leader_brake_mps2: Option<Interval>,
+    pub follower_brake_mps2: Option<Interval>,
+    pub onset_s: Option<Interval>,
+}
+
+/// Why nothing can be claimed about a box.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidBox {
+    /// The file is not one of a box.
+    #[error("{0}")]
+    Syntax(#[from] toml::de::Error),
+    /// The scenario is not one that can be claimed about.
+    #[error("scenario: {0}")]
+    Scenario(String),
+    /// A range is not one that can be claimed about.
+    #[error("ranges.{0}")]
+    Ranges(String),
+    /// The policy does not fit.
+    #[error("the policy {0}")]
+    Policy(String),
+    /// A start of the box is no scenario.
+    #[error(transparent)]
+    Start(#[from] InvalidField),
+    /// A start of the box cannot be run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+}
+
+/// What is to be cut.
+pub struct ReachPlan {
+    scenario: Scenario,
+    policy: Arc<Policy>,
+    bytes: Vec<u8>,
+    actor: Actor,
+    claim: Reach,
+}
+
+/// How much of the box is known once it is cut so often.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Shares {
+    /// Number of cuts of one box at most.
+    pub depth: u32,
+    /// Share of the volume in which nobody touches.
+    pub verified: f64,
+    /// Share of the volume in boxes with a start that ends in contact.
+    pub falsified: f64,
+    /// The rest.
+    pub undecided: f64,
+    /// Boxes that were bounded so far.
+    pub boxes: usize,
+    /// Time since the beginning, in seconds.
+    pub seconds: f64,
+}
+
+/// How many of the boxes that remain are undecided, and why.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Doubts {
+    /// The leader may be touched.
+    pub ahead: usize,
+    /// The follower may touch.
+    pub behind: usize,
+    /// Bounds became too wide, or instants at which the follower may brake too many.
+    pub too_wide: usize,
+}
+
+/// A box cut in parts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Partition {
+    /// The statement, unchecked.
+    pub certificate: Certificate,
+    /// One entry for each depth.
+    pub shares: Vec<Shares>,
+    /// Why the rest is undecided.
+    pub doubts: Doubts,
+}
+
+struct Node {
+    ranges: Ranges,
+    cell: Cell,
+    /// Number of the lower half; the upper half is the next one.
+    halves: Option<usize>,
+    reached: Option<Reached>,
+}
+
+impl BoxSpec {
+    /// Reads a box from TOML text.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] for text that is no box.
+    pub fn from_toml(text: &str) -> Result<Self, InvalidBox> {
+        let spec: Self = toml::from_str(text)?;
+        if spec.version == 1 { Ok(spec) } else { Err(InvalidBox::Scenario("only version 1 is known".to_owned())) }
+    }
+}
+
+impl ReachPlan {
+    /// A policy and a box.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] if the scenario has more to it than the checker knows of, or the policy asks for what no vehicle can do.
+    pub fn new(policy: Arc<Policy>, spec: &BoxSpec) -> Result<Self, InvalidBox> {
+        let wrong = |why: &str| InvalidBox::Scenario(why.to_owned());
+        let scenario = built_in(&spec.scenario).ok_or_else(|| wrong("is no built-in one"))?;
+        let vehicles = scenario.vehicles();
+        let [leader, ego, rest @ ..] = vehicles else { return Err(wrong("has too few vehicles")) };
+        let Driver::Profile(LeadProfile::Brake(brake)) = &leader.driver else {
+            return Err(wrong("the leader must brake at a constant rate"));
+        };
+        let is_plain = vehicles.iter().all(|v| {
+            v.acceleration_noise_mps2 == 0.0
+                && v.reaction_delay_s == 0.0
+                && v.actuator_lag_s == 0.0
+                && v.actuator_delay_s == 0.0
+                && v.jerk_limit_mps3.is_none()
+        });
+        if ego.driver != Driver::UnderTest || !is_plain {
+            return Err(wrong(
+                "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk",
+            ));
+        }
+        let follower_ttc_s = match rest {
+            [] => None,
+            [follower] => match &follower.driver {
+                Driver::Controller(ControllerSpec::Baseline(aeb)) => Some(aeb.ttc_s),
+                _ => return Err(wrong("the follower must drive with the baseline")),
+            },
+            _ => return Err(wrong("has too many vehicles")),
+        };
+        let action = policy.header().action;
+        if action.low_mps2 < -scenario.usable_brake_mps2(1) || action.high_mps2 > ego.max_accel_mps2() {
+            return Err(InvalidBox::Policy("asks for more than the vehicle can do".to_owned()));
+        }
+        let step_s = scenario.spec().step_s;
+        let or = |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
+        let of_follower =
+            |range, value: fn(&crumple_world::scenario::VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
+        let given = &spec.ranges;
+        let onset_s = or(given.onset_s, brake.onset_s);
+        let ranges = Ranges {
+            gap_ahead_m: or(given.gap_ahead_m, scenario.initial_gap_m(1).unwrap_or(0.0)),
+            gap_behind_m: or(given.gap_behind_m, scenario.initial_gap_m(2).unwrap_or(0.0)),
+            leader_speed_mps: or(given.leader_speed_mps, leader.speed_mps),
+            ego_speed_mps: or(given.ego_speed_mps, ego.speed_mps),
+            follower_speed_mps: of_follower(given.follower_speed_mps, |v| v.speed_mps),
+            leader_brake_mps2: or(given.leader_brake_mps2, brake.rate_mps2),
+            follower_brake_mps2: or(
+                given.follower_brake_mps2,
+                rest.first().map_or(0.0, |_| scenario.usable_brake_mps2(2)),
+            ),
+            onset_steps: Interval::new(onset_s.low() / step_s, onset_s.high() / step_s)
+                .ok_or_else(|| InvalidBox::Ranges("onset_s: too large".to_owned()))?,
+        };
+        if ranges.leader_brake_mps2.high() > scenario.usable_brake_mps2(0) {
+            return Err(InvalidBox::Ranges("leader_brake_mps2: harder than the leader can brake".to_owned()));
+        }
+        let bytes = policy.to_bytes().map_err(|error| InvalidBox::Policy(error.to_string()))?;
+        let actor = Actor::from_bytes(&bytes).map_err(InvalidBox::Policy)?;
+        let digest = policy.digest();
+        let claim = Reach {
+            policy_file: format!("policy-{}.safetensors", digest.get(..12).unwrap_or_default()),
+            policy_sha256: digest,
+            step_s,
+            steps: scenario.steps() as u32,
+            follower_ttc_s,
+            observation_error: spec.observation_error,
+            ranges,
+            partition: Vec::new(),
+            verified_share_at_least: 0.0,
+            falsified_share_at_least: 0.0,
+            min_gap_m_at_least: 0.0,
+        };
+        claim.scene(&actor).map_err(|rejection| InvalidBox::Ranges(rejection.to_string()))?;
+        let plan = Self { scenario, policy, bytes, actor, claim };
+        // Whatever else is wrong with a start shows here.
+        plan.touches(&[0.5; 8])?;
+        Ok(plan)
+    }
+
+    /// The policy file, for the checker.
+    #[must_use]
+    pub fn policy_bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// The name under which the certificate expects it.
+    #[must_use]
+    pub fn policy_file(&self) -> &str {
+        &self.claim.policy_file
+    }
+
+    /// Cuts undecided boxes, each at most `depth` times; `told` hears of each depth.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] if a start of the box is no scenario.
+    pub fn partition(&self, depth: u32, mut told: impl FnMut(&Shares)) -> Result<Partition, InvalidBox> {
+        let begin = Instant::now();
+        let mut scene = self.claim.scene(&self.actor).map_err(|rejection| InvalidBox::Ranges(rejection.to_string()))?;
+        scene.stop_at_doubt = true;
+        let mut nodes = vec![Node { ranges: self.claim.ranges, cell: Cell::Undecided, halves: None, reached: None }];
+        let mut due = vec![0_usize];
+        let (mut shares, mut verified, mut gap_m) = (Vec::new(), 0.0, f64::INFINITY);
+        for level in 0..=depth {
+            let bound = |&node: &usize| reach(&Scene { ranges: nodes[node].ranges, ..scene.clone() });
+            let found: Vec<Reached> = due.par_iter().map(bound).collect();
+            let volume = 0.5_f64.powi(level as i32);
+            let mut next = Vec::new();
+            for (&node, reached) in due.iter().zip(found) {
+                nodes[node].reached = Some(reached);
+                if reached.doubt.is_none() {
+                    nodes[node].cell = Cell::Verified;
+                    verified += volume;
+                    gap_m = gap_m.min(reached.gaps_m[0]).min(reached.gaps_m[1]);
+                } else if level < depth
+                    && let Some((dimension, halves)) = cut(&nodes[node].ranges, &reached)
+                {
+                    nodes[node].cell = Cell::Cut(dimension);
+                    nodes[node].halves = Some(nodes.len());
+                    for ranges in halves {
+                        next.push(nodes.len());
+                        nodes.push(Node { ranges, cell: Cell::Undecided, halves: None, reached: None });
+                    }
+                }
+            }
+            let (boxes, seconds) = (nodes.len() - next.len(), begin.elapsed().as_secs_f64());
+            let now = Shares { depth: level, verified, falsified: 0.0, undecided: 1.0 - verified, boxes, seconds };
+            told(&now);
+            shares.push(now);
+            if next.is_empty() {
+                break;
+            }
+            due = next;
+        }
+        self.falsify(&scene, &mut nodes)?;
+        Ok(self.concluded(&nodes, shares, gap_m, begin))
+    }
+
+    /// Looks for starts that end in contact in whatever is undecided.
+    fn falsify(&self, scene: &Scene<'_>, nodes: &mut [Node]) -> Result<(), InvalidBox> {
+        let undecided: Vec<usize> = (0..nodes.len()).filter(|&node| nodes[node].cell == Cell::Undecided).collect();
+        let search = |&node: &usize| -> Result<Option<[f64; 8]>, InvalidBox> {
+            let mut stream = random::stream(0, Purpose::ScenarioDraw, node as u64);
+            let ranges = &nodes[node].ranges;
+            for start in 0..=STARTS {
+                let place: [f64; 8] = std::array::from_fn(|_| if start == 0 { 0.5 } else { stream.random() });
+                let point = within(ranges, &place);
+                let one = || ranges.at(&point).map(|ranges| Scene { ranges, stop_at_doubt: false, ..scene.clone() });
+                if self.contact(&point)? && one().is_some_and(|scene| reach(&scene).touches) {
+                    return Ok(Some(point));
+                }
+            }
+            Ok(None)
+        };
+        let found = undecided.par_iter().map(search).collect::<Result<Vec<_>, _>>()?;
+        for (node, point) in undecided.into_iter().zip(found) {
+            if let Some(point) = point {
+                nodes[node].cell = Cell::Falsified(point);
+            }
+        }
+        Ok(())
+    }
+
+    fn concluded(&self, nodes: &[Node], mut shares: Vec<Shares>, gap_m: f64, begin: Instant) -> Partition {
+        let (mut doubts, mut partition) = (Doubts::default(), Vec::new());
+        let (mut verified, mut falsified) = (0.0, 0.0);
+        // Lower halves first, as the certificate wants them.
+        let mut pending = vec![(0_usize, 1.0_f64)];
+        while let Some((number, volume)) = pending.pop() {
+            let node = &nodes[number];
+            partition.push(node.cell);
+            match node.cell {
+                Cell::Cut(_) => {
+                    pending.extend(node.halves.iter().flat_map(|&lower| [lower + 1, lower].map(|n| (n, volume / 2.0))))
+                }
+                Cell::Verified => verified += volume,
+                Cell::Falsified(_) => falsified += volume,
+                Cell::Undecided => match node.reached.and_then(|reached| reached.doubt) {
+                    Some(Doubt::MayTouch { pair: 0, .. }) => doubts.ahead += 1,
+                    Some(Doubt::MayTouch { .. }) => doubts.behind += 1,
+                    _ => doubts.too_wide += 1,
+                },
+            }
+        }
+        if let Some(last) = shares.last_mut() {
+            (last.falsified, last.undecided) = (falsified, 1.0 - verified - falsified);
+            last.seconds = begin.elapsed().as_secs_f64();
+        }
+        let claim = Reach {
+            partition,
+            verified_share_at_least: verified,
+            falsified_share_at_least: falsified,
+            // Whole micrometres: what another version rounds otherwise is still proved.
+            min_gap_m_at_least: if gap_m.is_finite() { (gap_m * 1e6).floor() / 1e6 } else { 0.0 },
+            ..self.claim.clone()
+        };
+        let certificate = certificate(&self.scenario.spec().name, Statement::Reach(claim));
+        Partition { certificate, shares, doubts }
+    }
+
+    fn touches(&self, place: &[f64; 8]) -> Result<bool, InvalidBox> {
+        self.contact(&within(&self.claim.ranges, place))
+    }
+
+    /// Whether a start ends in contact in the simulator.
+    fn contact(&self, point: &[f64; 8]) -> Result<bool, InvalidBox> {
+        let [ahead_m, behind_m, leader_mps, ego_mps, follower_mps, brake_mps2, follower_brake_mps2, onset] = *point;
+        let onset_s = onset * self.claim.step_s;
+        let scenario = self.scenario.edited(|spec| {
+            if let [leader, ego, rest @ ..] = spec.vehicles.as_mut_slice() {
+                (leader.speed_mps, ego.speed_mps) = (leader_mps, ego_mps);
+                leader.position_m = ego.position_m + ahead_m + leader.length_m();
+                leader.driver = Driver::Profile(LeadProfile::Brake(Brake { onset_s, rate_mps2: brake_mps2 }));
+                for follower in rest {
+                    follower.position_m = ego.position_m - ego.length_m() - behind_m;
+                    (follower.speed_mps, follower.max_brake_mps2) = (follower_mps, Some(follower_brake_mps2));
+                }
+            }
+        })?;
+        let options = RunOptions::new(Arc::clone(&self.policy)).with_estimator(EstimatorKind::Truth);
+        let run = Run::new(&scenario, options)?;
+        Ok(simulate(&run, Keep::Summary).outcome != Outcome::NoCollision)
+    }
+}
+
+/// The dimension that accounts for most of the doubt, of those that can be cut, and the halves.
+fn cut(ranges: &Ranges, reached: &Reached) -> Option<(Dimension, [Ranges; 2])> {
+    let mut order: Vec<(f64, Dimension)> = reached.sensitivity.into_iter().zip(Dimension::ALL).collect();
+    order.sort_by(|a, b| b.0.total_cmp(&a.0));
+    order.into_iter().find_map(|(_, dimension)| Some((dimension, ranges.halves(dimension)?)))
+}
+
+/// The member at given places between the lower and upper ends.
+fn within(ranges: &Ranges, place: &[f64; 8]) -> [f64; 8] {
+    std::array::from_fn(|i| {
+        let range = ranges.get(Dimension::ALL[i]);
+        (range.low() + place[i] * (range.high() - range.low())).clamp(range.low(), range.high())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_verify::{Accepted, check_with};
+
+    fn plan(ranges: &str) -> ReachPlan {
+        let text = format!("version = 1\nscenario = \"paper-1\"\n[ranges]\n{ranges}");
+        ReachPlan::new(Policy::reference(), &BoxSpec::from_toml(&text).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn what_is_claimed_is_accepted_and_does_not_depend_on_threads() {
+        let plan = plan("gap_ahead_m = { low = 2.0, high = 18.0 }\nleader_brake_mps2 = { low = 2.5, high = 7.5 }");
+        let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let partition = alone.install(|| plan.partition(6, |_| ())).unwrap();
+        assert_eq!(partition.certificate, plan.partition(6, |_| ()).unwrap().certificate);
+        let Statement::Reach(claim) = &partition.certificate.statement else { panic!("reach") };
+        match check_with(&partition.certificate, Some(plan.policy_bytes())).unwrap() {
+            Accepted::Reach { verified_share, falsified_share, smallest_gap_m } => {
+                assert_eq!(verified_share, claim.verified_share_at_least);
+                assert_eq!(falsified_share, claim.falsified_share_at_least);
+                let spare_m = smallest_gap_m - claim.min_gap_m_at_least;
+                assert!((0.0..1.001e-6).contains(&spare_m), "{spare_m:e}");
+                assert!(verified_share > 0.1 && falsified_share > 0.1, "{:?}", partition.shares);
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// What certificates assume of the tanh that policies are driven with, twice as well.
+    #[test]
+    fn single_precision_tanh_is_as_good_as_assumed() {
+        let all = (0..u32::MAX / 997).map(|k| f32::from_bits(k * 997)).filter(|z| z.is_finite());
+        let worst = all.map(|z| (f64::from(libm::tanhf(z)) - f64::from(z).tanh()).abs()).fold(0.0, f64::max);
+        assert!(worst < crumple_verify::reach::actor::TANH_ERROR / 2.0, "{worst:e}");
+    }
+}

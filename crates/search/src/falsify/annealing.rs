@@ -1,0 +1,112 @@
+//! Simulated annealing with adaptive steps.
+//!
+//! Metropolis acceptance, one coordinate moved at a time, and each coordinate's step adapted so that about half of its
+//! moves are accepted (Corana et al., ACM Transactions on Mathematical Software 13, 1987). The temperature falls
+//! geometrically over a cycle and is then raised again, from the best point found, so that no budget is too long.
+
+use rand::RngExt;
+
+use super::method::rankable;
+use super::{Cube, Search};
+use crumple_world::random::{Purpose, Stream, stream};
+
+/// Moves of each coordinate in a cycle.
+const MOVES_A_COORDINATE: usize = 100;
+/// Temperature at the end of a cycle, relative to its start.
+const COOLING: f64 = 1e-6;
+/// Uniform points whose spread sets the first temperature.
+const WARM_UP: usize = 16;
+
+/// Simulated annealing.
+#[derive(Debug)]
+pub(super) struct Annealing {
+    random: Stream,
+    dimension: usize,
+    warm_up: Vec<f64>,
+    current: (f64, Vec<f64>),
+    best: (f64, Vec<f64>),
+    steps: Vec<f64>,
+    moves: usize,
+    asked: Vec<Vec<f64>>,
+}
+
+impl Annealing {
+    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+        Self {
+            random: stream(seed, Purpose::Search, 0),
+            dimension: cube.dimension(),
+            warm_up: Vec::new(),
+            current: (f64::INFINITY, vec![0.5; cube.dimension()]),
+            best: (f64::INFINITY, vec![0.5; cube.dimension()]),
+            steps: vec![0.5; cube.dimension()],
+            moves: 0,
+            asked: Vec::new(),
+        }
+    }
+
+    fn temperature(&self) -> f64 {
+        let finite = || self.warm_up.iter().filter(|value| value.is_finite());
+        let count = finite().count().max(1) as f64;
+        let mean = finite().sum::<f64>() / count;
+        let spread = (finite().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
+        let cycle = MOVES_A_COORDINATE * self.dimension;
+        spread * COOLING.powf((self.moves % cycle) as f64 / cycle as f64)
+    }
+
+    /// The coordinate that the current move changes.
+    fn moving(&self) -> usize {
+        self.moves % self.dimension
+    }
+}
+
+impl Search for Annealing {
+    fn ask(&mut self) -> Vec<Vec<f64>> {
+        self.asked = if self.warm_up.is_empty() {
+            (0..WARM_UP).map(|_| (0..self.dimension).map(|_| self.random.random()).collect()).collect()
+        } else {
+            let mut point = self.current.1.clone();
+            let coordinate = self.moving();
+            if let (Some(x), Some(step)) = (point.get_mut(coordinate), self.steps.get(coordinate)) {
+                *x = reflected(*x + step * self.random.random_range(-1.0..1.0));
+            }
+            vec![point]
+        };
+        self.asked.clone()
+    }
+
+    fn tell(&mut self, robustness: &[f64]) {
+        let values = robustness.iter().map(|&value| rankable(value));
+        let told: Vec<(f64, Vec<f64>)> = values.zip(std::mem::take(&mut self.asked)).collect();
+        let Some(least) = told.iter().min_by(|a, b| a.0.total_cmp(&b.0)).cloned() else { return };
+        if least.0 < self.best.0 {
+            self.best = least.clone();
+        }
+        if self.warm_up.is_empty() {
+            self.warm_up = told.iter().map(|(value, _)| *value).collect();
+            self.current = least;
+            return;
+        }
+        let rise = least.0 - self.current.0;
+        // From one infinite value to another there is no rise.
+        let accepted = rise <= 0.0 || rise.is_nan() || self.random.random::<f64>() < (-rise / self.temperature()).exp();
+        if accepted {
+            self.current = least;
+        }
+        // Grows by a tenth when accepted and shrinks by as much when not: at rest when half are accepted.
+        let coordinate = self.moving();
+        if let Some(step) = self.steps.get_mut(coordinate) {
+            *step = (*step * if accepted { 1.1 } else { 1.0 / 1.1 }).clamp(1e-9, 0.5);
+        }
+        self.moves += 1;
+        if self.moves.is_multiple_of(MOVES_A_COORDINATE * self.dimension) {
+            self.current = self.best.clone();
+            self.steps.fill(0.5);
+        }
+    }
+}
+
+/// Mirrored into [0, 1].
+fn reflected(x: f64) -> f64 {
+    let folded = x.rem_euclid(2.0);
+    if folded > 1.0 { 2.0 - folded } else { folded }
+}

@@ -1,0 +1,352 @@
+//! The portfolio: no method is the best everywhere, so several share the budget.
+
+use rand::RngExt;
+
+use super::climb::{Climbs, Move};
+use super::cma_es::{FIRST_SIGMA, Run, default_population};
+use super::edge::{Plateaus, Segment};
+use super::method::rankable;
+use super::sequential::LeadDescent;
+use super::shape::simple_point;
+use super::surrogate::{Chosen, Surrogate};
+use super::{Cube, Search};
+use crumple_world::random::{Purpose, Stream, stream};
+
+/// Simple points before anything else: problems that give in to extreme inputs end here.
+const FIRST_POINTS: usize = 16;
+/// Signals of a descent have at most so many pieces.
+const DESCENT_PIECES: usize = 10;
+/// Step of a descent that starts at one of the best points, and how many of them it may start from.
+const LOCAL_SIGMA: f64 = 0.15;
+const STARTS: usize = 5;
+/// A descent has met a plateau after so many generations without a gain of this share of its best value.
+const PATIENCE: usize = 4;
+const GAIN: f64 = 0.1;
+/// Most evaluations of exploration for each one of the descent before: a quarter of the budget always descends.
+const MOST_EXPLORATION: usize = 3;
+/// Below this spread a descent is on its own: the surrogate shows the way from afar and would mislead it near by.
+const FINE: f64 = 0.1;
+/// Since its points are screened, a descent makes do with half the usual population, but not with fewer than this.
+const SMALLEST_POPULATION: usize = 4;
+/// Candidates of which the most promising one is evaluated.
+const SCREENED: usize = 16;
+/// Latest points the surrogate is fitted to: its cost grows with their cube.
+const MOST_KNOWN: usize = 150;
+/// Descents kept for later, for the same reason as good points.
+const MOST_PAUSED: usize = 200;
+/// Good points kept: a long search must not fill memory, and descents start at the best few.
+const MOST_GOOD_POINTS: usize = 2000;
+/// Evaluations of everything else for each one of a descent of the leader's script.
+const BESIDE_LEAD: usize = 3;
+/// What goes along with each generation of a descent.
+const BESIDE_DESCENT: Share = Share { screened: 2, simple: 0, edges: 0 };
+/// A batch while no descent runs.
+const EXPLORATION: Share = Share { screened: 1, simple: 4, edges: 7 };
+
+/// How many points of each kind a batch holds.
+#[derive(Debug, Clone, Copy)]
+struct Share {
+    screened: usize,
+    simple: usize,
+    edges: usize,
+}
+
+/// The portfolio. It knows the cube and the values, nothing else.
+///
+/// It starts with a few simple points (`shape`). Then two kinds of work take turns:
+///
+/// - A *descent* is a run of CMA-ES on signals of at most ten pieces, each generation screened by a surrogate, for as long
+///   as the best value comes notably nearer to violation; broken off, it may be continued later.
+/// - *Exploration* draws simple points, some of them screened, and halves segments towards the edges of plateaus (`edge`).
+///   Where no two values are equal there is no plateau, and the climbs of `signals` take that share.
+///
+/// Where the problem has a leader, its script is made worse beside all that once the first descent is over, by sequential
+/// convex programming from the best point (`sequential`), whenever the best value has notably fallen since that was last
+/// done.
+///
+/// After the k-th descent exploration lasts k times as long as the descent did, up to three times: the first descents decide
+/// easy problems soon, and on deceptive slopes their share of the budget falls.
+#[derive(Debug)]
+pub(super) struct Auto {
+    cube: Cube,
+    coarse: Cube,
+    random: Stream,
+    plateaus: Plateaus,
+    climbs: Climbs,
+    segments: Vec<Segment>,
+    good_points: Vec<(f64, Vec<f64>)>,
+    descent: Option<Descent>,
+    descents: usize,
+    paused: Vec<Descent>,
+    exploration_left: usize,
+    /// The latest coarse points and their values, in the order they were evaluated.
+    known: Vec<(Vec<f64>, f64)>,
+    /// How many there have been, forgotten ones included.
+    known_ever: usize,
+    surrogate: Option<Surrogate>,
+    metric: Chosen,
+    lead: Lead,
+    asked: Vec<Asked>,
+}
+
+/// Descents of the leader's script, one after the other.
+#[derive(Debug, Default)]
+struct Lead {
+    descent: Option<LeadDescent>,
+    /// The best point so far, and its value.
+    best: Option<(f64, Vec<f64>)>,
+    /// The best value when the last one began.
+    begun_at: Option<f64>,
+    /// Evaluations of the descents, and of everything.
+    spent: [usize; 2],
+}
+
+#[derive(Debug)]
+struct Descent {
+    run: Run,
+    best: f64,
+    evaluations: usize,
+    fruitless: usize,
+}
+
+#[derive(Debug)]
+enum Asked {
+    Simple(Vec<f64>),
+    Screened(Vec<f64>),
+    Descent(Vec<f64>),
+    Edge(Segment),
+    Climb(Move),
+    Lead(Vec<f64>),
+}
+
+impl Auto {
+    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+        Self {
+            cube: cube.clone(),
+            coarse: cube.coarse(DESCENT_PIECES),
+            random: stream(seed, Purpose::Search, 0),
+            plateaus: Plateaus::default(),
+            climbs: Climbs::default(),
+            segments: Vec::new(),
+            good_points: Vec::new(),
+            descent: None,
+            descents: 0,
+            paused: Vec::new(),
+            exploration_left: 0,
+            known: Vec::new(),
+            known_ever: 0,
+            surrogate: None,
+            metric: Chosen::default(),
+            lead: Lead::default(),
+            asked: Vec::new(),
+        }
+    }
+
+    fn ask_share(&mut self, share: Share) {
+        for _ in 0..share.edges {
+            let next = self.edge();
+            self.asked.push(next);
+        }
+        for _ in 0..share.screened {
+            let next = self.screened();
+            self.asked.push(next);
+        }
+        for _ in 0..share.simple {
+            let next = self.simple();
+            self.asked.push(next);
+        }
+    }
+
+    fn edge(&mut self) -> Asked {
+        let segment = self.segments.pop().or_else(|| self.plateaus.segment(&self.cube, &mut self.random));
+        if let Some(segment) = segment {
+            return Asked::Edge(segment);
+        }
+        match self.climbs.next(&self.cube, &mut self.random) {
+            Some(proposal) => Asked::Climb(proposal),
+            None => self.simple(),
+        }
+    }
+
+    fn simple(&mut self) -> Asked {
+        Asked::Simple(simple_point(&self.cube, &mut self.random))
+    }
+
+    /// The most promising of several simple points.
+    fn screened(&mut self) -> Asked {
+        let Some(surrogate) = &self.surrogate else { return self.simple() };
+        let candidates = (0..SCREENED).map(|_| simple_point(&self.cube, &mut self.random));
+        let scored = candidates.map(|point| (surrogate.score(&self.cube.coarsen(&self.coarse, &point)), point));
+        let best = scored.min_by(|a, b| a.0.total_cmp(&b.0));
+        Asked::Screened(best.map(|(_, point)| point).unwrap_or_default())
+    }
+
+    /// The first two descents start at the centre; then the best one that was broken off continues, and new ones start at
+    /// the best points, by turns.
+    fn next_descent(&mut self) -> Descent {
+        self.descents += 1;
+        let best_paused = self.paused.iter().enumerate().min_by(|a, b| a.1.best.total_cmp(&b.1.best));
+        if self.descents > 2
+            && self.descents % 2 == 1
+            && let Some((index, _)) = best_paused
+        {
+            let paused = self.paused.swap_remove(index);
+            return Descent { evaluations: 0, fruitless: 0, ..paused };
+        }
+        let population = (default_population(self.coarse.dimension()) / 2).max(SMALLEST_POPULATION);
+        let (start, sigma) = if self.descents <= 2 || self.good_points.is_empty() {
+            (vec![0.5; self.coarse.dimension()], FIRST_SIGMA)
+        } else {
+            self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let among = self.good_points.len().min(STARTS);
+            let chosen = self.good_points.swap_remove(self.random.random_range(0..among));
+            (self.cube.coarsen(&self.coarse, &chosen.1), LOCAL_SIGMA)
+        };
+        Descent { run: Run::new(start, sigma, population), best: f64::INFINITY, evaluations: 0, fruitless: 0 }
+    }
+}
+
+impl Descent {
+    fn learn(&mut self, generation: &[f64]) {
+        let least = generation.iter().copied().fold(f64::INFINITY, f64::min);
+        let gained = self.best == f64::INFINITY || least < self.best - GAIN * self.best.abs();
+        self.fruitless = if gained { 0 } else { self.fruitless + 1 };
+        self.best = if gained { least } else { self.best };
+        self.evaluations += generation.len();
+        self.run.tell(generation);
+    }
+}
+
+impl Lead {
+    fn ask(&mut self, cube: &Cube) -> Vec<Vec<f64>> {
+        let [own, all] = self.spent;
+        if cube.leader().is_empty() || own * (1 + BESIDE_LEAD) > all {
+            return Vec::new();
+        }
+        let asked = self.descent.as_mut().map(LeadDescent::ask).unwrap_or_default();
+        let can_begin = |(best, _): &&(f64, Vec<f64>)| asked.is_empty() && best.is_finite();
+        let Some((best, point)) = self.best.as_ref().filter(can_begin) else { return asked };
+        let has_fallen = self.begun_at.is_none_or(|begun_at| *best < begun_at - GAIN * begun_at.abs());
+        if !has_fallen {
+            return asked;
+        }
+        self.begun_at = Some(*best);
+        self.descent.insert(LeadDescent::new(cube, point.clone(), *best)).ask()
+    }
+
+    /// The values of what was asked for last.
+    fn tell(&mut self, robustness: &[f64]) {
+        self.spent[0] += robustness.len();
+        if let Some(descent) = self.descent.as_mut().filter(|_| !robustness.is_empty()) {
+            descent.tell(robustness);
+        }
+    }
+
+    /// Any value.
+    fn learn(&mut self, point: &[f64], value: f64) {
+        self.spent[1] += 1;
+        if self.best.as_ref().is_none_or(|(best, _)| value < *best) {
+            self.best = Some((value, point.to_vec()));
+        }
+    }
+}
+
+impl Auto {
+    fn remember(&mut self, point: &[f64], value: f64) {
+        self.known.push((self.cube.coarsen(&self.coarse, point), value));
+        self.known_ever += 1;
+    }
+}
+
+impl Search for Auto {
+    fn ask(&mut self) -> Vec<Vec<f64>> {
+        self.climbs.rank();
+        self.asked.clear();
+        self.known.drain(..self.known.len().saturating_sub(MOST_KNOWN));
+        self.surrogate = Surrogate::fit(&self.coarse, &self.known, self.known_ever, &mut self.metric);
+        if self.good_points.len() > 2 * MOST_GOOD_POINTS {
+            self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            self.good_points.truncate(MOST_GOOD_POINTS);
+        }
+        if self.good_points.len() + self.descents == 0 {
+            self.ask_share(Share { screened: 0, simple: FIRST_POINTS, edges: 0 });
+        } else if self.exploration_left > 0 {
+            self.ask_share(EXPLORATION);
+        } else {
+            let mut descent = match self.descent.take() {
+                Some(descent) => descent,
+                None => self.next_descent(),
+            };
+            let generation = match &self.surrogate {
+                Some(surrogate) if descent.run.spread() > FINE => {
+                    descent.run.ask_screened(&mut self.random, SCREENED, |point| surrogate.score(point))
+                }
+                _ => descent.run.ask(&mut self.random),
+            };
+            self.asked
+                .extend(generation.into_iter().map(|point| Asked::Descent(self.cube.refine(&self.coarse, &point))));
+            self.descent = Some(descent);
+            self.ask_share(BESIDE_DESCENT);
+        }
+        // Not before the first descent has met its plateau: easy problems are decided by then.
+        if self.descents > 1 || self.exploration_left > 0 {
+            self.asked.extend(self.lead.ask(&self.cube).into_iter().map(Asked::Lead));
+        }
+        let point = |asked: &Asked| match asked {
+            Asked::Simple(point) | Asked::Screened(point) => point.clone(),
+            Asked::Descent(point) | Asked::Lead(point) => point.clone(),
+            Asked::Edge(segment) => segment.middle(),
+            Asked::Climb(proposal) => proposal.point.clone(),
+        };
+        self.asked.iter().map(point).collect()
+    }
+
+    fn tell(&mut self, robustness: &[f64]) {
+        self.exploration_left = self.exploration_left.saturating_sub(robustness.len());
+        let (mut generation, mut of_lead) = (Vec::new(), Vec::new());
+        let asked = std::mem::take(&mut self.asked);
+        for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| rankable(value))) {
+            if let Asked::Simple(point) | Asked::Screened(point) | Asked::Descent(point) | Asked::Lead(point) = &asked {
+                self.lead.learn(point, value);
+            }
+            match asked {
+                Asked::Screened(point) => {
+                    self.remember(&point, value);
+                    self.good_points.push((value, point));
+                }
+                Asked::Simple(point) => {
+                    self.remember(&point, value);
+                    self.plateaus.add(point.clone(), value);
+                    self.climbs.start(point.clone(), value);
+                    self.good_points.push((value, point));
+                }
+                Asked::Descent(point) => {
+                    self.remember(&point, value);
+                    generation.push(value);
+                }
+                Asked::Edge(segment) => self.segments.extend(segment.halved(value)),
+                Asked::Climb(proposal) => self.climbs.tell(proposal, value),
+                Asked::Lead(point) => {
+                    of_lead.push(value);
+                    self.remember(&point, value);
+                    self.good_points.push((value, point));
+                }
+            }
+        }
+        self.lead.tell(&of_lead);
+        if let Some(mut descent) = self.descent.take() {
+            descent.learn(&generation);
+            let stagnated = descent.run.has_stagnated();
+            if descent.fruitless < PATIENCE && !stagnated {
+                self.descent = Some(descent);
+            } else {
+                self.exploration_left = self.descents.min(MOST_EXPLORATION) * descent.evaluations;
+                self.paused.extend((!stagnated).then_some(descent));
+                if self.paused.len() > MOST_PAUSED {
+                    self.paused.sort_by(|a, b| a.best.total_cmp(&b.best));
+                    self.paused.truncate(MOST_PAUSED / 2);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! What a campaign is: everything that decides its results, as a file.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Aim, CampaignError};
+use crate::falsify::Method;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::measure::Specification;
+use crumple_world::scenario::space::{Space, SpaceSpec};
+use crumple_world::sim::{Contender, RunOptions};
+
+/// The version of the campaign file this release reads and writes.
+pub const CAMPAIGN_VERSION: u32 = 2;
+
+/// Everything that decides a campaign's results.
+#[derive(Debug, Clone)]
+pub struct Campaign {
+    /// What is put under test.
+    pub controller: Contender,
+    /// What the vehicles under test look through.
+    pub estimator: EstimatorKind,
+    /// Where failures are looked for.
+    pub space: Space,
+    /// What must hold.
+    pub specification: Specification,
+    /// The search method.
+    pub method: Method,
+    /// What the search is after once it knows failures. The yardsticks do not look.
+    pub aim: Aim,
+    /// Evaluations of the method, and of each yardstick.
+    pub budget: u64,
+    /// Seed of the search and of all noise.
+    pub seed: u64,
+}
+
+/// The file `campaign.toml`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CampaignFile {
+    version: u32,
+    crumple: String,
+    controller: String,
+    policy_sha256: Option<String>,
+    estimator: EstimatorKind,
+    specification: String,
+    method: String,
+    aim: String,
+    budget: u64,
+    seed: u64,
+    space: SpaceSpec,
+}
+
+impl Campaign {
+    /// Hash of the policy under test; none for other controllers.
+    #[must_use]
+    pub fn policy_sha256(&self) -> Option<String> {
+        self.controller.policy().map(|policy| policy.digest())
+    }
+
+    /// The methods in the order in which they run: the one asked for, then the yardsticks.
+    #[must_use]
+    pub fn methods(&self) -> Vec<Method> {
+        let mut methods = vec![self.method];
+        methods.extend([Method::Uniform, Method::Halton].into_iter().filter(|method| *method != self.method));
+        methods
+    }
+
+    /// How scenarios are run to be judged.
+    #[must_use]
+    pub fn options(&self) -> RunOptions {
+        RunOptions::new(self.controller.controller.clone())
+            .with_estimator(self.estimator)
+            .with_after_contact(self.specification.after_contact())
+    }
+
+    /// The text of `campaign.toml`.
+    ///
+    /// # Errors
+    /// [`CampaignError::Encoding`] in principle, if the writer fails.
+    pub fn to_toml(&self) -> Result<String, CampaignError> {
+        let file = CampaignFile {
+            version: CAMPAIGN_VERSION,
+            crumple: env!("CARGO_PKG_VERSION").to_owned(),
+            controller: self.controller.name.clone(),
+            policy_sha256: self.policy_sha256(),
+            estimator: self.estimator,
+            specification: self.specification.to_string(),
+            method: self.method.name().to_owned(),
+            aim: self.aim.name().to_owned(),
+            budget: self.budget,
+            seed: self.seed,
+            space: self.space.spec().clone(),
+        };
+        toml::to_string(&file).map_err(CampaignError::encoding)
+    }
+
+    /// Says in what a campaign on disk differs from this one, if it does.
+    pub(super) fn difference(&self, found: &str, path: &Path) -> Result<Option<String>, CampaignError> {
+        let expected = self.to_toml()?;
+        if found == expected {
+            return Ok(None);
+        }
+        let table = |text: &str| text.parse::<toml::Table>().ok();
+        let (Some(old), Some(new)) = (table(found), table(&expected)) else {
+            return Ok(Some(format!("{} is no campaign", path.display())));
+        };
+        let (old, new) = (toml::Value::Table(old), toml::Value::Table(new));
+        let (place, there, here) = first_difference("", Some(&old), Some(&new)).unwrap_or_default();
+        Ok(Some(format!("{}: the campaign there has another `{place}`: {there} instead of {here}", path.display())))
+    }
+}
+
+/// The first place in which two values differ, deep inside tables and lists, and what is there.
+fn first_difference(
+    place: &str,
+    old: Option<&toml::Value>,
+    new: Option<&toml::Value>,
+) -> Option<(String, String, String)> {
+    use toml::Value::{Array, Table};
+    match (old, new) {
+        (Some(Table(old)), Some(Table(new))) => {
+            let names = new.keys().chain(old.keys().filter(|name| !new.contains_key(*name)));
+            let dot = if place.is_empty() { "" } else { "." };
+            names
+                .map(|name| (format!("{place}{dot}{name}"), old.get(name), new.get(name)))
+                .find_map(|(place, old, new)| first_difference(&place, old, new))
+        }
+        (Some(Array(old)), Some(Array(new))) => (0..old.len().max(new.len()))
+            .find_map(|index| first_difference(&format!("{place}[{index}]"), old.get(index), new.get(index))),
+        _ if old == new => None,
+        _ => {
+            let show = |value: Option<&toml::Value>| match value {
+                None => "nothing".to_owned(),
+                // Whole tables and lists would fill the screen.
+                Some(Table(_)) => "a table".to_owned(),
+                Some(Array(_)) => "a list".to_owned(),
+                Some(value) => value.to_string(),
+            };
+            Some((place.to_owned(), show(old), show(new)))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn differences_are_named_however_deep_they_are() {
+        let at = |old: &str, new: &str| {
+            let [old, new] = [old, new].map(|text| toml::Value::Table(text.parse().unwrap()));
+            first_difference("", Some(&old), Some(&new)).map(|(place, there, here)| format!("{place}: {there}, {here}"))
+        };
+        assert_eq!(at("a = 1\nb = 2", "b = 2\na = 1"), None);
+        assert_eq!(at("a = 1", "a = 2").unwrap(), "a: 1, 2");
+        assert_eq!(
+            at("a = [{ b = 1 }, { b = 2, c.d = 3 }]", "a = [{ b = 1 }, { b = 2, c.d = 4 }]").unwrap(),
+            "a[1].c.d: 3, 4"
+        );
+        assert_eq!(at("a = [1, 2]", "a = [1]").unwrap(), "a[1]: 2, nothing");
+        assert_eq!(at("a = 1", "a.b = 1").unwrap(), "a: 1, a table");
+        assert_eq!(at("", "a = 'x'").unwrap(), "a: nothing, \"x\"");
+    }
+}

@@ -1,0 +1,185 @@
+//! Failures as they come in: which kinds there are, and which of each are worth a closer look.
+
+use super::Evaluated;
+use super::front::Front;
+use crate::falsify::Method;
+use crumple_world::measure::{Braking, RunVerdict, Specification};
+use crumple_world::scenario::{Scenario, VehicleClass};
+
+/// What tells failures apart at first sight: who hits whom, how hard the ego had braked until then (so whether its emergency
+/// brake had fired), and the class of the vehicle that hits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum FailureKind {
+    /// Vehicles touched.
+    Contact {
+        /// Index of the vehicle that is hit.
+        front_vehicle: u32,
+        /// Index of the vehicle that hits it.
+        rear_vehicle: u32,
+        /// How hard the vehicle under test among the two had braked.
+        ego_braking: Braking,
+        /// Class of the vehicle that hits.
+        rear_class: VehicleClass,
+    },
+    /// A formula is violated. What touches whom is told apart no further: it need not be the cause.
+    Violation {
+        /// Whether vehicles touched as well.
+        touching: bool,
+    },
+}
+
+impl FailureKind {
+    /// The kind of a verdict by a specification; none if that holds.
+    #[must_use]
+    pub fn of(verdict: &RunVerdict, specification: &Specification) -> Option<Self> {
+        if verdict.robustness.is_nan() || verdict.robustness >= 0.0 {
+            return None;
+        }
+        Some(match (specification, verdict.contact) {
+            (Specification::NoContact, Some(struck)) => Self::Contact {
+                front_vehicle: struck.front_vehicle,
+                rear_vehicle: struck.rear_vehicle,
+                ego_braking: struck.ego_braking,
+                rear_class: struck.rear_class,
+            },
+            (_, contact) => Self::Violation { touching: contact.is_some() },
+        })
+    }
+
+    /// Whether the same two vehicles touch, or both are violations of the formula.
+    #[must_use]
+    pub fn same_pair(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Contact { rear_vehicle: a, .. }, Self::Contact { rear_vehicle: b, .. }) => a == b,
+            (Self::Violation { .. }, Self::Violation { .. }) => true,
+            _ => false,
+        }
+    }
+
+    /// In words, for scenarios like `scenario`.
+    #[must_use]
+    pub fn describe(&self, scenario: &Scenario) -> String {
+        let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
+            Self::Violation { touching: false } => return "the formula is violated without a contact".to_owned(),
+            Self::Violation { touching: true } => return "the formula is violated, and vehicles touch".to_owned(),
+            Self::Contact { front_vehicle, rear_vehicle, ego_braking, rear_class } => {
+                (front_vehicle, rear_vehicle, ego_braking, rear_class)
+            }
+        };
+        let is_ego = |index: u32| scenario.is_under_test(index as usize);
+        let class = rear_class.name();
+        let braked = match ego_braking {
+            Braking::None => "without braking",
+            Braking::Partial => "braking partly",
+            Braking::Full => "braking fully",
+        };
+        match (is_ego(*rear_vehicle), is_ego(*front_vehicle)) {
+            (true, _) => format!("ego (vehicle {rear_vehicle}) hits vehicle {front_vehicle}, {braked}"),
+            (false, true) => {
+                format!("vehicle {rear_vehicle} ({class}) hits the ego (vehicle {front_vehicle}), the ego {braked}")
+            }
+            _ => format!("vehicle {rear_vehicle} ({class}) hits vehicle {front_vehicle}"),
+        }
+    }
+}
+
+/// A failure that may be looked at more closely.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Candidate {
+    /// Which method found it.
+    pub method: Method,
+    /// At which of its evaluations, from 1.
+    pub number: u64,
+    /// The values, one a coordinate.
+    pub values: Vec<f64>,
+    /// What the run was worth.
+    pub verdict: RunVerdict,
+    /// Logarithm of its density under the space's distribution, relative to an even one.
+    pub ln_likelihood: f64,
+    /// Distance from nominal in the unit cube, from 0 to 1: mean over the parameters.
+    pub departure: f64,
+}
+
+/// All failures of one kind.
+#[derive(Debug, Clone)]
+pub(super) struct Kind {
+    pub(super) kind: FailureKind,
+    /// For each method that found it: how often, and at which of its evaluations first.
+    pub(super) by_method: Vec<(Method, u64, u64)>,
+    first: Candidate,
+    severest: Candidate,
+    likeliest: Candidate,
+}
+
+/// Failures by kind, in the order of their discovery. Memory does not grow with the number of evaluations.
+#[derive(Debug)]
+pub(super) struct Failures {
+    specification: Specification,
+    pub(super) kinds: Vec<Kind>,
+    pub(super) front: Front,
+}
+
+impl Failures {
+    pub(super) fn new(specification: Specification) -> Self {
+        Self { specification, kinds: Vec::new(), front: Front::default() }
+    }
+
+    pub(super) fn add(&mut self, method: Method, evaluated: &Evaluated) {
+        let Some(kind) = FailureKind::of(&evaluated.verdict, &self.specification) else { return };
+        let candidate = Candidate {
+            method,
+            number: evaluated.number,
+            values: evaluated.values.clone(),
+            verdict: evaluated.verdict,
+            ln_likelihood: evaluated.ln_likelihood,
+            departure: evaluated.departure,
+        };
+        self.front.add(&candidate);
+        let Some(known) = self.kinds.iter_mut().find(|known| known.kind == kind) else {
+            self.kinds.push(Kind {
+                kind,
+                by_method: vec![(method, 1, evaluated.number)],
+                first: candidate.clone(),
+                severest: candidate.clone(),
+                likeliest: candidate,
+            });
+            return;
+        };
+        match known.by_method.iter_mut().find(|(by, ..)| *by == method) {
+            Some((_, count, _)) => *count += 1,
+            None => known.by_method.push((method, 1, evaluated.number)),
+        }
+        if candidate.is_likelier_than(&known.likeliest) {
+            known.likeliest = candidate.clone();
+        }
+        if candidate.verdict.robustness < known.severest.verdict.robustness {
+            known.severest = candidate;
+        }
+    }
+}
+
+impl Candidate {
+    /// By likelihood; where that is equal, by nearness to nominal.
+    fn is_likelier_than(&self, other: &Self) -> bool {
+        let key = |candidate: &Self| (candidate.ln_likelihood, -candidate.departure);
+        key(self) > key(other)
+    }
+}
+
+impl Kind {
+    /// The failures of this kind to look at: the severest, the likeliest and the first, without repetition.
+    pub(super) fn picks(&self) -> Vec<&Candidate> {
+        let mut picks = vec![&self.severest];
+        for candidate in [&self.likeliest, &self.first] {
+            if !picks.iter().any(|known| known.values == candidate.values) {
+                picks.push(candidate);
+            }
+        }
+        picks
+    }
+
+    /// How often it was found.
+    pub(super) fn count(&self) -> u64 {
+        self.by_method.iter().map(|(_, count, _)| count).sum()
+    }
+}

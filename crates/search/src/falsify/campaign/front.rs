@@ -1,0 +1,117 @@
+//! Severity against likelihood: the failures that no other beats in both.
+
+use std::cmp::Ordering;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Candidate, FailureKind};
+use crumple_world::measure::Specification;
+use crumple_world::scenario::Scenario;
+
+/// Most failures kept: a front of random points has some ten, and memory must not grow with the budget whatever they are.
+const MOST: usize = 1000;
+
+/// The Pareto front of all failing evaluations, the severest first: smaller robustness against greater likelihood, equal
+/// likelihoods by nearness to nominal.
+#[derive(Debug, Default)]
+pub(super) struct Front {
+    failures: Vec<Candidate>,
+}
+
+/// A failure that no other one beats both in severity and in likelihood.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrontPoint {
+    /// Which method found it.
+    pub method: String,
+    /// At which of its evaluations, from 1: the row of the log.
+    pub evaluation: u64,
+    /// What happens, in words.
+    pub kind: String,
+    /// Robustness: the smaller, the severer.
+    #[serde(with = "crate::falsify::non_finite")]
+    pub robustness: f64,
+    /// Difference of the speeds of those that touch first, in m/s, if anybody does.
+    pub impact_speed_mps: Option<f64>,
+    /// Logarithm of the density under the space's distribution, relative to one that is even over the ranges.
+    #[serde(with = "crate::falsify::non_finite")]
+    pub ln_likelihood: f64,
+    /// Distance from nominal, from 0 to 1: mean over the parameters of the difference, relative to the range.
+    pub departure: f64,
+}
+
+fn by_likelihood(one: &Candidate, other: &Candidate) -> Ordering {
+    let key = |candidate: &Candidate| (candidate.ln_likelihood, -candidate.departure);
+    key(one).partial_cmp(&key(other)).unwrap_or(Ordering::Equal)
+}
+
+impl Front {
+    pub(super) fn add(&mut self, candidate: &Candidate) {
+        // Severest first means least likely first; whoever could beat the new one is at its place or before it.
+        let severity = |known: &Candidate| known.verdict.robustness.total_cmp(&candidate.verdict.robustness);
+        let place = self.failures.partition_point(|known| severity(known) == Ordering::Less);
+        let milder = self.failures.partition_point(|known| severity(known) != Ordering::Greater);
+        let likeliest_before = milder.checked_sub(1).and_then(|index| self.failures.get(index));
+        if likeliest_before.is_some_and(|known| by_likelihood(known, candidate) != Ordering::Less) {
+            return;
+        }
+        let beaten = self.failures.iter().skip(place);
+        let beaten = beaten.take_while(|known| by_likelihood(known, candidate) != Ordering::Greater).count();
+        if beaten == 0 && self.failures.len() >= MOST {
+            return;
+        }
+        self.failures.splice(place..place + beaten, [candidate.clone()]);
+    }
+
+    pub(super) fn points(&self, specification: &Specification, nominal: &Scenario) -> Vec<FrontPoint> {
+        let point = |failure: &Candidate| FrontPoint {
+            method: failure.method.name().to_owned(),
+            evaluation: failure.number,
+            kind: FailureKind::of(&failure.verdict, specification).map_or(String::new(), |kind| kind.describe(nominal)),
+            robustness: failure.verdict.robustness,
+            impact_speed_mps: failure.verdict.contact.map(|contact| contact.impact_speed_mps),
+            ln_likelihood: failure.ln_likelihood,
+            departure: failure.departure,
+        };
+        self.failures.iter().map(point).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::falsify::Method;
+    use crumple_world::measure::RunVerdict;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// What is kept is what brute force finds, whatever the order, the ties and the infinities.
+        #[test]
+        fn the_front_is_that_of_brute_force(found in prop::collection::vec((0..9_i8, 0..9_i8, 0..3_i8), 1..60)) {
+            let candidates: Vec<Candidate> = found.iter().zip(1..).map(|(&(deep, likely, far), number)| Candidate {
+                method: Method::Uniform,
+                number,
+                values: Vec::new(),
+                verdict: RunVerdict { robustness: -1.0 - f64::from(deep), contact: None },
+                ln_likelihood: if likely == 0 { f64::NEG_INFINITY } else { f64::from(likely) },
+                departure: f64::from(far) / 4.0,
+            }).collect();
+            let mut front = Front::default();
+            candidates.iter().for_each(|candidate| front.add(candidate));
+            let key = |c: &Candidate| (-c.verdict.robustness, (c.ln_likelihood, -c.departure));
+            let beats = |a: &Candidate, b: &Candidate| {
+                let ((s, l), (t, m)) = (key(a), key(b));
+                s >= t && l >= m && ((s, l) != (t, m) || a.number < b.number)
+            };
+            let mut expected: Vec<u64> = candidates
+                .iter()
+                .filter(|one| !candidates.iter().any(|other| other.number != one.number && beats(other, one)))
+                .map(|one| one.number)
+                .collect();
+            let mut kept: Vec<u64> = front.failures.iter().map(|one| one.number).collect();
+            prop_assert!(front.failures.is_sorted_by(|a, b| key(a).0 > key(b).0 && key(a).1 < key(b).1));
+            expected.sort_unstable();
+            kept.sort_unstable();
+            prop_assert_eq!(kept, expected);
+        }
+    }
+}

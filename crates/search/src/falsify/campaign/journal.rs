@@ -1,0 +1,198 @@
+//! What a campaign has found out so far, kept so that `kill -9` loses nothing.
+//!
+//! The journal is a flat file with one record an evaluation, in the order of evaluation, appended batch by batch. Which point
+//! an evaluation was at need not be kept: asking the search again gives the same points, as long as it is told the
+//! same values. A record that was cut short is not used; one that was changed is known by its checksum, and the campaign does
+//! not go on from it. The journal is removed once the campaign is complete: its contents are then in the Parquet files.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufReader, Read, Write};
+use std::path::Path;
+
+use crumple_world::digest::Sha256;
+use crumple_world::measure::{Braking, FirstContact, RunVerdict};
+use crumple_world::scenario::VehicleClass;
+
+/// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking and class as bytes.
+const BODY: usize = 3 * 8 + 2 * 4 + 2;
+/// The first bytes of the SHA-256 of the record's number and body: a record in another's place is damage, too.
+const CHECKSUM: usize = 6;
+const RECORD: usize = BODY + CHECKSUM;
+/// In place of the braking where nobody touched anybody.
+const NO_CONTACT: u8 = u8::MAX;
+
+pub(super) struct Journal {
+    file: File,
+    /// Records of an earlier run, not yet used.
+    earlier: Option<BufReader<File>>,
+    /// Records used or written so far.
+    records: u64,
+}
+
+/// Why an earlier run cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum JournalError {
+    #[error(transparent)]
+    Read(#[from] io::Error),
+    #[error(
+        "record {number} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
+         another --out"
+    )]
+    Damaged { number: u64 },
+}
+
+impl Journal {
+    /// An empty journal.
+    pub(super) fn create(path: &Path) -> io::Result<Self> {
+        Ok(Self { file: File::create(path)?, earlier: None, records: 0 })
+    }
+
+    /// The journal of an earlier run, or an empty one if there is none.
+    pub(super) fn resume(path: &Path) -> io::Result<Self> {
+        let file = OpenOptions::new().read(true).append(true).create(true).open(path)?;
+        let whole = file.metadata()?.len() / RECORD as u64 * RECORD as u64;
+        file.set_len(whole)?;
+        Ok(Self { file, earlier: Some(BufReader::new(File::open(path)?)), records: 0 })
+    }
+
+    /// The next verdict of an earlier run.
+    pub(super) fn next(&mut self) -> Result<Option<RunVerdict>, JournalError> {
+        let Some(earlier) = &mut self.earlier else { return Ok(None) };
+        let (mut body, mut checksum) = ([0; BODY], [0; CHECKSUM]);
+        match earlier.read_exact(&mut body).and_then(|()| earlier.read_exact(&mut checksum)) {
+            Ok(()) if checksum == checksum_of(self.records, &body) => {
+                self.records += 1;
+                Ok(Some(decode(&body)))
+            }
+            Ok(()) => Err(JournalError::Damaged { number: self.records + 1 }),
+            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
+                self.earlier = None;
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Appends verdicts; they survive the end of the process, however sudden.
+    pub(super) fn append(&mut self, verdicts: &[RunVerdict]) -> io::Result<()> {
+        let mut bytes = Vec::with_capacity(verdicts.len() * RECORD);
+        for (verdict, index) in verdicts.iter().zip(self.records..) {
+            let body = encode(verdict);
+            bytes.extend(body);
+            bytes.extend(checksum_of(index, &body));
+        }
+        self.records += verdicts.len() as u64;
+        self.file.write_all(&bytes)
+    }
+}
+
+fn checksum_of(index: u64, body: &[u8; BODY]) -> [u8; CHECKSUM] {
+    let digest = Sha256::default().with(index.to_le_bytes()).with(body).finish();
+    let mut first = [0; CHECKSUM];
+    first.iter_mut().zip(digest).for_each(|(place, byte)| *place = byte);
+    first
+}
+
+fn encode(verdict: &RunVerdict) -> [u8; BODY] {
+    let nobody = FirstContact {
+        time_s: 0.0,
+        front_vehicle: 0,
+        rear_vehicle: 0,
+        impact_speed_mps: 0.0,
+        ego_braking: Braking::None,
+        rear_class: VehicleClass::Light,
+    };
+    let struck = verdict.contact.unwrap_or(nobody);
+    let mut record = [0; BODY];
+    let doubles = [verdict.robustness, struck.time_s, struck.impact_speed_mps].map(f64::to_le_bytes);
+    let vehicles = [struck.front_vehicle, struck.rear_vehicle].map(u32::to_le_bytes);
+    let braking = if verdict.contact.is_some() { struck.ego_braking as u8 } else { NO_CONTACT };
+    let class = u8::from(struck.rear_class == VehicleClass::Heavy);
+    let bytes = doubles.concat().into_iter().chain(vehicles.concat()).chain([braking, class]);
+    record.iter_mut().zip(bytes).for_each(|(place, byte)| *place = byte);
+    record
+}
+
+fn decode(record: &[u8; BODY]) -> RunVerdict {
+    let double = |index: usize| {
+        let bytes = record.get(8 * index..8 * index + 8).and_then(|bytes| bytes.try_into().ok());
+        f64::from_le_bytes(bytes.unwrap_or_default())
+    };
+    let vehicle = |index: usize| {
+        let bytes = record.get(24 + 4 * index..28 + 4 * index).and_then(|bytes| bytes.try_into().ok());
+        u32::from_le_bytes(bytes.unwrap_or_default())
+    };
+    let [.., braking, class] = *record;
+    let contact = Braking::ALL.get(usize::from(braking)).map(|&ego_braking| FirstContact {
+        time_s: double(1),
+        front_vehicle: vehicle(0),
+        rear_vehicle: vehicle(1),
+        impact_speed_mps: double(2),
+        ego_braking,
+        rear_class: if class == 1 { VehicleClass::Heavy } else { VehicleClass::Light },
+    });
+    RunVerdict { robustness: double(0), contact }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn verdicts_survive_and_torn_records_do_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal");
+        let struck = FirstContact {
+            time_s: 1.25,
+            front_vehicle: 1,
+            rear_vehicle: 2,
+            impact_speed_mps: 7.5,
+            ego_braking: Braking::Full,
+            rear_class: VehicleClass::Heavy,
+        };
+        let verdicts =
+            [RunVerdict { robustness: 3.5, contact: None }, RunVerdict { robustness: -7.5, contact: Some(struck) }];
+        Journal::create(&path).unwrap().append(&verdicts).unwrap();
+        OpenOptions::new().append(true).open(&path).unwrap().write_all(&[1; RECORD - 1]).unwrap();
+        let mut journal = Journal::resume(&path).unwrap();
+        assert_eq!(journal.next().unwrap(), Some(verdicts[0]));
+        assert_eq!(journal.next().unwrap(), Some(verdicts[1]));
+        assert_eq!(journal.next().unwrap(), None);
+        journal.append(&verdicts[..1]).unwrap();
+        assert_eq!(std::fs::metadata(&path).unwrap().len(), 3 * RECORD as u64);
+        let mut again = Journal::resume(&path).unwrap();
+        for expected in [verdicts[0], verdicts[1], verdicts[0]] {
+            assert_eq!(again.next().unwrap(), Some(expected));
+        }
+    }
+
+    /// Any bit of any record, and two whole records that change places.
+    #[test]
+    fn damage_is_found_where_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal");
+        let verdicts = [1.0, 2.0, 3.0].map(|robustness| RunVerdict { robustness, contact: None });
+        Journal::create(&path).unwrap().append(&verdicts).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        let first_damage = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            let mut journal = Journal::resume(&path).unwrap();
+            loop {
+                match journal.next() {
+                    Ok(Some(_)) => {}
+                    Ok(None) => return None,
+                    Err(error) => return Some(error.to_string()),
+                }
+            }
+        };
+        assert_eq!(first_damage(&whole), None);
+        for bit in 0..8 * whole.len() {
+            let mut bytes = whole.clone();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            let expected = format!("record {} is damaged", bit / 8 / RECORD + 1);
+            assert!(first_damage(&bytes).unwrap().starts_with(&expected));
+        }
+        let (one, two) = (&whole[..RECORD], &whole[RECORD..2 * RECORD]);
+        assert!(first_damage(&[two, one].concat()).unwrap().starts_with("record 1 is damaged"));
+    }
+}

@@ -1,0 +1,95 @@
+//! Campaigns: a space, a controller and a specification, and a search for failures with a budget.
+//!
+//! A campaign has a folder:
+//!
+//! | file | what it holds |
+//! |---|---|
+//! | `campaign.toml` | everything that decides the results; its hash names the campaign in the summary |
+//! | `evaluations/part-*.parquet` | every evaluation, as columns |
+//! | `counterexamples/*.toml` | distinct failures, shrunk, as scenario files; `originals/` has them as they were found |
+//! | `counterexamples/expected.toml` | the recorded verdict of each of them |
+//! | `summary.json`, `summary.txt` | what was found, by which method after how many evaluations |
+//! | `evaluations.journal` | only while the campaign runs: what is lost by no `kill -9` |
+//! | `campaign.lock` | empty, only while the campaign runs: locked by the process that works on it |
+//!
+//! The yardsticks, uniform points and a Halton sequence, always run with the same budget as the method asked for: a search
+//! that does no better than random must say so. Results depend neither on the number of threads nor on interruptions.
+//!
+//! Memory does not grow with the budget beyond what is kept of the search itself: evaluations go to disk, 65 536 at a time,
+//! and of failures a few of each kind and those on the front of severity and likelihood are remembered.
+
+mod aim;
+mod config;
+mod coverage;
+mod failures;
+mod front;
+mod journal;
+mod lock;
+mod regions;
+mod run;
+mod summary;
+mod table;
+
+pub use aim::{Aim, UnknownAim};
+pub use config::{CAMPAIGN_VERSION, Campaign};
+pub use coverage::Covered;
+pub use failures::{Candidate, FailureKind};
+pub use front::FrontPoint;
+pub use regions::Region;
+pub use run::Progress;
+pub use summary::{AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
+
+use crate::disk::DiskError;
+use crumple_world::measure::{RunVerdict, SpecificationError};
+use crumple_world::scenario::InvalidField;
+use crumple_world::sim::RunError;
+
+/// One evaluation of a campaign.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evaluated {
+    /// Which one of its method, from 1.
+    pub number: u64,
+    /// Where in the unit cube.
+    pub point: Vec<f64>,
+    /// The values there, one a coordinate.
+    pub values: Vec<f64>,
+    /// Logarithm of the distribution's density there, relative to one that is even over the ranges.
+    pub ln_likelihood: f64,
+    /// Distance from nominal in the unit cube, from 0 to 1: mean over the parameters.
+    pub departure: f64,
+    /// What the run was worth.
+    pub verdict: RunVerdict,
+}
+
+/// Why a campaign stops.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CampaignError {
+    /// A file or folder cannot be read or written.
+    #[error(transparent)]
+    Disk(#[from] DiskError),
+    /// The folder holds another campaign, or one already, or a damaged one, or another process works there.
+    #[error("{0}")]
+    Folder(String),
+    /// A scenario cannot be run with this controller.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A point of the space is no scenario.
+    #[error(transparent)]
+    Scenario(#[from] InvalidField),
+    /// The specification does not fit the runs.
+    #[error(transparent)]
+    Specification(#[from] SpecificationError),
+    /// Nobody in the space is under test.
+    #[error("the space `{0}` has no vehicle under test")]
+    NobodyUnderTest(String),
+    /// A file cannot be encoded or decoded.
+    #[error("cannot encode or decode a file of the campaign: {0}")]
+    Encoding(String),
+}
+
+impl CampaignError {
+    pub(crate) fn encoding(error: impl std::fmt::Display) -> Self {
+        Self::Encoding(error.to_string())
+    }
+}

@@ -1,0 +1,227 @@
+//! Where failures lie: a small tree over the points of the yardsticks.
+
+use serde::{Deserialize, Serialize};
+
+use crumple_world::scenario::space::{Parameter, Space};
+
+/// Splits on the way to a region, at most.
+const DEPTH: usize = 3;
+/// Thresholds that are tried for each coordinate.
+const THRESHOLDS: usize = 15;
+/// Least share of the points in a region.
+const LEAST_SHARE: f64 = 0.02;
+/// Most points the tree is grown from: the first ones, which for both yardsticks are as good as any.
+const MOST_POINTS: usize = 40_000;
+
+/// Points of the yardsticks and whether they fail: evenly spread over the space, so that shares of points are shares of the
+/// space. Points of a search would be where the search went.
+#[derive(Debug, Default)]
+pub(super) struct Sample {
+    points: Vec<(Vec<f64>, bool)>,
+}
+
+/// A part of the space with its failures.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Region {
+    /// What holds in it, one condition a split; empty for the whole space.
+    pub conditions: Vec<String>,
+    /// Points of the yardsticks in it.
+    #[serde(default)]
+    pub points: usize,
+    /// How many of them fail.
+    #[serde(default)]
+    pub failing: usize,
+    /// Its share of the space, in percent.
+    pub space_percent: f64,
+    /// Its share of failing points, in percent.
+    pub failing_percent: f64,
+    /// Share of all failing points that lie in it, in percent.
+    pub failures_percent: f64,
+}
+
+impl Sample {
+    pub(super) fn add(&mut self, values: &[f64], fails: bool) {
+        if self.points.len() < MOST_POINTS {
+            self.points.push((values.to_vec(), fails));
+        }
+    }
+
+    /// The regions, the densest in failures first; none if nothing or everything fails.
+    pub(super) fn regions(&self, space: &Space) -> Vec<Region> {
+        let all: Vec<&(Vec<f64>, bool)> = self.points.iter().collect();
+        let failing = failures(&all);
+        if failing == 0 || failing == all.len() {
+            return Vec::new();
+        }
+        let mut grower = Grower { space, total: all.len(), failing, found: Vec::new() };
+        grower.grow(&all, &mut Vec::new());
+        let mut found = grower.found;
+        found.sort_by(|a, b| b.failing_percent.total_cmp(&a.failing_percent));
+        found
+    }
+}
+
+fn failures(points: &[&(Vec<f64>, bool)]) -> usize {
+    points.iter().filter(|(_, fails)| *fails).count()
+}
+
+struct Grower<'a> {
+    space: &'a Space,
+    total: usize,
+    failing: usize,
+    found: Vec<Region>,
+}
+
+/// A condition on one coordinate.
+#[derive(Debug, Clone, Copy)]
+struct Split {
+    coordinate: usize,
+    threshold: f64,
+}
+
+impl Grower<'_> {
+    fn grow(&mut self, points: &[&(Vec<f64>, bool)], path: &mut Vec<(Split, bool)>) {
+        let split = if path.len() < DEPTH { self.best_split(points) } else { None };
+        let Some(split) = split else {
+            let failing = failures(points);
+            let percent = |part: usize, whole: usize| 100.0 * part as f64 / whole.max(1) as f64;
+            self.found.push(Region {
+                conditions: self.conditions(path),
+                points: points.len(),
+                failing,
+                space_percent: percent(points.len(), self.total),
+                failing_percent: percent(failing, points.len()),
+                failures_percent: percent(failing, self.failing),
+            });
+            return;
+        };
+        let (below, above): (Vec<_>, Vec<_>) = points.iter().partition(|(values, _)| split.is_below(values));
+        for (side, below) in [(below, true), (above, false)] {
+            path.push((split, below));
+            self.grow(&side, path);
+            path.pop();
+        }
+    }
+
+    /// The split that lowers the Gini impurity most (Breiman and others, Classification and regression trees, 1984).
+    fn best_split(&self, points: &[&(Vec<f64>, bool)]) -> Option<Split> {
+        let failing = failures(points);
+        let least = (LEAST_SHARE * self.total as f64).max(1.0);
+        let impurity = |failing: f64, count: f64| failing * (count - failing) / count;
+        let before = impurity(failing as f64, points.len() as f64);
+        let mut best: Option<(f64, Split)> = None;
+        for (coordinate, parameter) in self.space.coordinate_parameters().enumerate() {
+            for threshold in thresholds(parameter) {
+                let split = Split { coordinate, threshold };
+                let below = points.iter().filter(|(values, _)| split.is_below(values));
+                let (count, hits) =
+                    below.fold((0.0, 0.0), |(n, k), (_, fails)| (n + 1.0, k + f64::from(u8::from(*fails))));
+                let (rest, rest_hits) = (points.len() as f64 - count, failing as f64 - hits);
+                if count < least || rest < least {
+                    continue;
+                }
+                let gain = before - impurity(hits, count) - impurity(rest_hits, rest);
+                if gain > 1e-3 * before && best.is_none_or(|(most, _)| gain > most) {
+                    best = Some((gain, split));
+                }
+            }
+        }
+        best.map(|(_, split)| split)
+    }
+
+    fn conditions(&self, path: &[(Split, bool)]) -> Vec<String> {
+        let names = self.space.coordinate_names();
+        let parameters: Vec<&Parameter> = self.space.coordinate_parameters().collect();
+        // Several splits of one coordinate are one range.
+        let mut coordinates: Vec<usize> = Vec::new();
+        for (split, _) in path {
+            if !coordinates.contains(&split.coordinate) {
+                coordinates.push(split.coordinate);
+            }
+        }
+        let condition = |coordinate: &usize| {
+            let (name, parameter) = (names.get(*coordinate)?, parameters.get(*coordinate)?);
+            let on = path.iter().filter(|(split, _)| split.coordinate == *coordinate);
+            let bound =
+                |below: bool| on.clone().filter(move |(_, side)| *side == below).map(|(split, _)| split.threshold);
+            let most = bound(true).reduce(f64::min);
+            let least = bound(false).reduce(f64::max);
+            if parameter.is_class() {
+                return Some(format!("{name} = {}", if most.is_some() { "light" } else { "heavy" }));
+            }
+            let unit = if parameter.unit() == "1" { String::new() } else { format!(" {}", parameter.unit()) };
+            Some(match (least, most) {
+                (Some(least), Some(most)) => format!("{name} from {least} to {most}{unit}"),
+                (Some(least), None) => format!("{name} above {least}{unit}"),
+                (None, Some(most)) => format!("{name} below {most}{unit}"),
+                (None, None) => return None,
+            })
+        };
+        coordinates.iter().filter_map(condition).collect()
+    }
+}
+
+impl Split {
+    fn is_below(self, values: &[f64]) -> bool {
+        values.get(self.coordinate).is_some_and(|value| *value < self.threshold)
+    }
+}
+
+/// Thresholds spread evenly over a parameter's range on its own scale, rounded to a hundredth of the step to the next one so
+/// that they can be read out.
+fn thresholds(parameter: &Parameter) -> Vec<f64> {
+    let [low, high] = parameter.range();
+    if parameter.is_choice() {
+        return vec![0.5 * (low + high)];
+    }
+    let at = |i: usize| parameter.value(i as f64 / (THRESHOLDS + 1) as f64);
+    let rounded = |i: usize| {
+        let digits = (1.0 - (at(i) - at(i - 1)).log10().floor()).clamp(0.0, 12.0);
+        let scale = 10f64.powf(digits);
+        (at(i) * scale).round() / scale
+    };
+    let mut thresholds: Vec<f64> = (1..=THRESHOLDS).map(rounded).collect();
+    thresholds.dedup();
+    thresholds
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::space::built_in_space;
+
+    #[test]
+    fn a_box_of_failures_is_found_and_said_in_units() {
+        let space = built_in_space("high-risk").unwrap();
+        let mut sample = Sample::default();
+        for index in 0..4000 {
+            let values = space.values(&space.draw_point(3, index));
+            // Close behind a heavy follower.
+            let fails = values[2] < 22.0 && values[10] == 1.0;
+            sample.add(&values, fails);
+        }
+        let regions = sample.regions(&space);
+        let first = &regions[0];
+        assert!(first.failing_percent > 90.0 && first.failures_percent > 90.0, "{regions:?}");
+        assert!(first.conditions.iter().any(|c| c == "follower_class = heavy"), "{regions:?}");
+        assert!(
+            first.conditions.iter().any(|c| c.starts_with("gap_behind_m below 2") && c.ends_with(" m")),
+            "{regions:?}"
+        );
+        assert!(regions.iter().map(|region| region.points).sum::<usize>() == 4000);
+        assert!((first.failing_percent - 100.0 * first.failing as f64 / first.points as f64).abs() < 1e-9);
+        let space_percent: f64 = regions.iter().map(|region| region.space_percent).sum();
+        assert!((space_percent - 100.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn thresholds_lie_evenly_on_the_parameters_own_scale() {
+        let space = built_in_space("high-risk").unwrap();
+        let of = |name: &str| thresholds(space.parameters().iter().find(|p| p.name() == name).unwrap());
+        let gaps = of("gap_ahead_m");
+        assert_eq!((gaps.len(), gaps[7]), (THRESHOLDS, 12.6), "the middle of 2 to 80 by logarithm is 12.65: {gaps:?}");
+        assert!(gaps.windows(2).all(|pair| (1.2..1.32).contains(&(pair[1] / pair[0]))), "{gaps:?}");
+        let onsets = of("lead_onset_s");
+        assert_eq!((onsets[0], onsets[7], onsets[14]), (0.66, 1.75, 2.84));
+    }
+}

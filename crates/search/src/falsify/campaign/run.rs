@@ -1,0 +1,319 @@
+//! Running a campaign, from its first evaluation to its summary.
+
+use std::fs;
+use std::path::Path;
+
+use super::coverage::Coverage;
+use super::failures::{Failures, Kind};
+use super::journal::{Journal, JournalError};
+use super::lock::Lock;
+use super::regions::Sample;
+use super::summary::{
+    AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, SUMMARY_VERSION, Summary,
+};
+use super::table::Table;
+use super::{Campaign, CampaignError, Evaluated, FailureKind};
+use crate::disk::{self, DiskError};
+use crate::falsify::counterexample::Examiner;
+use crate::falsify::{Cube, Method};
+use crumple_world::digest::sha256;
+use crumple_world::measure::RunVerdict;
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::Space;
+use crumple_world::sim::{Run, simulate_batch};
+
+/// Batches of a method that ignores values, asked for at once: enough to fill the engine on all cores.
+const BLIND_BATCHES: usize = 16;
+/// Kinds of failures that are looked at closely: the most frequent ones.
+const MOST_KINDS: usize = 12;
+
+/// How far a campaign is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Progress {
+    /// The method at work; none once counterexamples are examined.
+    pub method: Option<Method>,
+    /// Evaluations done, of all methods together.
+    pub evaluations: u64,
+    /// Evaluations there will be.
+    pub total: u64,
+    /// Evaluations that failed.
+    pub failures: u64,
+    /// Smallest robustness so far.
+    pub best_robustness: f64,
+}
+
+/// What one method has reached.
+struct Reached {
+    method: Method,
+    evaluations: u64,
+    first: Option<u64>,
+    failures: u64,
+    best: f64,
+    coverage: Coverage,
+}
+
+/// Everything that is remembered of the evaluations.
+struct Findings<'a> {
+    reached: Vec<Reached>,
+    failures: Failures,
+    sample: Sample,
+    table: Table<'a>,
+}
+
+impl Campaign {
+    /// Runs the campaign in `folder`, or goes on with it where `resume` says so.
+    ///
+    /// # Errors
+    /// [`CampaignError`] if the folder cannot be used, or a scenario cannot be run.
+    pub fn run(
+        &self,
+        folder: &Path,
+        resume: bool,
+        progress: &mut dyn FnMut(&Progress),
+    ) -> Result<Summary, CampaignError> {
+        let space = self.space.clone().with_noise_seed(self.seed);
+        let nominal = space.scenario(&space.nominal())?;
+        self.check(&nominal)?;
+        if let Found::Complete(summary) = self.found(folder, resume)? {
+            return Ok(*summary);
+        }
+        fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
+        let _lock = Lock::of(folder)?;
+        // Once more: somebody may have been at work until now.
+        match self.found(folder, resume)? {
+            Found::Complete(summary) => return Ok(*summary),
+            Found::Part => {}
+            Found::Nothing => disk::write(&folder.join(CONFIGURATION), &self.to_toml()?)?,
+        }
+        let evaluations = folder.join("evaluations");
+        fs::create_dir_all(&evaluations).map_err(DiskError::at(&evaluations))?;
+        let journal_path = folder.join(JOURNAL);
+        let journal = if resume { Journal::resume(&journal_path) } else { Journal::create(&journal_path) };
+        let mut journal = journal.map_err(DiskError::at(&journal_path))?;
+        let mut findings = Findings {
+            reached: Vec::new(),
+            failures: Failures::new(self.specification.clone()),
+            sample: Sample::default(),
+            table: Table::new(&space, &evaluations),
+        };
+        for method in self.methods() {
+            let reached = self.search(method, &space, &mut journal, &journal_path, &mut findings, progress)?;
+            findings.reached.push(reached);
+        }
+        let Findings { reached, failures, sample, table } = findings;
+        table.finish()?;
+        progress(&state(None, &reached, self.total()));
+        let summary = self.summarise(&space, &nominal, reached, &failures, &sample, folder)?;
+        // The summary is written last but for the journal's end: whoever sees it sees a whole campaign.
+        disk::write(&folder.join("summary.txt"), summary.to_text())?;
+        disk::write(&folder.join(SUMMARY), summary.to_json()?)?;
+        fs::remove_file(&journal_path).map_err(DiskError::at(&journal_path))?;
+        Ok(summary)
+    }
+
+    fn total(&self) -> u64 {
+        self.budget.saturating_mul(self.methods().len() as u64)
+    }
+
+    /// What would fail at every point fails before anything is written.
+    fn check(&self, nominal: &Scenario) -> Result<(), CampaignError> {
+        if !nominal.has_vehicle_under_test() {
+            return Err(CampaignError::NobodyUnderTest(self.space.name().to_owned()));
+        }
+        let run = Run::new(nominal, self.options())?;
+        let result = crumple_world::sim::simulate(&run, self.specification.keep());
+        self.specification.judge(&run, &result)?;
+        Ok(())
+    }
+
+    /// What is in the folder; an error if it is in the way.
+    fn found(&self, folder: &Path, resume: bool) -> Result<Found, CampaignError> {
+        let path = folder.join(CONFIGURATION);
+        let text = match fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Found::Nothing),
+            Err(source) => return Err(DiskError::at(&path)(source).into()),
+        };
+        if !resume {
+            let problem = format!("{} holds a campaign already: use --resume, or another --out", folder.display());
+            return Err(CampaignError::Folder(problem));
+        }
+        if let Some(difference) = self.difference(&text, &path)? {
+            return Err(CampaignError::Folder(difference));
+        }
+        match (fs::read_to_string(folder.join(SUMMARY)), folder.join(JOURNAL).exists()) {
+            (Ok(text), false) => Ok(Found::Complete(Box::new(Summary::from_json(&text)?))),
+            _ => Ok(Found::Part),
+        }
+    }
+
+    /// One method with its whole budget.
+    fn search(
+        &self,
+        method: Method,
+        space: &Space,
+        journal: &mut Journal,
+        journal_path: &Path,
+        findings: &mut Findings<'_>,
+        progress: &mut dyn FnMut(&Progress),
+    ) -> Result<Reached, CampaignError> {
+        let unwritable = DiskError::at(journal_path);
+        let unreadable = |error: JournalError| match error {
+            JournalError::Read(source) => unwritable(source).into(),
+            damaged => CampaignError::Folder(format!("{}: {damaged}", journal_path.display())),
+        };
+        let cube = Cube::of(space).map_err(CampaignError::encoding)?;
+        let mut search = method.start(&cube, self.seed);
+        let nominal = space.point(&space.nominal());
+        let departure = |point: &[f64]| cube.distance(point, &nominal) / cube.blocks().len() as f64;
+        let coverage = Coverage::new(space.dimension());
+        let mut reached = Reached { method, evaluations: 0, first: None, failures: 0, best: f64::INFINITY, coverage };
+        let is_yardstick = matches!(method, Method::Uniform | Method::Halton);
+        while reached.evaluations < self.budget {
+            let mut points = search.ask();
+            if is_yardstick {
+                // Neither looks at values: many batches may be asked for at once.
+                for _ in 1..BLIND_BATCHES {
+                    points.extend(search.ask());
+                }
+            }
+            points.truncate(usize::try_from(self.budget - reached.evaluations).unwrap_or(usize::MAX));
+            let mut verdicts = Vec::with_capacity(points.len());
+            while verdicts.len() < points.len()
+                && let Some(verdict) = journal.next().map_err(unreadable)?
+            {
+                verdicts.push(verdict);
+            }
+            let known = verdicts.len();
+            verdicts.extend(self.evaluate(space, points.get(known..).unwrap_or_default())?);
+            journal.append(verdicts.get(known..).unwrap_or_default()).map_err(unwritable)?;
+            let mut told = Vec::with_capacity(points.len());
+            for (point, verdict) in points.into_iter().zip(verdicts) {
+                reached.evaluations += 1;
+                let evaluated = Evaluated {
+                    number: reached.evaluations,
+                    values: space.values(&point),
+                    ln_likelihood: space.ln_likelihood(&point),
+                    departure: departure(&point),
+                    point,
+                    verdict,
+                };
+                let fails = FailureKind::of(&evaluated.verdict, &self.specification).is_some();
+                told.push(self.aim.value(&evaluated));
+                if fails {
+                    reached.failures += 1;
+                    reached.first = reached.first.or(Some(evaluated.number));
+                }
+                reached.best = reached.best.min(evaluated.verdict.robustness);
+                reached.coverage.add(&evaluated.point);
+                if is_yardstick {
+                    findings.sample.add(&evaluated.values, fails);
+                }
+                findings.failures.add(method, &evaluated);
+                findings.table.add(method, &evaluated)?;
+            }
+            search.tell(&told);
+            progress(&state(Some(&reached), &findings.reached, self.total()));
+        }
+        Ok(reached)
+    }
+
+    /// Verdicts at points, in their order.
+    fn evaluate(&self, space: &Space, points: &[Vec<f64>]) -> Result<Vec<RunVerdict>, CampaignError> {
+        let scenarios = points.iter().map(|point| space.at(point)).collect::<Result<Vec<_>, _>>()?;
+        let options = self.options();
+        let runs =
+            scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+        let judged = simulate_batch(&runs, self.specification.keep(), |index, result| {
+            runs.get(index).map(|run| self.specification.judge(run, &result))
+        });
+        Ok(judged.into_iter().flatten().collect::<Result<_, _>>()?)
+    }
+
+    fn summarise(
+        &self,
+        space: &Space,
+        nominal: &Scenario,
+        reached: Vec<Reached>,
+        failures: &Failures,
+        sample: &Sample,
+        folder: &Path,
+    ) -> Result<Summary, CampaignError> {
+        let mut kinds: Vec<_> = failures.kinds.iter().collect();
+        kinds.sort_by_key(|kind| std::cmp::Reverse(kind.count()));
+        let picks: Vec<_> = kinds.iter().take(MOST_KINDS).flat_map(|kind| kind.picks()).collect();
+        let counterexamples = Examiner::new(self, space)?.examine_all(&picks, folder)?;
+        let mut all = Coverage::new(space.dimension());
+        reached.iter().for_each(|reached| all.join(&reached.coverage));
+        let finite = |value: f64| Some(value).filter(|value| value.is_finite());
+        let main = reached.first();
+        let kind_summary = |kind: &&Kind| KindSummary {
+            kind: kind.kind.describe(nominal),
+            count: kind.count(),
+            by_method: kind
+                .by_method
+                .iter()
+                .map(|&(method, count, first)| ByMethod { method: method.name().to_owned(), count, first })
+                .collect(),
+        };
+        Ok(Summary {
+            version: SUMMARY_VERSION,
+            crumple: env!("CARGO_PKG_VERSION").to_owned(),
+            configuration_sha256: sha256(&self.to_toml()?),
+            controller: self.controller.name.clone(),
+            policy_sha256: self.policy_sha256(),
+            estimator: self.estimator,
+            space: self.space.name().to_owned(),
+            specification: self.specification.to_string(),
+            method: self.method.name().to_owned(),
+            aim: self.aim.name().to_owned(),
+            budget: self.budget,
+            seed: self.seed,
+            evaluations: main.map_or(0, |reached| reached.evaluations),
+            falsified: reached.iter().any(|reached| reached.failures > 0),
+            first_falsification: main.and_then(|reached| reached.first),
+            best_robustness: main.and_then(|reached| finite(reached.best)),
+            coverage: CoverageSummary {
+                method: main.map(|reached| reached.coverage.covered()),
+                with_yardsticks: all.covered(),
+            },
+            methods: reached
+                .iter()
+                .map(|reached| MethodSummary {
+                    method: reached.method.name().to_owned(),
+                    evaluations: reached.evaluations,
+                    first_falsification: reached.first,
+                    failures: reached.failures,
+                    best_robustness: finite(reached.best),
+                })
+                .collect(),
+            failures: kinds.iter().map(kind_summary).collect(),
+            front: failures.front.points(&self.specification, nominal),
+            regions: sample.regions(space),
+            avoidability: AvoidabilitySummary::of(&counterexamples),
+            counterexamples,
+        })
+    }
+}
+
+/// What a folder holds of a campaign.
+enum Found {
+    Nothing,
+    Part,
+    Complete(Box<Summary>),
+}
+
+const CONFIGURATION: &str = "campaign.toml";
+const JOURNAL: &str = "evaluations.journal";
+const SUMMARY: &str = "summary.json";
+
+fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> Progress {
+    let all = || done.iter().chain(current);
+    Progress {
+        method: current.map(|reached| reached.method),
+        evaluations: all().map(|reached| reached.evaluations).sum(),
+        total,
+        failures: all().map(|reached| reached.failures).sum(),
+        best_robustness: all().map(|reached| reached.best).fold(f64::INFINITY, f64::min),
+    }
+}

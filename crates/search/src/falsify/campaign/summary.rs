@@ -1,0 +1,309 @@
+//! What a campaign found, for programs and for readers.
+
+use std::fmt::Write;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Aim, CampaignError, Covered, FrontPoint, Region};
+use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::measure::Specification;
+
+/// The version of `summary.json`.
+pub(super) const SUMMARY_VERSION: u32 = 1;
+
+/// What a campaign found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Version of crumple.
+    pub crumple: String,
+    /// SHA-256 of `campaign.toml`.
+    pub configuration_sha256: String,
+    /// What was put under test.
+    pub controller: String,
+    /// Hash of the policy, if that is what it is.
+    pub policy_sha256: Option<String>,
+    /// What it looked through.
+    pub estimator: EstimatorKind,
+    /// Name of the space.
+    pub space: String,
+    /// What must hold.
+    pub specification: String,
+    /// The method asked for.
+    pub method: String,
+    /// What the search was after once it knew failures.
+    #[serde(default = "default_aim")]
+    pub aim: String,
+    /// Evaluations of each method.
+    pub budget: u64,
+    /// Seed of the search and of all noise.
+    pub seed: u64,
+    /// Evaluations of the method asked for.
+    pub evaluations: u64,
+    /// Whether any method found a failure.
+    pub falsified: bool,
+    /// At which of its evaluations, from 1, the method asked for found its first failure.
+    pub first_falsification: Option<u64>,
+    /// Smallest robustness that the method asked for found.
+    #[serde(with = "crate::falsify::non_finite::optional")]
+    pub best_robustness: Option<f64>,
+    /// Distinct failures, the severest first.
+    pub counterexamples: Vec<Counterexample>,
+    /// How many of them could have been avoided; none if nobody asked.
+    #[serde(default)]
+    pub avoidability: Option<AvoidabilitySummary>,
+    /// What each method reached: the one asked for, then the yardsticks.
+    pub methods: Vec<MethodSummary>,
+    /// Kinds of failures, the most frequent first.
+    pub failures: Vec<KindSummary>,
+    /// Of all failing evaluations, those that no other one beats both in severity and in likelihood, the severest first.
+    #[serde(default)]
+    pub front: Vec<FrontPoint>,
+    /// How much of the space was tried.
+    pub coverage: CoverageSummary,
+    /// Where failures lie, the densest region first; empty if the yardsticks found none, or nothing else.
+    pub regions: Vec<Region>,
+}
+
+fn default_aim() -> String {
+    Aim::default().name().to_owned()
+}
+
+/// How many distinct failures could have been avoided.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AvoidabilitySummary {
+    /// Those with an escape.
+    pub avoidable: usize,
+    /// Those with a proof that there is none.
+    pub unavoidable: usize,
+    /// Those with neither.
+    pub undecided: usize,
+    /// Share of all three that was avoidable.
+    pub avoidable_percent: f64,
+}
+
+impl AvoidabilitySummary {
+    /// Of a list of distinct failures; none if none of them was classed.
+    #[must_use]
+    pub fn of(found: &[Counterexample]) -> Option<Self> {
+        let count = |class| found.iter().filter(|one| one.avoidability.class() == class).count();
+        let [avoidable, unavoidable, undecided] =
+            [AvoidabilityClass::Avoidable, AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided].map(count);
+        let all = avoidable + unavoidable + undecided;
+        let avoidable_percent = 100.0 * avoidable as f64 / all as f64;
+        (all > 0).then_some(Self { avoidable, unavoidable, undecided, avoidable_percent })
+    }
+}
+
+/// What a method reached.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MethodSummary {
+    /// Its name.
+    pub method: String,
+    /// Evaluations it made.
+    pub evaluations: u64,
+    /// At which of them, from 1, it found its first failure.
+    pub first_falsification: Option<u64>,
+    /// How many failed.
+    pub failures: u64,
+    /// Smallest robustness.
+    #[serde(with = "crate::falsify::non_finite::optional")]
+    pub best_robustness: Option<f64>,
+}
+
+/// Failures of one kind.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct KindSummary {
+    /// In words.
+    pub kind: String,
+    /// How often it was found.
+    pub count: u64,
+    /// By whom.
+    pub by_method: Vec<ByMethod>,
+}
+
+/// Failures of one kind found by one method.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ByMethod {
+    /// The method.
+    pub method: String,
+    /// How often it found one.
+    pub count: u64,
+    /// At which of its evaluations, from 1, it found the first one.
+    pub first: u64,
+}
+
+/// How much of the space was tried.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CoverageSummary {
+    /// By the method asked for.
+    pub method: Option<Covered>,
+    /// By all methods together.
+    pub with_yardsticks: Covered,
+}
+
+/// Regions that are printed, beside the safest one.
+const SHOWN_REGIONS: usize = 3;
+/// Failures on the front that are printed.
+const SHOWN_FRONT: usize = 6;
+
+impl Summary {
+    /// The text of `summary.json`.
+    ///
+    /// # Errors
+    /// [`CampaignError::Encoding`] in principle, if the writer fails.
+    pub fn to_json(&self) -> Result<String, CampaignError> {
+        Ok(serde_json::to_string_pretty(self).map_err(CampaignError::encoding)? + "\n")
+    }
+
+    /// Reads `summary.json`.
+    ///
+    /// # Errors
+    /// [`CampaignError::Encoding`] for anything else.
+    pub fn from_json(text: &str) -> Result<Self, CampaignError> {
+        serde_json::from_str(text).map_err(CampaignError::encoding)
+    }
+
+    /// The summary for a reader.
+    #[must_use]
+    pub fn to_text(&self) -> String {
+        let mut text = String::new();
+        // Writing to a string cannot fail.
+        let _ = self.write(&mut text);
+        text
+    }
+
+    /// The front, thinned evenly where it is long.
+    fn write_front(&self, out: &mut String) -> std::fmt::Result {
+        let (all, last) = (self.front.len(), self.front.len().saturating_sub(1));
+        if all < 2 {
+            return Ok(());
+        }
+        writeln!(out, "\n  severity against likelihood: {all} failures that no other one beats in both")?;
+        writeln!(
+            out,
+            "  {:>10} {:>12} {:>13} {:>9}  {:<22} what happens",
+            "robustness", "impact m/s", "ln likelihood", "departure", "evaluation"
+        )?;
+        let shown = all.min(SHOWN_FRONT);
+        for point in (0..shown).filter_map(|place| self.front.get(place * last / (shown - 1))) {
+            let impact = point.impact_speed_mps.map_or("-".to_owned(), |speed| format!("{speed:.1}"));
+            writeln!(
+                out,
+                "  {:>10.3} {impact:>12} {:>13.2} {:>9.3}  {:<22} {}",
+                point.robustness,
+                point.ln_likelihood,
+                point.departure,
+                format!("{} {}", point.method, point.evaluation),
+                point.kind
+            )?;
+        }
+        if shown < all {
+            writeln!(out, "  {} more in summary.json", all - shown)?;
+        }
+        Ok(())
+    }
+
+    fn write(&self, out: &mut String) -> std::fmt::Result {
+        writeln!(
+            out,
+            "{} in `{}`: {}, estimator {}, seed {}",
+            self.controller,
+            self.space,
+            self.specification,
+            self.estimator.name(),
+            self.seed
+        )?;
+        if self.aim != Aim::default().name() {
+            writeln!(out, "  the search was after the {} failures", self.aim)?;
+        }
+        if self.falsified {
+            let failures = if self.counterexamples.len() == 1 { "failure" } else { "failures" };
+            writeln!(out, "  FALSIFIED: {} distinct {failures}", self.counterexamples.len())?;
+            if let Some(AvoidabilitySummary { avoidable, unavoidable, undecided, avoidable_percent }) =
+                self.avoidability
+            {
+                writeln!(
+                    out,
+                    "  {avoidable} of them ({avoidable_percent:.0} %) avoidable, {unavoidable} unavoidable, {undecided} undecided"
+                )?;
+            }
+        } else {
+            writeln!(out, "  no failure found; that is no proof that there is none")?;
+        }
+        writeln!(
+            out,
+            "\n  {:<14} {:>11} {:>14} {:>9} {:>16}",
+            "method", "evaluations", "first failure", "failures", "best robustness"
+        )?;
+        for (index, method) in self.methods.iter().enumerate() {
+            let first = method.first_falsification.map_or("-".to_owned(), |first| first.to_string());
+            let best = method.best_robustness.map_or("-".to_owned(), |best| format!("{best:.3}"));
+            let note = if index > 0 { "  (yardstick)" } else { "" };
+            writeln!(
+                out,
+                "  {:<14} {:>11} {first:>14} {:>9} {best:>16}{note}",
+                method.method, method.evaluations, method.failures
+            )?;
+        }
+        if !self.failures.is_empty() {
+            writeln!(out, "\n  kinds of failures, and after how many evaluations each method met them first")?;
+            for kind in &self.failures {
+                let by: Vec<_> = kind.by_method.iter().map(|by| format!("{} {}", by.method, by.first)).collect();
+                writeln!(out, "  {:>9} x  {}  [{}]", kind.count, kind.kind, by.join(", "))?;
+            }
+        }
+        if !self.counterexamples.is_empty() {
+            writeln!(out, "\n  distinct failures, shrunk, the severest first")?;
+            for found in &self.counterexamples {
+                found.write(out, self.specification != Specification::NO_CONTACT)?;
+            }
+        }
+        self.write_front(out)?;
+        if !self.regions.is_empty() {
+            let points: usize = self.regions.iter().map(|region| region.points).sum();
+            let failing: usize = self.regions.iter().map(|region| region.failing).sum();
+            writeln!(
+                out,
+                "\n  where failures lie, as shares of the space by its ranges: {failing} of {points} points of the yardsticks fail"
+            )?;
+            // The densest ones, and the safest one.
+            let safest = self.regions.len() - 1;
+            let shown = |index: &usize| *index < SHOWN_REGIONS || *index == safest;
+            for (_, region) in self.regions.iter().enumerate().filter(|(index, _)| shown(index)) {
+                let conditions =
+                    if region.conditions.is_empty() { "everywhere".to_owned() } else { region.conditions.join(", ") };
+                writeln!(
+                    out,
+                    "  {:>5.1} % of {:>5.1} % fails ({} of {} points, {:.0} % of all failures): {conditions}",
+                    region.failing_percent,
+                    region.space_percent,
+                    region.failing,
+                    region.points,
+                    region.failures_percent
+                )?;
+            }
+            let hidden: Vec<_> = self.regions.iter().enumerate().filter(|(index, _)| !shown(index)).collect();
+            if !hidden.is_empty() {
+                let (points, failing) =
+                    hidden.iter().fold((0, 0), |(n, k), (_, region)| (n + region.points, k + region.failing));
+                let regions = if hidden.len() == 1 { "region" } else { "regions" };
+                writeln!(
+                    out,
+                    "  {} {regions} between these, in summary.json, with {failing} of {points} points failing",
+                    hidden.len()
+                )?;
+            }
+        }
+        let covered = |covered: &Covered| format!("{:.0} % and {:.0} %", covered.tenths_percent, covered.pairs_percent);
+        let method = self.coverage.method.as_ref().map_or("-".to_owned(), covered);
+        writeln!(
+            out,
+            "\n  tenths of single parameters and of pairs tried: {method} by {}, {} with the yardsticks",
+            self.method,
+            covered(&self.coverage.with_yardsticks)
+        )
+    }
+}

@@ -1,0 +1,131 @@
+//! Counterexamples of the benchmark as files that need nothing else.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Benchmark, ChasingCarsError, Inputs, PIECES, SPECIFICATIONS, replayed_robustness};
+use crumple_world::scenario::file::{self, FileError};
+
+/// The version of the file format.
+pub const COUNTEREXAMPLE_VERSION: u32 = 1;
+
+/// Inputs of Chasing Cars that violate a specification.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CounterexampleFile {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Always `chasing-cars`.
+    pub problem: String,
+    /// Name of the specification.
+    pub spec: String,
+    /// The specification over y1 to y5.
+    pub formula: String,
+    /// The method that found it.
+    pub method: String,
+    /// Seed of its run.
+    pub seed: u64,
+    /// At which of its evaluations, from 1.
+    pub evaluation: usize,
+    /// Robustness by the model and monitor of the search.
+    pub robustness: f64,
+    /// Throttle of each 5 s.
+    pub throttle: [f64; PIECES],
+    /// Brake of each 5 s.
+    pub brake: [f64; PIECES],
+}
+
+impl Benchmark {
+    /// Every counterexample as a file.
+    #[must_use]
+    pub fn counterexample_files(&self) -> Vec<CounterexampleFile> {
+        let mut files = Vec::new();
+        for row in &self.rows {
+            let formula = SPECIFICATIONS.iter().find(|(name, _)| *name == row.spec).map_or("", |(_, text)| text);
+            for run in &row.runs {
+                let Some(found) = &run.counterexample else { continue };
+                let inputs = [&found.throttle, &found.brake].map(|input| input.as_slice().try_into());
+                let [Ok(throttle), Ok(brake)] = inputs else { continue };
+                files.push(CounterexampleFile {
+                    version: COUNTEREXAMPLE_VERSION,
+                    problem: "chasing-cars".to_owned(),
+                    spec: row.spec.clone(),
+                    formula: formula.to_owned(),
+                    method: self.method.clone(),
+                    seed: run.seed,
+                    evaluation: run.evaluations,
+                    robustness: found.robustness,
+                    throttle,
+                    brake,
+                });
+            }
+        }
+        files
+    }
+}
+
+impl CounterexampleFile {
+    /// A name that tells it from all others of one benchmark.
+    #[must_use]
+    pub fn file_name(&self) -> String {
+        format!("{}-seed-{}.toml", self.spec, self.seed)
+    }
+
+    /// The file as TOML.
+    ///
+    /// # Errors
+    /// None in practice; the serializer's error is passed on rather than hidden.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`FileError`] for a file that cannot be read or parsed.
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        let text = file::read(path)?;
+        file::parse_toml(&text, path)
+    }
+
+    /// Robustness by the independent replay, which knows nothing but the file.
+    ///
+    /// # Errors
+    /// [`ChasingCarsError`] if the formula does not fit the model.
+    pub fn replayed_robustness(&self) -> Result<f64, ChasingCarsError> {
+        let inputs = Inputs { throttle: self.throttle, brake: self.brake };
+        replayed_robustness(&self.formula.parse()?, &inputs)
+    }
+
+    /// Whether the independent replay violates the specification, too.
+    ///
+    /// # Errors
+    /// [`ChasingCarsError`] if the formula does not fit the model.
+    pub fn is_confirmed(&self) -> Result<bool, ChasingCarsError> {
+        Ok(self.replayed_robustness()? < 0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::benchmark;
+    use super::*;
+    use crate::falsify::Method;
+
+    #[test]
+    fn counterexamples_survive_their_files() {
+        let measured = benchmark(Method::Auto, 30, 1).unwrap();
+        let files = measured.counterexample_files();
+        assert!(files.len() >= 3, "{}", files.len());
+        for file in files {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join(file.file_name());
+            std::fs::write(&path, file.to_toml().unwrap()).unwrap();
+            let again = CounterexampleFile::load(&path).unwrap();
+            assert_eq!(again, file);
+            assert!(again.is_confirmed().unwrap());
+            assert!((again.replayed_robustness().unwrap() - file.robustness).abs() < 1e-3);
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! Chasing Cars: the public benchmark of falsification tools (ARCH-COMP, falsification category; first posed by Hu,
+//! Lygeros and Sastry, Towards a theory of stochastic hybrid systems, HSCC 2000).
+//!
+//! Five cars follow one another for 100 s; throttle and brake of the first are the inputs, each in [0, 1] and constant
+//! over 20 pieces of 5 s (instance 2). Car 1 has `v' = -throttle - brake v` and `y' = v`. The others look at the gap
+//! `g = y_i - y_(i-1)` and switch between three modes, checked at the start of every step of 0.01 s:
+//!
+//! | mode | motion | switches |
+//! |---|---|---|
+//! | keeping (first) | `v' = 0, y' = v` | to chasing if `g >= 15`, else to braking if `g <= 5` |
+//! | chasing | `v' = 1, y' = -v` | to keeping if `g <= 10` |
+//! | braking | `v' = -v, y' = -v` | to chasing if `g >= 20` |
+//!
+//! The sign of y' in the last two is as published. Each step is the exact solution of its mode.
+
+mod benchmark;
+mod counterexample_file;
+mod replay;
+
+use crumple_world::measure::stl::{Formula, MonitorError, ParseError, Signals, SignalsError};
+
+pub use benchmark::{Benchmark, Counterexample, Row, Run, benchmark};
+pub use counterexample_file::{COUNTEREXAMPLE_VERSION, CounterexampleFile};
+pub use replay::replayed_robustness;
+
+/// Time step in seconds.
+pub const STEP_S: f64 = 0.01;
+/// Number of steps: 100 s.
+pub const STEPS: usize = 10_000;
+/// Pieces of each input.
+pub const PIECES: usize = 20;
+const STEPS_A_PIECE: usize = STEPS / PIECES;
+
+/// The six specifications: names and formulas over y1 to y5.
+pub const SPECIFICATIONS: [(&str, &str); 6] = [
+    ("CC1", "always[0,100] y5 - y4 <= 40"),
+    ("CC2", "always[0,70] eventually[0,30] y5 - y4 >= 15"),
+    ("CC3", "always[0,80] (always[0,20] y2 - y1 <= 20 or eventually[0,20] y5 - y4 >= 40)"),
+    ("CC4", "always[0,65] eventually[0,30] always[0,5] y5 - y4 >= 8"),
+    ("CC5", "always[0,72] eventually[0,8] (always[0,5] y2 - y1 >= 9 implies always[5,20] y5 - y4 >= 9)"),
+    (
+        "CCx",
+        "always[0,50] y2 - y1 > 7.5 and always[0,50] y3 - y2 > 7.5 and always[0,50] y4 - y3 > 7.5 \
+         and always[0,50] y5 - y4 > 7.5",
+    ),
+];
+
+/// The inputs: throttle and brake over each piece, in [0, 1].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Inputs {
+    /// Throttle over each 5 s.
+    pub throttle: [f64; PIECES],
+    /// Brake over each 5 s.
+    pub brake: [f64; PIECES],
+}
+
+impl Inputs {
+    /// Inputs from a point of the unit cube: throttle first, then brake; what is missing is 0.
+    #[must_use]
+    pub fn from_unit(point: &[f64]) -> Self {
+        let at = |index: usize| point.get(index).copied().unwrap_or(0.0);
+        Self { throttle: std::array::from_fn(at), brake: std::array::from_fn(|piece| at(PIECES + piece)) }
+    }
+}
+
+/// Positions of the five cars at each of the 10 001 samples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Motion {
+    /// y1 to y5.
+    pub position: [Vec<f64>; 5],
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Mode {
+    Keeping,
+    Chasing,
+    Braking,
+}
+
+impl Mode {
+    #[inline]
+    fn after_guards(self, gap: f64) -> Self {
+        match self {
+            Self::Keeping if gap >= 15.0 => Self::Chasing,
+            Self::Keeping if gap <= 5.0 => Self::Braking,
+            Self::Chasing if gap <= 10.0 => Self::Keeping,
+            Self::Braking if gap >= 20.0 => Self::Chasing,
+            same => same,
+        }
+    }
+}
+
+/// The exact step of car 1 under constant inputs: `v(t) = v e^(-bt) - a k1(t)` and `y(t) = y + v k1(t) - a k2(t)`, where
+/// k1 is the integral of e^(-bt) and k2 that of k1.
+struct LeadStep {
+    decay: f64,
+    k1: f64,
+    k2: f64,
+    throttle: f64,
+}
+
+impl LeadStep {
+    fn new(throttle: f64, brake: f64) -> Self {
+        let x = brake * STEP_S;
+        let k1 = if x == 0.0 { STEP_S } else { -(-x).exp_m1() / brake };
+        // (x - 1 + e^-x) / b² cancels at the small x there are here; its series does not.
+        let k2 = STEP_S * STEP_S * (0.5 - x / 6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0 * (1.0 - x / 6.0))));
+        Self { decay: (-x).exp(), k1, k2, throttle }
+    }
+
+    #[inline]
+    fn advance(&self, y: &mut f64, v: &mut f64) {
+        *y += *v * self.k1 - self.throttle * self.k2;
+        *v = *v * self.decay - self.throttle * self.k1;
+    }
+}
+
+/// Runs the model.
+#[must_use]
+pub fn simulate(inputs: &Inputs) -> Motion {
+    let (decay, lost) = ((-STEP_S).exp(), -(-STEP_S).exp_m1());
+    let mut y = [0.0, 10.0, 20.0, 30.0, 40.0];
+    let mut v = [0.0_f64; 5];
+    let mut mode = [Mode::Keeping; 5];
+    let mut position: [Vec<f64>; 5] = std::array::from_fn(|_| Vec::with_capacity(STEPS + 1));
+    let mut record = |y: &[f64; 5]| position.iter_mut().zip(y).for_each(|(track, &y)| track.push(y));
+    record(&y);
+    for (&throttle, &brake) in inputs.throttle.iter().zip(&inputs.brake) {
+        let lead = LeadStep::new(throttle, brake);
+        for _ in 0..STEPS_A_PIECE {
+            let gaps: [f64; 4] = std::array::from_fn(|i| y[i + 1] - y[i]);
+            lead.advance(&mut y[0], &mut v[0]);
+            for i in 1..5 {
+                mode[i] = mode[i].after_guards(gaps[i - 1]);
+                match mode[i] {
+                    Mode::Keeping => y[i] += v[i] * STEP_S,
+                    Mode::Chasing => {
+                        y[i] -= v[i] * STEP_S + 0.5 * STEP_S * STEP_S;
+                        v[i] += STEP_S;
+                    }
+                    Mode::Braking => {
+                        y[i] -= v[i] * lost;
+                        v[i] *= decay;
+                    }
+                }
+            }
+            record(&y);
+        }
+    }
+    Motion { position }
+}
+
+/// Why a specification cannot be evaluated on a motion.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ChasingCarsError {
+    /// The text of a formula.
+    #[error(transparent)]
+    Parse(#[from] ParseError),
+    /// The signals.
+    #[error(transparent)]
+    Signals(#[from] SignalsError),
+    /// The monitor.
+    #[error(transparent)]
+    Monitor(#[from] MonitorError),
+}
+
+impl Motion {
+    /// The motion as signals y1 to y5.
+    ///
+    /// # Errors
+    /// [`SignalsError`] if a position is not a number.
+    pub fn signals(&self) -> Result<Signals<'_>, SignalsError> {
+        let mut signals = Signals::new(STEP_S, self.position[0].len())?;
+        for (name, track) in ["y1", "y2", "y3", "y4", "y5"].into_iter().zip(&self.position) {
+            signals.insert(name, track.as_slice())?;
+        }
+        Ok(signals)
+    }
+}
+
+/// Robustness of a specification under some inputs.
+///
+/// # Errors
+/// [`ChasingCarsError`] if the formula does not fit the model.
+pub fn robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
+    Ok(formula.robustness(&simulate(inputs).signals()?)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn held(rows: &[(f64, f64, f64)]) -> Inputs {
+        let at = |piece: usize| rows.iter().rfind(|row| row.0 <= 5.0 * piece as f64).unwrap();
+        Inputs { throttle: std::array::from_fn(|p| at(p).1), brake: std::array::from_fn(|p| at(p).2) }
+    }
+
+    #[test]
+    fn published_counterexamples_have_the_published_robustness() {
+        let published = [
+            ("CC1", "-3.14", held(&[(0., 1., 0.), (5., 1., 1.), (10., 1., 0.), (15., 0., 0.), (20., 1., 0.)])),
+            ("CC2", "-5.00", held(&[(0., 0., 1.), (25., 1., 0.)])),
+            ("CC3", "-25.07", held(&[(0., 0., 1.), (10., 1., 0.)])),
+        ];
+        for (name, expected, inputs) in published {
+            let (_, text) = SPECIFICATIONS.iter().find(|(known, _)| *known == name).unwrap();
+            let found = robustness(&text.parse().unwrap(), &inputs).unwrap();
+            assert_eq!(format!("{found:.2}"), expected, "{name}");
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! A second opinion: the model written down once more, as plainly as it is stated, and the naive monitor.
+
+use super::{ChasingCarsError, Inputs, STEP_S};
+use crumple_world::measure::stl::{Formula, Signals, naive_robustness};
+
+/// Robustness by an implementation that shares neither the model nor the monitor with [`super::robustness`].
+///
+/// Orders of magnitude slower: for rechecking counterexamples.
+///
+/// # Errors
+/// [`ChasingCarsError`] if the formula does not fit the model.
+pub fn replayed_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
+    let mut cars: Vec<Car> = (0..5).map(|i| Car { y: 10.0 * f64::from(i), v: 0.0, mode: "keeping" }).collect();
+    let mut tracks: Vec<Vec<f64>> = cars.iter().map(|car| vec![car.y]).collect();
+    for piece in 0..inputs.throttle.len() {
+        for _ in 0..500 {
+            let before = cars.clone();
+            for (i, car) in cars.iter_mut().enumerate() {
+                if i == 0 {
+                    car.lead(inputs.throttle[piece], inputs.brake[piece]);
+                } else {
+                    car.follow(before[i].y - before[i - 1].y);
+                }
+            }
+            for (track, car) in tracks.iter_mut().zip(&cars) {
+                track.push(car.y);
+            }
+        }
+    }
+    let mut signals = Signals::new(STEP_S, tracks[0].len())?;
+    for (i, track) in tracks.into_iter().enumerate() {
+        signals.insert(format!("y{}", i + 1), track)?;
+    }
+    Ok(naive_robustness(formula, &signals, 0)?)
+}
+
+#[derive(Clone)]
+struct Car {
+    y: f64,
+    v: f64,
+    mode: &'static str,
+}
+
+impl Car {
+    fn lead(&mut self, throttle: f64, brake: f64) {
+        let (h, v) = (STEP_S, self.v);
+        if brake < 1e-6 {
+            // The limit of the solution below, to second order in the brake.
+            self.v = v - throttle * h - brake * (v * h - throttle * h * h / 2.0);
+            self.y += v * h - throttle * h * h / 2.0 - brake * (v * h * h / 2.0 - throttle * h * h * h / 6.0);
+        } else {
+            let rest = -throttle / brake;
+            self.v = rest + (v - rest) * (-brake * h).exp();
+            self.y += rest * h + (v - self.v) / brake;
+        }
+    }
+
+    fn follow(&mut self, gap: f64) {
+        self.mode = match self.mode {
+            "keeping" if gap >= 15.0 => "chasing",
+            "keeping" if gap <= 5.0 => "braking",
+            "chasing" if gap <= 10.0 => "keeping",
+            "braking" if gap >= 20.0 => "chasing",
+            mode => mode,
+        };
+        let (h, v) = (STEP_S, self.v);
+        match self.mode {
+            "keeping" => self.y += v * h,
+            "chasing" => {
+                self.v = v + h;
+                self.y -= (v + self.v) / 2.0 * h;
+            }
+            _ => {
+                self.v = v * (-h).exp();
+                self.y -= v - self.v;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{SPECIFICATIONS, robustness};
+    use super::*;
+    use crumple_world::random::{Purpose, stream};
+    use rand::RngExt;
+
+    #[test]
+    fn agrees_with_the_fast_model_and_monitor() {
+        for seed in 0..3 {
+            let mut random = stream(seed, Purpose::ScenarioDraw, 0);
+            let mut extreme = |_| if random.random() { f64::from(random.random::<bool>()) } else { random.random() };
+            let inputs = Inputs { throttle: std::array::from_fn(&mut extreme), brake: std::array::from_fn(extreme) };
+            for (name, text) in SPECIFICATIONS {
+                let formula = text.parse().unwrap();
+                let (fast, plain) =
+                    (robustness(&formula, &inputs).unwrap(), replayed_robustness(&formula, &inputs).unwrap());
+                // Rounding moves the instants at which cars switch by a step at most.
+                assert!((fast - plain).abs() < 1e-6 * (1.0 + fast.abs()), "{name}, seed {seed}: {fast} and {plain}");
+            }
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! Many short climbs at once, the promising ones continued.
+
+use crate::falsify::Cube;
+use crate::falsify::shape::neighbour;
+use crumple_world::random::Stream;
+
+/// Fruitless moves that weigh as much as one place in the ranking.
+const MOVES_A_RANK: f64 = 8.0;
+/// What is left of a coordinate's weight when a change of it has changed nothing, and the least that stays.
+const NEUTRAL: f64 = 0.3;
+const LEAST_WEIGHT: f64 = 0.03;
+/// Climbs kept: worse ones are forgotten.
+const KEPT: usize = 200;
+
+/// Climbs from many points.
+///
+/// The next move goes to the climb with the best sum of its rank by value and its fruitless moves since it last improved:
+/// the best one leads until it sits on a plateau, then others catch up.
+///
+/// Robustness is a minimum over time, so inputs after the critical instant, or to a vehicle that plays no part, change
+/// nothing at all. Each climb learns which coordinates those are from values that stay equal to the last bit, and moves
+/// them less. A move that improved is repeated, longer or shorter (the pattern move of Hooke and Jeeves, 1961).
+#[derive(Debug, Default)]
+pub(super) struct Climbs {
+    climbs: Vec<Climb>,
+}
+
+#[derive(Debug)]
+struct Climb {
+    point: Vec<f64>,
+    value: f64,
+    fruitless: u32,
+    weights: Vec<f64>,
+    last_gain: Option<Vec<f64>>,
+    busy: bool,
+}
+
+/// A proposal of one climb; hand it back with its value.
+#[derive(Debug)]
+pub(super) struct Move {
+    climb: usize,
+    pub(super) point: Vec<f64>,
+}
+
+impl Climbs {
+    /// A new start.
+    pub(super) fn start(&mut self, point: Vec<f64>, value: f64) {
+        let weights = vec![1.0; point.len()];
+        self.climbs.push(Climb { point, value, fruitless: 0, weights, last_gain: None, busy: false });
+    }
+
+    /// Puts the climbs in order; call it once before a batch of moves, and never between a move and its value.
+    pub(super) fn rank(&mut self) {
+        self.climbs.sort_by(|a, b| a.value.total_cmp(&b.value));
+        self.climbs.truncate(KEPT);
+        self.climbs.iter_mut().for_each(|climb| climb.busy = false);
+    }
+
+    /// The next move, of a climb that has none in this batch.
+    pub(super) fn next(&mut self, cube: &Cube, random: &mut Stream) -> Option<Move> {
+        let cost = |(rank, climb): &(usize, &mut Climb)| *rank as f64 + f64::from(climb.fruitless) / MOVES_A_RANK;
+        let free = self.climbs.iter_mut().enumerate().filter(|(_, climb)| !climb.busy);
+        let (index, climb) = free.min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
+        climb.busy = true;
+        Some(Move { climb: index, point: climb.propose(cube, random)? })
+    }
+
+    pub(super) fn tell(&mut self, proposal: Move, value: f64) {
+        if let Some(climb) = self.climbs.get_mut(proposal.climb) {
+            climb.learn(proposal.point, value);
+        }
+    }
+}
+
+impl Climb {
+    fn propose(&mut self, cube: &Cube, random: &mut Stream) -> Option<Vec<f64>> {
+        use rand::RngExt;
+        if let Some(gain) = self.last_gain.take() {
+            let longer = random.random_range(0.5..2.0);
+            let further = |(x, d): (&f64, &f64)| (x + longer * d).clamp(0.0, 1.0);
+            let point: Vec<f64> = self.point.iter().zip(&gain).map(further).collect();
+            if point != self.point {
+                return Some(point);
+            }
+        }
+        (0..100).find_map(|_| neighbour(cube, &self.point, &self.weights, random))
+    }
+
+    fn learn(&mut self, point: Vec<f64>, value: f64) {
+        let change: Vec<f64> = point.iter().zip(&self.point).map(|(new, old)| new - old).collect();
+        for (weight, _) in self.weights.iter_mut().zip(&change).filter(|(_, change)| **change != 0.0) {
+            *weight = if value == self.value { (*weight * NEUTRAL).max(LEAST_WEIGHT) } else { 1.0 };
+        }
+        self.fruitless += 1;
+        if value < self.value {
+            self.fruitless = 0;
+            self.last_gain = Some(change);
+        }
+        // Equals are taken, too: walking along a plateau costs nothing.
+        if value <= self.value {
+            (self.point, self.value) = (point, value);
+        }
+    }
+}

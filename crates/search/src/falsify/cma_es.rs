@@ -1,0 +1,232 @@
+//! CMA-ES with restarts and growing populations.
+//!
+//! The strategy and its constants are those of Hansen's tutorial (The CMA evolution strategy, 2016, arXiv:1604.00772),
+//! restarted with twice the population where it stagnates (Auger and Hansen, IPOP-CMA-ES, CEC 2005).
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::method::rankable;
+use super::{Cube, Search};
+use crumple_world::random::{Purpose, Stream, stream};
+
+/// Largest population after restarts, as a multiple of the first one.
+const LARGEST_GROWTH: usize = 32;
+/// First step size, in parts of the cube: the tutorial's 0.3 of the range.
+pub(super) const FIRST_SIGMA: f64 = 0.3;
+/// Where the covariance is worse conditioned than this, it is numerically useless.
+const WORST_CONDITION: f64 = 1e14;
+
+/// CMA-ES with restarts. The first run starts at the centre, later ones anywhere.
+#[derive(Debug)]
+pub(super) struct CmaEs {
+    random: Stream,
+    first_population: usize,
+    growth: usize,
+    run: Run,
+}
+
+/// One run, from a start to stagnation.
+///
+/// Points outside the cube are moved to its surface, and learned from where they were evaluated: the extreme inputs that
+/// falsification looks for are thus reached exactly.
+#[derive(Debug)]
+pub(super) struct Run {
+    population: usize,
+    asked: Vec<DVector<f64>>,
+    mean: DVector<f64>,
+    sigma: f64,
+    first_sigma: f64,
+    covariance: DMatrix<f64>,
+    /// Eigenvectors of the covariance, and the square roots of its eigenvalues.
+    axes: DMatrix<f64>,
+    lengths: DVector<f64>,
+    path_sigma: DVector<f64>,
+    path_covariance: DVector<f64>,
+    generation: usize,
+    best_of_recent: Vec<f64>,
+}
+
+/// The constants of the tutorial's table 1, without negative weights.
+#[derive(Debug)]
+struct Constants {
+    weights: Vec<f64>,
+    mu_eff: f64,
+    c_sigma: f64,
+    d_sigma: f64,
+    c_c: f64,
+    c_1: f64,
+    c_mu: f64,
+    expected_norm: f64,
+}
+
+impl Constants {
+    fn new(dimension: usize, population: usize) -> Self {
+        let n = dimension as f64;
+        let half = (population as f64 + 1.0) / 2.0;
+        let raw: Vec<f64> = (1..=population / 2).map(|rank| half.ln() - (rank as f64).ln()).collect();
+        let sum: f64 = raw.iter().sum();
+        let weights: Vec<f64> = raw.iter().map(|w| w / sum).collect();
+        let mu_eff = 1.0 / weights.iter().map(|w| w * w).sum::<f64>();
+        let c_sigma = (mu_eff + 2.0) / (n + mu_eff + 5.0);
+        let d_sigma = 1.0 + 2.0 * (((mu_eff - 1.0) / (n + 1.0)).sqrt() - 1.0).max(0.0) + c_sigma;
+        let c_c = (4.0 + mu_eff / n) / (n + 4.0 + 2.0 * mu_eff / n);
+        let c_1 = 2.0 / ((n + 1.3).powi(2) + mu_eff);
+        let c_mu = (2.0 * (0.25 + mu_eff + 1.0 / mu_eff - 2.0) / ((n + 2.0).powi(2) + mu_eff)).min(1.0 - c_1);
+        let expected_norm = n.sqrt() * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n * n));
+        Self { weights, mu_eff, c_sigma, d_sigma, c_c, c_1, c_mu, expected_norm }
+    }
+}
+
+impl CmaEs {
+    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+        let dimension = cube.dimension();
+        let population = default_population(dimension);
+        Self {
+            random: stream(seed, Purpose::Search, 0),
+            first_population: population,
+            growth: 1,
+            run: Run::new(vec![0.5; dimension], FIRST_SIGMA, population),
+        }
+    }
+}
+
+impl Search for CmaEs {
+    fn ask(&mut self) -> Vec<Vec<f64>> {
+        if self.run.has_stagnated() {
+            self.growth = (2 * self.growth).min(LARGEST_GROWTH);
+            let start = self.run.mean.iter().map(|_| self.random.random()).collect();
+            self.run = Run::new(start, FIRST_SIGMA, self.first_population * self.growth);
+        }
+        self.run.ask(&mut self.random)
+    }
+
+    fn tell(&mut self, robustness: &[f64]) {
+        self.run.tell(robustness);
+    }
+}
+
+/// The default of the tutorial, equation 48.
+pub(super) fn default_population(dimension: usize) -> usize {
+    4 + (3.0 * (dimension as f64).ln()) as usize
+}
+
+impl Run {
+    pub(super) fn new(start: Vec<f64>, sigma: f64, population: usize) -> Self {
+        let n = start.len();
+        Self {
+            population,
+            asked: Vec::new(),
+            mean: DVector::from_vec(start),
+            sigma,
+            first_sigma: sigma,
+            covariance: DMatrix::identity(n, n),
+            axes: DMatrix::identity(n, n),
+            lengths: DVector::from_element(n, 1.0),
+            path_sigma: DVector::zeros(n),
+            path_covariance: DVector::zeros(n),
+            generation: 0,
+            best_of_recent: Vec::new(),
+        }
+    }
+
+    pub(super) fn ask(&mut self, random: &mut Stream) -> Vec<Vec<f64>> {
+        self.asked = (0..self.population).map(|_| self.sample(random)).collect();
+        self.asked.iter().map(|point| point.iter().copied().collect()).collect()
+    }
+
+    /// As [`Run::ask`], but each point is the best of `among` by `score`.
+    pub(super) fn ask_screened(
+        &mut self,
+        random: &mut Stream,
+        among: usize,
+        score: impl Fn(&[f64]) -> f64,
+    ) -> Vec<Vec<f64>> {
+        let mut candidates: Vec<(f64, DVector<f64>)> = (0..self.population * among)
+            .map(|_| self.sample(random))
+            .map(|point| (score(point.as_slice()), point))
+            .collect();
+        candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
+        candidates.truncate(self.population);
+        self.asked = candidates.into_iter().map(|(_, point)| point).collect();
+        self.asked.iter().map(|point| point.iter().copied().collect()).collect()
+    }
+
+    pub(super) fn tell(&mut self, robustness: &[f64]) {
+        // A generation cut short by the budget teaches nothing more.
+        if robustness.len() < self.population {
+            return;
+        }
+        let asked = std::mem::take(&mut self.asked);
+        let mut ranked: Vec<(f64, &DVector<f64>)> =
+            robustness.iter().map(|&value| rankable(value)).zip(&asked).collect();
+        ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self.learn(&ranked);
+    }
+
+    fn sample(&self, random: &mut Stream) -> DVector<f64> {
+        let normal: DVector<f64> = DVector::from_fn(self.mean.len(), |_, _| StandardNormal.sample(random));
+        let step = &self.axes * self.lengths.component_mul(&normal);
+        (&self.mean + step * self.sigma).map(|x| x.clamp(0.0, 1.0))
+    }
+
+    /// Equations 39 to 47 of the tutorial, for a population ranked from the best to the worst.
+    fn learn(&mut self, ranked: &[(f64, &DVector<f64>)]) {
+        let n = self.mean.len() as f64;
+        let constants = Constants::new(self.mean.len(), self.population);
+        let steps: Vec<DVector<f64>> = ranked.iter().map(|(_, point)| (*point - &self.mean) / self.sigma).collect();
+        let mut step = DVector::zeros(self.mean.len());
+        for (weight, one) in constants.weights.iter().zip(&steps) {
+            step.axpy(*weight, one, 1.0);
+        }
+        self.mean += &step * self.sigma;
+        self.generation += 1;
+
+        let Constants { mu_eff, c_sigma, d_sigma, c_c, c_1, c_mu, expected_norm, .. } = constants;
+        let whitened = &self.axes * (self.axes.tr_mul(&step)).component_div(&self.lengths);
+        self.path_sigma *= 1.0 - c_sigma;
+        self.path_sigma += whitened * (c_sigma * (2.0 - c_sigma) * mu_eff).sqrt();
+        let norm = self.path_sigma.norm();
+        let settled = (1.0 - (1.0 - c_sigma).powf(2.0 * self.generation as f64)).sqrt();
+        let moving = norm / settled < (1.4 + 2.0 / (n + 1.0)) * expected_norm;
+        self.path_covariance *= 1.0 - c_c;
+        if moving {
+            self.path_covariance += &step * (c_c * (2.0 - c_c) * mu_eff).sqrt();
+        }
+
+        let lost = if moving { 0.0 } else { c_1 * c_c * (2.0 - c_c) };
+        self.covariance *= 1.0 + lost - c_1 - c_mu;
+        self.covariance.ger(c_1, &self.path_covariance, &self.path_covariance, 1.0);
+        for (weight, one) in constants.weights.iter().zip(&steps) {
+            self.covariance.ger(c_mu * weight, one, one, 1.0);
+        }
+        self.sigma *= ((c_sigma / d_sigma) * (norm / expected_norm - 1.0)).min(1.0).exp();
+
+        let eigen = SymmetricEigen::new(self.covariance.clone());
+        self.lengths = eigen.eigenvalues.map(|value| value.max(1e-30).sqrt());
+        self.axes = eigen.eigenvectors;
+        self.best_of_recent.extend(ranked.first().map(|(value, _)| *value));
+        // Equal best and median: the population sits on a plateau; wider steps may leave it.
+        if ranked.first().map(|r| r.0) == ranked.get(self.population / 2).map(|r| r.0) {
+            self.sigma *= (0.2 + c_sigma / d_sigma).exp();
+        }
+    }
+
+    /// Largest standard deviation in any direction.
+    pub(super) fn spread(&self) -> f64 {
+        self.lengths.max() * self.sigma
+    }
+
+    /// The termination criteria of the IPOP paper that make sense in a unit cube.
+    pub(super) fn has_stagnated(&self) -> bool {
+        let spread = self.spread();
+        let condition = (self.lengths.max() / self.lengths.min()).powi(2);
+        let window = 10 + 30 * self.mean.len() / self.population;
+        let recent = self.best_of_recent.iter().rev().take(window);
+        let (least, most) = recent.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &x| (a.min(x), b.max(x)));
+        let flat = self.best_of_recent.len() >= window && most - least <= 1e-12 * (1.0 + most.abs());
+        let lost = !spread.is_finite() || !least.is_finite() && self.best_of_recent.len() >= window;
+        spread < 1e-12 * self.first_sigma || spread > 1e4 || condition > WORST_CONDITION || flat || lost
+    }
+}

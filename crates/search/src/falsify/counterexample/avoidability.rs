@@ -1,0 +1,167 @@
+//! Could anyone have avoided it?
+
+use serde::{Deserialize, Serialize};
+
+use crate::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
+use crumple_world::measure::Specification;
+use crumple_world::scenario::Scenario;
+
+/// Whether any controller could have avoided a failure; see [`avoid`] for what each class asserts.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(into = "Written", from = "Read")]
+pub enum Avoidability {
+    /// Nobody has asked: the specification is a formula, or the file is older than the question.
+    #[default]
+    NotAsked,
+    /// Some acceleration of the vehicles under test avoids it, and was replayed without contact.
+    Avoidable {
+        /// Smallest gap that the best escape found keeps, in metres.
+        best_min_gap_m: f64,
+    },
+    /// None does, and the checker has accepted the proof.
+    Unavoidable,
+    /// Neither could be shown.
+    Undecided {
+        /// Why not.
+        reason: String,
+    },
+}
+
+/// An [`Avoidability`] as one word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AvoidabilityClass {
+    /// [`Avoidability::NotAsked`].
+    #[default]
+    NotAsked,
+    /// [`Avoidability::Avoidable`].
+    Avoidable,
+    /// [`Avoidability::Unavoidable`].
+    Unavoidable,
+    /// [`Avoidability::Undecided`].
+    Undecided,
+}
+
+impl Avoidability {
+    /// What convex programming says about a scenario in which contact is what must not happen.
+    #[must_use]
+    pub fn of(specification: &Specification, scenario: &Scenario) -> Self {
+        if *specification != Specification::NoContact {
+            return Self::NotAsked;
+        }
+        match avoid(scenario, AvoidOptions::default()).map(|avoidance| avoidance.verdict) {
+            Ok(AvoidanceVerdict::Avoidable(escape)) => Self::Avoidable { best_min_gap_m: escape.min_gap_m },
+            Ok(AvoidanceVerdict::Unavoidable(_)) => Self::Unavoidable,
+            Ok(AvoidanceVerdict::Undecided(reason)) => Self::Undecided { reason: reason.to_string() },
+            Err(error) => Self::Undecided { reason: error.to_string() },
+        }
+    }
+
+    /// The class alone.
+    #[must_use]
+    pub fn class(&self) -> AvoidabilityClass {
+        match self {
+            Self::NotAsked => AvoidabilityClass::NotAsked,
+            Self::Avoidable { .. } => AvoidabilityClass::Avoidable,
+            Self::Unavoidable => AvoidabilityClass::Unavoidable,
+            Self::Undecided { .. } => AvoidabilityClass::Undecided,
+        }
+    }
+
+    /// Whether it could have been avoided, if that is known.
+    #[must_use]
+    pub fn is_avoidable(&self) -> Option<bool> {
+        match self {
+            Self::Avoidable { .. } => Some(true),
+            Self::Unavoidable => Some(false),
+            Self::NotAsked | Self::Undecided { .. } => None,
+        }
+    }
+
+    /// The smallest gap of the best escape found, in metres.
+    #[must_use]
+    pub fn best_min_gap_m(&self) -> Option<f64> {
+        if let Self::Avoidable { best_min_gap_m } = self { Some(*best_min_gap_m) } else { None }
+    }
+
+    /// Why it is undecided, if it is.
+    #[must_use]
+    pub fn undecided_because(&self) -> Option<&str> {
+        if let Self::Undecided { reason } = self { Some(reason) } else { None }
+    }
+
+    /// In words; none if nobody has asked.
+    #[must_use]
+    pub fn describe(&self) -> Option<String> {
+        match self {
+            Self::NotAsked => None,
+            Self::Avoidable { best_min_gap_m } => Some(format!("avoidable: an escape keeps {best_min_gap_m:.2} m")),
+            Self::Unavoidable => Some("unavoidable: proved for every controller".to_owned()),
+            Self::Undecided { reason } => Some(format!("undecided whether avoidable: {reason}")),
+        }
+    }
+}
+
+/// Beside the other fields of a counterexample in a summary.
+#[derive(Serialize)]
+struct Written {
+    avoidable: Option<bool>,
+    avoidability: AvoidabilityClass,
+    best_min_gap_m: Option<f64>,
+    undecided_because: Option<String>,
+}
+
+/// The same, where `avoidable` says nothing that the class does not.
+#[derive(Deserialize)]
+struct Read {
+    #[serde(default)]
+    avoidability: AvoidabilityClass,
+    #[serde(default)]
+    best_min_gap_m: Option<f64>,
+    #[serde(default)]
+    undecided_because: Option<String>,
+}
+
+impl From<Avoidability> for Written {
+    fn from(from: Avoidability) -> Self {
+        Self {
+            avoidable: from.is_avoidable(),
+            avoidability: from.class(),
+            best_min_gap_m: from.best_min_gap_m(),
+            undecided_because: from.undecided_because().map(str::to_owned),
+        }
+    }
+}
+
+impl From<Read> for Avoidability {
+    fn from(read: Read) -> Self {
+        match (read.avoidability, read.best_min_gap_m) {
+            (AvoidabilityClass::Avoidable, Some(best_min_gap_m)) => Self::Avoidable { best_min_gap_m },
+            (AvoidabilityClass::Unavoidable, _) => Self::Unavoidable,
+            (AvoidabilityClass::Undecided, _) => Self::Undecided { reason: read.undecided_because.unwrap_or_default() },
+            (AvoidabilityClass::NotAsked | AvoidabilityClass::Avoidable, _) => Self::NotAsked,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_class_survives_its_file_and_an_old_file_says_that_nobody_asked() {
+        let all = [
+            (Avoidability::NotAsked, "null"),
+            (Avoidability::Avoidable { best_min_gap_m: 0.1 + 0.2 }, "true"),
+            (Avoidability::Unavoidable, "false"),
+            (Avoidability::Undecided { reason: "noise".to_owned() }, "null"),
+        ];
+        for (one, avoidable) in all {
+            let text = serde_json::to_string(&one).unwrap();
+            assert!(text.starts_with(&format!(r#"{{"avoidable":{avoidable},"#)), "{text}");
+            assert_eq!(serde_json::from_str::<Avoidability>(&text).unwrap(), one);
+        }
+        let old: Avoidability = serde_json::from_str(r#"{"avoidable":"not-asked"}"#).unwrap();
+        assert_eq!(old, Avoidability::NotAsked);
+    }
+}

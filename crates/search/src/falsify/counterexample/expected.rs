@@ -1,0 +1,232 @@
+//! Recorded verdicts: which scenario file, under which controller, ends how; and their replay.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::{Avoidability, AvoidabilityClass};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::file::{self, FileError};
+use crumple_world::sim::{Contender, Run, RunError, RunOptions, UnknownContender, simulate};
+
+/// The version of the format of recorded verdicts.
+pub const EXPECTED_VERSION: u32 = 1;
+
+/// The file `expected.toml` beside scenario files: the verdict recorded for each.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExpectedFile {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// One entry a scenario and controller.
+    #[serde(default)]
+    pub expected: Vec<Expected>,
+}
+
+/// What a run of a scenario file is known to end in.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Expected {
+    /// The scenario file, beside this one.
+    pub scenario: String,
+    /// The controller under test: a built-in name, or a policy file beside this one.
+    pub controller: String,
+    /// Hash of the policy, if that is what it is: another policy of that name is another controller.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub policy_sha256: Option<String>,
+    /// What it looks through.
+    pub estimator: EstimatorKind,
+    /// What must hold: `no contact`, or a formula.
+    pub specification: String,
+    /// Whether that is violated.
+    pub violated: bool,
+    /// Robustness.
+    pub robustness: f64,
+    /// When vehicles first touch, in seconds, if they do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contact_time_s: Option<f64>,
+    /// Index of the vehicle that is hit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub front_vehicle: Option<u32>,
+    /// Index of the vehicle that hits it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rear_vehicle: Option<u32>,
+    /// Whether the failure disappears at a tenth of the step.
+    #[serde(default)]
+    pub dt_fragile: bool,
+    /// Whether any controller could have avoided it.
+    #[serde(default)]
+    pub avoidable: AvoidabilityClass,
+    /// If so, the smallest gap of the best escape found, in metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub best_min_gap_m: Option<f64>,
+    /// If that is undecided, why.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub undecided_because: Option<String>,
+}
+
+/// A replay beside what was expected.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Replayed {
+    /// The verdict at the scenario's own step.
+    pub nominal: RunVerdict,
+    /// The verdict at a tenth of it.
+    pub finer: RunVerdict,
+    /// Whether both are as recorded: violated or not, the same vehicles, contact times within a millisecond at the own
+    /// step.
+    pub as_recorded: bool,
+}
+
+/// Why a recorded verdict cannot be replayed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReplayError {
+    /// A file.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The controller.
+    #[error(transparent)]
+    Controller(#[from] UnknownContender),
+    /// The policy is another one.
+    #[error("{scenario}: the verdict is on a policy with SHA-256 {expected}, and `{controller}` has {found}")]
+    OtherPolicy {
+        /// The scenario file.
+        scenario: String,
+        /// The controller's name.
+        controller: String,
+        /// The hash recorded.
+        expected: String,
+        /// The hash found.
+        found: String,
+    },
+    /// The run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The specification.
+    #[error(transparent)]
+    Specification(#[from] SpecificationError),
+}
+
+impl ExpectedFile {
+    /// Reads recorded verdicts.
+    ///
+    /// # Errors
+    /// [`FileError`] for a file that cannot be read or parsed.
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        let text = file::read(path)?;
+        let read: Self = file::parse_toml(&text, path)?;
+        if read.version == EXPECTED_VERSION {
+            return Ok(read);
+        }
+        let message =
+            format!("version: version {} is not supported: this release reads {EXPECTED_VERSION}", read.version);
+        Err(FileError::Syntax { path: path.to_owned(), line: file::line_in_toml(&text, "version"), message })
+    }
+}
+
+impl Expected {
+    /// Replays the scenario from its file, which is in `folder`.
+    ///
+    /// # Errors
+    /// [`ReplayError`] if something it names is not there or does not fit.
+    pub fn replay(&self, folder: &Path) -> Result<Replayed, ReplayError> {
+        let scenario = file::load(&folder.join(&self.scenario))?;
+        let contender = Contender::find(&self.controller, folder)?;
+        let digest = contender.policy().map(|policy| policy.digest());
+        if let (Some(expected), found) = (&self.policy_sha256, digest.unwrap_or_default())
+            && *expected != found
+        {
+            return Err(ReplayError::OtherPolicy {
+                scenario: self.scenario.clone(),
+                controller: self.controller.clone(),
+                expected: expected.clone(),
+                found,
+            });
+        }
+        let specification = Specification::parse(&self.specification, &scenario)?;
+        let replay = Replay { specification: &specification, controller: &contender, estimator: self.estimator };
+        let (nominal, finer) = (replay.at(&scenario, 1)?, replay.at(&scenario, FINER)?);
+        let is_violated = |verdict: &RunVerdict| verdict.robustness < 0.0;
+        let vehicles = |verdict: &RunVerdict| verdict.contact.map(|c| (c.front_vehicle, c.rear_vehicle));
+        let recorded = self.front_vehicle.zip(self.rear_vehicle);
+        let on_time = match (nominal.contact, self.contact_time_s) {
+            (Some(contact), Some(time_s)) => (contact.time_s - time_s).abs() < 1e-3,
+            (None, None) => true,
+            _ => false,
+        };
+        let finer_agrees = is_violated(&finer) == self.violated && vehicles(&finer) == recorded;
+        let as_recorded = is_violated(&nominal) == self.violated
+            && vehicles(&nominal) == recorded
+            && on_time
+            && finer_agrees != self.dt_fragile;
+        Ok(Replayed { nominal, finer, as_recorded })
+    }
+}
+
+impl Expected {
+    /// The same scenario and controller with what happens today; whether it was avoidable is asked again if it fails.
+    ///
+    /// # Errors
+    /// [`ReplayError`] if something it names is not there or does not fit.
+    pub fn renewed(&self, folder: &Path) -> Result<Self, ReplayError> {
+        let scenario = file::load(&folder.join(&self.scenario))?;
+        let policy_sha256 = Contender::find(&self.controller, folder)?.policy().map(|policy| policy.digest());
+        let specification = Specification::parse(&self.specification, &scenario)?;
+        let mut renewed = Self { policy_sha256, dt_fragile: false, ..self.clone() };
+        let verdict = renewed.replay(folder)?.nominal;
+        let violated = verdict.robustness < 0.0;
+        let class = if violated { Avoidability::of(&specification, &scenario) } else { Avoidability::NotAsked };
+        renewed = Self {
+            violated,
+            robustness: verdict.robustness,
+            contact_time_s: verdict.contact.map(|contact| contact.time_s),
+            front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
+            rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
+            avoidable: class.class(),
+            best_min_gap_m: class.best_min_gap_m(),
+            undecided_because: class.undecided_because().map(str::to_owned),
+            ..renewed
+        };
+        // Everything else is as recorded now.
+        renewed.dt_fragile = !renewed.replay(folder)?.as_recorded;
+        Ok(renewed)
+    }
+}
+
+/// Parts of the step in which a failure must survive.
+pub(super) const FINER: u32 = 10;
+
+/// How counterexamples are judged, one at a time.
+pub(super) struct Replay<'a> {
+    pub(super) specification: &'a Specification,
+    pub(super) controller: &'a Contender,
+    pub(super) estimator: EstimatorKind,
+}
+
+impl Replay<'_> {
+    pub(super) fn options(&self, scenario: &Scenario, parts: u32) -> RunOptions {
+        let options = RunOptions::new(self.controller.controller.clone()).with_estimator(self.estimator);
+        if parts == 1 { options } else { options.with_dt_s(scenario.spec().step_s / f64::from(parts)) }
+    }
+
+    /// The verdict with the scenario's step in so many parts.
+    pub(super) fn at(&self, scenario: &Scenario, parts: u32) -> Result<RunVerdict, ReplayError> {
+        let options = self.options(scenario, parts).with_after_contact(self.specification.after_contact());
+        let run = Run::new(scenario, options)?;
+        Ok(self.specification.judge(&run, &simulate(&run, self.specification.keep()))?)
+    }
+}
+
+/// The paths of all scenario files of an index.
+impl ExpectedFile {
+    /// The scenario files named, each once.
+    #[must_use]
+    pub fn scenarios(&self, folder: &Path) -> Vec<PathBuf> {
+        let mut paths: Vec<PathBuf> = self.expected.iter().map(|expected| folder.join(&expected.scenario)).collect();
+        paths.sort();
+        paths.dedup();
+        paths
+    }
+}

@@ -1,0 +1,185 @@
+//! Smaller failures: nearer to nominal, with fewer pieces and rounder values.
+
+use crumple_world::scenario::space::{Parameter, Space};
+
+/// Rounds of all moves; the second one profits from the first.
+const ROUNDS: usize = 2;
+/// Steps towards nominal, for each coordinate and round: half of the way, and half as much after each that failed.
+const STEPS: usize = 4;
+/// Rounding moves a value by this share of its range at most: a rounder value must not be a far more extreme one.
+const FURTHEST: f64 = 0.1;
+/// Decimals that are tried when rounding.
+const MOST_DECIMALS: i32 = 3;
+
+/// The smallest values found for which `holds`, starting from `values` for which it does.
+///
+/// Moves are tried in a fixed order, the largest simplification first, and kept if `holds`: a whole parameter to nominal;
+/// neighbouring pieces to one; part of the way to nominal; fewer decimals. Nothing is random.
+pub(super) fn shrink(space: &Space, values: &[f64], holds: &mut dyn FnMut(&[f64]) -> bool) -> Vec<f64> {
+    let mut current = values.to_vec();
+    for _ in 0..ROUNDS {
+        let before = current.clone();
+        for parameter in space.parameters() {
+            to_nominal(parameter, &mut current, holds);
+        }
+        for parameter in space.parameters() {
+            join_pieces(parameter, &mut current, holds);
+        }
+        for parameter in space.parameters().iter().filter(|parameter| !parameter.is_choice()) {
+            approach(parameter, &mut current, holds);
+        }
+        for parameter in space.parameters().iter().filter(|parameter| !parameter.is_choice()) {
+            round(parameter, &mut current, holds);
+        }
+        if current == before {
+            break;
+        }
+    }
+    current
+}
+
+/// Takes a change if it is one and the failure survives it.
+fn attempt(current: &mut Vec<f64>, changed: Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) -> bool {
+    let taken = changed != *current && holds(&changed);
+    if taken {
+        *current = changed;
+    }
+    taken
+}
+
+fn to_nominal(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+    let mut changed = current.clone();
+    if let Some(own) = changed.get_mut(parameter.coordinates()) {
+        own.copy_from_slice(parameter.nominal());
+    }
+    attempt(current, changed, holds);
+}
+
+/// Pieces take the value of the piece before or after them, runs of equal ones together.
+fn join_pieces(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+    let range = parameter.coordinates();
+    let mut border = range.start + 1;
+    while border < range.end {
+        let at = |values: &[f64], index: usize| values.get(index).copied().unwrap_or(f64::NAN);
+        let (left, right) = (at(current, border - 1), at(current, border));
+        if left != right {
+            let start = (range.start..border).rev().take_while(|&i| at(current, i) == left).last().unwrap_or(border);
+            let end = (border..range.end).take_while(|&i| at(current, i) == right).last().map_or(border, |i| i + 1);
+            let mut one = current.clone();
+            one.get_mut(border..end).unwrap_or_default().fill(left);
+            let mut other = current.clone();
+            other.get_mut(start..border).unwrap_or_default().fill(right);
+            let _ = attempt(current, one, holds) || attempt(current, other, holds);
+        }
+        border += 1;
+    }
+}
+
+fn approach(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+    for run in runs(parameter, current) {
+        let nominal = parameter.nominal().get(run.start - parameter.coordinates().start).copied().unwrap_or(0.0);
+        let mut share = 0.5;
+        for _ in 0..STEPS {
+            let Some(&value) = current.get(run.start) else { break };
+            let mut changed = current.clone();
+            changed.get_mut(run.clone()).unwrap_or_default().fill(value + share * (nominal - value));
+            if !attempt(current, changed, holds) {
+                share *= 0.5;
+            }
+        }
+    }
+}
+
+/// The fewest decimals, from tens to thousandths, with which the failure survives; to the nearer side first.
+fn round(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+    let [low, high] = parameter.range();
+    for run in runs(parameter, current) {
+        let Some(&value) = current.get(run.start) else { continue };
+        // What is nominal is as simple as can be.
+        if parameter.nominal().get(run.start - parameter.coordinates().start) == Some(&value) {
+            continue;
+        }
+        'decimals: for decimals in -1..=MOST_DECIMALS {
+            let scale = 10f64.powi(decimals);
+            let scaled = value * scale;
+            let nearest = scaled.round() / scale;
+            let other = (if scaled.round() > scaled { scaled.floor() } else { scaled.ceil() }) / scale;
+            for rounded in [nearest, other] {
+                if rounded == value {
+                    break 'decimals;
+                }
+                let mut changed = current.clone();
+                changed.get_mut(run.clone()).unwrap_or_default().fill(rounded);
+                let near = (rounded - value).abs() <= FURTHEST * (high - low);
+                if near && (low..=high).contains(&rounded) && attempt(current, changed, holds) {
+                    break 'decimals;
+                }
+            }
+        }
+    }
+}
+
+/// The coordinates of a parameter, those of neighbouring pieces with one value together.
+fn runs(parameter: &Parameter, current: &[f64]) -> Vec<std::ops::Range<usize>> {
+    let mut runs: Vec<std::ops::Range<usize>> = Vec::new();
+    for index in parameter.coordinates() {
+        match runs.last_mut() {
+            Some(run) if current.get(run.start) == current.get(index) => run.end = index + 1,
+            _ => runs.push(index..index + 1),
+        }
+    }
+    runs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::space::built_in_space;
+    use proptest::prelude::*;
+
+    #[test]
+    fn what_plays_no_part_becomes_nominal_and_the_rest_round() {
+        let space = built_in_space("high-risk").unwrap();
+        let values = space.values(&space.draw_point(1, 5));
+        let names = space.coordinate_names();
+        let gap = names.iter().position(|name| name == "gap_ahead_m").unwrap();
+        let brake = names.iter().position(|name| name == "lead_brake_share_0").unwrap();
+        let mut start = values.clone();
+        start[gap] = 3.4567;
+        start[brake..brake + 5].copy_from_slice(&[0.912, 0.934, 0.95, 0.1, 0.2]);
+        // Fails if the gap is small and the leader brakes hard over the first two pieces.
+        let mut holds = |v: &[f64]| v[gap] < 8.3 && v[brake] > 0.7123 && v[brake + 1] > 0.7123;
+        let shrunk = shrink(&space, &start, &mut holds);
+        for (index, (found, nominal)) in shrunk.iter().zip(space.nominal()).enumerate() {
+            let plays_a_part = index == gap || (brake..brake + 5).contains(&index);
+            assert!(plays_a_part || *found == nominal, "{}: {found}", names[index]);
+        }
+        assert!([6.0, 7.0, 8.0].contains(&shrunk[gap]), "{}", shrunk[gap]);
+        assert!(shrunk[brake..brake + 5].iter().all(|share| *share == shrunk[brake]), "one piece: {shrunk:?}");
+        let percent = 100.0 * shrunk[brake];
+        assert!((72.0..=91.0).contains(&percent) && (percent - percent.round()).abs() < 1e-9, "{percent}");
+    }
+
+    proptest! {
+        /// Whatever it takes to fail, shrinking ends, still fails, and never leaves the ranges.
+        #[test]
+        fn shrinking_keeps_failing(seed in any::<u64>(), weights in prop::collection::vec(-1.0..1.0f64, 15)) {
+            let space = built_in_space("high-risk").unwrap();
+            let start = space.draw_point(seed, 0);
+            let score = |point: &[f64]| point.iter().zip(&weights).map(|(x, w)| x * w).sum::<f64>();
+            let limit = score(&start) - 0.3;
+            let mut tried = 0;
+            let mut holds = |values: &[f64]| {
+                tried += 1;
+                score(&space.point(values)) >= limit
+            };
+            let shrunk = shrink(&space, &space.values(&start), &mut holds);
+            prop_assert!(holds(&shrunk));
+            prop_assert!(tried < 700, "{tried}");
+            for (value, parameter) in shrunk.iter().zip(space.coordinate_parameters()) {
+                let [low, high] = parameter.range();
+                prop_assert!((low..=high).contains(value));
+            }
+        }
+    }
+}

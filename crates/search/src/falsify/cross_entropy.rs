@@ -1,0 +1,78 @@
+//! The cross-entropy method with independent normal coordinates.
+//!
+//! Rubinstein and Kroese (The cross-entropy method, Springer 2004, section 5.1) with the smoothing they recommend:
+//! constant for the mean, and for the deviation a smoothing that fades, so that it does not collapse early.
+
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::method::rankable;
+use super::{Cube, Search};
+use crumple_world::random::{Purpose, Stream, stream};
+
+const POPULATION: usize = 60;
+const ELITE: usize = 6;
+const MEAN_SMOOTHING: f64 = 0.8;
+const DEVIATION_SMOOTHING: f64 = 0.8;
+const FADING: f64 = 5.0;
+/// Where all deviations are smaller, the distribution is a point, and the search starts anew elsewhere.
+const COLLAPSED: f64 = 1e-5;
+
+/// Cross-entropy search.
+#[derive(Debug)]
+pub(super) struct CrossEntropy {
+    random: Stream,
+    mean: Vec<f64>,
+    deviation: Vec<f64>,
+    generation: f64,
+    asked: Vec<Vec<f64>>,
+}
+
+impl CrossEntropy {
+    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+        let dimension = cube.dimension();
+        Self {
+            random: stream(seed, Purpose::Search, 0),
+            mean: vec![0.5; dimension],
+            deviation: vec![0.5; dimension],
+            generation: 0.0,
+            asked: Vec::new(),
+        }
+    }
+}
+
+impl Search for CrossEntropy {
+    fn ask(&mut self) -> Vec<Vec<f64>> {
+        if self.deviation.iter().all(|&deviation| deviation < COLLAPSED) {
+            self.mean.iter_mut().for_each(|mean| *mean = self.random.random());
+            self.deviation.fill(0.5);
+            self.generation = 0.0;
+        }
+        let normal = |random: &mut Stream| -> f64 { StandardNormal.sample(random) };
+        let mut point = || -> Vec<f64> {
+            let spread = self.mean.iter().zip(&self.deviation);
+            spread.map(|(mean, deviation)| (mean + deviation * normal(&mut self.random)).clamp(0.0, 1.0)).collect()
+        };
+        self.asked = (0..POPULATION).map(|_| point()).collect();
+        self.asked.clone()
+    }
+
+    fn tell(&mut self, robustness: &[f64]) {
+        if robustness.len() < POPULATION {
+            return;
+        }
+        let mut ranked: Vec<(f64, &Vec<f64>)> =
+            robustness.iter().map(|&value| rankable(value)).zip(&self.asked).collect();
+        ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+        ranked.truncate(ELITE);
+        self.generation += 1.0;
+        let fading = DEVIATION_SMOOTHING - DEVIATION_SMOOTHING * (1.0 - 1.0 / self.generation).powf(FADING);
+        for (i, (mean, deviation)) in self.mean.iter_mut().zip(&mut self.deviation).enumerate() {
+            let elite = || ranked.iter().filter_map(|(_, point)| point.get(i));
+            let centre = elite().sum::<f64>() / ELITE as f64;
+            let spread = (elite().map(|x| (x - centre).powi(2)).sum::<f64>() / ELITE as f64).sqrt();
+            *mean += MEAN_SMOOTHING * (centre - *mean);
+            *deviation += fading * (spread - *deviation);
+        }
+    }
+}

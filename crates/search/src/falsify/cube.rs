@@ -1,0 +1,151 @@
+//! The set a search moves in.
+
+use std::ops::Range;
+
+use crumple_world::scenario::space::Space;
+
+/// The unit cube, with its coordinates in blocks: a block of one is a number by itself, a longer one a piecewise constant
+/// signal, piece after piece in time.
+///
+/// Methods that know signals may propose fewer pieces, which refine to all of them; to others it is just a cube.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cube {
+    blocks: Vec<Range<usize>>,
+    leader: Vec<usize>,
+}
+
+/// A cube without coordinates, or with a block without any.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("a search needs at least one coordinate, and at least one in each block")]
+pub struct EmptyBlock;
+
+impl Cube {
+    /// The cube that a search in a space moves in: a block for each parameter, a signal's as long as it has pieces. It
+    /// knows which of them shape the script of the leader.
+    ///
+    /// # Errors
+    /// None: a space has at least one parameter, and each has a coordinate.
+    pub fn of(space: &Space) -> Result<Self, EmptyBlock> {
+        let cube = Self::new(space.parameters().iter().map(|parameter| parameter.coordinates().len()))?;
+        let of_leader = space.parameters().iter().filter(|parameter| parameter.scripts_leader());
+        Ok(cube.with_leader(of_leader.flat_map(|parameter| parameter.coordinates())))
+    }
+
+    /// A cube of blocks with these numbers of coordinates.
+    ///
+    /// # Errors
+    /// [`EmptyBlock`] if there is none or one is zero.
+    pub fn new(lengths: impl IntoIterator<Item = usize>) -> Result<Self, EmptyBlock> {
+        let mut blocks = Vec::new();
+        let mut start = 0;
+        for length in lengths {
+            if length == 0 {
+                return Err(EmptyBlock);
+            }
+            blocks.push(start..start + length);
+            start += length;
+        }
+        if blocks.is_empty() { Err(EmptyBlock) } else { Ok(Self { blocks, leader: Vec::new() }) }
+    }
+
+    /// The number of coordinates, at least one.
+    #[must_use]
+    pub fn dimension(&self) -> usize {
+        self.blocks.last().map_or(0, |block| block.end)
+    }
+
+    /// The coordinates of each block.
+    #[must_use]
+    pub fn blocks(&self) -> &[Range<usize>] {
+        &self.blocks
+    }
+
+    /// The same cube, with the coordinates that say how a scripted leader drives: the others are its circumstances. Those
+    /// outside the cube are left out.
+    #[must_use]
+    pub fn with_leader(mut self, coordinates: impl IntoIterator<Item = usize>) -> Self {
+        self.leader = coordinates.into_iter().filter(|&coordinate| coordinate < self.dimension()).collect();
+        self
+    }
+
+    /// The coordinates that say how a scripted leader drives; none where the problem has no leader.
+    #[must_use]
+    pub fn leader(&self) -> &[usize] {
+        &self.leader
+    }
+
+    /// The same blocks with at most so many coordinates each: signals of fewer pieces.
+    #[must_use]
+    pub fn coarse(&self, pieces: usize) -> Self {
+        let lengths = self.blocks.iter().map(|block| block.len().min(pieces.max(1)));
+        let mut start = 0;
+        let blocks = lengths.map(|length| {
+            start += length;
+            start - length..start
+        });
+        Self { blocks: blocks.collect(), leader: Vec::new() }
+    }
+
+    /// A point of the coarse cube as one of this cube: every piece takes the value of the coarse piece it begins in.
+    #[must_use]
+    pub fn refine(&self, coarse: &Self, point: &[f64]) -> Vec<f64> {
+        let mut refined = Vec::with_capacity(self.dimension());
+        for (fine, rough) in self.blocks.iter().zip(&coarse.blocks) {
+            let values = point.get(rough.clone()).unwrap_or_default();
+            let at = |i: usize| values.get(i * rough.len() / fine.len()).copied().unwrap_or(0.0);
+            refined.extend((0..fine.len()).map(at));
+        }
+        refined
+    }
+
+    /// The point of the coarse cube nearest to one of this cube: the mean over each coarse piece.
+    #[must_use]
+    pub fn coarsen(&self, coarse: &Self, point: &[f64]) -> Vec<f64> {
+        let mut means = Vec::with_capacity(coarse.dimension());
+        for (fine, rough) in self.blocks.iter().zip(&coarse.blocks) {
+            let values = point.get(fine.clone()).unwrap_or_default();
+            means.extend((0..rough.len()).map(|piece| {
+                let own = |i: &usize| i * rough.len() / fine.len() == piece;
+                let of_piece = || values.iter().enumerate().filter(|(i, _)| own(i)).map(|(_, value)| value);
+                of_piece().sum::<f64>() / of_piece().count().max(1) as f64
+            }));
+        }
+        means
+    }
+
+    /// Distance of two points, from 0 to the number of blocks: mean difference in each block, so that a signal weighs as
+    /// much as a number.
+    #[must_use]
+    pub fn distance(&self, a: &[f64], b: &[f64]) -> f64 {
+        let of_block = |block: &Range<usize>| {
+            let (a, b) = (a.get(block.clone()).unwrap_or_default(), b.get(block.clone()).unwrap_or_default());
+            a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum::<f64>() / block.len() as f64
+        };
+        self.blocks.iter().map(of_block).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn coarse_points_survive_refinement(
+            lengths in prop::collection::vec(1usize..25, 1..4),
+            pieces in 1usize..25,
+            values in prop::collection::vec(0.0..1.0f64, 75),
+        ) {
+            let cube = Cube::new(lengths).unwrap();
+            let coarse = cube.coarse(pieces);
+            let point = &values[..coarse.dimension()];
+            let refined = cube.refine(&coarse, point);
+            prop_assert_eq!(refined.len(), cube.dimension());
+            for (again, value) in cube.coarsen(&coarse, &refined).iter().zip(point) {
+                prop_assert!((again - value).abs() < 1e-12);
+            }
+            prop_assert!(cube.distance(&refined, &refined) == 0.0);
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! Numbers that may be infinite, in formats that have no word for it: robustness of "eventually" over nothing, the logarithm of
+//! a density of zero. Finite ones are numbers, the others the texts `inf` and `-inf`.
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum Wide {
+    Number(f64),
+    Text(Infinite),
+}
+
+#[derive(Serialize, Deserialize)]
+enum Infinite {
+    #[serde(rename = "inf")]
+    Positive,
+    #[serde(rename = "-inf")]
+    Negative,
+}
+
+impl From<f64> for Wide {
+    fn from(value: f64) -> Self {
+        match value {
+            f64::INFINITY => Self::Text(Infinite::Positive),
+            f64::NEG_INFINITY => Self::Text(Infinite::Negative),
+            _ => Self::Number(value),
+        }
+    }
+}
+
+impl From<Wide> for f64 {
+    fn from(wide: Wide) -> Self {
+        match wide {
+            Wide::Number(value) => value,
+            Wide::Text(Infinite::Positive) => f64::INFINITY,
+            Wide::Text(Infinite::Negative) => f64::NEG_INFINITY,
+        }
+    }
+}
+
+/// Writes a number.
+///
+/// # Errors
+/// The serialiser's.
+pub fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+    Wide::from(*value).serialize(serializer)
+}
+
+/// Reads a number.
+///
+/// # Errors
+/// The deserialiser's, and for what is neither a number nor one of the two texts.
+pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Wide::deserialize(deserializer).map(f64::from)
+}
+
+/// The same for numbers that may be missing.
+pub mod optional {
+    use super::{Deserialize, Deserializer, Serialize, Serializer, Wide};
+
+    /// Writes a number, if there is one.
+    ///
+    /// # Errors
+    /// The serialiser's.
+    pub fn serialize<S: Serializer>(value: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+        value.map(Wide::from).serialize(serializer)
+    }
+
+    /// Reads a number, if there is one.
+    ///
+    /// # Errors
+    /// The deserialiser's, and for what is neither a number nor one of the two texts.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+        Ok(Option::<Wide>::deserialize(deserializer)?.map(f64::from))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::{Deserialize, Serialize};
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct Both {
+        #[serde(with = "super")]
+        one: f64,
+        #[serde(with = "super::optional")]
+        other: Option<f64>,
+    }
+
+    #[test]
+    fn infinite_numbers_come_back() {
+        for (one, other) in [(f64::NEG_INFINITY, None), (f64::INFINITY, Some(f64::NEG_INFINITY)), (-1.5, Some(0.1))] {
+            let text = serde_json::to_string(&Both { one, other }).unwrap();
+            assert_eq!(serde_json::from_str::<Both>(&text).unwrap(), Both { one, other }, "{text}");
+        }
+    }
+}

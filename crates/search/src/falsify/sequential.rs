@@ -1,0 +1,118 @@
+//! Sequential convex programming on how the leader brakes.
+//!
+//! `crumple worst-case` varies the leader's profile in one scenario. Here the scenario is a point of the space: some of its
+//! coordinates are the leader's script ([`Cube::leader`]), the others its circumstances, held while the script is made
+//! worse by the same steps (`worst_case::Descent`). Every finite difference and every step is a point that is asked for, so
+//! that it counts as the evaluation it is, and a search that is resumed takes the same steps.
+
+use super::method::rankable;
+use super::shape::simple_point;
+use super::{Cube, Search};
+use crate::worst_case::{Descent, Limits, Pace};
+use crumple_world::random::{Purpose, Stream, stream};
+
+/// Change of a coordinate for a finite difference, and the trust region at first and where a descent gives up, as shares of
+/// the ranges.
+const PACE: Pace = Pace { nudge: 0.01, region: [0.25, 0.02], idle: None };
+
+/// A descent over the script of the leader, its circumstances held; then over everything.
+#[derive(Debug)]
+pub(super) struct LeadDescent {
+    point: Vec<f64>,
+    coordinates: Vec<usize>,
+    descent: Descent,
+    is_joint: bool,
+}
+
+impl LeadDescent {
+    /// From a point and the robustness there. In a cube without a leader every coordinate varies.
+    pub(super) fn new(cube: &Cube, point: Vec<f64>, robustness: f64) -> Self {
+        let is_joint = cube.leader().is_empty();
+        let coordinates = if is_joint { (0..cube.dimension()).collect() } else { cube.leader().to_vec() };
+        Self::over(coordinates, point, robustness, is_joint)
+    }
+
+    fn over(coordinates: Vec<usize>, point: Vec<f64>, robustness: f64, is_joint: bool) -> Self {
+        let at = coordinates.iter().filter_map(|&coordinate| point.get(coordinate).copied()).collect();
+        let descent = Descent::new(Limits { low: 0.0, high: 1.0, ramp: None }, PACE, at, robustness);
+        Self { point, coordinates, descent, is_joint }
+    }
+
+    /// What to evaluate next; nothing if it is over.
+    pub(super) fn ask(&mut self) -> Vec<Vec<f64>> {
+        let mut asked = self.descent.ask();
+        if asked.is_empty() && !self.is_joint {
+            let (point, robustness) = (self.whole(self.descent.at()), self.descent.value());
+            *self = Self::over((0..point.len()).collect(), point, robustness, true);
+            asked = self.descent.ask();
+        }
+        asked.iter().map(|at| self.whole(at)).collect()
+    }
+
+    /// The robustness of what was asked for last.
+    pub(super) fn tell(&mut self, robustness: &[f64]) {
+        self.descent.tell(robustness);
+    }
+
+    fn whole(&self, at: &[f64]) -> Vec<f64> {
+        let mut whole = self.point.clone();
+        for (&coordinate, &value) in self.coordinates.iter().zip(at) {
+            if let Some(place) = whole.get_mut(coordinate) {
+                *place = value;
+            }
+        }
+        whole
+    }
+}
+
+/// Simple points tried before the first descent, and between one descent and the next.
+const EXPLORED: usize = 16;
+/// Starts kept for later.
+const MOST_STARTS: usize = 200;
+
+/// Descents from the best of many simple points.
+#[derive(Debug)]
+pub(super) struct Sequential {
+    cube: Cube,
+    random: Stream,
+    starts: Vec<(f64, Vec<f64>)>,
+    descent: Option<LeadDescent>,
+    /// Points asked for to explore; none if they are the descent's.
+    explored: Vec<Vec<f64>>,
+}
+
+impl Sequential {
+    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+        let random = stream(seed, Purpose::Search, 0);
+        Self { cube: cube.clone(), random, starts: Vec::new(), descent: None, explored: Vec::new() }
+    }
+}
+
+impl Search for Sequential {
+    fn ask(&mut self) -> Vec<Vec<f64>> {
+        self.explored.clear();
+        if let Some(descent) = &mut self.descent {
+            let asked = descent.ask();
+            if !asked.is_empty() {
+                return asked;
+            }
+            self.descent = None;
+        }
+        self.explored = (0..EXPLORED).map(|_| simple_point(&self.cube, &mut self.random)).collect();
+        self.explored.clone()
+    }
+
+    fn tell(&mut self, robustness: &[f64]) {
+        let robustness: Vec<f64> = robustness.iter().map(|&value| rankable(value)).collect();
+        if let Some(descent) = &mut self.descent {
+            return descent.tell(&robustness);
+        }
+        self.starts.extend(robustness.into_iter().zip(std::mem::take(&mut self.explored)));
+        self.starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self.starts.truncate(MOST_STARTS);
+        if !self.starts.is_empty() {
+            let (robustness, point) = self.starts.remove(0);
+            self.descent = Some(LeadDescent::new(&self.cube, point, robustness));
+        }
+    }
+}

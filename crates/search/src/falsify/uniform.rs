@@ -1,0 +1,29 @@
+//! Independent uniform points: the yardstick of every other method.
+
+use rand::RngExt;
+
+use super::{Cube, Search};
+use crumple_world::random::{Purpose, Stream, stream};
+
+const BATCH: usize = 32;
+
+/// Independent uniform points.
+#[derive(Debug)]
+pub(super) struct Uniform {
+    random: Stream,
+    dimension: usize,
+}
+
+impl Uniform {
+    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+        Self { random: stream(seed, Purpose::Search, 0), dimension: cube.dimension() }
+    }
+}
+
+impl Search for Uniform {
+    fn ask(&mut self) -> Vec<Vec<f64>> {
+        (0..BATCH).map(|_| (0..self.dimension).map(|_| self.random.random()).collect()).collect()
+    }
+
+    fn tell(&mut self, _robustness: &[f64]) {}
+}

@@ -1,0 +1,263 @@
+//! How little lead braking makes a controller collide, and how badly it can end.
+
+use super::exact;
+use super::sequential;
+use super::witness::pieces;
+use crumple_world::scenario::{ControllerSpec, Driver, InvalidField, LeadProfile, Scenario};
+use crumple_world::sim::{Keep, Outcome, Run, RunError, RunOptions, Simulated, UnderTest, simulate_batch};
+
+/// What an attack is after.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Aim {
+    /// A collision with the least ∫ a² of the leader.
+    Mildest,
+    /// A collision with the least peak of its braking.
+    LeastPeak,
+    /// The fastest impact.
+    Severest,
+}
+
+/// How the leader may brake.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Envelope {
+    /// Hardest braking, in m/s², positive; never more than the leader has on this road.
+    pub max_brake_mps2: f64,
+    /// Fastest change of acceleration, in m/s³: accelerations of successive tenths of a second differ by no more than a tenth
+    /// of it.
+    pub jerk_mps3: f64,
+}
+
+impl Envelope {
+    /// Fastest change of acceleration unless another is asked for, in m/s³: an emergency braking builds up in about a second.
+    pub const JERK_MPS3: f64 = 10.0;
+
+    /// All the braking the leader has on this road.
+    #[must_use]
+    pub fn of(scenario: &Scenario) -> Self {
+        Self { max_brake_mps2: scenario.usable_brake_mps2(0), jerk_mps3: Self::JERK_MPS3 }
+    }
+}
+
+/// How an attack was found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Way {
+    /// By enumerating when the controller fires: no profile on this grid does with less.
+    Exact,
+    /// By the same enumeration, which knows neither noise nor a filter, and then braking somewhat more until it collides: near
+    /// the least, and not shown to be it.
+    Widened,
+    /// By sequential convex programming: a local optimum.
+    Sequential,
+}
+
+/// A braking profile and what it does, replayed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Attack {
+    /// The scenario with the profile as the leader's script.
+    pub scenario: Scenario,
+    /// What the simulation says about it.
+    pub outcome: Outcome,
+    /// ∫ a² of the leader's script, in m²/s³.
+    pub effort_m2ps3: f64,
+    /// Hardest braking of the script, in m/s², positive.
+    pub peak_brake_mps2: f64,
+    /// Margin that the convex program predicted, in metres: the smallest gap, or minus v²/10 of an impact at v m/s.
+    pub predicted_margin_m: f64,
+    /// The same as simulated.
+    pub margin_m: f64,
+    /// Simulations spent.
+    pub evaluations: usize,
+    /// Convex programs solved.
+    pub programs: usize,
+    /// How it was found.
+    pub way: Way,
+}
+
+/// What an attack found, and what it spent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Hunt {
+    /// The profile, if one makes the controller collide.
+    pub found: Option<Attack>,
+    /// Simulations spent.
+    pub evaluations: usize,
+    /// Convex programs solved.
+    pub programs: usize,
+}
+
+/// Why an attack cannot be tried.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum AttackError {
+    /// The leader is not scripted, so there is nothing to vary.
+    #[error("vehicle 0 does not follow a script, so it has no profile to vary")]
+    Leader,
+    /// The envelope is empty.
+    #[error("an envelope of {max_brake_mps2} m/s² and {jerk_mps3} m/s³ allows no braking")]
+    Envelope {
+        /// Its hardest braking, in m/s².
+        max_brake_mps2: f64,
+        /// Its jerk, in m/s³.
+        jerk_mps3: f64,
+    },
+    /// A profile made an invalid scenario.
+    #[error(transparent)]
+    Scenario(#[from] InvalidField),
+    /// The scenario cannot be run as asked.
+    #[error(transparent)]
+    Run(#[from] RunError),
+}
+
+/// Looks for a braking profile of the leader, with at most about `budget` simulations.
+///
+/// Exact for the baseline, whatever the vehicles behind it are, as long as the first vehicle under test answers without lag
+/// and noise and the enumeration stays within some 1500 programs; sequential convex programming for every other controller. None if no collision was found.
+///
+/// # Errors
+/// [`AttackError`] if there is nothing to vary or the run does not fit the scenario.
+pub fn attack(
+    scenario: &Scenario,
+    options: &RunOptions,
+    aim: Aim,
+    envelope: Envelope,
+    budget: usize,
+) -> Result<Option<Attack>, AttackError> {
+    Ok(hunt(scenario, options, aim, envelope, budget)?.found)
+}
+
+/// The same, with what was spent whether or not there is a result.
+///
+/// # Errors
+/// Those of [`attack()`].
+pub fn hunt(
+    scenario: &Scenario,
+    options: &RunOptions,
+    aim: Aim,
+    envelope: Envelope,
+    budget: usize,
+) -> Result<Hunt, AttackError> {
+    if !matches!(scenario.vehicles().first().map(|leader| &leader.driver), Some(Driver::Profile(_))) {
+        return Err(AttackError::Leader);
+    }
+    let asked_mps2 = envelope.max_brake_mps2;
+    let max_brake_mps2 = asked_mps2.min(scenario.usable_brake_mps2(0));
+    if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || asked_mps2.is_nan() {
+        return Err(AttackError::Envelope { max_brake_mps2: asked_mps2, jerk_mps3: envelope.jerk_mps3 });
+    }
+    let mut bench = Bench::new(scenario, options, Envelope { max_brake_mps2, ..envelope });
+    // From nothing to full braking in half a cell: more is no limit, and huge numbers would spoil the programs.
+    let boundless_mps3 = 2.0 * max_brake_mps2 / bench.cell_s();
+    bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);
+    let found = if aim != Aim::Severest
+        && let UnderTest::BuiltIn(ControllerSpec::Baseline(aeb)) = &options.controller
+        && exact::applies(scenario)
+    {
+        exact::mildest(&mut bench, aeb.ttc_s, aim, budget)?
+    } else {
+        sequential::attack(&mut bench, aim, budget)?
+    };
+    Ok(Hunt { found, evaluations: bench.evaluations, programs: bench.programs })
+}
+
+/// Where profiles are tried out.
+pub(super) struct Bench<'a> {
+    pub(super) scenario: &'a Scenario,
+    pub(super) options: &'a RunOptions,
+    pub(super) envelope: Envelope,
+    /// Steps in a cell over which the leader's acceleration is held.
+    pub(super) cell: usize,
+    pub(super) evaluations: usize,
+    pub(super) programs: usize,
+}
+
+/// What a profile did.
+#[derive(Debug, Clone)]
+pub(super) struct Trial {
+    pub(super) outcome: Outcome,
+    pub(super) margin_m: f64,
+}
+
+/// Deceleration by which the speed of an impact becomes a depth, in m/s²: v² / 2 of it.
+const DEPTH_MPS2: f64 = 5.0;
+
+impl<'a> Bench<'a> {
+    fn new(scenario: &'a Scenario, options: &'a RunOptions, envelope: Envelope) -> Self {
+        let cell = (0.1 / scenario.spec().step_s).round().max(1.0) as usize;
+        Self { scenario, options, envelope, cell, evaluations: 0, programs: 0 }
+    }
+
+    /// The number of cells.
+    pub(super) fn cells(&self) -> usize {
+        self.scenario.steps().div_ceil(self.cell)
+    }
+
+    /// The length of a cell in seconds.
+    pub(super) fn cell_s(&self) -> f64 {
+        self.cell as f64 * self.scenario.spec().step_s
+    }
+
+    /// The scenario with a profile, one acceleration a cell, as the leader's script.
+    pub(super) fn scripted(&self, cells_mps2: &[f64]) -> Result<Scenario, InvalidField> {
+        let profile = LeadProfile::Pieces(pieces(cells_mps2, self.cell_s()));
+        self.scenario.edited(|spec| {
+            if let Some(leader) = spec.vehicles.first_mut() {
+                leader.driver = Driver::Profile(profile);
+            }
+        })
+    }
+
+    /// Simulates many profiles.
+    pub(super) fn simulate(&mut self, profiles: &[Vec<f64>]) -> Result<Vec<Trial>, AttackError> {
+        let scripted = profiles.iter().map(|cells| self.scripted(cells)).collect::<Result<Vec<_>, _>>()?;
+        let runs = scripted
+            .iter()
+            .map(|scenario| Run::new(scenario, self.options.clone()))
+            .collect::<Result<Vec<_>, RunError>>()?;
+        self.evaluations += profiles.len();
+        Ok(simulate_batch(&runs, Keep::Summary, |_, simulated| Trial::of(&simulated)))
+    }
+
+    /// Simulates one profile and reports it.
+    pub(super) fn report(
+        &mut self,
+        cells_mps2: &[f64],
+        predicted_margin_m: f64,
+        way: Way,
+    ) -> Result<Attack, AttackError> {
+        let scenario = self.scripted(cells_mps2)?.edited(|spec| {
+            spec.name = format!("{}-worst", spec.name.chars().take(190).collect::<String>());
+            spec.about = format!("A lead braking found by convex programming from {}.", self.scenario.spec().name);
+        })?;
+        let run = Run::new(&scenario, self.options.clone())?;
+        self.evaluations += 1;
+        let trial = Trial::of(&crumple_world::sim::simulate(&run, Keep::Summary));
+        Ok(Attack {
+            outcome: trial.outcome,
+            effort_m2ps3: cells_mps2.iter().map(|a| a * a * self.cell_s()).sum(),
+            peak_brake_mps2: cells_mps2.iter().fold(0.0, |most, a| most.max(-a)),
+            predicted_margin_m,
+            margin_m: trial.margin_m,
+            evaluations: self.evaluations,
+            programs: self.programs,
+            way,
+            scenario,
+        })
+    }
+}
+
+impl Trial {
+    /// The margin is the smallest gap, or, so that it goes on falling smoothly beyond contact, minus v²/10 of the impact.
+    pub(super) fn of(simulated: &Simulated) -> Self {
+        let margin_m = match simulated.outcome {
+            Outcome::Collision(contact) => -contact.impact_speed_mps.powi(2) / (2.0 * DEPTH_MPS2),
+            Outcome::NoCollision => {
+                simulated.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min)
+            }
+        };
+        Self { outcome: simulated.outcome, margin_m }
+    }
+
+    pub(super) fn collides(&self) -> bool {
+        self.outcome != Outcome::NoCollision
+    }
+}

@@ -1,0 +1,258 @@
+//! Could anyone have avoided it?
+
+use crumple_verify::{Accepted, Certificate, Statement};
+
+use super::branches::Search;
+use super::certificate;
+use super::family::Family;
+use super::program::{Grid, Objective};
+use super::reason::Reason;
+use super::situation::{Side, Situation};
+use super::witness::Escape;
+use crumple_world::scenario::{Scenario, whole_multiple};
+
+/// How to search for an escape.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AvoidOptions {
+    /// Time over which the accelerations of an escape are held, in seconds: a multiple of the scenario's step. Where it is too
+    /// coarse to decide, the step itself is used. None for about a tenth of a second.
+    pub grid_s: Option<f64>,
+    /// Which escape to show.
+    pub escape: EscapeKind,
+}
+
+/// Which of all escapes is shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum EscapeKind {
+    /// The one with the largest smallest gap
+    #[default]
+    LargestGap,
+    /// The one with the least ∫ a² that keeps half that gap, if the brake behind fires no later than for that: of all
+    /// escapes with that firing, not of those with another, which may be gentler
+    Gentlest,
+    /// Likewise the one whose acceleration changes least, of all escapes with that firing
+    LeastJerk,
+}
+
+impl EscapeKind {
+    /// In what sense the escape is the best, in words.
+    #[must_use]
+    pub fn is_best_for(self) -> &'static str {
+        match self {
+            Self::LargestGap => "the largest smallest gap, whenever the brake behind fires",
+            Self::Gentlest => "the gentlest that keeps half the largest gap, for this firing of the brake behind only",
+            Self::LeastJerk => {
+                "the smoothest that keeps half the largest gap, for this firing of the brake behind only"
+            }
+        }
+    }
+}
+
+/// Why a search cannot begin.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum AvoidError {
+    /// The grid does not fit the scenario.
+    #[error("a grid of {grid_s} s is not a multiple of the scenario's step of {step_s} s")]
+    Grid {
+        /// The grid asked for, in seconds.
+        grid_s: f64,
+        /// The scenario's step, in seconds.
+        step_s: f64,
+    },
+}
+
+/// What was found out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Avoidance {
+    /// The answer.
+    pub verdict: AvoidanceVerdict,
+    /// The largest smallest gap of an escape that was replayed, in metres; the escape shown may have less (see [`EscapeKind`]).
+    pub best_min_gap_m: Option<f64>,
+    /// No escape has a larger smallest gap, in metres: a bound over every controller. None if there is no bound, or no escape.
+    pub min_gap_bound_m: Option<f64>,
+    /// Convex programs solved.
+    pub programs: usize,
+}
+
+/// Whether anyone could have avoided it.
+#[derive(Debug, Clone, PartialEq)]
+pub enum AvoidanceVerdict {
+    /// Yes, like this.
+    Avoidable(Box<Escape>),
+    /// Nobody, and here is the proof; the checker has accepted it.
+    Unavoidable(Box<Certificate>),
+    /// Neither was shown.
+    Undecided(Reason),
+}
+
+impl AvoidanceVerdict {
+    /// The name used in results.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Avoidable(_) => "avoidable",
+            Self::Unavoidable(_) => "unavoidable",
+            Self::Undecided(_) => "undecided",
+        }
+    }
+
+    /// The escape, if there is one.
+    #[must_use]
+    pub fn escape(&self) -> Option<&Escape> {
+        match self {
+            Self::Avoidable(escape) => Some(escape),
+            Self::Unavoidable(_) | Self::Undecided(_) => None,
+        }
+    }
+}
+
+/// Most programs on the finest grid.
+const MOST_FINE: usize = 64;
+/// Most programs on each coarser one.
+const MOST_COARSE: usize = 64;
+/// Firings that their own program on the finest grid neither escapes nor closes, after which the search gives up. One of
+/// them already rules out a proof, which has to close every firing; the next most promising ones may still hold an escape,
+/// but a program there takes a third of a second, and where an ego answers late none of the firings may ever close.
+const MOST_OPEN_ENDS: usize = 8;
+
+/// Decides whether the vehicles under test could have avoided a collision, and by how much.
+///
+/// # Errors
+/// [`AvoidError`] if the options do not fit the scenario.
+pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
+    avoid_all(&Family::point(scenario), options)
+}
+
+/// The same for every scenario of a box: avoidable if one profile is an escape from each of them, which the checker has to
+/// accept; unavoidable if none of them has an escape.
+///
+/// # Errors
+/// [`AvoidError`] if the options do not fit the scenario.
+pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
+    let (cells, first) = cells(family.centre(), options)?;
+    let situation = match Situation::new(family) {
+        Ok(situation) => situation,
+        Err(reason) => {
+            let verdict = AvoidanceVerdict::Undecided(reason);
+            return Ok(Avoidance { verdict, best_min_gap_m: None, min_gap_bound_m: None, programs: 0 });
+        }
+    };
+    let mut search = Search::new(&situation);
+    let mut undecided = None;
+    for (index, &cell) in cells.iter().enumerate() {
+        let is_last = index + 1 == cells.len();
+        let (most, open_ends) = if is_last { (MOST_FINE, MOST_OPEN_ENDS) } else { (MOST_COARSE, MOST_COARSE) };
+        search.explore(&Grid::new(&situation, cell), most, open_ends);
+        if index < first && search.bound_m() >= 0.0 {
+            continue;
+        }
+        undecided = match conclude(family, &situation, &search, options.escape) {
+            Ok(conclusion) => return Ok(found(&situation, &search, conclusion)),
+            Err(reason) => Some(reason),
+        };
+    }
+    let (low_m, high_m) = (search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m), search.bound_m());
+    let reason = undecided.unwrap_or(Reason::TooClose { low_m, high_m });
+    Ok(found(&situation, &search, (AvoidanceVerdict::Undecided(reason), None)))
+}
+
+/// A verdict, and the largest smallest gap of a replayed escape.
+type Conclusion = (AvoidanceVerdict, Option<f64>);
+
+fn found(situation: &Situation, search: &Search<'_>, (verdict, best_min_gap_m): Conclusion) -> Avoidance {
+    let bound_m = search.bound_m().min(situation.first_gap_m(Side::Loose));
+    // Noise may take anybody beyond what was computed without it.
+    let is_noisy = matches!(situation.proof_caveat, Some(Reason::Noise { .. }));
+    let min_gap_bound_m = (bound_m > 0.0 && !is_noisy).then_some(bound_m);
+    Avoidance { verdict, best_min_gap_m, min_gap_bound_m, programs: search.programs }
+}
+
+/// The control grids to try, in steps, coarse before fine, and which of them is the first that may give the answer.
+///
+/// A coarse grid costs a tenth of a fine one and leaves bounds that hold on every grid.
+fn cells(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usize>, usize), AvoidError> {
+    let step_s = scenario.spec().step_s;
+    let coarse = (0.1 / step_s).round().max(1.0) as usize;
+    let wanted = match options.grid_s {
+        Some(grid_s) => whole_multiple(grid_s, step_s).ok_or(AvoidError::Grid { grid_s, step_s })?,
+        None => coarse,
+    };
+    let mut cells = vec![coarse.max(wanted), wanted, 1];
+    cells.dedup();
+    let first = cells.iter().position(|&cell| cell == wanted).unwrap_or(0);
+    Ok((cells, first))
+}
+
+/// The verdict of what a search has found so far, or why there is none yet.
+fn conclude(
+    family: &Family,
+    situation: &Situation,
+    search: &Search<'_>,
+    kind: EscapeKind,
+) -> Result<Conclusion, Reason> {
+    let best_m = search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m);
+    if let Some(best) = search.best.as_ref().filter(|best| best.gap_m > 0.0) {
+        if let Some(Reason::EgoResponse { vehicle }) = situation.escape_caveat {
+            return Err(Reason::EgoResponse { vehicle });
+        }
+        let smoothed = match kind {
+            EscapeKind::LargestGap => None,
+            EscapeKind::Gentlest => search.smoothed(best, Objective::GentlestEscape),
+            EscapeKind::LeastJerk => search.smoothed(best, Objective::LeastJerk),
+        };
+        let replay = |profile| Escape::replay(family.centre(), situation, profile);
+        let largest = replay(best);
+        let mut best_min_gap_m = largest.as_ref().map(|escape| escape.min_gap_m);
+        let escape = smoothed.as_ref().and_then(replay).or(largest);
+        let mut escape = escape.ok_or_else(|| situation.escape_caveat.clone().unwrap_or(Reason::Replay))?;
+        if !family.is_point()
+            && let Statement::Avoidable(certified) = certify(family, &escape)?.statement
+            && let Some(least_m) = certified.min_gap_m_at_least
+        {
+            // What was replayed is one member; this holds for all of them.
+            escape.min_gap_m = least_m;
+            best_min_gap_m = Some(least_m);
+        }
+        return Ok((AvoidanceVerdict::Avoidable(Box::new(escape)), best_min_gap_m));
+    }
+    let high_m = search.bound_m();
+    if high_m >= 0.0 {
+        let late = situation.egos.iter().position(|ego| ego.dead_steps > 0);
+        return Err(match (&search.trouble, late) {
+            (Some(status), _) => Reason::Solver { status: status.clone() },
+            // A proof is about drivers who answer at once, an escape about those who do not.
+            (None, Some(ego)) => Reason::EgoResponse { vehicle: ego + 1 },
+            (None, None) => Reason::TooClose { low_m: best_m, high_m },
+        });
+    }
+    if let Some(reason) = &situation.proof_caveat {
+        return Err(reason.clone());
+    }
+    let proof = certificate::unavoidable(family.centre(), situation, search);
+    let proof = proof.ok_or(Reason::TooClose { low_m: best_m, high_m })?;
+    match crumple_verify::check(&proof) {
+        Ok(_) => Ok((AvoidanceVerdict::Unavoidable(Box::new(proof)), None)),
+        Err(rejection) => Err(Reason::Rejected { why: rejection.to_string() }),
+    }
+}
+
+/// The certificate that an escape is one from every scenario of a family, with the smallest gap that the checker confirms.
+///
+/// # Errors
+/// The [`Reason`] why there is none.
+pub fn certify(family: &Family, escape: &Escape) -> Result<Certificate, Reason> {
+    let situation = Situation::new(family)?;
+    if let Some(reason) = situation.escape_caveat.clone().or_else(|| situation.proof_caveat.clone()) {
+        return Err(reason);
+    }
+    let stating = |least_m| certificate::avoidable(family.centre(), &situation, &escape.acceleration_mps2, least_m);
+    let rejected = |rejection: crumple_verify::Rejection| Reason::Rejected { why: rejection.to_string() };
+    let least_m = match crumple_verify::check(&stating(None)).map_err(rejected)? {
+        Accepted::Avoidable { smallest_gap_m } => Some(smallest_gap_m),
+        _ => None,
+    };
+    let certificate = stating(least_m);
+    crumple_verify::check(&certificate).map_err(rejected)?;
+    Ok(certificate)
+}

@@ -1,0 +1,223 @@
+//! What was found, written down so that `crumple-verify` can check it without the engine or the solver.
+
+use crumple_verify::{
+    Assumption, Avoidable, Branch, Certificate, Ego, Held, Interval, Leader, Provenance, Scene, Statement, Unavoidable,
+};
+
+use super::branches::Search;
+use super::family::Family;
+use super::multipliers::{Multipliers, Proof, SURELY, Weighted};
+use super::situation::Situation;
+use crumple_world::scenario::{Scenario, file};
+
+/// The scene that a certificate about a situation speaks of.
+fn scene(situation: &Situation) -> Scene {
+    let Situation { leader, egos, follower, .. } = situation;
+    Scene {
+        step_s: situation.step_s,
+        steps: count(situation.steps),
+        leader: Leader {
+            position_m: leader.position_m,
+            length_m: leader.length_m,
+            speed_mps: leader.speed_mps,
+            acceleration_mps2: held(&leader.acceleration_mps2),
+        },
+        egos: egos
+            .iter()
+            .map(|ego| Ego {
+                position_m: ego.position_m,
+                length_m: ego.length_m,
+                speed_mps: ego.speed_mps,
+                max_brake_mps2: ego.max_brake_mps2,
+                max_accel_mps2: ego.max_accel_mps2,
+            })
+            .collect(),
+        follower: follower.clone(),
+    }
+}
+
+/// The certificate that a profile is an escape.
+pub(super) fn avoidable(
+    scenario: &Scenario,
+    situation: &Situation,
+    acceleration_mps2: &[Vec<f64>],
+    min_gap_m_at_least: Option<f64>,
+) -> Certificate {
+    let witness = acceleration_mps2.iter().map(|each| held(each)).collect();
+    let statement = Avoidable { scene: scene(situation), witness, min_gap_m_at_least };
+    wrapped(scenario, Statement::Avoidable(statement))
+}
+
+/// The certificate that there is no escape; none if the search has not closed every branch.
+pub(super) fn unavoidable(scenario: &Scenario, situation: &Situation, search: &Search<'_>) -> Option<Certificate> {
+    let statement = Unavoidable { scene: scene(situation), branches: branches(situation, search)? };
+    Some(wrapped(scenario, Statement::Unavoidable(statement)))
+}
+
+fn wrapped(scenario: &Scenario, statement: Statement) -> Certificate {
+    let mut assumptions = statement.assumptions();
+    if scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 > 0.0) {
+        assumptions.push(Assumption::NoiseOfSeed);
+    }
+    Certificate {
+        version: crumple_verify::certificate::VERSION,
+        provenance: provenance(scenario),
+        assumptions,
+        statement,
+    }
+}
+
+/// Where a certificate about a scenario comes from.
+pub(super) fn provenance(scenario: &Scenario) -> Provenance {
+    let text = file::to_toml(scenario).unwrap_or_default();
+    Provenance {
+        crumple: env!("CARGO_PKG_VERSION").to_owned(),
+        scenario: scenario.spec().name.clone(),
+        scenario_sha256: crumple_world::digest::sha256(text),
+    }
+}
+
+/// Branches that close every firing: one for each early firing, and one for all late ones.
+///
+/// Multipliers that do not use the firing prove nothing but overlap with the follower's motion, and a follower that brakes
+/// later is further ahead: they close all later firings too.
+fn branches(situation: &Situation, search: &Search<'_>) -> Option<Vec<Branch>> {
+    let never = situation.never();
+    let closes = |proof: &Proof, firing: usize, fired: bool| proof.infimum(situation, firing, fired) > SURELY;
+    let earliest = |proof: &Proof| -> Option<usize> {
+        let (mut open, mut closed) = (0, never);
+        if !closes(proof, never, false) {
+            return None;
+        }
+        while open < closed {
+            let middle = usize::midpoint(open, closed);
+            if closes(proof, middle, false) { closed = middle } else { open = middle + 1 }
+        }
+        Some(closed)
+    };
+    let merged = search.proofs.iter().filter_map(|proof| Some((earliest(proof)?, proof)));
+    let (first_late, late) = merged.min_by_key(|(first, _)| *first)?;
+    let mut branches = Vec::new();
+    let mut last_used: Option<&Proof> = None;
+    for firing in 0..first_late {
+        let mut candidates = last_used.into_iter().chain(&search.proofs);
+        if let Some(proof) = candidates.find(|proof| closes(proof, firing, true)) {
+            branches.push(branch(situation, proof, [firing, firing], true));
+            last_used = Some(proof);
+        } else {
+            let standing = [100, 20, 5, 1].map(|spacing| Multipliers::of_standing(situation, firing, spacing));
+            let mut standing = standing.into_iter().map(|multipliers| Proof::new(situation, multipliers));
+            let proof = standing.find(|proof| closes(proof, firing, true))?;
+            branches.push(branch(situation, &proof, [firing, firing], true));
+        }
+    }
+    // Without a follower there is one branch for everything.
+    branches.push(branch(situation, late, [first_late, situation.steps], false));
+    Some(branches)
+}
+
+/// A branch with multipliers as short as the proof survives.
+fn branch(situation: &Situation, proof: &Proof, [first, last]: [usize; 2], fired: bool) -> Branch {
+    let exact = proof.multipliers(fired);
+    let short = rounded(&exact);
+    let holds = Proof::new(situation, short.clone()).infimum(situation, first, fired) > SURELY;
+    let Multipliers { front, between, rear, speed, fired } = if holds { short } else { exact };
+    let rows = |list: Vec<Weighted>| list.into_iter().map(|(step, value)| (count(step), value)).collect();
+    Branch {
+        first: count(first),
+        last: count(last),
+        front: rows(front),
+        between: if between.iter().all(Vec::is_empty) { Vec::new() } else { between.into_iter().map(rows).collect() },
+        rear: rows(rear),
+        speed: if speed.iter().all(Vec::is_empty) { Vec::new() } else { speed.into_iter().map(rows).collect() },
+        unfired: Vec::new(),
+        fired,
+    }
+}
+
+/// Multipliers with 20 bits and without those that hardly count.
+fn rounded(multipliers: &Multipliers) -> Multipliers {
+    let mut short = multipliers.clone();
+    let lists = [&mut short.front, &mut short.rear].into_iter().chain(&mut short.between).chain(&mut short.speed);
+    const UNIT: f64 = (1_u64 << 20) as f64;
+    let round = |value: f64| (value * UNIT).round() / UNIT;
+    for list in lists {
+        for (_, value) in list.iter_mut() {
+            *value = round(*value);
+        }
+        list.retain(|(_, value)| *value > 0.0);
+    }
+    short.fired = round(short.fired);
+    short
+}
+
+/// Equal neighbours as one entry.
+fn held<T: Copy + PartialEq>(each: &[T]) -> Vec<Held<T>> {
+    each.chunk_by(|a, b| a == b).filter_map(|run| Some(Held(count(run.len()), *run.first()?))).collect()
+}
+
+/// A number of steps as the file holds it; scenarios have far fewer than that.
+fn count(steps: usize) -> u32 {
+    u32::try_from(steps).unwrap_or(u32::MAX)
+}
+
+/// Whether a certificate's claim is about a scenario: the same scene, whatever the file says of its origin, and nothing in the
+/// scenario that the claim does not model.
+#[must_use]
+pub fn is_about(certificate: &Certificate, scenario: &Scenario) -> bool {
+    let Some(claimed) = certificate.statement.scene() else { return false };
+    let Ok(situation) = Situation::new(&Family::point(scenario)) else { return false };
+    let is_modelled = match &certificate.statement {
+        // Whatever follows, and however late the vehicles under test answer: a proof speaks of all of them.
+        Statement::Unavoidable(_) => situation.proof_caveat.is_none(),
+        Statement::Avoidable(claim) => {
+            let waits = |(ego, witness): (&super::situation::Ego, &Vec<Held<f64>>)| {
+                let held = witness.iter().flat_map(|Held(steps, value)| std::iter::repeat_n(*value, *steps as usize));
+                held.take(ego.dead_steps).all(|value| value == 0.0)
+            };
+            situation.escape_caveat.is_none()
+                && situation.proof_caveat.is_none()
+                && situation.egos.iter().zip(&claim.witness).all(waits)
+        }
+        _ => false,
+    };
+    is_modelled && covers(claimed, &scene(&situation))
+}
+
+/// Whether everything of `inner` lies in `outer`.
+fn covers(outer: &Scene, inner: &Scene) -> bool {
+    let within = |outer: Interval, inner: Interval| outer.contains(inner.low()) && outer.contains(inner.high());
+    let flat = |scene: &Scene| -> Vec<Interval> {
+        let runs = scene.leader.acceleration_mps2.iter();
+        runs.flat_map(|Held(steps, value)| std::iter::repeat_n(*value, *steps as usize)).collect()
+    };
+    let script = || {
+        let (outer, inner) = (flat(outer), flat(inner));
+        outer.len() == inner.len() && outer.iter().zip(&inner).all(|(outer, inner)| within(*outer, *inner))
+    };
+    let leader = within(outer.leader.position_m, inner.leader.position_m)
+        && within(outer.leader.speed_mps, inner.leader.speed_mps)
+        && outer.leader.length_m == inner.leader.length_m;
+    let ego = |(outer, inner): (&Ego, &Ego)| {
+        within(outer.position_m, inner.position_m)
+            && within(outer.speed_mps, inner.speed_mps)
+            && (outer.length_m, outer.max_brake_mps2, outer.max_accel_mps2)
+                == (inner.length_m, inner.max_brake_mps2, inner.max_accel_mps2)
+    };
+    let follower = match (&outer.follower, &inner.follower) {
+        (None, None) => true,
+        (Some(outer), Some(inner)) => {
+            within(outer.position_m, inner.position_m)
+                && within(outer.speed_mps, inner.speed_mps)
+                && within(outer.brake_mps2, inner.brake_mps2)
+                && (outer.ttc_s, outer.reaction_steps) == (inner.ttc_s, inner.reaction_steps)
+        }
+        _ => false,
+    };
+    (outer.step_s, outer.steps) == (inner.step_s, inner.steps)
+        && leader
+        && outer.egos.len() == inner.egos.len()
+        && outer.egos.iter().zip(&inner.egos).all(ego)
+        && follower
+        && script()
+}

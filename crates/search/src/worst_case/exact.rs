@@ -1,0 +1,249 @@
+//! The mildest lead braking that makes the baseline collide.
+//!
+//! Until its brake fires, the first vehicle under test coasts; from then on its motion and that of everybody behind it are
+//! known. So a collision is one of two things, each a convex program of the leader's motion:
+//!
+//! - the brake fires at a step σ for which the vehicles behind collide on their own;
+//! - the brake fires at σ, and at a step k the leader's rear bumper is not ahead of the vehicle that brakes.
+//!
+//! The guard d + θ w is linear and, as long as the leader brakes, falls once it is negative: a brake that has fired by σ₂
+//! has a negative guard there. The position of the vehicle that brakes grows with σ, and the leader's displacement d from
+//! coasting only falls. So for σ in [σ₁, σ₂] and k in [k₁, k₂] it is a relaxation that the guard has not fired before σ₁, has
+//! by σ₂, and that d at k₂ is at most the furthest the vehicle braking from σ₂ gets, at any k, beyond where the leader's
+//! rear bumper would be if it coasted. Best-first search over such boxes ends with the cheapest.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use super::attack::{Aim, Attack, AttackError, Bench, Trial, Way};
+use super::lead::{Ask, cheapest};
+use super::sequential;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::{AebSettings, ControllerSpec, Driver, LeadProfile, Pieces, Scenario};
+use crumple_world::sim::{Keep, Run, RunOptions, simulate_batch};
+
+/// Whether the first vehicle under test does at once and without noise what it decides.
+pub(super) fn applies(scenario: &Scenario) -> bool {
+    scenario.vehicles().get(1).is_some_and(|ego| {
+        ego.driver == Driver::UnderTest
+            && ego.actuator_lag_s == 0.0
+            && ego.jerk_limit_mps3.is_none()
+            && ego.acceleration_noise_mps2 == 0.0
+    }) && scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 == 0.0)
+}
+
+/// Boxes after which the enumeration is given up for a local search.
+const MOST_PROGRAMS: usize = 1500;
+
+/// How far beyond the bounds a profile goes, in metres: first as little as rounding needs, then as much as a filter may.
+const BEYOND_M: [f64; 5] = [1e-4, 0.02, 0.1, 0.4, 1.5];
+
+/// The cheapest profile that makes the baseline collide; none if there is none.
+pub(super) fn mildest(
+    bench: &mut Bench<'_>,
+    ttc_s: f64,
+    aim: Aim,
+    budget: usize,
+) -> Result<Option<Attack>, AttackError> {
+    let options_see_truth = bench.options.estimator == EstimatorKind::Truth;
+    let is_quiet = bench.scenario.vehicles().iter().all(|vehicle| vehicle.acceleration_noise_mps2 == 0.0);
+    // Perhaps nobody need brake at all.
+    let coasting = vec![0.0; bench.cells()];
+    if bench.simulate(std::slice::from_ref(&coasting))?.iter().any(Trial::collides) {
+        return Ok(Some(bench.report(&coasting, 0.0, Way::Exact)?));
+    }
+    let hits_behind = behind(bench, ttc_s)?;
+    let mut search = Enumeration { bench, ttc_s, aim, beyond_m: 0.0, hits_behind: &hits_behind };
+    let mut node = None;
+    for (widened, beyond_m) in BEYOND_M.into_iter().enumerate() {
+        search.beyond_m = beyond_m;
+        // The first margin decides when the brake fires; later ones only make sure that a filter sees it too.
+        let found = match node {
+            None => search.cheapest()?,
+            Some(node) => match search.rank(node) {
+                Some(found) => Some(found),
+                None => search.cheapest()?,
+            },
+        };
+        let Some(Ranked { node: cheapest, profile, .. }) = found else { break };
+        node = Some(cheapest);
+        let way = if widened == 0 && options_see_truth && is_quiet { Way::Exact } else { Way::Widened };
+        let attack = search.bench.report(&profile, -beyond_m, way)?;
+        if attack.outcome.contact().is_some() {
+            return Ok(Some(attack));
+        }
+    }
+    // Too many boxes, or a filter that sees something else.
+    if search.bench.programs < MOST_PROGRAMS && options_see_truth {
+        Ok(None)
+    } else {
+        sequential::attack(search.bench, aim, budget)
+    }
+}
+
+/// For each step whether the vehicles behind collide on their own if the first one under test begins to brake for it then.
+fn behind(bench: &mut Bench<'_>, ttc_s: f64) -> Result<Vec<bool>, AttackError> {
+    let scenario = bench.scenario;
+    let step_s = scenario.spec().step_s;
+    let brake_mps2 = scenario.usable_brake_mps2(1);
+    let delay = delay_steps(scenario);
+    let firing = |step: usize| {
+        scenario.edited(|spec| {
+            if let Some(leader) = spec.vehicles.first_mut() {
+                leader.driver = Driver::Profile(LeadProfile::ConstantSpeed);
+                (leader.position_m, leader.speed_mps) = (1e6, 100.0);
+            }
+            if let Some(ego) = spec.vehicles.get_mut(1) {
+                let from_s = vec![(step + delay) as f64 * step_s];
+                ego.driver = Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2: vec![-brake_mps2] }));
+                (ego.reaction_delay_s, ego.actuator_delay_s) = (0.0, 0.0);
+            }
+        })
+    };
+    let scenarios = (0..scenario.steps()).map(firing).collect::<Result<Vec<_>, _>>()?;
+    let baseline = ControllerSpec::Baseline(AebSettings { ttc_s });
+    let options = RunOptions::new(baseline).with_estimator(EstimatorKind::Truth);
+    let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+    bench.evaluations += runs.len();
+    Ok(simulate_batch(&runs, Keep::Summary, |_, simulated| simulated.outcome.contact().is_some()))
+}
+
+fn delay_steps(scenario: &Scenario) -> usize {
+    let delay_s = scenario.vehicles().get(1).map_or(0.0, |ego| ego.reaction_delay_s + ego.actuator_delay_s);
+    (delay_s / scenario.spec().step_s).round() as usize
+}
+
+/// A box of firings, and of contacts ahead unless it is about contacts behind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Node {
+    fires: [usize; 2],
+    touches: Option<[usize; 2]>,
+}
+
+struct Ranked {
+    cost: f64,
+    node: Node,
+    profile: Vec<f64>,
+}
+
+impl Ord for Ranked {
+    fn cmp(&self, other: &Self) -> Ordering {
+        // The heap yields the greatest: the cheapest, and of equals the one furthest divided.
+        other.cost.total_cmp(&self.cost).then(self.node.fires[0].cmp(&other.node.fires[0]))
+    }
+}
+
+impl PartialOrd for Ranked {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Ranked {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Ranked {}
+
+struct Enumeration<'e, 'a> {
+    bench: &'e mut Bench<'a>,
+    ttc_s: f64,
+    aim: Aim,
+    beyond_m: f64,
+    hits_behind: &'e [bool],
+}
+
+impl Enumeration<'_, '_> {
+    fn cheapest(&mut self) -> Result<Option<Ranked>, AttackError> {
+        let steps = self.bench.scenario.steps();
+        let all = [0, steps.saturating_sub(1)];
+        let mut open = BinaryHeap::new();
+        for touches in [None, Some([1, steps])] {
+            open.extend(self.rank(Node { fires: all, touches }));
+        }
+        while let Some(cheapest) = open.pop().filter(|_| self.bench.programs < MOST_PROGRAMS) {
+            // What costs no more than any relaxation and collides is the answer, whatever its box.
+            let Some(halves) = halves(cheapest.node) else { return Ok(Some(cheapest)) };
+            let tried = self.bench.simulate(std::slice::from_ref(&cheapest.profile))?;
+            if tried.iter().any(Trial::collides) {
+                return Ok(Some(cheapest));
+            }
+            for half in halves {
+                open.extend(self.rank(half));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The cheapest profile of a relaxed box; none if it is empty.
+    fn rank(&mut self, node: Node) -> Option<Ranked> {
+        let [first, last] = node.fires;
+        let mut asked = Vec::new();
+        match node.touches {
+            None => {
+                // Shrink to the firings that matter.
+                let hits = self.hits_behind.get(first..=last)?;
+                let (from, to) = (hits.iter().position(|hit| *hit)?, hits.iter().rposition(|hit| *hit)?);
+                if (from, to) != (0, last - first) {
+                    return self.rank(Node { fires: [first + from, first + to], touches: None });
+                }
+            }
+            Some([earliest, latest]) => {
+                let touches = earliest.max(first)..=latest;
+                let reach_m = touches.map(|at| self.braking_m(last, at) - self.lead_rear_m(at));
+                let reach_m = reach_m.reduce(f64::max)?;
+                asked.push(Ask { step: latest, theta_s: 0.0, bound_m: reach_m - self.beyond_m, at_most: true });
+            }
+        }
+        asked.push(self.guard(last, true));
+        asked.extend((self.bench.cell..first).step_by(self.bench.cell).map(|step| self.guard(step, false)));
+        let (cost, profile) = cheapest(self.bench, self.aim, &asked)?;
+        Some(Ranked { cost, node, profile })
+    }
+
+    /// Whether the brake has fired by a step, or has not, as a bound on d + θ w of the leader.
+    fn guard(&self, step: usize, fired: bool) -> Ask {
+        let ego = &self.bench.scenario.vehicles()[1];
+        let t = step as f64 * self.bench.scenario.spec().step_s;
+        let gap_m = self.lead_rear_m(step) - (ego.position_m + ego.speed_mps * t);
+        let closing_mps = ego.speed_mps - self.bench.scenario.vehicles()[0].speed_mps;
+        let bound_m = self.ttc_s * closing_mps - gap_m - if fired { self.beyond_m } else { 0.0 };
+        Ask { step, theta_s: self.ttc_s, bound_m, at_most: fired }
+    }
+
+    /// The leader's rear bumper if it coasts, in metres.
+    fn lead_rear_m(&self, step: usize) -> f64 {
+        let leader = &self.bench.scenario.vehicles()[0];
+        leader.position_m - leader.length_m() + leader.speed_mps * step as f64 * self.bench.scenario.spec().step_s
+    }
+
+    /// Front bumper at step `at` of the first vehicle under test if its brake fires at step `fires`, in metres.
+    fn braking_m(&self, fires: usize, at: usize) -> f64 {
+        let scenario = self.bench.scenario;
+        let ego = &scenario.vehicles()[1];
+        let step_s = scenario.spec().step_s;
+        let brakes_from = (fires + delay_steps(scenario)).min(at);
+        let brake_mps2 = scenario.usable_brake_mps2(1);
+        let braking_s = ((at - brakes_from) as f64 * step_s).min(ego.speed_mps / brake_mps2);
+        let coasted_m = ego.speed_mps * brakes_from as f64 * step_s;
+        ego.position_m + coasted_m + (ego.speed_mps - 0.5 * brake_mps2 * braking_s) * braking_s
+    }
+}
+
+/// The two halves of a box across its longer side; none of a single firing and contact.
+fn halves(node: Node) -> Option<[Node; 2]> {
+    let split = |[first, last]: [usize; 2]| {
+        let middle = usize::midpoint(first, last);
+        [[first, middle], [middle + 1, last]]
+    };
+    let width = |[first, last]: [usize; 2]| last - first;
+    match node.touches {
+        Some(touches) if width(touches) > width(node.fires) => {
+            Some(split(touches).map(|touches| Node { touches: Some(touches), ..node }))
+        }
+        _ if width(node.fires) > 0 => Some(split(node.fires).map(|fires| Node { fires, ..node })),
+        _ => None,
+    }
+}

@@ -1,0 +1,42 @@
+//! Convex programs: could anyone have avoided it, and how little does it take to make a controller fail.
+//!
+//! **Could anyone have avoided it?** A leader follows its script; the vehicles under test may do what they like within
+//! their limits, knowing the future; the vehicle behind them coasts until its latched emergency brake fires. For each step
+//! at which that brake may fire the question is a linear program (`program`), and few of them have to be solved, since the
+//! multipliers of one bound all others (`multipliers`, `branches`). [`avoid()`] ends in one of three verdicts:
+//!
+//! - *avoidable*, with a profile that the ordinary simulation replays without contact at two step sizes (`witness`);
+//! - *unavoidable*, with multipliers that prove it about every driver and in continuous time, accepted by
+//!   `crumple_verify::check` (`certificate`);
+//! - *undecided*, with the [`Reason`].
+//!
+//! **How little does it take?** [`attack()`] looks for the mildest braking of the leader that makes a controller collide, or
+//! the severest impact: exactly for the baseline, whose motion is known once it is known when it fires (`exact`), by
+//! sequential convex programming for every other controller (`sequential`). What it returns has been simulated.
+//!
+//! Nothing a solver says is believed: a profile is replayed, and multipliers prove what they prove.
+
+mod attack;
+mod avoid;
+mod branches;
+mod certificate;
+mod cone;
+mod descent;
+mod exact;
+mod family;
+mod lead;
+mod multipliers;
+mod program;
+mod reason;
+mod scripted;
+mod sequential;
+mod situation;
+mod witness;
+
+pub use attack::{Aim, Attack, AttackError, Envelope, Hunt, Way, attack, hunt};
+pub use avoid::{AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, avoid, avoid_all, certify};
+pub use certificate::is_about;
+pub(crate) use descent::{Descent, Limits, Pace};
+pub use family::{Family, FamilyError, FieldRange, Ranges};
+pub use reason::Reason;
+pub use witness::Escape;

@@ -1,0 +1,91 @@
+//! An escape as a scenario, and what the ordinary simulation says about it.
+
+use super::branches::Found;
+use super::situation::Situation;
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::scenario::{ControllerSpec, Driver, InvalidField, LeadProfile, Pieces, Scenario};
+use crumple_world::sim::{Keep, Outcome, Run, RunOptions, simulate};
+
+/// An escape that was replayed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Escape {
+    /// The scenario with a script in place of every vehicle under test: a file that simulates without contact.
+    pub scenario: Scenario,
+    /// Smallest gap between any two vehicles at any instant, in metres, at a tenth of the scenario's step.
+    pub min_gap_m: f64,
+    /// When the emergency brake of the follower fires, in seconds; none if it never does or there is none.
+    pub trigger_time_s: Option<f64>,
+    /// Acceleration of each vehicle under test over each step, in m/s².
+    pub acceleration_mps2: Vec<Vec<f64>>,
+}
+
+impl Escape {
+    /// Replays what was found at the scenario's step and at a tenth of it; none if vehicles touch in either.
+    pub(super) fn replay(scenario: &Scenario, situation: &Situation, found: &Found) -> Option<Self> {
+        let acceleration_mps2: Vec<Vec<f64>> =
+            found.acceleration_mps2.iter().map(|cells| each_step(found, situation.steps, cells)).collect();
+        let scripted = scripted(scenario, &acceleration_mps2).ok()?;
+        let options = RunOptions::new(ControllerSpec::MatchLeader).with_estimator(EstimatorKind::Truth);
+        let run = Run::new(&scripted, options.clone()).ok()?;
+        let coarse = simulate(&run, Keep::Trace);
+        let run = Run::new(&scripted, options.with_dt_s(0.1 * scripted.spec().step_s)).ok()?;
+        let fine = simulate(&run, Keep::Summary);
+        if coarse.outcome != Outcome::NoCollision || fine.outcome != Outcome::NoCollision {
+            return None;
+        }
+        let trigger_time_s = situation.follower.as_ref().and_then(|follower| {
+            let trace = coarse.trace.as_ref()?;
+            let pair = trace.pair(situation.egos.len() + 1)?;
+            let closing = pair.rear.speed_mps.iter().zip(&pair.front.speed_mps).map(|(rear, front)| rear - front);
+            let fires = pair.gaps_m().zip(closing).map(|(gap_m, closing)| gap_m - follower.ttc_s * closing < 0.0);
+            let step = fires.take(situation.steps).position(|fires| fires)?;
+            Some(situation.time_s(step))
+        });
+        let gaps = fine.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
+        let min_gap_m = gaps.fold(f64::INFINITY, f64::min);
+        Some(Self { scenario: scripted, min_gap_m, trigger_time_s, acceleration_mps2 })
+    }
+
+    /// Σ ∫ a² of the vehicles under test, in m²/s³: how rough the escape is.
+    #[must_use]
+    pub fn effort_m2ps3(&self) -> f64 {
+        let step_s = self.scenario.spec().step_s;
+        self.acceleration_mps2.iter().flatten().map(|a| a * a * step_s).sum()
+    }
+}
+
+/// The acceleration of every step from that of every cell.
+fn each_step(found: &Found, steps: usize, cells: &[f64]) -> Vec<f64> {
+    let mut each = Vec::with_capacity(steps);
+    for (pair, &held) in found.grid.steps.windows(2).zip(cells) {
+        let length = pair.last().zip(pair.first()).map_or(0, |(to, from)| to - from);
+        each.extend(std::iter::repeat_n(held, length));
+    }
+    each
+}
+
+/// The scenario with a script in place of every vehicle under test.
+fn scripted(scenario: &Scenario, acceleration_mps2: &[Vec<f64>]) -> Result<Scenario, InvalidField> {
+    let step_s = scenario.spec().step_s;
+    scenario.edited(|spec| {
+        spec.name = format!("{}-escape", spec.name.chars().take(190).collect::<String>());
+        spec.about = format!("An escape from {}, found by convex programming.", scenario.spec().name);
+        for (vehicle, each) in spec.vehicles.iter_mut().skip(1).zip(acceleration_mps2) {
+            vehicle.driver = Driver::Profile(LeadProfile::Pieces(pieces(each, step_s)));
+            // A script has no delay; the profile already is what the vehicle does.
+            (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (0.0, 0.0);
+        }
+    })
+}
+
+/// A script that holds an acceleration in each step.
+pub(super) fn pieces(each_mps2: &[f64], step_s: f64) -> Pieces {
+    let (mut from_s, mut accel_mps2): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+    for (step, &held) in each_mps2.iter().enumerate() {
+        if accel_mps2.last() != Some(&held) {
+            from_s.push(step as f64 * step_s);
+            accel_mps2.push(held);
+        }
+    }
+    Pieces { from_s, accel_mps2 }
+}

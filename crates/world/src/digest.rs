@@ -1,0 +1,49 @@
+//! SHA-256, as it stands in files and reports.
+
+use hmac_sha256::Hash;
+
+/// SHA-256 of bytes that come piece by piece.
+#[derive(Clone, Default)]
+pub struct Sha256(Hash);
+
+impl Sha256 {
+    /// Takes in the next piece.
+    #[must_use]
+    pub fn with(mut self, bytes: impl AsRef<[u8]>) -> Self {
+        self.update(bytes);
+        self
+    }
+
+    /// Takes in the next piece.
+    pub fn update(&mut self, bytes: impl AsRef<[u8]>) {
+        self.0.update(bytes);
+    }
+
+    /// The digest of all pieces.
+    #[must_use]
+    pub fn finish(self) -> [u8; 32] {
+        self.0.finalize()
+    }
+
+    /// The digest of all pieces, in hexadecimal.
+    #[must_use]
+    pub fn hexadecimal(self) -> String {
+        self.finish().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// SHA-256 in hexadecimal.
+#[must_use]
+pub fn sha256(bytes: impl AsRef<[u8]>) -> String {
+    Sha256::default().with(bytes).hexadecimal()
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_digest_of_nothing_is_the_published_one() {
+        // FIPS 180-4.
+        let nothing = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855";
+        assert_eq!(super::sha256(""), nothing);
+    }
+}

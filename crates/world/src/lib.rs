@@ -1,0 +1,26 @@
+//! What happens: scenarios, the vehicles' drivers, two engines with one meaning, and measures of what they did.
+//!
+//! One way through, each module using only those above it:
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`digest`] | SHA-256, as it stands in files and reports |
+//! | [`random`] | seeded streams: one seed decides everything |
+//! | [`scenario`] | what may happen: vehicles, drivers, lead profiles, the file format, the paper's scenarios |
+//! | [`estimate`] | what the ego knows: sensors and the Kalman filter |
+//! | [`policy`] | the actor network and its file: acting, one state or many |
+//! | [`control`] | who decides: one trait, one file for each controller |
+//! | [`sim`] | how it happens: exact steps, contact times, two engines with one meaning, the trace |
+//! | [`measure`] | how it was: surrogate safety measures; formulas of signal temporal logic and their monitor |
+//! | `recording` | recorded traffic turned into scenarios (a feature) |
+
+pub mod control;
+pub mod digest;
+pub mod estimate;
+pub mod measure;
+pub mod policy;
+pub mod random;
+#[cfg(feature = "recording")]
+pub mod recording;
+pub mod scenario;
+pub mod sim;

@@ -1,0 +1,191 @@
+//! How hard one has to brake: the deceleration a situation demands of the vehicle behind.
+
+use serde::{Deserialize, Serialize};
+
+use super::approach::Approach;
+use super::comfort::peak_brake_mps2;
+use crate::sim::{Impact, Trace};
+
+/// Deceleration rate to avoid a crash in m/s²: the constant deceleration of the vehicle behind that just avoids contact
+/// with one ahead that keeps its speed, `DRAC = (closing speed)² / (2 gap)`.
+///
+/// None when the gap does not close, and when there is no gap: then no deceleration helps.
+///
+/// Source: Cooper and Ferguson 1976, "Traffic studies at T-junctions: 2. A conflict simulation record", Traffic
+/// Engineering and Control 17, 306-309; Archer 2005, "Indicators for traffic safety assessment and prediction and their
+/// application in micro-simulation modelling", KTH Stockholm.
+#[must_use]
+pub fn drac_mps2(gap_m: f64, closing_mps: f64) -> Option<f64> {
+    let closes = closing_mps > 0.0 && gap_m > 0.0;
+    closes.then(|| 0.5 * closing_mps * closing_mps / gap_m).filter(|drac_mps2| drac_mps2.is_finite())
+}
+
+/// Required deceleration in m/s²: the smallest constant deceleration of the vehicle behind that avoids contact with one
+/// ahead that brakes at `front_brake_mps2` to standstill. 0 if nobody need brake; none when there is no gap.
+///
+/// DRAC sees no danger behind a vehicle that has just begun to brake hard, because speeds are still equal; this does.
+/// With gap `d`, speeds `v_f` and `v_r`, and deceleration `b` of the vehicle ahead,
+/// - speeds become equal after `2 d / (v_r - v_f)` if the vehicle ahead still moves then:
+///   `b + (v_r - v_f)² / (2 d)`;
+/// - otherwise the vehicle behind must stop before the place where the one ahead comes to stand:
+///   `v_r² / (2 (d + v_f² / (2 b)))`.
+///
+/// A vehicle ahead that speeds up (`b < 0`) is taken to keep its speed, which leaves DRAC.
+///
+/// Source: the first case is the required longitudinal acceleration under constant accelerations of Jansson 2005 in
+/// Westhofen et al. 2023, "Criticality metrics for automated driving", Archives of Computational Methods in Engineering
+/// 30, 1-35; it does not ask whether the vehicle ahead has stopped. The second case follows from the stopping distances.
+#[must_use]
+pub fn required_brake_mps2(
+    gap_m: f64,
+    front_speed_mps: f64,
+    front_brake_mps2: f64,
+    rear_speed_mps: f64,
+) -> Option<f64> {
+    let front_brake_mps2 = front_brake_mps2.max(0.0);
+    let closing_mps = rear_speed_mps - front_speed_mps;
+    let meet_while_moving = closing_mps > 0.0 && 2.0 * gap_m * front_brake_mps2 <= front_speed_mps * closing_mps;
+    let required_mps2 = if meet_while_moving {
+        front_brake_mps2 + 0.5 * closing_mps * closing_mps / gap_m
+    } else if front_brake_mps2 > 0.0 {
+        let room_m = gap_m + 0.5 * front_speed_mps * front_speed_mps / front_brake_mps2;
+        0.5 * rear_speed_mps * rear_speed_mps / room_m
+    } else {
+        0.0
+    };
+    (gap_m > 0.0 && required_mps2.is_finite()).then_some(required_mps2)
+}
+
+impl Approach {
+    /// Largest DRAC at any sample, in m/s²; none if the gap never closed, and none if the two touched: just before
+    /// contact DRAC grows without bound, so that its largest sample would measure the step.
+    #[must_use]
+    pub fn max_drac_mps2(&self) -> Option<f64> {
+        let dracs = self.states().iter().filter_map(|state| drac_mps2(state.gap_m, state.closing_mps()));
+        dracs.reduce(f64::max).filter(|_| !self.touched())
+    }
+
+    /// Largest required deceleration at any sample, in m/s², if the vehicle ahead held its acceleration to standstill;
+    /// none if the two touched, for the reason given with [`Approach::max_drac_mps2`].
+    #[must_use]
+    pub fn max_required_brake_mps2(&self) -> Option<f64> {
+        let required = self.states().iter().filter_map(|state| {
+            required_brake_mps2(
+                state.gap_m,
+                state.front_speed_mps,
+                -state.front_acceleration_mps2,
+                state.rear_speed_mps,
+            )
+        });
+        required.reduce(f64::max).filter(|_| !self.touched())
+    }
+}
+
+/// Braking a vehicle imposes on the one behind it.
+///
+/// A controller that saves itself by braking late and hard can do so at its follower's expense. What the follower did
+/// and what it would have had to do differ where it was slow or could brake no harder, so both are given.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Imposed {
+    /// Hardest deceleration of the follower before the two touched, in m/s², positive; none for less than two samples.
+    pub peak_brake_mps2: Option<f64>,
+    /// Largest DRAC of the follower, in m/s²; none if it never closed in or the two touched.
+    pub max_drac_mps2: Option<f64>,
+    /// Largest deceleration required of the follower if this vehicle held its braking to standstill, in m/s²; none if
+    /// the two touched.
+    pub max_required_brake_mps2: Option<f64>,
+}
+
+impl Imposed {
+    /// What vehicle `index` imposed on the one behind it; none for the last vehicle.
+    #[must_use]
+    pub fn of(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
+        let approach = Approach::of(trace, impacts, index.checked_add(1)?)?;
+        Some(Self {
+            peak_brake_mps2: peak_brake_mps2(approach.states().iter().map(|state| state.rear_acceleration_mps2)),
+            max_drac_mps2: approach.max_drac_mps2(),
+            max_required_brake_mps2: approach.max_required_brake_mps2(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::measure::testing::{driven, impact, trace};
+
+    #[test]
+    fn deceleration_rate_to_avoid_a_crash_by_hand() {
+        assert_eq!(drac_mps2(20.0, 10.0), Some(2.5), "10² / (2 * 20)");
+        assert_eq!((drac_mps2(20.0, 0.0), drac_mps2(20.0, -1.0), drac_mps2(0.0, 1.0)), (None, None, None));
+    }
+
+    #[test]
+    fn required_deceleration_by_hand() {
+        // Meet while moving: 20 m/s behind 15 m/s braking at 1 m/s², gap 10 m: 1 + 5² / 20; equal speeds after 4 s,
+        // when the vehicle ahead still does 11 m/s.
+        assert_eq!(required_brake_mps2(10.0, 15.0, 1.0, 20.0), Some(2.25));
+        // Meet at rest: both at 20 m/s, gap 10 m, the one ahead brakes at 5 m/s² and stops after 40 m: 20² / (2 * 50).
+        assert_eq!(required_brake_mps2(10.0, 20.0, 5.0, 20.0), Some(4.0));
+        assert_eq!(required_brake_mps2(10.0, 0.0, 0.0, 20.0), Some(20.0), "standing vehicle: 20² / (2 * 10)");
+        assert_eq!(required_brake_mps2(10.0, 20.0, -1.0, 20.0), Some(0.0), "nobody need brake");
+        assert_eq!(required_brake_mps2(0.0, 20.0, 1.0, 20.0), None, "no gap");
+    }
+
+    #[test]
+    fn the_braking_a_vehicle_imposes_by_hand() {
+        // Gap 10 m, both at 20 m/s; the one ahead brakes at 8 m/s² and stops after 25 m. The follower reacts 0.5 s late
+        // with 10 m/s²: 10 m and 20 m, so it comes to stand 5 m short.
+        // Required at t = 0: 20² / (2 * (10 + 25)) = 40 / 7. At t = 0.5: speeds 16 and 20, gap 10 - 1 = 9:
+        // 20² / (2 * (9 + 16)) = 8. DRAC then: 4² / (2 * 9) = 8 / 9.
+        // From then on the follower brakes harder than required, and required deceleration falls. DRAC: speeds
+        // 16 - 8 s and 20 - 10 s, closing 4 - 2 s, gap 9 - 4 s + s², at s = 1.5: 1² / (2 * 5.25); at s = 0 largest.
+        let front = driven(2.0, 12.0, 20.0, &[(3.0, -8.0)], 0.5);
+        let rear = driven(2.0, 0.0, 20.0, &[(0.5, 0.0), (2.5, -10.0)], 0.5);
+        let mut trace = trace(vec![front, rear], 0.5);
+        let imposed = Imposed::of(&trace, &[], 0).unwrap();
+        assert_eq!(imposed.peak_brake_mps2, Some(10.0));
+        assert!((imposed.max_required_brake_mps2.unwrap() - 8.0).abs() < 1e-12);
+        assert!((imposed.max_drac_mps2.unwrap() - 8.0 / 9.0).abs() < 1e-12);
+        assert_eq!(Imposed::of(&trace, &[], 1), None, "nobody behind the last");
+
+        // Had they touched at 0.4 s, braking after that would not count, and no deceleration would have been enough.
+        trace.vehicles[1].acceleration_mps2[0] = -1.0;
+        let touched = Imposed::of(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
+        assert_eq!(touched, Imposed { peak_brake_mps2: Some(1.0), max_drac_mps2: None, max_required_brake_mps2: None });
+    }
+
+    proptest! {
+        /// Braking at the required deceleration just avoids contact; a little less does not.
+        #[test]
+        fn the_required_deceleration_just_avoids_contact(
+            gap_m in 5.0..50.0f64,
+            front_speed_mps in 1.0..30.0f64,
+            rear_speed_mps in 1.0..30.0f64,
+            front_brake_mps2 in 0.0..9.0f64,
+        ) {
+            let required_mps2 = required_brake_mps2(gap_m, front_speed_mps, front_brake_mps2, rear_speed_mps).unwrap();
+            prop_assume!(required_mps2 > 0.2, "comes to rest within the time simulated");
+            let min_gap_m = |rear_brake_mps2: f64| {
+                let front = driven(4.0, gap_m + 4.0, front_speed_mps, &[(200.0, -front_brake_mps2)], 0.5);
+                let rear = driven(4.0, 0.0, rear_speed_mps, &[(200.0, -rear_brake_mps2)], 0.5);
+                Approach::of(&trace(vec![front, rear], 0.5), &[], 1).unwrap().min_gap_m().unwrap()
+            };
+            prop_assert!(min_gap_m(required_mps2) < 1e-6, "no harder than needed");
+            prop_assert!(min_gap_m(1.001 * required_mps2) > 0.0, "hard enough");
+            prop_assert_eq!(min_gap_m(0.999 * required_mps2), 0.0, "any softer and they touch");
+        }
+
+        /// Behind a vehicle that keeps its speed the required deceleration is DRAC.
+        #[test]
+        fn required_deceleration_extends_drac(gap_m in 0.1..99.0f64, front in 0.1..30.0f64, closing in 0.1..30.0f64) {
+            let required_mps2 = required_brake_mps2(gap_m, front, 0.0, front + closing).unwrap();
+            let drac_mps2 = drac_mps2(gap_m, closing).unwrap();
+            prop_assert!((required_mps2 - drac_mps2).abs() < 1e-9 * drac_mps2.max(1.0));
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! How it was: surrogate safety measures of a run, and formulas of signal temporal logic ([`stl`]).
+//!
+//! A collision is a rare event; these measures say how near a run without one came to it, and how bad a run with one
+//! was. Each pointwise formula is a function of its own, with its source; [`Approach`] applies those of a pair to a
+//! trace, from its start to the contact of the pair, and [`Measures`] holds the results for one vehicle.
+//!
+//! All figures describe what happened, not what a controller believed: they are computed from the true motion.
+
+mod approach;
+mod comfort;
+mod contact_role;
+mod demand;
+mod exposure;
+mod proximity;
+mod severity;
+mod specification;
+pub mod stl;
+#[cfg(test)]
+mod testing;
+
+use serde::{Deserialize, Serialize};
+
+pub use approach::{Approach, State};
+pub use comfort::{JERK_WINDOW_S, peak_brake_mps2, peak_jerk_mps3};
+pub use contact_role::ContactRole;
+pub use demand::{Imposed, drac_mps2, required_brake_mps2};
+pub use exposure::{Exposure, TTC_THRESHOLD_S};
+pub use proximity::{time_gap_s, time_headway_s, ttc_s};
+pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};
+pub use specification::{Braking, FirstContact, RunVerdict, Specification, SpecificationError};
+
+use crate::sim::{Impact, Trace};
+
+/// How a run was for one vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Measures {
+    /// Index of the vehicle, counted from the front.
+    pub vehicle: usize,
+    /// Towards the vehicle ahead; none for the leader.
+    pub ahead: Option<Ahead>,
+    /// Braking imposed on the vehicle behind; none for the last.
+    pub imposed: Option<Imposed>,
+    /// Hardest deceleration over the whole run, in m/s², positive; none for less than two samples.
+    pub peak_brake_mps2: Option<f64>,
+    /// Largest change of acceleration within [`JERK_WINDOW_S`], divided by it, in m/s³; none for less than two samples.
+    pub peak_jerk_mps3: Option<f64>,
+    /// In how many impacts the vehicle was involved, hitting, hit, or stuck to one that was.
+    pub impacts: usize,
+    /// Largest change of speed in one impact, in m/s; none if it was in none.
+    pub max_delta_v_mps: Option<f64>,
+}
+
+/// How a vehicle did towards the one ahead, until they touched or the run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Ahead {
+    /// Smallest bumper gap at any instant, in metres, 0 at contact; none for an empty trace.
+    pub min_gap_m: Option<f64>,
+    /// Bumper gap when both had come to stand, in metres; none if they touched or one still moved at the end.
+    pub standstill_gap_m: Option<f64>,
+    /// Smallest time to collision, in seconds, 0 at contact; none if the gap never closed.
+    pub min_ttc_s: Option<f64>,
+    /// Smallest time from the front bumper ahead to the own one, in seconds; none if the vehicle never moved.
+    pub min_time_headway_s: Option<f64>,
+    /// Smallest time from the rear bumper ahead to the own front one, in seconds; none if the vehicle never moved.
+    pub min_time_gap_s: Option<f64>,
+    /// Largest deceleration rate to avoid a crash, in m/s²; none if the gap never closed or the two touched.
+    pub max_drac_mps2: Option<f64>,
+    /// Largest deceleration required if the vehicle ahead held its braking to standstill, in m/s²; none if the two
+    /// touched.
+    pub max_required_brake_mps2: Option<f64>,
+    /// How long time to collision was below [`TTC_THRESHOLD_S`], in seconds.
+    pub tet_s: f64,
+    /// By how much, integrated over that time, in s².
+    pub tit_s2: f64,
+    /// Speed at which the vehicle hit the one ahead, relative to it, in m/s; none if it did not.
+    pub impact_speed_mps: Option<f64>,
+}
+
+impl Measures {
+    /// The measures of vehicle `index` in a run; none if the trace has no such vehicle.
+    ///
+    /// `impacts` are those of the same run. Tracks of unequal length count up to the shortest.
+    #[must_use]
+    pub fn of(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
+        let track = trace.vehicles.get(index)?;
+        let samples = trace.len().min(track.acceleration_mps2.len());
+        Some(Self {
+            vehicle: index,
+            ahead: Ahead::of(trace, impacts, index),
+            imposed: Imposed::of(trace, impacts, index),
+            peak_brake_mps2: peak_brake_mps2(track.acceleration_mps2.iter().copied().take(samples)),
+            peak_jerk_mps3: peak_jerk_mps3(&trace.time_s, track, JERK_WINDOW_S),
+            impacts: impacts_of(impacts, index).count(),
+            max_delta_v_mps: max_delta_v_mps(impacts, index),
+        })
+    }
+}
+
+impl Ahead {
+    /// How vehicle `index` did towards the one ahead; none for the leader and for a vehicle that does not exist.
+    #[must_use]
+    pub fn of(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
+        let approach = Approach::of(trace, impacts, index)?;
+        let Exposure { tet_s, tit_s2 } = approach.exposure(TTC_THRESHOLD_S);
+        Some(Self {
+            min_gap_m: approach.min_gap_m(),
+            standstill_gap_m: approach.standstill_gap_m(),
+            min_ttc_s: approach.min_ttc_s(),
+            min_time_headway_s: approach.min_time_headway_s(),
+            min_time_gap_s: approach.min_time_gap_s(),
+            max_drac_mps2: approach.max_drac_mps2(),
+            max_required_brake_mps2: approach.max_required_brake_mps2(),
+            tet_s,
+            tit_s2,
+            impact_speed_mps: impact_speed_mps(impacts, index),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::testing::{driven, impact, trace};
+    use super::*;
+    use crate::sim::Track;
+
+    /// The measures of every vehicle, front to rear.
+    fn measure_all(trace: &Trace, impacts: &[Impact]) -> Vec<Measures> {
+        (0..trace.vehicles.len()).filter_map(|index| Measures::of(trace, impacts, index)).collect()
+    }
+
+    #[test]
+    fn what_is_undefined_is_absent() {
+        let nothing = |samples: usize| Track {
+            length_m: 2.0,
+            mass_kg: 1500.0,
+            position_m: vec![0.0; samples],
+            speed_mps: vec![0.0; samples],
+            acceleration_mps2: vec![0.0; samples],
+        };
+        assert_eq!(measure_all(&Trace { time_s: vec![], vehicles: vec![] }, &[]), []);
+
+        let empty = Trace { time_s: vec![], vehicles: vec![nothing(0), nothing(0)] };
+        let [leader, follower] = measure_all(&empty, &[])[..] else { panic!("one entry a vehicle") };
+        assert_eq!((leader.ahead, follower.imposed), (None, None));
+        assert_eq!(follower.ahead.unwrap().min_gap_m, None);
+        assert_eq!((follower.peak_brake_mps2, follower.peak_jerk_mps3, follower.max_delta_v_mps), (None, None, None));
+        assert_eq!(Measures::of(&empty, &[], 2), None);
+        assert_eq!(Measures::of(&empty, &[], usize::MAX), None);
+    }
+
+    #[test]
+    fn measures_survive_json() {
+        let front = driven(2.0, 12.0, 10.0, &[(5.0, -1.0)], 1.0);
+        let rear = driven(2.0, 0.0, 14.0, &[(5.0, 0.0)], 1.0);
+        for measures in measure_all(&trace(vec![front, rear], 1.0), &[impact(1.7, 0, 8.3, 14.0)]) {
+            let json = serde_json::to_string(&measures).unwrap();
+            assert_eq!(serde_json::from_str::<Measures>(&json).unwrap(), measures, "{json}");
+        }
+    }
+
+    proptest! {
+        /// Tracks that break every promise of a trace are measured without a panic.
+        #[test]
+        fn nothing_panics(
+            time_s in prop::collection::vec(any::<f64>(), 0..6),
+            values in prop::collection::vec(prop::collection::vec(any::<f64>(), 0..6), 9),
+            (front_vehicle, rear_vehicle, contact_s) in (0..5usize, 0..5usize, any::<f64>()),
+        ) {
+            let vehicles = values.chunks(3).map(|values| Track {
+                length_m: 4.0,
+                mass_kg: 0.0,
+                position_m: values[0].clone(),
+                speed_mps: values[1].clone(),
+                acceleration_mps2: values[2].clone(),
+            });
+            let trace = Trace { time_s, vehicles: vehicles.collect() };
+            let mut impact = impact(contact_s, front_vehicle, 1.0, 2.0);
+            impact.contact.rear_vehicle = rear_vehicle;
+            prop_assert_eq!(measure_all(&trace, &[impact]).len(), 3);
+        }
+
+        /// Measures belong to the motion, not to the place: in steps of a power of two not a bit changes.
+        #[test]
+        fn a_shift_along_the_road_changes_nothing(
+            halves in prop::array::uniform3(-16..4i32),
+            shift_m in -1000..1000i32,
+        ) {
+            let at = |shift_m: f64| {
+                let vehicle = |i: usize| {
+                    let place_m = shift_m - 20.0 * i as f64;
+                    driven(4.0, place_m, 20.0, &[(0.5, 0.0), (2.0, 0.5 * f64::from(halves[i])), (4.0, -4.0)], 0.125)
+                };
+                measure_all(&trace((0..3).map(vehicle).collect(), 0.125), &[])
+            };
+            prop_assert_eq!(at(0.0), at(f64::from(shift_m)));
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! The learned policy: an actor network, the file it lives in, and acting with it, one state or many.
+//!
+//! Acting is plain single-precision arithmetic in a fixed order: a state gets the same bits alone or among
+//! others, and on any machine. No learning framework is needed to drive.
+
+mod file;
+mod header;
+mod network;
+mod product;
+mod wide;
+
+use std::sync::{Arc, LazyLock};
+
+pub use file::PolicyError;
+pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE};
+use network::Acting;
+pub use network::{Network, Workspace};
+pub use product::{Left, Panels, Right, multiply_vector, with_hands_ready};
+pub use wide::Wide;
+#[cfg(test)]
+pub(crate) use wide::every_path;
+
+use crate::estimate::Observation;
+
+/// The committed reference policy; `corpora/policy/README.md` says how it was trained.
+static REFERENCE_BYTES: &[u8] = include_bytes!("reference.safetensors");
+
+#[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
+static REFERENCE: LazyLock<Arc<Policy>> =
+    LazyLock::new(|| Arc::new(Policy::from_bytes(REFERENCE_BYTES).expect("the reference policy is whole")));
+
+/// The committed policy hardened by `crumple retrain`, likewise.
+static HARDENED_BYTES: &[u8] = include_bytes!("hardened.safetensors");
+
+#[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
+static HARDENED: LazyLock<Arc<Policy>> =
+    LazyLock::new(|| Arc::new(Policy::from_bytes(HARDENED_BYTES).expect("the hardened policy is whole")));
+
+/// An actor that can drive.
+///
+/// Its answers are numbers: an observation is cut to the header's limit before the network sees it, and a network that could
+/// overflow on any state within that limit is refused ([`PolicyError::Overflow`]), not driven with.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Policy {
+    header: PolicyHeader,
+    network: Network,
+    acting: Acting,
+}
+
+impl Policy {
+    /// A policy of a header and the network it describes.
+    ///
+    /// # Errors
+    /// [`PolicyError`] if the header is not usable, or describes another network.
+    pub fn new(header: PolicyHeader, network: Network) -> Result<Self, PolicyError> {
+        file::check(&header)?;
+        let sizes = file::sizes(&header.hidden);
+        if network.sizes() != sizes {
+            let problem = format!("describes layers of {sizes:?}, the network has {:?}", network.sizes());
+            return Err(PolicyError::Header(problem));
+        }
+        if network.parameters().iter().all(|value| value.is_finite()) {
+            Self::ready(header, network)
+        } else {
+            Err(PolicyError::Header("the network holds a number that is not finite".to_owned()))
+        }
+    }
+
+    /// A policy of parts that fit each other.
+    fn ready(header: PolicyHeader, network: Network) -> Result<Self, PolicyError> {
+        match network.overflowing_layer(header.observation.limit) {
+            None => Ok(Self { header, acting: Acting::new(&network), network }),
+            Some(layer) => Err(PolicyError::Overflow { layer }),
+        }
+    }
+
+    /// The committed reference policy.
+    #[must_use]
+    pub fn reference() -> Arc<Self> {
+        Arc::clone(&REFERENCE)
+    }
+
+    /// The file of the reference policy.
+    #[must_use]
+    pub fn reference_bytes() -> &'static [u8] {
+        REFERENCE_BYTES
+    }
+
+    /// The committed policy that `crumple retrain` made of the reference policy.
+    #[must_use]
+    pub fn hardened() -> Arc<Self> {
+        Arc::clone(&HARDENED)
+    }
+
+    /// The file of the hardened policy.
+    #[must_use]
+    pub fn hardened_bytes() -> &'static [u8] {
+        HARDENED_BYTES
+    }
+
+    /// Everything but the weights.
+    #[must_use]
+    pub fn header(&self) -> &PolicyHeader {
+        &self.header
+    }
+
+    /// The actor's network, before the final tanh.
+    #[must_use]
+    pub fn network(&self) -> &Network {
+        &self.network
+    }
+
+    /// SHA-256 of the policy file, in hexadecimal, for reports and certificates.
+    #[must_use]
+    pub fn digest(&self) -> String {
+        crate::digest::sha256(self.to_bytes().unwrap_or_default())
+    }
+
+    /// The acceleration wanted for one observation, in m/s²: a number within the action's bounds, whatever is seen.
+    #[must_use]
+    pub fn act(&self, seen: &Observation, space: &mut Workspace) -> f64 {
+        let state = self.header.observation.state(seen);
+        match *self.acting.forward(&state, 1, space) {
+            [raw] => self.header.action.of_output(raw),
+            _ => self.header.action.low_mps2,
+        }
+    }
+
+    /// What [`Policy::act`] answers for each of many observations, as one matrix product a layer.
+    pub fn act_all(&self, seen: &[Observation], space: &mut Workspace, commands_mps2: &mut [f64]) {
+        let states: Vec<f32> = seen.iter().flat_map(|seen| self.header.observation.state(seen)).collect();
+        let actions = self.acting.forward(&states, seen.len(), space);
+        for (command_mps2, &action) in commands_mps2.iter_mut().zip(actions) {
+            *command_mps2 = self.header.action.of_output(action);
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -1,0 +1,176 @@
+//! A fully connected network: rectified hidden layers, a linear output.
+
+use super::product::{Left, Panels, Right, multiply_vector};
+
+/// Shape and parameters of a network.
+///
+/// Layer l maps h to max(0, h W + b), the last one to h W + b. Parameters lie in one array, layer after layer: W row after
+/// row (one row an input), then b.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Network {
+    sizes: Vec<usize>,
+    parameters: Vec<f32>,
+}
+
+/// Where one layer's parameters lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Layer {
+    pub inputs: usize,
+    pub outputs: usize,
+    /// First parameter of the layer.
+    pub from: usize,
+}
+
+impl Layer {
+    pub fn weights(self) -> std::ops::Range<usize> {
+        self.from..self.from + self.inputs * self.outputs
+    }
+
+    pub fn biases(self) -> std::ops::Range<usize> {
+        let from = self.from + self.inputs * self.outputs;
+        from..from + self.outputs
+    }
+}
+
+impl Network {
+    /// A network of given layer sizes (inputs first, outputs last) with all parameters 0.
+    #[must_use]
+    pub fn zeros(sizes: &[usize]) -> Self {
+        let mut network = Self { sizes: sizes.to_vec(), parameters: Vec::new() };
+        let count = network.layers().last().map_or(0, |layer| layer.biases().end);
+        network.parameters = vec![0.0; count];
+        network
+    }
+
+    /// Number of values of each layer, inputs first.
+    #[must_use]
+    pub fn sizes(&self) -> &[usize] {
+        &self.sizes
+    }
+
+    /// All weights and biases.
+    #[must_use]
+    pub fn parameters(&self) -> &[f32] {
+        &self.parameters
+    }
+
+    /// All weights and biases, to be changed.
+    pub fn parameters_mut(&mut self) -> &mut [f32] {
+        &mut self.parameters
+    }
+
+    /// The layers from input to output.
+    pub fn layers(&self) -> impl DoubleEndedIterator<Item = Layer> + ExactSizeIterator + use<> {
+        let mut from = 0;
+        let layers: Vec<Layer> = self
+            .sizes
+            .windows(2)
+            .map(|pair| {
+                let layer = Layer { inputs: pair[0], outputs: pair[1], from };
+                from = layer.biases().end;
+                layer
+            })
+            .collect();
+        layers.into_iter()
+    }
+
+    /// The first layer whose output could leave single precision for an input within plus and minus `limit`, by the bound
+    /// |h W + b| <= |h| |W| + |b|, which holds for every partial sum too.
+    pub fn overflowing_layer(&self, limit: f64) -> Option<usize> {
+        // Half of the range is left for rounding.
+        let highest = 0.5 * f64::from(f32::MAX);
+        let mut bounds = vec![limit; self.sizes.first().copied().unwrap_or_default()];
+        if limit > highest {
+            return Some(0);
+        }
+        for (index, layer) in self.layers().enumerate() {
+            let size = |value: &f32| f64::from(value.abs());
+            let mut next: Vec<f64> = self.parameters[layer.biases()].iter().map(size).collect();
+            for (bound, row) in bounds.iter().zip(self.parameters[layer.weights()].chunks_exact(layer.outputs)) {
+                next.iter_mut().zip(row).for_each(|(sum, weight)| *sum += bound * size(weight));
+            }
+            if !next.iter().all(|&bound| bound <= highest) {
+                return Some(index);
+            }
+            bounds = next;
+        }
+        None
+    }
+
+    /// One layer for `batch` rows of `input`, into `out`; `panels` is working space.
+    pub fn layer_forward(
+        &self,
+        layer: Layer,
+        rectified: bool,
+        input: &[f32],
+        batch: usize,
+        out: &mut [f32],
+        panels: &mut Panels,
+    ) {
+        let (weights, biases) = (&self.parameters[layer.weights()], &self.parameters[layer.biases()]);
+        if layer.outputs == 1 && !rectified {
+            multiply_vector(input, weights, biases[0], out);
+        } else {
+            panels.pack_together(Right::Rows(weights), Some(biases), [layer.inputs, layer.outputs]);
+            panels.multiply_together(Left::Rows(input), batch, rectified, out);
+        }
+    }
+}
+
+/// A network whose weights are laid out for acting.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Acting {
+    layers: Vec<ActingLayer>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum ActingLayer {
+    Many(Panels, usize),
+    One(Vec<f32>, f32),
+}
+
+/// Working space of an acting network.
+#[derive(Debug, Clone, Default)]
+pub struct Workspace {
+    front: Vec<f32>,
+    back: Vec<f32>,
+}
+
+impl Acting {
+    pub(super) fn new(network: &Network) -> Self {
+        let last = network.layers().len() - 1;
+        let layer = |(index, layer): (usize, Layer)| {
+            let parameters = network.parameters();
+            let (weights, biases) = (&parameters[layer.weights()], &parameters[layer.biases()]);
+            if layer.outputs == 1 && index == last {
+                ActingLayer::One(weights.to_vec(), biases[0])
+            } else {
+                let shape = [layer.inputs, layer.outputs];
+                ActingLayer::Many(Panels::of(Right::Rows(weights), Some(biases), shape), layer.outputs)
+            }
+        };
+        Self { layers: network.layers().enumerate().map(layer).collect() }
+    }
+
+    /// Output for `batch` rows of `input`. Each row's bits do not depend on the others.
+    pub(super) fn forward<'w>(&self, input: &[f32], batch: usize, space: &'w mut Workspace) -> &'w [f32] {
+        space.front.clear();
+        space.front.extend_from_slice(input);
+        for (index, layer) in self.layers.iter().enumerate() {
+            let Workspace { front, back } = space;
+            match layer {
+                ActingLayer::Many(panels, outputs) => {
+                    back.resize(batch * outputs, 0.0);
+                    let rectified = index + 1 < self.layers.len();
+                    panels.multiply(Left::Rows(front), batch, rectified, back);
+                }
+                ActingLayer::One(weights, bias) => {
+                    back.resize(batch, 0.0);
+                    multiply_vector(front, weights, *bias, back);
+                }
+            }
+            std::mem::swap(front, back);
+        }
+        &space.front
+    }
+}

@@ -1,0 +1,379 @@
+//! Products of dense matrices in single precision, with the same bits everywhere.
+//!
+//! Every element of a product is start + Σₚ aₚ bₚ, added up one after the other in order of p, with each product rounded
+//! by itself. Neither the number of rows computed together nor the width of the vector registers changes a bit, so that
+//! a policy drives one vehicle exactly as it drives five hundred, on any machine.
+//!
+//! The right factor is first copied into panels of 32 columns, which the inner loop reads from end to end; R rows by
+//! 32 columns of the result stay in registers meanwhile.
+//!
+//! The rows of a large product can be shared out among threads, which changes no bit either.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use pulp::{Arch, Simd, WithSimd, bytemuck};
+use rayon::prelude::*;
+
+use super::wide::Wide;
+
+/// Columns of a panel: two of the widest vector registers.
+const PANEL: usize = 32;
+
+/// Multiplications that are worth handing to another thread: some fifty microseconds.
+const SHARED_OUT: usize = 5_000_000;
+
+/// Numbers of a factor that are worth being packed by several threads.
+const WIDELY_PACKED: usize = 50_000;
+
+/// Rows that are computed together at most.
+const MOST_ROWS: usize = 8;
+
+/// One row of a panel, at the start of a cache line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(C, align(64))]
+struct Row([f32; PANEL]);
+
+/// The left factor of a product with m rows and k columns.
+#[derive(Clone, Copy)]
+pub enum Left<'a> {
+    /// Row after row: m rows of k.
+    Rows(&'a [f32]),
+    /// Column after column: k columns of m, that is, a matrix of k rows to be taken transposed.
+    Columns(&'a [f32]),
+}
+
+/// The right factor of a product with k rows and n columns.
+#[derive(Clone, Copy)]
+pub enum Right<'a> {
+    /// Row after row: k rows of n.
+    Rows(&'a [f32]),
+    /// Column after column: n columns of k, that is, a matrix of n rows to be taken transposed.
+    Columns(&'a [f32]),
+}
+
+/// A right factor, and the values its products start from, ready to be multiplied with.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Panels {
+    rows: usize,
+    columns: usize,
+    /// Panel after panel; the first row of each is what sums start from.
+    data: Vec<Row>,
+}
+
+impl Panels {
+    /// Takes in a factor of `rows` by `columns` numbers; sums start from `start`, or from 0.
+    pub fn pack(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
+        self.reshape(shape);
+        for (panel, data) in self.data.chunks_exact_mut(shape[0] + 1).enumerate() {
+            fill(data, panel * PANEL, right, start, shape);
+        }
+    }
+
+    /// The same on all threads of the pool it is called in.
+    pub fn pack_together(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
+        if shape[0] * shape[1] < WIDELY_PACKED {
+            return self.pack(right, start, shape);
+        }
+        self.reshape(shape);
+        self.data.par_chunks_exact_mut(shape[0] + 1).enumerate().for_each(|(panel, data)| {
+            fill(data, panel * PANEL, right, start, shape);
+        });
+    }
+
+    fn reshape(&mut self, [rows, columns]: [usize; 2]) {
+        (self.rows, self.columns) = (rows, columns);
+        self.data.resize(columns.div_ceil(PANEL) * (rows + 1), Row([0.0; PANEL]));
+    }
+
+    /// A factor taken in at once.
+    pub fn of(right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) -> Self {
+        let mut panels = Self::default();
+        panels.pack(right, start, shape);
+        panels
+    }
+
+    /// The product with a left factor of `m` rows, into `out` (m rows of n); negative elements become 0 if `rectified`.
+    pub fn multiply(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+        let (Left::Rows(data) | Left::Columns(data)) = left;
+        debug_assert_eq!((data.len(), out.len()), (m * self.rows, m * self.columns));
+        self.multiply_by(Arch::new(), left, m, rectified, out);
+    }
+
+    fn multiply_by(&self, path: Arch, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+        path.dispatch(Multiply { panels: self, left, m, rows: 0..m, rectified, out });
+    }
+
+    /// The same on all threads of the pool it is called in: for what does not run beside others of its kind.
+    pub fn multiply_together(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+        let worth = (m * self.rows * self.columns / SHARED_OUT).max(1);
+        let parts = rayon::current_num_threads().min(worth);
+        if parts == 1 {
+            return self.multiply(left, m, rectified, out);
+        }
+        let rows = m.div_ceil(parts).next_multiple_of(MOST_ROWS);
+        out.par_chunks_mut(rows * self.columns).enumerate().for_each(|(part, out)| {
+            let rows = part * rows..m.min((part + 1) * rows);
+            Arch::new().dispatch(Multiply { panels: self, left, m, rows, rectified, out });
+        });
+    }
+}
+
+/// Fills the panel of the columns that begin at `from`, whatever was there.
+fn fill(data: &mut [Row], from: usize, right: Right<'_>, start: Option<&[f32]>, [rows, columns]: [usize; 2]) {
+    let width = PANEL.min(columns - from);
+    if width < PANEL {
+        data.fill(Row([0.0; PANEL]));
+    }
+    let Some((first, rest)) = data.split_first_mut() else { return };
+    first.0.fill(0.0);
+    if let Some(start) = start {
+        first.0[..width].copy_from_slice(&start[from..from + width]);
+    }
+    match right {
+        Right::Rows(right) => {
+            for (row, source) in rest.iter_mut().zip(right.chunks_exact(columns)) {
+                row.0[..width].copy_from_slice(&source[from..from + width]);
+            }
+        }
+        Right::Columns(right) => {
+            for (column, source) in right.chunks_exact(rows).skip(from).take(width).enumerate() {
+                for (row, &value) in rest.iter_mut().zip(source) {
+                    row.0[column] = value;
+                }
+            }
+        }
+    }
+}
+
+/// Does `work`, in which some products are computed together, while the other threads of the pool stand by.
+///
+/// Those that find nothing to do fall asleep after some microseconds, and to wake them up takes tens of them each time: as
+/// long as a small product. So they are kept awake, if any product will be as large as `largest` multiplications; on a busy
+/// machine they give way. They do whatever there is to do in the pool, so it must be a pool for this work alone.
+pub fn with_hands_ready<R>(largest: usize, work: impl FnOnce() -> R) -> R {
+    /// Says so when it goes, even if `work` panics.
+    struct Done<'a>(&'a AtomicBool);
+    impl Drop for Done<'_> {
+        fn drop(&mut self) {
+            self.0.store(true, Ordering::Release);
+        }
+    }
+    let is_done = AtomicBool::new(false);
+    rayon::in_place_scope(|scope| {
+        for _ in 1..rayon::current_num_threads().min(largest / SHARED_OUT) {
+            scope.spawn(|_| {
+                while !is_done.load(Ordering::Acquire) {
+                    if rayon::yield_now() != Some(rayon::Yield::Executed) {
+                        std::thread::yield_now();
+                    }
+                }
+            });
+        }
+        let _done = Done(&is_done);
+        work()
+    })
+}
+
+struct Multiply<'a> {
+    panels: &'a Panels,
+    left: Left<'a>,
+    /// Rows of the left factor.
+    m: usize,
+    /// Those of them that are to be multiplied.
+    rows: Range<usize>,
+    rectified: bool,
+    /// The product of those.
+    out: &'a mut [f32],
+}
+
+impl WithSimd for Multiply<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        // Sixteen wide registers hold the sums where there are 32 of them, eight where there are 16.
+        if S::F32_LANES == 16 { self.all::<S, MOST_ROWS>(simd) } else { self.all::<S, 4>(simd) }
+    }
+}
+
+impl Multiply<'_> {
+    #[inline(always)]
+    fn all<S: Simd, const R: usize>(&mut self, simd: S) {
+        let panels = self.panels;
+        for (index, panel) in panels.data.chunks_exact(panels.rows + 1).enumerate() {
+            for group in 0..PANEL / (2 * S::F32_LANES) {
+                let column = index * PANEL + group * 2 * S::F32_LANES;
+                if column >= panels.columns {
+                    break;
+                }
+                let Range { start, end } = self.rows;
+                let whole = end - (end - start) % R;
+                for row in (start..whole).step_by(R) {
+                    self.tile::<S, R>(simd, panel, group, [row, column]);
+                }
+                for row in whole..end {
+                    self.tile::<S, 1>(simd, panel, group, [row, column]);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn tile<S: Simd, const R: usize>(&mut self, simd: S, panel: &[Row], group: usize, [row, column]: [usize; 2]) {
+        let k = self.panels.rows;
+        let mut sums = match self.left {
+            Left::Rows(left) => {
+                let rows: [&[f32]; R] = std::array::from_fn(|r| &left[(row + r) * k..(row + r + 1) * k]);
+                sums::<S, R>(simd, panel, group, |p| std::array::from_fn(|r| rows[r][p]))
+            }
+            Left::Columns(left) => {
+                let m = self.m;
+                sums::<S, R>(simd, panel, group, |p| {
+                    let column = &left[p * m + row..][..R];
+                    std::array::from_fn(|r| column[r])
+                })
+            }
+        };
+        let n = self.panels.columns;
+        let width = (2 * S::F32_LANES).min(n - column);
+        for (r, sums) in sums.iter_mut().enumerate() {
+            if self.rectified {
+                *sums = sums.map(|sum| simd.max_f32s(sum, simd.splat_f32s(0.0)));
+            }
+            let sums: &[f32] = bytemuck::cast_slice(sums);
+            let from = (row + r - self.rows.start) * n + column;
+            self.out[from..from + width].copy_from_slice(&sums[..width]);
+        }
+    }
+}
+
+/// R rows of the product by two vectors of columns; `left` gives the R left factors of one term.
+#[inline(always)]
+fn sums<S: Simd, const R: usize>(
+    simd: S,
+    panel: &[Row],
+    group: usize,
+    left: impl Fn(usize) -> [f32; R],
+) -> [[S::f32s; 2]; R] {
+    let vectors = |row: &Row| {
+        let (vectors, _) = S::as_simd_f32s(&row.0);
+        [vectors[2 * group], vectors[2 * group + 1]]
+    };
+    let mut sums = [vectors(&panel[0]); R];
+    for (p, row) in panel[1..].iter().enumerate() {
+        let right = vectors(row);
+        for (sums, left) in sums.iter_mut().zip(left(p)) {
+            let left = simd.splat_f32s(left);
+            for (sum, right) in sums.iter_mut().zip(right) {
+                *sum = simd.add_f32s(*sum, simd.mul_f32s(left, right));
+            }
+        }
+    }
+    sums
+}
+
+/// Σₚ aₚ bₚ in sixteen interleaved partial sums that are then added pairwise: one order on every machine.
+#[inline(always)]
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let mut partial = [0.0_f32; 16];
+    let (a_chunks, b_chunks) = (a.chunks_exact(16), b.chunks_exact(16));
+    for (index, (a, b)) in a_chunks.remainder().iter().zip(b_chunks.remainder()).enumerate() {
+        partial[index] = a * b;
+    }
+    for (a, b) in a_chunks.zip(b_chunks) {
+        for lane in 0..16 {
+            partial[lane] += a[lane] * b[lane];
+        }
+    }
+    let mut width = 8;
+    while width > 0 {
+        for lane in 0..width {
+            partial[lane] += partial[lane + width];
+        }
+        width /= 2;
+    }
+    partial[0]
+}
+
+/// `start` plus the product of each row of `rows` with `factor`, into `out`.
+pub fn multiply_vector(rows: &[f32], factor: &[f32], start: f32, out: &mut [f32]) {
+    Arch::new().dispatch(Wide(
+        #[inline(always)]
+        || {
+            for (row, out) in rows.chunks_exact(factor.len()).zip(out.iter_mut()) {
+                *out = start + dot(row, factor);
+            }
+        },
+    ));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::wide::every_path;
+    use super::*;
+    use proptest::prelude::*;
+    use rand::RngExt;
+    use rand::SeedableRng;
+
+    fn numbers(seed: u64, count: usize) -> Vec<f32> {
+        let mut stream = crate::random::Stream::seed_from_u64(seed);
+        (0..count).map(|_| stream.random_range(-1.0..1.0)).collect()
+    }
+
+    fn transposed(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+        (0..columns).flat_map(|c| (0..rows).map(move |r| matrix[r * columns + c])).collect()
+    }
+
+    #[test]
+    fn a_product_shared_out_is_the_same() {
+        let [m, k, n] = [523, 241, 127];
+        let (a, b) = (numbers(1, m * k), numbers(2, k * n));
+        assert!(m * k * n > 3 * SHARED_OUT);
+        let panels = Panels::of(Right::Rows(&b), None, [k, n]);
+        let product = |left: Left<'_>, threads| {
+            let mut out = vec![f32::NAN; m * n];
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| panels.multiply_together(left, m, false, &mut out));
+            out
+        };
+        let a_columns = transposed(&a, m, k);
+        for left in [Left::Rows(&a), Left::Columns(&a_columns)] {
+            let alone = product(left, 1);
+            assert_eq!(alone, product(left, 2));
+            assert_eq!(alone, product(left, 3));
+        }
+    }
+
+    proptest! {
+        /// The definition, element by element and to the last bit, from any of the four layouts, in registers of any width.
+        #[test]
+        fn products_are_the_sums_in_order(seed: u64, m in 1..40_usize, k in 1..50_usize, n in 1..80_usize, rectified: bool) {
+            let (a, b, start) = (numbers(seed, m * k), numbers(seed ^ 1, k * n), numbers(seed ^ 2, n));
+            let expected: Vec<f32> = (0..m * n)
+                .map(|i| {
+                    let sum = (0..k).fold(start[i % n], |sum, p| sum + a[i / n * k + p] * b[p * n + i % n]);
+                    if rectified { sum.max(0.0) } else { sum }
+                })
+                .collect();
+            let (a_columns, b_columns) = (transposed(&a, m, k), transposed(&b, k, n));
+            for right in [Right::Rows(&b), Right::Columns(&b_columns)] {
+                let panels = Panels::of(right, Some(&start), [k, n]);
+                for left in [Left::Rows(&a), Left::Columns(&a_columns)] {
+                    for path in every_path() {
+                        let mut out = vec![f32::NAN; m * n];
+                        panels.multiply_by(path, left, m, rectified, &mut out);
+                        prop_assert_eq!(&out, &expected);
+                    }
+                }
+            }
+        }
+
+        #[test]
+        fn dots_agree_with_double_precision(seed: u64, k in 0..70_usize) {
+            let (a, b) = (numbers(seed, k), numbers(seed ^ 1, k));
+            let expected: f64 = a.iter().zip(&b).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum();
+            prop_assert!((f64::from(dot(&a, &b)) - expected).abs() < 1e-5);
+        }
+    }
+}

@@ -1,0 +1,30 @@
+//! Loops compiled for the vector registers of the machine at hand.
+
+use pulp::{Simd, WithSimd};
+
+/// Work to be dispatched to the widest registers there are, as a closure that must be `#[inline(always)]`.
+///
+/// A closure that is given to `pulp` as it is, is called once and for that through a function of its own, which is compiled
+/// for the narrowest registers.
+pub struct Wide<F>(pub F);
+
+impl<R, F: FnMut() -> R> WithSimd for Wide<F> {
+    type Output = R;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, _: S) -> R {
+        (self.0)()
+    }
+}
+
+/// All widths of registers that this machine has, the narrowest first.
+#[cfg(test)]
+pub(crate) fn every_path() -> Vec<pulp::Arch> {
+    let mut paths = vec![pulp::Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    {
+        paths.extend(pulp::x86::V3::try_new().map(pulp::Arch::V3));
+        paths.extend(pulp::x86::V4::try_new().map(pulp::Arch::V4));
+    }
+    paths
+}

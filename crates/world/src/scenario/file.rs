@@ -1,0 +1,312 @@
+//! Scenario files: TOML or JSON, told apart by their extension, with errors that name file, line and field.
+
+use std::fs;
+use std::io;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+
+use super::{InvalidField, Scenario, ScenarioSpec};
+
+/// Why a scenario file could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FileError {
+    /// The file could not be opened or read.
+    #[error("{}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The extension says neither TOML nor JSON.
+    #[error("{}: a scenario file ends in .toml or .json", path.display())]
+    Extension {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The text is not well formed, or a field is missing, unknown or of the wrong type.
+    #[error("{}:{line}: {message}", path.display())]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong, naming the field.
+        message: String,
+    },
+    /// A field is out of range or contradicts another.
+    #[error("{}:{line}: {invalid}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// Line of the field, from 1.
+        line: usize,
+        /// The field and its problem.
+        invalid: InvalidField,
+    },
+}
+
+/// The two file formats.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Toml,
+    Json,
+}
+
+impl Format {
+    fn of(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()? {
+            "toml" => Some(Self::Toml),
+            "json" => Some(Self::Json),
+            _ => None,
+        }
+    }
+}
+
+/// Reads and checks a scenario file.
+///
+/// # Errors
+/// [`FileError`] for a file that cannot be read, parsed or accepted.
+pub fn load(path: &Path) -> Result<Scenario, FileError> {
+    let format = Format::of(path).ok_or_else(|| FileError::Extension { path: path.to_owned() })?;
+    parse(&read(path)?, format, path)
+}
+
+/// Reads the scenario file at `path`, or every one in the folder there, in order of their names.
+///
+/// # Errors
+/// [`FileError`] for the first file that cannot be read, parsed or accepted. Files of a folder that end in neither .toml
+/// nor .json are passed over.
+pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
+    if !path.is_dir() {
+        return Ok(vec![(path.to_owned(), load(path)?)]);
+    }
+    let unreadable = |source| FileError::Read { path: path.to_owned(), source };
+    let entries = fs::read_dir(path).map_err(unreadable)?.collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
+    let mut files: Vec<_> = entries.iter().map(fs::DirEntry::path).filter(|path| Format::of(path).is_some()).collect();
+    files.sort();
+    files.into_iter().map(|path| load(&path).map(|scenario| (path, scenario))).collect()
+}
+
+/// Reads a text file.
+pub fn read(path: &Path) -> Result<String, FileError> {
+    let text = fs::read_to_string(path).map_err(|source| FileError::Read { path: path.to_owned(), source })?;
+    Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
+}
+
+/// Reads a scenario from TOML text; `path` only names it in errors.
+///
+/// # Errors
+/// [`FileError`] for text that is not a valid scenario.
+pub fn from_toml(text: &str, path: &Path) -> Result<Scenario, FileError> {
+    parse(text, Format::Toml, path)
+}
+
+/// Reads a scenario from JSON text; `path` only names it in errors.
+///
+/// # Errors
+/// [`FileError`] for text that is not a valid scenario.
+pub fn from_json(text: &str, path: &Path) -> Result<Scenario, FileError> {
+    parse(text, Format::Json, path)
+}
+
+fn parse(text: &str, format: Format, path: &Path) -> Result<Scenario, FileError> {
+    let spec: ScenarioSpec = match format {
+        Format::Toml => parse_toml(text, path)?,
+        Format::Json => parse_json(text, path)?,
+    };
+    Scenario::new(spec).map_err(|invalid| {
+        let span = match format {
+            Format::Toml => locate_in_toml(text, &invalid.field),
+            Format::Json => locate_in_json(text, &invalid.field),
+        };
+        FileError::Invalid { path: path.to_owned(), line: line_at(text, span.start), invalid }
+    })
+}
+
+/// Reads any type from TOML text, with errors that name line and field.
+pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
+    let misread = |field: String, error: toml::de::Error| FileError::Syntax {
+        path: path.to_owned(),
+        line: error.span().map_or(1, |span| line_at(text, span.start)),
+        message: name_field(&field, &plain(error.message())),
+    };
+    let parsed = toml::Deserializer::parse(text).map_err(|error| misread(String::new(), error))?;
+    serde_path_to_error::deserialize(parsed).map_err(|error| misread(error.path().to_string(), error.into_inner()))
+}
+
+/// The same from JSON text.
+fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
+    let mut parsed = serde_json::Deserializer::from_str(text);
+    let misread = |field: String, error: serde_json::Error| FileError::Syntax {
+        path: path.to_owned(),
+        line: error.line().max(1),
+        message: name_field(&field, error.to_string().split(" at line ").next().unwrap_or_default()),
+    };
+    let value = serde_path_to_error::deserialize(&mut parsed)
+        .map_err(|error| misread(error.path().to_string(), error.into_inner()))?;
+    parsed.end().map_err(|error| misread(String::new(), error))?;
+    Ok(value)
+}
+
+/// The line, from 1, of a field in TOML text.
+pub fn line_in_toml(text: &str, field: &str) -> usize {
+    line_at(text, locate_in_toml(text, field).start)
+}
+
+/// Messages of the parser that speak of its own workings, as somebody would say them who wrote the file.
+fn plain(message: &str) -> std::borrow::Cow<'_, str> {
+    match message {
+        "wanted exactly 1 element, more than 1 element" => "several kinds are given, and one is wanted".into(),
+        "wanted exactly 1 element, found 0 elements" => "no kind is given".into(),
+        "integer number overflowed" => "a whole number this large must be written with a point or an exponent".into(),
+        "invalid type: unit variant, expected newtype variant" => {
+            "a name alone is not enough: its settings belong into a table".into()
+        }
+        other => other.into(),
+    }
+}
+
+/// The message behind the field it is about, where the parser knows the field.
+fn name_field(field: &str, message: &str) -> String {
+    if field.is_empty() || field == "." { message.to_owned() } else { format!("{field}: {message}") }
+}
+
+/// The scenario as TOML text.
+///
+/// # Errors
+/// None for a valid scenario; the serializer's error is passed on rather than hidden.
+pub fn to_toml(scenario: &Scenario) -> Result<String, toml::ser::Error> {
+    toml::to_string(scenario.spec())
+}
+
+/// The line, from 1, of a byte offset.
+fn line_at(text: &str, offset: usize) -> usize {
+    1 + text.bytes().take(offset).filter(|&byte| byte == b'\n').count()
+}
+
+/// The steps of a path such as `vehicles[1].driver.brake`.
+fn path_steps(field: &str) -> impl Iterator<Item = PathStep<'_>> {
+    field.split('.').flat_map(|part| {
+        let (name, indices) = part.split_once('[').map_or((part, ""), |(name, rest)| (name, rest));
+        let index = indices.strip_suffix(']').and_then(|digits| digits.parse().ok());
+        std::iter::once(PathStep::Field(name)).chain(index.map(PathStep::Index))
+    })
+}
+
+enum PathStep<'a> {
+    Field(&'a str),
+    Index(usize),
+}
+
+/// Where a field stands in TOML text: as deep as the file spells the path out, for a default may be what is wrong.
+fn locate_in_toml(text: &str, field: &str) -> Range<usize> {
+    let mut span = 0..0;
+    let Ok(root) = toml::de::DeTable::parse(text) else { return span };
+    let mut table = Some(root.get_ref());
+    let mut array = None;
+    for step in path_steps(field) {
+        let value = match step {
+            PathStep::Field(name) => table.and_then(|table| table.get(name)),
+            PathStep::Index(index) => array.and_then(|array: &toml::de::DeArray<'_>| array.get(index)),
+        };
+        let Some(value) = value else { break };
+        span = value.span();
+        table = value.get_ref().as_table();
+        array = value.get_ref().as_array();
+    }
+    span
+}
+
+/// The same for JSON text.
+fn locate_in_json(text: &str, field: &str) -> Range<usize> {
+    use jsonc_parser::common::Ranged;
+    let parsed = jsonc_parser::parse_to_ast(text, &Default::default(), &Default::default());
+    let mut value = parsed.ok().and_then(|result| result.value);
+    let mut span = 0..0;
+    for step in path_steps(field) {
+        let next = match (step, value) {
+            (PathStep::Field(name), Some(jsonc_parser::ast::Value::Object(mut object))) => {
+                object.take(name).map(|property| property.value)
+            }
+            (PathStep::Index(index), Some(jsonc_parser::ast::Value::Array(array))) => {
+                array.elements.into_iter().nth(index)
+            }
+            _ => None,
+        };
+        let Some(found) = next else { break };
+        span = found.start()..found.end();
+        value = Some(found);
+    }
+    span
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{built_in, built_in_names};
+    use super::*;
+
+    fn error_of(text: &str) -> String {
+        from_toml(text, Path::new("bad.toml")).expect_err("must be refused").to_string()
+    }
+
+    const GOOD: &str = r#"version = 1
+name = "two cars"
+duration_s = 5.0
+
+[[vehicles]]
+class = "light"
+position_m = 30.0
+speed_mps = 20.0
+driver.brake = { onset_s = 1.0, rate_mps2 = 3.0 }
+
+[[vehicles]]
+class = "light"
+position_m = 0.0
+speed_mps = 20.0
+driver = "under-test"
+"#;
+
+    #[test]
+    fn files_round_trip_through_both_formats() {
+        for (name, _) in built_in_names() {
+            let scenario = built_in(name).unwrap();
+            let toml = to_toml(&scenario).unwrap();
+            assert_eq!(from_toml(&toml, Path::new("a.toml")).unwrap(), scenario, "{toml}");
+            let json = serde_json::to_string_pretty(scenario.spec()).unwrap();
+            assert_eq!(from_json(&json, Path::new("a.json")).unwrap(), scenario, "{json}");
+        }
+    }
+
+    #[test]
+    fn errors_name_line_and_field() {
+        assert!(from_toml(GOOD, Path::new("good.toml")).is_ok());
+        let cases = [
+            (("speed_mps = 20.0\ndriver.b", "speed_mps = -3\ndriver.b"), "bad.toml:8: vehicles[0].speed_mps: must be"),
+            (("rate_mps2 = 3.0", "rate_mps2 = 31.0"), "bad.toml:9: vehicles[0].driver.brake.rate_mps2: must be"),
+            (("rate_mps2 = 3.0", "rate = 3.0"), "bad.toml:9: vehicles[0].driver.brake.rate: unknown field `rate`"),
+            (("position_m = 0.0", "position_m = 29"), "bad.toml:13: vehicles[1].position_m: overlaps vehicle 0"),
+            (("\"under-test\"", "\"nobody\""), "bad.toml:15: vehicles[1].driver: unknown variant `nobody`"),
+            (("duration_s = 5.0", "duration_s = nan"), "bad.toml:3: duration_s: must be a finite number"),
+            (("duration_s = 5.0", "duration_s = \"long\""), "bad.toml:3: duration_s: invalid type: string"),
+            (("version = 1", "version = 9"), "bad.toml:1: version: version 9 is not supported"),
+            (("name = \"two cars\"", "colour = 3"), "bad.toml:2: colour: unknown field `colour`"),
+        ];
+        for ((good, bad), expected) in cases {
+            let message = error_of(&GOOD.replacen(good, bad, 1));
+            assert!(message.starts_with(expected), "{message}\n  should start with\n{expected}");
+        }
+    }
+
+    #[test]
+    fn json_errors_name_line_and_field() {
+        let json = serde_json::to_string_pretty(built_in("paper-1").unwrap().spec()).unwrap();
+        let bad = json.replacen("\"speed_mps\": 25.0", "\"speed_mps\": -25.0", 1);
+        let message = from_json(&bad, Path::new("bad.json")).expect_err("negative speed").to_string();
+        let line = 1 + bad.lines().position(|l| l.contains("-25.0")).unwrap();
+        assert!(message.starts_with(&format!("bad.json:{line}: vehicles[0].speed_mps: must be")), "{message}");
+    }
+}

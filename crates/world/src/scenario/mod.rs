@@ -1,0 +1,202 @@
+//! What may happen: vehicles, their drivers, sensors and the road.
+//!
+//! [`ScenarioSpec`] is the file: plain data that may hold nonsense. [`Scenario`] is a spec that was found valid; nothing
+//! else constructs one, so whoever holds a `Scenario` need not check it again.
+
+mod driver;
+pub mod file;
+mod invalid;
+mod paper;
+mod profile;
+pub mod space;
+mod validate;
+mod vehicle;
+
+use serde::{Deserialize, Serialize};
+
+pub use driver::{AccAebSettings, AebSettings, ConstantBrakeSettings, ControllerSpec, Driver, IdmSettings};
+pub use invalid::short;
+pub use invalid::{InvalidField, Problem, Range};
+pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
+pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};
+pub use validate::{MOST_VEHICLE_STEPS, whole_multiple};
+pub use vehicle::{VehicleClass, VehicleSpec};
+
+/// The version of the scenario file format this release reads and writes.
+pub const SCENARIO_VERSION: u32 = 1;
+
+/// A scenario as a file states it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, expecting = "a scenario: a table of fields")]
+#[cfg_attr(feature = "schema", schemars(rename = "Scenario", title = "crumple scenario, version 1"))]
+pub struct ScenarioSpec {
+    /// Version of the file format: 1.
+    pub version: u32,
+    /// Short name, unique among the scenarios of a report.
+    pub name: String,
+    /// Why this scenario exists, in a sentence or a few.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub about: String,
+    /// How long it lasts, in seconds; a whole number of steps.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e5)))]
+    pub duration_s: f64,
+    /// Period at which controllers act, sensors measure and noise changes, in seconds. Default 0.01.
+    #[serde(default = "paper_step_s")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1e-4, max = 1.0)))]
+    pub step_s: f64,
+    /// Seed of all noise, up to 2⁶³ - 1. Default 0.
+    #[serde(default)]
+    pub seed: u64,
+    /// Road.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub environment: Environment,
+    /// What the vehicles under test can measure.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub sensors: Sensors,
+    /// The line of vehicles, front to rear; 2 to 1000 of them.
+    #[cfg_attr(feature = "schema", schemars(length(min = 2, max = 1000)))]
+    pub vehicles: Vec<VehicleSpec>,
+}
+
+fn paper_step_s() -> f64 {
+    PAPER_STEP_S
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+/// The road.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct Environment {
+    /// Share of its dry-road braking that every vehicle can use, scripted ones included: 1 is dry, about 0.3 is snow, 0.1
+    /// to 0.2 is ice.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.01, max = 1.0)))]
+    pub friction: f64,
+}
+
+impl Default for Environment {
+    fn default() -> Self {
+        Self { friction: 1.0 }
+    }
+}
+
+/// Sensors of the vehicles under test: own position and the two bumper gaps, once a step, with independent normal noise.
+///
+/// The defaults are what a series-production sensor set delivers at highway gaps. Range noise 0.03 m is the precision of
+/// automotive lidar (0.02 to 0.03 m, one sigma); radar alone has 0.1 m or more, which a file can say. Position noise
+/// 0.02 m is real-time kinematic satellite positioning with inertial aiding. Nothing is lost by default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct Sensors {
+    /// Standard deviation of the measured own position, in metres.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
+    pub position_noise_m: f64,
+    /// Standard deviation of each measured gap, in metres.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
+    pub gap_noise_m: f64,
+    /// Probability that a measurement is lost, each sensor and step by itself.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
+    pub dropout: f64,
+}
+
+impl Default for Sensors {
+    fn default() -> Self {
+        Self { position_noise_m: 0.02, gap_noise_m: 0.03, dropout: 0.0 }
+    }
+}
+
+/// A valid scenario.
+///
+/// Read it through [`Scenario::spec`]; change it through [`Scenario::edited`], which checks again.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scenario {
+    spec: ScenarioSpec,
+    steps: usize,
+}
+
+impl Scenario {
+    /// Accepts a spec if it is valid.
+    ///
+    /// # Errors
+    /// [`InvalidField`] names the first field that is out of range or contradicts another.
+    pub fn new(spec: ScenarioSpec) -> Result<Self, InvalidField> {
+        let steps = validate::check(&spec)?;
+        Ok(Self { spec, steps })
+    }
+
+    /// The data of the scenario.
+    #[must_use]
+    pub fn spec(&self) -> &ScenarioSpec {
+        &self.spec
+    }
+
+    /// A changed copy, checked again.
+    ///
+    /// # Errors
+    /// [`InvalidField`] if the change makes the scenario invalid.
+    pub fn edited(&self, change: impl FnOnce(&mut ScenarioSpec)) -> Result<Self, InvalidField> {
+        let mut spec = self.spec.clone();
+        change(&mut spec);
+        Self::new(spec)
+    }
+
+    /// The vehicles, front to rear.
+    #[must_use]
+    pub fn vehicles(&self) -> &[VehicleSpec] {
+        &self.spec.vehicles
+    }
+
+    /// Whether some vehicle's driver is left to the run.
+    #[must_use]
+    pub fn has_vehicle_under_test(&self) -> bool {
+        (0..self.spec.vehicles.len()).any(|index| self.is_under_test(index))
+    }
+
+    /// Whether vehicle `index` is driven by the controller under test; false if there is no such vehicle.
+    #[must_use]
+    pub fn is_under_test(&self, index: usize) -> bool {
+        self.spec.vehicles.get(index).is_some_and(|vehicle| vehicle.driver == Driver::UnderTest)
+    }
+
+    /// The number of steps of `step_s` in `duration_s`.
+    #[must_use]
+    pub fn steps(&self) -> usize {
+        self.steps
+    }
+
+    /// Hardest braking of vehicle `index` on this road, in m/s², positive: its own limit scaled by friction.
+    ///
+    /// 0 for a vehicle that does not exist.
+    #[must_use]
+    pub fn usable_brake_mps2(&self, index: usize) -> f64 {
+        self.spec.vehicles.get(index).map_or(0.0, |v| v.max_brake_mps2() * self.spec.environment.friction)
+    }
+
+    /// Bumper gap ahead of vehicle `index` at the start, in metres; none for the leader.
+    #[must_use]
+    pub fn initial_gap_m(&self, index: usize) -> Option<f64> {
+        let ahead = self.spec.vehicles.get(index.checked_sub(1)?)?;
+        let behind = self.spec.vehicles.get(index)?;
+        Some(ahead.position_m - ahead.length_m() - behind.position_m)
+    }
+}
+
+impl TryFrom<ScenarioSpec> for Scenario {
+    type Error = InvalidField;
+
+    fn try_from(spec: ScenarioSpec) -> Result<Self, InvalidField> {
+        Self::new(spec)
+    }
+}
+
+/// The JSON Schema of scenario files.
+#[cfg(feature = "schema")]
+#[must_use]
+pub fn json_schema() -> serde_json::Value {
+    schemars::schema_for!(ScenarioSpec).to_value()
+}

@@ -1,0 +1,303 @@
+//! Lead profiles: scripted motion that reacts to nobody.
+//!
+//! A profile is asked once a step for the acceleration to hold over that step. Where the script changes inside a step,
+//! the answer is its mean over the step, so that speeds at step boundaries are those of the script. Profiles that end
+//! at a speed look at the vehicle's own speed, which keeps them true under noise. A vehicle that follows a script has
+//! neither delay nor lag; on a slippery road it brakes as hard as the script says and the road allows.
+
+use serde::{Deserialize, Serialize};
+
+/// Scripted motion of a vehicle, usually the leader.
+#[derive(Debug, Clone, PartialEq)]
+pub enum LeadProfile {
+    /// Hold the speed.
+    ConstantSpeed,
+    /// Brake at a constant rate to standstill.
+    Brake(Brake),
+    /// Build the braking up within a time, hold it, ease off just before standstill.
+    RampBrake(RampBrake),
+    /// Brake at a constant rate to a lower speed and hold that.
+    BrakeToSpeed(BrakeToSpeed),
+    /// Piecewise constant acceleration.
+    Pieces(Pieces),
+    /// Follow recorded speeds.
+    Recorded(Recorded),
+}
+
+/// Brake at a constant rate from `onset_s` to standstill.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Brake {
+    /// When braking starts, in seconds.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e5)))]
+    pub onset_s: f64,
+    /// Deceleration in m/s², positive.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 30.0)))]
+    pub rate_mps2: f64,
+}
+
+/// Build the braking up linearly within `ramp_s`, hold it, and ease off over the last `release_s` before standstill:
+/// "0.5 g within 1.5 s, held until 250 ms before standstill" is `rate 4.905, ramp 1.5, release 0.25`.
+///
+/// While easing off, deceleration falls linearly to zero as the vehicle comes to rest.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct RampBrake {
+    /// When braking starts, in seconds.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e5)))]
+    pub onset_s: f64,
+    /// Deceleration that is reached and held, in m/s², positive.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 30.0)))]
+    pub rate_mps2: f64,
+    /// Time from no braking to the full rate, in seconds.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
+    pub ramp_s: f64,
+    /// Time before standstill at which braking starts to ease off, in seconds.
+    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
+    pub release_s: f64,
+}
+
+/// Brake at a constant rate from `onset_s` until `final_speed_mps` is reached, then hold that speed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct BrakeToSpeed {
+    /// When braking starts, in seconds.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e5)))]
+    pub onset_s: f64,
+    /// Deceleration in m/s², positive.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 30.0)))]
+    pub rate_mps2: f64,
+    /// Speed to end at, in m/s.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
+    pub final_speed_mps: f64,
+}
+
+/// Piecewise constant acceleration: `accel_mps2[i]` from `from_s[i]` on; 0 before the first, the last one held.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Pieces {
+    /// Start of each piece in seconds, increasing.
+    pub from_s: Vec<f64>,
+    /// Acceleration over each piece in m/s², negative for braking.
+    pub accel_mps2: Vec<f64>,
+}
+
+/// Follow recorded speeds, linear between samples, as closely as the vehicle's limits allow; the last speed is held.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Recorded {
+    /// Time of each sample in seconds, increasing.
+    pub time_s: Vec<f64>,
+    /// Speed at each sample in m/s.
+    pub speed_mps: Vec<f64>,
+}
+
+impl LeadProfile {
+    /// The name used in files.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::ConstantSpeed => "constant-speed",
+            Self::Brake(_) => "brake",
+            Self::RampBrake(_) => "ramp-brake",
+            Self::BrakeToSpeed(_) => "brake-to-speed",
+            Self::Pieces(_) => "pieces",
+            Self::Recorded(_) => "recorded",
+        }
+    }
+
+    /// Acceleration to hold from `from_s` to `to_s`, in m/s², for a vehicle at `speed_mps`.
+    #[must_use]
+    #[inline]
+    pub fn acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
+        match self {
+            Self::Brake(brake) => brake.acceleration_mps2(from_s, to_s),
+            _ => self.other_acceleration_mps2(from_s, to_s, speed_mps),
+        }
+    }
+
+    /// Kept apart, so that the usual profile is small enough to be part of a loop.
+    fn other_acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
+        match self {
+            Self::ConstantSpeed => 0.0,
+            Self::Brake(brake) => brake.acceleration_mps2(from_s, to_s),
+            Self::RampBrake(ramp) => ramp.acceleration_mps2(from_s, to_s, speed_mps),
+            Self::BrakeToSpeed(brake) => {
+                let braking = -brake.rate_mps2 * share_after(brake.onset_s, from_s, to_s);
+                let to_final_speed = (brake.final_speed_mps - speed_mps) / (to_s - from_s);
+                braking.max(to_final_speed.min(0.0))
+            }
+            Self::Pieces(pieces) => pieces.mean_mps2(from_s, to_s),
+            Self::Recorded(recorded) => (recorded.speed_at_mps(to_s) - speed_mps) / (to_s - from_s),
+        }
+    }
+
+    /// Lowest and highest acceleration the script asks for, in m/s².
+    ///
+    /// A recording asks for speeds: it is followed as closely as the vehicle's limits allow, and counts as `[0, 0]`.
+    #[must_use]
+    pub fn acceleration_range_mps2(&self) -> [f64; 2] {
+        match self {
+            Self::ConstantSpeed | Self::Recorded(_) => [0.0, 0.0],
+            Self::Brake(brake) => [-brake.rate_mps2, 0.0],
+            Self::RampBrake(ramp) => [-ramp.rate_mps2, 0.0],
+            Self::BrakeToSpeed(brake) => [-brake.rate_mps2, 0.0],
+            Self::Pieces(pieces) => pieces
+                .accel_mps2
+                .iter()
+                .fold([0.0, 0.0], |[lowest, highest]: [f64; 2], &a| [lowest.min(a), highest.max(a)]),
+        }
+    }
+}
+
+impl Brake {
+    /// Acceleration to hold from `from_s` to `to_s`, in m/s².
+    #[inline(always)]
+    pub(crate) fn acceleration_mps2(&self, from_s: f64, to_s: f64) -> f64 {
+        -self.rate_mps2 * share_after(self.onset_s, from_s, to_s)
+    }
+}
+
+/// The share of `[from, to]` that lies after `onset`.
+#[inline(always)]
+fn share_after(onset_s: f64, from_s: f64, to_s: f64) -> f64 {
+    // In nearly all steps all of it or nothing, and then nothing need be divided.
+    if onset_s <= from_s {
+        1.0
+    } else if onset_s >= to_s {
+        0.0
+    } else {
+        (to_s - onset_s) / (to_s - from_s)
+    }
+}
+
+impl RampBrake {
+    fn acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
+        let mean_build_up = (self.speed_lost_mps(to_s) - self.speed_lost_mps(from_s)) / (to_s - from_s);
+        -mean_build_up.min(self.easing_mps2(to_s - from_s, speed_mps))
+    }
+
+    /// Integral of the build-up and the held rate from the onset to `at_s`, in m/s.
+    fn speed_lost_mps(&self, at_s: f64) -> f64 {
+        let braking_s = (at_s - self.onset_s).max(0.0);
+        if braking_s < self.ramp_s {
+            0.5 * self.rate_mps2 * braking_s * braking_s / self.ramp_s
+        } else {
+            self.rate_mps2 * (braking_s - 0.5 * self.ramp_s)
+        }
+    }
+
+    /// Mean deceleration over a step for a vehicle that eases off: with deceleration falling linearly from `rate` to
+    /// zero over `release`, it is `sqrt(2 rate v / release)` at speed v, so the square root of the speed falls linearly.
+    fn easing_mps2(&self, step_s: f64, speed_mps: f64) -> f64 {
+        if self.release_s == 0.0 {
+            return self.rate_mps2;
+        }
+        let root_lost = step_s * (0.5 * self.rate_mps2 / self.release_s).sqrt();
+        let root_left = (speed_mps.sqrt() - root_lost).max(0.0);
+        (speed_mps - root_left * root_left) / step_s
+    }
+}
+
+impl Pieces {
+    fn mean_mps2(&self, from_s: f64, to_s: f64) -> f64 {
+        let current = self.from_s.partition_point(|&start| start <= from_s);
+        let mut piece = current.checked_sub(1).and_then(|i| self.accel_mps2.get(i)).copied().unwrap_or(0.0);
+        let mut mean = piece;
+        for (&start, &next) in self.from_s.iter().zip(&self.accel_mps2).skip(current) {
+            if start >= to_s {
+                break;
+            }
+            mean += (next - piece) * share_after(start, from_s, to_s);
+            piece = next;
+        }
+        mean
+    }
+}
+
+impl Recorded {
+    /// Speed at a time, in m/s: linear between samples, the first and the last one held outside them.
+    #[must_use]
+    pub fn speed_at_mps(&self, at_s: f64) -> f64 {
+        let next = self.time_s.partition_point(|&t| t <= at_s);
+        let sample = |i: usize| Some((*self.time_s.get(i)?, *self.speed_mps.get(i)?));
+        match (next.checked_sub(1).and_then(sample), sample(next)) {
+            (Some((t0, v0)), Some((t1, v1))) => v0 + (v1 - v0) * (at_s - t0) / (t1 - t0),
+            (Some((_, v)), None) | (None, Some((_, v))) => v,
+            (None, None) => 0.0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Speeds at the step boundaries when the profile drives alone from `speed_mps`.
+    fn drive(profile: &LeadProfile, mut speed_mps: f64, step_s: f64, steps: usize) -> Vec<f64> {
+        let mut speeds = vec![speed_mps];
+        for k in 0..steps {
+            let acceleration = profile.acceleration_mps2(k as f64 * step_s, (k + 1) as f64 * step_s, speed_mps);
+            speed_mps = (speed_mps + acceleration * step_s).max(0.0);
+            speeds.push(speed_mps);
+        }
+        speeds
+    }
+
+    #[test]
+    fn an_onset_inside_a_step_brakes_for_the_rest_of_the_step() {
+        let profile = LeadProfile::Brake(Brake { onset_s: 1.004, rate_mps2: 3.0 });
+        assert_eq!(profile.acceleration_mps2(0.99, 1.0, 25.0), 0.0);
+        assert!((profile.acceleration_mps2(1.0, 1.01, 25.0) + 3.0 * 0.6).abs() < 1e-9);
+        assert_eq!(profile.acceleration_mps2(1.01, 1.02, 25.0), -3.0);
+    }
+
+    #[test]
+    fn half_a_g_within_a_second_and_a_half_held_to_a_quarter_second_before_standstill() {
+        let profile =
+            LeadProfile::RampBrake(RampBrake { onset_s: 1.0, rate_mps2: 4.905, ramp_s: 1.5, release_s: 0.25 });
+        let speeds = drive(&profile, 22.0, 0.01, 1000);
+        let at = |t: f64| speeds[(t / 0.01).round() as usize];
+        assert!((at(1.0) - 22.0).abs() < 1e-9);
+        assert!((at(2.5) - (22.0 - 0.5 * 4.905 * 1.5)).abs() < 1e-9, "linear build-up loses half of rate times time");
+        assert!((at(3.0) - (at(2.5) - 4.905 * 0.5)).abs() < 1e-9, "then the full rate");
+        let stop = speeds.iter().position(|&v| v == 0.0).expect("comes to rest");
+        // Full rate until 0.25 s before standstill, when rate * 0.25 / 2 is left.
+        let full_until = (at(2.5) - 4.905 * 0.125) / 4.905;
+        assert!((stop as f64 * 0.01 - (2.5 + full_until + 0.25)).abs() <= 0.011);
+    }
+
+    #[test]
+    fn braking_to_two_kilometres_an_hour_ends_there() {
+        let final_speed_mps = 2.0 / 3.6;
+        let profile = LeadProfile::BrakeToSpeed(BrakeToSpeed { onset_s: 0.0, rate_mps2: 5.0, final_speed_mps });
+        let speeds = drive(&profile, 20.0, 0.01, 600);
+        assert!((speeds[100] - 15.0).abs() < 1e-9);
+        assert!((speeds.last().unwrap() - final_speed_mps).abs() < 1e-12);
+    }
+
+    #[test]
+    fn pieces_average_over_the_steps_they_change_in() {
+        let pieces = Pieces { from_s: vec![0.0, 0.104, 0.107], accel_mps2: vec![1.0, -2.0, 4.0] };
+        let profile = LeadProfile::Pieces(pieces);
+        assert_eq!(profile.acceleration_mps2(0.09, 0.1, 1.0), 1.0);
+        let mean = profile.acceleration_mps2(0.1, 0.11, 1.0);
+        assert!((mean - (0.4 * 1.0 + 0.3 * -2.0 + 0.3 * 4.0)).abs() < 1e-9, "{mean}");
+        assert_eq!(profile.acceleration_mps2(5.0, 5.01, 1.0), 4.0);
+    }
+
+    #[test]
+    fn recorded_speeds_are_followed_and_held() {
+        let recorded = Recorded { time_s: vec![0.0, 0.1, 0.2], speed_mps: vec![10.0, 11.0, 9.0] };
+        let speeds = drive(&LeadProfile::Recorded(recorded), 10.0, 0.01, 40);
+        assert!((speeds[5] - 10.5).abs() < 1e-9);
+        assert!((speeds[20] - 9.0).abs() < 1e-9);
+        assert!((speeds[40] - 9.0).abs() < 1e-9);
+    }
+}

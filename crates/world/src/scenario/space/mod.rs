@@ -1,0 +1,307 @@
+//! Search spaces: scenarios with parameters that vary, each with a range, a unit and a distribution.
+//!
+//! [`SpaceSpec`] is the file: plain data that may hold nonsense. [`Space`] is a spec in which every point was found to be a
+//! valid scenario. Field paths are looked up once; making a scenario of a point costs a few microseconds.
+//!
+//! # Points, values, scenarios
+//!
+//! A *point* lies in the unit cube, one coordinate a parameter, or one for each piece of a signal. A coordinate runs evenly
+//! over the *range* of its parameter, whatever the distribution: a search must reach an unlikely corner as easily as a
+//! likely one. How likely a point is says [`Space::ln_likelihood`]: the logarithm of the distribution's density with
+//! respect to points, hence 0 where the distribution is even over the range. Whoever wants scenarios *by the
+//! distribution* (failure rates, training, held-out sets) draws them with [`Space::draw`], or sends uniform numbers
+//! through [`Space::quantile`], the inverse of the distribution's CDF. Expectations under the distribution are thus
+//! integrals over uniform numbers u of f(quantile(u)), or over points x of f(x) exp(ln_likelihood(x)).
+//!
+//! # Fields
+//!
+//! A parameter names a number of the scenario file by its path (`environment.friction`, `vehicles[2].reaction_delay_s`,
+//! `vehicles[0].driver.brake.rate_mps2`), a vehicle's class, a number of all vehicles (`vehicles[*].speed_mps`), a signal
+//! (`vehicles[0].driver.pieces.accel_mps2`, as many coordinates as the base scenario has pieces), or one of these,
+//! which keep nonsense out by construction:
+//!
+//! | field | what it sets |
+//! |---|---|
+//! | `vehicles[i].gap_m` | the bumper gap ahead; vehicles are lined up behind the leader, so that none overlap |
+//! | `vehicles[i].load` | mass relative to its class's, at its class's brake force: deceleration falls as 1 / load above 1 |
+//! | `vehicles[i].brake_offset_mps2` | largest deceleration relative to its class's |
+//! | `vehicles[i].driver.NAME.rate_share` | rate of a braking script, as a share of what the vehicle can do on this road |
+//! | `vehicles[i].driver.pieces.brake_share` | the same for every piece of a script |
+//! | `vehicles[i].driver.pieces.onset_s` | when the first piece starts; the others keep their distance |
+//!
+//! In a space without positions all vehicles keep their bumper gaps when lengths or classes vary.
+
+mod built_in;
+mod check;
+mod field;
+pub mod file;
+mod marginal;
+mod spec;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
+use rand::RngExt;
+
+pub use built_in::{BUILT_IN_SPACES, built_in_space};
+pub use check::InvalidSpace;
+pub use spec::{Base, Choice, Distribution, Normal, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value};
+
+use self::field::Target;
+use self::marginal::Marginal;
+use super::{InvalidField, Scenario, ScenarioSpec, VehicleClass};
+use crate::random::{self, Purpose};
+
+/// A search space in which every point is a valid scenario.
+#[derive(Debug, Clone)]
+pub struct Space {
+    spec: SpaceSpec,
+    /// The base scenario; where it lines up, with gaps in place of all positions but the leader's.
+    template: ScenarioSpec,
+    lines_up: bool,
+    parameters: Vec<Parameter>,
+    /// Parameters in the order in which they are set.
+    order: Vec<usize>,
+}
+
+/// A parameter of a space.
+#[derive(Debug, Clone)]
+pub struct Parameter {
+    name: String,
+    unit: &'static str,
+    target: Target,
+    marginal: Marginal,
+    coordinates: Range<usize>,
+    nominal: Vec<f64>,
+}
+
+impl Parameter {
+    /// Its name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its unit: `1` for a share, empty for a class.
+    #[must_use]
+    pub fn unit(&self) -> &'static str {
+        self.unit
+    }
+
+    /// Its coordinates in a point; more than one for a signal.
+    #[must_use]
+    pub fn coordinates(&self) -> Range<usize> {
+        self.coordinates.clone()
+    }
+
+    /// Nominal values, one a coordinate.
+    #[must_use]
+    pub fn nominal(&self) -> &[f64] {
+        &self.nominal
+    }
+
+    /// Smallest and largest value; of a class, their numbers.
+    #[must_use]
+    pub fn range(&self) -> [f64; 2] {
+        [self.marginal.low(), self.marginal.high()]
+    }
+
+    /// Whether it is one of a few values.
+    #[must_use]
+    pub fn is_choice(&self) -> bool {
+        matches!(self.marginal, Marginal::Choice { .. })
+    }
+
+    /// Whether it is a vehicle's class.
+    #[must_use]
+    pub fn is_class(&self) -> bool {
+        matches!(self.target, Target::Class(_))
+    }
+
+    /// The value at a coordinate from 0 to 1, on the parameter's own scale: even over the range, or over its logarithm.
+    #[must_use]
+    pub fn value(&self, coordinate: f64) -> f64 {
+        self.marginal.value(coordinate)
+    }
+
+    /// Whether it is part of the script that vehicle 0 follows.
+    #[must_use]
+    pub fn scripts_leader(&self) -> bool {
+        self.target.drives() == Some(0)
+    }
+
+    /// Where in [0, 1] a value lies.
+    #[must_use]
+    pub fn coordinate(&self, value: f64) -> f64 {
+        self.marginal.coordinate(value)
+    }
+
+    /// The value as a reader knows it: a number, or a class's name.
+    #[must_use]
+    pub fn show(&self, value: f64) -> String {
+        match VehicleClass::ALL.get(value as usize) {
+            Some(class) if self.is_class() => class.name().to_owned(),
+            _ => value.to_string(),
+        }
+    }
+}
+
+impl Space {
+    /// The data of the space, with the base scenario spelled out.
+    #[must_use]
+    pub fn spec(&self) -> &SpaceSpec {
+        &self.spec
+    }
+
+    /// Its name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.spec.name
+    }
+
+    /// What varies.
+    #[must_use]
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+
+    /// The number of coordinates of a point, at least one.
+    #[must_use]
+    pub fn dimension(&self) -> usize {
+        self.parameters.last().map_or(0, |parameter| parameter.coordinates.end)
+    }
+
+    /// A name for each coordinate: the parameter's, with the number of the piece for a signal.
+    #[must_use]
+    pub fn coordinate_names(&self) -> Vec<String> {
+        let name = |parameter: &Parameter| -> Vec<String> {
+            match parameter.coordinates.len() {
+                1 => vec![parameter.name.clone()],
+                pieces => (0..pieces).map(|piece| format!("{}_{piece}", parameter.name)).collect(),
+            }
+        };
+        self.parameters.iter().flat_map(name).collect()
+    }
+
+    /// The parameter that each coordinate belongs to.
+    pub fn coordinate_parameters(&self) -> impl Iterator<Item = &Parameter> {
+        self.parameters.iter().flat_map(|parameter| std::iter::repeat_n(parameter, parameter.coordinates.len()))
+    }
+
+    /// The same space with another seed for all noise of its scenarios.
+    #[must_use]
+    pub fn with_noise_seed(mut self, seed: u64) -> Self {
+        // A TOML file cannot hold more.
+        self.template.seed = seed & i64::MAX as u64;
+        self
+    }
+
+    /// The nominal values, one a coordinate.
+    #[must_use]
+    pub fn nominal(&self) -> Vec<f64> {
+        self.parameters.iter().flat_map(|parameter| parameter.nominal.iter().copied()).collect()
+    }
+
+    /// The values at a point. Coordinates that are missing are taken as nominal, and those outside [0, 1] as the nearest end.
+    #[must_use]
+    pub fn values(&self, point: &[f64]) -> Vec<f64> {
+        let mut values = self.nominal();
+        let with_marginal = values.iter_mut().zip(self.coordinate_parameters());
+        for ((value, parameter), &coordinate) in with_marginal.zip(point) {
+            *value = parameter.marginal.value(coordinate);
+        }
+        values
+    }
+
+    /// The point at which values are taken.
+    #[must_use]
+    pub fn point(&self, values: &[f64]) -> Vec<f64> {
+        let pairs = self.coordinate_parameters().zip(values);
+        pairs.map(|(parameter, &value)| parameter.marginal.coordinate(value)).collect()
+    }
+
+    /// The scenario of values, one a coordinate.
+    ///
+    /// # Errors
+    /// [`InvalidField`] for values outside the ranges; never for what [`Space::values`] returns.
+    pub fn scenario(&self, values: &[f64]) -> Result<Scenario, InvalidField> {
+        Scenario::new(self.filled(values))
+    }
+
+    /// The scenario at a point, coordinates running over the ranges.
+    ///
+    /// # Errors
+    /// None: [`Space::new`] has checked all points. The error is passed on rather than hidden.
+    pub fn at(&self, point: &[f64]) -> Result<Scenario, InvalidField> {
+        self.scenario(&self.values(point))
+    }
+
+    /// The scenario at a point, with noise of its own.
+    ///
+    /// # Errors
+    /// None, as for [`Space::at`].
+    pub fn at_with_noise(&self, point: &[f64], seed: u64) -> Result<Scenario, InvalidField> {
+        let mut spec = self.filled(&self.values(point));
+        // A TOML file cannot hold more.
+        spec.seed = seed & i64::MAX as u64;
+        Scenario::new(spec)
+    }
+
+    /// The point below which shares `uniform` of the distribution lie, coordinate by coordinate.
+    #[must_use]
+    pub fn quantile(&self, uniform: &[f64]) -> Vec<f64> {
+        self.coordinate_parameters().zip(uniform).map(|(parameter, &u)| parameter.marginal.quantile(u)).collect()
+    }
+
+    /// Logarithm of the distribution's density at a point, relative to a distribution that is even over all ranges.
+    #[must_use]
+    pub fn ln_likelihood(&self, point: &[f64]) -> f64 {
+        self.coordinate_parameters().zip(point).map(|(parameter, &x)| parameter.marginal.ln_density(x)).sum()
+    }
+
+    /// The `index`-th draw by the distribution, with noise of its own. The same seed and index give the same scenario, in
+    /// any order.
+    ///
+    /// # Errors
+    /// None, as for [`Space::at`].
+    pub fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+        let mut spec = self.filled(&self.values(&self.draw_point(seed, index)));
+        spec.seed = random::derived_seed(seed, index);
+        spec.name = format!("{}-draw-{seed}-{index}", self.spec.name);
+        spec.about = format!("A draw from the space `{}`.", self.spec.name);
+        Scenario::new(spec)
+    }
+
+    /// The point of the `index`-th draw.
+    #[must_use]
+    pub fn draw_point(&self, seed: u64, index: u64) -> Vec<f64> {
+        let mut stream = random::stream(seed, Purpose::ScenarioDraw, index);
+        let uniform: Vec<f64> = (0..self.dimension()).map(|_| stream.random()).collect();
+        self.quantile(&uniform)
+    }
+
+    fn filled(&self, values: &[f64]) -> ScenarioSpec {
+        let mut spec = self.template.clone();
+        for parameter in self.order.iter().filter_map(|&index| self.parameters.get(index)) {
+            parameter.target.set(&mut spec, values.get(parameter.coordinates.clone()).unwrap_or_default());
+        }
+        if self.lines_up {
+            let mut rear_bumper_m = 0.0;
+            for (index, vehicle) in spec.vehicles.iter_mut().enumerate() {
+                if index > 0 {
+                    vehicle.position_m = rear_bumper_m - vehicle.position_m;
+                }
+                rear_bumper_m = vehicle.position_m - vehicle.length_m();
+            }
+        }
+        spec
+    }
+}
+
+/// The JSON Schema of space files.
+#[cfg(feature = "schema")]
+#[must_use]
+pub fn json_schema() -> serde_json::Value {
+    schemars::schema_for!(SpaceSpec).to_value()
+}

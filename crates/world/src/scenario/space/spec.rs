@@ -1,0 +1,179 @@
+//! Space files: plain data that may hold nonsense.
+
+use std::fmt;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+
+use crate::scenario::{ScenarioSpec, VehicleClass};
+
+/// The version of the space file format this release reads and writes.
+pub const SPACE_VERSION: u32 = 1;
+
+/// A search space as a file states it: a scenario, and what may vary in it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, expecting = "a space: a table of fields")]
+#[cfg_attr(feature = "schema", schemars(rename = "Space", title = "crumple search space, version 1"))]
+pub struct SpaceSpec {
+    /// Version of the file format: 1.
+    pub version: u32,
+    /// Short name; scenarios of the space are named after it.
+    pub name: String,
+    /// What the space covers and why, in a sentence or a few.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub about: String,
+    /// The scenario in which the parameters vary; its values are the nominal ones.
+    pub base: Base,
+    /// What varies; 1 to 200 of them, with at most 1000 coordinates.
+    #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 200)))]
+    pub parameters: Vec<ParameterSpec>,
+}
+
+/// The base scenario: spelled out, or the name of a built-in one or of a file beside the space's.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Base {
+    /// A built-in scenario, or a file; a relative path starts at the folder of the space file.
+    Named(String),
+    /// Spelled out.
+    Inline(Box<ScenarioSpec>),
+}
+
+/// Something that varies.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ParameterSpec {
+    /// Name in logs and summaries: letters, digits and underscores.
+    pub name: String,
+    /// Which field of the scenario, such as `environment.friction` or `vehicles[2].gap_m`.
+    pub field: String,
+    /// Unit of the field, repeated so that a reader need not guess; `1` for a share, empty for a class.
+    #[serde(default)]
+    pub unit: String,
+    /// Nominal value; by default the one in the base scenario.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub nominal: Option<Value>,
+    /// How it is distributed, and in which range.
+    pub distribution: Distribution,
+}
+
+/// How a parameter is distributed. Each piece of a signal is distributed like this, independently of the others.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Distribution {
+    /// Every value alike.
+    Uniform(Uniform),
+    /// Every value alike on a logarithmic scale.
+    LogUniform(Uniform),
+    /// Normal, cut at both ends of the range.
+    Normal(Normal),
+    /// One of a few values.
+    Choice(Choice),
+}
+
+/// A range, both ends included.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Uniform {
+    /// Smallest value; above 0 on a logarithmic scale.
+    pub low: f64,
+    /// Largest value.
+    pub high: f64,
+}
+
+/// A normal distribution cut at both ends.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Normal {
+    /// Mean before cutting.
+    pub mean: f64,
+    /// Standard deviation before cutting; above 0.
+    pub deviation: f64,
+    /// Smallest value.
+    pub low: f64,
+    /// Largest value.
+    pub high: f64,
+}
+
+/// A few values.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Choice {
+    /// The values: numbers, or vehicle classes.
+    pub values: Vec<Value>,
+    /// How likely each is, relative to the others; by default all alike.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weights: Option<Vec<f64>>,
+}
+
+/// A value of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(untagged, expecting = "must be a number, `light` or `heavy`")]
+pub enum Value {
+    /// A number in the field's unit.
+    Number(f64),
+    /// A vehicle class.
+    Class(VehicleClass),
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Number(number) => number.fmt(out),
+            Self::Class(class) => out.write_str(class.name()),
+        }
+    }
+}
+
+impl Serialize for Base {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Named(name) => serializer.serialize_str(name),
+            Self::Inline(spec) => spec.serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Base {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        /// Not an untagged enum: that would lose the line and field of a mistake inside the scenario.
+        struct NameOrTable;
+        impl<'de> de::Visitor<'de> for NameOrTable {
+            type Value = Base;
+
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                out.write_str("a scenario's name, or a scenario")
+            }
+
+            fn visit_str<E: de::Error>(self, name: &str) -> Result<Base, E> {
+                Ok(Base::Named(name.to_owned()))
+            }
+
+            fn visit_map<A: de::MapAccess<'de>>(self, map: A) -> Result<Base, A::Error> {
+                let spec = ScenarioSpec::deserialize(de::value::MapAccessDeserializer::new(map))?;
+                Ok(Base::Inline(Box::new(spec)))
+            }
+        }
+        deserializer.deserialize_any(NameOrTable)
+    }
+}
+
+#[cfg(feature = "schema")]
+impl schemars::JsonSchema for Base {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "Base".into()
+    }
+
+    fn json_schema(generator: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        let inline = generator.subschema_for::<ScenarioSpec>();
+        schemars::json_schema!({
+            "description": "The base scenario: the name of a built-in one or of a file, or spelled out.",
+            "anyOf": [{ "type": "string" }, inline],
+        })
+    }
+}

@@ -1,0 +1,172 @@
+//! Vehicles: class presets, what a file may override, and the resolved numbers the simulation uses.
+
+use serde::{Deserialize, Serialize};
+
+use super::driver::Driver;
+
+/// The two vehicle classes of the paper (section "Design of scenarios").
+///
+/// The paper fixes length and largest deceleration. It gives neither largest acceleration nor mass: those are ours,
+/// typical of a passenger car and of a loaded rigid truck.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum VehicleClass {
+    /// Passenger car: 2 m, brakes at up to 7.5 m/s², accelerates at up to 3 m/s², 1500 kg.
+    Light,
+    /// Truck: 15 m, brakes at up to 6 m/s², accelerates at up to 1.5 m/s², 15 000 kg.
+    Heavy,
+}
+
+impl VehicleClass {
+    /// Both classes, light first.
+    pub const ALL: [Self; 2] = [Self::Light, Self::Heavy];
+
+    /// The name used in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Light => "light",
+            Self::Heavy => "heavy",
+        }
+    }
+
+    /// Bumper to bumper, in metres.
+    #[must_use]
+    pub fn length_m(self) -> f64 {
+        match self {
+            Self::Light => 2.0,
+            Self::Heavy => 15.0,
+        }
+    }
+
+    /// Mass in kilograms.
+    #[must_use]
+    pub fn mass_kg(self) -> f64 {
+        match self {
+            Self::Light => 1_500.0,
+            Self::Heavy => 15_000.0,
+        }
+    }
+
+    /// Largest deceleration on a dry road, in m/s², positive.
+    #[must_use]
+    pub fn max_brake_mps2(self) -> f64 {
+        match self {
+            Self::Light => 7.5,
+            Self::Heavy => 6.0,
+        }
+    }
+
+    /// Largest acceleration in m/s².
+    #[must_use]
+    pub fn max_accel_mps2(self) -> f64 {
+        match self {
+            Self::Light => 3.0,
+            Self::Heavy => 1.5,
+        }
+    }
+}
+
+/// One vehicle as a scenario file states it: a class, where it starts, who drives it, and what differs from the class.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct VehicleSpec {
+    /// Preset for every limit that is not overridden.
+    pub class: VehicleClass,
+    /// Front bumper at the start, in metres along the road. Vehicles are listed front to rear.
+    #[cfg_attr(feature = "schema", schemars(range(min = -1e6, max = 1e6)))]
+    pub position_m: f64,
+    /// Speed at the start, in m/s.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
+    pub speed_mps: f64,
+    /// Who drives: a lead profile, a controller, or the controller under test.
+    pub driver: Driver,
+    /// Bumper to bumper, in metres. Default: the class's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.1, max = 100.0)))]
+    pub length_m: Option<f64>,
+    /// Mass in kilograms, load included. Default: the class's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1.0, max = 1e6)))]
+    pub mass_kg: Option<f64>,
+    /// Largest deceleration on a dry road, in m/s², positive. Default: the class's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.1, max = 30.0)))]
+    pub max_brake_mps2: Option<f64>,
+    /// Largest acceleration, in m/s². Default: the class's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 30.0)))]
+    pub max_accel_mps2: Option<f64>,
+    /// Standard deviation of the normal noise added to the acceleration each step, in m/s². Default 0.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
+    pub acceleration_noise_mps2: f64,
+    /// Time from what the driver sees to the command it gives, in seconds. Default 0.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
+    pub reaction_delay_s: f64,
+    /// Time constant of the first-order response of acceleration to the command, in seconds. Default 0: immediate.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
+    pub actuator_lag_s: f64,
+    /// Dead time between the command and the first response of the actuator, in seconds. Default 0.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
+    pub actuator_delay_s: f64,
+    /// Fastest change of acceleration, in m/s³. Default: unlimited.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.1, max = 1e4)))]
+    pub jerk_limit_mps3: Option<f64>,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+impl VehicleSpec {
+    /// A vehicle with nothing overridden.
+    #[must_use]
+    pub fn new(class: VehicleClass, position_m: f64, speed_mps: f64, driver: Driver) -> Self {
+        Self {
+            class,
+            position_m,
+            speed_mps,
+            driver,
+            length_m: None,
+            mass_kg: None,
+            max_brake_mps2: None,
+            max_accel_mps2: None,
+            acceleration_noise_mps2: 0.0,
+            reaction_delay_s: 0.0,
+            actuator_lag_s: 0.0,
+            actuator_delay_s: 0.0,
+            jerk_limit_mps3: None,
+        }
+    }
+
+    /// Bumper to bumper, in metres: the override, or the class's.
+    #[must_use]
+    pub fn length_m(&self) -> f64 {
+        self.length_m.unwrap_or(self.class.length_m())
+    }
+
+    /// Mass in kilograms: the override, or the class's.
+    #[must_use]
+    pub fn mass_kg(&self) -> f64 {
+        self.mass_kg.unwrap_or(self.class.mass_kg())
+    }
+
+    /// Largest deceleration on a dry road in m/s²: the override, or the class's.
+    #[must_use]
+    pub fn max_brake_mps2(&self) -> f64 {
+        self.max_brake_mps2.unwrap_or(self.class.max_brake_mps2())
+    }
+
+    /// Largest acceleration in m/s²: the override, or the class's.
+    #[must_use]
+    pub fn max_accel_mps2(&self) -> f64 {
+        self.max_accel_mps2.unwrap_or(self.class.max_accel_mps2())
+    }
+}

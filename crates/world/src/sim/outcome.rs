@@ -1,0 +1,125 @@
+//! How a run ended.
+
+use serde::{Deserialize, Serialize};
+
+/// Whether vehicles touched, and which first.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Outcome {
+    /// Nobody touched anybody before the scenario's duration was over.
+    NoCollision,
+    /// The first contact.
+    Collision(Contact),
+}
+
+impl Outcome {
+    /// The first contact, if there was one.
+    #[must_use]
+    pub fn contact(&self) -> Option<&Contact> {
+        match self {
+            Self::NoCollision => None,
+            Self::Collision(contact) => Some(contact),
+        }
+    }
+}
+
+/// A contact between two successive vehicles.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Contact {
+    /// When, in seconds: the root of the gap inside the step.
+    pub time_s: f64,
+    /// Index of the vehicle that is hit.
+    pub front_vehicle: usize,
+    /// Index of the vehicle that hits it.
+    pub rear_vehicle: usize,
+    /// Speed of the front vehicle just before, in m/s.
+    pub front_speed_mps: f64,
+    /// Speed of the rear vehicle just before, in m/s.
+    pub rear_speed_mps: f64,
+    /// Their difference, in m/s.
+    pub impact_speed_mps: f64,
+}
+
+/// A contact and what it does: a perfectly inelastic impact between two vehicles and whatever already sticks to them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Impact {
+    /// The contact.
+    #[serde(flatten)]
+    pub contact: Contact,
+    /// Speed of all involved just after, in m/s: momentum over mass.
+    pub common_speed_mps: f64,
+    /// Foremost vehicle involved.
+    pub first_involved: usize,
+    /// Rearmost vehicle involved.
+    pub last_involved: usize,
+}
+
+impl Impact {
+    /// Change of speed of vehicle `index` in this impact, in m/s, never negative; 0 if it is not involved.
+    #[must_use]
+    pub fn delta_v_mps(&self, index: usize) -> f64 {
+        if (self.first_involved..=self.contact.front_vehicle).contains(&index) {
+            self.common_speed_mps - self.contact.front_speed_mps
+        } else if (self.contact.rear_vehicle..=self.last_involved).contains(&index) {
+            self.contact.rear_speed_mps - self.common_speed_mps
+        } else {
+            0.0
+        }
+    }
+}
+
+/// What to do when vehicles touch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum AfterContact {
+    /// End the run at the instant of contact.
+    #[default]
+    Stop,
+    /// Let the two stick together with common momentum and go on, so that a pile-up can be counted.
+    Continue,
+}
+
+/// What one vehicle went through.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct VehicleSummary {
+    /// Smallest bumper gap to the vehicle ahead at any instant, in metres, 0 at contact; none for the leader.
+    pub min_gap_m: Option<f64>,
+    /// Smallest time to collision with the vehicle ahead at any sample, in seconds; none if it never closed in.
+    pub min_ttc_s: Option<f64>,
+    /// Hardest deceleration in m/s², positive.
+    pub max_brake_mps2: f64,
+    /// Whether it stood still at the end.
+    pub stopped: bool,
+}
+
+/// The result of one run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Simulated {
+    /// Whether and how vehicles first touched.
+    pub outcome: Outcome,
+    /// Every impact in order of time; at most one unless the run goes on after contact.
+    pub impacts: Vec<Impact>,
+    /// One entry a vehicle, front to rear.
+    pub vehicles: Vec<VehicleSummary>,
+    /// When shields braked instead of their controllers, by vehicle and time.
+    pub interventions: Vec<super::Intervention>,
+    /// The recorded motion, where it was asked for.
+    pub trace: Option<super::Trace>,
+}
+
+impl Simulated {
+    /// How many vehicles were involved in some impact.
+    #[must_use]
+    pub fn vehicles_involved(&self) -> usize {
+        (0..self.vehicles.len())
+            .filter(|index| {
+                self.impacts.iter().any(|impact| (impact.first_involved..=impact.last_involved).contains(index))
+            })
+            .count()
+    }
+}

@@ -1,0 +1,62 @@
+//! Arguments that choose one of a few values by name.
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use crumple_search::worst_case::{Aim, EscapeKind};
+use crumple_world::estimate::EstimatorKind;
+use crumple_world::sim::AfterContact;
+
+/// A value, the name it goes by, and what it means in the long help.
+type Choice<T> = (T, &'static str, &'static str);
+
+/// What vehicles under test may look through.
+pub(super) const ESTIMATORS: &[Choice<EstimatorKind>] = &[
+    (EstimatorKind::Kalman, "kalman", "Noisy sensors and a Kalman filter"),
+    (EstimatorKind::Truth, "truth", "The true state"),
+];
+
+/// What may happen at a contact.
+pub(super) const AFTER_CONTACT: &[Choice<AfterContact>] = &[
+    (AfterContact::Stop, "stop", "End the run at the instant of contact"),
+    (
+        AfterContact::Continue,
+        "continue",
+        "Let the two stick together with common momentum and go on, so that a pile-up can be counted",
+    ),
+];
+
+/// What an attack may be after.
+pub(super) const AIMS: &[Choice<Aim>] = &[
+    (Aim::Mildest, "mildest", "A collision with the least ∫ a² of the leader"),
+    (Aim::LeastPeak, "least-peak", "A collision with the least peak of its braking"),
+    (Aim::Severest, "severest", "The fastest impact"),
+];
+
+/// Which of all escapes may be shown.
+pub(super) const ESCAPES: &[Choice<EscapeKind>] = &[
+    (EscapeKind::LargestGap, "largest-gap", "The one with the largest smallest gap"),
+    (
+        EscapeKind::Gentlest,
+        "gentlest",
+        "The one with the least ∫ a² that keeps half that gap, if the brake behind fires no later than for that: of all \
+         escapes with that firing, not of those with another, which may be gentler",
+    ),
+    (
+        EscapeKind::LeastJerk,
+        "least-jerk",
+        "Likewise the one whose acceleration changes least, of all escapes with that firing",
+    ),
+];
+
+/// One of `choices`, by its name.
+pub(super) fn one_of<T: Copy + Send + Sync + 'static>(
+    choices: &'static [Choice<T>],
+) -> impl TypedValueParser<Value = T> {
+    let possible = choices.iter().map(|&(_, name, help)| PossibleValue::new(name).help(help));
+    PossibleValuesParser::new(possible)
+        .try_map(|name| choices.iter().find(|choice| choice.1 == name).map(|choice| choice.0).ok_or("unknown"))
+}
+
+/// The name that a value goes by.
+pub(super) fn name_of<T: Copy + PartialEq>(choices: &[Choice<T>], value: T) -> &'static str {
+    choices.iter().find(|choice| choice.0 == value).map_or("", |choice| choice.1)
+}
