@@ -8,7 +8,7 @@
 
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{Keep, Run, simulate, simulate_batch};
+use crumple_world::sim::{RecordingLevel, Run, simulate, simulate_batch};
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use rayon::ThreadPool;
@@ -45,7 +45,7 @@ fn lockstep(bencher: Bencher<'_, '_>, case: (&str, EstimatorKind), thread_count:
     let threads = threads(thread_count);
     bencher
         .counter(ItemsCount::new(rollouts::vehicle_steps(&runs)))
-        .bench_local(|| threads.install(|| simulate_batch(&runs, Keep::Summary, |_, result| result.outcome)));
+        .bench_local(|| threads.install(|| simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome)));
 }
 
 #[divan::bench(args = CASES, sample_count = 20)]
@@ -64,5 +64,5 @@ fn scalar_engine(bencher: Bencher<'_, '_>, case: (&str, EstimatorKind)) {
     let runs = runs(case, &scenarios);
     bencher
         .counter(ItemsCount::new(rollouts::vehicle_steps(&runs)))
-        .bench_local(|| runs.iter().map(|run| simulate(run, Keep::Summary).outcome).collect::<Vec<_>>());
+        .bench_local(|| runs.iter().map(|run| simulate(run, RecordingLevel::Summary).outcome).collect::<Vec<_>>());
 }

@@ -15,7 +15,7 @@ use crumple_world::estimate::EstimatorKind;
 use crumple_world::policy::Workspace;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::{PAPER_STEP_S, PaperDistribution};
-use crumple_world::sim::{Keep, Run, RunOptions, Simulated, simulate_batch};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, Simulated, simulate_batch};
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use pulp::{Arch, Simd, WithSimd};
@@ -182,8 +182,8 @@ fn lockstep_rollouts(bencher: Bencher<'_, '_>, width: usize) {
         Some(contact) => (contact.time_s / PAPER_STEP_S) as usize + 1,
         None => draws[index].steps(),
     };
-    let acts: usize = simulate_batch(&runs, Keep::Summary, steps).into_iter().sum();
+    let acts: usize = simulate_batch(&runs, RecordingLevel::Summary, steps).into_iter().sum();
     bencher
         .counter(ItemsCount::new(acts * acting(width)))
-        .bench_local(|| simulate_batch(&runs, Keep::Summary, |_, result| result.outcome));
+        .bench_local(|| simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));
 }

@@ -8,12 +8,12 @@
 
 use std::error::Error;
 
-use crumple_fuzzing::Hunt;
+use crumple_fuzzing::CollisionSearch;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let path = std::env::args().nth(1).ok_or("name the input, a file under fuzz/artifacts or fuzz/corpus")?;
     let bytes = std::fs::read(&path).map_err(|error| format!("{path}: {error}"))?;
     let controller = std::env::var("CRUMPLE_CONTROLLER").unwrap_or_else(|_| "baseline".to_owned());
-    print!("{}", Hunt::new(&controller, None)?.trial(&bytes).reproducer());
+    print!("{}", CollisionSearch::new(&controller, None)?.test_case(&bytes).reproducer());
     Ok(())
 }

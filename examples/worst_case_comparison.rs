@@ -8,7 +8,7 @@ use crumple_search::falsify::{Cube, Method};
 use crumple_search::worst_case::{Aim, Envelope, attack, hunt};
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, Scenario, built_in};
-use crumple_world::sim::{Keep, Outcome, Run, RunOptions, simulate_batch};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate_batch};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -53,7 +53,7 @@ fn against_samples() {
             }
             println!(
                 "| {name} | {family} | {SAMPLES} | {collided} | {least:.3} | {:.3} | {:?} | {} | {} |",
-                mildest.effort_m2ps3, mildest.way, mildest.evaluations, mildest.programs
+                mildest.effort_m2ps3, mildest.method, mildest.evaluations, mildest.programs
             );
         }
     }
@@ -187,7 +187,7 @@ fn simulated(scenario: &Scenario, options: &RunOptions, profiles: &[Vec<f64>]) -
     };
     let scenarios: Vec<_> = profiles.iter().map(scripted).collect();
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).expect("it fits")).collect();
-    simulate_batch(&runs, Keep::Summary, |_, result| {
+    simulate_batch(&runs, RecordingLevel::Summary, |_, result| {
         let gaps = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
         (result.outcome, gaps.fold(f64::INFINITY, f64::min))
     })

@@ -26,13 +26,13 @@
 //! ## Example
 //!
 //! ```
-//! use crumple::{ControllerSpec, Keep, Outcome, Run, RunOptions, simulate};
+//! use crumple::{ControllerSpec, RecordingLevel, Outcome, Run, RunOptions, simulate};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let scenario = crumple::world::scenario::built_in("paper-1").ok_or("not built in")?;
 //! let baseline = ControllerSpec::named("baseline").ok_or("not built in")?;
 //! let run = Run::new(&scenario, RunOptions::new(baseline))?;
-//! let result = simulate(&run, Keep::Summary);
+//! let result = simulate(&run, RecordingLevel::Summary);
 //! // The baseline spares the vehicle ahead and is hit from behind.
 //! assert!(matches!(result.outcome, Outcome::Collision(contact) if contact.rear_vehicle == 2));
 //! # Ok(())
@@ -45,4 +45,4 @@ pub use crumple_search as search;
 pub use crumple_world as world;
 
 pub use crumple_world::scenario::{ControllerSpec, Scenario};
-pub use crumple_world::sim::{Keep, Outcome, Run, RunOptions, simulate, simulate_batch};
+pub use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};

@@ -7,7 +7,7 @@ use candle_core::{Device, Tensor};
 use crumple_learn::rl::{HeldOut, Learner, Trainer, TrainingConfig};
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
-use crumple_world::sim::{Keep, simulate_batch};
+use crumple_world::sim::{RecordingLevel, simulate_batch};
 
 use crate::clock::{least_s, least_wall_s, now_s};
 use crate::table::Figure;
@@ -44,13 +44,13 @@ fn beside_the_peak(say: &mut dyn FnMut(Figure)) {
     let scenarios = scenarios(64);
     let runs = runs(&scenarios, Arc::new(policy(256)), EstimatorKind::Truth);
     let acts = |index: usize, result| 2 * steps(&runs[index], &result);
-    let acts: usize = simulate_batch(&runs, Keep::Summary, acts).iter().sum();
+    let acts: usize = simulate_batch(&runs, RecordingLevel::Summary, acts).iter().sum();
     let [hand_s, candle_s, rollouts_s, update_s] = least_s(
         12,
         [
             &mut || _ = black_box(large.act(&states)[0]),
             &mut || _ = black_box(left.matmul(&right).expect("shapes fit")),
-            &mut || _ = black_box(simulate_batch(&runs, Keep::Summary, |_, result| result.outcome)),
+            &mut || _ = black_box(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome)),
             &mut updates(&config(256, 512), 512, 1),
         ],
     );

@@ -21,7 +21,7 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
 pub fn campaign_memory(say: &mut dyn FnMut(Figure)) {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("campaign").display().to_string();
-    // As many again for the other yardstick.
+    // As many again for the other reference search.
     let arguments = ["--controller", "baseline", "--space", "paper", "--method", "uniform", "--budget", "5000000"];
     let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
     command.args(["falsify", "-q", "--estimator", "truth", "--out", &out]).args(arguments);

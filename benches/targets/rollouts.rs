@@ -2,7 +2,7 @@
 
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::Driver;
-use crumple_world::sim::{Keep, Outcome, simulate_batch};
+use crumple_world::sim::{Outcome, RecordingLevel, simulate_batch};
 
 use crate::clock::{least_s, least_wall_s, now_s};
 use crate::table::Figure;
@@ -16,7 +16,7 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
     let kalman = runs(&scenarios, built_in("baseline"), EstimatorKind::Kalman);
     let all = |runs| {
         move || {
-            std::hint::black_box(simulate_batch(runs, Keep::Summary, |_, result| result.outcome));
+            std::hint::black_box(simulate_batch(runs, RecordingLevel::Summary, |_, result| result.outcome));
         }
     };
     let [truth_s, kalman_s] = least_s(40, [&mut all(&truth), &mut all(&kalman)]);
@@ -43,7 +43,7 @@ pub fn scenarios_per_second() -> f64 {
     while now_s() - start_s < 2.0 {
         let scenarios: Vec<_> = (made..made + RUNS).map(of_run).collect();
         let runs = runs(&scenarios, built_in("idm"), EstimatorKind::Truth);
-        let outcomes = simulate_batch(&runs, Keep::Summary, |_, result| result.outcome);
+        let outcomes = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome);
         assert!(outcomes.iter().all(|outcome| *outcome == Outcome::NoCollision), "all steps are made");
         made += RUNS;
     }

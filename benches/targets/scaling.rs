@@ -8,7 +8,7 @@ use crumple_search::falsify::{Cube, Method};
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::stl::Formula;
 use crumple_world::random::{Purpose, stream};
-use crumple_world::sim::{Keep, simulate_batch};
+use crumple_world::sim::{RecordingLevel, simulate_batch};
 
 use crate::clock::least_s;
 use crate::work::long_lines::line;
@@ -71,7 +71,7 @@ fn drive(vehicles: usize, duration_s: f64, count: usize) -> Box<dyn FnMut()> {
     let scenarios = vec![line(vehicles, duration_s); count];
     Box::new(move || {
         let runs = runs(&scenarios, built_in("idm"), EstimatorKind::Truth);
-        black_box(simulate_batch(&runs, Keep::Summary, |_, result| result.outcome));
+        black_box(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));
     })
 }
 

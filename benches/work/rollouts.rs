@@ -3,7 +3,7 @@
 
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::{ControllerSpec, Driver, PaperDistribution, Scenario};
-use crumple_world::sim::{Keep, Run, RunOptions, Simulated, UnderTest, simulate_batch};
+use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, Simulated, simulate_batch};
 
 pub fn scenarios(count: u64) -> Vec<Scenario> {
     let draw = |index| {
@@ -13,11 +13,11 @@ pub fn scenarios(count: u64) -> Vec<Scenario> {
     (0..count).map(draw).collect()
 }
 
-pub fn built_in(controller: &str) -> UnderTest {
+pub fn built_in(controller: &str) -> ControllerKind {
     ControllerSpec::named(controller).expect("built in").into()
 }
 
-pub fn runs(scenarios: &[Scenario], controller: impl Into<UnderTest>, estimator: EstimatorKind) -> Vec<Run<'_>> {
+pub fn runs(scenarios: &[Scenario], controller: impl Into<ControllerKind>, estimator: EstimatorKind) -> Vec<Run<'_>> {
     let options = RunOptions::new(controller).with_estimator(estimator);
     scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).expect("valid")).collect()
 }
@@ -30,5 +30,5 @@ pub fn steps(run: &Run<'_>, result: &Simulated) -> usize {
 
 pub fn vehicle_steps(runs: &[Run<'_>]) -> usize {
     let made = |index: usize, result: Simulated| steps(&runs[index], &result) * runs[index].scenario().vehicles().len();
-    simulate_batch(runs, Keep::Summary, made).into_iter().sum()
+    simulate_batch(runs, RecordingLevel::Summary, made).into_iter().sum()
 }

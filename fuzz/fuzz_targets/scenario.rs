@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use crumple_fuzzing::{Hunt, TRIAL_BYTES, behaviour};
+use crumple_fuzzing::{CollisionSearch, TEST_CASE_BYTES, behaviour};
 use libfuzzer_sys::{Corpus, fuzz_target};
 
 /// What libFuzzer reads beside the code that was reached. It sets all to zero before each run, a word at a time; nothing
@@ -17,17 +17,17 @@ struct Counters([AtomicU8; behaviour::FEATURES.next_multiple_of(8)]);
 #[unsafe(link_section = "__libfuzzer_extra_counters")]
 static BEHAVIOUR: Counters = Counters([const { AtomicU8::new(0) }; behaviour::FEATURES.next_multiple_of(8)]);
 
-static HUNT: LazyLock<Hunt> = LazyLock::new(|| {
+static HUNT: LazyLock<CollisionSearch> = LazyLock::new(|| {
     let named = |name: &str| std::env::var(name).ok();
     let (controller, folder) = (named("CRUMPLE_CONTROLLER"), named("CRUMPLE_COLLISIONS"));
-    let hunt = Hunt::new(controller.as_deref().unwrap_or("baseline"), folder.as_deref().map(Path::new));
+    let hunt = CollisionSearch::new(controller.as_deref().unwrap_or("baseline"), folder.as_deref().map(Path::new));
     hunt.unwrap_or_else(|error| panic!("{error}"))
 });
 
 static FEEDBACK: LazyLock<bool> = LazyLock::new(|| std::env::var_os("CRUMPLE_NO_FEEDBACK").is_none());
 
 fuzz_target!(|bytes: &[u8]| -> Corpus {
-    if bytes.len() > TRIAL_BYTES {
+    if bytes.len() > TEST_CASE_BYTES {
         return Corpus::Reject;
     }
     let features = HUNT.take(bytes).unwrap_or_else(|error| panic!("{error}"));

@@ -8,7 +8,7 @@ use clap::Args;
 use super::output;
 use super::{Failure, progress};
 use crumple_report::assessment::{
-    AssessError, ComparisonError, Earlier, Plan, Store, StoreError, assess, files_of_evidence,
+    AssessError, AssessmentPlan, ComparisonError, Earlier, Store, StoreError, assess, files_of_evidence,
 };
 use crumple_search::disk::{DiskError, Files};
 use crumple_world::digest::sha256;
@@ -16,7 +16,7 @@ use crumple_world::digest::sha256;
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
 #[command(after_long_help = "\
-Without a file, every built-in controller, the policy behind a shield and the hardened one: on the paper's scenarios and 1000 draws of its \
+Without a file, every built-in controller, the policy behind a shield and the retrained one: on the paper's scenarios and 1000 draws of its \
 distribution, against a search for failures, against the mildest lead braking that makes each collide (see worst-case), with \
 what anyone could have made of each scenario (see avoid), and with every certificate checked. A file says more:
 
@@ -58,8 +58,8 @@ pub(super) struct Assess {
 impl Assess {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let plan = match &self.config {
-            None => Plan::built_in(),
-            Some(path) => Plan::load(path)?,
+            None => AssessmentPlan::built_in(),
+            Some(path) => AssessmentPlan::load(path)?,
         };
         let against = self.against.as_deref().map(Earlier::load).transpose()?;
         let kept = self.out.join("evidence");

@@ -26,7 +26,7 @@ pub(super) enum Failure {
     Environment(DiskError),
     /// Whoever read standard output has gone: exit code 0, as other command-line tools do.
     #[error("standard output is closed")]
-    NobodyListens,
+    BrokenPipe,
 }
 
 impl Failure {
@@ -42,14 +42,14 @@ impl Failure {
             Self::Gate(_) => ExitCode::from(1),
             Self::Input(_) => ExitCode::from(2),
             Self::Environment(_) => ExitCode::from(3),
-            Self::NobodyListens => ExitCode::SUCCESS,
+            Self::BrokenPipe => ExitCode::SUCCESS,
         }
     }
 
     /// Prints the failure to standard error.
     pub(super) fn report(&self) {
         match self {
-            Self::NobodyListens => {}
+            Self::BrokenPipe => {}
             Self::Gate(gate) => output::note(&format!("gate: {gate}"), false),
             other => output::note(&format!("error: {other}"), false),
         }

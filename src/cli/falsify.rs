@@ -11,12 +11,12 @@ use crumple_search::falsify::campaign::{Aim, Campaign, CampaignError, Progress};
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::Specification;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
-use crumple_world::sim::Contender;
+use crumple_world::sim::NamedController;
 
 /// Search for scenarios in which a controller fails
 #[derive(Args)]
 #[command(after_long_help = "\
-The method and two yardsticks (uniform points, a Halton sequence) get the same budget each. Failures are replayed at the \
+The method and two reference searches (uniform points, a Halton sequence) get the same budget each. Failures are replayed at the \
 scenario's step and at a tenth of it, shrunk, told apart and ranked. The folder holds every evaluation as Parquet \
 (`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a summary. A campaign that was \
 interrupted, by `kill -9` too, goes on with --resume and ends with the same bytes.
@@ -34,7 +34,7 @@ Examples:
 pub(super) struct Falsify {
     /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
     #[arg(long, value_name = "C", value_parser = subject::controller)]
-    controller: Contender,
+    controller: NamedController,
     /// Where to search: a built-in space (see `crumple list spaces`) or a space file
     #[arg(long, value_name = "S", default_value = "high-risk")]
     space: String,
@@ -44,7 +44,7 @@ pub(super) struct Falsify {
     /// Which failures the search is after once it knows some: severest, likeliest or nearest (to nominal)
     #[arg(long, value_name = "A", default_value = "severest")]
     aim: Aim,
-    /// Evaluations of the method, and of each yardstick
+    /// Evaluations of the method, and of each reference search
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
     budget: u64,
     /// Seed of the search and of all noise

@@ -10,7 +10,7 @@ use super::output;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
 use crumple_search::evidence::{BoxSpec, Partition, ReachPlan, Shares};
-use crumple_world::sim::Contender;
+use crumple_world::sim::NamedController;
 
 /// From which part of a box of starts a learned policy touches nobody
 #[derive(Args)]
@@ -24,7 +24,7 @@ Example:
 pub(super) struct Reach {
     /// A learned policy: `policy`, or a policy file
     #[arg(long, value_name = "C", default_value = "policy", value_parser = subject::controller)]
-    controller: Contender,
+    controller: NamedController,
     /// The box
     #[arg(long = "box", value_name = "FILE")]
     starts: PathBuf,
@@ -43,7 +43,7 @@ impl Reach {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let place = self.starts.display();
         let failed = |error: crumple_search::evidence::InvalidBox| Failure::Input(format!("{place}: {error}"));
-        let is_shielded = matches!(self.controller.controller, crumple_world::sim::UnderTest::Shielded(_));
+        let is_shielded = matches!(self.controller.kind, crumple_world::sim::ControllerKind::Shielded(_));
         let policy = self.controller.policy().filter(|_| !is_shielded);
         let policy = policy.ok_or_else(|| Failure::Input("--controller: must be a learned policy".to_owned()))?;
         let text = std::fs::read_to_string(&self.starts).map_err(DiskError::at(&self.starts))?;

@@ -1,4 +1,4 @@
-//! `crumple retrain`: harden a policy against what a search finds.
+//! `crumple retrain`: retrain a policy against what a search finds.
 
 use std::path::{Path, PathBuf};
 
@@ -7,14 +7,14 @@ use indicatif::ProgressBar;
 
 use super::simulate::Format;
 use super::{Failure, output, progress, subject};
-use crumple_learn::retrain::{HardenError, Plan, Progress, Report, Settings, training_preset};
+use crumple_learn::retrain::{Progress, Report, RetrainError, RetrainingPlan, Settings, training_preset};
 use crumple_learn::rl::TrainingConfig;
 use crumple_search::disk::DiskError;
 use crumple_search::falsify::Method;
 use crumple_world::scenario::space::Space;
-use crumple_world::sim::Contender;
+use crumple_world::sim::NamedController;
 
-/// Harden a policy: search for failures, train on those that could have been avoided, accept what breaks nothing
+/// Retrain a policy: search for failures, train on those that could have been avoided, accept what breaks nothing
 #[derive(Args)]
 #[command(after_long_help = "\
 Each round searches for contacts of the policy, keeps those that somebody could have avoided, trains on with them mixed into \
@@ -22,23 +22,23 @@ the paper's distribution and draws of the space, and judges the best checkpoint.
 safe in the paper's scenarios and distribution fails and the contacts in a corpus kept aside do not rise. It ends after \
 --rounds, or when a search finds nothing avoidable, and then judges the result on draws that had no part in it.
 
-The folder holds the policy, the corpora it was hardened, accepted and judged on, a report (report.md, report.json) with \
+The folder holds the policy, the corpora it was retrained, accepted and judged on, a report (report.md, report.json) with \
 their hashes, and each round. A retraining that was interrupted, by `kill -9` too, goes on with --resume and ends with the \
 same bytes, on any number of threads. It exits with 1 if no round was accepted.
 
 Examples:
-  crumple retrain --out runs/hardened
+  crumple retrain --out runs/retrained
   crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 --judge 20000
-  crumple simulate paper-1 --controller runs/hardened/policy.safetensors --expect safe")]
+  crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
 pub(super) struct Retrain {
     /// Policy to begin with: `policy`, or a policy file
     #[arg(long, value_name = "P", default_value = "policy", value_parser = subject::controller)]
-    policy: Contender,
+    policy: NamedController,
     /// Where to search, and what to draw from: a built-in space (see `crumple list spaces`) or a space file
     #[arg(long, value_name = "S", default_value = "high-risk", value_parser = subject::space)]
     space: (String, Space),
-    /// How to train: `harden`, or a TOML file like those of `crumple train`
-    #[arg(long, value_name = "PRESET", default_value = "harden")]
+    /// How to train: `retrain`, or a TOML file like those of `crumple train`
+    #[arg(long, value_name = "PRESET", default_value = "retrain")]
     preset: String,
     /// Rounds at most
     #[arg(long, value_name = "N", default_value_t = Settings::default().rounds, value_parser = value_parser!(u64).range(1..=99))]
@@ -49,7 +49,7 @@ pub(super) struct Retrain {
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Evaluations of the search method in a round, and of each yardstick
+    /// Evaluations of the search method in a round, and of each reference search
     #[arg(long, value_name = "N", default_value_t = Settings::default().budget, value_parser = value_parser!(u64).range(1..=1_000_000))]
     budget: u64,
     /// Draws of the space that each search drives beside
@@ -84,7 +84,7 @@ impl Retrain {
         let first = self.policy.policy().filter(|_| !name.starts_with("shield"));
         let first =
             first.ok_or_else(|| Failure::Input(format!("--policy: `{name}` is no policy that can be trained on")))?;
-        let plan = Plan {
+        let plan = RetrainingPlan {
             first,
             first_name: name.clone(),
             space: self.space.1,
@@ -121,7 +121,7 @@ impl Retrain {
 
 /// Rounds were made and none was accepted: the policy is the first one.
 fn gate(report: &Report) -> Result<(), Failure> {
-    if report.rounds.is_empty() || report.is_hardened() {
+    if report.rounds.is_empty() || report.is_retrained() {
         return Ok(());
     }
     Err(Failure::Gate(format!("no round was accepted: `{}` is as it was", report.first)))
@@ -134,7 +134,8 @@ fn training(name: &str) -> Result<TrainingConfig, Failure> {
         let text = crumple_world::scenario::file::read(path)?;
         return TrainingConfig::parse(&text).map_err(|error| Failure::Input(format!("{name}: {error}")));
     }
-    if name == "harden" { training_preset() } else { TrainingConfig::preset(name) }.map_err(Failure::input)
+    if ["retrain", "harden"].contains(&name) { training_preset() } else { TrainingConfig::preset(name) }
+        .map_err(Failure::input)
 }
 
 fn show(bar: &ProgressBar, state: Progress) {
@@ -158,12 +159,12 @@ fn show(bar: &ProgressBar, state: Progress) {
     bar.tick();
 }
 
-impl From<HardenError> for Failure {
-    fn from(error: HardenError) -> Self {
+impl From<RetrainError> for Failure {
+    fn from(error: RetrainError) -> Self {
         match error {
-            HardenError::Disk(error) => error.into(),
-            HardenError::Campaign(campaign) => campaign.into(),
-            HardenError::Training(training) => training.into(),
+            RetrainError::Disk(error) => error.into(),
+            RetrainError::Campaign(campaign) => campaign.into(),
+            RetrainError::Training(training) => training.into(),
             other => Self::input(other),
         }
     }

@@ -14,8 +14,8 @@ use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::scenario::{Driver, Scenario};
 use crumple_world::sim::{
-    AfterContact, Contender, Impact, Intervention, Keep, Outcome, Run, RunOptions, Simulated, Trace, VehicleSummary,
-    simulate, simulate_batch,
+    AfterContact, Impact, Intervention, NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, Trace,
+    VehicleSummary, simulate, simulate_batch,
 };
 
 /// Run scenarios and say what happened
@@ -38,7 +38,7 @@ pub(super) struct Simulate {
     scenarios: Vec<String>,
     /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = subject::controller)]
-    controller: Contender,
+    controller: NamedController,
     /// What the vehicles under test look through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
@@ -163,7 +163,8 @@ impl Simulate {
             let name = &scenario.spec().name;
             output::note(&format!("note: {name} has no vehicle under test, so --controller drives nobody"), quiet);
         }
-        let keep = if self.trace.is_some() || self.plot.is_some() { Keep::Trace } else { Keep::Summary };
+        let keep =
+            if self.trace.is_some() || self.plot.is_some() { RecordingLevel::Trace } else { RecordingLevel::Summary };
         let many = runs.len() > 1;
         let results = simulate_batch(&runs, keep, |index, simulated| self.render(&runs[index], &simulated, many));
         let results = results.into_iter().collect::<Result<Vec<_>, _>>()?;
@@ -213,7 +214,7 @@ impl Simulate {
     }
 
     fn options(&self) -> RunOptions {
-        let options = RunOptions::new(self.controller.controller.clone())
+        let options = RunOptions::new(self.controller.kind.clone())
             .with_estimator(self.estimator)
             .with_after_contact(self.after_contact);
         match self.dt {
@@ -242,7 +243,7 @@ impl Simulate {
 
     /// What each specification says; those that need the same kind of run share one.
     fn judge(&self, scenario: &Scenario) -> Result<Vec<Judged>, SpecificationError> {
-        let mut runs: Vec<(Run<'_>, Keep, Simulated)> = Vec::new();
+        let mut runs: Vec<(Run<'_>, RecordingLevel, Simulated)> = Vec::new();
         let judge = |text: &String| {
             let specification = Specification::parse(text, scenario)?;
             let (keep, after_contact) = (specification.keep(), specification.after_contact());

@@ -6,7 +6,7 @@ use super::Failure;
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::space::{self, BUILT_IN_SPACES, Space, built_in_space};
 use crumple_world::scenario::{ControllerSpec, Scenario, built_in, built_in_names, file};
-use crumple_world::sim::{Contender, Keep, Run, RunOptions, Simulated, simulate};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate};
 
 /// A built-in scenario, or the one in a file.
 pub(super) fn scenario(name_or_path: &str) -> Result<Scenario, Failure> {
@@ -38,12 +38,12 @@ pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
 }
 
 /// A built-in controller or a policy file, for clap.
-pub(super) fn controller(name: &str) -> Result<Contender, String> {
-    Contender::find(name, Path::new("")).map_err(|error| error.to_string())
+pub(super) fn controller(name: &str) -> Result<NamedController, String> {
+    NamedController::find(name, Path::new("")).map_err(|error| error.to_string())
 }
 
 /// What a scenario of scripts and fixed drivers does.
 pub(super) fn replay(scenario: &Scenario) -> Result<Simulated, Failure> {
     let run = Run::new(scenario, RunOptions::new(ControllerSpec::MatchLeader).with_estimator(EstimatorKind::Truth))?;
-    Ok(simulate(&run, Keep::Trace))
+    Ok(simulate(&run, RecordingLevel::Trace))
 }

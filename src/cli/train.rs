@@ -172,7 +172,7 @@ fn train_seed(
         }
         _ => Trainer::new(config, seed),
     };
-    let mut scribe = Scribe::new(folder, &trainer, bar)?;
+    let mut scribe = CheckpointWriter::new(folder, &trainer, bar)?;
     train::<Failure>(&mut trainer, held_out, &mut scribe)?;
     bar.inc(config.episodes.saturating_sub(trainer.episode()));
     let policy = Arc::new(trainer.policy()?);
@@ -187,7 +187,7 @@ fn train_seed(
 }
 
 /// Writes one seed's log and checkpoints, and tells the progress bar.
-struct Scribe<'a> {
+struct CheckpointWriter<'a> {
     seed: u64,
     folder: &'a Path,
     log: File,
@@ -199,7 +199,7 @@ struct Scribe<'a> {
 /// Episodes whose mean reward the progress bar shows.
 const RECENT: usize = 20;
 
-impl<'a> Scribe<'a> {
+impl<'a> CheckpointWriter<'a> {
     /// A log that begins empty, or goes on after the entries of the episodes that the training has done.
     fn new(folder: &'a Path, trainer: &Trainer, bar: &'a ProgressBar) -> Result<Self, Failure> {
         let (path, episode) = (folder.join(LOG), trainer.episode());
@@ -219,7 +219,7 @@ impl<'a> Scribe<'a> {
     }
 }
 
-impl Observer<Failure> for Scribe<'_> {
+impl Observer<Failure> for CheckpointWriter<'_> {
     fn event(&mut self, event: &Event) -> Result<(), Failure> {
         let line = serde_json::to_string(event).map_err(Failure::input)?;
         writeln!(self.log, "{line}").map_err(DiskError::at(&self.folder.join(LOG)))?;

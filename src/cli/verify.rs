@@ -14,10 +14,10 @@ use super::output;
 use super::simulate::Format;
 use super::{Failure, choice, interrupt, progress, rare, reach, subject};
 use crumple_search::evidence::rare::{Effort, RarePlan};
-use crumple_search::evidence::{Plan, PlanDriver, Tally, shipped_kernels};
+use crumple_search::evidence::{RateConfig, RatePlan, Tally, shipped_kernels};
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::space::Space;
-use crumple_world::sim::Contender;
+use crumple_world::sim::NamedController;
 
 /// Make claims and write certificates that `crumple check` accepts by itself
 #[derive(Args)]
@@ -62,10 +62,10 @@ Examples:
 struct Rate {
     /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
     #[arg(long, value_name = "C", value_parser = subject::controller)]
-    controller: Contender,
+    controller: NamedController,
     /// Another controller on the same draws: show that the first fails less often
     #[arg(long, value_name = "C", value_parser = subject::controller)]
-    against: Option<Contender>,
+    against: Option<NamedController>,
     /// Space that runs are drawn from (see `crumple list spaces`), or a space file
     #[arg(long, value_name = "S", default_value = "paper", value_parser = subject::space)]
     space: (String, Space),
@@ -129,7 +129,7 @@ impl Rate {
         let Some(runs) = self.runs else { return self.estimate(quiet) };
         let [registered, counted, proved] =
             ["registration", "progress", "certificate"].map(|name| self.out.join(format!("{name}.json")));
-        let plan = Plan::new(PlanDriver {
+        let plan = RatePlan::new(RateConfig {
             controllers: (self.controller, self.against),
             space: self.space,
             seed: self.seed,

@@ -8,9 +8,9 @@ use serde::Serialize;
 use super::finding::Finding;
 use super::{Failure, choice, subject};
 use crumple_search::disk::Files;
-use crumple_search::worst_case::{Aim, Attack, Envelope, Way, attack};
+use crumple_search::worst_case::{Aim, Attack, AttackMethod, Envelope, attack};
 use crumple_world::estimate::EstimatorKind;
-use crumple_world::sim::{Contender, Keep, Outcome, Run, RunOptions, simulate};
+use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Find the mildest braking of the leader that makes a controller collide, or the severest impact
 #[derive(Args)]
@@ -30,7 +30,7 @@ pub(super) struct WorstCase {
     scenario: String,
     /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
     #[arg(long, value_name = "C", value_parser = subject::controller)]
-    controller: Contender,
+    controller: NamedController,
     /// What the vehicles under test look through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
@@ -58,7 +58,7 @@ struct Report<'a> {
     estimator: &'static str,
     aim: &'static str,
     found: bool,
-    way: Option<Way>,
+    method: Option<AttackMethod>,
     outcome: Option<Outcome>,
     effort_m2ps3: Option<f64>,
     peak_brake_mps2: Option<f64>,
@@ -75,12 +75,12 @@ impl WorstCase {
             max_brake_mps2: self.max_brake.unwrap_or(Envelope::of(&scenario).max_brake_mps2),
             jerk_mps3: self.jerk,
         };
-        let options = RunOptions::new(self.controller.controller.clone()).with_estimator(self.estimator);
+        let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
         let found = attack(&scenario, &options, self.aim, envelope, self.budget as usize).map_err(Failure::input)?;
         let mut files = Files::default();
         match &found {
             Some(attack) => {
-                let replay = || Ok(simulate(&Run::new(&attack.scenario, options)?, Keep::Trace));
+                let replay = || Ok(simulate(&Run::new(&attack.scenario, options)?, RecordingLevel::Trace));
                 self.finding.write(&attack.scenario, &self.controller.name, &mut files, replay)?;
             }
             None => self.finding.note_nothing("no collision was found, so there is nothing", quiet),
@@ -96,7 +96,7 @@ impl WorstCase {
             estimator: self.estimator.name(),
             aim: choice::name_of(choice::AIMS, self.aim),
             found: found.is_some(),
-            way: found.map(|attack| attack.way),
+            method: found.map(|attack| attack.method),
             outcome: found.map(|attack| attack.outcome),
             effort_m2ps3: found.map(|attack| attack.effort_m2ps3),
             peak_brake_mps2: found.map(|attack| attack.peak_brake_mps2),
@@ -111,7 +111,7 @@ impl WorstCase {
 fn describe(report: &Report<'_>) -> String {
     let Report { scenario, controller, estimator, aim, .. } = report;
     let mut text = format!("{scenario}: {controller}, estimator {estimator}, {aim}\n");
-    let (Some(effort), Some(peak), Some(way)) = (report.effort_m2ps3, report.peak_brake_mps2, report.way) else {
+    let (Some(effort), Some(peak), Some(method)) = (report.effort_m2ps3, report.peak_brake_mps2, report.method) else {
         return text + "  no collision found\n";
     };
     // Writing to a string cannot fail.
@@ -126,12 +126,12 @@ fn describe(report: &Report<'_>) -> String {
     if let (Some(predicted), Some(margin)) = (report.predicted_margin_m, report.margin_m) {
         let _ = writeln!(text, "  margin {margin:.3} m; the last program predicted {predicted:.3} m");
     }
-    let way = match way {
-        Way::Exact => "exact on this grid",
-        Way::Widened => "near the least on this grid: exact but for noise and filter",
-        Way::Sequential => "a local optimum",
+    let method = match method {
+        AttackMethod::Exact => "exact on this grid",
+        AttackMethod::Widened => "near the least on this grid: exact but for noise and filter",
+        AttackMethod::Sequential => "a local optimum",
     };
     let (evaluations, programs) = (report.evaluations.unwrap_or(0), report.programs.unwrap_or(0));
-    let _ = writeln!(text, "  {way}; {evaluations} simulations, {programs} convex programs");
+    let _ = writeln!(text, "  {method}; {evaluations} simulations, {programs} convex programs");
     text
 }

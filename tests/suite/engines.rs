@@ -4,7 +4,7 @@
 use crumple_fuzzing::oracle::bits;
 use crumple_fuzzing::{Kind, Setup, Shape};
 use crumple_world::scenario::{ControllerSpec, PaperDistribution, Scenario};
-use crumple_world::sim::{AfterContact, Keep, Run, RunOptions, simulate, simulate_batch};
+use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 use proptest::prelude::*;
 
 use crate::generate::{any_after_contact, any_setup, any_shape, cases, scenario_of};
@@ -41,7 +41,7 @@ fn runs<'s>(cases: impl IntoIterator<Item = &'s Case>) -> Vec<Run<'s>> {
     cases.into_iter().map(run).collect()
 }
 
-fn batch_bits(runs: &[Run<'_>], keep: Keep, threads: usize) -> Vec<Vec<u64>> {
+fn batch_bits(runs: &[Run<'_>], keep: RecordingLevel, threads: usize) -> Vec<Vec<u64>> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
     pool.install(|| simulate_batch(runs, keep, |_, result| bits(&result)))
 }
@@ -53,7 +53,7 @@ proptest! {
     #[test]
     fn a_batch_is_its_runs_one_by_one(batch in batch()) {
         let runs = runs(&batch);
-        for keep in [Keep::Trace, Keep::Summary] {
+        for keep in [RecordingLevel::Trace, RecordingLevel::Summary] {
             let one_by_one: Vec<_> = runs.iter().map(|run| bits(&simulate(run, keep))).collect();
             let together = simulate_batch(&runs, keep, |_, result| bits(&result));
             for (index, (one, other)) in one_by_one.iter().zip(&together).enumerate() {
@@ -65,11 +65,11 @@ proptest! {
     /// Neither the number of threads nor the order of the runs reaches a result.
     #[test]
     fn threads_and_order_change_nothing(batch in batch()) {
-        let forwards = batch_bits(&runs(&batch), Keep::Trace, 1);
+        let forwards = batch_bits(&runs(&batch), RecordingLevel::Trace, 1);
         for threads in [2, 3] {
-            prop_assert!(batch_bits(&runs(&batch), Keep::Trace, threads) == forwards, "{threads} threads");
+            prop_assert!(batch_bits(&runs(&batch), RecordingLevel::Trace, threads) == forwards, "{threads} threads");
         }
-        let mut backwards = batch_bits(&runs(batch.iter().rev()), Keep::Trace, 2);
+        let mut backwards = batch_bits(&runs(batch.iter().rev()), RecordingLevel::Trace, 2);
         backwards.reverse();
         prop_assert!(backwards == forwards, "the other way round");
     }
@@ -83,10 +83,10 @@ fn full_blocks_of_the_papers_distribution_agree_with_the_scalar_engine() {
         for after_contact in [AfterContact::Stop, AfterContact::Continue] {
             let options = RunOptions::new(controller.clone()).with_after_contact(after_contact);
             let runs: Vec<_> = draws.iter().map(|draw| Run::new(draw, options.clone()).unwrap()).collect();
-            let together = batch_bits(&runs, Keep::Summary, 3);
+            let together = batch_bits(&runs, RecordingLevel::Summary, 3);
             for (run, bits_together) in runs.iter().zip(together) {
                 let name = &run.scenario().spec().name;
-                assert!(bits(&simulate(run, Keep::Summary)) == bits_together, "{name} {}", controller.name());
+                assert!(bits(&simulate(run, RecordingLevel::Summary)) == bits_together, "{name} {}", controller.name());
             }
         }
     }
@@ -98,7 +98,7 @@ fn results_come_back_in_order() {
     let draws: Vec<_> = (0..100).map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap()).collect();
     let options = RunOptions::new(ControllerSpec::named("match-leader").unwrap());
     let runs: Vec<_> = draws.iter().map(|draw| Run::new(draw, options.clone()).unwrap()).collect();
-    let indices = simulate_batch(&runs, Keep::Summary, |index, _| index);
+    let indices = simulate_batch(&runs, RecordingLevel::Summary, |index, _| index);
     assert_eq!(indices, (0..100).collect::<Vec<_>>());
-    assert!(simulate_batch(&[], Keep::Trace, |index, _| index).is_empty());
+    assert!(simulate_batch(&[], RecordingLevel::Trace, |index, _| index).is_empty());
 }

@@ -12,12 +12,12 @@ use crumple_world::estimate::{
 };
 use crumple_world::random::Purpose;
 use crumple_world::scenario::{ControllerSpec, PaperDistribution, Scenario, Sensors, built_in};
-use crumple_world::sim::{Keep, Run, RunOptions, Stepper};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, Stepper};
 use proptest::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use self::world::WhiteJerk;
-use crate::generate::{any_trial, ask, cases, traced};
+use crate::generate::{any_test_case, ask, cases, traced};
 
 /// Whether a sum of `count` squared standard normal numbers lies within the band that holds a `share` of such sums.
 fn in_band(sum: f64, count: usize, share: f64) -> bool {
@@ -179,7 +179,7 @@ fn without_noise_the_own_motion_is_exact_through_every_jump() {
     let scenario = built_in("paper-2").expect("built in").edited(|spec| spec.sensors = sensors).expect("valid");
     let options = RunOptions::new(ControllerSpec::named("baseline").expect("built in"));
     let run = Run::new(&scenario, options).expect("valid");
-    let mut stepper = Stepper::new(&run, Keep::Summary);
+    let mut stepper = Stepper::new(&run, RecordingLevel::Summary);
     let mut last_mps2 = 0.0;
     while !stepper.has_ended() {
         let seen = stepper.observe(1).expect("it is there");
@@ -276,7 +276,7 @@ proptest! {
     /// Whatever happens, estimates are finite, speeds are not negative, and where no measurement is lost errors are what
     /// noise and lag explain. Who sees the truth sees the truth.
     #[test]
-    fn what_is_seen_is_near_the_truth(trial in any_trial()) {
-        ask(&trial, estimates_are_sane)?;
+    fn what_is_seen_is_near_the_truth(test_case in any_test_case()) {
+        ask(&test_case, estimates_are_sane)?;
     }
 }

@@ -7,7 +7,7 @@ use crumple_world::measure::stl::{
 use crumple_world::sim::{AfterContact, Trace, Track};
 use proptest::prelude::*;
 
-use crate::generate::{any_trial, cases, traced};
+use crate::generate::{any_test_case, cases, traced};
 
 proptest! {
     #![proptest_config(cases(256))]
@@ -53,14 +53,14 @@ proptest! {
 
     /// Vehicles that stick together are at distance zero, exactly: "never apart again" must not be decided by rounding.
     #[test]
-    fn vehicles_that_touched_have_no_gap(mut trial in any_trial()) {
-        trial.setup.after_contact = AfterContact::Continue;
-        let options = trial.setup.options(trial.scenario.spec().step_s);
-        let result = traced(&trial.scenario, &options);
+    fn vehicles_that_touched_have_no_gap(mut test_case in any_test_case()) {
+        test_case.setup.after_contact = AfterContact::Continue;
+        let options = test_case.setup.options(test_case.scenario.spec().step_s);
+        let result = traced(&test_case.scenario, &options);
         let trace = result.trace.as_ref().expect("kept");
         let names = motion_signal_names(trace.vehicles.len());
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let signals = motion_signals(trace, trial.scenario.spec().step_s, &names).unwrap();
+        let signals = motion_signals(trace, test_case.scenario.spec().step_s, &names).unwrap();
         for impact in &result.impacts {
             let gaps_m = signals.get(&format!("v{}.gap_m", impact.contact.rear_vehicle)).expect("it is behind another");
             let mut after = trace.time_s.iter().zip(gaps_m).filter(|(t, _)| **t > impact.contact.time_s + 1e-9);

@@ -4,9 +4,11 @@
 //! Bytes shrink to zero, and zero bytes are the paper's scenario 1.
 
 use arbitrary::Unstructured;
-use crumple_fuzzing::{self, Checked, Crumple, Oracle, SCENARIO_BYTES, SETUP_BYTES, Setup, Shape, TRIAL_BYTES, Trial};
+use crumple_fuzzing::{
+    self, Checked, Crumple, Oracle, SCENARIO_BYTES, SETUP_BYTES, Setup, Shape, TEST_CASE_BYTES, TestCase,
+};
 use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, ScenarioSpec};
-use crumple_world::sim::{AfterContact, Keep, Run, RunOptions, Simulated, simulate};
+use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, Simulated, simulate};
 use proptest::prelude::*;
 
 /// A configuration for `normal` cases, scaled by `PROPTEST_CASES` as every other one is.
@@ -18,12 +20,12 @@ pub(crate) fn cases(normal: u32) -> ProptestConfig {
 
 /// Runs a scenario with everything recorded.
 pub(crate) fn traced(scenario: &Scenario, options: &RunOptions) -> Simulated {
-    simulate(&Run::new(scenario, options.clone()).expect("fits"), Keep::Trace)
+    simulate(&Run::new(scenario, options.clone()).expect("fits"), RecordingLevel::Trace)
 }
 
-/// Asks an oracle; a trial that rounding decides does not count.
-pub(crate) fn ask(trial: &Trial, oracle: Oracle) -> Result<(), TestCaseError> {
-    match trial.ask(oracle, &Crumple) {
+/// Asks an oracle; a test case that rounding decides does not count.
+pub(crate) fn ask(test_case: &TestCase, oracle: Oracle) -> Result<(), TestCaseError> {
+    match test_case.ask(oracle, &Crumple) {
         Ok(Checked::Holds | Checked::DoesNotApply) => Ok(()),
         Ok(Checked::Undecided) => Err(TestCaseError::reject("rounding decides it")),
         Err(violation) => Err(TestCaseError::fail(violation.to_string())),
@@ -35,9 +37,9 @@ pub(crate) fn bytes(count: usize) -> impl Strategy<Value = Vec<u8>> {
     prop::collection::vec(any::<u8>(), count)
 }
 
-/// Any trial.
-pub(crate) fn any_trial() -> impl Strategy<Value = Trial> {
-    bytes(TRIAL_BYTES).prop_map(|bytes| Trial::of_bytes(&bytes))
+/// Any test case.
+pub(crate) fn any_test_case() -> impl Strategy<Value = TestCase> {
+    bytes(TEST_CASE_BYTES).prop_map(|bytes| TestCase::of_bytes(&bytes))
 }
 
 /// Any valid scenario, with all that a file can say.

@@ -2,7 +2,7 @@
 
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::{ControllerSpec, Scenario, built_in};
-use crumple_world::sim::{AfterContact, Keep, Outcome, Run, RunOptions, Simulated, simulate};
+use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
 
 const PAPERS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 
@@ -15,7 +15,7 @@ fn options(controller: &str, estimator: EstimatorKind) -> RunOptions {
 }
 
 fn run(scenario: &Scenario, options: RunOptions) -> Simulated {
-    simulate(&Run::new(scenario, options).expect("fits"), Keep::Summary)
+    simulate(&Run::new(scenario, options).expect("fits"), RecordingLevel::Summary)
 }
 
 fn with_truth(name: &str, controller: &str) -> Simulated {
@@ -85,7 +85,7 @@ fn trivial_controllers_avoid_all_three() {
 fn the_unlatched_baseline_chatters_and_scrapes_through_scenario_2() {
     let scenario = scenario("paper-2");
     let run = Run::new(&scenario, options("baseline-unlatched", EstimatorKind::Truth)).unwrap();
-    let result = simulate(&run, Keep::Trace);
+    let result = simulate(&run, RecordingLevel::Trace);
     assert_eq!(result.outcome, Outcome::NoCollision);
     let closest = result.vehicles[1].min_gap_m.unwrap();
     assert!((0.0..0.1).contains(&closest), "scrapes through: {closest} m");

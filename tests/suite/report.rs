@@ -4,12 +4,12 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use crumple_report::assessment::{Assessment, Best, Plan, Store, assess};
+use crumple_report::assessment::{Assessment, AssessmentPlan, Best, Store, assess};
 use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
 static BUILT_IN: LazyLock<Assessment> =
-    LazyLock::new(|| assess(&Plan::built_in(), &Store::none(), None, &|_| {}).expect("runs"));
+    LazyLock::new(|| assess(&AssessmentPlan::built_in(), &Store::none(), None, &|_| {}).expect("runs"));
 
 fn committed(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name);
@@ -112,16 +112,16 @@ fn the_goal_structure_has_no_dangling_reference() {
 #[test]
 fn every_counterexample_of_the_report_collides() {
     use crumple_world::scenario::file;
-    use crumple_world::sim::{Contender, Keep, Run, RunOptions, simulate};
+    use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
     let files = BUILT_IN.files().expect("renders");
     let mut replayed = 0;
     for search in BUILT_IN.searches.spaces.iter().flat_map(|space| &space.controllers) {
-        let controller = Contender::find(&search.controller, Path::new("")).expect("known").controller;
+        let controller = NamedController::find(&search.controller, Path::new("")).expect("known").kind;
         for failure in &search.failures {
             let (_, text) = files.iter().find(|(name, _)| *name == failure.file).expect("written");
             let scenario = file::from_toml(text, Path::new(&failure.file)).expect("valid");
             let run = Run::new(&scenario, RunOptions::new(controller.clone())).expect("runs");
-            let outcome = simulate(&run, Keep::Summary).outcome;
+            let outcome = simulate(&run, RecordingLevel::Summary).outcome;
             let contact = outcome.contact().unwrap_or_else(|| panic!("{} is safe", failure.file));
             let shown = failure.impact_speed_mps.expect("a speed").value();
             assert!((contact.impact_speed_mps - shown).abs() <= 0.051, "{}: {shown}", failure.file);

@@ -8,7 +8,7 @@ use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::Specification;
 use crumple_world::scenario::file;
 use crumple_world::scenario::space::{Space, built_in_space};
-use crumple_world::sim::Contender;
+use crumple_world::sim::NamedController;
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 
@@ -37,7 +37,7 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
     let method = select(Method::ALL.to_vec());
     (space, controller, estimator, aim, method, 1..ENOUGH, 0..u64::MAX >> 1).prop_map(
         |(space, controller, estimator, aim, method, budget, seed)| Campaign {
-            controller: Contender::find(controller, Path::new(".")).expect("built in"),
+            controller: NamedController::find(controller, Path::new(".")).expect("built in"),
             specification: Specification::NoContact,
             estimator,
             space,

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crumple_fuzzing::targets::TARGETS;
-use crumple_fuzzing::{self, FileFormat, TRIAL_BYTES, Trial};
+use crumple_fuzzing::{self, FileFormat, TEST_CASE_BYTES, TestCase};
 use crumple_search::evidence::{BoxSpec, ReachPlan, shipped_kernels};
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Family, avoid, certify};
 use crumple_verify::reach::{Cell, Dimension};
@@ -15,12 +15,12 @@ use crumple_world::measure::stl::Formula;
 use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::load;
-use crumple_world::sim::{Keep, Run, simulate};
+use crumple_world::sim::{RecordingLevel, Run, simulate};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
-use crate::generate::{any_scenario, any_trial};
+use crate::generate::{any_scenario, any_test_case};
 
 /// How many inputs of each sort are generated.
 const OF_EACH: usize = 200;
@@ -64,9 +64,9 @@ fn kept_scenarios() -> Vec<(PathBuf, Scenario)> {
     paths.into_iter().filter_map(|path| Some((path.clone(), load(&path).ok()?))).collect()
 }
 
-/// As long as a trial can be, and shorter: what is cut off is nominal.
+/// As long as a test case can be, and shorter: what is cut off is nominal.
 fn scenarios() -> Vec<Vec<u8>> {
-    first(OF_EACH, &prop::collection::vec(any::<u8>(), 0..=TRIAL_BYTES))
+    first(OF_EACH, &prop::collection::vec(any::<u8>(), 0..=TEST_CASE_BYTES))
 }
 
 fn scenario_files() -> Vec<Vec<u8>> {
@@ -138,16 +138,17 @@ fn proved(scenario: &Scenario) -> Option<Certificate> {
 fn recordings() -> Vec<Vec<u8>> {
     let kept = fs::read_to_string(root().join("corpora/recordings/synthetic-platoon.csv")).unwrap();
     let beginning: String = kept.split_inclusive('\n').take(40).collect();
-    let simulated =
-        first(OF_EACH, &any_trial()).into_iter().flat_map(|trial| [open_acc(&trial), car_following(&trial)]);
+    let simulated = first(OF_EACH, &any_test_case())
+        .into_iter()
+        .flat_map(|test_case| [open_acc(&test_case), car_following(&test_case)]);
     [beginning].into_iter().chain(simulated).map(String::into_bytes).collect()
 }
 
-/// Ten samples a second or fewer of a trial: time, speeds and gaps.
-fn sampled(trial: &Trial) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
-    let options = trial.setup.options(trial.scenario.spec().step_s);
-    let run = Run::new(&trial.scenario, options).unwrap();
-    let trace = simulate(&run, Keep::Trace).trace.unwrap();
+/// Ten samples a second or fewer of a test case: time, speeds and gaps.
+fn sampled(test_case: &TestCase) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
+    let options = test_case.setup.options(test_case.scenario.spec().step_s);
+    let run = Run::new(&test_case.scenario, options).unwrap();
+    let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
     let every = (0.1 / run.dt_s()).round().max(1.0) as usize;
     let sample = |k: usize| {
         let speeds = trace.vehicles.iter().map(|track| track.speed_mps[k]).collect();
@@ -161,8 +162,8 @@ fn joined(numbers: &[f64]) -> String {
     numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(",")
 }
 
-fn open_acc(trial: &Trial) -> String {
-    let vehicles = trial.scenario.vehicles().len();
+fn open_acc(test_case: &TestCase) -> String {
+    let vehicles = test_case.scenario.vehicles().len();
     let names: Vec<String> = (1..=vehicles).map(|n| format!("V{n}")).collect();
     let columns = (1..=vehicles).map(|n| format!("Speed{n}")).chain((1..vehicles).map(|n| format!("IVS{n}")));
     let head = format!(
@@ -170,14 +171,15 @@ fn open_acc(trial: &Trial) -> String {
         names.join(","),
         columns.collect::<Vec<_>>().join(",")
     );
-    let rows =
-        sampled(trial).into_iter().map(|(t, speeds, gaps)| format!("{t:.2},{},{}\n", joined(&speeds), joined(&gaps)));
+    let rows = sampled(test_case)
+        .into_iter()
+        .map(|(t, speeds, gaps)| format!("{t:.2},{},{}\n", joined(&speeds), joined(&gaps)));
     head + &rows.collect::<String>()
 }
 
-fn car_following(trial: &Trial) -> String {
+fn car_following(test_case: &TestCase) -> String {
     let head = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
-    let rows = sampled(trial).into_iter().map(|(t, speeds, gaps)| {
+    let rows = sampled(test_case).into_iter().map(|(t, speeds, gaps)| {
         let [leader, follower] = [speeds[0], speeds[1]];
         format!("1,{t:.2},{}\n", joined(&[gaps[0], follower, leader - follower, leader]))
     });

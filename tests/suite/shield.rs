@@ -6,8 +6,8 @@ use crumple_world::scenario::{
     ControllerSpec, Driver, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 use crumple_world::sim::{
-    Keep, Outcome, Run, RunError, RunOptions, ShieldRefusal, Shielded, Simulated, Stress, UnderTest, simulate,
-    simulate_batch,
+    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, Shielded, Simulated, Stress,
+    simulate, simulate_batch,
 };
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -103,18 +103,18 @@ impl Chase {
     }
 }
 
-fn shielded(controller: UnderTest, settings: ShieldSettings) -> UnderTest {
+fn shielded(controller: ControllerKind, settings: ShieldSettings) -> ControllerKind {
     Shielded { controller, settings }.into()
 }
 
 /// Who drives: the reckless ones, and the learned one.
-fn drivers() -> [UnderTest; 3] {
+fn drivers() -> [ControllerKind; 3] {
     [Stress::FullThrottle.into(), Stress::RandomActions.into(), ControllerSpec::Policy.into()]
 }
 
-fn with_truth(scenario: &Scenario, controller: UnderTest) -> Simulated {
+fn with_truth(scenario: &Scenario, controller: ControllerKind) -> Simulated {
     let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
-    simulate(&Run::new(scenario, options).unwrap(), Keep::Summary)
+    simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Summary)
 }
 
 /// With the truth, nobody touches and the state never leaves the kernel.
@@ -147,7 +147,7 @@ proptest! {
         let scenario = chase.scenario();
         for driver in drivers() {
             let options = RunOptions::new(shielded(driver, ShieldSettings::default()));
-            let result = simulate(&Run::new(&scenario, options).unwrap(), Keep::Summary);
+            let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Summary);
             prop_assert_eq!(result.outcome, Outcome::NoCollision);
         }
     }
@@ -169,7 +169,7 @@ proptest! {
         let scenario = chase.scenario();
         let controller = shielded(Stress::FullThrottle.into(), ShieldSettings::default());
         let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
-        let result = simulate(&Run::new(&scenario, options).unwrap(), Keep::Trace);
+        let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
         let trace = result.trace.unwrap();
         for (k, at_s) in trace.time_s.iter().enumerate().take(scenario.steps()) {
             let told = result.interventions.iter().any(|one| one.from_s < at_s + 1e-6 && *at_s < one.to_s - 1e-6);
@@ -185,9 +185,9 @@ proptest! {
         for driver in drivers() {
             let controller = shielded(driver, ShieldSettings::default());
             let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, RunOptions::new(controller.clone())).unwrap()).collect();
-            let together = simulate_batch(&runs, Keep::Trace, |_, result| result);
+            let together = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);
             for (run, result) in runs.iter().zip(together) {
-                prop_assert_eq!(&simulate(run, Keep::Trace), &result);
+                prop_assert_eq!(&simulate(run, RecordingLevel::Trace), &result);
             }
         }
     }
@@ -228,7 +228,7 @@ fn a_campaign() {
             ] {
                 let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
                 let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, options.clone()).unwrap()).collect();
-                let done = simulate_batch(&runs, Keep::Summary, |_, result| {
+                let done = simulate_batch(&runs, RecordingLevel::Summary, |_, result| {
                     (result.outcome != Outcome::NoCollision, !result.interventions.is_empty())
                 });
                 *hits += done.iter().filter(|(hit, _)| *hit).count();
@@ -298,7 +298,7 @@ fn a_livelier_vehicle_ahead_is_kept_farther_away() {
         let settings = ShieldSettings { ahead_brake_mps2: Some(6.0), errors: None };
         let options = RunOptions::new(shielded(Stress::FullThrottle.into(), settings));
         let scenario = scenario.unwrap();
-        let result = simulate(&Run::new(&scenario, options).unwrap(), Keep::Summary);
+        let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Summary);
         result.interventions.first().expect("it has to brake").from_s
     };
     let (calm_s, lively_s, noisy_s) = (first_s(1.0, 0.0), first_s(8.0, 0.0), first_s(1.0, 0.2));

@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use super::Trial;
+use super::TestCase;
 use crumple_world::measure::ContactRole;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{Simulated, Track};
@@ -34,7 +34,7 @@ pub const FEATURES: usize =
 
 /// The features of a run, each below [`FEATURES`].
 #[must_use]
-pub fn features(trial: &Trial, result: &Simulated) -> Vec<usize> {
+pub fn features(test_case: &TestCase, result: &Simulated) -> Vec<usize> {
     let mut found = Vec::new();
     let mut start = 0;
     let mut group = |size: usize, value: Option<usize>| {
@@ -49,24 +49,25 @@ pub fn features(trial: &Trial, result: &Simulated) -> Vec<usize> {
         let min_ttc_s = summary.and_then(|summary| summary.min_ttc_s);
         group(TTC_S.len() + 1, min_ttc_s.map(|ttc_s| below(&TTC_S, ttc_s)));
         let track = result.trace.as_ref().and_then(|trace| trace.vehicles.get(vehicle));
-        let limit_mps2 = trial.scenario.usable_brake_mps2(vehicle);
-        let is_scripted = trial.scenario.vehicles().get(vehicle).is_none_or(|v| matches!(v.driver, Driver::Profile(_)));
+        let limit_mps2 = test_case.scenario.usable_brake_mps2(vehicle);
+        let is_scripted =
+            test_case.scenario.vehicles().get(vehicle).is_none_or(|v| matches!(v.driver, Driver::Profile(_)));
         group(MODE_CHANGES, track.filter(|_| !is_scripted).map(|track| full_brakes(track, limit_mps2)));
     }
     let first = result.outcome.contact();
-    let of_role = |role| first.filter(|contact| ContactRole::of(contact, &trial.scenario) == role);
+    let of_role = |role| first.filter(|contact| ContactRole::of(contact, &test_case.scenario) == role);
     for role in [ContactRole::Hits, ContactRole::IsHit, ContactRole::Bystander] {
         group(VEHICLES, of_role(role).map(|contact| contact.rear_vehicle));
         group(IMPACTS, of_role(role).map(|contact| (contact.impact_speed_mps / IMPACT_MPS) as usize));
     }
-    group(KINDS, failure(trial, result).map(|kind| place(&kind)));
-    found.extend(approaches(trial, result).map(|kind| start + place(&kind)));
+    group(KINDS, failure(test_case, result).map(|kind| place(&kind)));
+    found.extend(approaches(test_case, result).map(|kind| start + place(&kind)));
     found
 }
 
 /// How near each pair came to each other, and who drives the two.
-fn approaches<'a>(trial: &'a Trial, result: &'a Simulated) -> impl Iterator<Item = String> + 'a {
-    let vehicles = trial.scenario.vehicles();
+fn approaches<'a>(test_case: &'a TestCase, result: &'a Simulated) -> impl Iterator<Item = String> + 'a {
+    let vehicles = test_case.scenario.vehicles();
     let pairs = vehicles.windows(2).zip(result.vehicles.iter().skip(1)).enumerate();
     pairs.filter_map(move |(index, (pair, summary))| {
         let nearness = GAPS_M.iter().filter(|&&step| summary.min_gap_m.is_some_and(|gap_m| gap_m <= step)).count();
@@ -93,11 +94,11 @@ fn full_brakes(track: &Track, limit_mps2: f64) -> usize {
 /// A name for the kind of collision a run ended in, the same for collisions that tell a reader the same: who is under
 /// test, who hits whom in how long a line, how hard. None if no vehicle under test touched anything.
 #[must_use]
-pub fn failure(trial: &Trial, result: &Simulated) -> Option<String> {
+pub fn failure(test_case: &TestCase, result: &Simulated) -> Option<String> {
     let contact = result.outcome.contact()?;
-    let vehicles = trial.scenario.vehicles();
+    let vehicles = test_case.scenario.vehicles();
     let name = |index: usize| vehicles.get(index).map_or("nobody", |vehicle| vehicle.driver.name());
-    let verb = match ContactRole::of(contact, &trial.scenario) {
+    let verb = match ContactRole::of(contact, &test_case.scenario) {
         ContactRole::Hits => "hits",
         ContactRole::IsHit => "hit-by",
         ContactRole::Bystander => return None,
@@ -107,6 +108,6 @@ pub fn failure(trial: &Trial, result: &Simulated) -> Option<String> {
         _ => (contact.front_vehicle, contact.rear_vehicle),
     };
     let speed_mps = (contact.impact_speed_mps / IMPACT_MPS).floor() * IMPACT_MPS;
-    let controller = Path::new(trial.setup.controller.name()).file_stem().unwrap_or_default().to_string_lossy();
+    let controller = Path::new(test_case.setup.controller.name()).file_stem().unwrap_or_default().to_string_lossy();
     Some(format!("{controller}-{own}-of-{}-{verb}-{}-at-{speed_mps:02}-mps", vehicles.len(), name(other)))
 }

@@ -4,7 +4,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Trial, behaviour};
+use super::{TestCase, behaviour};
 use crumple_world::sim::Simulated;
 
 /// A folder of scenario files, each named after the collision in it.
@@ -27,16 +27,17 @@ impl Collection {
     ///
     /// # Errors
     /// What the system says if it cannot be written.
-    pub fn keep(&self, trial: &Trial, result: &Simulated) -> io::Result<Option<PathBuf>> {
-        let Some(kind) = behaviour::failure(trial, result) else { return Ok(None) };
+    pub fn keep(&self, test_case: &TestCase, result: &Simulated) -> io::Result<Option<PathBuf>> {
+        let Some(kind) = behaviour::failure(test_case, result) else { return Ok(None) };
         let path = self.folder.join(format!("{kind}.toml"));
         if path.exists() {
             return Ok(None);
         }
-        let about = format!("Found by `cargo fuzz run scenario` under {}.", trial.setup.controller.name());
-        let named = trial.scenario.edited(|spec| (spec.name, spec.about) = (kind, about));
-        let scenario = named.unwrap_or_else(|_| trial.scenario.clone());
-        fs::write(&path, Trial { scenario, setup: trial.setup.clone() }.reproducer())?;
+        let about =
+            format!("FoundController by `cargo fuzz run scenario` under {}.", test_case.setup.controller.name());
+        let named = test_case.scenario.edited(|spec| (spec.name, spec.about) = (kind, about));
+        let scenario = named.unwrap_or_else(|_| test_case.scenario.clone());
+        fs::write(&path, TestCase { scenario, setup: test_case.setup.clone() }.reproducer())?;
         Ok(Some(path))
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! One generator reads scenarios and setups from bytes, as departures from the paper's scenario 1: no bytes, and zero
 //! bytes, are that scenario under the baseline. Property suites hand it random bytes and fuzzers hand it evolved ones, so
-//! both search one space. Oracles take a [`Trial`] and answer [`Checked`] or a [`Violation`] with a scenario file that
+//! both search one space. Oracles take a [`TestCase`] and answer [`Checked`] or a [`Violation`] with a scenario file that
 //! shows it again. [`targets`] are whole fuzz targets, which the suite replays without a fuzzer. [`behaviour`] is what a
 //! fuzzer is told about a run beyond the code it reached.
 //!
@@ -11,9 +11,9 @@
 pub mod behaviour;
 mod choices;
 mod collection;
+mod collision_search;
 mod driver;
 mod formula;
-mod hunt;
 pub mod oracle;
 mod scenario;
 mod setup;
@@ -27,12 +27,12 @@ use std::fmt;
 use arbitrary::{Arbitrary, Unstructured};
 
 pub use collection::Collection;
+pub use collision_search::{CollisionSearch, CollisionSearchError};
 pub use driver::{controller, profile, script};
 pub use formula::any_formula;
-pub use hunt::{Hunt, HuntError};
 pub use oracle::{Checked, ORACLES, ORACLES_OF_A_RUN, Oracle, Question};
 pub use scenario::{SCENARIO_BYTES, scenario, scenario_of};
-pub use setup::{Candidate, Found, SETUP_BYTES, Setup};
+pub use setup::{FoundController, SETUP_BYTES, Setup, TestedController};
 pub use shape::{Kind, Shape};
 pub use system::{Crumple, FileFormat, Sight, System};
 pub use violation::{Law, Violation};
@@ -40,36 +40,36 @@ pub use violation::{Law, Violation};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Simulated;
 
-/// Bytes that a trial is read from.
-pub const TRIAL_BYTES: usize = SCENARIO_BYTES + SETUP_BYTES;
+/// Bytes that a test case is read from.
+pub const TEST_CASE_BYTES: usize = SCENARIO_BYTES + SETUP_BYTES;
 
 /// A scenario and how it is run. Its debug format is a reproducer: a scenario file that says how to run it.
 #[derive(Clone, PartialEq)]
-pub struct Trial {
+pub struct TestCase {
     /// What happens.
     pub scenario: Scenario,
     /// Who is under test, and how it is simulated.
     pub setup: Setup,
 }
 
-impl<'b> Arbitrary<'b> for Trial {
+impl<'b> Arbitrary<'b> for TestCase {
     fn arbitrary(from: &mut Unstructured<'b>) -> arbitrary::Result<Self> {
         Ok(Self { scenario: scenario(from), setup: Setup::read(from) })
     }
 
     fn size_hint(_depth: usize) -> (usize, Option<usize>) {
-        (0, Some(TRIAL_BYTES))
+        (0, Some(TEST_CASE_BYTES))
     }
 }
 
-impl fmt::Debug for Trial {
+impl fmt::Debug for TestCase {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(&self.reproducer())
     }
 }
 
-impl Trial {
-    /// The trial that bytes stand for; no bytes are the paper's scenario 1 under the baseline.
+impl TestCase {
+    /// The test case that bytes stand for; no bytes are the paper's scenario 1 under the baseline.
     #[must_use]
     pub fn of_bytes(bytes: &[u8]) -> Self {
         let mut from = Unstructured::new(bytes);
@@ -78,7 +78,7 @@ impl Trial {
 
     /// The same scenario with another controller under test.
     #[must_use]
-    pub fn under_test(mut self, controller: Candidate) -> Self {
+    pub fn under_test(mut self, controller: TestedController) -> Self {
         self.setup.controller = controller;
         self
     }

@@ -78,7 +78,7 @@ fn on_road(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choices<'_
     line_up(&mut vehicles, rear_m + to_rear_m + lengths_m);
     ScenarioSpec {
         version: SCENARIO_VERSION,
-        name: "trial".to_owned(),
+        name: "test_case".to_owned(),
         about: String::new(),
         duration_s: steps * step_s,
         step_s,
@@ -141,7 +141,7 @@ mod tests {
     fn no_bytes_and_zero_bytes_are_the_papers_scenario() {
         for bytes in [vec![], vec![0; 7], vec![0; SCENARIO_BYTES]] {
             let paper_1 = built_in("paper-1").unwrap();
-            let named = |spec: &mut ScenarioSpec| (spec.name, spec.about) = ("trial".to_owned(), String::new());
+            let named = |spec: &mut ScenarioSpec| (spec.name, spec.about) = ("test_case".to_owned(), String::new());
             assert_eq!(scenario(&mut Unstructured::new(&bytes)), paper_1.edited(named).unwrap());
         }
         // Two more vehicles make scenario 3.

@@ -11,7 +11,7 @@ use super::driver::{DRIVER_BYTES, controller};
 use crumple_world::control::{Controller, Ego};
 use crumple_world::estimate::{EstimatorKind, Observation};
 use crumple_world::scenario::{AebSettings, ControllerSpec};
-use crumple_world::sim::{AfterContact, Contender, RunOptions, UnderTest, UnknownContender};
+use crumple_world::sim::{AfterContact, ControllerKind, NamedController, RunOptions, UnknownController};
 
 /// Bytes that a setup is read from.
 pub const SETUP_BYTES: usize = 5 + DRIVER_BYTES;
@@ -20,7 +20,7 @@ pub const SETUP_BYTES: usize = 5 + DRIVER_BYTES;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setup {
     /// What is put under test.
-    pub controller: Candidate,
+    pub controller: TestedController,
     /// What it looks through.
     pub estimator: EstimatorKind,
     /// Integration steps in a step of the scenario.
@@ -31,26 +31,26 @@ pub struct Setup {
 
 /// What is put under test.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Candidate {
+pub enum TestedController {
     /// A built-in controller.
     BuiltIn(ControllerSpec),
     /// Anything else the command line knows by name: a policy file, a controller behind a shield.
-    Named(Found),
+    Named(FoundController),
     /// A controller from outside that uses all it may see, deciding every so many steps; at every step if 0.
     Opinionated(u32),
 }
 
 /// A controller that was found by its name, which stands for it.
 #[derive(Clone)]
-pub struct Found(Contender);
+pub struct FoundController(NamedController);
 
-impl PartialEq for Found {
+impl PartialEq for FoundController {
     fn eq(&self, other: &Self) -> bool {
         self.0.name == other.0.name
     }
 }
 
-impl fmt::Debug for Found {
+impl fmt::Debug for FoundController {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(&self.0.name)
     }
@@ -61,7 +61,7 @@ impl Setup {
     #[must_use]
     pub fn truthful() -> Self {
         Self {
-            controller: Candidate::BuiltIn(ControllerSpec::Baseline(AebSettings::default())),
+            controller: TestedController::BuiltIn(ControllerSpec::Baseline(AebSettings::default())),
             estimator: EstimatorKind::Truth,
             substeps: 1,
             after_contact: AfterContact::Stop,
@@ -76,8 +76,8 @@ impl Setup {
         let settings = from.bytes(DRIVER_BYTES.min(from.len())).unwrap_or_default();
         Self {
             controller: match kind {
-                0..192 => Candidate::BuiltIn(controller(kind % 7, settings)),
-                192.. => Candidate::Opinionated(interval_steps),
+                0..192 => TestedController::BuiltIn(controller(kind % 7, settings)),
+                192.. => TestedController::Opinionated(interval_steps),
             },
             estimator: choices.one_of(&[EstimatorKind::Kalman, EstimatorKind::Truth]).unwrap_or_default(),
             substeps: match choices.byte() {
@@ -101,41 +101,41 @@ impl Setup {
     #[must_use]
     pub fn is_learned(&self) -> bool {
         match &self.controller {
-            Candidate::BuiltIn(spec) => *spec == ControllerSpec::Policy,
-            Candidate::Named(Found(found)) => found.policy().is_some(),
-            Candidate::Opinionated(_) => false,
+            TestedController::BuiltIn(spec) => *spec == ControllerSpec::Policy,
+            TestedController::Named(FoundController(found)) => found.policy().is_some(),
+            TestedController::Opinionated(_) => false,
         }
     }
 
     /// Whether the controller cares for nobody behind.
     #[must_use]
     pub fn looks_ahead_only(&self) -> bool {
-        matches!(&self.controller, Candidate::BuiltIn(_)) && !self.is_learned()
+        matches!(&self.controller, TestedController::BuiltIn(_)) && !self.is_learned()
     }
 
     /// The options for a scenario of a step.
     #[must_use]
     pub fn options(&self, step_s: f64) -> RunOptions {
         let controller = match &self.controller {
-            Candidate::BuiltIn(spec) => UnderTest::from(spec.clone()),
-            Candidate::Named(Found(found)) => found.controller.clone(),
-            Candidate::Opinionated(steps) => opinionated(*steps),
+            TestedController::BuiltIn(spec) => ControllerKind::from(spec.clone()),
+            TestedController::Named(FoundController(found)) => found.kind.clone(),
+            TestedController::Opinionated(steps) => opinionated(*steps),
         };
         let options = RunOptions::new(controller).with_estimator(self.estimator).with_after_contact(self.after_contact);
         if self.substeps == 1 { options } else { options.with_dt_s(step_s / f64::from(self.substeps)) }
     }
 }
 
-impl Candidate {
+impl TestedController {
     /// The controller that `crumple simulate --controller` would take by this name: built in, or a policy file.
     ///
     /// # Errors
-    /// [`UnknownContender`] if there is none.
-    pub fn named(name: &str) -> Result<Self, UnknownContender> {
-        let found = Contender::find(name, Path::new(""))?;
-        Ok(match found.controller {
-            UnderTest::BuiltIn(spec) => Self::BuiltIn(spec),
-            _ => Self::Named(Found(found)),
+    /// [`UnknownController`] if there is none.
+    pub fn named(name: &str) -> Result<Self, UnknownController> {
+        let found = NamedController::find(name, Path::new(""))?;
+        Ok(match found.kind {
+            ControllerKind::BuiltIn(spec) => Self::BuiltIn(spec),
+            _ => Self::Named(FoundController(found)),
         })
     }
 
@@ -144,14 +144,14 @@ impl Candidate {
     pub fn name(&self) -> &str {
         match self {
             Self::BuiltIn(spec) => spec.name(),
-            Self::Named(Found(found)) => &found.name,
+            Self::Named(FoundController(found)) => &found.name,
             Self::Opinionated(_) => "opinionated",
         }
     }
 }
 
-fn opinionated(interval_steps: u32) -> UnderTest {
-    UnderTest::Custom(Arc::new(move |ego: &Ego| {
+fn opinionated(interval_steps: u32) -> ControllerKind {
+    ControllerKind::Custom(Arc::new(move |ego: &Ego| {
         let interval_s = (interval_steps > 0).then(|| f64::from(interval_steps) * ego.step_s);
         Box::new(Opinionated { interval_s, last_mps2: 0.0 })
     }))

@@ -9,7 +9,9 @@ use crumple_world::measure::ContactRole;
 use crumple_world::measure::stl::{Formula, MonitorError, Signals};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
-use crumple_world::sim::{self, Contact, Keep, Motion, Run, Shielded, Simulated, Stepper, Stress, UnderTest};
+use crumple_world::sim::{
+    self, Contact, ControllerKind, Motion, RecordingLevel, Run, Shielded, Simulated, Stepper, Stress,
+};
 
 /// The parts of the program that oracles question.
 ///
@@ -17,18 +19,18 @@ use crumple_world::sim::{self, Contact, Keep, Motion, Run, Shielded, Simulated, 
 /// oracle must notice.
 pub trait System {
     /// One run, step by step.
-    fn simulate(&self, run: &Run<'_>, keep: Keep) -> Simulated {
+    fn simulate(&self, run: &Run<'_>, keep: RecordingLevel) -> Simulated {
         sim::simulate(run, keep)
     }
 
     /// Many runs in lockstep.
-    fn simulate_batch(&self, runs: &[Run<'_>], keep: Keep) -> Vec<Simulated> {
+    fn simulate_batch(&self, runs: &[Run<'_>], keep: RecordingLevel) -> Vec<Simulated> {
         sim::simulate_batch(runs, keep, |_, simulated| simulated)
     }
 
     /// Shows what every vehicle sees at every step, until `each` has seen enough and says false.
     fn observe(&self, run: &Run<'_>, each: &mut dyn FnMut(&Sight<'_>) -> bool) {
-        let mut stepper = Stepper::new(run, Keep::Summary);
+        let mut stepper = Stepper::new(run, RecordingLevel::Summary);
         while !stepper.has_ended() {
             for vehicle in 0..run.scenario().vehicles().len() {
                 let Some(seen) = stepper.observe(vehicle) else { continue };
@@ -41,7 +43,7 @@ pub trait System {
     }
 
     /// Full throttle behind a shield.
-    fn full_throttle(&self) -> UnderTest {
+    fn full_throttle(&self) -> ControllerKind {
         Shielded { controller: Stress::FullThrottle.into(), settings: ShieldSettings::default() }.into()
     }
 
@@ -57,8 +59,8 @@ pub trait System {
     fn through_file(&self, scenario: &Scenario, format: FileFormat) -> Result<Scenario, FileError> {
         let text = format.text(scenario);
         match format {
-            FileFormat::Toml => from_toml(&text, Path::new("trial.toml")),
-            FileFormat::Json => from_json(&text, Path::new("trial.json")),
+            FileFormat::Toml => from_toml(&text, Path::new("test_case.toml")),
+            FileFormat::Json => from_json(&text, Path::new("test_case.json")),
         }
     }
 

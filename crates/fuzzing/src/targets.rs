@@ -6,13 +6,13 @@ use std::path::Path;
 use crumple_verify::{Certificate, WorkLimit, check_within};
 
 use super::oracle::motion_is_physical;
-use super::{Checked, Crumple, FileFormat, Law, ORACLES, Question, Setup, System, Trial, Violation};
+use super::{Checked, Crumple, FileFormat, Law, ORACLES, Question, Setup, System, TestCase, Violation};
 use crumple_world::measure::stl::{Formula, Signals, SyntaxProblem, naive_robustness};
 use crumple_world::policy::Policy;
 use crumple_world::recording::{self, MinBrake, episodes};
 use crumple_world::scenario::file::{from_json, from_toml, to_toml};
 use crumple_world::scenario::{Scenario, built_in};
-use crumple_world::sim::{Keep, Run, RunError, RunOptions, simulate};
+use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// A target: what it makes of some bytes.
 pub type Target = fn(&[u8]) -> Result<(), Violation>;
@@ -34,21 +34,21 @@ const WORK: WorkLimit = WorkLimit::operations(100_000_000);
 /// Samples that formulas are judged on.
 const SAMPLES: usize = 16;
 
-/// Any trial, and every oracle. The fuzz target does the same in a [`super::Hunt`], which remembers and collects.
+/// Any test case, and every oracle. The fuzz target does the same in a [`super::CollisionSearch`], which remembers and collects.
 ///
 /// # Errors
 /// What an oracle found.
 pub fn scenario(bytes: &[u8]) -> Result<(), Violation> {
-    Trial::of_bytes(bytes).examine(&Crumple).map(drop)
+    TestCase::of_bytes(bytes).examine(&Crumple).map(drop)
 }
 
-/// How many of the oracles were not left in doubt by the trial that bytes stand for.
+/// How many of the oracles were not left in doubt by the test case that bytes stand for.
 ///
 /// # Errors
 /// What an oracle found.
 pub fn decided(bytes: &[u8]) -> Result<usize, Violation> {
-    let trial = Trial::of_bytes(bytes);
-    let question = Question::new(&trial, &Crumple)?;
+    let test_case = TestCase::of_bytes(bytes);
+    let question = Question::new(&test_case, &Crumple)?;
     let answers = ORACLES.into_iter().map(|oracle| question.ask(oracle)).collect::<Result<Vec<_>, _>>()?;
     Ok(answers.into_iter().filter(|answer| *answer != Checked::Undecided).count())
 }
@@ -85,11 +85,11 @@ fn accepted(scenario: &Scenario, format: FileFormat) -> Result<(), Violation> {
     let same = back.as_ref().is_ok_and(|back| back == scenario);
     must(same, Law::Files, &text, || format!("{format:?}: it came back as {back:?}"))?;
     if scenario.steps().saturating_mul(scenario.vehicles().len()) <= MOST_VEHICLE_STEPS {
-        let trial = Trial { scenario: scenario.clone(), setup: Setup::truthful() };
-        let options = trial.setup.options(scenario.spec().step_s);
+        let test_case = TestCase { scenario: scenario.clone(), setup: Setup::truthful() };
+        let options = test_case.setup.options(scenario.spec().step_s);
         // A learned driver decides at instants that need not be this scenario's.
         if !matches!(Run::new(scenario, options), Err(RunError::Interval { .. })) {
-            trial.ask(motion_is_physical, &Crumple)?;
+            test_case.ask(motion_is_physical, &Crumple)?;
         }
     }
     Ok(())
@@ -110,7 +110,7 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
     };
     // A policy may decide at instants that are not this scenario's.
     if let Ok(run) = Run::new(&short, RunOptions::new(std::sync::Arc::new(policy))) {
-        let result = simulate(&run, Keep::Summary);
+        let result = simulate(&run, RecordingLevel::Summary);
         let moved = result.vehicles.iter().all(|vehicle| vehicle.max_brake_mps2.is_finite());
         must(moved, Law::Reading, &header, || format!("it drives out of this world: {:?}", result.vehicles))?;
     }

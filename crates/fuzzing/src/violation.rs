@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{Candidate, Trial};
+use super::{TestCase, TestedController};
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::file::to_toml;
 use crumple_world::scenario::{ControllerSpec, Driver};
@@ -98,22 +98,22 @@ impl Violation {
     }
 }
 
-impl Trial {
+impl TestCase {
     /// A scenario file whose first lines say how to run it.
     #[must_use]
     pub fn reproducer(&self) -> String {
         let Self { scenario, setup } = self;
         let name = setup.controller.name();
         let as_named = match &setup.controller {
-            Candidate::BuiltIn(spec) => ControllerSpec::named(name).as_ref() == Some(spec),
-            Candidate::Named(_) => true,
-            Candidate::Opinionated(_) => false,
+            TestedController::BuiltIn(spec) => ControllerSpec::named(name).as_ref() == Some(spec),
+            TestedController::Named(_) => true,
+            TestedController::Opinionated(_) => false,
         };
         let mut scenario = scenario.clone();
         let mut how = Vec::new();
         if as_named {
             how.push(format!("--controller {name}"));
-        } else if let (Candidate::BuiltIn(spec), EstimatorKind::Truth) = (&setup.controller, setup.estimator) {
+        } else if let (TestedController::BuiltIn(spec), EstimatorKind::Truth) = (&setup.controller, setup.estimator) {
             // Drivers of the scenario's own see the truth: they can stand in for a controller under test that does.
             let put = |driver: &mut Driver| {
                 if *driver == Driver::UnderTest {

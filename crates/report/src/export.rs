@@ -126,13 +126,13 @@ mod tests {
     use ::parquet::file::reader::{FileReader, SerializedFileReader};
     use ::parquet::record::RowAccessor;
     use crumple_world::scenario::{ControllerSpec, built_in};
-    use crumple_world::sim::{Keep, Run, RunOptions, simulate};
+    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
     #[test]
     fn both_formats_hold_the_same_numbers_as_the_trace() {
         let scenario = built_in("paper-1").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::named("baseline").unwrap())).unwrap();
-        let trace = simulate(&run, Keep::Trace).trace.unwrap();
+        let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
         let csv = csv(&trace).unwrap();
         let mut reader = csv::Reader::from_reader(csv.as_slice());
         let parquet = SerializedFileReader::new(bytes::Bytes::from(parquet(&trace).unwrap())).unwrap();

@@ -46,7 +46,7 @@ pub fn retraining(report: &Report) -> Svg {
                 }
             }
         }
-        let word = if round.ruling.is_accepted() { "accepted" } else { "rejected" };
+        let word = if round.acceptance.is_accepted() { "accepted" } else { "rejected" };
         done += report.settings.episodes;
         ends.push((done as f64, format!("round {} {word}", round.round)));
     }
@@ -61,10 +61,10 @@ pub fn retraining(report: &Report) -> Svg {
     }
     panel.line(&points, Stroke::series(0));
     panel.marks(&candidates, Marker::Ring, Ink::Series(1));
-    let content = panel.draw(&Svg::id("hardening", "frame"));
+    let content = panel.draw(&Svg::id("retraining", "frame"));
     let description =
         "A ring is the candidate of its round. Checkpoints that touch somebody in what the paper has are left out.";
-    Svg::new("hardening", (WIDTH, HEADING + HEIGHT + BELOW), title, description, content)
+    Svg::new("retraining", (WIDTH, HEADING + HEIGHT + BELOW), title, description, content)
 }
 
 #[cfg(test)]

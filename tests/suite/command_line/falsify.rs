@@ -61,7 +61,7 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
     assert!(summary["first_falsification"].as_u64().unwrap() <= 3, "{}", summary["first_falsification"]);
     assert!(summary["best_robustness"].as_f64().unwrap() < -5.0);
     let methods: Vec<_> = summary["methods"].as_array().unwrap().iter().map(|m| m["method"].clone()).collect();
-    assert_eq!(methods, ["auto", "uniform", "halton"], "the yardsticks always run");
+    assert_eq!(methods, ["auto", "uniform", "halton"], "the reference searches always run");
     let counterexamples = summary["counterexamples"].as_array().unwrap();
     assert!(!counterexamples.is_empty());
     let classed = |class: &str| counterexamples.iter().filter(|found| found["avoidability"] == class).count();

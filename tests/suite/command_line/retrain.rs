@@ -85,20 +85,20 @@ fn check_report(folder: &Path, report: &Value) {
     let names: Vec<_> = files.iter().map(|file| file["file"].as_str().unwrap()).collect();
     assert_eq!(
         names,
-        ["policy.safetensors", "hardened-on.json", "selection.json", "kept-aside.json", "judged-on.json"]
+        ["policy.safetensors", "retrained-on.json", "selection.json", "kept-aside.json", "judged-on.json"]
     );
     for file in files {
         assert_eq!(file["sha256"], sha256(&folder.join(file["file"].as_str().unwrap())));
     }
-    assert_eq!(report["hardened_sha256"], files[0]["sha256"]);
+    assert_eq!(report["retrained_sha256"], files[0]["sha256"]);
     assert_eq!(report["plan_sha256"], sha256(&folder.join("retrain.toml")));
     let rounds = report["rounds"].as_array().unwrap();
     assert_eq!(rounds.len(), 2);
     let mut standing = &report["first_standing"];
     for round in rounds {
-        assert_eq!(round["found"]["evaluations"], 36, "the method and both yardsticks");
+        assert_eq!(round["found"]["evaluations"], 36, "the method and both reference searches");
         assert!(!round["found"]["draws_avoidable"]["indices"].as_array().unwrap().is_empty());
-        if round["ruling"] == "accepted" {
+        if round["acceptance"] == "accepted" {
             // What the rule promises, from the lists themselves.
             let list = |of: &Value, field: &str| of[field].as_array().unwrap().clone();
             for field in ["paper", "nominal"] {
@@ -109,13 +109,13 @@ fn check_report(folder: &Path, report: &Value) {
             standing = &round["after"];
         }
     }
-    assert_eq!(report["hardened_standing"], *standing);
+    assert_eq!(report["retrained_standing"], *standing);
     assert_eq!(report["judged_draws"], 12);
     let pairs = &report["pairs"];
     let pairs: u64 =
-        ["both", "first_only", "hardened_only", "neither"].map(|of| pairs[of].as_u64().unwrap()).iter().sum();
+        ["both", "first_only", "retrained_only", "neither"].map(|of| pairs[of].as_u64().unwrap()).iter().sum();
     assert_eq!(pairs, 12);
-    assert!(fs::read_to_string(folder.join("report.md")).unwrap().starts_with("# Hardening of `policy` in the space"));
+    assert!(fs::read_to_string(folder.join("report.md")).unwrap().starts_with("# Retraining of `policy` in the space"));
     assert!(fs::read_to_string(folder.join("report.svg")).unwrap().contains("<svg"));
 }
 

@@ -1,7 +1,7 @@
 //! Impacts keep momentum, take energy away and leave vehicles stuck together.
 
 use crumple_fuzzing::oracle::impacts_are_inelastic;
-use crumple_fuzzing::{Setup, Trial, script};
+use crumple_fuzzing::{Setup, TestCase, script};
 use crumple_world::scenario::{LeadProfile, Scenario, ScenarioSpec};
 use crumple_world::sim::AfterContact;
 use proptest::prelude::*;
@@ -36,7 +36,7 @@ proptest! {
     /// whoever touches stays together, with one speed and no gap, to the end.
     #[test]
     fn each_impact_keeps_momentum_and_leaves_vehicles_stuck_together(scenario in pile_up()) {
-        ask(&Trial { scenario, setup: going_on() }, impacts_are_inelastic)?;
+        ask(&TestCase { scenario, setup: going_on() }, impacts_are_inelastic)?;
     }
 
     /// Over a step in which nobody brakes to standstill, forces alone change the momentum of the line, whatever hits

@@ -10,7 +10,7 @@ use crumple_world::scenario::Scenario;
 use crumple_world::sim::{Simulated, Trace};
 use proptest::prelude::*;
 
-use crate::generate::{any_trial, ask, cases, traced};
+use crate::generate::{any_test_case, ask, cases, traced};
 
 fn trace_of(result: &Simulated) -> &Trace {
     result.trace.as_ref().expect("kept")
@@ -21,27 +21,27 @@ proptest! {
 
     /// No vehicle reverses; none is anywhere else than its speed can have taken it; braking never adds energy.
     #[test]
-    fn vehicles_move_forward_continuously_and_braking_takes_energy_away(trial in any_trial()) {
-        ask(&trial, motion_is_physical)?;
+    fn vehicles_move_forward_continuously_and_braking_takes_energy_away(test_case in any_test_case()) {
+        ask(&test_case, motion_is_physical)?;
     }
 
     /// The recorded motion, the verdict and the report's verdict tell one story, and nobody goes beyond what road and
     /// vehicle allow.
     #[test]
-    fn verdict_summary_and_trace_agree(trial in any_trial()) {
-        ask(&trial, one_story)?;
+    fn verdict_summary_and_trace_agree(test_case in any_test_case()) {
+        ask(&test_case, one_story)?;
     }
 
     /// "Always a gap" holds on the trace if and only if nobody touches.
     #[test]
-    fn the_monitor_says_what_the_verdict_says(trial in any_trial()) {
-        ask(&trial, monitor_agrees)?;
+    fn the_monitor_says_what_the_verdict_says(test_case in any_test_case()) {
+        ask(&test_case, monitor_agrees)?;
     }
 
     /// Ten times finer integration, with controllers, sensors and noise at the same instants, is the same motion.
     #[test]
-    fn the_integration_step_changes_nothing(trial in any_trial()) {
-        ask(&trial, step_size_decides_nothing)?;
+    fn the_integration_step_changes_nothing(test_case in any_test_case()) {
+        ask(&test_case, step_size_decides_nothing)?;
     }
 }
 

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use crumple_search::worst_case::{Aim, Envelope, Way, attack};
+use crumple_search::worst_case::{Aim, AttackMethod, Envelope, attack};
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, Scenario, built_in, file};
-use crumple_world::sim::{Keep, Outcome, Run, RunOptions, simulate, simulate_batch};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
 use super::scenes::{Dice, small};
 
@@ -39,13 +39,14 @@ fn the_mildest_profile_is_milder_than_any_sample() {
         let scenario = built_in(name).unwrap();
         let envelope = Envelope::of(&scenario);
         let mildest = attack(&scenario, &options("baseline"), Aim::Mildest, envelope, 0).unwrap().expect("collides");
-        assert_eq!(mildest.way, Way::Exact);
+        assert_eq!(mildest.method, AttackMethod::Exact);
         assert!(mildest.programs <= 40, "{name}: {} programs", mildest.programs);
         assert!(mildest.outcome.contact().is_some());
         let mut dice = Dice(7);
         let samples: Vec<_> = (0..4000).map(|_| sample(&scenario, envelope, &mut dice)).collect();
         let runs: Vec<_> = samples.iter().map(|(_, s)| Run::new(s, options("baseline")).unwrap()).collect();
-        let collided = simulate_batch(&runs, Keep::Summary, |_, result| result.outcome != Outcome::NoCollision);
+        let collided =
+            simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome != Outcome::NoCollision);
         let collided = samples.iter().zip(collided).filter(|(_, collided)| *collided);
         let least = collided.map(|((effort, _), _)| *effort).fold(f64::INFINITY, f64::min);
         assert!(least.is_finite(), "some samples collide");
@@ -73,12 +74,12 @@ fn the_mildest_way_to_be_hit_is_milder_than_any_plain_braking() {
         });
         let collides = |scenario: &Scenario| {
             let run = Run::new(scenario, options("baseline")).unwrap();
-            simulate(&run, Keep::Summary).outcome != Outcome::NoCollision
+            simulate(&run, RecordingLevel::Summary).outcome != Outcome::NoCollision
         };
         let least = plain.filter(|(_, scenario)| collides(scenario)).map(|(effort, _)| effort).reduce(f64::min);
         match (found, least) {
             (Some(found), least) => {
-                exact += usize::from(found.way == Way::Exact);
+                exact += usize::from(found.method == AttackMethod::Exact);
                 let least = least.unwrap_or(f64::INFINITY);
                 assert!(found.effort_m2ps3 <= least * (1.0 + 1e-6), "{seed}: {found:?} against {least}");
             }
@@ -99,7 +100,7 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
             let found = found.unwrap_or_else(|| panic!("{controller}: nothing found"));
             let text = file::to_toml(&found.scenario).unwrap();
             let read = file::from_toml(&text, Path::new("worst.toml")).unwrap();
-            let replayed = simulate(&Run::new(&read, options(controller)).unwrap(), Keep::Summary);
+            let replayed = simulate(&Run::new(&read, options(controller)).unwrap(), RecordingLevel::Summary);
             assert_eq!(replayed.outcome, found.outcome, "{controller}");
             assert!(found.outcome.contact().is_some(), "{controller}");
             let Driver::Profile(LeadProfile::Pieces(pieces)) = &read.vehicles()[0].driver else { panic!() };
@@ -131,9 +132,9 @@ fn compare_with_exact(scenario: &Scenario, most_m2ps3: f64) {
         Box::new(crumple_world::control::Baseline::new(&crumple_world::scenario::AebSettings::default(), ego))
             as Box<dyn crumple_world::control::Controller>
     });
-    let custom = RunOptions { controller: crumple_world::sim::UnderTest::Custom(build), ..options("baseline") };
+    let custom = RunOptions { controller: crumple_world::sim::ControllerKind::Custom(build), ..options("baseline") };
     let found = attack(scenario, &custom, Aim::Mildest, envelope, 3000).unwrap().expect("collides");
-    assert_eq!((exact.way, found.way), (Way::Exact, Way::Sequential));
+    assert_eq!((exact.method, found.method), (AttackMethod::Exact, AttackMethod::Sequential));
     assert!(exact.programs <= 150, "{} programs", exact.programs);
     assert!(found.effort_m2ps3 < most_m2ps3, "{} m²/s³", found.effort_m2ps3);
     assert!(found.effort_m2ps3 > 0.95 * exact.effort_m2ps3, "{} against {}", found.effort_m2ps3, exact.effort_m2ps3);
@@ -191,7 +192,7 @@ fn whoever_answers_late_or_with_noise_is_not_enumerated() {
     for (index, change) in changes.into_iter().enumerate() {
         let scenario = built_in("paper-1").unwrap().edited(change).unwrap();
         let found = attack(&scenario, &options("baseline"), Aim::Mildest, Envelope::of(&scenario), 200).unwrap();
-        assert_eq!(found.expect("collides").way, Way::Sequential, "change {index}");
+        assert_eq!(found.expect("collides").method, AttackMethod::Sequential, "change {index}");
     }
 }
 

@@ -15,7 +15,7 @@ use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::{
     AebSettings, Brake, ControllerSpec, Driver, LeadProfile, Scenario, ScenarioSpec, built_in, file,
 };
-use crumple_world::sim::{Keep, Outcome, Run, RunOptions, Simulated, simulate};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
 use serde_json::Value;
 
 use scenes::{random, scenario_of, small, with_profile};
@@ -27,7 +27,7 @@ fn decide(scenario: &Scenario) -> Avoidance {
 fn run(scenario: &Scenario, controller: &ControllerSpec, estimator: EstimatorKind, parts: f64) -> Simulated {
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
     let options = options.with_dt_s(scenario.spec().step_s / parts);
-    simulate(&Run::new(scenario, options).expect("fits"), Keep::Summary)
+    simulate(&Run::new(scenario, options).expect("fits"), RecordingLevel::Summary)
 }
 
 fn smallest_gap_m(simulated: &Simulated) -> f64 {

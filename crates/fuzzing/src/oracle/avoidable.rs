@@ -16,11 +16,11 @@ const MOST_STEPS: usize = 500;
 /// # Errors
 /// [`Law::Avoidability`].
 pub fn nobody_does_the_impossible(question: &Question<'_>) -> Finding {
-    let is_long = question.trial.scenario.steps() > MOST_STEPS;
+    let is_long = question.test_case.scenario.steps() > MOST_STEPS;
     if is_long || question.result.outcome != Outcome::NoCollision {
         return Ok(Checked::DoesNotApply);
     }
-    let Some(avoidance) = question.system.avoid(&question.trial.scenario) else { return Ok(Checked::DoesNotApply) };
+    let Some(avoidance) = question.system.avoid(&question.test_case.scenario) else { return Ok(Checked::DoesNotApply) };
     let unavoidable = matches!(avoidance.verdict, AvoidanceVerdict::Unavoidable(_));
     must(!unavoidable, Law::Avoidability, || "it ends without contact and is `unavoidable`".to_owned())?;
     let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);

@@ -3,15 +3,15 @@
 use super::{Checked, Finding, Question, must};
 use crate::Law;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{Keep, Run, Simulated, Track};
+use crumple_world::sim::{RecordingLevel, Run, Simulated, Track};
 
-/// The batch engine gives the scalar engine's results to the last bit, whatever shares a block with a run: here the trial
+/// The batch engine gives the scalar engine's results to the last bit, whatever shares a block with a run: here the test case
 /// itself twice, and the same line of vehicles with other noise, slower, on another road.
 ///
 /// # Errors
 /// [`Law::Engines`].
 pub fn engines_agree(question: &Question<'_>) -> Finding {
-    let scenario = &question.trial.scenario;
+    let scenario = &question.test_case.scenario;
     let others = [
         scenario.edited(|spec| (spec.seed, spec.duration_s) = (spec.seed ^ 1, spec.duration_s + spec.step_s)),
         scenario.edited(|spec| {
@@ -23,13 +23,14 @@ pub fn engines_agree(question: &Question<'_>) -> Finding {
     let scenarios = [scenario].into_iter().chain(&others).chain([scenario]);
     let runs = scenarios.map(|scenario| Run::new(scenario, question.run.options().clone()));
     let runs = runs.collect::<Result<Vec<_>, _>>().map_err(|error| (Law::Engines, error.to_string()))?;
-    let traced = question.system.simulate_batch(&runs, Keep::Trace);
-    let summed = question.system.simulate_batch(&runs, Keep::Summary);
+    let traced = question.system.simulate_batch(&runs, RecordingLevel::Trace);
+    let summed = question.system.simulate_batch(&runs, RecordingLevel::Summary);
     let results = [traced.len(), summed.len()];
     must(results == [runs.len(); 2], Law::Engines, || format!("{results:?} results of {} runs", runs.len()))?;
     for (index, ((run, traced), summed)) in runs.iter().zip(&traced).zip(&summed).enumerate() {
         let is_the_trial = std::ptr::eq(run.scenario(), scenario);
-        let mut alone = if is_the_trial { question.result.clone() } else { question.system.simulate(run, Keep::Trace) };
+        let mut alone =
+            if is_the_trial { question.result.clone() } else { question.system.simulate(run, RecordingLevel::Trace) };
         must(bits(&alone) == bits(traced), Law::Engines, || format!("run {index}: {}", difference(&alone, traced)))?;
         alone.trace = None;
         must(bits(&alone) == bits(summed), Law::Engines, || {

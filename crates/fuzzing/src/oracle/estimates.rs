@@ -20,7 +20,7 @@ const DEVIATIONS: f64 = 12.0;
 pub fn estimates_are_sane(question: &Question<'_>) -> Finding {
     let bounds = Bounds::of(question);
     let mut finding = None;
-    let vehicles = question.trial.scenario.vehicles();
+    let vehicles = question.test_case.scenario.vehicles();
     let estimates = |vehicle: &VehicleSpec| {
         vehicle.driver == Driver::UnderTest && question.run.options().estimator == EstimatorKind::Kalman
     };
@@ -65,7 +65,7 @@ struct Bounds {
 
 impl Bounds {
     fn of(question: &Question<'_>) -> Self {
-        let spec = question.trial.scenario.spec();
+        let spec = question.test_case.scenario.spec();
         if spec.sensors.dropout > 0.0 {
             return Self { gap_m: f64::INFINITY, own_mps: f64::INFINITY, neighbour_mps: f64::INFINITY };
         }

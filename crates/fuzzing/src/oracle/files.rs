@@ -8,7 +8,7 @@ use crate::{FileFormat, Law};
 /// # Errors
 /// [`Law::Files`].
 pub fn files_keep_scenarios(question: &Question<'_>) -> Finding {
-    let scenario = &question.trial.scenario;
+    let scenario = &question.test_case.scenario;
     for format in FileFormat::ALL {
         let back = question.system.through_file(scenario, format);
         let back = back.map_err(|error| (Law::Files, format!("{format:?}: {error}")))?;

@@ -1,4 +1,4 @@
-//! The oracles: each asks one question of a trial.
+//! The oracles: each asks one question of a test case.
 
 mod avoidable;
 mod engines;
@@ -11,8 +11,8 @@ mod shielded;
 mod steps;
 mod story;
 
-use super::{Law, System, Trial, Violation};
-use crumple_world::sim::{Keep, Run, Simulated, Trace};
+use super::{Law, System, TestCase, Violation};
+use crumple_world::sim::{RecordingLevel, Run, Simulated, Trace};
 
 pub use avoidable::nobody_does_the_impossible;
 pub use engines::{bits, engines_agree};
@@ -33,13 +33,13 @@ pub const ROUNDING_M: f64 = 1e-9;
 pub enum Checked {
     /// The law holds.
     Holds,
-    /// The trial says nothing about the law: rounding decides it.
+    /// The test case says nothing about the law: rounding decides it.
     Undecided,
-    /// The law says nothing about the trial.
+    /// The law says nothing about the test case.
     DoesNotApply,
 }
 
-/// An oracle: a question to a trial.
+/// An oracle: a question to a test case.
 pub type Oracle = fn(&Question<'_>) -> Finding;
 
 /// What an oracle says: a broken law comes with what was seen.
@@ -62,32 +62,32 @@ pub const ORACLES: [Oracle; 10] = [
 /// How many of them, the first ones, look at one run only.
 pub const ORACLES_OF_A_RUN: usize = 3;
 
-/// A trial, the system that is questioned about it, and the run it made of it.
+/// A test case, the system that is questioned about it, and the run it made of it.
 pub struct Question<'t> {
-    /// The trial.
-    pub trial: &'t Trial,
+    /// The test case.
+    pub test_case: &'t TestCase,
     /// Who is questioned.
     pub system: &'t dyn System,
-    /// The trial made ready to run.
+    /// The test case made ready to run.
     pub run: Run<'t>,
     /// What came of it, with its trace.
     pub result: Simulated,
 }
 
 impl<'t> Question<'t> {
-    /// Runs a trial.
+    /// Runs a test case.
     ///
     /// # Errors
     /// [`Violation`] of [`Law::Runs`] if it cannot be run.
-    pub fn new(trial: &'t Trial, system: &'t dyn System) -> Result<Self, Violation> {
-        let options = trial.setup.options(trial.scenario.spec().step_s);
-        let run = Run::new(&trial.scenario, options).map_err(|error| Violation {
+    pub fn new(test_case: &'t TestCase, system: &'t dyn System) -> Result<Self, Violation> {
+        let options = test_case.setup.options(test_case.scenario.spec().step_s);
+        let run = Run::new(&test_case.scenario, options).map_err(|error| Violation {
             law: Law::Runs,
             finding: error.to_string(),
-            reproducer: trial.reproducer(),
+            reproducer: test_case.reproducer(),
         })?;
-        let result = system.simulate(&run, Keep::Trace);
-        Ok(Self { trial, system, run, result })
+        let result = system.simulate(&run, RecordingLevel::Trace);
+        Ok(Self { test_case, system, run, result })
     }
 
     /// Asks an oracle.
@@ -95,7 +95,7 @@ impl<'t> Question<'t> {
     /// # Errors
     /// The [`Violation`] it found.
     pub fn ask(&self, oracle: Oracle) -> Result<Checked, Violation> {
-        let reproducer = || self.trial.reproducer();
+        let reproducer = || self.test_case.reproducer();
         oracle(self).map_err(|(law, finding)| Violation { law, finding, reproducer: reproducer() })
     }
 

@@ -34,13 +34,13 @@ pub fn monitor_agrees(question: &Question<'_>) -> Finding {
     })?;
     let few = signals(trace, step_s, trace.len().div_ceil(FEW)).map_err(|error| wrong(error.to_string()))?;
     let names: Vec<&str> = few.names().collect();
-    // What is chosen here follows from the scenario alone, so that a trial stays one.
+    // What is chosen here follows from the scenario alone, so that a test case stays one.
     let mut bytes = Vec::new();
-    for vehicle in question.trial.scenario.vehicles() {
+    for vehicle in question.test_case.scenario.vehicles() {
         bytes.extend(vehicle.position_m.to_bits().to_le_bytes());
         bytes.extend(vehicle.speed_mps.to_bits().to_le_bytes());
     }
-    bytes.extend(question.trial.scenario.spec().seed.to_le_bytes());
+    bytes.extend(question.test_case.scenario.spec().seed.to_le_bytes());
     let formula = any_formula(&bytes, &names, few.step_s()).map_err(|error| wrong(error.to_string()))?;
     as_defined(question, &formula, &few)?;
     Ok(Checked::Holds)

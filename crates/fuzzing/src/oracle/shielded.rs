@@ -4,7 +4,7 @@ use super::{Checked, Finding, Question, must};
 use crate::Law;
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::Driver;
-use crumple_world::sim::{AfterContact, Keep, Outcome, Run, RunError, RunOptions, Stress};
+use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, Stress};
 
 /// Behind a shield that knows the truth, full throttle hits the vehicle ahead only where there was no way out when the
 /// shield first had to brake.
@@ -12,7 +12,7 @@ use crumple_world::sim::{AfterContact, Keep, Outcome, Run, RunError, RunOptions,
 /// # Errors
 /// [`Law::Shield`].
 pub fn shield_keeps_clear(question: &Question<'_>) -> Finding {
-    let scenario = &question.trial.scenario;
+    let scenario = &question.test_case.scenario;
     let options = RunOptions { dt_s: question.run.options().dt_s, ..RunOptions::new(question.system.full_throttle()) };
     let options = options.with_estimator(EstimatorKind::Truth).with_after_contact(AfterContact::Stop);
     let run = match Run::new(scenario, options) {
@@ -21,7 +21,7 @@ pub fn shield_keeps_clear(question: &Question<'_>) -> Finding {
         Err(RunError::Shield { .. }) => return Ok(Checked::DoesNotApply),
         Err(error) => return Err((Law::Runs, error.to_string())),
     };
-    let result = question.system.simulate(&run, Keep::Summary);
+    let result = question.system.simulate(&run, RecordingLevel::Summary);
     let Outcome::Collision(contact) = result.outcome else { return Ok(Checked::Holds) };
     let striker = contact.rear_vehicle;
     if scenario.vehicles().get(striker).is_none_or(|vehicle| vehicle.driver != Driver::UnderTest) {

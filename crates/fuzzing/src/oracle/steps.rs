@@ -3,7 +3,7 @@
 use super::{Checked, Finding, Question, grazes, must};
 use crate::Law;
 use crumple_world::scenario::ScenarioSpec;
-use crumple_world::sim::{Impact, Keep, Run, Simulated, Trace};
+use crumple_world::sim::{Impact, RecordingLevel, Run, Simulated, Trace};
 
 /// How much finer the second integration is.
 const FINER: usize = 10;
@@ -27,7 +27,7 @@ pub fn step_size_decides_nothing(question: &Question<'_>) -> Finding {
     let (run, coarse) = (&question.run, &question.result);
     let options = run.options().clone().with_dt_s(run.dt_s() / FINER as f64);
     let fine_run = Run::new(run.scenario(), options).map_err(|error| (Law::StepSize, error.to_string()))?;
-    let fine = question.system.simulate(&fine_run, Keep::Trace);
+    let fine = question.system.simulate(&fine_run, RecordingLevel::Trace);
     let Some(fine_trace) = &fine.trace else { return Err((Law::StepSize, "no trace was kept".to_owned())) };
     held(fine_trace, &fine, fine_run.substeps()).map_err(|finding| (Law::StepSize, finding))?;
     if grazes(coarse) || grazes(&fine) {
@@ -99,7 +99,7 @@ fn woken_by_noise(question: &Question<'_>, fine: &Trace) -> bool {
         });
     let Some((sample, index)) = first_differences.min() else { return false };
     let before_mps = sample.checked_sub(1).and_then(|before| coarse.vehicles.get(index)?.speed_mps.get(before));
-    let noisy = question.trial.scenario.vehicles().get(index).is_some_and(|v| v.acceleration_noise_mps2 > 0.0);
+    let noisy = question.test_case.scenario.vehicles().get(index).is_some_and(|v| v.acceleration_noise_mps2 > 0.0);
     noisy && before_mps == Some(&0.0)
 }
 
@@ -118,11 +118,11 @@ fn disturbed_m(question: &Question<'_>) -> f64 {
             }
         }
     };
-    let scenario = &question.trial.scenario;
+    let scenario = &question.test_case.scenario;
     let twins = DISTURBANCES.into_iter().flat_map(|by| [scenario.edited(gaps(by)), scenario.edited(speeds(by))]);
     let apart = twins.flatten().filter_map(|twin| {
         let run = Run::new(&twin, question.run.options().clone()).ok()?;
-        Some(apart_m(&question.result, &question.system.simulate(&run, Keep::Trace), 1))
+        Some(apart_m(&question.result, &question.system.simulate(&run, RecordingLevel::Trace), 1))
     });
     apart.fold(0.0, f64::max)
 }

@@ -12,7 +12,7 @@ use crumple_world::sim::{AfterContact, Outcome};
 /// # Errors
 /// [`Law::OneStory`], [`Law::Limits`] or [`Law::ContactRole`].
 pub fn one_story(question: &Question<'_>) -> Finding {
-    let (trace, result, scenario) = (question.trace()?, &question.result, &question.trial.scenario);
+    let (trace, result, scenario) = (question.trace()?, &question.result, &question.test_case.scenario);
     let story = |holds: bool, finding: &dyn Fn() -> String| must(holds, Law::OneStory, finding);
     let stops = question.run.options().after_contact == AfterContact::Stop;
     let first = result.impacts.first().map(|impact| impact.contact);
@@ -63,7 +63,7 @@ pub fn one_story(question: &Question<'_>) -> Finding {
 
 /// Where there is neither noise nor an impact that pushes, accelerations are within limits.
 fn limits(question: &Question<'_>) -> Result<(), (Law, String)> {
-    let (trace, scenario) = (question.trace()?, &question.trial.scenario);
+    let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
     for (index, (vehicle, track)) in scenario.vehicles().iter().zip(&trace.vehicles).enumerate() {
         let involved =
             |impact: &crumple_world::sim::Impact| (impact.first_involved..=impact.last_involved).contains(&index);
@@ -84,7 +84,7 @@ fn limits(question: &Question<'_>) -> Result<(), (Law, String)> {
 
 /// Whose contact it was, judged by the trace alone: by the pair whose gap is closed at its end.
 fn role(question: &Question<'_>) -> Result<(), (Law, String)> {
-    let (trace, scenario) = (question.trace()?, &question.trial.scenario);
+    let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
     let Some(contact) = question.result.outcome.contact() else { return Ok(()) };
     let told = question.system.contact_role(contact, scenario);
     let closed = |rear: &usize| {

@@ -1,15 +1,15 @@
-//! The cases a policy is hardened on.
+//! The cases a policy is retrained on.
 
 use serde::{Deserialize, Serialize};
 
-use super::HardenError;
+use super::RetrainError;
 use super::corpus::CORPUS_VERSION;
 use super::files::scenarios_sha256;
 use crumple_world::digest::sha256;
 use crumple_world::scenario::space::Space;
 use crumple_world::scenario::{Scenario, ScenarioSpec};
 
-/// Avoidable scenarios in which the policy of some round touched somebody: the file `hardened-on.json`.
+/// Avoidable scenarios in which the policy of some round touched somebody: the file `retrained-on.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cases {
@@ -41,8 +41,8 @@ pub struct TouchedDraws {
 
 impl Cases {
     /// No cases yet.
-    pub(super) fn none(space: &Space) -> Result<Self, HardenError> {
-        let spec = serde_json::to_string(space.spec()).map_err(HardenError::encoding)?;
+    pub(super) fn none(space: &Space) -> Result<Self, RetrainError> {
+        let spec = serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?;
         Ok(Self {
             version: CORPUS_VERSION,
             space: space.name().to_owned(),
@@ -56,8 +56,8 @@ impl Cases {
     /// All of them, counterexamples first.
     ///
     /// # Errors
-    /// [`HardenError::Scenario`] if one of them is none.
-    pub fn scenarios(&self, space: &Space) -> Result<Vec<Scenario>, HardenError> {
+    /// [`RetrainError::Scenario`] if one of them is none.
+    pub fn scenarios(&self, space: &Space) -> Result<Vec<Scenario>, RetrainError> {
         let counterexamples = self.counterexamples.iter().map(|spec| Scenario::new(spec.clone()));
         let drawn = self.draws.iter().flat_map(|of| of.indices.iter().map(|&index| space.draw(of.seed, index)));
         Ok(counterexamples.chain(drawn).collect::<Result<_, _>>()?)
@@ -69,7 +69,7 @@ impl Cases {
         space: &Space,
         draws: TouchedDraws,
         counterexamples: Vec<ScenarioSpec>,
-    ) -> Result<Self, HardenError> {
+    ) -> Result<Self, RetrainError> {
         self.draws.push(draws);
         self.counterexamples.extend(counterexamples);
         self.scenarios_sha256 = scenarios_sha256(self.scenarios(space)?.iter())?;

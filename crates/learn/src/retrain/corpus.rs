@@ -6,7 +6,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::HardenError;
+use super::RetrainError;
 use super::files::{add, read_json, write_json};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_world::digest::{Sha256, sha256};
@@ -14,7 +14,9 @@ use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::Specification;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::Space;
-use crumple_world::sim::{Contact, Contender, Keep, Run, RunError, RunOptions, UnderTest, simulate_batch};
+use crumple_world::sim::{
+    Contact, ControllerKind, NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
+};
 
 /// The version of corpus files.
 pub const CORPUS_VERSION: u32 = 1;
@@ -50,8 +52,8 @@ pub struct Corpus {
 
 impl Corpus {
     /// An empty one.
-    pub(super) fn begin(space: &Space, seed: u64) -> Result<Self, HardenError> {
-        let spec = serde_json::to_string(space.spec()).map_err(HardenError::encoding)?;
+    pub(super) fn begin(space: &Space, seed: u64) -> Result<Self, RetrainError> {
+        let spec = serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?;
         Ok(Self {
             version: CORPUS_VERSION,
             space: space.name().to_owned(),
@@ -75,8 +77,8 @@ impl Corpus {
     /// The corpus's scenarios, in order.
     ///
     /// # Errors
-    /// [`HardenError::Scenario`] if a draw is none; [`Space::draw`] has none.
-    pub fn scenarios(&self, space: &Space) -> Result<Vec<Scenario>, HardenError> {
+    /// [`RetrainError::Scenario`] if a draw is none; [`Space::draw`] has none.
+    pub fn scenarios(&self, space: &Space) -> Result<Vec<Scenario>, RetrainError> {
         Ok(self.indices().map(|index| space.draw(self.seed, index)).collect::<Result<_, _>>()?)
     }
 
@@ -86,10 +88,10 @@ impl Corpus {
         &mut self,
         space: &Space,
         wanted: u64,
-        witnesses: &[Contender],
+        witnesses: &[NamedController],
         estimator: EstimatorKind,
         mut seen: impl FnMut(&[Option<Contact>]),
-    ) -> Result<(), HardenError> {
+    ) -> Result<(), RetrainError> {
         // No more than are missing: what a block holds beyond the last one wanted would be classed for nothing.
         let range = self.draws..self.draws + (wanted - self.avoidable).min(BLOCK);
         let classed = class(space, self.seed, range.clone(), witnesses, estimator)?;
@@ -107,13 +109,13 @@ impl Corpus {
         let share = self.avoidable as f64 / self.draws as f64;
         if self.draws >= BLOCK && share < LEAST_SHARE {
             let (space, draws, avoidable) = (self.space.clone(), self.draws, self.avoidable);
-            return Err(HardenError::Hopeless { space, draws, avoidable, wanted });
+            return Err(RetrainError::Hopeless { space, draws, avoidable, wanted });
         }
         Ok(())
     }
 
     /// States the hash of what has been gathered.
-    pub(super) fn seal(&mut self, space: &Space) -> Result<(), HardenError> {
+    pub(super) fn seal(&mut self, space: &Space) -> Result<(), RetrainError> {
         let mut digest = Sha256::default();
         for index in self.indices() {
             add(&mut digest, &space.draw(self.seed, index)?)?;
@@ -127,14 +129,14 @@ impl Corpus {
         path: &Path,
         space: &Space,
         (seed, wanted): (u64, u64),
-        witnesses: &[Contender],
+        witnesses: &[NamedController],
         estimator: EstimatorKind,
         progress: &mut dyn FnMut(u64),
-    ) -> Result<Self, HardenError> {
+    ) -> Result<Self, RetrainError> {
         let mut corpus = Self::begin(space, seed)?;
         if let Some(found) = read_json::<Self>(path)? {
             if (found.seed, &found.space_sha256) != (seed, &corpus.space_sha256) {
-                return Err(HardenError::Folder(format!("{}: draws of another space or seed", path.display())));
+                return Err(RetrainError::Folder(format!("{}: draws of another space or seed", path.display())));
             }
             corpus = found;
         }
@@ -158,13 +160,13 @@ fn class(
     space: &Space,
     seed: u64,
     range: Range<u64>,
-    witnesses: &[Contender],
+    witnesses: &[NamedController],
     estimator: EstimatorKind,
-) -> Result<Vec<Classed>, HardenError> {
+) -> Result<Vec<Classed>, RetrainError> {
     let scenarios = range.map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
     let mut contacts = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
     for witness in witnesses {
-        let found = drive(&scenarios, &witness.controller, estimator)?;
+        let found = drive(&scenarios, &witness.kind, estimator)?;
         contacts.iter_mut().zip(found).for_each(|(of, contact)| of.push(contact));
     }
     let survived: Vec<bool> = contacts.iter().map(|of| of.iter().any(Option::is_none)).collect();
@@ -187,10 +189,10 @@ pub(super) fn classes(scenarios: &[Scenario], survived: &[bool]) -> Vec<Avoidabi
 /// The first contact of each run, if there is one.
 pub(super) fn drive(
     scenarios: &[Scenario],
-    controller: &UnderTest,
+    controller: &ControllerKind,
     estimator: EstimatorKind,
 ) -> Result<Vec<Option<Contact>>, RunError> {
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-    Ok(simulate_batch(&runs, Keep::Summary, |_, result| result.outcome.contact().copied()))
+    Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.contact().copied()))
 }

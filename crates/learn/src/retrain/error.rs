@@ -1,4 +1,4 @@
-//! Why a hardening stops.
+//! Why a retraining stops.
 
 use crate::rl::TrainingError;
 use crumple_search::disk::DiskError;
@@ -7,14 +7,14 @@ use crumple_world::policy::PolicyError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::RunError;
 
-/// Why a hardening stops.
+/// Why a retraining stops.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum HardenError {
+pub enum RetrainError {
     /// A file or folder cannot be read or written.
     #[error(transparent)]
     Disk(#[from] DiskError),
-    /// The folder holds another hardening, or one already, or a file in it is damaged.
+    /// The folder holds another retraining, or one already, or a file in it is damaged.
     #[error("{0}")]
     Folder(String),
     /// Hardly anything in the space can be avoided.
@@ -47,11 +47,11 @@ pub enum HardenError {
     #[error(transparent)]
     Policy(#[from] PolicyError),
     /// A file cannot be encoded.
-    #[error("cannot encode a file of the hardening: {0}")]
+    #[error("cannot encode a file of the retraining: {0}")]
     Encoding(String),
 }
 
-impl HardenError {
+impl RetrainError {
     pub(super) fn encoding(error: impl std::fmt::Display) -> Self {
         Self::Encoding(error.to_string())
     }

@@ -4,12 +4,12 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::HardenError;
+use super::RetrainError;
 use super::corpus::Corpus;
 use super::files::{read_json, write_json};
-use super::plan::{JUDGED_SEED, Plan};
+use super::plan::{JUDGED_SEED, RetrainingPlan};
 use crumple_search::evidence::RateInterval;
-use crumple_world::sim::{Contact, Contender};
+use crumple_world::sim::{Contact, NamedController};
 
 /// Confidence of the intervals in reports.
 pub(super) const CONFIDENCE: f64 = 0.95;
@@ -20,9 +20,9 @@ pub(super) const CONFIDENCE: f64 = 0.95;
 pub struct Judged {
     /// The draws.
     pub corpus: Corpus,
-    /// One entry a controller: the first policy, the hardened one, and others to compare with.
+    /// One entry a controller: the first policy, the retrained one, and others to compare with.
     pub tallies: Vec<Tally>,
-    /// The first policy and the hardened one on the same draws.
+    /// The first policy and the retrained one on the same draws.
     pub pairs: Pairs,
 }
 
@@ -48,8 +48,8 @@ pub struct Pairs {
     pub both: u64,
     /// Contact with the first policy alone: fixed.
     pub first_only: u64,
-    /// Contact with the hardened policy alone: new.
-    pub hardened_only: u64,
+    /// Contact with the retrained policy alone: new.
+    pub retrained_only: u64,
     /// Contact with neither.
     pub neither: u64,
 }
@@ -66,8 +66,8 @@ impl Tally {
 const OTHERS: [&str; 5] = ["idm", "acc-aeb", "match-leader", "constant-brake", "baseline"];
 
 /// The built-in controllers that may show that a scenario can be avoided, beside some policies.
-pub(super) fn witnesses(policies: &[Contender]) -> Vec<Contender> {
-    let others = OTHERS.iter().filter_map(|name| Contender::find(name, Path::new("")).ok());
+pub(super) fn witnesses(policies: &[NamedController]) -> Vec<NamedController> {
+    let others = OTHERS.iter().filter_map(|name| NamedController::find(name, Path::new("")).ok());
     policies.iter().cloned().chain(others).collect()
 }
 
@@ -75,10 +75,10 @@ impl Judged {
     /// The judgement in a file, made first if it is not there or not complete. The first two contenders are compared.
     pub(super) fn at(
         path: &Path,
-        plan: &Plan,
-        contenders: &[Contender],
+        plan: &RetrainingPlan,
+        contenders: &[NamedController],
         progress: &mut dyn FnMut(u64),
-    ) -> Result<Self, HardenError> {
+    ) -> Result<Self, RetrainError> {
         let (space, wanted) = (&plan.space, plan.settings.judged);
         let mut judged = match read_json(path)? {
             Some(judged) => judged,
@@ -107,7 +107,7 @@ impl Judged {
 }
 
 impl Tally {
-    fn of(contender: &Contender) -> Self {
+    fn of(contender: &NamedController) -> Self {
         let policy_sha256 = contender.policy().map(|policy| policy.digest());
         Self { controller: contender.name.clone(), policy_sha256, contacts: 0, into_the_leader: 0 }
     }
@@ -126,7 +126,7 @@ impl Pairs {
         *match (touched(0), touched(1)) {
             (true, true) => &mut self.both,
             (true, false) => &mut self.first_only,
-            (false, true) => &mut self.hardened_only,
+            (false, true) => &mut self.retrained_only,
             (false, false) => &mut self.neither,
         } += 1;
     }

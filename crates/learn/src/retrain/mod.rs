@@ -1,9 +1,9 @@
-//! Hardening a policy: search for failures, train on those that could have been avoided, accept what breaks nothing; again.
+//! Retraining a policy: search for failures, train on those that could have been avoided, accept what breaks nothing; again.
 //!
-//! A round of [`Plan::run`]:
+//! A round of [`RetrainingPlan::run`]:
 //!
 //! 1. **Search.** A campaign ([`crumple_search::falsify::campaign`]) with a stated budget against the policy as it stands, and a number
-//!    of draws of the space. If nothing avoidable is found, the hardening is over.
+//!    of draws of the space. If nothing avoidable is found, the retraining is over.
 //! 2. **Keep.** Distinct counterexamples, and draws that ended in contact, if somebody could have avoided them: a witness
 //!    drives through without contact, or [`crumple_search::worst_case::avoid()`] finds an escape. What nobody can avoid teaches nothing.
 //! 3. **Train on.** The learner goes on with its networks and its memory, on a mixture of the paper's distribution, draws of
@@ -14,13 +14,13 @@
 //! Four sets of draws never meet: training, selection, kept aside (acceptance), and judged, which is drawn after the
 //! last round and decides nothing. A rejected candidate is not taken over, but its learner goes on.
 //!
-//! The folder of a hardening:
+//! The folder of a retraining:
 //!
 //! | file | what it holds |
 //! |---|---|
 //! | `retrain.toml` | everything that decides the results |
 //! | `policy.safetensors` | the policy at the end |
-//! | `hardened-on.json` | the cases it was trained on, beside draws of space and paper |
+//! | `retrained-on.json` | the cases it was trained on, beside draws of space and paper |
 //! | `kept-aside.json`, `selection.json` | the draws that accepted rounds, and those that selected checkpoints |
 //! | `judged-on.json` | the draws it was judged on, and what each controller did in them |
 //! | `report.md`, `report.json`, `report.svg` | what each round found, fixed and broke, with the hashes of all these files |
@@ -28,6 +28,7 @@
 //!
 //! One seed decides everything, whatever the number of threads and whether or not it was interrupted.
 
+mod acceptance;
 mod cases;
 mod corpus;
 mod error;
@@ -36,18 +37,17 @@ mod judged;
 mod plan;
 mod report;
 mod round;
-mod ruling;
 mod run;
 mod standing;
 mod training;
 
+pub use acceptance::{Acceptance, Change, RejectionReason, rule};
 pub use cases::{Cases, TouchedDraws};
 pub use corpus::{CORPUS_VERSION, Corpus};
-pub use error::HardenError;
+pub use error::RetrainError;
 pub use judged::{Judged, Pairs, Tally};
-pub use plan::{HARDEN_VERSION, Plan, Settings, training_preset};
+pub use plan::{RETRAIN_VERSION, RetrainingPlan, Settings, training_preset};
 pub use report::{Ending, FileHash, Report};
-pub use round::{Checkpoint, Found, Round, Trained};
-pub use ruling::{Change, Objection, Ruling, rule};
+pub use round::{Checkpoint, Round, RoundFindings, Trained};
 pub use run::Progress;
 pub use standing::Standing;

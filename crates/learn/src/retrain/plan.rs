@@ -1,11 +1,11 @@
-//! What a hardening is: everything that decides its results, as a file.
+//! What a retraining is: everything that decides its results, as a file.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::HardenError;
+use super::RetrainError;
 use crumple_search::disk;
 
 use crate::rl::{ConfigError, TrainingConfig};
@@ -17,11 +17,11 @@ use crumple_world::random::derived_seed;
 use crumple_world::scenario::space::{Space, SpaceSpec};
 
 /// The version of the file `retrain.toml`.
-pub const HARDEN_VERSION: u32 = 1;
+pub const RETRAIN_VERSION: u32 = 1;
 
-/// Everything that decides the results of a hardening.
+/// Everything that decides the results of a retraining.
 #[derive(Debug, Clone)]
-pub struct Plan {
+pub struct RetrainingPlan {
     /// The policy to begin with.
     pub first: Arc<Policy>,
     /// What it is called: a built-in name or a path.
@@ -47,7 +47,7 @@ pub struct Settings {
     pub rounds: u64,
     /// Episodes of training in a round.
     pub episodes: u64,
-    /// Evaluations of the search method in a round, and of each yardstick.
+    /// Evaluations of the search method in a round, and of each reference search.
     pub budget: u64,
     /// Draws of the space that a round's search drives beside.
     pub draws: u64,
@@ -81,7 +81,7 @@ impl Default for Settings {
 
 const PRESET: &str = include_str!("preset.toml");
 
-/// How a learner learns in a hardening unless told otherwise.
+/// How a learner learns in a retraining unless told otherwise.
 ///
 /// # Errors
 /// None: a test reads it.
@@ -103,7 +103,7 @@ struct PlanFile<'a> {
     space: &'a SpaceSpec,
 }
 
-/// Seeds of the sets of draws that are the same for every hardening in a space, so that results can be compared.
+/// Seeds of the sets of draws that are the same for every retraining in a space, so that results can be compared.
 pub(super) const SELECTION_SEED: u64 = 0x0073_656c_6563_7465;
 pub(super) const KEPT_ASIDE_SEED: u64 = 0x006b_6570_7461_7364;
 pub(super) const JUDGED_SEED: u64 = 0x006a_7564_6765_6420;
@@ -113,7 +113,7 @@ pub(super) const NOMINAL_SEED: u64 = 0x006e_6f6d_696e_616c;
 const SEARCHES: u64 = 1 << 32;
 const TRAININGS: u64 = 2 << 32;
 
-impl Plan {
+impl RetrainingPlan {
     /// What the vehicles under test look through.
     #[must_use]
     pub fn estimator(&self) -> EstimatorKind {
@@ -131,10 +131,10 @@ impl Plan {
     /// The text of `retrain.toml`.
     ///
     /// # Errors
-    /// [`HardenError::Encoding`] in principle, if the writer fails.
-    pub fn to_toml(&self) -> Result<String, HardenError> {
+    /// [`RetrainError::Encoding`] in principle, if the writer fails.
+    pub fn to_toml(&self) -> Result<String, RetrainError> {
         let file = PlanFile {
-            version: HARDEN_VERSION,
+            version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION"),
             policy: &self.first_name,
             policy_sha256: self.first.digest(),
@@ -144,29 +144,29 @@ impl Plan {
             training: &self.training,
             space: self.space.spec(),
         };
-        toml::to_string(&file).map_err(HardenError::encoding)
+        toml::to_string(&file).map_err(RetrainError::encoding)
     }
 
     /// SHA-256 of that text.
     ///
     /// # Errors
     /// As for the text.
-    pub fn digest(&self) -> Result<String, HardenError> {
+    pub fn digest(&self) -> Result<String, RetrainError> {
         Ok(sha256(self.to_toml()?))
     }
 
     /// Leaves its file in a folder, or makes sure that the folder is of this plan.
-    pub(super) fn claim(&self, folder: &Path, resume: bool) -> Result<(), HardenError> {
+    pub(super) fn claim(&self, folder: &Path, resume: bool) -> Result<(), RetrainError> {
         let path = folder.join("retrain.toml");
         let expected = self.to_toml()?;
         match disk::read(&path)? {
             None => Ok(disk::write(&path, expected)?),
-            Some(_) if !resume => Err(HardenError::Folder(format!(
+            Some(_) if !resume => Err(RetrainError::Folder(format!(
                 "{} holds a retraining already: use --resume, or another --out",
                 folder.display()
             ))),
             Some(found) if found == expected.as_bytes() => Ok(()),
-            Some(found) => Err(HardenError::Folder(difference(&path, &found, &expected))),
+            Some(found) => Err(RetrainError::Folder(difference(&path, &found, &expected))),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What a hardening reached, for programs and for readers.
+//! What a retraining reached, for programs and for readers.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -7,14 +7,14 @@ use serde::{Deserialize, Serialize};
 
 use super::files::to_json;
 use super::judged::{CONFIDENCE, Judged, Pairs, Tally};
-use super::plan::{HARDEN_VERSION, Plan, Settings};
-use super::round::{Found, Round};
-use super::run::{HARDENED_ON, JUDGED_ON, KEPT_ASIDE, POLICY};
-use super::{HardenError, Standing};
+use super::plan::{RETRAIN_VERSION, RetrainingPlan, Settings};
+use super::round::{Round, RoundFindings};
+use super::run::{JUDGED_ON, KEPT_ASIDE, POLICY, RETRAINED_ON};
+use super::{RetrainError, Standing};
 use crumple_search::disk;
 use crumple_world::digest::sha256;
 
-/// Why a hardening ended.
+/// Why a retraining ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Ending {
@@ -23,7 +23,7 @@ pub enum Ending {
     /// A search found nothing that could have been avoided.
     NothingFound {
         /// That search.
-        search: Box<Found>,
+        search: Box<RoundFindings>,
     },
 }
 
@@ -52,7 +52,7 @@ pub struct Report {
     /// SHA-256 of its file.
     pub first_sha256: String,
     /// SHA-256 of the policy at the end.
-    pub hardened_sha256: String,
+    pub retrained_sha256: String,
     /// Name of the space.
     pub space: String,
     /// Name of the training configuration.
@@ -69,8 +69,8 @@ pub struct Report {
     pub ending: Ending,
     /// Where the first policy stands.
     pub first_standing: Standing,
-    /// Where the hardened one stands.
-    pub hardened_standing: Standing,
+    /// Where the retrained one stands.
+    pub retrained_standing: Standing,
     /// Avoidable draws on which controllers were judged.
     pub judged_draws: u64,
     /// What each of them did.
@@ -83,27 +83,27 @@ pub struct Report {
 
 impl Report {
     pub(super) fn new(
-        plan: &Plan,
+        plan: &RetrainingPlan,
         folder: &Path,
-        (first_standing, hardened_standing): (Standing, Standing),
+        (first_standing, retrained_standing): (Standing, Standing),
         rounds: Vec<Round>,
         ending: Ending,
         judged: Judged,
-    ) -> Result<Self, HardenError> {
-        let hash = |name: &str| -> Result<FileHash, HardenError> {
+    ) -> Result<Self, RetrainError> {
+        let hash = |name: &str| -> Result<FileHash, RetrainError> {
             Ok(FileHash { file: name.to_owned(), sha256: sha256(disk::read(&folder.join(name))?.unwrap_or_default()) })
         };
-        let files = [POLICY, HARDENED_ON, "selection.json", KEPT_ASIDE, JUDGED_ON]
+        let files = [POLICY, RETRAINED_ON, "selection.json", KEPT_ASIDE, JUDGED_ON]
             .map(hash)
             .into_iter()
             .collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
-            version: HARDEN_VERSION,
+            version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
             plan_sha256: plan.digest()?,
             first: plan.first_name.clone(),
             first_sha256: plan.first.digest(),
-            hardened_sha256: files.first().map(|file| file.sha256.clone()).unwrap_or_default(),
+            retrained_sha256: files.first().map(|file| file.sha256.clone()).unwrap_or_default(),
             space: plan.space.name().to_owned(),
             preset: plan.training.name.clone(),
             method: plan.method.name().to_owned(),
@@ -112,7 +112,7 @@ impl Report {
             rounds,
             ending,
             first_standing,
-            hardened_standing,
+            retrained_standing,
             judged_draws: judged.corpus.avoidable,
             tallies: judged.tallies,
             pairs: judged.pairs,
@@ -122,11 +122,11 @@ impl Report {
 
     /// Whether any round was accepted.
     #[must_use]
-    pub fn is_hardened(&self) -> bool {
-        self.rounds.iter().any(|round| round.ruling.is_accepted())
+    pub fn is_retrained(&self) -> bool {
+        self.rounds.iter().any(|round| round.acceptance.is_accepted())
     }
 
-    pub(super) fn write(&self, folder: &Path) -> Result<(), HardenError> {
+    pub(super) fn write(&self, folder: &Path) -> Result<(), RetrainError> {
         disk::write(&folder.join("report.md"), self.to_markdown())?;
         Ok(disk::write(&folder.join("report.json"), self.to_json()?)?)
     }
@@ -134,17 +134,17 @@ impl Report {
     /// The text of `report.json`.
     ///
     /// # Errors
-    /// [`HardenError::Encoding`] in principle, if the writer fails.
-    pub fn to_json(&self) -> Result<String, HardenError> {
+    /// [`RetrainError::Encoding`] in principle, if the writer fails.
+    pub fn to_json(&self) -> Result<String, RetrainError> {
         to_json(self)
     }
 
     /// How many times rarer contacts are than with the first policy, at least: the lower end of the first policy's interval over
-    /// the upper end of the hardened one's. Each end is wrong with a probability of at most half of 5 %, so both hold at 95 %.
+    /// the upper end of the retrained one's. Each end is wrong with a probability of at most half of 5 %, so both hold at 95 %.
     #[must_use]
     pub fn factor_at_least(&self) -> Option<f64> {
-        let [first, hardened, ..] = self.tallies.as_slice() else { return None };
-        Some(first.interval(self.judged_draws).lower / hardened.interval(self.judged_draws).upper)
+        let [first, retrained, ..] = self.tallies.as_slice() else { return None };
+        Some(first.interval(self.judged_draws).lower / retrained.interval(self.judged_draws).upper)
     }
 
     /// The text of `report.md`.
@@ -159,12 +159,12 @@ impl Report {
     fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
         let Settings { rounds, episodes, budget, draws, kept_aside, nominal, nominal_share, case_share, .. } =
             self.settings;
-        writeln!(out, "# Hardening of `{}` in the space `{}`\n", self.first, self.space)?;
+        writeln!(out, "# Retraining of `{}` in the space `{}`\n", self.first, self.space)?;
         writeln!(
             out,
             "At most {rounds} rounds of {episodes} episodes (preset `{}`, seed {}): {:.0} % from the paper's distribution, of the \
              others {:.0} % cases kept and the rest draws of the space. Each search: {budget} evaluations of `{}` and of each \
-             yardstick, and {draws} draws. {}\n",
+             reference search, and {draws} draws. {}\n",
             self.preset,
             self.seed,
             100.0 * nominal_share,
@@ -187,11 +187,11 @@ impl Report {
         for FileHash { file, sha256 } in &self.files {
             writeln!(out, "| `{file}` | `{sha256}` |")?;
         }
-        writeln!(out, "\nFirst policy: `{}`. Plan: `{}`.", self.first_sha256, self.plan_sha256)
+        writeln!(out, "\nFirst policy: `{}`. RetrainingPlan: `{}`.", self.first_sha256, self.plan_sha256)
     }
 
     fn ended(&self) -> String {
-        let accepted = self.rounds.iter().filter(|round| round.ruling.is_accepted()).count();
+        let accepted = self.rounds.iter().filter(|round| round.acceptance.is_accepted()).count();
         let made = format!("{} made, {accepted} accepted", self.rounds.len());
         match &self.ending {
             Ending::RoundsSpent => format!("It ended with its last round: {made}."),
@@ -224,10 +224,10 @@ impl Report {
                 100.0 * interval.upper
             )?;
         }
-        let Pairs { both, first_only, hardened_only, neither } = self.pairs;
+        let Pairs { both, first_only, retrained_only, neither } = self.pairs;
         writeln!(
             out,
-            "\nOf the first policy's contacts {first_only} are fixed and {both} are left; {hardened_only} are new; {neither} draws \
+            "\nOf the first policy's contacts {first_only} are fixed and {both} are left; {retrained_only} are new; {neither} draws \
              are safe with both. All draws could have been avoided by somebody."
         )?;
         match self.factor_at_least() {
@@ -241,10 +241,10 @@ impl Report {
     fn write_rounds(&self, out: &mut String) -> std::fmt::Result {
         out.push_str(
             "| round | found: distinct (avoidable, not, undecided) | draws touched (avoidable) | episodes (best after) | cases | kept \
-             aside | paper-1..3 | paper's draws | ruling |\n|---|---|---|---|---|---|---|---|---|\n",
+             aside | paper-1..3 | paper's draws | acceptance |\n|---|---|---|---|---|---|---|---|---|\n",
         );
         for round in &self.rounds {
-            let Found { avoidable, unavoidable, undecided, draws_touched, draws_avoidable, .. } = &round.found;
+            let RoundFindings { avoidable, unavoidable, undecided, draws_touched, draws_avoidable, .. } = &round.found;
             writeln!(
                 out,
                 "| {} | {} ({avoidable}, {unavoidable}, {undecided}) | {draws_touched} ({}) | {} ({}) | {} | {} | {} | {} | {} |",
@@ -257,7 +257,7 @@ impl Report {
                 round.in_kept_aside,
                 round.in_paper,
                 round.in_nominal,
-                round.ruling
+                round.acceptance
             )?;
         }
         Ok(())

@@ -5,15 +5,15 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use super::acceptance::{Acceptance, Change, RejectionReason, rule};
 use super::cases::{Cases, TouchedDraws};
 use super::corpus::{Corpus, classes, drive};
 use super::files::{read_json, write_json};
 use super::judged::witnesses;
-use super::plan::{Plan, SELECTION_SEED};
-use super::ruling::{Change, Objection, Ruling, rule};
+use super::plan::{RetrainingPlan, SELECTION_SEED};
 use super::run::{Progress, Show};
 use super::training::LEARNER;
-use super::{HardenError, Standing};
+use super::{RetrainError, Standing};
 use crate::rl::TrainingError;
 use crumple_search::disk;
 use crumple_search::falsify::campaign::{Aim, Campaign};
@@ -21,12 +21,12 @@ use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::measure::Specification;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, ScenarioSpec, file};
-use crumple_world::sim::{Contender, UnderTest};
+use crumple_world::sim::{ControllerKind, NamedController};
 
 /// What a search found.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Found {
+pub struct RoundFindings {
     /// Evaluations of the campaign, of all its methods together.
     pub evaluations: u64,
     /// Those that ended in contact.
@@ -82,7 +82,7 @@ pub struct Round {
     /// SHA-256 of the policy that was searched for failures.
     pub before_sha256: String,
     /// What the search found.
-    pub found: Found,
+    pub found: RoundFindings,
     /// Cases trained on: those of all rounds so far.
     pub cases: usize,
     /// The training.
@@ -98,14 +98,14 @@ pub struct Round {
     /// In draws of the paper's distribution.
     pub in_nominal: Change,
     /// The decision.
-    pub ruling: Ruling,
+    pub acceptance: Acceptance,
     /// Where the candidate stands.
     pub after: Standing,
 }
 
 /// What a round starts from.
-pub(super) struct Before<'a> {
-    pub(super) plan: &'a Plan,
+pub(super) struct RoundContext<'a> {
+    pub(super) plan: &'a RetrainingPlan,
     pub(super) folder: &'a Path,
     pub(super) kept_aside: &'a Corpus,
     pub(super) selection: &'a Corpus,
@@ -123,7 +123,7 @@ pub(super) fn round_folder(folder: &Path, round: u64) -> PathBuf {
     folder.join("rounds").join(format!("{round:02}"))
 }
 
-impl Before<'_> {
+impl RoundContext<'_> {
     pub(super) fn number(&self) -> u64 {
         self.last.map_or(1, |last| last.round + 1)
     }
@@ -133,7 +133,7 @@ impl Before<'_> {
     }
 
     /// Searches for failures; all that was kept is in the result.
-    pub(super) fn search(&self, show: &mut Show<'_>) -> Result<Found, HardenError> {
+    pub(super) fn search(&self, show: &mut Show<'_>) -> Result<RoundFindings, RetrainError> {
         let path = self.path("found.json");
         if let Some(found) = read_json(&path)? {
             return Ok(found);
@@ -145,7 +145,7 @@ impl Before<'_> {
         // Relative to the folder of the counterexamples, so that their recorded verdicts can be replayed.
         let name = "../../before.safetensors".to_owned();
         let campaign = Campaign {
-            controller: Contender { name, controller: UnderTest::Policy(Arc::clone(&self.policy)) },
+            controller: NamedController { name, kind: ControllerKind::Policy(Arc::clone(&self.policy)) },
             estimator: plan.estimator(),
             space: plan.space.clone(),
             specification: Specification::NoContact,
@@ -162,7 +162,7 @@ impl Before<'_> {
                 .map(|class| classed(class).count());
         let counterexamples = classed(AvoidabilityClass::Avoidable).map(|one| one.file.clone()).collect();
         let (draws_touched, draws_avoidable) = self.draws(show)?;
-        let found = Found {
+        let found = RoundFindings {
             evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
             failures: summary.methods.iter().map(|method| method.failures).sum(),
             avoidable,
@@ -178,17 +178,17 @@ impl Before<'_> {
     }
 
     /// Draws that end in contact: how many, and which of them could have been avoided.
-    fn draws(&self, show: &mut Show<'_>) -> Result<(usize, TouchedDraws), HardenError> {
+    fn draws(&self, show: &mut Show<'_>) -> Result<(usize, TouchedDraws), RetrainError> {
         let (plan, round) = (self.plan, self.number());
         let seed = plan.search_seed(round);
         show(Progress::Drawing { round, draws: plan.settings.draws });
         let all = (0..plan.settings.draws).map(|index| plan.space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
-        let contacts = drive(&all, &UnderTest::Policy(Arc::clone(&self.policy)), plan.estimator())?;
+        let contacts = drive(&all, &ControllerKind::Policy(Arc::clone(&self.policy)), plan.estimator())?;
         let touched = all.into_iter().enumerate().zip(contacts).filter(|(_, contact)| contact.is_some());
         let (indices, touched): (Vec<usize>, Vec<Scenario>) = touched.map(|(one, _)| one).unzip();
         let mut survived = vec![false; touched.len()];
         for witness in witnesses(&[]) {
-            let contacts = drive(&touched, &witness.controller, plan.estimator())?;
+            let contacts = drive(&touched, &witness.kind, plan.estimator())?;
             survived.iter_mut().zip(contacts).for_each(|(survived, contact)| *survived |= contact.is_none());
         }
         let classes = classes(&touched, &survived);
@@ -198,23 +198,28 @@ impl Before<'_> {
     }
 
     /// The cases so far and those of this round.
-    pub(super) fn cases_with(&self, found: &Found) -> Result<Cases, HardenError> {
+    pub(super) fn cases_with(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
         let read = |name: &String| file::load(&self.path("search").join(name)).map(|scenario| scenario.spec().clone());
         let counterexamples: Vec<ScenarioSpec> = found
             .counterexamples
             .iter()
             .map(read)
             .collect::<Result<_, _>>()
-            .map_err(|error| HardenError::Folder(error.to_string()))?;
+            .map_err(|error| RetrainError::Folder(error.to_string()))?;
         self.cases.clone().extended(&self.plan.space, found.draws_avoidable.clone(), counterexamples)
     }
 
     /// Trains on, judges and decides; leaves the record of the round behind.
-    pub(super) fn finish(&self, found: Found, cases: &Cases, show: &mut Show<'_>) -> Result<Round, HardenError> {
+    pub(super) fn finish(
+        &self,
+        found: RoundFindings,
+        cases: &Cases,
+        show: &mut Show<'_>,
+    ) -> Result<Round, RetrainError> {
         let scenarios = cases.scenarios(&self.plan.space)?;
         let (trained, candidate, problem) = match self.train(cases, show) {
             Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
-            Err(HardenError::Training(diverged @ TrainingError::Diverged { .. })) => {
+            Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => {
                 disk::remove(&self.path(LEARNER))?;
                 let (seed, from_episode) = self.learner_from();
                 let trained = Trained { seed, from_episode, to_episode: 0, best_episode: 0, checkpoints: Vec::new() };
@@ -228,13 +233,13 @@ impl Before<'_> {
             None => self.standing.clone(),
         };
         let is_new = candidate.as_ref().is_some_and(|candidate| candidate.network() != self.policy.network());
-        let ruling = match problem {
-            Some(problem) => Ruling::Rejected { objections: vec![Objection::Diverged { problem }] },
-            None if !is_new => Ruling::Rejected { objections: vec![Objection::Unchanged] },
+        let acceptance = match problem {
+            Some(problem) => Acceptance::Rejected { objections: vec![RejectionReason::Diverged { problem }] },
+            None if !is_new => Acceptance::Rejected { objections: vec![RejectionReason::Unchanged] },
             None => rule(&self.standing, &after),
         };
-        let touched = |policy: &Arc<Policy>| -> Result<Vec<usize>, HardenError> {
-            let contacts = drive(&scenarios, &UnderTest::Policy(Arc::clone(policy)), self.plan.estimator())?;
+        let touched = |policy: &Arc<Policy>| -> Result<Vec<usize>, RetrainError> {
+            let contacts = drive(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())?;
             Ok((0..scenarios.len()).zip(contacts).filter(|(_, contact)| contact.is_some()).map(|(at, _)| at).collect())
         };
         let round = Round {
@@ -248,7 +253,7 @@ impl Before<'_> {
             in_kept_aside: Change::between(&self.standing.kept_aside, &after.kept_aside),
             in_paper: Change::between(&self.standing.paper, &after.paper),
             in_nominal: Change::between(&self.standing.nominal, &after.nominal),
-            ruling,
+            acceptance,
             after,
         };
         if let Some(candidate) = &candidate {
@@ -263,18 +268,19 @@ impl Before<'_> {
 pub(super) const RECORD: &str = "round.json";
 
 /// The avoidable draws that select checkpoints.
-pub(super) fn selection(plan: &Plan, folder: &Path, show: &mut Show<'_>) -> Result<Corpus, HardenError> {
+pub(super) fn selection(plan: &RetrainingPlan, folder: &Path, show: &mut Show<'_>) -> Result<Corpus, RetrainError> {
     gathered(plan, folder, ("selection.json", SELECTION_SEED, plan.training.evaluation.ranking_draws), show)
 }
 
 /// A corpus of the plan in its file.
 pub(super) fn gathered(
-    plan: &Plan,
+    plan: &RetrainingPlan,
     folder: &Path,
     (name, seed, wanted): (&'static str, u64, u64),
     show: &mut Show<'_>,
-) -> Result<Corpus, HardenError> {
-    let first = Contender { name: plan.first_name.clone(), controller: UnderTest::Policy(Arc::clone(&plan.first)) };
+) -> Result<Corpus, RetrainError> {
+    let first =
+        NamedController { name: plan.first_name.clone(), kind: ControllerKind::Policy(Arc::clone(&plan.first)) };
     let witnesses = witnesses(&[first]);
     Corpus::at(&folder.join(name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), &mut |done| {
         show(Progress::Gathering { what: name, done, wanted });

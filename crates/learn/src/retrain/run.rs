@@ -1,4 +1,4 @@
-//! Running a hardening, from its first search to its report.
+//! Running a retraining, from its first search to its report.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -6,17 +6,17 @@ use std::sync::Arc;
 use super::cases::Cases;
 use super::files::{read_json, write_json};
 use super::judged::{Judged, witnesses};
-use super::plan::{KEPT_ASIDE_SEED, Plan};
+use super::plan::{KEPT_ASIDE_SEED, RetrainingPlan};
 use super::report::{Ending, Report};
-use super::round::{Before, CANDIDATE, Found, RECORD, Round, gathered, round_folder, selection};
+use super::round::{CANDIDATE, RECORD, Round, RoundContext, RoundFindings, gathered, round_folder, selection};
 use super::training::{forget_checkpoints, forget_learner};
-use super::{HardenError, Standing};
+use super::{RetrainError, Standing};
 use crumple_search::disk;
 use crumple_search::falsify::campaign::{self};
 use crumple_world::policy::Policy;
-use crumple_world::sim::{Contender, UnderTest};
+use crumple_world::sim::{ControllerKind, NamedController};
 
-/// How far a hardening is.
+/// How far a retraining is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Progress {
     /// Draws are classed for a corpus.
@@ -64,20 +64,20 @@ pub enum Progress {
 pub(super) type Show<'a> = dyn FnMut(Progress) + 'a;
 
 /// What the policy at the end is called in tables.
-const HARDENED: &str = "hardened";
+const RETRAINED: &str = "retrained";
 
 /// The files of the results.
 pub(super) const POLICY: &str = "policy.safetensors";
-pub(super) const HARDENED_ON: &str = "hardened-on.json";
+pub(super) const RETRAINED_ON: &str = "retrained-on.json";
 pub(super) const JUDGED_ON: &str = "judged-on.json";
 pub(super) const KEPT_ASIDE: &str = "kept-aside.json";
 
-impl Plan {
-    /// Runs the hardening in `folder`, or goes on with it where `resume` says so.
+impl RetrainingPlan {
+    /// Runs the retraining in `folder`, or goes on with it where `resume` says so.
     ///
     /// # Errors
-    /// [`HardenError`] if the folder cannot be used, a search or a training fails, or hardly anything in the space is avoidable.
-    pub fn run(&self, folder: &Path, resume: bool, show: &mut dyn FnMut(Progress)) -> Result<Report, HardenError> {
+    /// [`RetrainError`] if the folder cannot be used, a search or a training fails, or hardly anything in the space is avoidable.
+    pub fn run(&self, folder: &Path, resume: bool, show: &mut dyn FnMut(Progress)) -> Result<Report, RetrainError> {
         disk::make_folder(folder)?;
         self.claim(folder, resume)?;
         let wanted = self.settings.kept_aside;
@@ -92,7 +92,7 @@ impl Plan {
             if rounds.len() as u64 == self.settings.rounds {
                 break Ending::RoundsSpent;
             }
-            let before = Before {
+            let before = RoundContext {
                 plan: self,
                 folder,
                 kept_aside: &kept_aside,
@@ -115,7 +115,7 @@ impl Plan {
             };
             forget_checkpoints(folder, number)?;
             forget_learner(folder, number - 1)?;
-            if round.ruling.is_accepted() {
+            if round.acceptance.is_accepted() {
                 policy = Arc::new(candidate(&own.join(CANDIDATE))?);
                 standing = round.after.clone();
             }
@@ -123,12 +123,12 @@ impl Plan {
         };
         forget_learner(folder, rounds.len() as u64)?;
         disk::write(&folder.join(POLICY), policy.to_bytes()?)?;
-        write_json(&folder.join(HARDENED_ON), &cases)?;
-        let contender = |name: &str, policy: &Arc<Policy>| Contender {
+        write_json(&folder.join(RETRAINED_ON), &cases)?;
+        let contender = |name: &str, policy: &Arc<Policy>| NamedController {
             name: name.to_owned(),
-            controller: UnderTest::Policy(Arc::clone(policy)),
+            kind: ControllerKind::Policy(Arc::clone(policy)),
         };
-        let contenders = witnesses(&[contender(&self.first_name, &self.first), contender(HARDENED, &policy)]);
+        let contenders = witnesses(&[contender(&self.first_name, &self.first), contender(RETRAINED, &policy)]);
         let judged = Judged::at(&folder.join(JUDGED_ON), self, &contenders, &mut |done| {
             show(Progress::Gathering { what: JUDGED_ON, done, wanted: self.settings.judged });
         })?;
@@ -138,13 +138,13 @@ impl Plan {
     }
 }
 
-impl Found {
+impl RoundFindings {
     fn is_nothing(&self) -> bool {
         self.avoidable == 0 && self.draws_avoidable.indices.is_empty()
     }
 }
 
-fn candidate(path: &Path) -> Result<Policy, HardenError> {
-    let missing = || HardenError::Folder(format!("{}: the candidate is missing", path.display()));
+fn candidate(path: &Path) -> Result<Policy, RetrainError> {
+    let missing = || RetrainError::Folder(format!("{}: the candidate is missing", path.display()));
     Ok(Policy::from_bytes(&disk::read(path)?.ok_or_else(missing)?)?)
 }

@@ -4,13 +4,13 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::HardenError;
+use super::RetrainError;
 use super::corpus::{Corpus, drive};
-use super::plan::{NOMINAL_SEED, Plan};
+use super::plan::{NOMINAL_SEED, RetrainingPlan};
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in, built_in_names};
-use crumple_world::sim::UnderTest;
+use crumple_world::sim::ControllerKind;
 
 /// Everything in which a policy touches somebody.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,9 +26,9 @@ pub struct Standing {
 
 impl Standing {
     /// Drives a policy through all of it.
-    pub(super) fn of(policy: &Arc<Policy>, plan: &Plan, kept_aside: &Corpus) -> Result<Self, HardenError> {
-        let controller = UnderTest::Policy(Arc::clone(policy));
-        let touched = |scenarios: &[Scenario], estimator| -> Result<Vec<usize>, HardenError> {
+    pub(super) fn of(policy: &Arc<Policy>, plan: &RetrainingPlan, kept_aside: &Corpus) -> Result<Self, RetrainError> {
+        let controller = ControllerKind::Policy(Arc::clone(policy));
+        let touched = |scenarios: &[Scenario], estimator| -> Result<Vec<usize>, RetrainError> {
             let contacts = drive(scenarios, &controller, estimator)?;
             Ok(contacts.iter().enumerate().filter(|(_, contact)| contact.is_some()).map(|(place, _)| place).collect())
         };

@@ -3,10 +3,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::HardenError;
+use super::RetrainError;
 use super::cases::Cases;
 use super::files::{read_json, write_json};
-use super::round::{Before, Checkpoint, Trained, round_folder};
+use super::round::{Checkpoint, RoundContext, Trained, round_folder};
 use super::run::{Progress, Show};
 use crate::rl::{Blend, Event, HeldOut, Mixed, Observer, PaperDraws, ScenarioSource, Trainer, TrainingConfig, train};
 use crumple_search::disk;
@@ -17,7 +17,7 @@ pub(super) const LEARNER: &str = "learner.safetensors";
 /// The list of checkpoints while a training is under way.
 const CHECKPOINTS: &str = "checkpoints.json";
 
-impl Before<'_> {
+impl RoundContext<'_> {
     /// Seed of the learner and the episodes it has done: one that diverged is followed by another.
     pub(super) fn learner_from(&self) -> (u64, u64) {
         match self.last {
@@ -27,14 +27,14 @@ impl Before<'_> {
     }
 
     /// What a round draws its episodes from.
-    fn source(&self, cases: &Cases) -> Result<Arc<dyn ScenarioSource>, HardenError> {
+    fn source(&self, cases: &Cases) -> Result<Arc<dyn ScenarioSource>, RetrainError> {
         let (space, settings) = (&self.plan.space, &self.plan.settings);
         let mixed = Mixed::new(cases.scenarios(space)?, settings.case_share, Arc::new(space.clone()));
         Ok(Arc::new(Blend::new(Arc::new(PaperDraws), settings.nominal_share, Arc::new(mixed))))
     }
 
     /// The learner as it goes into the round, or as it was when it was interrupted.
-    fn learner(&self, cases: &Cases) -> Result<(Trainer, u64), HardenError> {
+    fn learner(&self, cases: &Cases) -> Result<(Trainer, u64), RetrainError> {
         let (seed, from_episode) = self.learner_from();
         let episodes = from_episode + self.plan.settings.episodes;
         let config = TrainingConfig { episodes, ..self.plan.training.clone() };
@@ -46,22 +46,22 @@ impl Before<'_> {
             return Ok((Trainer::with_source(&config, seed, source).from_policy(&self.policy), from_episode));
         };
         let path = round_folder(self.folder, last.round).join(LEARNER);
-        let missing = || HardenError::Folder(format!("{}: the learner is missing", path.display()));
+        let missing = || RetrainError::Folder(format!("{}: the learner is missing", path.display()));
         let bytes = disk::read(&path)?.ok_or_else(missing)?;
         let mut trainer = Trainer::from_checkpoint_with(&bytes, &config, seed, self.source(&self.cases)?)?;
         trainer.turn_to(source, episodes);
         Ok((trainer, from_episode))
     }
 
-    pub(super) fn train(&self, cases: &Cases, show: &mut Show<'_>) -> Result<(Trained, Policy), HardenError> {
+    pub(super) fn train(&self, cases: &Cases, show: &mut Show<'_>) -> Result<(Trained, Policy), RetrainError> {
         let (mut trainer, from_episode) = self.learner(cases)?;
         let environment = &self.plan.training.environment;
         let selection = self.selection.scenarios(&self.plan.space)?;
         let held_out = HeldOut::new(&self.plan.training.evaluation, environment).with_ranking(selection);
         let mut checkpoints: Vec<Checkpoint> = read_json(&self.path(CHECKPOINTS))?.unwrap_or_default();
         checkpoints.retain(|checkpoint| checkpoint.episode <= trainer.episode() && trainer.episode() > from_episode);
-        let mut scribe = Scribe { before: self, from_episode, checkpoints, show };
-        train::<HardenError>(&mut trainer, &held_out, &mut scribe)?;
+        let mut scribe = CheckpointWriter { before: self, from_episode, checkpoints, show };
+        train::<RetrainError>(&mut trainer, &held_out, &mut scribe)?;
         let trained = Trained {
             seed: trainer.seed(),
             from_episode,
@@ -74,25 +74,25 @@ impl Before<'_> {
 }
 
 /// Removes the list that the record holds as well.
-pub(super) fn forget_checkpoints(folder: &Path, round: u64) -> Result<(), HardenError> {
+pub(super) fn forget_checkpoints(folder: &Path, round: u64) -> Result<(), RetrainError> {
     Ok(disk::remove(&round_folder(folder, round).join(CHECKPOINTS))?)
 }
 
 /// Removes what only the next round needed.
-pub(super) fn forget_learner(folder: &Path, round: u64) -> Result<(), HardenError> {
+pub(super) fn forget_learner(folder: &Path, round: u64) -> Result<(), RetrainError> {
     Ok(disk::remove(&round_folder(folder, round).join(LEARNER))?)
 }
 
 /// Writes down how a training goes.
-struct Scribe<'a, 'b, 'c> {
-    before: &'a Before<'b>,
+struct CheckpointWriter<'a, 'b, 'c> {
+    before: &'a RoundContext<'b>,
     from_episode: u64,
     checkpoints: Vec<Checkpoint>,
     show: &'a mut Show<'c>,
 }
 
-impl Observer<HardenError> for Scribe<'_, '_, '_> {
-    fn event(&mut self, event: &Event) -> Result<(), HardenError> {
+impl Observer<RetrainError> for CheckpointWriter<'_, '_, '_> {
+    fn event(&mut self, event: &Event) -> Result<(), RetrainError> {
         match event {
             Event::Evaluation { episode, result, .. } => {
                 self.checkpoints.push(Checkpoint { episode: *episode, contacts: result.ranking_contacts });
@@ -107,7 +107,7 @@ impl Observer<HardenError> for Scribe<'_, '_, '_> {
         Ok(())
     }
 
-    fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), HardenError> {
+    fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), RetrainError> {
         // The learner last: what the list has beyond it is cut off.
         write_json(&self.before.path(CHECKPOINTS), &self.checkpoints)?;
         Ok(disk::write(&self.before.path(LEARNER), trainer.to_checkpoint()?)?)

@@ -2,7 +2,7 @@
 
 use pulp::Arch;
 
-use crumple_world::policy::Wide;
+use crumple_world::policy::InSimd;
 
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;
@@ -33,7 +33,7 @@ impl Adam {
         let (unbias_1, unbias_2) = (unbias(BETA_1), unbias(BETA_2));
         let (first, second) = (self.first.as_mut_slice(), self.second.as_mut_slice());
         let (target, share) = follow.unwrap_or((&mut [], 0.0));
-        Arch::new().dispatch(Wide(
+        Arch::new().dispatch(InSimd(
             #[inline(always)]
             || {
                 let n = parameters.len();

@@ -5,7 +5,7 @@
 
 use pulp::Arch;
 
-use crumple_world::policy::{Left, Network, Panels, Right, Wide, multiply_vector};
+use crumple_world::policy::{InSimd, Left, Network, Panels, Right, multiply_vector};
 
 /// What a forward pass leaves for the backward pass, and working space for both.
 #[derive(Debug, Clone, Default)]
@@ -89,7 +89,7 @@ impl Tape {
 
 /// Σ over rows of factor · row.
 fn weighted_row_sum(rows: &[f32], factors: &[f32], out: &mut [f32]) {
-    Arch::new().dispatch(Wide(
+    Arch::new().dispatch(InSimd(
         #[inline(always)]
         || {
             out.fill(0.0);
@@ -103,7 +103,7 @@ fn weighted_row_sum(rows: &[f32], factors: &[f32], out: &mut [f32]) {
 }
 
 fn row_sum(rows: &[f32], out: &mut [f32]) {
-    Arch::new().dispatch(Wide(
+    Arch::new().dispatch(InSimd(
         #[inline(always)]
         || {
             out.fill(0.0);
@@ -118,7 +118,7 @@ fn row_sum(rows: &[f32], out: &mut [f32]) {
 
 /// Row b of `out` becomes factor b times `row`, and 0 where `gate` is not positive.
 fn outer_where_positive(factors: &[f32], row: &[f32], gate: &[f32], out: &mut [f32]) {
-    Arch::new().dispatch(Wide(
+    Arch::new().dispatch(InSimd(
         #[inline(always)]
         || {
             let rows = out.chunks_exact_mut(row.len()).zip(gate.chunks_exact(row.len()));
@@ -133,7 +133,7 @@ fn outer_where_positive(factors: &[f32], row: &[f32], gate: &[f32], out: &mut [f
 
 /// Sets `out` to 0 where `gate` is not positive.
 fn where_positive(gate: &[f32], out: &mut [f32]) {
-    Arch::new().dispatch(Wide(
+    Arch::new().dispatch(InSimd(
         #[inline(always)]
         || {
             for (out, &gate) in out.iter_mut().zip(gate) {

@@ -2,7 +2,7 @@
 
 use super::config::{EnvironmentConfig, TimeLimit};
 use crumple_world::policy::{ActionBounds, ObservationScaling, STATE};
-use crumple_world::sim::{Keep, Run, Stepper};
+use crumple_world::sim::{RecordingLevel, Run, Stepper};
 
 /// Index of the vehicle the agent drives.
 pub(super) const EGO: usize = 1;
@@ -56,7 +56,7 @@ impl<'r, 's> Episode<'r, 's> {
     #[must_use]
     pub fn new(run: &'r Run<'s>, config: &EnvironmentConfig, discount: f64) -> Self {
         Self {
-            stepper: Stepper::new(run, Keep::Summary),
+            stepper: Stepper::new(run, RecordingLevel::Summary),
             config: config.clone(),
             discount,
             scaling: ObservationScaling::default(),

@@ -8,7 +8,7 @@ use super::config::{EnvironmentConfig, EvaluationConfig};
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
-use crumple_world::sim::{Keep, Run, RunError, RunOptions, simulate_batch};
+use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 
 /// Seed of the held-out draws: the same for every training, and never a seed of training draws.
 const HELD_OUT_SEED: u64 = 0x0068_656c_646f_7574;
@@ -164,7 +164,7 @@ fn smallest(runs: &[Driven]) -> f64 {
 fn drive(scenarios: &[Scenario], policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<Vec<Driven>, RunError> {
     let options = RunOptions::new(Arc::clone(policy)).with_estimator(estimator);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-    Ok(simulate_batch(&runs, Keep::Summary, |index, result| {
+    Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, result| {
         let scenario = runs[index].scenario();
         let gaps = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
         Driven {

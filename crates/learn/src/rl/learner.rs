@@ -52,8 +52,8 @@ struct Space {
     critic: Tape,
     target: Tape,
     actions: Vec<f32>,
-    goals: Vec<f32>,
-    slopes: Vec<f32>,
+    td_targets: Vec<f32>,
+    value_gradients: Vec<f32>,
     actor_gradients: Vec<f32>,
     critic_gradients: Vec<f32>,
 }
@@ -133,7 +133,7 @@ impl Learner {
 
     /// y for every transition of the batch.
     fn set_goals(&mut self, batch: &Batch, noise: &mut Stream) {
-        let Space { target, actions, goals, .. } = &mut self.space;
+        let Space { target, actions, td_targets, .. } = &mut self.space;
         let raw = target.forward(&self.actor.target, batch.len(), |input| input.extend_from_slice(&batch.next_states));
         actions.clear();
         actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
@@ -148,59 +148,59 @@ impl Learner {
             let fill = |input: &mut Vec<f32>| beside(&batch.next_states, actions, input);
             let values = target.forward(&critic.target, batch.len(), fill);
             if index == 0 {
-                goals.clear();
-                goals.extend_from_slice(values);
+                td_targets.clear();
+                td_targets.extend_from_slice(values);
             } else {
-                goals.iter_mut().zip(values).for_each(|(goal, &value)| *goal = goal.min(value));
+                td_targets.iter_mut().zip(values).for_each(|(goal, &value)| *goal = goal.min(value));
             }
         }
         let discount = self.learning.discount as f32;
-        for ((goal, &reward), &continues) in goals.iter_mut().zip(&batch.rewards).zip(&batch.continues) {
+        for ((goal, &reward), &continues) in td_targets.iter_mut().zip(&batch.rewards).zip(&batch.continues) {
             *goal = reward + discount * continues * *goal;
         }
     }
 
-    /// Gradient of the mean squared error of critic `index` at the goals, into the working space.
+    /// Gradient of the mean squared error of critic `index` at the td_targets, into the working space.
     fn critic_gradient(&mut self, index: usize, batch: &Batch) -> Losses {
-        let Space { critic: tape, goals, slopes, critic_gradients, .. } = &mut self.space;
+        let Space { critic: tape, td_targets, value_gradients, critic_gradients, .. } = &mut self.space;
         let network = &self.critics[index].network;
         let fill = |input: &mut Vec<f32>| beside(&batch.states, &batch.actions, input);
         let values = tape.forward(network, batch.len(), fill);
         let n = batch.len() as f64;
         let mut losses = Losses::default();
-        slopes.clear();
-        for (&value, &goal) in values.iter().zip(goals.iter()) {
+        value_gradients.clear();
+        for (&value, &goal) in values.iter().zip(td_targets.iter()) {
             let error = value - goal;
             losses.critic += f64::from(error * error) / n;
             losses.mean_value += f64::from(value) / n;
-            slopes.push(2.0 * error / batch.len() as f32);
+            value_gradients.push(2.0 * error / batch.len() as f32);
         }
         critic_gradients.resize(network.parameters().len(), 0.0);
-        tape.backward(network, slopes, critic_gradients);
+        tape.backward(network, value_gradients, critic_gradients);
         losses
     }
 
     /// Gradient of the actor's loss, -mean Q(s, π(s)) + penalty · mean max(0, |z| - 1)², into the working space.
     fn actor_gradient(&mut self, batch: &Batch) {
         self.act(&batch.states);
-        let Space { actor, critic: tape, actions, slopes, actor_gradients, .. } = &mut self.space;
+        let Space { actor, critic: tape, actions, value_gradients, actor_gradients, .. } = &mut self.space;
         let critic = &self.critics[0].network;
         let n = batch.len() as f32;
         tape.forward(critic, batch.len(), |input| beside(&batch.states, actions, input));
-        slopes.clear();
-        slopes.resize(batch.len(), -1.0 / n);
+        value_gradients.clear();
+        value_gradients.resize(batch.len(), -1.0 / n);
         let mut by_action = vec![0.0; batch.len()];
-        tape.backward_to_last_input(critic, slopes, &mut by_action);
+        tape.backward_to_last_input(critic, value_gradients, &mut by_action);
         let penalty = 2.0 * self.learning.saturation_penalty / n;
         let outputs = actions.iter().zip(actor.output()).zip(&by_action);
-        slopes.clear();
-        slopes.extend(
+        value_gradients.clear();
+        value_gradients.extend(
             outputs.map(|((&action, &raw), &slope)| {
                 slope * (1.0 - action * action) + penalty * (raw - raw.clamp(-1.0, 1.0))
             }),
         );
         actor_gradients.resize(self.actor.network.parameters().len(), 0.0);
-        actor.backward(&self.actor.network, slopes, actor_gradients);
+        actor.backward(&self.actor.network, value_gradients, actor_gradients);
     }
 
     /// Gradients of each critic and of the actor at the present weights, without changing them: for tests against other

@@ -135,7 +135,7 @@ impl Oracle {
 
     /// y: the reward, and the discounted value of what follows by the least of the critics' targets, at the actor target's
     /// action with a little noise.
-    fn goals(&self, rows: &Rows, noise: &mut Stream) -> Result<Tensor> {
+    fn td_targets(&self, rows: &Rows, noise: &mut Stream) -> Result<Tensor> {
         let mut actions = self.actor.target.forward(&rows.next_states)?.tanh()?;
         if self.td3.target_noise > 0.0 {
             let normals: Vec<f32> = (0..actions.dim(0)?).map(|_| StandardNormal.sample(noise)).collect();
@@ -157,9 +157,9 @@ impl Oracle {
         Ok((&rows.rewards + (&rows.continues * (values * self.learning.discount)?)?)?.detach())
     }
 
-    fn critic_loss(&self, critic: &Pair, rows: &Rows, goals: &Tensor) -> Result<(Tensor, Tensor)> {
+    fn critic_loss(&self, critic: &Pair, rows: &Rows, td_targets: &Tensor) -> Result<(Tensor, Tensor)> {
         let values = critic.network.forward(&Tensor::cat(&[&rows.states, &rows.actions], 1)?)?;
-        Ok(((&values - goals)?.sqr()?.mean_all()?, values))
+        Ok(((&values - td_targets)?.sqr()?.mean_all()?, values))
     }
 
     fn actor_loss(&self, rows: &Rows) -> Result<Tensor> {
@@ -175,11 +175,11 @@ impl Oracle {
     /// candle's, in principle.
     pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Result<Losses> {
         let rows = Rows::new(batch)?;
-        let goals = self.goals(&rows, noise)?;
+        let td_targets = self.td_targets(&rows, noise)?;
         let number = |tensor: Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();
         let mut losses = Losses::default();
         for index in 0..self.critics.len() {
-            let (loss, values) = self.critic_loss(&self.critics[index], &rows, &goals)?;
+            let (loss, values) = self.critic_loss(&self.critics[index], &rows, &td_targets)?;
             self.critics[index].optimiser.backward_step(&loss)?;
             if index == 0 {
                 losses = Losses { critic: number(loss)?, mean_value: number(values.mean_all()?)? };
@@ -202,7 +202,7 @@ impl Oracle {
     /// candle's, in principle.
     pub fn gradients(&self, batch: &Batch, noise: &mut Stream) -> Result<Gradients> {
         let rows = Rows::new(batch)?;
-        let goals = self.goals(&rows, noise)?;
+        let td_targets = self.td_targets(&rows, noise)?;
         let of = |network: &Mlp, loss: Tensor| {
             let found = loss.backward()?;
             network.flat(|var| match found.get(var) {
@@ -210,7 +210,8 @@ impl Oracle {
                 None => var.zeros_like(),
             })
         };
-        let critics = self.critics.iter().map(|critic| of(&critic.network, self.critic_loss(critic, &rows, &goals)?.0));
+        let critics =
+            self.critics.iter().map(|critic| of(&critic.network, self.critic_loss(critic, &rows, &td_targets)?.0));
         Ok((critics.collect::<Result<_>>()?, of(&self.actor.network, self.actor_loss(&rows)?)?))
     }
 

@@ -8,7 +8,8 @@ use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::{self, ContactRole, Measures};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
-    AfterContact, Contact, Contender, Impact, Keep, Run, RunError, RunOptions, Simulated, Trace, simulate_batch,
+    AfterContact, Contact, Impact, NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, Trace,
+    simulate_batch,
 };
 
 /// What came of one controller in one scenario.
@@ -194,18 +195,18 @@ pub(super) enum Motion {
 /// Runs every controller in every scenario and reports scenario by scenario, in the order given.
 pub(super) fn run_cases(
     scenarios: &[&Scenario],
-    controllers: &[Contender],
+    controllers: &[NamedController],
     estimator: EstimatorKind,
     motion: Motion,
 ) -> Result<Vec<Vec<Case>>, RunError> {
-    let prepare = |scenario, controller: &Contender, after_contact| {
+    let prepare = |scenario, controller: &NamedController, after_contact| {
         let options =
-            RunOptions::new(controller.controller.clone()).with_estimator(estimator).with_after_contact(after_contact);
+            RunOptions::new(controller.kind.clone()).with_estimator(estimator).with_after_contact(after_contact);
         Run::new(scenario, options)
     };
     let pairs: Vec<_> = scenarios.iter().flat_map(|&s| controllers.iter().map(move |c| (s, c))).collect();
     let runs = pairs.iter().map(|(s, c)| prepare(s, c, AfterContact::Stop)).collect::<Result<Vec<_>, _>>()?;
-    let mut cases = simulate_batch(&runs, Keep::Trace, |index, simulated| {
+    let mut cases = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
         let mut case = Case::of(pairs[index].0, pairs[index].1, simulated);
         if motion == Motion::Dropped {
             case.motion = None;
@@ -216,7 +217,7 @@ pub(super) fn run_cases(
     let collided: Vec<usize> = collided.collect();
     let to_the_end = collided.iter().map(|&index| prepare(pairs[index].0, pairs[index].1, AfterContact::Continue));
     let to_the_end = to_the_end.collect::<Result<Vec<_>, _>>()?;
-    let pile_ups = simulate_batch(&to_the_end, Keep::Summary, |_, simulated| PileUp::of(&simulated));
+    let pile_ups = simulate_batch(&to_the_end, RecordingLevel::Summary, |_, simulated| PileUp::of(&simulated));
     for (index, pile_up) in collided.into_iter().zip(pile_ups) {
         cases[index].pile_up = pile_up;
     }
@@ -236,7 +237,7 @@ impl PileUp {
 }
 
 impl Case {
-    fn of(scenario: &Scenario, controller: &Contender, simulated: Simulated) -> Self {
+    fn of(scenario: &Scenario, controller: &NamedController, simulated: Simulated) -> Self {
         let trace = simulated.trace.as_ref();
         let measured = |index: usize| trace.and_then(|trace| Measures::of(trace, &simulated.impacts, index));
         let under_test: Vec<usize> =

@@ -21,7 +21,7 @@ pub struct AssessConfig {
     /// Version of the file format: 1.
     pub version: u32,
     /// Controllers to compare, built-in names or policy files, the baseline first. Default: all built-in ones, the policy
-    /// behind a shield, and the hardened policy.
+    /// behind a shield, and the retrained policy.
     #[serde(default = "all_controllers")]
     pub controllers: Vec<String>,
     /// The controller that the argument is about, one of those. Default: the first learned one, or else the last.
@@ -60,7 +60,7 @@ pub struct AssessConfig {
 pub struct SearchConfig {
     /// Spaces, built-in names or files relative to the configuration file. Default: `paper` and `high-risk`.
     pub spaces: Vec<String>,
-    /// Evaluations of the search, and of each yardstick. Default 400.
+    /// Evaluations of the search, and of each reference search. Default 400.
     pub budget: u64,
 }
 
@@ -88,7 +88,7 @@ impl Default for RatesConfig {
 
 fn all_controllers() -> Vec<String> {
     let built_in = ControllerSpec::built_in();
-    built_in.iter().map(ControllerSpec::name).chain(["shield:policy", "hardened"]).map(str::to_owned).collect()
+    built_in.iter().map(ControllerSpec::name).chain(["shield:policy", "retrained"]).map(str::to_owned).collect()
 }
 
 fn default_draws() -> u64 {

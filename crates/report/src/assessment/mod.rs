@@ -32,11 +32,11 @@ pub use parts::{
     Sampled, ScenarioCases, Search, Searches, SpaceSearches, Strength, Summary, Traffic, UnknownCell, WorstProfile,
     WorstProfiles,
 };
-pub use plan::Plan;
+pub use plan::AssessmentPlan;
 pub use rounded::Rounded;
 pub use store::{EvidenceHash, Store, StoreError};
 
-use crumple_search::evidence::{InvalidPlan, RateError};
+use crumple_search::evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_search::worst_case::AttackError;
 use crumple_world::scenario::InvalidField;
@@ -109,7 +109,7 @@ pub enum AssessError {
     Campaign(#[from] CampaignError),
     /// Failures cannot be counted.
     #[error(transparent)]
-    Rates(#[from] InvalidPlan),
+    Rates(#[from] InvalidRate),
     /// A run cannot be counted.
     #[error(transparent)]
     Rate(#[from] RateError),
@@ -128,7 +128,7 @@ pub enum AssessError {
 /// # Errors
 /// [`AssessError`] if a scenario cannot be run or drawn, or evidence not kept.
 pub fn assess(
-    plan: &Plan,
+    plan: &AssessmentPlan,
     store: &Store,
     against: Option<&Earlier>,
     told: &(dyn Fn(u64) + Sync),
@@ -167,13 +167,13 @@ pub fn assess(
     Ok(assessment)
 }
 
-impl Plan {
+impl AssessmentPlan {
     /// How many runs the plan asks for, roughly: searches may end early.
     #[must_use]
     pub fn runs(&self) -> u64 {
         let controllers = self.controllers.len() as u64;
         let scenarios = (crumple_world::scenario::built_in_names().len() + self.traffic.len()) as u64;
-        // A search has a method and two yardsticks.
+        // A search has a method and two reference searches.
         let searches = 3 * self.spaces.len() as u64 * self.config.search.budget;
         let each = scenarios + self.config.draws + searches + parts::BUDGET as u64;
         let learned = self.controllers.iter().filter(|controller| controller.policy().is_some()).count() as u64;

@@ -13,7 +13,7 @@ use crumple_world::policy::Policy;
 use crumple_world::scenario::file;
 use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
 use crumple_world::scenario::{ControllerSpec, Scenario, built_in_names};
-use crumple_world::sim::{Contender, UnderTest};
+use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Most draws a configuration may ask for.
 const MOST_DRAWS: u64 = 10_000_000;
@@ -23,9 +23,9 @@ const MOST_EVALUATIONS: u64 = 1_000_000_000;
 
 /// A configuration that was found valid, with everything it names.
 #[derive(Debug, Clone)]
-pub struct Plan {
+pub struct AssessmentPlan {
     pub(super) config: AssessConfig,
-    pub(super) controllers: Vec<Contender>,
+    pub(super) controllers: Vec<NamedController>,
     /// Which of them the argument is about.
     pub(super) subject: usize,
     /// Scenarios from files, in order of their paths, with the path as the configuration reaches it.
@@ -51,13 +51,13 @@ const SHIPPED: [(&str, &str); 2] = [
     ("reach-paper-2", include_str!("built_in/reach-paper-2.json")),
 ];
 
-impl Plan {
+impl AssessmentPlan {
     /// The built-in assessment.
     #[must_use]
     pub fn built_in() -> Self {
         let config = AssessConfig::default();
         let controllers: Vec<_> =
-            config.controllers.iter().filter_map(|name| Contender::find(name, Path::new("")).ok()).collect();
+            config.controllers.iter().filter_map(|name| NamedController::find(name, Path::new("")).ok()).collect();
         let spaces = config.search.spaces.iter().filter_map(|name| Some((name.clone(), built_in_space(name)?)));
         let (spaces, certificates) = (spaces.collect(), shipped(&controllers));
         Self { subject: subject(&controllers), config, controllers, traffic: Vec::new(), spaces, certificates }
@@ -112,7 +112,7 @@ impl Plan {
     }
 
     /// The controller that the argument is about.
-    pub(super) fn subject(&self) -> Option<&Contender> {
+    pub(super) fn subject(&self) -> Option<&NamedController> {
         self.controllers.get(self.subject)
     }
 
@@ -122,7 +122,7 @@ impl Plan {
     }
 
     /// The same of one controller.
-    pub(super) fn identity(&self, controller: &Contender) -> Value {
+    pub(super) fn identity(&self, controller: &NamedController) -> Value {
         let policy = controller.policy().map(|policy| policy.digest());
         json!([controller.name, policy, self.config.estimator.name()])
     }
@@ -142,14 +142,14 @@ pub(super) fn slug(name: &str) -> String {
 }
 
 /// The first learned controller without a shield, or else the last one.
-fn subject(controllers: &[Contender]) -> usize {
-    let is_bare = |controller: &Contender| {
-        controller.policy().is_some() && !matches!(controller.controller, UnderTest::Shielded(_))
+fn subject(controllers: &[NamedController]) -> usize {
+    let is_bare = |controller: &NamedController| {
+        controller.policy().is_some() && !matches!(controller.kind, ControllerKind::Shielded(_))
     };
     controllers.iter().position(is_bare).unwrap_or(controllers.len().saturating_sub(1))
 }
 
-fn shipped(controllers: &[Contender]) -> Vec<GivenCertificate> {
+fn shipped(controllers: &[NamedController]) -> Vec<GivenCertificate> {
     if !controllers.iter().any(|controller| controller.name == ControllerSpec::Policy.name()) {
         return Vec::new();
     }
@@ -203,7 +203,7 @@ impl Loading<'_> {
         Ok(())
     }
 
-    fn controllers(&self, config: &AssessConfig) -> Result<Vec<Contender>, ConfigError> {
+    fn controllers(&self, config: &AssessConfig) -> Result<Vec<NamedController>, ConfigError> {
         if config.controllers.is_empty() {
             return Err(self.wrong("controllers", "must name at least one controller".to_owned()));
         }
@@ -211,8 +211,8 @@ impl Loading<'_> {
         for (index, name) in config.controllers.iter().enumerate() {
             let field = format!("controllers[{index}]");
             let controller =
-                Contender::find(name, self.folder).map_err(|error| self.wrong(&field, error.to_string()))?;
-            if controllers.iter().any(|known: &Contender| known.name == controller.name) {
+                NamedController::find(name, self.folder).map_err(|error| self.wrong(&field, error.to_string()))?;
+            if controllers.iter().any(|known: &NamedController| known.name == controller.name) {
                 return Err(self.wrong(&field, format!("`{name}` is named twice")));
             }
             controllers.push(controller);

@@ -204,14 +204,14 @@ fn rounded(value: f64, digits: i32) -> f64 {
 mod tests {
     use super::*;
     use crumple_world::scenario::{ControllerSpec, built_in};
-    use crumple_world::sim::{AfterContact, Keep, Run, RunOptions, simulate};
+    use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
     use proptest::num::f64::ANY as ANY_NUMBER;
     use proptest::prelude::*;
 
     fn run(name: &str, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
         let scenario = built_in(name).unwrap();
         let options = RunOptions::new(ControllerSpec::named("baseline").unwrap()).with_after_contact(after_contact);
-        let simulated = simulate(&Run::new(&scenario, options).unwrap(), Keep::Trace);
+        let simulated = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
         (simulated.trace.unwrap(), simulated.impacts)
     }
 

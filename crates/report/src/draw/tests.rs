@@ -10,7 +10,7 @@ use super::*;
 use crumple_world::scenario::{
     AebSettings, Brake, ControllerSpec, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in,
 };
-use crumple_world::sim::{AfterContact, Contact, Impact, Keep, Run, RunOptions, Trace, Track, simulate};
+use crumple_world::sim::{AfterContact, Contact, Impact, RecordingLevel, Run, RunOptions, Trace, Track, simulate};
 
 /// The paper's first scenario with these vehicles, 16 m apart.
 ///
@@ -33,7 +33,8 @@ fn line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Tra
     });
     let scenario = scenario.unwrap();
     let nobody = RunOptions::new(ControllerSpec::MatchLeader);
-    let simulated = simulate(&Run::new(&scenario, nobody.with_after_contact(after_contact)).unwrap(), Keep::Trace);
+    let simulated =
+        simulate(&Run::new(&scenario, nobody.with_after_contact(after_contact)).unwrap(), RecordingLevel::Trace);
     (simulated.trace.unwrap(), simulated.impacts)
 }
 
@@ -230,7 +231,7 @@ fn runs_beside_each_other_are_drawn_on_the_same_axes() {
 fn an_animation_shows_the_end_without_its_script_and_shares_no_identifier() {
     let scenario = built_in("paper-2").unwrap();
     let options = RunOptions::new(ControllerSpec::named("baseline").unwrap());
-    let simulated = simulate(&Run::new(&scenario, options).unwrap(), Keep::Trace);
+    let simulated = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
     let (trace, impacts) = (simulated.trace.unwrap(), simulated.impacts);
     let block = |id| animation(id, "a </script> title", &trace, &scenario, &impacts).into_string();
     let text = block("a") + &block("b");

@@ -11,7 +11,7 @@ mod reach;
 
 pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
-pub use rate::{InvalidPlan, Plan, PlanDriver, RateError, Tally};
+pub use rate::{InvalidRate, RateConfig, RateError, RatePlan, Tally};
 pub use reach::{BoxSpec, Doubts, InvalidBox, Partition, RangesSpec, ReachPlan, Shares};
 
 use crumple_verify::{Certificate, Provenance, Statement};

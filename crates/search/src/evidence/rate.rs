@@ -13,14 +13,14 @@ use crumple_world::digest::sha256;
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::space::{Space, file};
-use crumple_world::sim::{Contender, Keep, Outcome, Run, RunError, RunOptions, simulate_batch};
+use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 
 /// Runs that are drawn and simulated together.
 const BLOCK: u64 = 1000;
 
 /// What is to be counted: one controller, or two on the same draws.
-pub struct Plan {
-    drivers: Vec<Contender>,
+pub struct RatePlan {
+    drivers: Vec<NamedController>,
     space: Space,
     seed: u64,
     estimator: EstimatorKind,
@@ -28,9 +28,9 @@ pub struct Plan {
 }
 
 /// What a plan is made of.
-pub struct PlanDriver {
+pub struct RateConfig {
     /// The controller; a second one to compare it with.
-    pub controllers: (Contender, Option<Contender>),
+    pub controllers: (NamedController, Option<NamedController>),
     /// What runs are drawn from, and its name.
     pub space: (String, Space),
     /// Seed of all draws.
@@ -46,7 +46,7 @@ pub struct PlanDriver {
 /// Why nothing can be claimed whatever is counted.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum InvalidPlan {
+pub enum InvalidRate {
     /// Number of runs.
     #[error("{found} runs, and there must be from 1 to {MOST_RUNS}")]
     Runs {
@@ -99,20 +99,20 @@ pub struct Tally {
     pub only_second_failed: u64,
 }
 
-impl Plan {
+impl RatePlan {
     /// Fixes what is to be counted.
     ///
     /// # Errors
-    /// [`InvalidPlan`] if no claim could come of it.
-    pub fn new(parts: PlanDriver) -> Result<Self, InvalidPlan> {
-        let PlanDriver { controllers, space: (space_name, space), seed, estimator, runs, confidence } = parts;
+    /// [`InvalidRate`] if no claim could come of it.
+    pub fn new(parts: RateConfig) -> Result<Self, InvalidRate> {
+        let RateConfig { controllers, space: (space_name, space), seed, estimator, runs, confidence } = parts;
         if !(1..=MOST_RUNS).contains(&runs) {
-            return Err(InvalidPlan::Runs { found: runs });
+            return Err(InvalidRate::Runs { found: runs });
         }
         if !(confidence > 0.5 && confidence < 1.0) {
-            return Err(InvalidPlan::Confidence { found: confidence });
+            return Err(InvalidRate::Confidence { found: confidence });
         }
-        let drivers: Vec<Contender> = std::iter::once(controllers.0).chain(controllers.1).collect();
+        let drivers: Vec<NamedController> = std::iter::once(controllers.0).chain(controllers.1).collect();
         let mut configuration = BTreeMap::from([
             ("crumple".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("estimator".to_owned(), estimator.name().to_owned()),
@@ -152,13 +152,13 @@ impl Plan {
         let indices: Vec<u64> = (tally.runs..(tally.runs + BLOCK).min(self.registration.runs)).collect();
         let draw = |&index: &u64| self.space.draw(self.seed, index).map_err(|source| RateError::Draw { index, source });
         let scenarios = indices.par_iter().map(draw).collect::<Result<Vec<_>, _>>()?;
-        let failed = |driver: &Contender| {
-            let options = RunOptions::new(driver.controller.clone()).with_estimator(self.estimator);
+        let failed = |driver: &NamedController| {
+            let options = RunOptions::new(driver.kind.clone()).with_estimator(self.estimator);
             let runs = scenarios.iter().zip(&indices).map(|(scenario, &index)| {
                 Run::new(scenario, options.clone()).map_err(|source| RateError::Run { index, source })
             });
             let runs = runs.collect::<Result<Vec<_>, _>>()?;
-            Ok(simulate_batch(&runs, Keep::Summary, |_, result| result.outcome != Outcome::NoCollision))
+            Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome != Outcome::NoCollision))
         };
         let failed = self.drivers.iter().map(failed).collect::<Result<Vec<_>, RateError>>()?;
         tally.runs += indices.len() as u64;
@@ -218,9 +218,9 @@ mod tests {
     use crumple_world::scenario::ControllerSpec;
     use crumple_world::scenario::space::built_in_space;
 
-    fn plan(controller: &str, against: Option<&str>, runs: u64) -> Plan {
-        let contender = |name: &str| Contender::from(ControllerSpec::named(name).unwrap());
-        Plan::new(PlanDriver {
+    fn plan(controller: &str, against: Option<&str>, runs: u64) -> RatePlan {
+        let contender = |name: &str| NamedController::from(ControllerSpec::named(name).unwrap());
+        RatePlan::new(RateConfig {
             controllers: (contender(controller), against.map(contender)),
             space: ("paper".to_owned(), built_in_space("paper").unwrap()),
             seed: 3,
@@ -231,7 +231,7 @@ mod tests {
         .unwrap()
     }
 
-    fn counted(plan: &Plan) -> Tally {
+    fn counted(plan: &RatePlan) -> Tally {
         let mut tally = plan.tally();
         while tally.runs < plan.registration().runs {
             plan.count_block(&mut tally).unwrap();

@@ -18,7 +18,7 @@ use crumple_world::estimate::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::{Brake, ControllerSpec, Driver, InvalidField, LeadProfile, Scenario, built_in};
-use crumple_world::sim::{Keep, Outcome, Run, RunError, RunOptions, simulate};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// Covers what a simulator in double precision rounds, in metres, m/s and m/s².
 const ROUNDING: f64 = 1e-9;
@@ -377,7 +377,7 @@ impl ReachPlan {
         })?;
         let options = RunOptions::new(Arc::clone(&self.policy)).with_estimator(EstimatorKind::Truth);
         let run = Run::new(&scenario, options)?;
-        Ok(simulate(&run, Keep::Summary).outcome != Outcome::NoCollision)
+        Ok(simulate(&run, RecordingLevel::Summary).outcome != Outcome::NoCollision)
     }
 }
 

@@ -4,8 +4,8 @@ use rand::RngExt;
 
 use super::climb::{Climbs, Move};
 use super::cma_es::{FIRST_SIGMA, Run, default_population};
-use super::edge::{Plateaus, Segment};
 use super::method::rankable;
+use super::plateau_bisection::{Plateaus, Segment};
 use super::sequential::LeadDescent;
 use super::shape::simple_point;
 use super::surrogate::{Chosen, Surrogate};
@@ -114,7 +114,7 @@ enum Asked {
     Simple(Vec<f64>),
     Screened(Vec<f64>),
     Descent(Vec<f64>),
-    Edge(Segment),
+    PlateauBisection(Segment),
     Climb(Move),
     Lead(Vec<f64>),
 }
@@ -160,7 +160,7 @@ impl Auto {
     fn edge(&mut self) -> Asked {
         let segment = self.segments.pop().or_else(|| self.plateaus.segment(&self.cube, &mut self.random));
         if let Some(segment) = segment {
-            return Asked::Edge(segment);
+            return Asked::PlateauBisection(segment);
         }
         match self.climbs.next(&self.cube, &mut self.random) {
             Some(proposal) => Asked::Climb(proposal),
@@ -295,7 +295,7 @@ impl Search for Auto {
         let point = |asked: &Asked| match asked {
             Asked::Simple(point) | Asked::Screened(point) => point.clone(),
             Asked::Descent(point) | Asked::Lead(point) => point.clone(),
-            Asked::Edge(segment) => segment.middle(),
+            Asked::PlateauBisection(segment) => segment.middle(),
             Asked::Climb(proposal) => proposal.point.clone(),
         };
         self.asked.iter().map(point).collect()
@@ -324,7 +324,7 @@ impl Search for Auto {
                     self.remember(&point, value);
                     generation.push(value);
                 }
-                Asked::Edge(segment) => self.segments.extend(segment.halved(value)),
+                Asked::PlateauBisection(segment) => self.segments.extend(segment.halved(value)),
                 Asked::Climb(proposal) => self.climbs.tell(proposal, value),
                 Asked::Lead(point) => {
                     of_lead.push(value);

@@ -5,7 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
-enum Wide {
+enum NumberOrText {
     Number(f64),
     Text(Infinite),
 }
@@ -18,7 +18,7 @@ enum Infinite {
     Negative,
 }
 
-impl From<f64> for Wide {
+impl From<f64> for NumberOrText {
     fn from(value: f64) -> Self {
         match value {
             f64::INFINITY => Self::Text(Infinite::Positive),
@@ -28,12 +28,12 @@ impl From<f64> for Wide {
     }
 }
 
-impl From<Wide> for f64 {
-    fn from(wide: Wide) -> Self {
-        match wide {
-            Wide::Number(value) => value,
-            Wide::Text(Infinite::Positive) => f64::INFINITY,
-            Wide::Text(Infinite::Negative) => f64::NEG_INFINITY,
+impl From<NumberOrText> for f64 {
+    fn from(value: NumberOrText) -> Self {
+        match value {
+            NumberOrText::Number(value) => value,
+            NumberOrText::Text(Infinite::Positive) => f64::INFINITY,
+            NumberOrText::Text(Infinite::Negative) => f64::NEG_INFINITY,
         }
     }
 }
@@ -43,7 +43,7 @@ impl From<Wide> for f64 {
 /// # Errors
 /// The serialiser's.
 pub fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
-    Wide::from(*value).serialize(serializer)
+    NumberOrText::from(*value).serialize(serializer)
 }
 
 /// Reads a number.
@@ -51,19 +51,19 @@ pub fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::
 /// # Errors
 /// The deserialiser's, and for what is neither a number nor one of the two texts.
 pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    Wide::deserialize(deserializer).map(f64::from)
+    NumberOrText::deserialize(deserializer).map(f64::from)
 }
 
 /// The same for numbers that may be missing.
 pub mod optional {
-    use super::{Deserialize, Deserializer, Serialize, Serializer, Wide};
+    use super::{Deserialize, Deserializer, NumberOrText, Serialize, Serializer};
 
     /// Writes a number, if there is one.
     ///
     /// # Errors
     /// The serialiser's.
     pub fn serialize<S: Serializer>(value: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
-        value.map(Wide::from).serialize(serializer)
+        value.map(NumberOrText::from).serialize(serializer)
     }
 
     /// Reads a number, if there is one.
@@ -71,7 +71,7 @@ pub mod optional {
     /// # Errors
     /// The deserialiser's, and for what is neither a number nor one of the two texts.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
-        Ok(Option::<Wide>::deserialize(deserializer)?.map(f64::from))
+        Ok(Option::<NumberOrText>::deserialize(deserializer)?.map(f64::from))
     }
 }
 

@@ -1,4 +1,4 @@
-//! Independent uniform points: the yardstick of every other method.
+//! Independent uniform points: the reference search of every other method.
 
 use rand::RngExt;
 

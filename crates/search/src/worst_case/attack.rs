@@ -4,7 +4,9 @@ use super::exact;
 use super::sequential;
 use super::witness::pieces;
 use crumple_world::scenario::{ControllerSpec, Driver, InvalidField, LeadProfile, Scenario};
-use crumple_world::sim::{Keep, Outcome, Run, RunError, RunOptions, Simulated, UnderTest, simulate_batch};
+use crumple_world::sim::{
+    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch,
+};
 
 /// What an attack is after.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,7 +43,7 @@ impl Envelope {
 /// How an attack was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Way {
+pub enum AttackMethod {
     /// By enumerating when the controller fires: no profile on this grid does with less.
     Exact,
     /// By the same enumeration, which knows neither noise nor a filter, and then braking somewhat more until it collides: near
@@ -71,12 +73,12 @@ pub struct Attack {
     /// Convex programs solved.
     pub programs: usize,
     /// How it was found.
-    pub way: Way,
+    pub method: AttackMethod,
 }
 
 /// What an attack found, and what it spent.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Hunt {
+pub struct AttackResult {
     /// The profile, if one makes the controller collide.
     pub found: Option<Attack>,
     /// Simulations spent.
@@ -135,7 +137,7 @@ pub fn hunt(
     aim: Aim,
     envelope: Envelope,
     budget: usize,
-) -> Result<Hunt, AttackError> {
+) -> Result<AttackResult, AttackError> {
     if !matches!(scenario.vehicles().first().map(|leader| &leader.driver), Some(Driver::Profile(_))) {
         return Err(AttackError::Leader);
     }
@@ -149,14 +151,14 @@ pub fn hunt(
     let boundless_mps3 = 2.0 * max_brake_mps2 / bench.cell_s();
     bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);
     let found = if aim != Aim::Severest
-        && let UnderTest::BuiltIn(ControllerSpec::Baseline(aeb)) = &options.controller
+        && let ControllerKind::BuiltIn(ControllerSpec::Baseline(aeb)) = &options.controller
         && exact::applies(scenario)
     {
         exact::mildest(&mut bench, aeb.ttc_s, aim, budget)?
     } else {
         sequential::attack(&mut bench, aim, budget)?
     };
-    Ok(Hunt { found, evaluations: bench.evaluations, programs: bench.programs })
+    Ok(AttackResult { found, evaluations: bench.evaluations, programs: bench.programs })
 }
 
 /// Where profiles are tried out.
@@ -214,7 +216,7 @@ impl<'a> Bench<'a> {
             .map(|scenario| Run::new(scenario, self.options.clone()))
             .collect::<Result<Vec<_>, RunError>>()?;
         self.evaluations += profiles.len();
-        Ok(simulate_batch(&runs, Keep::Summary, |_, simulated| Trial::of(&simulated)))
+        Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| Trial::of(&simulated)))
     }
 
     /// Simulates one profile and reports it.
@@ -222,7 +224,7 @@ impl<'a> Bench<'a> {
         &mut self,
         cells_mps2: &[f64],
         predicted_margin_m: f64,
-        way: Way,
+        method: AttackMethod,
     ) -> Result<Attack, AttackError> {
         let scenario = self.scripted(cells_mps2)?.edited(|spec| {
             spec.name = format!("{}-worst", spec.name.chars().take(190).collect::<String>());
@@ -230,7 +232,7 @@ impl<'a> Bench<'a> {
         })?;
         let run = Run::new(&scenario, self.options.clone())?;
         self.evaluations += 1;
-        let trial = Trial::of(&crumple_world::sim::simulate(&run, Keep::Summary));
+        let trial = Trial::of(&crumple_world::sim::simulate(&run, RecordingLevel::Summary));
         Ok(Attack {
             outcome: trial.outcome,
             effort_m2ps3: cells_mps2.iter().map(|a| a * a * self.cell_s()).sum(),
@@ -239,7 +241,7 @@ impl<'a> Bench<'a> {
             margin_m: trial.margin_m,
             evaluations: self.evaluations,
             programs: self.programs,
-            way,
+            method,
             scenario,
         })
     }

@@ -11,7 +11,7 @@ use super::situation::{Side, Situation};
 
 /// An escape of the model.
 #[derive(Debug, Clone)]
-pub(super) struct Found {
+pub(super) struct FoundBranches {
     /// The step by which the follower's brake fires; the number of steps for never.
     pub(super) firing: usize,
     /// The smallest gap at the instants of the grid, in metres.
@@ -28,7 +28,7 @@ pub(super) struct Search<'a> {
     /// What no escape with that firing exceeds, in metres.
     bounds_m: Vec<f64>,
     solved: Vec<bool>,
-    pub(super) best: Option<Found>,
+    pub(super) best: Option<FoundBranches>,
     pub(super) programs: usize,
     pub(super) trouble: Option<String>,
 }
@@ -104,7 +104,7 @@ impl<'a> Search<'a> {
             Answer::Profile { gap_m, acceleration_mps2, multipliers } => {
                 self.cut(multipliers);
                 if self.best.as_ref().is_none_or(|best| gap_m > best.gap_m) {
-                    self.best = Some(Found { firing, gap_m, acceleration_mps2, grid: grid.clone() });
+                    self.best = Some(FoundBranches { firing, gap_m, acceleration_mps2, grid: grid.clone() });
                 }
             }
             Answer::Empty(multipliers) => self.cut(multipliers),
@@ -125,11 +125,11 @@ impl<'a> Search<'a> {
     }
 
     /// The same escape made smoother: for its firing, with half its smallest gap kept.
-    pub(super) fn smoothed(&self, best: &Found, objective: impl Fn(f64) -> Objective) -> Option<Found> {
+    pub(super) fn smoothed(&self, best: &FoundBranches, objective: impl Fn(f64) -> Objective) -> Option<FoundBranches> {
         let wanted = Wanted { objective: objective(0.5 * best.gap_m), side: Side::Tight };
         match program::solve(self.situation, &best.grid, best.firing, wanted) {
             Answer::Profile { gap_m, acceleration_mps2, .. } => {
-                Some(Found { firing: best.firing, gap_m, acceleration_mps2, grid: best.grid.clone() })
+                Some(FoundBranches { firing: best.firing, gap_m, acceleration_mps2, grid: best.grid.clone() })
             }
             Answer::Empty(_) | Answer::Trouble(_) => None,
         }

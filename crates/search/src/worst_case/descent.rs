@@ -3,7 +3,7 @@
 //! A [`Descent`] asks for values and is told them; what the values are of, and how they are computed, is not its affair. So
 //! an attack on one scenario and a search that shares a budget with others take the same steps.
 
-use super::cone::{Cone, Solved};
+use super::quadratic_program::{QuadraticProgram, Solved};
 
 /// What the variables may be.
 #[derive(Debug, Clone, Copy)]
@@ -36,7 +36,7 @@ const IDLE_WEIGHT: f64 = 1e-4;
 
 impl Limits {
     /// The rows of a step from a point inside a trust region: the first variables of the program are the new values.
-    pub(super) fn rows(&self, cone: &mut Cone, at: &[f64], region: f64) {
+    pub(super) fn rows(&self, cone: &mut QuadraticProgram, at: &[f64], region: f64) {
         for (index, &now) in at.iter().enumerate() {
             cone.at_most(&[(index, 1.0)], (now + region).min(self.high));
             cone.at_most(&[(index, -1.0)], (region - now).min(-self.low));
@@ -63,7 +63,7 @@ impl Limits {
     }
 
     /// The first variables of a solution; none if there is no solution.
-    pub(super) fn solution(&self, cone: &Cone, variables: usize) -> Option<Vec<f64>> {
+    pub(super) fn solution(&self, cone: &QuadraticProgram, variables: usize) -> Option<Vec<f64>> {
         let Solved::Optimal { at, .. } = cone.solve() else { return None };
         let inside: Vec<f64> = at.iter().take(variables).map(|value| value.clamp(self.low, self.high)).collect();
         inside.iter().all(|value| value.is_finite()).then_some(inside)
@@ -157,7 +157,7 @@ impl Descent {
 
     /// Where the linearised value is lowest inside the trust region.
     fn step(&self, slope: &[f64]) -> Option<Vec<f64>> {
-        let mut cone = Cone::new(self.at.len());
+        let mut cone = QuadraticProgram::new(self.at.len());
         self.limits.rows(&mut cone, &self.at, self.region);
         for ((index, &now), &slope) in self.at.iter().enumerate().zip(slope) {
             // w (x - c)² = w x² - 2 w c x + constant.

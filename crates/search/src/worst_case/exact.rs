@@ -15,12 +15,12 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use super::attack::{Aim, Attack, AttackError, Bench, Trial, Way};
+use super::attack::{Aim, Attack, AttackError, AttackMethod, Bench, Trial};
 use super::lead::{Ask, cheapest};
 use super::sequential;
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::{AebSettings, ControllerSpec, Driver, LeadProfile, Pieces, Scenario};
-use crumple_world::sim::{Keep, Run, RunOptions, simulate_batch};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 /// Whether the first vehicle under test does at once and without noise what it decides.
 pub(super) fn applies(scenario: &Scenario) -> bool {
@@ -50,7 +50,7 @@ pub(super) fn mildest(
     // Perhaps nobody need brake at all.
     let coasting = vec![0.0; bench.cells()];
     if bench.simulate(std::slice::from_ref(&coasting))?.iter().any(Trial::collides) {
-        return Ok(Some(bench.report(&coasting, 0.0, Way::Exact)?));
+        return Ok(Some(bench.report(&coasting, 0.0, AttackMethod::Exact)?));
     }
     let hits_behind = behind(bench, ttc_s)?;
     let mut search = Enumeration { bench, ttc_s, aim, beyond_m: 0.0, hits_behind: &hits_behind };
@@ -67,8 +67,9 @@ pub(super) fn mildest(
         };
         let Some(Ranked { node: cheapest, profile, .. }) = found else { break };
         node = Some(cheapest);
-        let way = if widened == 0 && options_see_truth && is_quiet { Way::Exact } else { Way::Widened };
-        let attack = search.bench.report(&profile, -beyond_m, way)?;
+        let method =
+            if widened == 0 && options_see_truth && is_quiet { AttackMethod::Exact } else { AttackMethod::Widened };
+        let attack = search.bench.report(&profile, -beyond_m, method)?;
         if attack.outcome.contact().is_some() {
             return Ok(Some(attack));
         }
@@ -105,7 +106,7 @@ fn behind(bench: &mut Bench<'_>, ttc_s: f64) -> Result<Vec<bool>, AttackError> {
     let options = RunOptions::new(baseline).with_estimator(EstimatorKind::Truth);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
     bench.evaluations += runs.len();
-    Ok(simulate_batch(&runs, Keep::Summary, |_, simulated| simulated.outcome.contact().is_some()))
+    Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| simulated.outcome.contact().is_some()))
 }
 
 fn delay_steps(scenario: &Scenario) -> usize {

@@ -5,7 +5,7 @@
 //! times H. Everything asked of the leader at a step is a bound on d + θ w there.
 
 use super::attack::{Aim, Bench};
-use super::cone::{Cone, Solved};
+use super::quadratic_program::{QuadraticProgram, Solved};
 
 /// The variable of the peak.
 const PEAK: usize = 0;
@@ -31,7 +31,7 @@ pub(super) fn cheapest(bench: &mut Bench<'_>, aim: Aim, asked: &[Ask]) -> Option
     let step_s = bench.scenario.spec().step_s;
     let speed_mps = bench.scenario.vehicles().first().map_or(0.0, |leader| leader.speed_mps);
     let envelope = bench.envelope;
-    let mut cone = Cone::new(1 + 2 * cells);
+    let mut cone = QuadraticProgram::new(1 + 2 * cells);
     // The change of speed after cell j, counted from 1; its displacement is the next variable.
     let w = |j: usize| 2 * j - 1;
     let change = |j: usize| if j > 1 { vec![(w(j), 1.0), (w(j - 1), -1.0)] } else { vec![(w(j), 1.0)] };

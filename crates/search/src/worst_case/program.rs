@@ -16,8 +16,8 @@
 //! A profile that fires earlier than τ makes the follower brake earlier, which leaves more room: it is an escape as well,
 //! so nothing need say that the brake has not fired before τ.
 
-use super::cone::{Cone, Solved};
 use super::multipliers::Multipliers;
+use super::quadratic_program::{QuadraticProgram, Solved};
 use super::situation::{Side, Situation};
 
 /// Instants, in steps, between which accelerations are held.
@@ -117,7 +117,7 @@ struct Program<'a> {
     situation: &'a Situation,
     grid: &'a Grid,
     wanted: Wanted,
-    cone: Cone,
+    cone: QuadraticProgram,
     rows: Vec<Row>,
 }
 
@@ -127,7 +127,7 @@ const GAP: usize = 0;
 impl<'a> Program<'a> {
     fn new(situation: &'a Situation, grid: &'a Grid, wanted: Wanted) -> Self {
         let variables = 1 + 2 * situation.egos.len() * grid.cells();
-        Self { situation, grid, wanted, cone: Cone::new(variables), rows: Vec::new() }
+        Self { situation, grid, wanted, cone: QuadraticProgram::new(variables), rows: Vec::new() }
     }
 
     /// The variable w of an ego at a grid instant after the first; d is the next one.

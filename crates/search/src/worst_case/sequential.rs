@@ -5,9 +5,9 @@
 //! rollout judges it, and the region shrinks or grows with how well the two agree. First down to a collision, then, along
 //! its boundary, to the mildest one; or on down to the severest.
 
-use super::attack::{Aim, Attack, AttackError, Bench, Way};
-use super::cone::Cone;
+use super::attack::{Aim, Attack, AttackError, AttackMethod, Bench};
 use super::descent::{Descent, Limits, Pace, REGION_FACTORS, slopes};
+use super::quadratic_program::QuadraticProgram;
 
 /// Knots of a profile.
 const KNOTS: usize = 26;
@@ -40,7 +40,7 @@ pub(super) fn attack(bench: &mut Bench<'_>, aim: Aim, budget: usize) -> Result<O
         (best, predicted_m) = search.ease(best, budget)?;
     }
     let cells = search.cells(&best.knots_mps2);
-    Ok(Some(bench.report(&cells, predicted_m, Way::Sequential)?))
+    Ok(Some(bench.report(&cells, predicted_m, AttackMethod::Sequential)?))
 }
 
 struct Search<'s, 'a> {
@@ -179,7 +179,7 @@ impl Search<'_, '_> {
     fn cheapest(&mut self, at: &Point, slope: &[f64], region: f64, aim_m: f64) -> Option<Vec<f64>> {
         self.bench.programs += 1;
         // One variable a knot, its new value; the last ones are the peak and the shortfall of the aim.
-        let mut cone = Cone::new(KNOTS + 2);
+        let mut cone = QuadraticProgram::new(KNOTS + 2);
         let (peak, short) = (KNOTS, KNOTS + 1);
         let limits = self.limits();
         limits.rows(&mut cone, &at.knots_mps2, region);

@@ -1,10 +1,10 @@
 //! An escape as a scenario, and what the ordinary simulation says about it.
 
-use super::branches::Found;
+use super::branches::FoundBranches;
 use super::situation::Situation;
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::scenario::{ControllerSpec, Driver, InvalidField, LeadProfile, Pieces, Scenario};
-use crumple_world::sim::{Keep, Outcome, Run, RunOptions, simulate};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// An escape that was replayed.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,15 +21,15 @@ pub struct Escape {
 
 impl Escape {
     /// Replays what was found at the scenario's step and at a tenth of it; none if vehicles touch in either.
-    pub(super) fn replay(scenario: &Scenario, situation: &Situation, found: &Found) -> Option<Self> {
+    pub(super) fn replay(scenario: &Scenario, situation: &Situation, found: &FoundBranches) -> Option<Self> {
         let acceleration_mps2: Vec<Vec<f64>> =
             found.acceleration_mps2.iter().map(|cells| each_step(found, situation.steps, cells)).collect();
         let scripted = scripted(scenario, &acceleration_mps2).ok()?;
         let options = RunOptions::new(ControllerSpec::MatchLeader).with_estimator(EstimatorKind::Truth);
         let run = Run::new(&scripted, options.clone()).ok()?;
-        let coarse = simulate(&run, Keep::Trace);
+        let coarse = simulate(&run, RecordingLevel::Trace);
         let run = Run::new(&scripted, options.with_dt_s(0.1 * scripted.spec().step_s)).ok()?;
-        let fine = simulate(&run, Keep::Summary);
+        let fine = simulate(&run, RecordingLevel::Summary);
         if coarse.outcome != Outcome::NoCollision || fine.outcome != Outcome::NoCollision {
             return None;
         }
@@ -55,7 +55,7 @@ impl Escape {
 }
 
 /// The acceleration of every step from that of every cell.
-fn each_step(found: &Found, steps: usize, cells: &[f64]) -> Vec<f64> {
+fn each_step(found: &FoundBranches, steps: usize, cells: &[f64]) -> Vec<f64> {
     let mut each = Vec::with_capacity(steps);
     for (pair, &held) in found.grid.steps.windows(2).zip(cells) {
         let length = pair.last().zip(pair.first()).map_or(0, |(to, from)| to - from);

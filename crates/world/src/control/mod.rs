@@ -8,20 +8,20 @@ mod baseline;
 mod constant_brake;
 mod idm;
 mod match_leader;
-mod paced;
 mod policy;
 mod shield;
 mod stress;
+mod zero_order_hold;
 
 pub use acc_aeb::AccAeb;
 pub use baseline::{Baseline, BaselineUnlatched};
 pub use constant_brake::ConstantBrake;
 pub use idm::Idm;
 pub use match_leader::MatchLeader;
-pub use paced::Paced;
 pub use policy::PolicyDriver;
 pub use shield::{Behind, ErrorBounds, Frame, Kernel, MARGIN_M, Override, Shield, ShieldSettings};
 pub use stress::{FullThrottle, RandomActions};
+pub use zero_order_hold::ZeroOrderHold;
 
 use std::sync::Arc;
 
@@ -124,7 +124,7 @@ impl AnyController {
     pub fn custom(controller: Box<dyn Controller>, ego: &Ego) -> Self {
         Self::Custom(match controller.interval_s() {
             None => controller,
-            Some(interval_s) => Box::new(Paced::new(controller, interval_s, ego.step_s)),
+            Some(interval_s) => Box::new(ZeroOrderHold::new(controller, interval_s, ego.step_s)),
         })
     }
 }

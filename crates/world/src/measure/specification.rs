@@ -7,7 +7,7 @@ use super::stl::{
     Formula, MonitorError, ParseError, Signals, SignalsError, motion_signal_names, motion_signals, signal_column,
 };
 use crate::scenario::{Scenario, VehicleClass};
-use crate::sim::{AfterContact, Keep, Outcome, Run, RunError, RunOptions, Simulated, simulate};
+use crate::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate};
 
 /// What must hold in every run.
 #[derive(Debug, Clone, PartialEq)]
@@ -160,10 +160,10 @@ impl Specification {
 
     /// What must be kept of a run to judge it.
     #[must_use]
-    pub fn keep(&self) -> Keep {
+    pub fn keep(&self) -> RecordingLevel {
         match self {
-            Self::NoContact => Keep::Summary,
-            Self::Formula(_) => Keep::Trace,
+            Self::NoContact => RecordingLevel::Summary,
+            Self::Formula(_) => RecordingLevel::Trace,
         }
     }
 

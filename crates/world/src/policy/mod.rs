@@ -7,7 +7,7 @@ mod file;
 mod header;
 mod network;
 mod product;
-mod wide;
+mod simd;
 
 use std::sync::{Arc, LazyLock};
 
@@ -16,9 +16,9 @@ pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader,
 use network::Acting;
 pub use network::{Network, Workspace};
 pub use product::{Left, Panels, Right, multiply_vector, with_hands_ready};
-pub use wide::Wide;
+pub use simd::InSimd;
 #[cfg(test)]
-pub(crate) use wide::every_path;
+pub(crate) use simd::every_path;
 
 use crate::estimate::Observation;
 
@@ -29,12 +29,12 @@ static REFERENCE_BYTES: &[u8] = include_bytes!("reference.safetensors");
 static REFERENCE: LazyLock<Arc<Policy>> =
     LazyLock::new(|| Arc::new(Policy::from_bytes(REFERENCE_BYTES).expect("the reference policy is whole")));
 
-/// The committed policy hardened by `crumple retrain`, likewise.
-static HARDENED_BYTES: &[u8] = include_bytes!("hardened.safetensors");
+/// The committed policy retrained by `crumple retrain`, likewise.
+static RETRAINED_BYTES: &[u8] = include_bytes!("retrained.safetensors");
 
 #[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
-static HARDENED: LazyLock<Arc<Policy>> =
-    LazyLock::new(|| Arc::new(Policy::from_bytes(HARDENED_BYTES).expect("the hardened policy is whole")));
+static RETRAINED: LazyLock<Arc<Policy>> =
+    LazyLock::new(|| Arc::new(Policy::from_bytes(RETRAINED_BYTES).expect("the retrained policy is whole")));
 
 /// An actor that can drive.
 ///
@@ -88,14 +88,14 @@ impl Policy {
 
     /// The committed policy that `crumple retrain` made of the reference policy.
     #[must_use]
-    pub fn hardened() -> Arc<Self> {
-        Arc::clone(&HARDENED)
+    pub fn retrained() -> Arc<Self> {
+        Arc::clone(&RETRAINED)
     }
 
-    /// The file of the hardened policy.
+    /// The file of the retrained policy.
     #[must_use]
-    pub fn hardened_bytes() -> &'static [u8] {
-        HARDENED_BYTES
+    pub fn retrained_bytes() -> &'static [u8] {
+        RETRAINED_BYTES
     }
 
     /// Everything but the weights.

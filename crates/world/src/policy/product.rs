@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use pulp::{Arch, Simd, WithSimd, bytemuck};
 use rayon::prelude::*;
 
-use super::wide::Wide;
+use super::simd::InSimd;
 
 /// Columns of a panel: two of the widest vector registers.
 const PANEL: usize = 32;
@@ -298,7 +298,7 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
 
 /// `start` plus the product of each row of `rows` with `factor`, into `out`.
 pub fn multiply_vector(rows: &[f32], factor: &[f32], start: f32, out: &mut [f32]) {
-    Arch::new().dispatch(Wide(
+    Arch::new().dispatch(InSimd(
         #[inline(always)]
         || {
             for (row, out) in rows.chunks_exact(factor.len()).zip(out.iter_mut()) {
@@ -310,7 +310,7 @@ pub fn multiply_vector(rows: &[f32], factor: &[f32], start: f32, out: &mut [f32]
 
 #[cfg(test)]
 mod tests {
-    use super::super::wide::every_path;
+    use super::super::simd::every_path;
     use super::*;
     use proptest::prelude::*;
     use rand::RngExt;

@@ -51,7 +51,7 @@ impl Default for MinBrake {
 
 /// Braking episodes, and those that were left out.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Found {
+pub struct FoundEpisodes {
     /// Episodes in the order of the file.
     pub episodes: Vec<Episode>,
     /// Episodes no scenario can be made of.
@@ -68,8 +68,8 @@ pub struct Found {
 /// that is: a platoon whose first cars drop out for a while has a leader all the same. Braking of the cars behind it is
 /// their reaction, which is for the controllers to decide, and makes no episode.
 #[must_use]
-pub fn episodes(recording: &Recording, min_brake: MinBrake) -> Found {
-    let mut found = Found::default();
+pub fn episodes(recording: &Recording, min_brake: MinBrake) -> FoundEpisodes {
+    let mut found = FoundEpisodes::default();
     for platoon in &recording.platoons {
         for leader in 0..platoon.vehicles.len().saturating_sub(1) {
             for run in runs(platoon, leader) {
@@ -97,7 +97,7 @@ struct Window<'a> {
 }
 
 impl Window<'_> {
-    fn find(&self, recording: &Recording, found: &mut Found) {
+    fn find(&self, recording: &Recording, found: &mut FoundEpisodes) {
         let candidates = self.between(self.braking.onset_ms - START_WITHIN_MS, self.braking.onset_ms);
         let known_ahead = |sample: &Sample| {
             let ahead = self.leader.checked_sub(1).and_then(|ahead| self.platoon.vehicles.get(ahead));

@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 
 pub use dropped::{Dropped, NoScenario, Omission, Place};
 pub use episode::{Episode, Placed};
-pub use episodes::{Found, MinBrake, episodes};
+pub use episodes::{FoundEpisodes, MinBrake, episodes};
 pub use error::{ColumnProblem, RecordingError, ValueProblem};
 pub use import::{ImportOptions, Imported, ImportedScenario, Source, import};
 

@@ -254,7 +254,7 @@ fn the_first_recorded_vehicle_leads() {
         fields[1] = "20".to_owned();
     });
     let none = episodes(&read_text(&second_brakes).expect("readable"), MinBrake::default());
-    assert_eq!(none, Found::default(), "a follower's braking is its own affair");
+    assert_eq!(none, FoundEpisodes::default(), "a follower's braking is its own affair");
     let first_lost = edited(&second_brakes, 0..300, |fields| fields[1].clear());
     let episode = only_episode(&read_text(&first_lost).expect("readable"));
     assert_eq!((episode.vehicles[0].number, episode.not_recorded_ahead), (2, Some(1)));

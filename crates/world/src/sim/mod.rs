@@ -1,9 +1,9 @@
 //! How it happens: exact motion, contact by root finding, and two engines with one meaning.
 
 mod actuator;
-mod contender;
 mod lockstep;
 mod motion;
+mod named;
 mod outcome;
 mod platoon;
 mod recorder;
@@ -13,13 +13,13 @@ mod shielding;
 mod stepper;
 mod trace;
 
-pub use contender::{Contender, HARDENED, UnknownContender};
 pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
+pub use named::{NamedController, RETRAINED, UnknownController};
 pub use outcome::{AfterContact, Contact, Impact, Outcome, Simulated, VehicleSummary};
-pub use recorder::Keep;
+pub use recorder::RecordingLevel;
 pub(crate) use recorder::ttc_s;
-pub use run::{ControllerFactory, Run, RunError, RunOptions, Stress, UnderTest};
+pub use run::{ControllerFactory, ControllerKind, Run, RunError, RunOptions, Stress};
 pub use scalar::simulate;
 pub use shielding::{Intervention, ShieldRefusal, Shielded};
 pub use stepper::Stepper;

@@ -56,7 +56,7 @@ pub(super) fn finished(
 
 /// Whether a run keeps the motion of all vehicles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Keep {
+pub enum RecordingLevel {
     /// Only outcome, impacts and summaries.
     Summary,
     /// A trace as well.
@@ -65,7 +65,7 @@ pub enum Keep {
 
 impl Trace {
     /// An empty trace for the vehicles of a platoon, or none if it is not to be kept.
-    pub(super) fn begin(keep: Keep, platoon: &Platoon, samples: usize) -> Option<Self> {
+    pub(super) fn begin(keep: RecordingLevel, platoon: &Platoon, samples: usize) -> Option<Self> {
         let track = |(&length_m, &mass_kg): (&f64, &f64)| Track {
             length_m,
             mass_kg,
@@ -73,7 +73,7 @@ impl Trace {
             speed_mps: Vec::with_capacity(samples),
             acceleration_mps2: Vec::with_capacity(samples),
         };
-        (keep == Keep::Trace).then(|| Self {
+        (keep == RecordingLevel::Trace).then(|| Self {
             time_s: Vec::with_capacity(samples),
             vehicles: platoon.length_m.iter().zip(&platoon.mass_kg).map(track).collect(),
         })

@@ -1,4 +1,4 @@
-//! A scenario made ready to run: who drives what, through which eyes, how finely integrated.
+//! A scenario made ready to run: who drives what, through which estimator, how finely integrated.
 
 use std::sync::{Arc, OnceLock};
 
@@ -15,7 +15,7 @@ use crate::scenario::{ControllerSpec, Driver, LeadProfile, MOST_VEHICLE_STEPS, S
 
 /// What drives the vehicles under test.
 #[derive(Clone)]
-pub enum UnderTest {
+pub enum ControllerKind {
     /// A built-in controller.
     BuiltIn(ControllerSpec),
     /// A learned policy.
@@ -60,13 +60,13 @@ impl Stress {
     }
 }
 
-impl From<Stress> for UnderTest {
+impl From<Stress> for ControllerKind {
     fn from(stress: Stress) -> Self {
         Self::Stress(stress)
     }
 }
 
-impl From<Shielded> for UnderTest {
+impl From<Shielded> for ControllerKind {
     fn from(shielded: Shielded) -> Self {
         Self::Shielded(Arc::new(shielded))
     }
@@ -76,13 +76,13 @@ impl From<Shielded> for UnderTest {
 /// controller's state must begin anew with each call.
 pub type ControllerFactory = Arc<dyn Fn(&Ego) -> Box<dyn Controller> + Send + Sync>;
 
-impl From<ControllerSpec> for UnderTest {
+impl From<ControllerSpec> for ControllerKind {
     fn from(spec: ControllerSpec) -> Self {
         Self::BuiltIn(spec)
     }
 }
 
-impl From<Arc<Policy>> for UnderTest {
+impl From<Arc<Policy>> for ControllerKind {
     fn from(policy: Arc<Policy>) -> Self {
         Self::Policy(policy)
     }
@@ -92,7 +92,7 @@ impl From<Arc<Policy>> for UnderTest {
 #[derive(Clone)]
 pub struct RunOptions {
     /// What drives the vehicles under test.
-    pub controller: UnderTest,
+    pub controller: ControllerKind,
     /// What the vehicles under test look through. All others see the truth.
     pub estimator: EstimatorKind,
     /// Integration step in seconds, a whole fraction of the scenario's step; none for the scenario's step itself.
@@ -104,7 +104,7 @@ pub struct RunOptions {
 impl RunOptions {
     /// Runs of a controller with the Kalman filter, at the scenario's step, that end at contact.
     #[must_use]
-    pub fn new(controller: impl Into<UnderTest>) -> Self {
+    pub fn new(controller: impl Into<ControllerKind>) -> Self {
         Self {
             controller: controller.into(),
             estimator: EstimatorKind::default(),
@@ -206,7 +206,7 @@ impl<'s> Run<'s> {
         }
         run.frames = run.shield_frames()?;
         for index in 0..scenario.vehicles().len() {
-            if let Pilot::Controller(controller) = run.pilot(index)
+            if let ActiveDriver::Controller(controller) = run.driver(index)
                 && let Some(interval_s) = controller.interval_s()
             {
                 whole_multiple(interval_s, step_s).ok_or(RunError::Interval { interval_s, step_s })?;
@@ -255,7 +255,9 @@ impl<'s> Run<'s> {
 
     fn shield_frames(&self) -> Result<Vec<Option<Frame>>, RunError> {
         let vehicles = self.scenario.vehicles();
-        let UnderTest::Shielded(shielded) = &self.options.controller else { return Ok(vec![None; vehicles.len()]) };
+        let ControllerKind::Shielded(shielded) = &self.options.controller else {
+            return Ok(vec![None; vehicles.len()]);
+        };
         let frame = |(vehicle, spec): (usize, &VehicleSpec)| match spec.driver {
             Driver::UnderTest => {
                 self.frame(vehicle, &shielded.settings).map(Some).map_err(|why| RunError::Shield { vehicle, why })
@@ -276,37 +278,37 @@ impl<'s> Run<'s> {
     }
 
     /// Who drives vehicle `index`.
-    pub(super) fn pilot(&self, index: usize) -> Pilot<'s> {
+    pub(super) fn driver(&self, index: usize) -> ActiveDriver<'s> {
         match &self.scenario.vehicles()[index].driver {
-            Driver::Profile(profile) => Pilot::Profile(profile),
-            Driver::Controller(spec) => Pilot::Controller(AnyController::built_in(spec, &self.ego(index))),
-            Driver::UnderTest => Pilot::Controller(self.under_test(index, &self.options.controller)),
+            Driver::Profile(profile) => ActiveDriver::Profile(profile),
+            Driver::Controller(spec) => ActiveDriver::Controller(AnyController::built_in(spec, &self.ego(index))),
+            Driver::UnderTest => ActiveDriver::Controller(self.under_test(index, &self.options.controller)),
         }
     }
 
-    fn under_test(&self, index: usize, what: &UnderTest) -> AnyController {
+    fn under_test(&self, index: usize, what: &ControllerKind) -> AnyController {
         let ego = self.ego(index);
         match what {
-            UnderTest::BuiltIn(spec) => AnyController::built_in(spec, &ego),
-            UnderTest::Policy(policy) => AnyController::policy(Arc::clone(policy), &ego),
-            UnderTest::Stress(Stress::FullThrottle) => AnyController::Custom(Box::new(FullThrottle::new(&ego))),
-            UnderTest::Stress(Stress::RandomActions) => {
+            ControllerKind::BuiltIn(spec) => AnyController::built_in(spec, &ego),
+            ControllerKind::Policy(policy) => AnyController::policy(Arc::clone(policy), &ego),
+            ControllerKind::Stress(Stress::FullThrottle) => AnyController::Custom(Box::new(FullThrottle::new(&ego))),
+            ControllerKind::Stress(Stress::RandomActions) => {
                 let stream = random::stream(self.scenario.spec().seed, Purpose::RandomActions, index as u64);
                 AnyController::Custom(Box::new(RandomActions::new(&ego, stream)))
             }
-            UnderTest::Shielded(shielded) => {
+            ControllerKind::Shielded(shielded) => {
                 let controller = self.under_test(index, &shielded.controller);
                 match self.frames.get(index).copied().flatten() {
                     Some(frame) => AnyController::Shielded(Shield::new(controller, frame)),
                     None => controller,
                 }
             }
-            UnderTest::Custom(build) => AnyController::custom(build(&ego), &ego),
+            ControllerKind::Custom(build) => AnyController::custom(build(&ego), &ego),
         }
     }
 
     /// Sensors and filters of vehicle `index`; none if it sees the truth.
-    pub(super) fn eyes(&self, index: usize, platoon: &Platoon) -> Option<EgoEstimator> {
+    pub(super) fn estimator(&self, index: usize, platoon: &Platoon) -> Option<EgoEstimator> {
         let vehicle = &self.scenario.vehicles()[index];
         let estimates = vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
         estimates.then(|| {
@@ -340,7 +342,7 @@ impl<'s> Run<'s> {
 }
 
 /// Whoever decides a vehicle's acceleration.
-pub(super) enum Pilot<'s> {
+pub(super) enum ActiveDriver<'s> {
     Profile(&'s LeadProfile),
     Controller(AnyController),
 }

@@ -2,11 +2,11 @@
 //!
 //! The lockstep engine means exactly the same and agrees with this one to the last bit.
 
-use super::{Keep, Run, Simulated, Stepper};
+use super::{RecordingLevel, Run, Simulated, Stepper};
 
 /// Runs a scenario.
 #[must_use]
-pub fn simulate(run: &Run<'_>, keep: Keep) -> Simulated {
+pub fn simulate(run: &Run<'_>, keep: RecordingLevel) -> Simulated {
     let mut stepper = Stepper::new(run, keep);
     while !stepper.has_ended() {
         stepper.step();

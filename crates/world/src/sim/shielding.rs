@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Run, UnderTest};
+use super::{ControllerKind, Run};
 use crate::control::{AnyController, Behind, ErrorBounds, Frame, MARGIN_M, Override, ShieldSettings};
 use crate::estimate::EstimatorKind;
 use crate::scenario::VehicleSpec;
@@ -14,7 +14,7 @@ const DEVIATIONS: f64 = 6.0;
 #[derive(Clone)]
 pub struct Shielded {
     /// What drives as long as the shield lets it.
-    pub controller: UnderTest,
+    pub controller: ControllerKind,
     /// What the user set.
     pub settings: ShieldSettings,
 }

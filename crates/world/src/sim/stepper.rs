@@ -3,9 +3,9 @@
 use super::actuator::{Actuator, Disturbance, unless_at_rest};
 use super::platoon::Platoon;
 use super::recorder::{Tally, finished, hardest_brake_mps2, summary, ttc_s};
-use super::run::{Pilot, truth};
+use super::run::{ActiveDriver, truth};
 use super::shielding::interventions;
-use super::{AfterContact, Impact, Keep, Motion, Run, Simulated, Trace};
+use super::{AfterContact, Impact, Motion, RecordingLevel, Run, Simulated, Trace};
 use crate::control::Controller;
 use crate::estimate::{EgoEstimator, Observation, TrueState};
 
@@ -16,7 +16,7 @@ use crate::estimate::{EgoEstimator, Observation, TrueState};
 pub struct Stepper<'r, 's> {
     run: &'r Run<'s>,
     platoon: Platoon,
-    seats: Vec<Seat<'s>>,
+    loops: Vec<VehicleLoop<'s>>,
     decided_mps2: Vec<f64>,
     tallies: Vec<Tally>,
     trace: Option<Trace>,
@@ -28,17 +28,18 @@ pub struct Stepper<'r, 's> {
 impl<'r, 's> Stepper<'r, 's> {
     /// The run at its start.
     #[must_use]
-    pub fn new(run: &'r Run<'s>, keep: Keep) -> Self {
+    pub fn new(run: &'r Run<'s>, keep: RecordingLevel) -> Self {
         let platoon = run.platoon();
-        let seats: Vec<Seat<'s>> = (0..platoon.motion.len()).map(|index| Seat::new(run, index, &platoon)).collect();
-        let mut tallies = vec![Tally::NOTHING_YET; seats.len()];
+        let loops: Vec<VehicleLoop<'s>> =
+            (0..platoon.motion.len()).map(|index| VehicleLoop::new(run, index, &platoon)).collect();
+        let mut tallies = vec![Tally::NOTHING_YET; loops.len()];
         see_ttc(&mut tallies, &platoon);
         Self {
             run,
             trace: Trace::begin(keep, &platoon, run.scenario().steps() * run.substeps() + 1),
-            decided_mps2: vec![0.0; seats.len()],
+            decided_mps2: vec![0.0; loops.len()],
             platoon,
-            seats,
+            loops,
             tallies,
             impacts: Vec::new(),
             step: 0,
@@ -72,14 +73,14 @@ impl<'r, 's> Stepper<'r, 's> {
 
     /// What vehicle `index` sees now; none for a vehicle that does not exist.
     pub fn observe(&mut self, index: usize) -> Option<Observation> {
-        let seat = self.seats.get_mut(index)?;
-        Some(seat.observe(&truth(&self.platoon, index), self.run))
+        let vehicle = self.loops.get_mut(index)?;
+        Some(vehicle.observe(&truth(&self.platoon, index), self.run))
     }
 
     /// Decides the acceleration that vehicle `index` wants in the next step, in m/s².
     pub fn command(&mut self, index: usize, acceleration_mps2: f64) {
-        if let Some(seat) = self.seats.get_mut(index) {
-            seat.command_mps2 = Some(acceleration_mps2);
+        if let Some(vehicle) = self.loops.get_mut(index) {
+            vehicle.command_mps2 = Some(acceleration_mps2);
         }
     }
 
@@ -91,9 +92,9 @@ impl<'r, 's> Stepper<'r, 's> {
         let run = self.run;
         let span_s = [run.time_s(self.step, 0), run.time_s(self.step + 1, 0)];
         // Everybody decides on the state at the start of the step; only then does anybody move.
-        for (index, (seat, decided_mps2)) in self.seats.iter_mut().zip(&mut self.decided_mps2).enumerate() {
+        for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.decided_mps2).enumerate() {
             let is_stuck = self.platoon.is_stuck(index);
-            *decided_mps2 = seat.decide(&truth(&self.platoon, index), run, span_s, is_stuck);
+            *decided_mps2 = vehicle.decide(&truth(&self.platoon, index), run, span_s, is_stuck);
         }
         for (motion, &acceleration_mps2) in self.platoon.motion.iter_mut().zip(&self.decided_mps2) {
             motion.acceleration_mps2 = acceleration_mps2;
@@ -137,9 +138,9 @@ impl<'r, 's> Stepper<'r, 's> {
             trace.sample(self.run.time_s(self.step, 0), self.platoon.motion.iter().copied());
         }
         let step_s = self.run.scenario().spec().step_s;
-        let interventions = self.seats.iter().enumerate().flat_map(|(index, seat)| match &seat.pilot {
-            Pilot::Controller(controller) => interventions(controller, index, step_s),
-            Pilot::Profile(_) => Vec::new(),
+        let interventions = self.loops.iter().enumerate().flat_map(|(index, vehicle)| match &vehicle.driver {
+            ActiveDriver::Controller(controller) => interventions(controller, index, step_s),
+            ActiveDriver::Profile(_) => Vec::new(),
         });
         let interventions = interventions.collect();
         let vehicles = self.platoon.min_gap_m.iter().zip(self.tallies).zip(&self.platoon.motion);
@@ -156,10 +157,10 @@ fn see_ttc(tallies: &mut [Tally], platoon: &Platoon) {
     }
 }
 
-/// The driver's seat of one vehicle: from what is true to the acceleration the vehicle has.
-struct Seat<'s> {
-    pilot: Pilot<'s>,
-    eyes: Option<EgoEstimator>,
+/// The driver's vehicle of one vehicle: from what is true to the acceleration the vehicle has.
+struct VehicleLoop<'s> {
+    driver: ActiveDriver<'s>,
+    estimator: Option<EgoEstimator>,
     actuator: Actuator,
     disturbance: Option<Disturbance>,
     /// What was seen at this step, if somebody has looked: the filters take one measurement a step.
@@ -168,11 +169,11 @@ struct Seat<'s> {
     command_mps2: Option<f64>,
 }
 
-impl<'s> Seat<'s> {
+impl<'s> VehicleLoop<'s> {
     fn new(run: &Run<'s>, index: usize, platoon: &Platoon) -> Self {
         Self {
-            pilot: run.pilot(index),
-            eyes: run.eyes(index, platoon),
+            driver: run.driver(index),
+            estimator: run.estimator(index, platoon),
             actuator: run.actuator(index),
             disturbance: run.disturbance(index),
             seen: None,
@@ -181,9 +182,9 @@ impl<'s> Seat<'s> {
     }
 
     fn observe(&mut self, truth: &TrueState, run: &Run<'_>) -> Observation {
-        let eyes = &mut self.eyes;
-        *self.seen.get_or_insert_with(|| match eyes {
-            Some(eyes) => eyes.observe(run.tuning(), truth),
+        let estimator = &mut self.estimator;
+        *self.seen.get_or_insert_with(|| match estimator {
+            Some(estimator) => estimator.observe(run.tuning(), truth),
             None => truth.observation,
         })
     }
@@ -192,9 +193,9 @@ impl<'s> Seat<'s> {
         let seen = self.observe(truth, run);
         self.seen = None;
         let speed_mps = truth.observation.speed_mps;
-        let command_mps2 = self.command_mps2.take().unwrap_or_else(|| match &mut self.pilot {
-            Pilot::Profile(profile) => profile.acceleration_mps2(from_s, to_s, speed_mps),
-            Pilot::Controller(controller) => controller.act(&seen),
+        let command_mps2 = self.command_mps2.take().unwrap_or_else(|| match &mut self.driver {
+            ActiveDriver::Profile(profile) => profile.acceleration_mps2(from_s, to_s, speed_mps),
+            ActiveDriver::Controller(controller) => controller.act(&seen),
         });
         let acceleration_mps2 = self.actuator.respond(command_mps2);
         let noise_mps2 = self.disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
@@ -215,12 +216,12 @@ mod tests {
         for index in 0..20 {
             let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
             let run = Run::new(&scenario, RunOptions::new(spec.clone())).unwrap();
-            let inside = simulate(&run, Keep::Trace);
+            let inside = simulate(&run, RecordingLevel::Trace);
             let vehicle = &scenario.vehicles()[1];
             let ego =
                 Ego { max_brake_mps2: vehicle.max_brake_mps2(), max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
             let mut controller = AnyController::built_in(&spec, &ego);
-            let mut stepper = Stepper::new(&run, Keep::Trace);
+            let mut stepper = Stepper::new(&run, RecordingLevel::Trace);
             while !stepper.has_ended() {
                 let seen = stepper.observe(1).unwrap();
                 assert_eq!(stepper.observe(1), Some(seen), "looking twice sees the same");
@@ -241,9 +242,9 @@ mod tests {
             .enumerate()
             .map(|(index, scenario)| Run::new(scenario, RunOptions::new(policies[index / 2 % 3].clone())).unwrap())
             .collect();
-        let lockstep = simulate_batch(&runs, Keep::Trace, |_, simulated| simulated);
+        let lockstep = simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated);
         for (run, lockstep) in runs.iter().zip(lockstep) {
-            assert_eq!(simulate(run, Keep::Trace), lockstep);
+            assert_eq!(simulate(run, RecordingLevel::Trace), lockstep);
         }
     }
 }

@@ -179,7 +179,7 @@ fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
     use crumple_world::estimate::EstimatorKind;
     use crumple_world::policy::Policy;
     use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
-    use crumple_world::sim::{Keep, Outcome, Run, RunOptions, simulate_batch};
+    use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate_batch};
 
     let policy = Policy::reference();
     let fast = serde_json::to_value(TrainingConfig::preset("fast").unwrap()).unwrap();
@@ -187,7 +187,7 @@ fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
     let contacts = |scenarios: &[Scenario], estimator| {
         let options = RunOptions::new(Arc::clone(&policy)).with_estimator(estimator);
         let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, options.clone()).unwrap()).collect();
-        let safe = simulate_batch(&runs, Keep::Summary, |_, result| result.outcome == Outcome::NoCollision);
+        let safe = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome == Outcome::NoCollision);
         safe.into_iter().filter(|safe| !safe).count()
     };
     let paper: Vec<_> = ["paper-1", "paper-2", "paper-3"].map(|name| built_in(name).unwrap()).into();

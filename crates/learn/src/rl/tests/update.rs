@@ -104,7 +104,7 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
     let value = |parameters: &[f64], state: &[f64], action: f64| {
         forward(critic_sizes, parameters, &[state, &[action]].concat())
     };
-    let goals: Vec<f64> = rows(&batch.next_states)
+    let td_targets: Vec<f64> = rows(&batch.next_states)
         .zip(batch.rewards.iter().zip(&batch.continues))
         .map(|(next, (&reward, &continues))| {
             let action = forward(actor_sizes, &actor_target, &next).tanh();
@@ -114,7 +114,7 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
     let n = batch.len() as f64;
     let critic_loss = |parameters: &[f64]| {
         let errors = rows(&batch.states)
-            .zip(batch.actions.iter().zip(&goals))
+            .zip(batch.actions.iter().zip(&td_targets))
             .map(|(state, (&action, goal))| (value(parameters, &state, f64::from(action)) - goal).powi(2));
         errors.sum::<f64>() / n
     };
@@ -190,15 +190,15 @@ fn the_optimum_of_a_two_state_problem_is_found() {
             config.td3 = Td3Config { twin_critic: true, actor_every: 2, target_noise: 0.05, target_noise_limit: 0.1 };
         }
         let mut learner = learner(&config, 4);
-        let mut trials = Stream::seed_from_u64(5);
+        let mut test_cases = Stream::seed_from_u64(5);
         let mut noise = stream(4, Purpose::TargetNoise, 0);
         let state = |sign: f32| std::array::from_fn(|i| if i == 0 { sign } else { 0.0 });
         let mut batch = Batch::default();
         for _ in 0..3000 {
             batch = Batch::default();
             for _ in 0..32 {
-                let sign = if trials.random::<bool>() { 1.0_f32 } else { -1.0 };
-                let action: f32 = trials.random_range(-1.0..1.0);
+                let sign = if test_cases.random::<bool>() { 1.0_f32 } else { -1.0 };
+                let action: f32 = test_cases.random_range(-1.0..1.0);
                 let reward = 1.0 - (action - 0.5 * sign).powi(2);
                 let (state, next_state) = (state(sign), state(-sign));
                 batch.push(&Transition { state, action, reward, next_state, continues: true, contact: false });

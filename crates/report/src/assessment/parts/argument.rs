@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::argument_figure;
 use super::{Claim, Distribution, Limits, Proofs, Searches, Strength, Summary};
 use crate::assessment::table::Mark;
-use crate::assessment::{Part, Plan};
+use crate::assessment::{AssessmentPlan, Part};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 
 /// The argument, its elements in the order of their identifiers' numbers.
@@ -152,7 +152,7 @@ struct Evidence {
 
 impl Argument {
     pub(in crate::assessment) fn of(
-        plan: &Plan,
+        plan: &AssessmentPlan,
         summary: &Summary,
         distribution: &Distribution,
         searches: &Searches,

@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, Plan};
-use crumple_search::evidence::{Plan as RatePlan, PlanDriver, shipped_kernels};
+use crate::assessment::{AssessError, AssessmentPlan};
+use crumple_search::evidence::{RateConfig, RatePlan, shipped_kernels};
 use crumple_world::digest::sha256;
 use crumple_world::scenario::space::{Space, built_in_space};
-use crumple_world::sim::{Contender, UnderTest};
+use crumple_world::sim::{ControllerKind, NamedController};
 
 /// A certificate and what the checker said of it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -117,7 +117,7 @@ fn shown(accepted: &Accepted) -> String {
 }
 
 /// Kernels, counted rates of every learned controller, a comparison with the first controller, and what was given.
-pub(super) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
+pub(super) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
     let mut proofs = shipped_kernels()
         .into_iter()
         .map(|(name, certificate)| proof(plan, name, &certificate, None, work))
@@ -130,7 +130,7 @@ pub(super) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Vec<Proof>, AssessE
 }
 
 fn proof(
-    plan: &Plan,
+    plan: &AssessmentPlan,
     name: String,
     certificate: &Certificate,
     policy: Option<&[u8]>,
@@ -201,7 +201,7 @@ fn ranges(reach: &Reach) -> String {
     words.join(", ")
 }
 
-fn controllers(plan: &Plan, statement: &Statement) -> Vec<String> {
+fn controllers(plan: &AssessmentPlan, statement: &Statement) -> Vec<String> {
     let registered = |registration: &Registration, keys: &[&str]| {
         keys.iter().filter_map(|&key| registration.configuration.get(key).cloned()).collect()
     };
@@ -210,8 +210,8 @@ fn controllers(plan: &Plan, statement: &Statement) -> Vec<String> {
         Statement::Comparison(two) => registered(&two.registration, &["controller", "against"]),
         // The policy as it is: a shield before it makes another controller.
         Statement::Reach(reach) => {
-            let is_it = |one: &&Contender| {
-                !matches!(one.controller, UnderTest::Shielded(_))
+            let is_it = |one: &&NamedController| {
+                !matches!(one.kind, ControllerKind::Shielded(_))
                     && one.policy().is_some_and(|policy| policy.digest() == reach.policy_sha256)
             };
             plan.controllers.iter().find(is_it).map(|one| one.name.clone()).into_iter().collect()
@@ -223,10 +223,10 @@ fn controllers(plan: &Plan, statement: &Statement) -> Vec<String> {
 /// The seed of counted runs: not that of the draws that are reported elsewhere.
 const SEED_APART: u64 = 0x5eed;
 
-fn counted(plan: &Plan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
+fn counted(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
     let Some(space) = built_in_space("paper").filter(|_| plan.config.rates.runs > 0) else { return Ok(Vec::new()) };
     let learned = plan.controllers.iter().enumerate().filter(|(_, controller)| controller.policy().is_some());
-    let mut wanted: Vec<(String, Contender, Option<Contender>)> =
+    let mut wanted: Vec<(String, NamedController, Option<NamedController>)> =
         learned.map(|(index, one)| (format!("rate-{}", plan.slug(index)), one.clone(), None)).collect();
     if let (Some(subject), Some(first)) = (plan.subject(), plan.controllers.first())
         && plan.subject != 0
@@ -245,15 +245,15 @@ fn counted(plan: &Plan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
 }
 
 fn count(
-    plan: &Plan,
+    plan: &AssessmentPlan,
     work: &Work<'_>,
     name: &str,
     space: &Space,
-    controller: Contender,
-    against: Option<Contender>,
+    controller: NamedController,
+    against: Option<NamedController>,
 ) -> Result<Proof, AssessError> {
     let identities: Vec<_> = std::iter::once(&controller).chain(&against).map(|one| plan.identity(one)).collect();
-    let rates = RatePlan::new(PlanDriver {
+    let rates = RatePlan::new(RateConfig {
         controllers: (controller, against),
         space: ("paper".to_owned(), space.clone()),
         seed: plan.config.seed ^ SEED_APART,

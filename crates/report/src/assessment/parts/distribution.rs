@@ -7,11 +7,11 @@ use serde_json::json;
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, Part, Plan, Rounded};
+use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
 use crumple_search::evidence::RateInterval;
 use crumple_world::scenario::{PaperDistribution, Scenario};
-use crumple_world::sim::{Contender, Keep, Run, RunError, RunOptions, Simulated, simulate_batch};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
 
 /// Confidence of the intervals.
 const CONFIDENCE: f64 = 0.95;
@@ -92,12 +92,12 @@ impl Sampled {
 }
 
 impl Distribution {
-    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
         let inputs = json!([plan.config.draws, plan.config.seed, plan.identities()]);
         work.store.get("distribution", &inputs, || Self::run(plan, work))
     }
 
-    fn run(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+    fn run(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
         let config = &plan.config;
         let mut tallies: Vec<Tally> = plan.controllers.iter().map(|_| Tally::default()).collect();
         for from in (0..config.draws).step_by(DRAWS_AT_ONCE as usize) {
@@ -196,10 +196,14 @@ impl Distribution {
     }
 }
 
-fn run_draws(scenarios: &[Scenario], controller: &Contender, plan: &Plan) -> Result<Vec<Draw>, RunError> {
-    let options = RunOptions::new(controller.controller.clone()).with_estimator(plan.config.estimator);
+fn run_draws(
+    scenarios: &[Scenario],
+    controller: &NamedController,
+    plan: &AssessmentPlan,
+) -> Result<Vec<Draw>, RunError> {
+    let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-    Ok(simulate_batch(&runs, Keep::Summary, |index, simulated| Draw::of(runs[index].scenario(), &simulated)))
+    Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, simulated| Draw::of(runs[index].scenario(), &simulated)))
 }
 
 impl Draw {
@@ -248,7 +252,7 @@ impl Tally {
         }
     }
 
-    fn finish(self, controller: &Contender, is_paired: bool) -> Sampled {
+    fn finish(self, controller: &NamedController, is_paired: bool) -> Sampled {
         let bounds = RateInterval::exact(self.collisions, self.draws, CONFIDENCE);
         let observed = if self.draws == 0 { 0.0 } else { self.collisions as f64 / self.draws as f64 };
         let mean_impact_mps = self.impact_speed_sum_mps / self.collisions as f64;

@@ -7,7 +7,7 @@ use super::{PaperScenarios, ScenarioCases};
 use crate::assessment::case::Case;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
-use crate::assessment::{Part, Plan, Rounded};
+use crate::assessment::{AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, Stroke, Svg, TaggedLine};
 use crumple_learn::rl::LearningCurve;
 use crumple_world::policy::Policy;
@@ -66,7 +66,7 @@ pub struct Braking {
 pub const BRAKING_MPS2: f64 = 0.5;
 
 impl Learned {
-    pub(in crate::assessment) fn of(plan: &Plan, paper: &PaperScenarios) -> Option<Self> {
+    pub(in crate::assessment) fn of(plan: &AssessmentPlan, paper: &PaperScenarios) -> Option<Self> {
         let learned: Vec<_> = plan.controllers.iter().filter_map(|c| Some((c.name.clone(), c.policy()?))).collect();
         if learned.is_empty() {
             return None;

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde::Serialize;
 
-use crate::assessment::{Part, Plan};
+use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::estimate::EstimatorKind;
 
 /// Assumptions and limits, each a sentence or two.
@@ -14,7 +14,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    pub(in crate::assessment) fn of(plan: &Plan) -> Self {
+    pub(in crate::assessment) fn of(plan: &AssessmentPlan) -> Self {
         let estimator = match plan.config.estimator {
             EstimatorKind::Kalman => {
                 "Vehicles under test see through noisy sensors (range noise 0.03 m, position noise 0.02 m unless a scenario \

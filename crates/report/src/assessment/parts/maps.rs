@@ -11,10 +11,10 @@ use super::maps_figure;
 use crate::assessment::best::Best;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, Part, Plan};
+use crate::assessment::{AssessError, AssessmentPlan, Part};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::sim::{Contender, Keep, Run, RunOptions, simulate_batch};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 
 /// The space whose scenarios are mapped.
 const SPACE: &str = "high-risk";
@@ -58,12 +58,16 @@ pub struct FailureMap {
 
 impl FailureMaps {
     /// None if the space is not shipped.
-    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
         let inputs = json!([plan.config.seed, plan.identities()]);
         work.store.get("failure maps", &inputs, || Self::over(plan, [ACROSS, UP], CELLS))
     }
 
-    fn over(plan: &Plan, named: [(&str, &str); 2], cells: (usize, usize)) -> Result<Option<Self>, AssessError> {
+    fn over(
+        plan: &AssessmentPlan,
+        named: [(&str, &str); 2],
+        cells: (usize, usize),
+    ) -> Result<Option<Self>, AssessError> {
         let Some(space) = built_in_space(SPACE) else { return Ok(None) };
         let space = space.with_noise_seed(plan.config.seed);
         let find = |name: &str| space.parameters().iter().find(|parameter| parameter.name() == name);
@@ -76,7 +80,7 @@ impl FailureMaps {
         let survived: Vec<bool> = (0..scenarios.len()).map(survives).collect();
         let fates: Vec<MapCell> = scenarios.par_iter().zip(&survived).map(|(s, &survived)| fate(s, survived)).collect();
 
-        let of = |(controller, touched): (&Contender, &Vec<bool>)| FailureMap {
+        let of = |(controller, touched): (&NamedController, &Vec<bool>)| FailureMap {
             controller: controller.name.clone(),
             rows: touched
                 .iter()
@@ -103,13 +107,13 @@ impl FailureMaps {
 }
 
 /// Whether vehicles touch, controller by controller and cell by cell.
-fn touched(plan: &Plan, scenarios: &[Scenario]) -> Result<Vec<Vec<bool>>, AssessError> {
+fn touched(plan: &AssessmentPlan, scenarios: &[Scenario]) -> Result<Vec<Vec<bool>>, AssessError> {
     let prepared = plan.controllers.iter().flat_map(|controller| {
-        let options = RunOptions::new(controller.controller.clone()).with_estimator(plan.config.estimator);
+        let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
         scenarios.iter().map(move |scenario| Run::new(scenario, options.clone()))
     });
     let runs = prepared.collect::<Result<Vec<_>, _>>()?;
-    let touched = simulate_batch(&runs, Keep::Summary, |_, simulated| simulated.outcome.contact().is_some());
+    let touched = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| simulated.outcome.contact().is_some());
     Ok(touched.chunks(scenarios.len().max(1)).map(<[bool]>::to_vec).collect())
 }
 
@@ -199,8 +203,8 @@ mod tests {
     use super::*;
     use crumple_world::sim::simulate;
 
-    fn small() -> (Plan, FailureMaps) {
-        let plan = Plan::built_in();
+    fn small() -> (AssessmentPlan, FailureMaps) {
+        let plan = AssessmentPlan::built_in();
         let maps = FailureMaps::over(&plan, [ACROSS, UP], (4, 5)).unwrap().unwrap();
         (plan, maps)
     }
@@ -223,8 +227,8 @@ mod tests {
                         values[parameter.coordinates()].fill(value);
                     }
                     let scenario = space.scenario(&values).unwrap();
-                    let run = Run::new(&scenario, RunOptions::new(contender.controller.clone())).unwrap();
-                    let touched = simulate(&run, Keep::Summary).outcome.contact().is_some();
+                    let run = Run::new(&scenario, RunOptions::new(contender.kind.clone())).unwrap();
+                    let touched = simulate(&run, RecordingLevel::Summary).outcome.contact().is_some();
                     assert_eq!(cell == MapCell::NoContact, !touched, "{} at {x}, {y}", map.controller);
                     kinds.insert(cell.letter());
                 }

@@ -8,7 +8,7 @@ use super::ScenarioCases;
 use crate::assessment::best::{Best, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, Motion, run_cases};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, Part, Plan};
+use crate::assessment::{AssessError, AssessmentPlan, Part};
 use crate::draw::Svg;
 use crumple_world::scenario::{Scenario, built_in, built_in_names};
 
@@ -26,7 +26,7 @@ pub struct PaperScenarios {
 const FROM_ABOVE: &str = "paper-2";
 
 impl PaperScenarios {
-    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
         let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
         let known = built_in_names().into_iter().filter_map(|(name, _)| built_in(name));
         let scenarios = known.map(seeded).collect::<Result<Vec<_>, _>>()?;

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::certified::{self, Proof};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, Part, Plan, Rounded};
+use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crumple_world::control::Kernel;
 use crumple_world::scenario::VehicleClass;
 
@@ -48,7 +48,7 @@ const CONDITIONS: [&str; 4] = [
 ];
 
 impl Proofs {
-    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
         let pairs = VehicleClass::ALL.into_iter().flat_map(|own| VehicleClass::ALL.map(|ahead| (own, ahead)));
         Ok(Self {
             kernels: pairs.map(|(own, ahead)| KernelGap::of(own, ahead)).collect(),

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use crate::assessment::table::{Cell, Table};
-use crate::assessment::{AssessConfig, EvidenceHash, Part, Plan, Store};
+use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceHash, Part, Store};
 use crumple_world::digest::sha256;
 
 /// What it takes to get the same evidence again.
@@ -21,7 +21,7 @@ pub struct Provenance {
 }
 
 impl Provenance {
-    pub(in crate::assessment) fn of(plan: &Plan, store: &Store) -> Self {
+    pub(in crate::assessment) fn of(plan: &AssessmentPlan, store: &Store) -> Self {
         // `Debug` writes every field of both, and cannot fail as a serializer can.
         let scenarios = plan.traffic.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
         let all = std::iter::once(format!("{:?}", plan.config)).chain(scenarios).collect::<Vec<_>>().join("\n");

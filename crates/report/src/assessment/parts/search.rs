@@ -15,7 +15,7 @@ use crate::assessment::prose::prose;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, Part, Plan, Rounded, StoreError};
+use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded, StoreError};
 use crumple_search::disk::DiskError;
 use crumple_search::evidence::RateInterval;
 use crumple_search::falsify::Method;
@@ -24,7 +24,7 @@ use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::measure::Specification;
 use crumple_world::scenario::file;
 use crumple_world::scenario::space::{Space, file as space_file};
-use crumple_world::sim::Contender;
+use crumple_world::sim::NamedController;
 
 /// Failures of one search that are shown, the severest first: more than a campaign of a few hundred runs tells apart.
 const MOST_SHOWN: usize = 100;
@@ -56,7 +56,7 @@ pub struct Search {
     pub controller: String,
     /// How to search again.
     pub command: String,
-    /// What each method reached: the search, then the yardsticks.
+    /// What each method reached: the search, then the reference searches.
     pub methods: Vec<MethodReached>,
     /// Distinct failures found, by class.
     pub distinct: Vec<(AvoidabilityClass, usize)>,
@@ -67,7 +67,7 @@ pub struct Search {
 }
 
 impl Searches {
-    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Self, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
         let pairs: Vec<_> = plan
             .spaces
             .iter()
@@ -130,9 +130,9 @@ impl SpaceSearches {
 
 impl Search {
     fn gather(
-        plan: &Plan,
+        plan: &AssessmentPlan,
         space: &(String, Space),
-        (index, controller): (usize, &Contender),
+        (index, controller): (usize, &NamedController),
         work: &Work<'_>,
     ) -> Result<Self, AssessError> {
         let (name, space) = space;
@@ -291,11 +291,15 @@ impl Search {
 }
 
 /// Those whose failures are drawn: the first controller and the learned ones.
-fn is_drawn(plan: &Plan, index: usize, controller: &Contender) -> bool {
+fn is_drawn(plan: &AssessmentPlan, index: usize, controller: &NamedController) -> bool {
     index == 0 || index == plan.subject || controller.policy().is_some()
 }
 
-fn draw(plan: &Plan, controller: &Contender, failures: &[Failure]) -> Result<Vec<ScenarioCases>, AssessError> {
+fn draw(
+    plan: &AssessmentPlan,
+    controller: &NamedController,
+    failures: &[Failure],
+) -> Result<Vec<ScenarioCases>, AssessError> {
     let mut drawn = Vec::new();
     for failure in failures.iter().take(MOST_DRAWN) {
         // What a campaign wrote and read back can be read again.

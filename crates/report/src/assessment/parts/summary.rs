@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::{Distribution, PaperScenarios, Proofs, Searches, Strength, Traffic, WorstProfiles};
 use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
-use crate::assessment::{GateResult, Part, Plan, Rounded};
+use crate::assessment::{AssessmentPlan, GateResult, Part, Rounded};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 
 /// Every claim about every controller.
@@ -40,7 +40,7 @@ pub struct Claim {
 
 impl Summary {
     pub(in crate::assessment) fn of(
-        plan: &Plan,
+        plan: &AssessmentPlan,
         paper: &PaperScenarios,
         distribution: &Distribution,
         traffic: Option<&Traffic>,
@@ -190,7 +190,7 @@ fn however(worst: &WorstProfiles) -> Vec<Strength> {
 }
 
 fn paragraph(
-    plan: &Plan,
+    plan: &AssessmentPlan,
     controllers: &[String],
     claims: &[Claim],
     distribution: &Distribution,

@@ -11,7 +11,7 @@ use crate::assessment::best::{Best, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, CaseVerdict, Motion, run_cases};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, Part, Plan};
+use crate::assessment::{AssessError, AssessmentPlan, Part};
 use crumple_world::sim::RunError;
 
 /// Scenarios whose figures are shown: a page of hundreds is no use to anybody.
@@ -28,7 +28,7 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
         if plan.traffic.is_empty() {
             return Ok(None);
         }

@@ -9,10 +9,10 @@ use crate::assessment::best::Best;
 use crate::assessment::case::{Case, CaseVerdict, Motion, PileUp, run_cases};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, Part, Plan, Rounded};
-use crumple_search::worst_case::{Aim, Attack, Envelope, Hunt, Way, hunt};
+use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
+use crumple_search::worst_case::{Aim, Attack, AttackMethod, AttackResult, Envelope, hunt};
 use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in};
-use crumple_world::sim::{Contender, RunOptions};
+use crumple_world::sim::{NamedController, RunOptions};
 
 /// The scenario whose leader brakes.
 const SCENARIO: &str = "paper-1";
@@ -68,7 +68,7 @@ pub struct Mildest {
     /// The same as simulated.
     pub margin_m: Rounded<3>,
     /// Whether a milder one is ruled out on this grid, or it is a local optimum.
-    pub way: Way,
+    pub method: AttackMethod,
     /// The profile, for the figure.
     #[serde(skip)]
     pub(super) profile: Option<Pieces>,
@@ -76,11 +76,11 @@ pub struct Mildest {
 
 impl WorstProfiles {
     /// None if the scenario is not shipped.
-    pub(in crate::assessment) fn gather(plan: &Plan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
         let Some(scenario) = built_in(SCENARIO) else { return Ok(None) };
         let scenario = scenario.edited(|spec| spec.seed = plan.config.seed)?;
         let envelope = Envelope::of(&scenario);
-        let against = |controller: &Contender| {
+        let against = |controller: &NamedController| {
             let item = format!("worst profile against {}", controller.name);
             // The profile stands beside: evidence that is published holds rounded numbers only.
             let (mut found, profile): (WorstProfile, Option<Pieces>) =
@@ -132,10 +132,10 @@ impl WorstProfiles {
                 Cell::text(mildest.best.brief()),
                 Cell::number(mildest.predicted_margin_m),
                 Cell::number(mildest.margin_m),
-                Cell::text(match mildest.way {
-                    Way::Exact => "ruled out on this grid",
-                    Way::Widened => "not ruled out, but near the least",
-                    Way::Sequential => "not ruled out",
+                Cell::text(match mildest.method {
+                    AttackMethod::Exact => "ruled out on this grid",
+                    AttackMethod::Widened => "not ruled out, but near the least",
+                    AttackMethod::Sequential => "not ruled out",
                 }),
             ]);
         }
@@ -176,9 +176,14 @@ impl WorstProfiles {
 }
 
 impl WorstProfile {
-    fn of(scenario: &Scenario, controller: &Contender, envelope: Envelope, plan: &Plan) -> Result<Self, AssessError> {
-        let options = RunOptions::new(controller.controller.clone()).with_estimator(plan.config.estimator);
-        let Hunt { found, evaluations, programs } = hunt(scenario, &options, Aim::Mildest, envelope, BUDGET)?;
+    fn of(
+        scenario: &Scenario,
+        controller: &NamedController,
+        envelope: Envelope,
+        plan: &AssessmentPlan,
+    ) -> Result<Self, AssessError> {
+        let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
+        let AttackResult { found, evaluations, programs } = hunt(scenario, &options, Aim::Mildest, envelope, BUDGET)?;
         let mildest = match found {
             Some(attack) => Mildest::of(attack, controller, plan)?,
             None => None,
@@ -190,7 +195,7 @@ impl WorstProfile {
 }
 
 impl Mildest {
-    fn of(attack: Attack, controller: &Contender, plan: &Plan) -> Result<Option<Self>, AssessError> {
+    fn of(attack: Attack, controller: &NamedController, plan: &AssessmentPlan) -> Result<Option<Self>, AssessError> {
         let one = std::slice::from_ref(controller);
         let cases = run_cases(&[&attack.scenario], one, plan.config.estimator, Motion::Dropped)?;
         let Some(Case { verdict, pile_up, .. }) = cases.into_iter().flatten().next() else { return Ok(None) };
@@ -205,7 +210,7 @@ impl Mildest {
             best,
             predicted_margin_m: attack.predicted_margin_m.into(),
             margin_m: attack.margin_m.into(),
-            way: attack.way,
+            method: attack.method,
             profile: Some(profile),
         }))
     }

@@ -9,14 +9,14 @@ use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::space::{Space, file};
-use crumple_world::sim::{Contender, Run, RunError, RunOptions, simulate_batch};
+use crumple_world::sim::{NamedController, Run, RunError, RunOptions, simulate_batch};
 
 /// How often a controller fails in a space: what `verify rate` counts, for failures too rare to count.
 ///
 /// The margin of a run is the smallest gap between any two vehicles, in metres, and below 0 if vehicles touch.
 pub struct RarePlan {
     /// What is put under test.
-    pub controller: Contender,
+    pub controller: NamedController,
     /// What runs are drawn from.
     pub space: Space,
     /// What the vehicles under test look through.
@@ -86,7 +86,7 @@ impl Problem for RarePlan {
             self.space.at_with_noise(&self.space.quantile(&uniform), state.noise)
         };
         let scenarios = states.par_iter().map(scenario).collect::<Result<Vec<_>, _>>()?;
-        let options = RunOptions::new(self.controller.controller.clone()).with_estimator(self.estimator);
+        let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
         let runs =
             scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
         let specification = Specification::NoContact;

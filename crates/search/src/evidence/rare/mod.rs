@@ -21,7 +21,7 @@
 //! repetition that dies out counts as zero.
 //!
 //! It is an estimate. Importance enters the choice of what is run, so none of these runs may be counted for a
-//! certificate, and none is: [`Plan`](super::Plan) has no way to take them in. If failures have several causes, of which
+//! certificate, and none is: [`RatePlan`](super::RatePlan) has no way to take them in. If failures have several causes, of which
 //! the likeliest is hard to climb to, few repetitions see it: then the estimate is far too low, and the spread with it, more
 //! often than the interval says. Sampling noise of the sensors is redrawn from time to time, not climbed: a failure that
 //! noise alone decides is found no sooner than by counting.

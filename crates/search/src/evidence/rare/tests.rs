@@ -8,12 +8,12 @@ use rand_distr::{Distribution, StandardNormal};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::*;
-use crate::evidence::{Plan, PlanDriver};
+use crate::evidence::{RateConfig, RatePlan};
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::random::Stream;
 use crumple_world::scenario::ControllerSpec;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::sim::Contender;
+use crumple_world::sim::NamedController;
 
 /// A limit state with a closed form.
 struct Known {
@@ -129,10 +129,10 @@ fn what_cannot_fail_is_not_given_a_probability() {
 #[test]
 fn splitting_agrees_with_counting_on_the_road() {
     const COUNTED: u64 = 6000;
-    let controller = Contender::from(ControllerSpec::named("match-leader").unwrap());
+    let controller = NamedController::from(ControllerSpec::named("match-leader").unwrap());
     let space = built_in_space("paper").unwrap();
     let estimator = EstimatorKind::Kalman;
-    let count = Plan::new(PlanDriver {
+    let count = RatePlan::new(RateConfig {
         controllers: (controller.clone(), None),
         space: ("paper".to_owned(), space.clone()),
         seed: 1,

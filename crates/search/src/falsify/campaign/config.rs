@@ -9,7 +9,7 @@ use crate::falsify::Method;
 use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::Specification;
 use crumple_world::scenario::space::{Space, SpaceSpec};
-use crumple_world::sim::{Contender, RunOptions};
+use crumple_world::sim::{NamedController, RunOptions};
 
 /// The version of the campaign file this release reads and writes.
 pub const CAMPAIGN_VERSION: u32 = 2;
@@ -18,7 +18,7 @@ pub const CAMPAIGN_VERSION: u32 = 2;
 #[derive(Debug, Clone)]
 pub struct Campaign {
     /// What is put under test.
-    pub controller: Contender,
+    pub controller: NamedController,
     /// What the vehicles under test look through.
     pub estimator: EstimatorKind,
     /// Where failures are looked for.
@@ -27,9 +27,9 @@ pub struct Campaign {
     pub specification: Specification,
     /// The search method.
     pub method: Method,
-    /// What the search is after once it knows failures. The yardsticks do not look.
+    /// What the search is after once it knows failures. The reference searches do not look.
     pub aim: Aim,
-    /// Evaluations of the method, and of each yardstick.
+    /// Evaluations of the method, and of each reference search.
     pub budget: u64,
     /// Seed of the search and of all noise.
     pub seed: u64,
@@ -59,7 +59,7 @@ impl Campaign {
         self.controller.policy().map(|policy| policy.digest())
     }
 
-    /// The methods in the order in which they run: the one asked for, then the yardsticks.
+    /// The methods in the order in which they run: the one asked for, then the reference searches.
     #[must_use]
     pub fn methods(&self) -> Vec<Method> {
         let mut methods = vec![self.method];
@@ -70,7 +70,7 @@ impl Campaign {
     /// How scenarios are run to be judged.
     #[must_use]
     pub fn options(&self) -> RunOptions {
-        RunOptions::new(self.controller.controller.clone())
+        RunOptions::new(self.controller.kind.clone())
             .with_estimator(self.estimator)
             .with_after_contact(self.specification.after_contact())
     }

@@ -85,7 +85,7 @@ impl FailureKind {
 
 /// A failure that may be looked at more closely.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Candidate {
+pub struct FailureCandidate {
     /// Which method found it.
     pub method: Method,
     /// At which of its evaluations, from 1.
@@ -106,9 +106,9 @@ pub(super) struct Kind {
     pub(super) kind: FailureKind,
     /// For each method that found it: how often, and at which of its evaluations first.
     pub(super) by_method: Vec<(Method, u64, u64)>,
-    first: Candidate,
-    severest: Candidate,
-    likeliest: Candidate,
+    first: FailureCandidate,
+    severest: FailureCandidate,
+    likeliest: FailureCandidate,
 }
 
 /// Failures by kind, in the order of their discovery. Memory does not grow with the number of evaluations.
@@ -126,7 +126,7 @@ impl Failures {
 
     pub(super) fn add(&mut self, method: Method, evaluated: &Evaluated) {
         let Some(kind) = FailureKind::of(&evaluated.verdict, &self.specification) else { return };
-        let candidate = Candidate {
+        let candidate = FailureCandidate {
             method,
             number: evaluated.number,
             values: evaluated.values.clone(),
@@ -158,7 +158,7 @@ impl Failures {
     }
 }
 
-impl Candidate {
+impl FailureCandidate {
     /// By likelihood; where that is equal, by nearness to nominal.
     fn is_likelier_than(&self, other: &Self) -> bool {
         let key = |candidate: &Self| (candidate.ln_likelihood, -candidate.departure);
@@ -168,7 +168,7 @@ impl Candidate {
 
 impl Kind {
     /// The failures of this kind to look at: the severest, the likeliest and the first, without repetition.
-    pub(super) fn picks(&self) -> Vec<&Candidate> {
+    pub(super) fn picks(&self) -> Vec<&FailureCandidate> {
         let mut picks = vec![&self.severest];
         for candidate in [&self.likeliest, &self.first] {
             if !picks.iter().any(|known| known.values == candidate.values) {

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Candidate, FailureKind};
+use super::{FailureCandidate, FailureKind};
 use crumple_world::measure::Specification;
 use crumple_world::scenario::Scenario;
 
@@ -15,7 +15,7 @@ const MOST: usize = 1000;
 /// likelihoods by nearness to nominal.
 #[derive(Debug, Default)]
 pub(super) struct Front {
-    failures: Vec<Candidate>,
+    failures: Vec<FailureCandidate>,
 }
 
 /// A failure that no other one beats both in severity and in likelihood.
@@ -39,15 +39,15 @@ pub struct FrontPoint {
     pub departure: f64,
 }
 
-fn by_likelihood(one: &Candidate, other: &Candidate) -> Ordering {
-    let key = |candidate: &Candidate| (candidate.ln_likelihood, -candidate.departure);
+fn by_likelihood(one: &FailureCandidate, other: &FailureCandidate) -> Ordering {
+    let key = |candidate: &FailureCandidate| (candidate.ln_likelihood, -candidate.departure);
     key(one).partial_cmp(&key(other)).unwrap_or(Ordering::Equal)
 }
 
 impl Front {
-    pub(super) fn add(&mut self, candidate: &Candidate) {
+    pub(super) fn add(&mut self, candidate: &FailureCandidate) {
         // Severest first means least likely first; whoever could beat the new one is at its place or before it.
-        let severity = |known: &Candidate| known.verdict.robustness.total_cmp(&candidate.verdict.robustness);
+        let severity = |known: &FailureCandidate| known.verdict.robustness.total_cmp(&candidate.verdict.robustness);
         let place = self.failures.partition_point(|known| severity(known) == Ordering::Less);
         let milder = self.failures.partition_point(|known| severity(known) != Ordering::Greater);
         let likeliest_before = milder.checked_sub(1).and_then(|index| self.failures.get(index));
@@ -63,7 +63,7 @@ impl Front {
     }
 
     pub(super) fn points(&self, specification: &Specification, nominal: &Scenario) -> Vec<FrontPoint> {
-        let point = |failure: &Candidate| FrontPoint {
+        let point = |failure: &FailureCandidate| FrontPoint {
             method: failure.method.name().to_owned(),
             evaluation: failure.number,
             kind: FailureKind::of(&failure.verdict, specification).map_or(String::new(), |kind| kind.describe(nominal)),
@@ -87,7 +87,7 @@ mod tests {
         /// What is kept is what brute force finds, whatever the order, the ties and the infinities.
         #[test]
         fn the_front_is_that_of_brute_force(found in prop::collection::vec((0..9_i8, 0..9_i8, 0..3_i8), 1..60)) {
-            let candidates: Vec<Candidate> = found.iter().zip(1..).map(|(&(deep, likely, far), number)| Candidate {
+            let candidates: Vec<FailureCandidate> = found.iter().zip(1..).map(|(&(deep, likely, far), number)| FailureCandidate {
                 method: Method::Uniform,
                 number,
                 values: Vec::new(),
@@ -97,8 +97,8 @@ mod tests {
             }).collect();
             let mut front = Front::default();
             candidates.iter().for_each(|candidate| front.add(candidate));
-            let key = |c: &Candidate| (-c.verdict.robustness, (c.ln_likelihood, -c.departure));
-            let beats = |a: &Candidate, b: &Candidate| {
+            let key = |c: &FailureCandidate| (-c.verdict.robustness, (c.ln_likelihood, -c.departure));
+            let beats = |a: &FailureCandidate, b: &FailureCandidate| {
                 let ((s, l), (t, m)) = (key(a), key(b));
                 s >= t && l >= m && ((s, l) != (t, m) || a.number < b.number)
             };

@@ -12,7 +12,7 @@
 //! | `evaluations.journal` | only while the campaign runs: what is lost by no `kill -9` |
 //! | `campaign.lock` | empty, only while the campaign runs: locked by the process that works on it |
 //!
-//! The yardsticks, uniform points and a Halton sequence, always run with the same budget as the method asked for: a search
+//! The reference searches, uniform points and a Halton sequence, always run with the same budget as the method asked for: a search
 //! that does no better than random must say so. Results depend neither on the number of threads nor on interruptions.
 //!
 //! Memory does not grow with the budget beyond what is kept of the search itself: evaluations go to disk, 65 536 at a time,
@@ -33,7 +33,7 @@ mod table;
 pub use aim::{Aim, UnknownAim};
 pub use config::{CAMPAIGN_VERSION, Campaign};
 pub use coverage::Covered;
-pub use failures::{Candidate, FailureKind};
+pub use failures::{FailureCandidate, FailureKind};
 pub use front::FrontPoint;
 pub use regions::Region;
 pub use run::Progress;

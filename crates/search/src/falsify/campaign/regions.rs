@@ -1,4 +1,4 @@
-//! Where failures lie: a small tree over the points of the yardsticks.
+//! Where failures lie: a small tree over the points of the reference searches.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,10 +10,10 @@ const DEPTH: usize = 3;
 const THRESHOLDS: usize = 15;
 /// Least share of the points in a region.
 const LEAST_SHARE: f64 = 0.02;
-/// Most points the tree is grown from: the first ones, which for both yardsticks are as good as any.
+/// Most points the tree is grown from: the first ones, which for both reference searches are as good as any.
 const MOST_POINTS: usize = 40_000;
 
-/// Points of the yardsticks and whether they fail: evenly spread over the space, so that shares of points are shares of the
+/// Points of the reference searches and whether they fail: evenly spread over the space, so that shares of points are shares of the
 /// space. Points of a search would be where the search went.
 #[derive(Debug, Default)]
 pub(super) struct Sample {
@@ -25,7 +25,7 @@ pub(super) struct Sample {
 pub struct Region {
     /// What holds in it, one condition a split; empty for the whole space.
     pub conditions: Vec<String>,
-    /// Points of the yardsticks in it.
+    /// Points of the reference searches in it.
     #[serde(default)]
     pub points: usize,
     /// How many of them fail.

@@ -74,16 +74,16 @@ impl Campaign {
         let space = self.space.clone().with_noise_seed(self.seed);
         let nominal = space.scenario(&space.nominal())?;
         self.check(&nominal)?;
-        if let Found::Complete(summary) = self.found(folder, resume)? {
+        if let FolderState::Complete(summary) = self.found(folder, resume)? {
             return Ok(*summary);
         }
         fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
         let _lock = Lock::of(folder)?;
         // Once more: somebody may have been at work until now.
         match self.found(folder, resume)? {
-            Found::Complete(summary) => return Ok(*summary),
-            Found::Part => {}
-            Found::Nothing => disk::write(&folder.join(CONFIGURATION), &self.to_toml()?)?,
+            FolderState::Complete(summary) => return Ok(*summary),
+            FolderState::Part => {}
+            FolderState::Nothing => disk::write(&folder.join(CONFIGURATION), &self.to_toml()?)?,
         }
         let evaluations = folder.join("evaluations");
         fs::create_dir_all(&evaluations).map_err(DiskError::at(&evaluations))?;
@@ -127,11 +127,11 @@ impl Campaign {
     }
 
     /// What is in the folder; an error if it is in the way.
-    fn found(&self, folder: &Path, resume: bool) -> Result<Found, CampaignError> {
+    fn found(&self, folder: &Path, resume: bool) -> Result<FolderState, CampaignError> {
         let path = folder.join(CONFIGURATION);
         let text = match fs::read_to_string(&path) {
             Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Found::Nothing),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(FolderState::Nothing),
             Err(source) => return Err(DiskError::at(&path)(source).into()),
         };
         if !resume {
@@ -142,8 +142,8 @@ impl Campaign {
             return Err(CampaignError::Folder(difference));
         }
         match (fs::read_to_string(folder.join(SUMMARY)), folder.join(JOURNAL).exists()) {
-            (Ok(text), false) => Ok(Found::Complete(Box::new(Summary::from_json(&text)?))),
-            _ => Ok(Found::Part),
+            (Ok(text), false) => Ok(FolderState::Complete(Box::new(Summary::from_json(&text)?))),
+            _ => Ok(FolderState::Part),
         }
     }
 
@@ -168,10 +168,10 @@ impl Campaign {
         let departure = |point: &[f64]| cube.distance(point, &nominal) / cube.blocks().len() as f64;
         let coverage = Coverage::new(space.dimension());
         let mut reached = Reached { method, evaluations: 0, first: None, failures: 0, best: f64::INFINITY, coverage };
-        let is_yardstick = matches!(method, Method::Uniform | Method::Halton);
+        let is_reference = matches!(method, Method::Uniform | Method::Halton);
         while reached.evaluations < self.budget {
             let mut points = search.ask();
-            if is_yardstick {
+            if is_reference {
                 // Neither looks at values: many batches may be asked for at once.
                 for _ in 1..BLIND_BATCHES {
                     points.extend(search.ask());
@@ -206,7 +206,7 @@ impl Campaign {
                 }
                 reached.best = reached.best.min(evaluated.verdict.robustness);
                 reached.coverage.add(&evaluated.point);
-                if is_yardstick {
+                if is_reference {
                     findings.sample.add(&evaluated.values, fails);
                 }
                 findings.failures.add(method, &evaluated);
@@ -275,7 +275,7 @@ impl Campaign {
             best_robustness: main.and_then(|reached| finite(reached.best)),
             coverage: CoverageSummary {
                 method: main.map(|reached| reached.coverage.covered()),
-                with_yardsticks: all.covered(),
+                with_reference_searches: all.covered(),
             },
             methods: reached
                 .iter()
@@ -297,7 +297,7 @@ impl Campaign {
 }
 
 /// What a folder holds of a campaign.
-enum Found {
+enum FolderState {
     Nothing,
     Part,
     Complete(Box<Summary>),

@@ -54,7 +54,7 @@ pub struct Summary {
     /// How many of them could have been avoided; none if nobody asked.
     #[serde(default)]
     pub avoidability: Option<AvoidabilitySummary>,
-    /// What each method reached: the one asked for, then the yardsticks.
+    /// What each method reached: the one asked for, then the reference searches.
     pub methods: Vec<MethodSummary>,
     /// Kinds of failures, the most frequent first.
     pub failures: Vec<KindSummary>,
@@ -63,7 +63,7 @@ pub struct Summary {
     pub front: Vec<FrontPoint>,
     /// How much of the space was tried.
     pub coverage: CoverageSummary,
-    /// Where failures lie, the densest region first; empty if the yardsticks found none, or nothing else.
+    /// Where failures lie, the densest region first; empty if the reference searches found none, or nothing else.
     pub regions: Vec<Region>,
 }
 
@@ -141,7 +141,7 @@ pub struct CoverageSummary {
     /// By the method asked for.
     pub method: Option<Covered>,
     /// By all methods together.
-    pub with_yardsticks: Covered,
+    pub with_reference_searches: Covered,
 }
 
 /// Regions that are printed, beside the safest one.
@@ -241,7 +241,7 @@ impl Summary {
         for (index, method) in self.methods.iter().enumerate() {
             let first = method.first_falsification.map_or("-".to_owned(), |first| first.to_string());
             let best = method.best_robustness.map_or("-".to_owned(), |best| format!("{best:.3}"));
-            let note = if index > 0 { "  (yardstick)" } else { "" };
+            let note = if index > 0 { "  (reference search)" } else { "" };
             writeln!(
                 out,
                 "  {:<14} {:>11} {first:>14} {:>9} {best:>16}{note}",
@@ -267,7 +267,7 @@ impl Summary {
             let failing: usize = self.regions.iter().map(|region| region.failing).sum();
             writeln!(
                 out,
-                "\n  where failures lie, as shares of the space by its ranges: {failing} of {points} points of the yardsticks fail"
+                "\n  where failures lie, as shares of the space by its ranges: {failing} of {points} points of the reference searches fail"
             )?;
             // The densest ones, and the safest one.
             let safest = self.regions.len() - 1;
@@ -301,9 +301,9 @@ impl Summary {
         let method = self.coverage.method.as_ref().map_or("-".to_owned(), covered);
         writeln!(
             out,
-            "\n  tenths of single parameters and of pairs tried: {method} by {}, {} with the yardsticks",
+            "\n  tenths of single parameters and of pairs tried: {method} by {}, {} with the reference searches",
             self.method,
-            covered(&self.coverage.with_yardsticks)
+            covered(&self.coverage.with_reference_searches)
         )
     }
 }

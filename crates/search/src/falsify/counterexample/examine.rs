@@ -11,12 +11,12 @@ use super::shrink::shrink;
 use super::{Avoidability, Changed, Counterexample};
 use crate::disk::{self, DiskError};
 use crate::falsify::Cube;
-use crate::falsify::campaign::{Campaign, CampaignError, Candidate, FailureKind};
+use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind};
 use crumple_world::measure::max_delta_v_mps;
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::space::Space;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
-use crumple_world::sim::{AfterContact, Keep, Run, simulate};
+use crumple_world::sim::{AfterContact, RecordingLevel, Run, simulate};
 
 /// Two failures of one kind that are nearer than this are one.
 pub const SAME_WITHIN: f64 = 0.1;
@@ -34,7 +34,7 @@ pub(in crate::falsify) struct Examiner<'a> {
 
 /// A failure after the closer look.
 struct Examined<'a> {
-    candidate: &'a Candidate,
+    candidate: &'a FailureCandidate,
     kind: FailureKind,
     values: Vec<f64>,
     scenario: Scenario,
@@ -54,7 +54,7 @@ impl<'a> Examiner<'a> {
     /// Looks at all candidates, keeps the distinct ones and writes them to `folder`.
     pub(in crate::falsify) fn examine_all(
         &self,
-        candidates: &[&'a Candidate],
+        candidates: &[&'a FailureCandidate],
         folder: &Path,
     ) -> Result<Vec<Counterexample>, CampaignError> {
         let counterexamples = folder.join("counterexamples");
@@ -100,7 +100,7 @@ impl<'a> Examiner<'a> {
     }
 
     /// None only if the failure cannot be reproduced, which the engines' agreement rules out.
-    fn examine(&self, candidate: &'a Candidate) -> Result<Option<Examined<'a>>, CampaignError> {
+    fn examine(&self, candidate: &'a FailureCandidate) -> Result<Option<Examined<'a>>, CampaignError> {
         let original = self.tidy(&candidate.values)?;
         let verdict = self.judge(&original, 1)?;
         let Some(kind) = self.kind(&verdict) else { return Ok(None) };
@@ -134,7 +134,7 @@ impl<'a> Examiner<'a> {
         let scenario = self.tidy(&values)?;
         let verdict = self.judge(&scenario, 1)?;
         let options = self.replay().options(&scenario, 1).with_after_contact(AfterContact::Continue);
-        let aftermath = simulate(&Run::new(&scenario, options)?, Keep::Summary);
+        let aftermath = simulate(&Run::new(&scenario, options)?, RecordingLevel::Summary);
         let vehicles = 0..scenario.vehicles().len();
         let deltas = vehicles.filter_map(|index| max_delta_v_mps(&aftermath.impacts, index));
         Ok(Some(Examined {

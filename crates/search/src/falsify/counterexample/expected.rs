@@ -9,7 +9,7 @@ use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{self, FileError};
-use crumple_world::sim::{Contender, Run, RunError, RunOptions, UnknownContender, simulate};
+use crumple_world::sim::{NamedController, Run, RunError, RunOptions, UnknownController, simulate};
 
 /// The version of the format of recorded verdicts.
 pub const EXPECTED_VERSION: u32 = 1;
@@ -88,7 +88,7 @@ pub enum ReplayError {
     File(#[from] FileError),
     /// The controller.
     #[error(transparent)]
-    Controller(#[from] UnknownContender),
+    Controller(#[from] UnknownController),
     /// The policy is another one.
     #[error("{scenario}: the verdict is on a policy with SHA-256 {expected}, and `{controller}` has {found}")]
     OtherPolicy {
@@ -133,7 +133,7 @@ impl Expected {
     /// [`ReplayError`] if something it names is not there or does not fit.
     pub fn replay(&self, folder: &Path) -> Result<Replayed, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
-        let contender = Contender::find(&self.controller, folder)?;
+        let contender = NamedController::find(&self.controller, folder)?;
         let digest = contender.policy().map(|policy| policy.digest());
         if let (Some(expected), found) = (&self.policy_sha256, digest.unwrap_or_default())
             && *expected != found
@@ -172,7 +172,7 @@ impl Expected {
     /// [`ReplayError`] if something it names is not there or does not fit.
     pub fn renewed(&self, folder: &Path) -> Result<Self, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
-        let policy_sha256 = Contender::find(&self.controller, folder)?.policy().map(|policy| policy.digest());
+        let policy_sha256 = NamedController::find(&self.controller, folder)?.policy().map(|policy| policy.digest());
         let specification = Specification::parse(&self.specification, &scenario)?;
         let mut renewed = Self { policy_sha256, dt_fragile: false, ..self.clone() };
         let verdict = renewed.replay(folder)?.nominal;
@@ -201,13 +201,13 @@ pub(super) const FINER: u32 = 10;
 /// How counterexamples are judged, one at a time.
 pub(super) struct Replay<'a> {
     pub(super) specification: &'a Specification,
-    pub(super) controller: &'a Contender,
+    pub(super) controller: &'a NamedController,
     pub(super) estimator: EstimatorKind,
 }
 
 impl Replay<'_> {
     pub(super) fn options(&self, scenario: &Scenario, parts: u32) -> RunOptions {
-        let options = RunOptions::new(self.controller.controller.clone()).with_estimator(self.estimator);
+        let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
         if parts == 1 { options } else { options.with_dt_s(scenario.spec().step_s / f64::from(parts)) }
     }
 

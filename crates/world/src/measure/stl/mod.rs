@@ -36,6 +36,7 @@
 //! [`Formula::horizon_s`] is clipped nowhere, whatever the nesting. Whoever wants to refuse shorter traces compares
 //! [`Formula::horizon_s`] with [`Signals::duration_s`].
 
+mod buffer_pool;
 mod formula;
 #[cfg(test)]
 mod generate;
@@ -46,7 +47,6 @@ mod naive;
 mod parse;
 mod print;
 mod signals;
-mod spare;
 mod window;
 
 pub use formula::{Comparison, Formula, FormulaError, Interval, Relation};

@@ -1,8 +1,8 @@
 //! The monitor: one pass bottom-up over the formula, linear in the trace for every operator.
 
+use super::buffer_pool;
 use super::formula::{Comparison, Formula, Interval};
 use super::signals::Signals;
-use super::spare;
 use super::window::{Extremum, Maximum, Minimum, sliding};
 
 /// Why a formula cannot be evaluated on some signals.
@@ -72,7 +72,7 @@ impl Formula {
     fn first(&self, signals: &Signals<'_>, reading: Reading) -> Result<f64, MonitorError> {
         let values = Monitor { signals, reading }.values(self, 0, 1)?;
         let first = values.first().copied().unwrap_or(f64::NAN);
-        spare::give(values);
+        buffer_pool::give(values);
         Ok(first)
     }
 }
@@ -130,7 +130,7 @@ impl Monitor<'_> {
             terms.push((sign * weight, samples));
         }
         let bound = sign * comparison.bound();
-        let mut values = spare::take();
+        let mut values = buffer_pool::take();
         let mut any_undefined = false;
         // Piece by piece, so that a piece is in the nearest cache for all terms.
         for start in (0..to - from).step_by(PIECE) {
@@ -168,7 +168,7 @@ impl Monitor<'_> {
         let mut values = self.values(left, from, to)?;
         let others = self.values(right, from, to)?;
         values.iter_mut().zip(&others).for_each(|(value, &other)| *value = joined(*value, other));
-        spare::give(others);
+        buffer_pool::give(others);
         Ok(values)
     }
 

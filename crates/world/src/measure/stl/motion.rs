@@ -88,13 +88,13 @@ mod tests {
     use crate::measure::Ahead;
     use crate::measure::stl::Formula;
     use crate::scenario::{ControllerSpec, built_in};
-    use crate::sim::{Keep, Run, RunOptions, simulate};
+    use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
 
     #[test]
     fn formulas_over_a_run_agree_with_its_measures() {
         let scenario = built_in("paper-1").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::named("match-leader").unwrap())).unwrap();
-        let result = simulate(&run, Keep::Trace);
+        let result = simulate(&run, RecordingLevel::Trace);
         let trace = result.trace.unwrap();
         let names = motion_signal_names(3);
         assert_eq!(names.len(), 3 * 4 + 2 * 6);

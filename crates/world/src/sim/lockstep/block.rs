@@ -7,12 +7,12 @@ use super::per_run::Runs;
 use crate::sim::motion::{closest_gap_m, first_contact};
 use crate::sim::platoon::Platoon;
 use crate::sim::recorder::finished;
-use crate::sim::{AfterContact, Impact, Keep, Run, Simulated, Trace};
+use crate::sim::{AfterContact, Impact, RecordingLevel, Run, Simulated, Trace};
 
 /// Runs of one shape, at most [`Runs::MOST`]. A finished run's place is taken by the last one's.
 pub(super) struct Block<'a, 's> {
     arch: Arch,
-    keep: Keep,
+    keep: RecordingLevel,
     lanes: Vec<Lane<'a, 's>>,
     columns: Vec<Column<'s>>,
     /// Runs in which vehicles have touched.
@@ -39,7 +39,7 @@ struct Exact {
 }
 
 impl<'a, 's> Block<'a, 's> {
-    pub(super) fn new(arch: Arch, runs: &'a [Run<'s>], members: &[usize], keep: Keep) -> Self {
+    pub(super) fn new(arch: Arch, runs: &'a [Run<'s>], members: &[usize], keep: RecordingLevel) -> Self {
         let platoons: Vec<Platoon> = members.iter().map(|&index| runs[index].platoon()).collect();
         let lanes: Vec<_> = members
             .iter()
@@ -106,7 +106,7 @@ impl<'a, 's> Block<'a, 's> {
 
     /// Everybody moves by one integration step.
     fn advance(&mut self, from_s: f64, dt_s: f64, done: &mut impl FnMut(usize, Simulated)) {
-        if self.keep == Keep::Trace {
+        if self.keep == RecordingLevel::Trace {
             (0..self.lanes.len()).for_each(|lane| self.sample(lane, from_s));
         }
         for column in &mut self.columns {

@@ -3,13 +3,13 @@
 use pulp::Arch;
 
 use super::block::Lane;
+use super::drivers::Drivers;
 use super::loops::{self, Pairs};
 use super::noise::Noise;
 use super::per_run::{PerRun, Runs};
-use super::pilots::Pilots;
 use super::view::{Seen, View};
 use crate::estimate::{EgoEstimator, TrueState};
-use crate::policy::Wide;
+use crate::policy::InSimd;
 use crate::sim::actuator::{Actuator, unless_at_rest};
 use crate::sim::motion::Motion;
 use crate::sim::platoon::Platoon;
@@ -19,9 +19,9 @@ use crate::sim::{Intervention, VehicleSummary};
 
 /// One vehicle position in all runs.
 pub(super) struct Column<'s> {
-    pilots: Pilots<'s>,
+    drivers: Drivers<'s>,
     /// Empty if everybody sees the truth.
-    eyes: Vec<EgoEstimator>,
+    estimator: Vec<EgoEstimator>,
     /// Empty if every vehicle responds at once and fully.
     sluggish: Vec<Actuator>,
     noise: Noise,
@@ -47,12 +47,12 @@ impl<'s> Column<'s> {
     pub(super) fn new(lanes: &[Lane<'_, 's>], platoons: &[Platoon], vehicle: usize) -> Self {
         let of = |take: &dyn Fn(&Platoon) -> f64| PerRun::of(platoons.iter().map(take));
         let actuators: Vec<_> = lanes.iter().map(|lane| lane.run.actuator(vehicle)).collect();
-        let eyes: Vec<_> =
-            lanes.iter().zip(platoons).filter_map(|(lane, platoon)| lane.run.eyes(vehicle, platoon)).collect();
+        let estimator: Vec<_> =
+            lanes.iter().zip(platoons).filter_map(|(lane, platoon)| lane.run.estimator(vehicle, platoon)).collect();
         let nothing = PerRun::all(0.0, lanes.len());
         Self {
-            pilots: Pilots::new(lanes.iter().map(|lane| lane.run.pilot(vehicle)).collect()),
-            eyes,
+            drivers: Drivers::new(lanes.iter().map(|lane| lane.run.driver(vehicle)).collect()),
+            estimator,
             max_brake_mps2: PerRun::of(actuators.iter().map(|actuator| actuator.max_brake_mps2)),
             max_accel_mps2: PerRun::of(actuators.iter().map(|actuator| actuator.max_accel_mps2)),
             sluggish: if actuators.iter().all(Actuator::is_immediate) { Vec::new() } else { actuators },
@@ -92,7 +92,7 @@ impl<'s> Column<'s> {
         self.command(arch, lanes, [front, behind], span_s);
         if self.sluggish.is_empty() {
             let (decided, limits) = (&mut self.decided_mps2, [&self.max_brake_mps2, &self.max_accel_mps2]);
-            arch.dispatch(Wide(
+            arch.dispatch(InSimd(
                 #[inline(always)]
                 || loops::limit(decided.filled_mut(), limits[0].filled(), limits[1].filled()),
             ));
@@ -103,7 +103,7 @@ impl<'s> Column<'s> {
         }
         let (decided, noise_mps2, speed) = (&mut self.decided_mps2, self.noise.next_mps2(), &self.speed_mps);
         if touched.is_empty() {
-            arch.dispatch(Wide(
+            arch.dispatch(InSimd(
                 #[inline(always)]
                 || loops::disturb(decided.filled_mut(), noise_mps2, speed.filled()),
             ));
@@ -133,15 +133,15 @@ impl<'s> Column<'s> {
         let (front, behind) = (front.map(|front| front.seen(runs)), behind.map(|behind| behind.seen(runs)));
         let view = View { own, front, behind };
         let commands_mps2 = &mut self.decided_mps2.filled_mut()[..runs];
-        if self.eyes.is_empty() {
-            self.pilots.command_by_truth(arch, span_s, &view, commands_mps2);
+        if self.estimator.is_empty() {
+            self.drivers.command_by_truth(arch, span_s, &view, commands_mps2);
         } else {
-            let eyes = &mut self.eyes;
+            let estimator = &mut self.estimator;
             let see = |run: usize| {
                 let truth = TrueState { position_m: own.position_m[run], observation: view.observation(run) };
-                eyes[run].observe(lanes[run].run.tuning(), &truth)
+                estimator[run].observe(lanes[run].run.tuning(), &truth)
             };
-            self.pilots.command(arch, span_s, own.speed_mps, see, commands_mps2);
+            self.drivers.command(arch, span_s, own.speed_mps, see, commands_mps2);
         }
     }
 
@@ -150,7 +150,7 @@ impl<'s> Column<'s> {
         let now = [&self.position_m, &self.speed_mps, &self.acceleration_mps2].map(PerRun::filled);
         let (next_position_m, next_speed_mps) = (&mut self.next_position_m, &mut self.next_speed_mps);
         let hardest_brake_mps2 = &mut self.hardest_brake_mps2;
-        arch.dispatch(Wide(
+        arch.dispatch(InSimd(
             #[inline(always)]
             || {
                 loops::advance(dt_s, now, next_position_m.filled_mut(), next_speed_mps.filled_mut());
@@ -169,7 +169,7 @@ impl<'s> Column<'s> {
             rear_mps: self.speed_mps.filled(),
         };
         let next_mps = [front.next_speed_mps.filled(), self.next_speed_mps.filled()];
-        arch.dispatch(Wide(
+        arch.dispatch(InSimd(
             #[inline(always)]
             || loops::screen(dt_s, now, next_mps),
         ))
@@ -185,7 +185,7 @@ impl<'s> Column<'s> {
             rear_mps: self.next_speed_mps.filled(),
         };
         let (min_gap_m, min_ttc_s) = (&mut self.min_gap_m, &mut self.min_ttc_s);
-        arch.dispatch(Wide(
+        arch.dispatch(InSimd(
             #[inline(always)]
             || loops::note_approach(next, min_gap_m.filled_mut(), min_ttc_s.filled_mut()),
         ));
@@ -199,20 +199,20 @@ impl<'s> Column<'s> {
 
     /// What a shield of this vehicle, number `vehicle` of the line, did in a run.
     pub(super) fn interventions(&self, run: usize, vehicle: usize, step_s: f64) -> Vec<Intervention> {
-        self.pilots.shielded(run).map_or_else(Vec::new, |controller| interventions(controller, vehicle, step_s))
+        self.drivers.shielded(run).map_or_else(Vec::new, |controller| interventions(controller, vehicle, step_s))
     }
 
     /// Takes a run out of the column.
     pub(super) fn finish(&mut self, run: usize) -> VehicleSummary {
         let last = self.position_m.as_slice().len() - 1;
         self.sticks.swap_remove(run, last);
-        self.pilots.swap_remove(run);
+        self.drivers.swap_remove(run);
         self.noise.swap_remove(run);
         if !self.sluggish.is_empty() {
             self.sluggish.swap_remove(run);
         }
-        if !self.eyes.is_empty() {
-            self.eyes.swap_remove(run);
+        if !self.estimator.is_empty() {
+            self.estimator.swap_remove(run);
         }
         for array in [
             &mut self.max_brake_mps2,

@@ -6,7 +6,7 @@ use super::loops;
 use super::per_run::PerRun;
 use super::view::View;
 use crate::control::Idm;
-use crate::policy::Wide;
+use crate::policy::InSimd;
 
 /// One model a run, number by number: it is the car-following model of traffic, and so the driver there are most of.
 pub(super) struct Followers([PerRun; 5]);
@@ -34,7 +34,7 @@ impl Followers {
         };
         let models = self.0.each_ref().map(PerRun::filled);
         let ahead = [front.position_m, front.length_m, front.speed_mps];
-        arch.dispatch(Wide(
+        arch.dispatch(InSimd(
             #[inline(always)]
             || loops::follow(models, own, ahead, decided_mps2),
         ));

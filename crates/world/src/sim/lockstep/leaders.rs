@@ -4,7 +4,7 @@ use pulp::Arch;
 
 use super::loops;
 use super::per_run::PerRun;
-use crate::policy::Wide;
+use crate::policy::InSimd;
 use crate::scenario::LeadProfile;
 
 /// One script a run.
@@ -34,7 +34,7 @@ impl<'s> Leaders<'s> {
         match self {
             Self::Brake(brakes) => {
                 let [onset_s, rate_mps2] = brakes.each_ref().map(PerRun::filled);
-                arch.dispatch(Wide(
+                arch.dispatch(InSimd(
                     #[inline(always)]
                     || loops::brake([from_s, to_s], onset_s, rate_mps2, decided_mps2),
                 ));

@@ -6,12 +6,12 @@
 
 mod block;
 mod column;
+mod drivers;
 mod followers;
 mod leaders;
 mod loops;
 mod noise;
 mod per_run;
-mod pilots;
 mod view;
 
 use std::cmp::Ordering;
@@ -21,7 +21,7 @@ use rayon::prelude::*;
 
 use self::block::Block;
 use self::per_run::Runs;
-use super::{Keep, Run, Simulated, UnderTest};
+use super::{ControllerKind, RecordingLevel, Run, Simulated};
 use crate::scenario::ControllerSpec;
 
 /// Most runs in a block: enough to fill vector registers and hide latencies, few enough to stay in the first-level cache.
@@ -37,10 +37,14 @@ const MOST_TRACED_SAMPLES: usize = 2_000_000;
 ///
 /// Returns what `reduce` returned, in the order of `runs`. Only the results under way are in memory at any time, so
 /// `reduce` can turn traces into something smaller.
-pub fn simulate_batch<R: Send>(runs: &[Run<'_>], keep: Keep, reduce: impl Fn(usize, Simulated) -> R + Sync) -> Vec<R> {
+pub fn simulate_batch<R: Send>(
+    runs: &[Run<'_>],
+    keep: RecordingLevel,
+    reduce: impl Fn(usize, Simulated) -> R + Sync,
+) -> Vec<R> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     order.sort_by(|&a, &b| compare_shapes(&runs[a], &runs[b]).then(a.cmp(&b)));
-    let most = if keep == Keep::Trace {
+    let most = if keep == RecordingLevel::Trace {
         let largest = runs.iter().map(Run::vehicle_samples).max().unwrap_or(1);
         (MOST_TRACED_SAMPLES / largest.max(1)).clamp(1, MOST_TRACED_RUNS)
     } else {
@@ -74,11 +78,11 @@ fn compare_shapes(a: &Run<'_>, b: &Run<'_>) -> Ordering {
 /// What runs of one block must have in common, apart from the kinds of drivers.
 fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
     let under_test = match &run.options().controller {
-        UnderTest::BuiltIn(spec) => spec.name(),
-        UnderTest::Policy(_) => ControllerSpec::Policy.name(),
-        UnderTest::Stress(stress) => stress.name(),
-        UnderTest::Shielded(_) => "shielded",
-        UnderTest::Custom(_) => "custom",
+        ControllerKind::BuiltIn(spec) => spec.name(),
+        ControllerKind::Policy(_) => ControllerSpec::Policy.name(),
+        ControllerKind::Stress(stress) => stress.name(),
+        ControllerKind::Shielded(_) => "shielded",
+        ControllerKind::Custom(_) => "custom",
     };
     let spec = run.scenario().spec();
     let steps = (spec.step_s.to_bits(), run.dt_s().to_bits());
@@ -104,7 +108,8 @@ mod tests {
             let members: Vec<usize> = (0..runs.len()).collect();
             let results = every_path().into_iter().map(|path| {
                 let mut results = Vec::new();
-                Block::new(path, &runs, &members, Keep::Trace).run(|index, result| results.push((index, result)));
+                Block::new(path, &runs, &members, RecordingLevel::Trace)
+                    .run(|index, result| results.push((index, result)));
                 results
             });
             let results: Vec<_> = results.collect();

@@ -1,20 +1,20 @@
 //! The oracles that suite and fuzzer ask notice what is wrong, and what the fuzzer once found stays found.
 
-mod bites;
+mod fault_injection;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use crumple_fuzzing::oracle::{nobody_does_the_impossible, one_story, shield_keeps_clear};
 use crumple_fuzzing::targets::{self, TARGETS};
-use crumple_fuzzing::{Hunt, ORACLES, TRIAL_BYTES, Trial, behaviour};
-use crumple_world::sim::{Keep, Run, RunOptions, simulate};
+use crumple_fuzzing::{CollisionSearch, ORACLES, TEST_CASE_BYTES, TestCase, behaviour};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
-use self::bites::{Fault, Wrong};
-use crate::generate::{any_trial, ask, bytes, cases};
+use self::fault_injection::{Fault, Wrong};
+use crate::generate::{any_test_case, ask, bytes, cases};
 
 /// Where the corpora of the fuzz targets are.
 fn seeds_of(target: &str) -> Vec<PathBuf> {
@@ -42,11 +42,11 @@ fn committed_seeds_pass() {
     }
 }
 
-/// Most oracles decide most trials: what rounding decides is the exception.
+/// Most oracles decide most test cases: what rounding decides is the exception.
 #[test]
 fn hardly_any_trial_is_left_undecided() {
     let mut runner = TestRunner::deterministic();
-    let strategy = bytes(TRIAL_BYTES);
+    let strategy = bytes(TEST_CASE_BYTES);
     let answers = (0..64).map(|_| targets::decided(&strategy.new_tree(&mut runner).unwrap().current()).unwrap());
     let decided: usize = answers.sum();
     let asked = 64 * ORACLES.len();
@@ -58,25 +58,25 @@ proptest! {
 
     /// Full throttle behind a shield keeps clear of the vehicle ahead.
     #[test]
-    fn a_shield_keeps_clear(trial in any_trial()) {
-        ask(&trial, shield_keeps_clear)?;
+    fn a_shield_keeps_clear(test_case in any_test_case()) {
+        ask(&test_case, shield_keeps_clear)?;
     }
 
     /// No controller survives what is unavoidable, or keeps a larger gap than anybody could.
     #[test]
-    fn no_controller_does_the_impossible(trial in any_trial()) {
-        ask(&trial, nobody_does_the_impossible)?;
+    fn no_controller_does_the_impossible(test_case in any_test_case()) {
+        ask(&test_case, nobody_does_the_impossible)?;
     }
 }
 
 /// A violation says what was found and how to see it again, in a file that can be read and run.
 #[test]
 fn a_violation_brings_a_scenario_file() {
-    let trial = Trial::of_bytes(&[]);
-    let violation = trial.ask(one_story, &Wrong(Fault::ContactForgotten)).expect_err("must be noticed");
+    let test_case = TestCase::of_bytes(&[]);
+    let violation = test_case.ask(one_story, &Wrong(Fault::ContactForgotten)).expect_err("must be noticed");
     let path = Path::new("reproducer.toml");
     let read = crumple_world::scenario::file::from_toml(&violation.reproducer, path).expect("a scenario file");
-    assert_eq!(read, trial.scenario);
+    assert_eq!(read, test_case.scenario);
     assert!(violation.reproducer.starts_with("# crumple simulate THIS-FILE.toml --controller baseline\n"));
     assert!(violation.to_string().contains("tell one story"), "{violation}");
 }
@@ -86,7 +86,7 @@ fn a_violation_brings_a_scenario_file() {
 #[test]
 fn a_hunt_keeps_collisions_as_scenario_files() {
     let folder = tempfile::tempdir().expect("a place for temporary files");
-    let hunt = Hunt::new("baseline", Some(folder.path())).expect("built in");
+    let hunt = CollisionSearch::new("baseline", Some(folder.path())).expect("built in");
     for input in [&[][..], &[0], &[3], &[0; 100]] {
         let features = hunt.take(input).expect("no law is broken");
         assert!(!features.is_empty() && features.iter().all(|&feature| feature < behaviour::FEATURES));
@@ -97,6 +97,6 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
     assert_eq!(path.file_name().unwrap(), "baseline-1-of-3-hit-by-baseline-at-10-mps.toml");
     let baseline = crumple_world::scenario::ControllerSpec::named("baseline").unwrap();
     let run = Run::new(&scenario, RunOptions::new(baseline)).unwrap();
-    assert!(simulate(&run, Keep::Summary).outcome.contact().is_some());
-    assert!(Hunt::new("nobody", None).is_err());
+    assert!(simulate(&run, RecordingLevel::Summary).outcome.contact().is_some());
+    assert!(CollisionSearch::new("nobody", None).is_err());
 }

@@ -9,10 +9,10 @@ use crate::control::{
     AccAeb, AnyController, Baseline, BaselineUnlatched, ConstantBrake, Controller, MatchLeader, PolicyDriver,
 };
 use crate::estimate::Observation;
-use crate::sim::run::Pilot;
+use crate::sim::run::ActiveDriver;
 
 /// One driver a run, sorted out by kind so that a whole block is driven by one loop without dispatch inside it.
-pub(super) enum Pilots<'s> {
+pub(super) enum Drivers<'s> {
     Profile(Leaders<'s>),
     Baseline(Vec<Baseline>),
     BaselineUnlatched(Vec<BaselineUnlatched>),
@@ -22,53 +22,53 @@ pub(super) enum Pilots<'s> {
     AccAeb(Vec<AccAeb>),
     Policy(Vec<PolicyDriver>),
     /// Drivers of several kinds, or from outside.
-    Mixed(Vec<Pilot<'s>>),
+    Mixed(Vec<ActiveDriver<'s>>),
 }
 
-impl<'s> Pilots<'s> {
-    pub(super) fn new(pilots: Vec<Pilot<'s>>) -> Self {
+impl<'s> Drivers<'s> {
+    pub(super) fn new(drivers: Vec<ActiveDriver<'s>>) -> Self {
         /// All of one kind, or everybody back.
         fn sorted<'s, T>(
-            pilots: Vec<Pilot<'s>>,
-            is: impl Fn(&Pilot<'s>) -> bool,
-            take: impl Fn(Pilot<'s>) -> Option<T>,
-        ) -> Result<Vec<T>, Vec<Pilot<'s>>> {
-            if pilots.iter().all(is) { Ok(pilots.into_iter().filter_map(take).collect()) } else { Err(pilots) }
+            drivers: Vec<ActiveDriver<'s>>,
+            is: impl Fn(&ActiveDriver<'s>) -> bool,
+            take: impl Fn(ActiveDriver<'s>) -> Option<T>,
+        ) -> Result<Vec<T>, Vec<ActiveDriver<'s>>> {
+            if drivers.iter().all(is) { Ok(drivers.into_iter().filter_map(take).collect()) } else { Err(drivers) }
         }
         macro_rules! try_kind {
-            ($pilots:ident, $kind:ident) => {
+            ($drivers:ident, $kind:ident) => {
                 match sorted(
-                    $pilots,
-                    |pilot| matches!(pilot, Pilot::Controller(AnyController::$kind(_))),
-                    |pilot| match pilot {
-                        Pilot::Controller(AnyController::$kind(controller)) => Some(controller),
+                    $drivers,
+                    |driver| matches!(driver, ActiveDriver::Controller(AnyController::$kind(_))),
+                    |driver| match driver {
+                        ActiveDriver::Controller(AnyController::$kind(controller)) => Some(controller),
                         _ => None,
                     },
                 ) {
                     Ok(all) => return Self::$kind(all.into()),
-                    Err(pilots) => pilots,
+                    Err(drivers) => drivers,
                 }
             };
         }
-        let pilots = match sorted(
-            pilots,
-            |pilot| matches!(pilot, Pilot::Profile(_)),
-            |pilot| match pilot {
-                Pilot::Profile(profile) => Some(profile),
-                Pilot::Controller(_) => None,
+        let drivers = match sorted(
+            drivers,
+            |driver| matches!(driver, ActiveDriver::Profile(_)),
+            |driver| match driver {
+                ActiveDriver::Profile(profile) => Some(profile),
+                ActiveDriver::Controller(_) => None,
             },
         ) {
             Ok(all) => return Self::Profile(Leaders::new(all)),
-            Err(pilots) => pilots,
+            Err(drivers) => drivers,
         };
-        let pilots = try_kind!(pilots, Baseline);
-        let pilots = try_kind!(pilots, BaselineUnlatched);
-        let pilots = try_kind!(pilots, MatchLeader);
-        let pilots = try_kind!(pilots, ConstantBrake);
-        let pilots = try_kind!(pilots, Idm);
-        let pilots = try_kind!(pilots, AccAeb);
-        let pilots = try_kind!(pilots, Policy);
-        Self::Mixed(pilots)
+        let drivers = try_kind!(drivers, Baseline);
+        let drivers = try_kind!(drivers, BaselineUnlatched);
+        let drivers = try_kind!(drivers, MatchLeader);
+        let drivers = try_kind!(drivers, ConstantBrake);
+        let drivers = try_kind!(drivers, Idm);
+        let drivers = try_kind!(drivers, AccAeb);
+        let drivers = try_kind!(drivers, Policy);
+        Self::Mixed(drivers)
     }
 
     /// Writes each run's command for a step into `commands`.
@@ -96,11 +96,13 @@ impl<'s> Pilots<'s> {
             }
             Self::AccAeb(all) => act(all, see, commands),
             Self::Policy(all) => PolicyDriver::act_together(all, see, commands),
-            Self::Mixed(pilots) => {
-                for (run, (command, pilot)) in commands.iter_mut().zip(pilots).enumerate() {
-                    *command = match pilot {
-                        Pilot::Profile(profile) => profile.acceleration_mps2(span_s[0], span_s[1], speeds_mps[run]),
-                        Pilot::Controller(controller) => controller.act(&see(run)),
+            Self::Mixed(drivers) => {
+                for (run, (command, driver)) in commands.iter_mut().zip(drivers).enumerate() {
+                    *command = match driver {
+                        ActiveDriver::Profile(profile) => {
+                            profile.acceleration_mps2(span_s[0], span_s[1], speeds_mps[run])
+                        }
+                        ActiveDriver::Controller(controller) => controller.act(&see(run)),
                     };
                 }
             }
@@ -125,8 +127,8 @@ impl<'s> Pilots<'s> {
     /// The driver of run `run`, if it may have a shield.
     pub(super) fn shielded(&self, run: usize) -> Option<&AnyController> {
         match self {
-            Self::Mixed(pilots) => match pilots.get(run) {
-                Some(Pilot::Controller(controller)) => Some(controller),
+            Self::Mixed(drivers) => match drivers.get(run) {
+                Some(ActiveDriver::Controller(controller)) => Some(controller),
                 _ => None,
             },
             _ => None,

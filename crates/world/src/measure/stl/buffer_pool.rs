@@ -24,9 +24,9 @@ pub(super) fn take() -> Vec<f64> {
 
 /// Keeps an array that is not needed any more.
 pub(super) fn give(array: Vec<f64>) {
-    SPARE.with_borrow_mut(|spare| {
-        if spare.len() < MOST && array.capacity() <= LONGEST {
-            spare.push(array);
+    SPARE.with_borrow_mut(|pool| {
+        if pool.len() < MOST && array.capacity() <= LONGEST {
+            pool.push(array);
         }
     });
 }

@@ -7,7 +7,7 @@ use crumple_fuzzing::oracle::{
     engines_agree, estimates_are_sane, files_keep_scenarios, impacts_are_inelastic, monitor_agrees, motion_is_physical,
     nobody_does_the_impossible, one_story, shield_keeps_clear, step_size_decides_nothing,
 };
-use crumple_fuzzing::{Crumple, FileFormat, Law, ORACLES, Oracle, Sight, System, TRIAL_BYTES, Trial};
+use crumple_fuzzing::{Crumple, FileFormat, Law, ORACLES, Oracle, Sight, System, TEST_CASE_BYTES, TestCase};
 use crumple_search::worst_case::{self, Avoidance};
 use crumple_verify::Certificate;
 use crumple_world::estimate::Observation;
@@ -15,12 +15,14 @@ use crumple_world::measure::ContactRole;
 use crumple_world::measure::stl::{Formula, MonitorError, Signals};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::FileError;
-use crumple_world::sim::{self, Contact, Keep, Outcome, Run, RunOptions, Simulated, Stress, UnderTest, simulate};
+use crumple_world::sim::{
+    self, Contact, ControllerKind, Outcome, RecordingLevel, Run, RunOptions, Simulated, Stress, simulate,
+};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
 
-use crate::generate::{any_trial, bytes, cases};
+use crate::generate::{any_test_case, bytes, cases};
 
 /// A proof, of something else than what it is shown for.
 static PROOF: LazyLock<Certificate> = LazyLock::new(|| {
@@ -82,7 +84,7 @@ pub(super) enum Fault {
 }
 
 impl System for Wrong {
-    fn simulate(&self, run: &Run<'_>, keep: Keep) -> Simulated {
+    fn simulate(&self, run: &Run<'_>, keep: RecordingLevel) -> Simulated {
         match self.0 {
             Fault::GapSign => {
                 // A vehicle without length is touched 2 m or more too late.
@@ -108,7 +110,7 @@ impl System for Wrong {
         }
     }
 
-    fn simulate_batch(&self, runs: &[Run<'_>], keep: Keep) -> Vec<Simulated> {
+    fn simulate_batch(&self, runs: &[Run<'_>], keep: RecordingLevel) -> Vec<Simulated> {
         let mut results = sim::simulate_batch(runs, keep, |_, simulated| simulated);
         match self.0 {
             Fault::BatchOffByOne => results.rotate_left(1),
@@ -142,7 +144,7 @@ impl System for Wrong {
         });
     }
 
-    fn full_throttle(&self) -> UnderTest {
+    fn full_throttle(&self) -> ControllerKind {
         if self.0 == Fault::NoShield { Stress::FullThrottle.into() } else { Crumple.full_throttle() }
     }
 
@@ -253,7 +255,7 @@ fn damaged(fault: Fault, mut result: Simulated, run: &Run<'_>) -> Simulated {
 
 /// Every oracle notices what it is there to notice, when the suite asks it and when the fuzz target does.
 #[test]
-fn every_oracle_bites() {
+fn every_oracle_notices_its_fault() {
     let wrong: [(Fault, Oracle, Law); 23] = [
         (Fault::GapSign, one_story, Law::OneStory),
         (Fault::NoStandstill, motion_is_physical, Law::ForwardMotion),
@@ -281,27 +283,27 @@ fn every_oracle_bites() {
     ];
     let oracles: HashSet<usize> = wrong.iter().map(|(_, oracle, _)| *oracle as usize).collect();
     let laws: HashSet<Law> = wrong.iter().map(|(.., law)| *law).collect();
-    // Of the 18 laws, one is that every trial can be run, and two are of the targets that read files.
+    // Of the 18 laws, one is that every test case can be run, and two are of the targets that read files.
     assert_eq!((oracles.len(), laws.len()), (ORACLES.len(), 15));
     for (fault, oracle, law) in wrong {
         let system = Wrong(fault);
         // As a property of the suite.
         let config = ProptestConfig { failure_persistence: None, max_shrink_iters: 0, cases: 256, ..cases(256) };
         let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
-        let property = runner.run(&any_trial(), |trial| match trial.ask(oracle, &system) {
+        let property = runner.run(&any_test_case(), |test_case| match test_case.ask(oracle, &system) {
             Err(violation) if violation.law == law => Err(TestCaseError::fail(violation.to_string())),
             _ => Ok(()),
         });
         assert!(matches!(property, Err(TestError::Fail(..))), "the suite misses {fault:?}");
         // As the fuzz target asks it.
         let mut runner = TestRunner::deterministic();
-        let strategy = bytes(TRIAL_BYTES);
+        let strategy = bytes(TEST_CASE_BYTES);
         // Some faults show in few of all scenarios: that of the bound only where nothing is noisy and nobody collides.
         let mut inputs = (0..4096).map(|_| strategy.new_tree(&mut runner).unwrap().current());
         // By whichever oracle is asked first; of the right program they say nothing.
         let is_noticed = |bytes: Vec<u8>| {
-            let trial = Trial::of_bytes(&bytes);
-            trial.examine(&system).is_err() && trial.examine(&Crumple).is_ok()
+            let test_case = TestCase::of_bytes(&bytes);
+            test_case.examine(&system).is_err() && test_case.examine(&Crumple).is_ok()
         };
         assert!(inputs.any(is_noticed), "the fuzz target misses {fault:?}");
     }

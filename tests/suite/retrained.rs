@@ -1,4 +1,4 @@
-//! The committed hardened policy is what the committed retraining says it is.
+//! The committed retrained policy is what the committed retraining says it is.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,42 +10,42 @@ use crumple_world::estimate::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::{Space, built_in_space};
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
-use crumple_world::sim::{Contender, Keep, Run, RunOptions, UnderTest, simulate_batch};
+use crumple_world::sim::{ControllerKind, NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 
 fn corpora() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora")
 }
 
 fn read<T: serde::de::DeserializeOwned>(name: &str) -> T {
-    serde_json::from_slice(&fs::read(corpora().join("hardening").join(name)).unwrap()).unwrap()
+    serde_json::from_slice(&fs::read(corpora().join("retraining").join(name)).unwrap()).unwrap()
 }
 
 fn space() -> Space {
     built_in_space("high-risk").unwrap()
 }
 
-fn contacts(controller: &UnderTest, scenarios: &[Scenario], estimator: EstimatorKind) -> usize {
+fn contacts(controller: &ControllerKind, scenarios: &[Scenario], estimator: EstimatorKind) -> usize {
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
-    let touched = simulate_batch(&runs, Keep::Summary, |_, result| result.outcome.contact().is_some());
+    let touched = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.contact().is_some());
     touched.into_iter().filter(|&touched| touched).count()
 }
 
 #[test]
 fn the_committed_files_are_those_of_the_report() {
     let report: Report = read("report.json");
-    assert_eq!(sha256(Policy::hardened_bytes()), report.hardened_sha256);
-    assert_eq!(Policy::reference().digest(), report.first_sha256, "it was hardened from the reference policy");
+    assert_eq!(sha256(Policy::retrained_bytes()), report.retrained_sha256);
+    assert_eq!(Policy::reference().digest(), report.first_sha256, "it was retrained from the reference policy");
     for file in report.files.iter().filter(|file| file.file != "policy.safetensors") {
         assert_eq!(
-            sha256(fs::read(corpora().join("hardening").join(&file.file)).unwrap()),
+            sha256(fs::read(corpora().join("retraining").join(&file.file)).unwrap()),
             file.sha256,
             "{}",
             file.file
         );
     }
     let preset = serde_json::to_value(training_preset().unwrap()).unwrap();
-    let header = Policy::hardened().header().training.clone();
+    let header = Policy::retrained().header().training.clone();
     for (field, value) in preset.as_object().unwrap().iter().filter(|(field, _)| *field != "episodes") {
         assert_eq!(header[field], *value, "the committed preset reproduces the committed policy: {field}");
     }
@@ -53,7 +53,7 @@ fn the_committed_files_are_those_of_the_report() {
 
 #[test]
 fn the_cases_are_the_ones_whose_hash_is_stated() {
-    let cases: Cases = read("hardened-on.json");
+    let cases: Cases = read("retrained-on.json");
     let mut digest = Sha256::default();
     for case in cases.scenarios(&space()).unwrap() {
         digest.update(serde_json::to_string(case.spec()).unwrap());
@@ -63,20 +63,21 @@ fn the_cases_are_the_ones_whose_hash_is_stated() {
 }
 
 #[test]
-fn the_hardened_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
-    let hardened = UnderTest::Policy(Policy::hardened());
+fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
+    let retrained = ControllerKind::Policy(Policy::retrained());
     let paper: Vec<Scenario> = ["paper-1", "paper-2", "paper-3"].map(|name| built_in(name).unwrap()).into();
     for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-        assert_eq!(contacts(&hardened, &paper, estimator), 0, "{estimator:?}");
+        assert_eq!(contacts(&retrained, &paper, estimator), 0, "{estimator:?}");
     }
     let draws: Vec<_> = (0..1000).map(|index| PaperDistribution { seed: 1 }.draw(index).unwrap()).collect();
-    assert_eq!(contacts(&hardened, &draws, EstimatorKind::Kalman), 0);
+    assert_eq!(contacts(&retrained, &draws, EstimatorKind::Kalman), 0);
     // A share of the draws it was judged on: counts within three standard deviations of the recorded rates.
     let judged: Judged = read("judged-on.json");
     let space = space();
     let indices: Vec<u64> = judged.corpus.indices().take(2000).collect();
     let part: Vec<_> = indices.iter().map(|&index| space.draw(judged.corpus.seed, index).unwrap()).collect();
-    let policies = [UnderTest::Policy(Policy::reference()), UnderTest::Policy(Arc::clone(&Policy::hardened()))];
+    let policies =
+        [ControllerKind::Policy(Policy::reference()), ControllerKind::Policy(Arc::clone(&Policy::retrained()))];
     for (policy, tally) in policies.iter().zip(&judged.tallies) {
         let rate = tally.contacts as f64 / judged.corpus.avoidable as f64;
         let (mean, found) = (2000.0 * rate, contacts(policy, &part, EstimatorKind::Kalman) as f64);
@@ -86,20 +87,21 @@ fn the_hardened_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
             tally.controller
         );
     }
-    let [first, hardened, ..] = judged.tallies.as_slice() else { panic!("two policies") };
-    assert!(first.contacts > 5 * hardened.contacts, "{} {}", first.contacts, hardened.contacts);
+    let [first, retrained, ..] = judged.tallies.as_slice() else { panic!("two policies") };
+    assert!(first.contacts > 5 * retrained.contacts, "{} {}", first.contacts, retrained.contacts);
 }
 
 #[test]
-fn the_hardened_policy_is_known_by_name() {
-    let found = Contender::find("hardened", Path::new("")).unwrap();
-    assert_eq!(found.policy().unwrap().digest(), sha256(Policy::hardened_bytes()));
+fn the_retrained_policy_is_known_by_name() {
+    let found = NamedController::find("retrained", Path::new("")).unwrap();
+    assert_eq!(found.policy().unwrap().digest(), sha256(Policy::retrained_bytes()));
 }
 
 /// A shield is not learned, and what it guards may be.
 #[test]
 fn what_is_learned_has_a_policy_behind_a_shield_too() {
-    let digest = |name: &str| Contender::find(name, Path::new("")).unwrap().policy().map(|policy| policy.digest());
+    let digest =
+        |name: &str| NamedController::find(name, Path::new("")).unwrap().policy().map(|policy| policy.digest());
     let reference = Some(Policy::reference().digest());
     for name in ["policy", "shield:policy", "shield,ahead=7.5,gap-error=0:policy", "shield:shield:policy"] {
         assert_eq!(digest(name), reference, "{name}");

@@ -4,7 +4,7 @@ use super::Controller;
 use crate::estimate::Observation;
 
 /// Asks a controller once an interval and holds its answer in between.
-pub struct Paced {
+pub struct ZeroOrderHold {
     controller: Box<dyn Controller>,
     interval_s: f64,
     interval_steps: u32,
@@ -12,7 +12,7 @@ pub struct Paced {
     held_mps2: f64,
 }
 
-impl Paced {
+impl ZeroOrderHold {
     /// Paces `controller` to one decision every `interval_s` in a scenario that steps every `step_s`.
     #[must_use]
     pub fn new(controller: Box<dyn Controller>, interval_s: f64, step_s: f64) -> Self {
@@ -21,7 +21,7 @@ impl Paced {
     }
 }
 
-impl Controller for Paced {
+impl Controller for ZeroOrderHold {
     fn act(&mut self, seen: &Observation) -> f64 {
         if self.steps_to_decision == 0 {
             self.steps_to_decision = self.interval_steps;
@@ -50,8 +50,8 @@ mod tests {
                 self.0
             }
         }
-        let mut paced = Paced::new(Box::new(Counter(0.0)), 0.03, 0.01);
-        let answers = [0; 7].map(|_| paced.act(&behind(20.0, 20.0, 20.0, 0.0)));
+        let mut held = ZeroOrderHold::new(Box::new(Counter(0.0)), 0.03, 0.01);
+        let answers = [0; 7].map(|_| held.act(&behind(20.0, 20.0, 20.0, 0.0)));
         assert_eq!(answers, [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 3.0]);
     }
 }

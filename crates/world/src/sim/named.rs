@@ -4,24 +4,24 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::{Shielded, Stress, UnderTest};
+use super::{ControllerKind, Shielded, Stress};
 use crate::control::{ErrorBounds, ShieldSettings};
 use crate::policy::{Policy, PolicyError};
 use crate::scenario::ControllerSpec;
 
 /// A controller to put under test, and what it is called.
 #[derive(Clone)]
-pub struct Contender {
+pub struct NamedController {
     /// A built-in name, or the path of a policy file as it was given.
     pub name: String,
     /// What drives.
-    pub controller: UnderTest,
+    pub kind: ControllerKind,
 }
 
 /// Why a name stands for no controller.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum UnknownContender {
+pub enum UnknownController {
     /// Neither a built-in name nor a file.
     #[error("there is no controller `{name}`: there are {known}, policy files, and `shield:` before any of them")]
     Name {
@@ -45,10 +45,10 @@ pub enum UnknownContender {
 }
 
 /// A committed policy that is known by name but, unlike the reference policy, drives nobody in a scenario file.
-pub const HARDENED: (&str, &str) =
-    ("hardened", "policy hardened in the space high-risk by retrain (corpora/policy/README.md)");
+pub const RETRAINED: (&str, &str) =
+    ("retrained", "policy retrained in the space high-risk by retrain (corpora/policy/README.md)");
 
-impl Contender {
+impl NamedController {
     /// The built-in controllers, in the order they are listed.
     #[must_use]
     pub fn built_in() -> Vec<Self> {
@@ -62,53 +62,54 @@ impl Contender {
     /// is seen, and those that are not given are then 0.
     ///
     /// # Errors
-    /// [`UnknownContender`] if there is neither, or the file holds no usable policy.
-    pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownContender> {
+    /// [`UnknownController`] if there is neither, or the file holds no usable policy.
+    pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownController> {
         if let Some(spec) = ControllerSpec::named(name) {
             return Ok(spec.into());
         }
-        if name == HARDENED.0 {
-            return Ok(Self { name: name.to_owned(), controller: UnderTest::Policy(Policy::hardened()) });
+        // It was called `hardened` in version 0.1.0.
+        if name == RETRAINED.0 || name == "hardened" {
+            return Ok(Self { name: RETRAINED.0.to_owned(), kind: ControllerKind::Policy(Policy::retrained()) });
         }
         if let Some(stress) = Stress::ALL.into_iter().find(|stress| stress.name() == name) {
-            return Ok(Self { name: name.to_owned(), controller: UnderTest::Stress(stress) });
+            return Ok(Self { name: name.to_owned(), kind: ControllerKind::Stress(stress) });
         }
         if let Some((settings, inner)) = name.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
             let settings = shield_settings(settings)?;
-            let controller = Self::find(inner, folder)?.controller;
-            return Ok(Self { name: name.to_owned(), controller: Shielded { controller, settings }.into() });
+            let controller = Self::find(inner, folder)?.kind;
+            return Ok(Self { name: name.to_owned(), kind: Shielded { controller, settings }.into() });
         }
         if Path::new(name).extension().is_none() {
             let stress = Stress::ALL.map(Stress::name);
             let built_in = ControllerSpec::built_in();
-            let known: Vec<_> = built_in.iter().map(ControllerSpec::name).chain([HARDENED.0]).chain(stress).collect();
-            return Err(UnknownContender::Name { name: name.to_owned(), known: known.join(", ") });
+            let known: Vec<_> = built_in.iter().map(ControllerSpec::name).chain([RETRAINED.0]).chain(stress).collect();
+            return Err(UnknownController::Name { name: name.to_owned(), known: known.join(", ") });
         }
         let policy = Policy::load(&folder.join(name))?;
-        Ok(Self { name: name.to_owned(), controller: UnderTest::Policy(Arc::new(policy)) })
+        Ok(Self { name: name.to_owned(), kind: ControllerKind::Policy(Arc::new(policy)) })
     }
 
     /// The policy, if it is a learned one.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
-        policy_of(&self.controller)
+        policy_of(&self.kind)
     }
 }
 
-fn policy_of(controller: &UnderTest) -> Option<Arc<Policy>> {
+fn policy_of(controller: &ControllerKind) -> Option<Arc<Policy>> {
     match controller {
-        UnderTest::BuiltIn(ControllerSpec::Policy) => Some(Policy::reference()),
-        UnderTest::Policy(policy) => Some(Arc::clone(policy)),
-        UnderTest::Shielded(shielded) => policy_of(&shielded.controller),
-        UnderTest::BuiltIn(_) | UnderTest::Stress(_) | UnderTest::Custom(_) => None,
+        ControllerKind::BuiltIn(ControllerSpec::Policy) => Some(Policy::reference()),
+        ControllerKind::Policy(policy) => Some(Arc::clone(policy)),
+        ControllerKind::Shielded(shielded) => policy_of(&shielded.controller),
+        ControllerKind::BuiltIn(_) | ControllerKind::Stress(_) | ControllerKind::Custom(_) => None,
     }
 }
 
 /// Settings as they stand between `shield` and the colon: nothing, or each with a comma before it.
-fn shield_settings(text: &str) -> Result<ShieldSettings, UnknownContender> {
+fn shield_settings(text: &str) -> Result<ShieldSettings, UnknownController> {
     let mut settings = ShieldSettings::default();
     let mut parts = text.split(',');
-    let unknown = |setting: &str| UnknownContender::Shield { setting: setting.to_owned() };
+    let unknown = |setting: &str| UnknownController::Shield { setting: setting.to_owned() };
     if let Some(before) = parts.next().filter(|before| !before.is_empty()) {
         return Err(unknown(before));
     }
@@ -130,14 +131,14 @@ fn shield_settings(text: &str) -> Result<ShieldSettings, UnknownContender> {
     Ok(settings)
 }
 
-impl fmt::Debug for Contender {
+impl fmt::Debug for NamedController {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_tuple("Contender").field(&self.name).finish()
+        out.debug_tuple("NamedController").field(&self.name).finish()
     }
 }
 
-impl From<ControllerSpec> for Contender {
+impl From<ControllerSpec> for NamedController {
     fn from(spec: ControllerSpec) -> Self {
-        Self { name: spec.name().to_owned(), controller: UnderTest::BuiltIn(spec) }
+        Self { name: spec.name().to_owned(), kind: ControllerKind::BuiltIn(spec) }
     }
 }

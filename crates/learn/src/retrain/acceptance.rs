@@ -9,20 +9,20 @@ use super::Standing;
 /// What became of a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Ruling {
+pub enum Acceptance {
     /// It takes the place of the policy before it.
     Accepted,
     /// It does not.
     Rejected {
         /// Why not: everything that speaks against it.
-        objections: Vec<Objection>,
+        objections: Vec<RejectionReason>,
     },
 }
 
 /// What speaks against a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Objection {
+pub enum RejectionReason {
     /// It touches somebody in scenarios of the paper in which the policy before it did not.
     Paper {
         /// Which, each with the estimator.
@@ -91,24 +91,24 @@ fn missing<'a, T: PartialEq>(one: &'a [T], other: &'a [T]) -> impl Iterator<Item
 /// Accepts a candidate if nothing of the paper's scenarios and distribution that was safe fails, and the contacts in the
 /// draws kept aside do not rise.
 #[must_use]
-pub fn rule(before: &Standing, after: &Standing) -> Ruling {
+pub fn rule(before: &Standing, after: &Standing) -> Acceptance {
     let mut objections = Vec::new();
     let scenarios: Vec<String> = missing(&after.paper, &before.paper).cloned().collect();
     if !scenarios.is_empty() {
-        objections.push(Objection::Paper { scenarios });
+        objections.push(RejectionReason::Paper { scenarios });
     }
     let draws: Vec<u64> = missing(&after.nominal, &before.nominal).copied().collect();
     if !draws.is_empty() {
-        objections.push(Objection::Nominal { draws });
+        objections.push(RejectionReason::Nominal { draws });
     }
     let (before, after) = (before.kept_aside.len(), after.kept_aside.len());
     if after > before {
-        objections.push(Objection::KeptAside { before, after });
+        objections.push(RejectionReason::KeptAside { before, after });
     }
-    if objections.is_empty() { Ruling::Accepted } else { Ruling::Rejected { objections } }
+    if objections.is_empty() { Acceptance::Accepted } else { Acceptance::Rejected { objections } }
 }
 
-impl Ruling {
+impl Acceptance {
     /// Whether the candidate is taken over.
     #[must_use]
     pub fn is_accepted(&self) -> bool {
@@ -116,7 +116,7 @@ impl Ruling {
     }
 }
 
-impl fmt::Display for Ruling {
+impl fmt::Display for Acceptance {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Accepted => out.write_str("accepted"),
@@ -128,7 +128,7 @@ impl fmt::Display for Ruling {
     }
 }
 
-impl fmt::Display for Objection {
+impl fmt::Display for RejectionReason {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Paper { scenarios } => write!(out, "new contact in {}", scenarios.join(", ")),
@@ -157,17 +157,21 @@ mod tests {
     #[test]
     fn each_objection_alone_rejects_and_old_failures_do_not() {
         let before = standing(&["paper-3 (truth)"], &[4], &[1, 2, 3]);
-        assert_eq!(rule(&before, &before), Ruling::Accepted, "no worse");
-        assert_eq!(rule(&before, &standing(&[], &[], &[7, 8, 9])), Ruling::Accepted, "others kept aside, but no more");
+        assert_eq!(rule(&before, &before), Acceptance::Accepted, "no worse");
+        assert_eq!(
+            rule(&before, &standing(&[], &[], &[7, 8, 9])),
+            Acceptance::Accepted,
+            "others kept aside, but no more"
+        );
         let objections = |after| match rule(&before, &after) {
-            Ruling::Accepted => Vec::new(),
-            Ruling::Rejected { objections } => objections,
+            Acceptance::Accepted => Vec::new(),
+            Acceptance::Rejected { objections } => objections,
         };
-        let paper = Objection::Paper { scenarios: vec!["paper-1 (kalman)".to_owned()] };
+        let paper = RejectionReason::Paper { scenarios: vec!["paper-1 (kalman)".to_owned()] };
         assert_eq!(objections(standing(&["paper-1 (kalman)"], &[4], &[])), [paper]);
         // One draw for another is a regression although the count stays.
-        assert_eq!(objections(standing(&[], &[5], &[])), [Objection::Nominal { draws: vec![5] }]);
-        assert_eq!(objections(standing(&[], &[], &[1, 2, 3, 4])), [Objection::KeptAside { before: 3, after: 4 }]);
+        assert_eq!(objections(standing(&[], &[5], &[])), [RejectionReason::Nominal { draws: vec![5] }]);
+        assert_eq!(objections(standing(&[], &[], &[1, 2, 3, 4])), [RejectionReason::KeptAside { before: 3, after: 4 }]);
         assert_eq!(objections(standing(&["paper-1 (kalman)"], &[5], &[1, 2, 3, 4])).len(), 3);
     }
 

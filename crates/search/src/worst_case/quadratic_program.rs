@@ -6,7 +6,7 @@ use clarabel::solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverSt
 
 /// Minimise ½ xᵀ P x + qᵀ x over x with A x = b in the first rows and A x <= b in the others.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Cone {
+pub(super) struct QuadraticProgram {
     variables: usize,
     cost: Vec<f64>,
     /// Upper triangle: row, column, value.
@@ -40,7 +40,7 @@ pub(super) enum Solved {
     Trouble(String),
 }
 
-impl Cone {
+impl QuadraticProgram {
     /// No rows and no cost.
     pub(super) fn new(variables: usize) -> Self {
         Self { variables, cost: vec![0.0; variables], ..Self::default() }
@@ -133,7 +133,7 @@ mod tests {
     #[test]
     fn a_small_program_has_the_minimum_and_multiplier_of_the_textbook() {
         // Minimise x² + y² with x + y = 2 and x >= 1.5: at (1.5, 0.5); the multiplier of the bound is 2 (1.5 - 0.5).
-        let mut cone = Cone::new(2);
+        let mut cone = QuadraticProgram::new(2);
         cone.square(&[(0, 1.0)], 1.0);
         cone.square(&[(1, 1.0)], 1.0);
         cone.equal(&[(0, 1.0), (1, 1.0)], 2.0);

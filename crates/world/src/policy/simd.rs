@@ -6,9 +6,9 @@ use pulp::{Simd, WithSimd};
 ///
 /// A closure that is given to `pulp` as it is, is called once and for that through a function of its own, which is compiled
 /// for the narrowest registers.
-pub struct Wide<F>(pub F);
+pub struct InSimd<F>(pub F);
 
-impl<R, F: FnMut() -> R> WithSimd for Wide<F> {
+impl<R, F: FnMut() -> R> WithSimd for InSimd<F> {
     type Output = R;
 
     #[inline(always)]
