@@ -6,7 +6,7 @@
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, Run, simulate, simulate_batch};
 use divan::Bencher;

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
 use crumple_learn::rl::oracle::Oracle;
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Workspace;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::{PAPER_STEP_S, PaperDistribution};

@@ -6,8 +6,9 @@
 
 use crumple_search::falsify::{Cube, Method};
 use crumple_search::worst_case::{Aim, Envelope, attack, hunt};
-use crumple_world::estimate::EstimatorKind;
-use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, Scenario, built_in};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate_batch};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -132,7 +133,7 @@ fn mildest_of_search(
         spent += asked.len();
         let robustness = |(profile, (outcome, gap_m)): (&Vec<f64>, (Outcome, f64))| match outcome {
             Outcome::NoCollision => gap_m.max(0.0),
-            Outcome::Collision(_) => {
+            Outcome::Collision(_) | Outcome::ControllerFailed(_) => {
                 least = effort_m2ps3(profile).min(least);
                 -1000.0 / (1.0 + effort_m2ps3(profile))
             }

@@ -44,5 +44,6 @@ pub use crumple_report as report;
 pub use crumple_search as search;
 pub use crumple_world as world;
 
-pub use crumple_world::scenario::{ControllerSpec, Scenario};
+pub use crumple_world::control::ControllerSpec;
+pub use crumple_world::scenario::Scenario;
 pub use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
 use crumple_learn::rl::{HeldOut, Learner, Trainer, TrainingConfig};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::sim::{RecordingLevel, simulate_batch};
 

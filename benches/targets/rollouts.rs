@@ -1,6 +1,6 @@
 //! Rollouts with built-in controllers, on one thread and on two.
 
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{Outcome, RecordingLevel, simulate_batch};
 

@@ -5,8 +5,8 @@ use std::hint::black_box;
 use crumple_report::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg};
 use crumple_search::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, robustness};
 use crumple_search::falsify::{Cube, Method};
-use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::stl::Formula;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::sim::{RecordingLevel, simulate_batch};
 

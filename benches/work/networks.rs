@@ -1,7 +1,7 @@
 //! Networks that benches act with and train, and the matrix products in that.
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
-use crumple_world::estimate::{EstimatorKind, Neighbour, Observation};
+use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
 use crumple_world::policy::{ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE};
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::PAPER_STEP_S;

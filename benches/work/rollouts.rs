@@ -1,8 +1,9 @@
 //! Rollouts that benches measure: draws of the paper's distribution with its noise, in which everybody but the leader is
 //! under test.
 
-use crumple_world::estimate::EstimatorKind;
-use crumple_world::scenario::{ControllerSpec, Driver, PaperDistribution, Scenario};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Driver, PaperDistribution, Scenario};
 use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, Simulated, simulate_batch};
 
 pub fn scenarios(count: u64) -> Vec<Scenario> {

@@ -2,7 +2,7 @@
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use crumple_search::worst_case::{Aim, EscapeKind};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::AfterContact;
 
 /// A value, the name it goes by, and what it means in the long help.

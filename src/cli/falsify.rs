@@ -8,8 +8,8 @@ use super::simulate::Format;
 use super::{Failure, choice, interrupt, output, progress, subject};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, CampaignError, Progress};
-use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
 use crumple_world::sim::NamedController;
 

@@ -7,9 +7,9 @@ use serde::Serialize;
 
 use super::{Failure, output};
 use crumple_search::falsify::Method;
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::built_in_names;
 use crumple_world::scenario::space::BUILT_IN_SPACES;
-use crumple_world::scenario::{ControllerSpec, built_in_names};
-use crumple_world::sim::{RETRAINED, Stress};
 
 const SHIELD: (&str, &str) =
     ("shield:policy", "policy, or full braking where it would leave no way out; shield: goes before any controller");
@@ -59,8 +59,7 @@ impl Catalogue {
             Self::Controllers => {
                 let built_in = ControllerSpec::built_in();
                 let drivers = built_in.iter().map(|driver| (driver.name(), driver.summary()));
-                let stress = Stress::ALL.map(|stress| (stress.name(), stress.summary()));
-                drivers.chain([RETRAINED]).chain(stress).chain([SHIELD]).map(entry).collect()
+                drivers.chain([SHIELD]).map(entry).collect()
             }
             Self::Spaces => BUILT_IN_SPACES.map(|(name, summary, _)| entry((name, summary))).into(),
             Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),

@@ -10,8 +10,8 @@ use super::{Failure, choice, subject};
 use crumple_report::draw::{self, Layout, MotionFigure, PNG_SCALE};
 use crumple_report::export;
 use crumple_search::disk::Files;
-use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::{Specification, SpecificationError};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, Scenario};
 use crumple_world::sim::{
     AfterContact, Impact, Intervention, NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, Trace,
@@ -70,7 +70,7 @@ pub(super) struct Simulate {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Expectation {
-    /// Nobody touches anybody
+    /// No vehicles touch, and no controller fails
     Safe,
     /// Somebody does
     Collision,
@@ -83,8 +83,8 @@ enum Expectation {
 impl Expectation {
     fn is_met(self, rendered: &Rendered) -> bool {
         match self {
-            Self::Safe => !rendered.collided,
-            Self::Collision => rendered.collided,
+            Self::Safe => rendered.outcome.is_safe(),
+            Self::Collision => rendered.outcome.contact().is_some(),
             Self::Satisfied => !rendered.violated,
             Self::Violated => rendered.violated,
         }
@@ -141,7 +141,7 @@ struct Judged {
 struct Rendered {
     text: String,
     files: Vec<(PathBuf, Vec<u8>)>,
-    collided: bool,
+    outcome: Outcome,
     violated: bool,
 }
 
@@ -202,7 +202,7 @@ impl Simulate {
                 files.push((named(path, name), table.map_err(Failure::input)?));
             }
         }
-        Ok(Rendered { text, files, collided: simulated.outcome != Outcome::NoCollision, violated })
+        Ok(Rendered { text, files, outcome: simulated.outcome.clone(), violated })
     }
 
     fn scenario(&self, name: &str) -> Result<Scenario, Failure> {
@@ -232,7 +232,7 @@ impl Simulate {
             estimator: self.estimator.name(),
             dt_s: run.dt_s(),
             seed: spec.seed,
-            outcome: result.outcome,
+            outcome: result.outcome.clone(),
             vehicles: &result.vehicles,
             impacts: &result.impacts,
             vehicles_involved: result.vehicles_involved(),
@@ -326,8 +326,10 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
         text.push('\n');
     };
     line(format!("{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}"));
-    if report.impacts.is_empty() {
-        line("  no collision".to_owned());
+    match &report.outcome {
+        Outcome::ControllerFailed(failed) => line(format!("  CONTROLLER FAILED: {failed}")),
+        _ if report.impacts.is_empty() => line("  no collision".to_owned()),
+        _ => {}
     }
     for (index, impact) in report.impacts.iter().enumerate() {
         let contact = impact.contact;

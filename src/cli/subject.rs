@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use super::Failure;
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{self, BUILT_IN_SPACES, Space, built_in_space};
-use crumple_world::scenario::{ControllerSpec, Scenario, built_in, built_in_names, file};
+use crumple_world::scenario::{Scenario, built_in, built_in_names, file};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate};
 
 /// A built-in scenario, or the one in a file.
@@ -44,6 +45,9 @@ pub(super) fn controller(name: &str) -> Result<NamedController, String> {
 
 /// What a scenario of scripts and fixed drivers does.
 pub(super) fn replay(scenario: &Scenario) -> Result<Simulated, Failure> {
-    let run = Run::new(scenario, RunOptions::new(ControllerSpec::MatchLeader).with_estimator(EstimatorKind::Truth))?;
+    let run = Run::new(
+        scenario,
+        RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth),
+    )?;
     Ok(simulate(&run, RecordingLevel::Trace))
 }

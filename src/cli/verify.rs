@@ -15,7 +15,7 @@ use super::simulate::Format;
 use super::{Failure, choice, interrupt, progress, rare, reach, subject};
 use crumple_search::evidence::rare::{Effort, RarePlan};
 use crumple_search::evidence::{RateConfig, RatePlan, Tally, shipped_kernels};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::Space;
 use crumple_world::sim::NamedController;
 

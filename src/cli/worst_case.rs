@@ -9,7 +9,7 @@ use super::finding::Finding;
 use super::{Failure, choice, subject};
 use crumple_search::disk::Files;
 use crumple_search::worst_case::{Aim, Attack, AttackMethod, Envelope, attack};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Find the mildest braking of the leader that makes a controller collide, or the severest impact
@@ -97,7 +97,7 @@ impl WorstCase {
             aim: choice::name_of(choice::AIMS, self.aim),
             found: found.is_some(),
             method: found.map(|attack| attack.method),
-            outcome: found.map(|attack| attack.outcome),
+            outcome: found.map(|attack| attack.outcome.clone()),
             effort_m2ps3: found.map(|attack| attack.effort_m2ps3),
             peak_brake_mps2: found.map(|attack| attack.peak_brake_mps2),
             predicted_margin_m: found.map(|attack| attack.predicted_margin_m),
@@ -115,7 +115,10 @@ fn describe(report: &Report<'_>) -> String {
         return text + "  no collision found\n";
     };
     // Writing to a string cannot fail.
-    if let Some(Outcome::Collision(contact)) = report.outcome {
+    if let Some(Outcome::ControllerFailed(failed)) = &report.outcome {
+        let _ = writeln!(text, "  CONTROLLER FAILED: {failed}");
+    }
+    if let Some(Outcome::Collision(contact)) = &report.outcome {
         let _ = writeln!(
             text,
             "  COLLISION at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",

@@ -1,9 +1,9 @@
 //! What every built-in controller promises, whatever it is shown.
 
-use crumple_world::control::{AnyController, Baseline, Controller, Ego};
-use crumple_world::estimate::{Neighbour, Observation};
+use crumple_world::control::AebSettings;
+use crumple_world::control::{AnyController, Baseline, BuiltIn, Controller, Ego};
 use crumple_world::measure::ttc_s;
-use crumple_world::scenario::AebSettings;
+use crumple_world::observation::{Neighbour, Observation};
 use proptest::prelude::*;
 
 use crate::generate::{any_controller, cases};
@@ -11,7 +11,7 @@ use crate::generate::{any_controller, cases};
 prop_compose! {
     fn any_ego()(max_brake_mps2 in 0.1..30.0_f64, max_accel_mps2 in 0.0..30.0_f64, length_m in 0.1..100.0_f64,
                  step_s in 1e-4..1.0_f64) -> Ego {
-        Ego { max_brake_mps2, max_accel_mps2, length_m, step_s }
+        Ego { vehicle: 1, max_brake_mps2, max_accel_mps2, length_m, step_s }
     }
 }
 
@@ -37,9 +37,9 @@ proptest! {
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..20),
     ) {
-        let mut controller = AnyController::built_in(&spec, &ego);
+        let mut controller = AnyController::built_in(&spec, &ego, 0);
         for seen in &seen {
-            let command = controller.act(seen);
+            let command = controller.decide(seen).unwrap();
             prop_assert!(command.is_finite(), "{} commands {command} for {seen:?}", spec.name());
         }
     }
@@ -51,25 +51,25 @@ proptest! {
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..30),
     ) {
-        let mut baseline = Baseline::new(&AebSettings { ttc_s: threshold_s }, &ego);
+        let mut baseline = Baseline::start(&AebSettings { ttc_s: threshold_s }, &ego, 0);
         let mut braking = false;
         for seen in seen.iter().filter(|seen| seen.ahead.is_none_or(|ahead| ahead.gap_m > 0.0)) {
             let closing_s = seen.ahead.and_then(|ahead| ttc_s(ahead.gap_m, seen.speed_mps - ahead.speed_mps));
             braking |= closing_s.is_some_and(|closing_s| closing_s < threshold_s);
-            prop_assert_eq!(baseline.act(seen), if braking { -ego.max_brake_mps2 } else { 0.0 });
+            prop_assert_eq!(baseline.decide(seen), Ok(if braking { -ego.max_brake_mps2 } else { 0.0 }));
         }
     }
 
-    /// No built-in controller cares for who is behind.
+    /// No rule looks at the vehicle behind.
     #[test]
     fn built_in_controllers_look_ahead_only(
         spec in (0..6_u8).prop_flat_map(any_controller),
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..10),
     ) {
-        let [mut looking, mut blind] = [0; 2].map(|_| AnyController::built_in(&spec, &ego));
+        let [mut looking, mut blind] = [0; 2].map(|_| AnyController::built_in(&spec, &ego, 0));
         for seen in seen {
-            prop_assert_eq!(looking.act(&seen), blind.act(&Observation { behind: None, ..seen }));
+            prop_assert_eq!(looking.decide(&seen), blind.decide(&Observation { behind: None, ..seen }));
         }
     }
 }

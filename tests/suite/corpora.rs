@@ -4,7 +4,6 @@ use std::fs;
 use std::path::PathBuf;
 
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass, ExpectedFile};
-use crumple_world::measure::Specification;
 use crumple_world::scenario::file::load;
 
 fn folder() -> PathBuf {
@@ -45,7 +44,7 @@ fn every_kept_scenario_still_has_its_failure_and_its_class() {
             file.starts_with(&expected.controller) || (file.starts_with("policy") && expected.policy_sha256.is_some())
         });
         assert!(named.is_some_and(|expected| expected.violated), "{file}: whoever it is named after does not fail");
-        let class = Avoidability::of(&Specification::NoContact, &load(&path).unwrap());
+        let class = Avoidability::of_contact(&load(&path).unwrap());
         for expected in own {
             let recorded = if expected.violated { class.class() } else { AvoidabilityClass::NotAsked };
             assert_eq!(expected.avoidable, recorded, "{file}");

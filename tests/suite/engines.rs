@@ -3,7 +3,8 @@
 
 use crumple_fuzzing::oracle::bits;
 use crumple_fuzzing::{Kind, Setup, Shape};
-use crumple_world::scenario::{ControllerSpec, PaperDistribution, Scenario};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{PaperDistribution, Scenario};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 use proptest::prelude::*;
 

@@ -7,11 +7,11 @@
 mod world;
 
 use crumple_fuzzing::oracle::estimates_are_sane;
-use crumple_world::estimate::{
-    EgoEstimator, EgoTuning, EstimatorKind, Filter, Inertia, Neighbour, Observation, Sensor, TrueState,
-};
+use crumple_world::control::ControllerSpec;
+use crumple_world::estimate::{EgoEstimator, EgoTuning, Filter, Inertia, Sensor, TrueState};
+use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
 use crumple_world::random::Purpose;
-use crumple_world::scenario::{ControllerSpec, PaperDistribution, Scenario, Sensors, built_in};
+use crumple_world::scenario::{PaperDistribution, Scenario, Sensors, built_in};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, Stepper};
 use proptest::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};

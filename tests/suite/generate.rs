@@ -7,7 +7,8 @@ use arbitrary::Unstructured;
 use crumple_fuzzing::{
     self, Checked, Crumple, Oracle, SCENARIO_BYTES, SETUP_BYTES, Setup, Shape, TEST_CASE_BYTES, TestCase,
 };
-use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, ScenarioSpec};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, Simulated, simulate};
 use proptest::prelude::*;
 
@@ -86,10 +87,10 @@ pub(crate) fn noise_free(scenario: &Scenario) -> Scenario {
 
 /// A scenario without learned drivers, who look behind and round to single precision.
 pub(crate) fn unlearned(scenario: &Scenario) -> Scenario {
-    let learned = Driver::Controller(ControllerSpec::Policy);
+    let learned = Driver::Controller(ControllerSpec::Policy(Default::default()));
     let replace = |spec: &mut ScenarioSpec| {
         for vehicle in spec.vehicles.iter_mut().filter(|vehicle| vehicle.driver == learned) {
-            vehicle.driver = Driver::Controller(ControllerSpec::MatchLeader);
+            vehicle.driver = Driver::Controller(ControllerSpec::MatchLeader(Default::default()));
         }
     };
     scenario.edited(replace).expect("still valid")

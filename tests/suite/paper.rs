@@ -1,7 +1,8 @@
 //! The paper's results, and those of the controllers it did not try.
 
-use crumple_world::estimate::EstimatorKind;
-use crumple_world::scenario::{ControllerSpec, Scenario, built_in};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Scenario, built_in};
 use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
 
 const PAPERS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crumple_learn::retrain::{Cases, Judged, Report, training_preset};
 use crumple_world::digest::{Sha256, sha256};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::{Space, built_in_space};
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in};

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
-use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
 use crumple_world::scenario::space::{Space, built_in_space};
 use crumple_world::sim::NamedController;

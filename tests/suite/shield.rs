@@ -1,13 +1,14 @@
 //! Behind a shield nobody hits the vehicle ahead, whatever that one does within its brake limit.
 
+use crumple_world::control::ControllerSpec;
 use crumple_world::control::{ErrorBounds, Kernel, ShieldSettings};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
-    ControllerSpec, Driver, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+    Driver, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 use crumple_world::sim::{
-    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, Shielded, Simulated, Stress,
-    simulate, simulate_batch,
+    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, Shielded, Simulated, simulate,
+    simulate_batch,
 };
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -109,7 +110,11 @@ fn shielded(controller: ControllerKind, settings: ShieldSettings) -> ControllerK
 
 /// Who drives: the reckless ones, and the learned one.
 fn drivers() -> [ControllerKind; 3] {
-    [Stress::FullThrottle.into(), Stress::RandomActions.into(), ControllerSpec::Policy.into()]
+    [
+        ControllerSpec::FullThrottle(Default::default()).into(),
+        ControllerSpec::RandomActions(Default::default()).into(),
+        ControllerSpec::Policy(Default::default()).into(),
+    ]
 }
 
 fn with_truth(scenario: &Scenario, controller: ControllerKind) -> Simulated {
@@ -159,7 +164,7 @@ proptest! {
             ahead_brake_mps2: Some(chase.classes[0].max_brake_mps2() + more_mps2),
             errors: Some(ErrorBounds { gap_m: 0.2, speed_mps: 0.1, ahead_speed_mps: 0.3 }),
         };
-        let result = with_truth(&chase.scenario(), shielded(Stress::FullThrottle.into(), settings));
+        let result = with_truth(&chase.scenario(), shielded(ControllerSpec::FullThrottle(Default::default()).into(), settings));
         prop_assert_eq!(result.outcome, Outcome::NoCollision);
     }
 
@@ -167,7 +172,7 @@ proptest! {
     #[test]
     fn interventions_are_told_step_by_step(chase in chase(false)) {
         let scenario = chase.scenario();
-        let controller = shielded(Stress::FullThrottle.into(), ShieldSettings::default());
+        let controller = shielded(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default());
         let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
         let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
         let trace = result.trace.unwrap();
@@ -248,7 +253,10 @@ fn what_a_shield_cannot_vouch_for_is_refused() {
     let scenario = draws(1).next().unwrap().scenario();
     let refusal = |change: &dyn Fn(&mut ScenarioSpec)| {
         let changed = scenario.edited(|spec| change(spec)).unwrap();
-        let options = RunOptions::new(shielded(Stress::FullThrottle.into(), ShieldSettings::default()));
+        let options = RunOptions::new(shielded(
+            ControllerSpec::FullThrottle(Default::default()).into(),
+            ShieldSettings::default(),
+        ));
         match Run::new(&changed, options) {
             Err(RunError::Shield { vehicle: 1, why }) => why,
             _ => panic!("not refused"),
@@ -264,7 +272,10 @@ fn what_a_shield_cannot_vouch_for_is_refused() {
 #[test]
 fn a_conflict_with_the_vehicle_behind_is_reported() {
     let scenario = crumple_world::scenario::built_in("paper-1").unwrap();
-    let result = with_truth(&scenario, shielded(Stress::FullThrottle.into(), ShieldSettings::default()));
+    let result = with_truth(
+        &scenario,
+        shielded(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default()),
+    );
     assert!(result.outcome.contact().is_some_and(|contact| contact.rear_vehicle == 2), "{:?}", result.outcome);
     assert!(result.interventions.iter().any(|one| one.rear_conflict && one.vehicle == 1));
 }
@@ -278,7 +289,10 @@ fn a_vehicle_far_behind_is_no_conflict() {
             spec.vehicles[2].speed_mps = speed_mps;
             (spec.vehicles[2].reaction_delay_s, spec.vehicles[2].actuator_delay_s) = (0.3, 0.1);
         });
-        let result = with_truth(&scenario.unwrap(), shielded(Stress::FullThrottle.into(), ShieldSettings::default()));
+        let result = with_truth(
+            &scenario.unwrap(),
+            shielded(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default()),
+        );
         assert!(!result.interventions.is_empty());
         result.interventions.iter().any(|one| one.rear_conflict)
     };
@@ -296,7 +310,7 @@ fn a_livelier_vehicle_ahead_is_kept_farther_away() {
             spec.vehicles.truncate(2);
         });
         let settings = ShieldSettings { ahead_brake_mps2: Some(6.0), errors: None };
-        let options = RunOptions::new(shielded(Stress::FullThrottle.into(), settings));
+        let options = RunOptions::new(shielded(ControllerSpec::FullThrottle(Default::default()).into(), settings));
         let scenario = scenario.unwrap();
         let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Summary);
         result.interventions.first().expect("it has to brake").from_s

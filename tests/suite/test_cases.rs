@@ -95,7 +95,7 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
     assert_eq!(files.len(), 2, "the paper's scenario 1 once, and scenario 3");
     let (path, scenario) = files.remove(0);
     assert_eq!(path.file_name().unwrap(), "baseline-1-of-3-hit-by-baseline-at-10-mps.toml");
-    let baseline = crumple_world::scenario::ControllerSpec::named("baseline").unwrap();
+    let baseline = crumple_world::control::ControllerSpec::named("baseline").unwrap();
     let run = Run::new(&scenario, RunOptions::new(baseline)).unwrap();
     assert!(simulate(&run, RecordingLevel::Summary).outcome.contact().is_some());
     assert!(CollisionSearch::new("nobody", None).is_err());

@@ -33,8 +33,7 @@ impl Collection {
         if path.exists() {
             return Ok(None);
         }
-        let about =
-            format!("FoundController by `cargo fuzz run scenario` under {}.", test_case.setup.controller.name());
+        let about = format!("Found by `cargo fuzz run scenario` under {}.", test_case.setup.controller.name());
         let named = test_case.scenario.edited(|spec| (spec.name, spec.about) = (kind, about));
         let scenario = named.unwrap_or_else(|_| test_case.scenario.clone());
         fs::write(&path, TestCase { scenario, setup: test_case.setup.clone() }.reproducer())?;

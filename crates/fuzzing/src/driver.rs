@@ -2,10 +2,8 @@
 
 use super::choices::Choices;
 use super::shape::Kind;
-use crumple_world::scenario::{
-    AccAebSettings, AebSettings, Brake, BrakeToSpeed, ConstantBrakeSettings, ControllerSpec, Driver, IdmSettings,
-    LeadProfile, Pieces, RampBrake, Recorded, VehicleSpec,
-};
+use crumple_world::control::{ControllerSpec, Role};
+use crumple_world::scenario::{Brake, BrakeToSpeed, Driver, LeadProfile, Pieces, RampBrake, Recorded, VehicleSpec};
 
 /// Bytes that a driver is read from.
 pub(super) const DRIVER_BYTES: usize = 26;
@@ -74,44 +72,20 @@ fn series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec<f64>
         .unzip()
 }
 
+/// Sorts of controllers: the rules, and the reference policy.
+pub(super) const CONTROLLERS: u8 = 7;
+
 fn controller_of(index: u8, choices: &mut Choices<'_>) -> ControllerSpec {
-    let aeb = |choices: &mut Choices<'_>| AebSettings { ttc_s: choices.about(1.4, [0.0, 4.0]) };
-    match index {
-        0 => ControllerSpec::Baseline(aeb(choices)),
-        1 => ControllerSpec::BaselineUnlatched(aeb(choices)),
-        2 => ControllerSpec::MatchLeader,
-        3 => {
-            let nominal = ConstantBrakeSettings::default();
-            ControllerSpec::ConstantBrake(ConstantBrakeSettings {
-                rate_mps2: choices.about(nominal.rate_mps2, [0.0, 9.0]),
-                trigger_mps2: choices.about(nominal.trigger_mps2, [0.0, 4.0]),
-                delay_s: choices.about(nominal.delay_s, [0.0, 1.0]),
-            })
+    let rules = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Rule);
+    let Some(mut spec) = rules.into_iter().nth(usize::from(index)) else {
+        return ControllerSpec::Policy(Default::default());
+    };
+    for (place, field) in spec.fields().iter().enumerate() {
+        if let Some(value) = spec.get_mut(place) {
+            *value = choices.about(*value, field.usual);
         }
-        4 => {
-            let nominal = IdmSettings::default();
-            ControllerSpec::Idm(IdmSettings {
-                desired_speed_mps: choices.about(nominal.desired_speed_mps, [5.0, 45.0]),
-                time_headway_s: choices.about(nominal.time_headway_s, [0.0, 3.0]),
-                standstill_gap_m: choices.about(nominal.standstill_gap_m, [0.0, 5.0]),
-                accel_mps2: choices.about(nominal.accel_mps2, [0.1, 4.0]),
-                comfortable_brake_mps2: choices.about(nominal.comfortable_brake_mps2, [0.1, 4.0]),
-            })
-        }
-        5 => {
-            let nominal = AccAebSettings::default();
-            ControllerSpec::AccAeb(AccAebSettings {
-                ttc_s: choices.about(nominal.ttc_s, [0.0, 4.0]),
-                time_headway_s: choices.about(nominal.time_headway_s, [0.0, 3.0]),
-                standstill_gap_m: choices.about(nominal.standstill_gap_m, [0.0, 5.0]),
-                gap_gain_per_s2: choices.about(nominal.gap_gain_per_s2, [0.0, 1.0]),
-                speed_gain_per_s: choices.about(nominal.speed_gain_per_s, [0.0, 2.0]),
-                comfort_brake_mps2: choices.about(nominal.comfort_brake_mps2, [0.0, 5.0]),
-                comfort_accel_mps2: choices.about(nominal.comfort_accel_mps2, [0.0, 3.0]),
-            })
-        }
-        _ => ControllerSpec::Policy,
     }
+    spec
 }
 
 /// Makes a vehicle follow a script that it is able to follow: strong enough, and without delay.

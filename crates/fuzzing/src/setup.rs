@@ -7,10 +7,10 @@ use std::sync::Arc;
 use arbitrary::Unstructured;
 
 use super::choices::Choices;
-use super::driver::{DRIVER_BYTES, controller};
-use crumple_world::control::{Controller, Ego};
-use crumple_world::estimate::{EstimatorKind, Observation};
-use crumple_world::scenario::{AebSettings, ControllerSpec};
+use super::driver::{CONTROLLERS, DRIVER_BYTES, controller};
+use crumple_world::control::{AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
+use crumple_world::digest::sha256;
+use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::sim::{AfterContact, ControllerKind, NamedController, RunOptions, UnknownController};
 
 /// Bytes that a setup is read from.
@@ -76,7 +76,7 @@ impl Setup {
         let settings = from.bytes(DRIVER_BYTES.min(from.len())).unwrap_or_default();
         Self {
             controller: match kind {
-                0..192 => TestedController::BuiltIn(controller(kind % 7, settings)),
+                0..192 => TestedController::BuiltIn(controller(kind % CONTROLLERS, settings)),
                 192.. => TestedController::Opinionated(interval_steps),
             },
             estimator: choices.one_of(&[EstimatorKind::Kalman, EstimatorKind::Truth]).unwrap_or_default(),
@@ -101,7 +101,7 @@ impl Setup {
     #[must_use]
     pub fn is_learned(&self) -> bool {
         match &self.controller {
-            TestedController::BuiltIn(spec) => *spec == ControllerSpec::Policy,
+            TestedController::BuiltIn(spec) => spec.policy().is_some(),
             TestedController::Named(FoundController(found)) => found.policy().is_some(),
             TestedController::Opinionated(_) => false,
         }
@@ -119,7 +119,10 @@ impl Setup {
         let controller = match &self.controller {
             TestedController::BuiltIn(spec) => ControllerKind::from(spec.clone()),
             TestedController::Named(FoundController(found)) => found.kind.clone(),
-            TestedController::Opinionated(steps) => opinionated(*steps),
+            TestedController::Opinionated(steps) => {
+                let interval_s = (*steps > 0).then(|| f64::from(*steps) * step_s);
+                Arc::new(Opinionated { interval_s, last_mps2: 0.0 }).into()
+            }
         };
         let options = RunOptions::new(controller).with_estimator(self.estimator).with_after_contact(self.after_contact);
         if self.substeps == 1 { options } else { options.with_dt_s(step_s / f64::from(self.substeps)) }
@@ -150,31 +153,34 @@ impl TestedController {
     }
 }
 
-fn opinionated(interval_steps: u32) -> ControllerKind {
-    ControllerKind::Custom(Arc::new(move |ego: &Ego| {
-        let interval_s = (interval_steps > 0).then(|| f64::from(interval_steps) * ego.step_s);
-        Box::new(Opinionated { interval_s, last_mps2: 0.0 })
-    }))
-}
-
 /// Uses all eight numbers it may see, and remembers its last answer.
 struct Opinionated {
     interval_s: Option<f64>,
     last_mps2: f64,
 }
 
+impl ControllerSource for Opinionated {
+    fn identity(&self) -> Option<String> {
+        Some(sha256(format!("opinionated {:?}", self.interval_s)))
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        self.interval_s
+    }
+
+    fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        Ok(Box::new(Self { interval_s: self.interval_s, last_mps2: 0.0 }))
+    }
+}
+
 impl Controller for Opinionated {
-    fn act(&mut self, seen: &Observation) -> f64 {
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let ahead =
             seen.ahead.map_or(0.5, |n| 0.1 * (n.gap_m - 12.0) + n.speed_mps - seen.speed_mps + n.acceleration_mps2);
         let behind =
             seen.behind.map_or(0.0, |n| 0.2 * (n.speed_mps - seen.speed_mps) - 0.01 * n.gap_m + n.acceleration_mps2);
         self.last_mps2 = 0.5 * self.last_mps2 + 0.4 * ahead + 0.1 * behind - 0.05 * seen.acceleration_mps2;
-        // Now and then no answer at all, which counts as 0.
-        if seen.speed_mps > 30.0 { f64::NAN } else { self.last_mps2 }
-    }
-
-    fn interval_s(&self) -> Option<f64> {
-        self.interval_s
+        // Now and then no number, which ends the run.
+        Ok(if seen.speed_mps > 30.0 { f64::NAN } else { self.last_mps2 })
     }
 }

@@ -3,6 +3,7 @@
 use arbitrary::Unstructured;
 
 use super::choices::Choices;
+use super::driver::CONTROLLERS;
 
 /// Steps of scenarios, in seconds; the paper's first.
 const STEPS_S: [f64; 4] = [0.01, 0.02, 0.05, 0.1];
@@ -10,9 +11,8 @@ const STEPS_S: [f64; 4] = [0.01, 0.02, 0.05, 0.1];
 const COUNTS: [usize; 5] = [3, 2, 4, 5, 6];
 /// The most vehicles in a scenario.
 pub(super) const MOST_VEHICLES: usize = 6;
-/// Sorts of lead profiles and of controllers.
+/// Sorts of lead profiles.
 const PROFILES: u8 = 6;
-const CONTROLLERS: u8 = 7;
 
 /// What sort of driver sits in a seat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,15 +3,13 @@
 use std::path::Path;
 
 use crumple_search::worst_case::{AvoidOptions, Avoidance, avoid};
-use crumple_world::control::ShieldSettings;
-use crumple_world::estimate::Observation;
+use crumple_world::control::{ControllerSpec, ShieldSettings};
 use crumple_world::measure::ContactRole;
 use crumple_world::measure::stl::{Formula, MonitorError, Signals};
+use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
-use crumple_world::sim::{
-    self, Contact, ControllerKind, Motion, RecordingLevel, Run, Shielded, Simulated, Stepper, Stress,
-};
+use crumple_world::sim::{self, Contact, ControllerKind, Motion, RecordingLevel, Run, Shielded, Simulated, Stepper};
 
 /// The parts of the program that oracles question.
 ///
@@ -44,7 +42,11 @@ pub trait System {
 
     /// Full throttle behind a shield.
     fn full_throttle(&self) -> ControllerKind {
-        Shielded { controller: Stress::FullThrottle.into(), settings: ShieldSettings::default() }.into()
+        Shielded {
+            controller: ControllerSpec::FullThrottle(Default::default()).into(),
+            settings: ShieldSettings::default(),
+        }
+        .into()
     }
 
     /// What anybody could have done in a scenario; none if that cannot be asked of it.

@@ -3,9 +3,10 @@
 use std::fmt;
 
 use super::{TestCase, TestedController};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Driver;
 use crumple_world::scenario::file::to_toml;
-use crumple_world::scenario::{ControllerSpec, Driver};
 use crumple_world::sim::AfterContact;
 
 /// What must hold, whatever happens.

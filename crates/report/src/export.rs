@@ -125,7 +125,8 @@ mod tests {
     use super::*;
     use ::parquet::file::reader::{FileReader, SerializedFileReader};
     use ::parquet::record::RowAccessor;
-    use crumple_world::scenario::{ControllerSpec, built_in};
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::scenario::built_in;
     use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
     #[test]

@@ -6,10 +6,11 @@
 //! |---|---|
 //! | [`digest`] | SHA-256, as it stands in files and reports |
 //! | [`random`] | seeded streams: one seed decides everything |
+//! | [`observation`] | what a controller may see |
+//! | [`policy`] | the actor network and its file: acting, one state or many |
+//! | [`control`] | who decides: one trait, one table, one file for each controller |
 //! | [`scenario`] | what may happen: vehicles, drivers, lead profiles, the file format, the paper's scenarios |
 //! | [`estimate`] | what the ego knows: sensors and the Kalman filter |
-//! | [`policy`] | the actor network and its file: acting, one state or many |
-//! | [`control`] | who decides: one trait, one file for each controller |
 //! | [`sim`] | how it happens: exact steps, contact times, two engines with one meaning, the trace |
 //! | [`measure`] | how it was: surrogate safety measures; formulas of signal temporal logic and their monitor |
 //! | `recording` | recorded traffic turned into scenarios (a feature) |
@@ -18,6 +19,7 @@ pub mod control;
 pub mod digest;
 pub mod estimate;
 pub mod measure;
+pub mod observation;
 pub mod policy;
 pub mod random;
 #[cfg(feature = "recording")]

@@ -5,7 +5,7 @@ mod impacts;
 mod symmetry;
 
 use crumple_fuzzing::oracle::{monitor_agrees, motion_is_physical, one_story, same_impacts, step_size_decides_nothing};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{Simulated, Trace};
 use proptest::prelude::*;
@@ -48,7 +48,7 @@ proptest! {
 /// The paper's scenarios, which everything is compared on, are among those that do not depend on the step.
 #[test]
 fn the_verdicts_of_the_papers_distribution_do_not_depend_on_the_step() {
-    let baseline = crumple_world::scenario::ControllerSpec::named("baseline").unwrap();
+    let baseline = crumple_world::control::ControllerSpec::named("baseline").unwrap();
     for index in 0..40 {
         let scenario: Scenario = crumple_world::scenario::PaperDistribution { seed: 11 }.draw(index).unwrap();
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {

@@ -2,7 +2,7 @@
 
 use crumple_fuzzing::oracle::{grazes, same_impacts};
 use crumple_fuzzing::{Kind, Setup, Shape, script};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LeadProfile, Recorded, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
 use crumple_world::sim::Simulated;
 use proptest::prelude::*;

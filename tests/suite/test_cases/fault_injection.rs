@@ -10,13 +10,14 @@ use crumple_fuzzing::oracle::{
 use crumple_fuzzing::{Crumple, FileFormat, Law, ORACLES, Oracle, Sight, System, TEST_CASE_BYTES, TestCase};
 use crumple_search::worst_case::{self, Avoidance};
 use crumple_verify::Certificate;
-use crumple_world::estimate::Observation;
+use crumple_world::control::ControllerSpec;
 use crumple_world::measure::ContactRole;
 use crumple_world::measure::stl::{Formula, MonitorError, Signals};
+use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::FileError;
 use crumple_world::sim::{
-    self, Contact, ControllerKind, Outcome, RecordingLevel, Run, RunOptions, Simulated, Stress, simulate,
+    self, Contact, ControllerKind, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate,
 };
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -145,7 +146,11 @@ impl System for Wrong {
     }
 
     fn full_throttle(&self) -> ControllerKind {
-        if self.0 == Fault::NoShield { Stress::FullThrottle.into() } else { Crumple.full_throttle() }
+        if self.0 == Fault::NoShield {
+            ControllerSpec::FullThrottle(Default::default()).into()
+        } else {
+            Crumple.full_throttle()
+        }
     }
 
     fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {

@@ -3,8 +3,11 @@
 use std::path::Path;
 
 use crumple_search::worst_case::{Aim, AttackMethod, Envelope, attack};
-use crumple_world::estimate::EstimatorKind;
-use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, Scenario, built_in, file};
+use crumple_world::control::{
+    AebSettings, Baseline, BuiltIn, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
+};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in, file};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
 use super::scenes::{Dice, small};
@@ -124,15 +127,24 @@ fn nothing_is_milder_than_the_exact_profile() {
     }
 }
 
+/// The baseline, as if it came from outside.
+struct OutsideBaseline;
+
+impl ControllerSource for OutsideBaseline {
+    fn identity(&self) -> Option<String> {
+        Some("the baseline".to_owned())
+    }
+
+    fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        Ok(Box::new(Baseline::start(&AebSettings::default(), ego, seed)))
+    }
+}
+
 fn compare_with_exact(scenario: &Scenario, most_m2ps3: f64) {
     let envelope = Envelope::of(scenario);
     let exact = attack(scenario, &options("baseline"), Aim::Mildest, envelope, 0).unwrap().expect("collides");
     // The same controller from outside takes the other way.
-    let build = std::sync::Arc::new(|ego: &crumple_world::control::Ego| {
-        Box::new(crumple_world::control::Baseline::new(&crumple_world::scenario::AebSettings::default(), ego))
-            as Box<dyn crumple_world::control::Controller>
-    });
-    let custom = RunOptions { controller: crumple_world::sim::ControllerKind::Custom(build), ..options("baseline") };
+    let custom = RunOptions { controller: std::sync::Arc::new(OutsideBaseline).into(), ..options("baseline") };
     let found = attack(scenario, &custom, Aim::Mildest, envelope, 3000).unwrap().expect("collides");
     assert_eq!((exact.method, found.method), (AttackMethod::Exact, AttackMethod::Sequential));
     assert!(exact.programs <= 150, "{} programs", exact.programs);

@@ -11,10 +11,9 @@ use crumple_search::worst_case::{
     certify, is_about,
 };
 use crumple_verify::{Accepted, Certificate, Statement};
-use crumple_world::estimate::EstimatorKind;
-use crumple_world::scenario::{
-    AebSettings, Brake, ControllerSpec, Driver, LeadProfile, Scenario, ScenarioSpec, built_in, file,
-};
+use crumple_world::control::{AebSettings, ControllerSpec};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in, file};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
 use serde_json::Value;
 
@@ -57,7 +56,8 @@ fn the_papers_collisions_were_avoidable() {
         let text = file::to_toml(&escape.scenario).unwrap();
         let escape_file = file::from_toml(&text, "escape.toml".as_ref()).unwrap();
         for parts in [1.0, 10.0] {
-            let replayed = run(&escape_file, &ControllerSpec::MatchLeader, EstimatorKind::Truth, parts);
+            let replayed =
+                run(&escape_file, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, parts);
             assert_eq!(replayed.outcome, Outcome::NoCollision, "{name}");
         }
         let certificate = certify(&Family::point(&scenario), escape).expect("accepted");
@@ -122,7 +122,7 @@ fn brute_force_m(scenario: &Scenario) -> f64 {
     let gap_m = |code: usize| {
         let pieces = (0..spans).map(|span| choices[code / 3_usize.pow(span as u32) % 3]).collect();
         let scripted = with_profile(scenario, pieces, 0.5);
-        smallest_gap_m(&run(&scripted, &ControllerSpec::MatchLeader, EstimatorKind::Truth, 1.0))
+        smallest_gap_m(&run(&scripted, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, 1.0))
     };
     (0..3_usize.pow(spans as u32)).map(gap_m).fold(f64::NEG_INFINITY, f64::max)
 }
@@ -266,7 +266,7 @@ fn is_true(original: &Certificate, mutant: &Value) -> bool {
         (_, Statement::Unavoidable(claim)) => scenario_of(&claim.scene, &[])
             .is_none_or(|scenario| !matches!(decide(&scenario).verdict, AvoidanceVerdict::Avoidable(_))),
         (_, Statement::Avoidable(claim)) => scenario_of(&claim.scene, &claim.witness).is_none_or(|scenario| {
-            let replayed = run(&scenario, &ControllerSpec::MatchLeader, EstimatorKind::Truth, 10.0);
+            let replayed = run(&scenario, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, 10.0);
             smallest_gap_m(&replayed) >= claim.min_gap_m_at_least.unwrap_or(0.0).max(1e-12)
         }),
         (_, other) => panic!("a mutant of another kind: {}", other.name()),
@@ -301,7 +301,12 @@ fn a_box_is_decided_as_a_whole() {
                 }],
             },
         );
-        let replayed = run(scenario.unwrap().centre(), &ControllerSpec::MatchLeader, EstimatorKind::Truth, 10.0);
+        let replayed = run(
+            scenario.unwrap().centre(),
+            &ControllerSpec::MatchLeader(Default::default()),
+            EstimatorKind::Truth,
+            10.0,
+        );
         assert_eq!(replayed.outcome, Outcome::NoCollision);
     }
     // Nobody stops a car from 25 m/s in 16 m behind a wall, wherever in the box it stands.
@@ -336,7 +341,8 @@ fn a_box_is_decided_as_a_whole() {
     check(&certify(&family, &escape).unwrap());
     for onset_s in [0.9, 1.0, 1.1] {
         let member = Family::new(&escape.scenario, &onset(onset_s, onset_s)).unwrap();
-        let replayed = run(member.centre(), &ControllerSpec::MatchLeader, EstimatorKind::Truth, 10.0);
+        let replayed =
+            run(member.centre(), &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, 10.0);
         assert!(smallest_gap_m(&replayed) >= escape.min_gap_m - 1e-9, "{onset_s}");
     }
     let bad = Ranges { version: 1, ranges: vec![FieldRange { field: "seed".into(), low: 0.0, high: 1.0 }] };

@@ -1,10 +1,11 @@
 //! Random scenes with an emergency in them.
 
 use crumple_verify::{Held, Scene};
+use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::random::derived_seed;
 use crumple_world::scenario::{
-    AebSettings, Brake, ControllerSpec, Driver, Environment, LeadProfile, Pieces, SCENARIO_VERSION, Scenario,
-    ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+    Brake, Driver, Environment, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
+    VehicleSpec,
 };
 
 /// Numbers between 0 and 1 that depend on a seed alone.

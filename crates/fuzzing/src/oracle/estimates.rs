@@ -2,7 +2,8 @@
 
 use super::{Checked, Finding, Question, must};
 use crate::Law;
-use crumple_world::estimate::{BANDWIDTH_RAD_PER_S, EgoTuning, EstimatorKind, Neighbour, Observation};
+use crumple_world::estimate::{BANDWIDTH_RAD_PER_S, EgoTuning};
+use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
 use crumple_world::scenario::{Driver, VehicleSpec};
 use crumple_world::sim::Motion;
 

@@ -2,9 +2,10 @@
 
 use super::{Checked, Finding, Question, must};
 use crate::Law;
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::control::{BuiltIn, FullThrottle};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Driver;
-use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, Stress};
+use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions};
 
 /// Behind a shield that knows the truth, full throttle hits the vehicle ahead only where there was no way out when the
 /// shield first had to brake.
@@ -29,7 +30,7 @@ pub fn shield_keeps_clear(question: &Question<'_>) -> Finding {
     }
     let hopeless = result.interventions.iter().any(|i| i.vehicle == striker && i.outside_kernel);
     must(hopeless, Law::Shield, || {
-        let name = Stress::FullThrottle.name();
+        let name = FullThrottle::NAME;
         format!("shield:{name} hits the vehicle ahead of {striker} at {} s, out of the kernel", contact.time_s)
     })?;
     Ok(Checked::DoesNotApply)

@@ -16,15 +16,17 @@ pub fn one_story(question: &Question<'_>) -> Finding {
     let story = |holds: bool, finding: &dyn Fn() -> String| must(holds, Law::OneStory, finding);
     let stops = question.run.options().after_contact == AfterContact::Stop;
     let first = result.impacts.first().map(|impact| impact.contact);
-    story(result.outcome.contact().copied() == first, &|| "the outcome is not the first impact".to_owned())?;
+    let told = result.outcome.contact().copied() == first || result.outcome.failed().is_some();
+    story(told, &|| "the outcome is not the first impact".to_owned())?;
     let in_order = result.impacts.windows(2).all(|pair| match pair {
         [before, after] => before.contact.time_s <= after.contact.time_s,
         _ => true,
     });
     story(in_order, &|| "impacts are not in order of time".to_owned())?;
     let end_s = trace.time_s.last().copied().unwrap_or(f64::NAN);
-    let ended = match result.outcome {
+    let ended = match &result.outcome {
         Outcome::Collision(contact) if stops => end_s == contact.time_s,
+        Outcome::ControllerFailed(failed) => end_s == failed.time_s && may_fail(question),
         _ => (end_s - scenario.spec().duration_s).abs() < 1e-9,
     };
     story(ended, &|| format!("the trace ends at {end_s} s, with {:?}", result.outcome))?;
@@ -59,6 +61,11 @@ pub fn one_story(question: &Question<'_>) -> Finding {
     limits(question)?;
     role(question)?;
     Ok(Checked::Holds)
+}
+
+/// Only a controller from outside fails.
+fn may_fail(question: &Question<'_>) -> bool {
+    question.run.options().controller.is_from_outside()
 }
 
 /// Where there is neither noise nor an impact that pushes, accelerations are within limits.

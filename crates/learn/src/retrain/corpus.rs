@@ -10,8 +10,7 @@ use super::RetrainError;
 use super::files::{add, read_json, write_json};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_world::digest::{Sha256, sha256};
-use crumple_world::estimate::EstimatorKind;
-use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::Space;
 use crumple_world::sim::{
@@ -177,11 +176,7 @@ fn class(
 /// Classes of scenarios: what a witness has survived is avoidable; of the others convex programming says it.
 pub(super) fn classes(scenarios: &[Scenario], survived: &[bool]) -> Vec<AvoidabilityClass> {
     let class = |(scenario, &survived): (&Scenario, &bool)| {
-        if survived {
-            AvoidabilityClass::Avoidable
-        } else {
-            Avoidability::of(&Specification::NoContact, scenario).class()
-        }
+        if survived { AvoidabilityClass::Avoidable } else { Avoidability::of_contact(scenario).class() }
     };
     scenarios.par_iter().zip(survived).map(class).collect()
 }

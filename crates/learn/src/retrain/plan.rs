@@ -11,7 +11,7 @@ use crumple_search::disk;
 use crate::rl::{ConfigError, TrainingConfig};
 use crumple_search::falsify::Method;
 use crumple_world::digest::sha256;
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::derived_seed;
 use crumple_world::scenario::space::{Space, SpaceSpec};

@@ -187,7 +187,7 @@ impl Report {
         for FileHash { file, sha256 } in &self.files {
             writeln!(out, "| `{file}` | `{sha256}` |")?;
         }
-        writeln!(out, "\nFirst policy: `{}`. RetrainingPlan: `{}`.", self.first_sha256, self.plan_sha256)
+        writeln!(out, "\nFirst policy: `{}`. Plan: `{}`.", self.first_sha256, self.plan_sha256)
     }
 
     fn ended(&self) -> String {

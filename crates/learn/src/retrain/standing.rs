@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::RetrainError;
 use super::corpus::{Corpus, drive};
 use super::plan::{NOMINAL_SEED, RetrainingPlan};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in, built_in_names};
 use crumple_world::sim::ControllerKind;

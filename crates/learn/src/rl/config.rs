@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 
 /// Version of the preset format this release reads.
 pub const TRAINING_VERSION: u32 = 1;

@@ -147,13 +147,14 @@ pub fn bounds(config: &EnvironmentConfig) -> ActionBounds {
 mod tests {
     use super::*;
     use crate::rl::TrainingConfig;
-    use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, built_in};
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::scenario::{Driver, LeadProfile, built_in};
     use crumple_world::sim::RunOptions;
 
     /// Drives paper-2 with one action throughout; also returns what was learned from each decision.
     fn drive(config: &EnvironmentConfig, action: f32) -> (f64, Vec<Consequence>) {
         let scenario = built_in("paper-2").unwrap();
-        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader)).unwrap();
+        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         let mut episode = Episode::new(&run, config, 0.99);
         let mut all = vec![episode.decide(action)];
         while all.last().unwrap().ending == Ending::None {
@@ -196,7 +197,7 @@ mod tests {
         let scenario = built_in("paper-2").unwrap();
         let hold = Driver::Profile(LeadProfile::ConstantSpeed);
         let scenario = scenario.edited(|spec| spec.vehicles[0].driver = hold).unwrap();
-        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader)).unwrap();
+        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         for (time_limit, continues) in [(TimeLimit::Truncation, true), (TimeLimit::End, false)] {
             let config = EnvironmentConfig { time_limit, ..config() };
             let mut episode = Episode::new(&run, &config, 0.99);

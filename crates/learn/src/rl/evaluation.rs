@@ -5,7 +5,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::config::{EnvironmentConfig, EvaluationConfig};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};

@@ -12,9 +12,10 @@ use super::evaluation::{Evaluation, HeldOut};
 use super::learner::{Learner, Losses};
 use super::replay::{Batch, Replay, Transition};
 use super::source::{PaperDraws, ScenarioSource, unsuited};
+use crumple_world::control::ControllerSpec;
 use crumple_world::policy::{Network, ObservationScaling, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::{ControllerSpec, InvalidField, PAPER_STEP_S};
+use crumple_world::scenario::{InvalidField, PAPER_STEP_S};
 use crumple_world::sim::{Run, RunError, RunOptions};
 
 /// The critic may value a state at this many times the largest value that can be right before it counts as exploded.
@@ -193,7 +194,8 @@ impl Trainer {
             return Err(TrainingError::Unsuited { name: scenario.spec().name.clone(), problem });
         }
         // The ego's own controller is never asked: every step is commanded.
-        let options = RunOptions::new(ControllerSpec::MatchLeader).with_estimator(self.config.environment.estimator);
+        let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+            .with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;
         let mut episode = Episode::new(&run, &self.config.environment, self.config.learning.discount);
         let mut trials = random::stream(self.seed, Purpose::Exploration, index);

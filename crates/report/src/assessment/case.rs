@@ -4,12 +4,12 @@ use serde::{Deserialize, Serialize};
 
 use super::Rounded;
 use super::table::Mark;
-use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::{self, ContactRole, Measures};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
-    AfterContact, Contact, Impact, NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, Trace,
-    simulate_batch,
+    AfterContact, Contact, FailedController, Impact, NamedController, RecordingLevel, Run, RunError, RunOptions,
+    Simulated, Trace, simulate_batch,
 };
 
 /// What came of one controller in one scenario.
@@ -43,7 +43,7 @@ pub struct Case {
 }
 
 /// How a run ended.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum CaseVerdict {
     /// Nobody touched anybody before the scenario was over.
@@ -58,6 +58,15 @@ pub enum CaseVerdict {
     WasHit(RoundedContact),
     /// Two vehicles touched that are both not under test: this says nothing of the controller.
     Others(RoundedContact),
+    /// The controller gave no usable answer, and the run ended there.
+    ControllerFailed {
+        /// When, in seconds.
+        time_s: Rounded<2>,
+        /// Index of its vehicle.
+        vehicle: usize,
+        /// Why, in words.
+        because: String,
+    },
 }
 
 /// A run that ends with a time to collision below this is said to be still closing, in seconds.
@@ -114,6 +123,13 @@ impl CaseVerdict {
     /// The verdict on a run of a scenario; without a trace nothing is said of what was still closing.
     #[must_use]
     pub fn of(simulated: &Simulated, scenario: &Scenario) -> Self {
+        if let Some(FailedController { time_s, vehicle, failure }) = simulated.outcome.failed() {
+            return Self::ControllerFailed {
+                time_s: (*time_s).into(),
+                vehicle: *vehicle,
+                because: failure.to_string(),
+            };
+        }
         let Some(contact) = simulated.outcome.contact() else {
             let tested = (1..scenario.vehicles().len())
                 .filter(|&rear| scenario.is_under_test(rear) || scenario.is_under_test(rear - 1));
@@ -127,10 +143,10 @@ impl CaseVerdict {
         }
     }
 
-    /// Whether a vehicle under test touched or was touched.
+    /// Whether the controller failed: a vehicle under test touched or was touched, or had no driver any more.
     #[must_use]
-    pub fn is_collision(&self) -> bool {
-        matches!(self, Self::Hit(_) | Self::WasHit(_))
+    pub fn is_failure(&self) -> bool {
+        matches!(self, Self::Hit(_) | Self::WasHit(_) | Self::ControllerFailed { .. })
     }
 
     /// Whether the run says anything of the controller: not if others crashed first.
@@ -142,7 +158,7 @@ impl CaseVerdict {
     pub(super) fn mark(&self) -> Mark {
         match self {
             Self::Safe { .. } => Mark::Good,
-            Self::Hit(_) | Self::WasHit(_) => Mark::Bad,
+            Self::Hit(_) | Self::WasHit(_) | Self::ControllerFailed { .. } => Mark::Bad,
             Self::Others(_) => Mark::None,
         }
     }
@@ -159,6 +175,9 @@ impl CaseVerdict {
             Self::Hit(contact) => format!("{} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact)),
             Self::WasHit(contact) => {
                 format!("{} hit from behind by {} at {}", contact.front_vehicle, contact.rear_vehicle, at(contact))
+            }
+            Self::ControllerFailed { time_s, vehicle, because } => {
+                format!("controller of {vehicle} failed at {time_s} s: {because}")
             }
             Self::Others(contact) => {
                 format!("traffic: {} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact))

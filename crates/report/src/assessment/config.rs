@@ -6,8 +6,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::gate::Gate;
-use crumple_world::estimate::EstimatorKind;
-use crumple_world::scenario::ControllerSpec;
+use crumple_world::control::{ControllerSpec, Role};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
 
 /// The version of the configuration format this release reads.
@@ -87,8 +87,12 @@ impl Default for RatesConfig {
 }
 
 fn all_controllers() -> Vec<String> {
-    let built_in = ControllerSpec::built_in();
-    built_in.iter().map(ControllerSpec::name).chain(["shield:policy", "retrained"]).map(str::to_owned).collect()
+    let compared = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() != Role::Probe);
+    let mut names: Vec<_> = compared.map(|spec| spec.name().to_owned()).collect();
+    // The shield stands beside the policy that it shields.
+    let place = names.iter().position(|name| name == "policy").map_or(names.len(), |place| place + 1);
+    names.insert(place, "shield:policy".to_owned());
+    names
 }
 
 fn default_draws() -> u64 {

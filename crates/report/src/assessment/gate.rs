@@ -111,7 +111,7 @@ impl Gate {
 fn no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bool, String) {
     let cases = scenarios.iter().flat_map(|scenario| {
         let own = scenario.cases.iter().filter(|case| case.controller == controller && case.verdict.counts());
-        own.map(|case| (scenario.scenario.as_str(), case.verdict.is_collision()))
+        own.map(|case| (scenario.scenario.as_str(), case.verdict.is_failure()))
     });
     let (failing, passing): (Vec<_>, Vec<_>) = cases.partition(|(_, collides)| *collides);
     let names: Vec<_> = failing.iter().map(|(name, _)| *name).collect();

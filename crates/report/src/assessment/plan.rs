@@ -8,11 +8,12 @@ use serde_json::{Value, json};
 
 use super::config::{AssessConfig, CONFIG_VERSION, ConfigError};
 use super::gate::Gate;
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::file;
 use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
-use crumple_world::scenario::{ControllerSpec, Scenario, built_in_names};
+use crumple_world::scenario::{Scenario, built_in_names};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Most draws a configuration may ask for.
@@ -150,7 +151,7 @@ fn subject(controllers: &[NamedController]) -> usize {
 }
 
 fn shipped(controllers: &[NamedController]) -> Vec<GivenCertificate> {
-    if !controllers.iter().any(|controller| controller.name == ControllerSpec::Policy.name()) {
+    if !controllers.iter().any(|controller| controller.name == ControllerSpec::Policy(Default::default()).name()) {
         return Vec::new();
     }
     let given = |(name, text): &(&str, &str)| {

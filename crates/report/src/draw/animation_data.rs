@@ -203,7 +203,8 @@ fn rounded(value: f64, digits: i32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::{ControllerSpec, built_in};
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::scenario::built_in;
     use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
     use proptest::num::f64::ANY as ANY_NUMBER;
     use proptest::prelude::*;

@@ -7,9 +7,8 @@ use proptest::prelude::*;
 use resvg::{tiny_skia, usvg};
 
 use super::*;
-use crumple_world::scenario::{
-    AebSettings, Brake, ControllerSpec, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in,
-};
+use crumple_world::control::{AebSettings, ControllerSpec};
+use crumple_world::scenario::{Brake, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in};
 use crumple_world::sim::{AfterContact, Contact, Impact, RecordingLevel, Run, RunOptions, Trace, Track, simulate};
 
 /// The paper's first scenario with these vehicles, 16 m apart.
@@ -32,7 +31,7 @@ fn line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Tra
         spec.vehicles = heavy.iter().enumerate().map(vehicle).collect();
     });
     let scenario = scenario.unwrap();
-    let nobody = RunOptions::new(ControllerSpec::MatchLeader);
+    let nobody = RunOptions::new(ControllerSpec::MatchLeader(Default::default()));
     let simulated =
         simulate(&Run::new(&scenario, nobody.with_after_contact(after_contact)).unwrap(), RecordingLevel::Trace);
     (simulated.trace.unwrap(), simulated.impacts)

@@ -9,7 +9,7 @@ use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
 /// The certificate of each pair of vehicle classes on a dry road, with a name: `light-behind-heavy`.
 #[must_use]
 pub fn shipped_kernels() -> Vec<(String, Certificate)> {
-    let pairs = VehicleClass::ALL.into_iter().flat_map(|own| VehicleClass::ALL.map(|ahead| (own, ahead)));
+    let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
     let certificates = pairs.filter_map(|(own, ahead)| {
         let kernel = Kernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
         let name = format!("{}-behind-{}", own.name(), ahead.name());

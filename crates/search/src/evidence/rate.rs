@@ -10,7 +10,7 @@ use statrs::distribution::{Beta, ContinuousCDF};
 
 use super::certificate;
 use crumple_world::digest::sha256;
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::space::{Space, file};
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate_batch};
@@ -215,7 +215,7 @@ fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
 mod tests {
     use super::*;
     use crumple_verify::{Accepted, check};
-    use crumple_world::scenario::ControllerSpec;
+    use crumple_world::control::ControllerSpec;
     use crumple_world::scenario::space::built_in_space;
 
     fn plan(controller: &str, against: Option<&str>, runs: u64) -> RatePlan {

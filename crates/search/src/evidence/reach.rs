@@ -14,10 +14,11 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::certificate;
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::{Brake, ControllerSpec, Driver, InvalidField, LeadProfile, Scenario, built_in};
+use crumple_world::scenario::{Brake, Driver, InvalidField, LeadProfile, Scenario, built_in};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// Covers what a simulator in double precision rounds, in metres, m/s and m/s².

@@ -3,7 +3,8 @@
 use super::exact;
 use super::sequential;
 use super::witness::pieces;
-use crumple_world::scenario::{ControllerSpec, Driver, InvalidField, LeadProfile, Scenario};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario};
 use crumple_world::sim::{
     ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch,
 };
@@ -179,6 +180,8 @@ pub(super) struct Trial {
     pub(super) margin_m: f64,
 }
 
+/// No impact is faster, in m/s: the speed that scenarios may have at most.
+const FASTEST_IMPACT_MPS: f64 = 100.0;
 /// Deceleration by which the speed of an impact becomes a depth, in m/s²: v² / 2 of it.
 const DEPTH_MPS2: f64 = 5.0;
 
@@ -234,7 +237,7 @@ impl<'a> Bench<'a> {
         self.evaluations += 1;
         let trial = Trial::of(&crumple_world::sim::simulate(&run, RecordingLevel::Summary));
         Ok(Attack {
-            outcome: trial.outcome,
+            outcome: trial.outcome.clone(),
             effort_m2ps3: cells_mps2.iter().map(|a| a * a * self.cell_s()).sum(),
             peak_brake_mps2: cells_mps2.iter().fold(0.0, |most, a| most.max(-a)),
             predicted_margin_m,
@@ -248,18 +251,21 @@ impl<'a> Bench<'a> {
 }
 
 impl Trial {
-    /// The margin is the smallest gap, or, so that it goes on falling smoothly beyond contact, minus v²/10 of the impact.
+    /// The margin is the smallest gap, or, so that it goes on falling smoothly beyond contact, minus v²/10 of the impact;
+    /// where a controller fails, that of an impact faster than there are any.
     pub(super) fn of(simulated: &Simulated) -> Self {
-        let margin_m = match simulated.outcome {
-            Outcome::Collision(contact) => -contact.impact_speed_mps.powi(2) / (2.0 * DEPTH_MPS2),
+        let depth_m = |impact_mps: f64| impact_mps.powi(2) / (2.0 * DEPTH_MPS2);
+        let margin_m = match &simulated.outcome {
+            Outcome::ControllerFailed(_) => -depth_m(FASTEST_IMPACT_MPS),
+            Outcome::Collision(contact) => -depth_m(contact.impact_speed_mps),
             Outcome::NoCollision => {
                 simulated.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min)
             }
         };
-        Self { outcome: simulated.outcome, margin_m }
+        Self { outcome: simulated.outcome.clone(), margin_m }
     }
 
     pub(super) fn collides(&self) -> bool {
-        self.outcome != Outcome::NoCollision
+        !self.outcome.is_safe()
     }
 }

@@ -18,8 +18,9 @@ use std::collections::BinaryHeap;
 use super::attack::{Aim, Attack, AttackError, AttackMethod, Bench, Trial};
 use super::lead::{Ask, cheapest};
 use super::sequential;
-use crumple_world::estimate::EstimatorKind;
-use crumple_world::scenario::{AebSettings, ControllerSpec, Driver, LeadProfile, Pieces, Scenario};
+use crumple_world::control::{AebSettings, ControllerSpec};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 /// Whether the first vehicle under test does at once and without noise what it decides.

@@ -2,7 +2,8 @@
 
 use crumple_verify::Interval;
 
-use crumple_world::scenario::{ControllerSpec, Driver, LeadProfile, Scenario, VehicleClass, VehicleSpec};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleClass, VehicleSpec};
 use crumple_world::sim::{Motion, RecordingLevel, Run, RunOptions, simulate};
 
 /// The leader: scripted, so known.
@@ -97,7 +98,9 @@ fn simulated_mps2(scenario: &Scenario) -> Vec<f64> {
         }
     });
     let Ok(alone) = alone else { return Vec::new() };
-    let Ok(run) = Run::new(&alone, RunOptions::new(ControllerSpec::MatchLeader)) else { return Vec::new() };
+    let Ok(run) = Run::new(&alone, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))) else {
+        return Vec::new();
+    };
     let trace = simulate(&run, RecordingLevel::Trace).trace;
     let leader = trace.and_then(|trace| trace.vehicles.into_iter().next());
     leader.map_or(Vec::new(), |track| track.acceleration_mps2.into_iter().take(scenario.steps()).collect())

@@ -11,7 +11,8 @@ use crumple_verify::{Follower, Interval};
 use super::family::Family;
 use super::reason::Reason;
 use super::scripted::{Leader, between};
-use crumple_world::scenario::{ControllerSpec, Driver, Scenario, VehicleSpec};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Driver, Scenario, VehicleSpec};
 
 /// Which bound of the slacks over the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

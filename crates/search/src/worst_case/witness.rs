@@ -2,8 +2,9 @@
 
 use super::branches::FoundBranches;
 use super::situation::Situation;
-use crumple_world::estimate::EstimatorKind;
-use crumple_world::scenario::{ControllerSpec, Driver, InvalidField, LeadProfile, Pieces, Scenario};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Pieces, Scenario};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// An escape that was replayed.
@@ -25,7 +26,8 @@ impl Escape {
         let acceleration_mps2: Vec<Vec<f64>> =
             found.acceleration_mps2.iter().map(|cells| each_step(found, situation.steps, cells)).collect();
         let scripted = scripted(scenario, &acceleration_mps2).ok()?;
-        let options = RunOptions::new(ControllerSpec::MatchLeader).with_estimator(EstimatorKind::Truth);
+        let options =
+            RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth);
         let run = Run::new(&scripted, options.clone()).ok()?;
         let coarse = simulate(&run, RecordingLevel::Trace);
         let run = Run::new(&scripted, options.with_dt_s(0.1 * scripted.spec().step_s)).ok()?;

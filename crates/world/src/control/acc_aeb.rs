@@ -1,9 +1,29 @@
 //! Adaptive cruise control with automatic emergency braking, as production systems combine them.
 
 use super::baseline::Aeb;
-use super::{Controller, Ego};
-use crate::estimate::Observation;
-use crate::scenario::AccAebSettings;
+use super::settings::settings;
+use super::{BuiltIn, Controller, ControllerFailure, Ego};
+use crate::observation::Observation;
+
+settings! {
+    /// Settings of adaptive cruise control with emergency braking.
+    AccAebSettings {
+        /// Brake fully while time to collision is below this, in seconds.
+        ttc_s: 1.4, 0.0..=100.0, 0.0..=4.0;
+        /// Time gap to follow at, bumper to bumper, in seconds (ISO 15622:2018, 6.2.3: at least 0.8 s in steady state).
+        time_headway_s: 0.8, 0.0..=10.0, 0.0..=3.0;
+        /// Gap at standstill, in metres.
+        standstill_gap_m: 2.0, 0.0..=100.0, 0.0..=5.0;
+        /// Acceleration for each metre of spacing error, in 1/s².
+        gap_gain_per_s2: 0.25, 0.0..=10.0, 0.0..=1.0;
+        /// Acceleration for each m/s of speed difference, in 1/s.
+        speed_gain_per_s: 0.8, 0.0..=10.0, 0.0..=2.0;
+        /// Hardest braking of the cruise control, in m/s², positive (ISO 15622:2018, 6.4: at most 3.5 at motorway speeds).
+        comfort_brake_mps2: 3.5, 0.0..=30.0, 0.0..=5.0;
+        /// Hardest acceleration of the cruise control, in m/s².
+        comfort_accel_mps2: 2.0, 0.0..=30.0, 0.0..=3.0;
+    }
+}
 
 /// Follows at a constant time headway within comfort limits; brakes fully while time to collision is below a threshold.
 ///
@@ -16,19 +36,23 @@ pub struct AccAeb {
     set_speed_mps: Option<f64>,
 }
 
-impl AccAeb {
-    /// The controller for a vehicle. Its set speed is the one it first sees itself drive at.
-    #[must_use]
-    pub fn new(settings: &AccAebSettings, ego: &Ego) -> Self {
+impl BuiltIn for AccAeb {
+    const NAME: &'static str = "acc-aeb";
+    const SUMMARY: &'static str = "cruise control at 0.8 s headway, emergency braking while TTC < 1.4 s";
+    type Settings = AccAebSettings;
+    type Driver = Self;
+
+    /// Its set speed is the one it first sees itself drive at.
+    fn start(settings: &AccAebSettings, ego: &Ego, _seed: u64) -> Self {
         Self { settings: settings.clone(), aeb: Aeb::new(settings.ttc_s, ego), set_speed_mps: None }
     }
 }
 
 impl Controller for AccAeb {
     #[inline]
-    fn act(&mut self, seen: &Observation) -> f64 {
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         if self.aeb.demands_braking(seen) {
-            return -self.aeb.max_brake_mps2;
+            return Ok(-self.aeb.max_brake_mps2);
         }
         let acc = &self.settings;
         let v = seen.speed_mps;
@@ -38,7 +62,7 @@ impl Controller for AccAeb {
             let spacing_error_m = ahead.gap_m - acc.standstill_gap_m - acc.time_headway_s * v;
             acc.gap_gain_per_s2 * spacing_error_m + acc.speed_gain_per_s * (ahead.speed_mps - v)
         });
-        cruise.min(follow).max(-acc.comfort_brake_mps2).min(acc.comfort_accel_mps2)
+        Ok(cruise.min(follow).max(-acc.comfort_brake_mps2).min(acc.comfort_accel_mps2))
     }
 }
 
@@ -50,12 +74,16 @@ mod tests {
     #[test]
     fn cruises_follows_and_brakes() {
         let settings = AccAebSettings::default();
-        let mut controller = AccAeb::new(&settings, &EGO);
-        assert_eq!(controller.act(&behind(25.0, 200.0, 25.0, 0.0)), 0.0, "holds its set speed on an open road");
-        assert_eq!(controller.act(&behind(25.0, 22.0, 25.0, 0.0)), 0.0, "2 m + 0.8 s · 25 m/s is its gap");
-        assert_eq!(controller.act(&behind(25.0, 21.0, 25.0, 0.0)), -0.25);
-        assert_eq!(controller.act(&behind(25.0, 10.0, 20.0, 0.0)), -3.5, "comfort limit");
-        assert_eq!(controller.act(&behind(25.0, 10.0, 15.0, 0.0)), -7.5, "TTC is 1 s");
-        assert_eq!(controller.act(&behind(20.0, 200.0, 25.0, 0.0)), 2.0, "back to the set speed");
+        let mut controller = AccAeb::start(&settings, &EGO, 0);
+        assert_eq!(
+            controller.decide(&behind(25.0, 200.0, 25.0, 0.0)).unwrap(),
+            0.0,
+            "holds its set speed on an open road"
+        );
+        assert_eq!(controller.decide(&behind(25.0, 22.0, 25.0, 0.0)).unwrap(), 0.0, "2 m + 0.8 s · 25 m/s is its gap");
+        assert_eq!(controller.decide(&behind(25.0, 21.0, 25.0, 0.0)).unwrap(), -0.25);
+        assert_eq!(controller.decide(&behind(25.0, 10.0, 20.0, 0.0)).unwrap(), -3.5, "comfort limit");
+        assert_eq!(controller.decide(&behind(25.0, 10.0, 15.0, 0.0)).unwrap(), -7.5, "TTC is 1 s");
+        assert_eq!(controller.decide(&behind(20.0, 200.0, 25.0, 0.0)).unwrap(), 2.0, "back to the set speed");
     }
 }

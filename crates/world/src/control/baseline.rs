@@ -1,8 +1,16 @@
 //! The paper's baseline ADAS (algorithm 2) and its unlatched variant.
 
-use super::{Controller, Ego};
-use crate::estimate::{Neighbour, Observation};
-use crate::scenario::AebSettings;
+use super::settings::settings;
+use super::{BuiltIn, Controller, ControllerFailure, Ego};
+use crate::observation::{Neighbour, Observation};
+
+settings! {
+    /// Settings of the emergency brake of the baseline controllers.
+    AebSettings {
+        /// Brake once time to collision falls below this, in seconds (paper, algorithm 2: 1.4).
+        ttc_s: 1.4, 0.0..=100.0, 0.0..=4.0;
+    }
+}
 
 /// Hold speed; once time to collision with the vehicle ahead falls below a threshold, brake at the vehicle's own maximum
 /// to standstill.
@@ -12,19 +20,22 @@ pub struct Baseline {
     braking: bool,
 }
 
-impl Baseline {
-    /// The baseline for a vehicle.
-    #[must_use]
-    pub fn new(settings: &AebSettings, ego: &Ego) -> Self {
+impl BuiltIn for Baseline {
+    const NAME: &'static str = "baseline";
+    const SUMMARY: &'static str = "the paper's ADAS: hold speed, then full braking to standstill once TTC < 1.4 s";
+    type Settings = AebSettings;
+    type Driver = Self;
+
+    fn start(settings: &AebSettings, ego: &Ego, _seed: u64) -> Self {
         Self { aeb: Aeb::new(settings.ttc_s, ego), braking: false }
     }
 }
 
 impl Controller for Baseline {
     #[inline]
-    fn act(&mut self, seen: &Observation) -> f64 {
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         self.braking |= self.aeb.demands_braking(seen);
-        if self.braking { -self.aeb.max_brake_mps2 } else { 0.0 }
+        Ok(if self.braking { -self.aeb.max_brake_mps2 } else { 0.0 })
     }
 }
 
@@ -37,18 +48,21 @@ pub struct BaselineUnlatched {
     aeb: Aeb,
 }
 
-impl BaselineUnlatched {
-    /// The unlatched baseline for a vehicle.
-    #[must_use]
-    pub fn new(settings: &AebSettings, ego: &Ego) -> Self {
+impl BuiltIn for BaselineUnlatched {
+    const NAME: &'static str = "baseline-unlatched";
+    const SUMMARY: &'static str = "the same, but the brake is released when TTC recovers";
+    type Settings = AebSettings;
+    type Driver = Self;
+
+    fn start(settings: &AebSettings, ego: &Ego, _seed: u64) -> Self {
         Self { aeb: Aeb::new(settings.ttc_s, ego) }
     }
 }
 
 impl Controller for BaselineUnlatched {
     #[inline]
-    fn act(&mut self, seen: &Observation) -> f64 {
-        if self.aeb.demands_braking(seen) { -self.aeb.max_brake_mps2 } else { 0.0 }
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(if self.aeb.demands_braking(seen) { -self.aeb.max_brake_mps2 } else { 0.0 })
     }
 }
 
@@ -82,16 +96,16 @@ mod tests {
 
     #[test]
     fn brakes_just_below_the_threshold_and_for_good() {
-        let mut baseline = Baseline::new(&AebSettings::default(), &EGO);
-        assert_eq!(baseline.act(&behind(20.0, 14.0, 10.0, 0.0)), 0.0, "TTC is exactly 1.4 s");
-        assert_eq!(baseline.act(&behind(20.0, 13.99, 10.0, 0.0)), -7.5);
-        assert_eq!(baseline.act(&behind(5.0, 50.0, 10.0, 0.0)), -7.5, "latched");
+        let mut baseline = Baseline::start(&AebSettings::default(), &EGO, 0);
+        assert_eq!(baseline.decide(&behind(20.0, 14.0, 10.0, 0.0)).unwrap(), 0.0, "TTC is exactly 1.4 s");
+        assert_eq!(baseline.decide(&behind(20.0, 13.99, 10.0, 0.0)).unwrap(), -7.5);
+        assert_eq!(baseline.decide(&behind(5.0, 50.0, 10.0, 0.0)).unwrap(), -7.5, "latched");
     }
 
     #[test]
     fn the_unlatched_variant_lets_go() {
-        let mut baseline = BaselineUnlatched::new(&AebSettings::default(), &EGO);
-        assert_eq!(baseline.act(&behind(20.0, 13.99, 10.0, 0.0)), -7.5);
-        assert_eq!(baseline.act(&behind(5.0, 50.0, 10.0, 0.0)), 0.0);
+        let mut baseline = BaselineUnlatched::start(&AebSettings::default(), &EGO, 0);
+        assert_eq!(baseline.decide(&behind(20.0, 13.99, 10.0, 0.0)).unwrap(), -7.5);
+        assert_eq!(baseline.decide(&behind(5.0, 50.0, 10.0, 0.0)).unwrap(), 0.0);
     }
 }

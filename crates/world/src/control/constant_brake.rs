@@ -1,8 +1,20 @@
 //! Braking at one rate as soon as the vehicle ahead brakes: the other trivial controller.
 
-use super::{Controller, Ego};
-use crate::estimate::Observation;
-use crate::scenario::ConstantBrakeSettings;
+use super::settings::settings;
+use super::{BuiltIn, Controller, ControllerFailure, Ego};
+use crate::observation::Observation;
+
+settings! {
+    /// Settings of the controller that brakes at a constant rate.
+    ConstantBrakeSettings {
+        /// Deceleration held to standstill, in m/s², positive.
+        rate_mps2: 3.25, 0.0..=30.0, 0.0..=9.0;
+        /// The vehicle ahead counts as braking once it is seen to decelerate harder than this, in m/s², positive.
+        trigger_mps2: 1.5, 0.0..=30.0, 0.0..=4.0;
+        /// Time between seeing that and braking, in seconds.
+        delay_s: 0.05, 0.0..=10.0, 0.0..=1.0;
+    }
+}
 
 /// Holds speed; from a set delay after the vehicle ahead is first seen to brake, brakes at a constant rate to standstill.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,10 +26,13 @@ pub struct ConstantBrake {
     seen_for_steps: Option<u32>,
 }
 
-impl ConstantBrake {
-    /// The controller for a vehicle.
-    #[must_use]
-    pub fn new(settings: &ConstantBrakeSettings, ego: &Ego) -> Self {
+impl BuiltIn for ConstantBrake {
+    const NAME: &'static str = "constant-brake";
+    const SUMMARY: &'static str = "brake at 3.25 m/s² from 0.05 s after the vehicle ahead is seen to brake";
+    type Settings = ConstantBrakeSettings;
+    type Driver = Self;
+
+    fn start(settings: &ConstantBrakeSettings, ego: &Ego, _seed: u64) -> Self {
         Self {
             rate_mps2: settings.rate_mps2,
             trigger_mps2: settings.trigger_mps2,
@@ -29,13 +44,13 @@ impl ConstantBrake {
 
 impl Controller for ConstantBrake {
     #[inline]
-    fn act(&mut self, seen: &Observation) -> f64 {
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let seen_braking = || seen.ahead.is_some_and(|ahead| ahead.acceleration_mps2 < -self.trigger_mps2);
         self.seen_for_steps = match self.seen_for_steps {
             Some(steps) => Some(steps.saturating_add(1)),
             None => seen_braking().then_some(0),
         };
-        if self.seen_for_steps >= Some(self.delay_steps) { -self.rate_mps2 } else { 0.0 }
+        Ok(if self.seen_for_steps >= Some(self.delay_steps) { -self.rate_mps2 } else { 0.0 })
     }
 }
 
@@ -46,10 +61,10 @@ mod tests {
 
     #[test]
     fn brakes_five_steps_after_it_sees_braking() {
-        let mut controller = ConstantBrake::new(&ConstantBrakeSettings::default(), &EGO);
-        assert_eq!(controller.act(&behind(25.0, 16.0, 25.0, -1.0)), 0.0, "below the trigger");
-        let commands = [0; 7].map(|_| controller.act(&behind(25.0, 16.0, 25.0, -3.0)));
+        let mut controller = ConstantBrake::start(&ConstantBrakeSettings::default(), &EGO, 0);
+        assert_eq!(controller.decide(&behind(25.0, 16.0, 25.0, -1.0)).unwrap(), 0.0, "below the trigger");
+        let commands = [0; 7].map(|_| controller.decide(&behind(25.0, 16.0, 25.0, -3.0)).unwrap());
         assert_eq!(commands, [0.0, 0.0, 0.0, 0.0, 0.0, -3.25, -3.25]);
-        assert_eq!(controller.act(&behind(25.0, 16.0, 25.0, 0.0)), -3.25, "to standstill");
+        assert_eq!(controller.decide(&behind(25.0, 16.0, 25.0, 0.0)).unwrap(), -3.25, "to standstill");
     }
 }

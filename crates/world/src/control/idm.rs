@@ -1,11 +1,27 @@
 //! The Intelligent Driver Model (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000)).
 
-use super::Controller;
-use crate::estimate::Observation;
-use crate::scenario::IdmSettings;
+use super::settings::settings;
+use super::{BuiltIn, Controller, ControllerFailure, Ego};
+use crate::observation::Observation;
 
 /// A gap below this counts as this, in metres: the model divides by the gap, and an estimated one can be negative.
 const LEAST_GAP_M: f64 = 0.01;
+
+settings! {
+    /// Settings of the Intelligent Driver Model (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000), eq. 3 and 4).
+    IdmSettings {
+        /// Speed on a free road, in m/s. Default: 120 km/h, the paper's table I.
+        desired_speed_mps: 120.0 / 3.6, 0.1..=100.0, 5.0..=45.0;
+        /// Desired time headway, in seconds. Default 1.6, the paper's table I.
+        time_headway_s: 1.6, 0.0..=10.0, 0.0..=3.0;
+        /// Gap at standstill, in metres.
+        standstill_gap_m: 2.0, 0.0..=100.0, 0.0..=5.0;
+        /// Largest acceleration, in m/s².
+        accel_mps2: 0.73, 0.01..=30.0, 0.1..=4.0;
+        /// Comfortable deceleration, in m/s², positive.
+        comfortable_brake_mps2: 1.67, 0.01..=30.0, 0.1..=4.0;
+    }
+}
 
 /// a · [1 - (v/v₀)⁴ - (s*/s)²] with the desired gap s* = s₀ + max(0, v T + v Δv / (2 √(a b))) (equations 3 and 4).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,15 +35,6 @@ pub struct Idm {
 }
 
 impl Idm {
-    /// The model with given settings.
-    #[must_use]
-    pub fn new(settings: &IdmSettings) -> Self {
-        let IdmSettings { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } =
-            *settings;
-        let twice_mean_mps2 = 2.0 * (accel_mps2 * comfortable_brake_mps2).sqrt();
-        Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2 }
-    }
-
     /// What the model consists of, for those who drive many at once and keep each number in an array.
     pub(crate) fn numbers(&self) -> [f64; 5] {
         [self.desired_speed_mps, self.time_headway_s, self.standstill_gap_m, self.accel_mps2, self.twice_mean_mps2]
@@ -54,16 +61,38 @@ impl Idm {
     }
 }
 
+impl Idm {
+    /// The acceleration wanted, in m/s².
+    #[inline]
+    pub(crate) fn wanted_mps2(&self, seen: &Observation) -> f64 {
+        self.acceleration_mps2(seen.speed_mps, seen.ahead.map(|ahead| [ahead.gap_m, ahead.speed_mps]))
+    }
+}
+
+impl BuiltIn for Idm {
+    const NAME: &'static str = "idm";
+    const SUMMARY: &'static str = "Intelligent Driver Model (Treiber et al. 2000)";
+    type Settings = IdmSettings;
+    type Driver = Self;
+
+    fn start(settings: &IdmSettings, _ego: &Ego, _seed: u64) -> Self {
+        let IdmSettings { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } =
+            *settings;
+        let twice_mean_mps2 = 2.0 * (accel_mps2 * comfortable_brake_mps2).sqrt();
+        Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2 }
+    }
+}
+
 impl Controller for Idm {
     #[inline]
-    fn act(&mut self, seen: &Observation) -> f64 {
-        self.acceleration_mps2(seen.speed_mps, seen.ahead.map(|ahead| [ahead.gap_m, ahead.speed_mps]))
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(self.wanted_mps2(seen))
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::behind;
+    use super::super::tests::{EGO, behind};
     use super::*;
 
     #[test]
@@ -73,13 +102,13 @@ mod tests {
         // s_e(v) = (s₀ + v T) / sqrt(1 - (v/v₀)⁴): equation 5 of the paper.
         let share = 1.0 - (v / settings.desired_speed_mps).powi(4);
         let gap_m = (settings.standstill_gap_m + v * settings.time_headway_s) / share.sqrt();
-        let command = Idm::new(&settings).act(&behind(v, gap_m, v, 0.0));
+        let command = Idm::start(&settings, &EGO, 0).decide(&behind(v, gap_m, v, 0.0)).unwrap();
         assert!(command.abs() < 1e-12, "{command}");
     }
 
     #[test]
     fn a_negative_estimated_gap_means_braking() {
-        let command = Idm::new(&IdmSettings::default()).act(&behind(10.0, -0.5, 10.0, 0.0));
+        let command = Idm::start(&IdmSettings::default(), &EGO, 0).decide(&behind(10.0, -0.5, 10.0, 0.0)).unwrap();
         assert!(command.is_finite() && command < -100.0);
     }
 }

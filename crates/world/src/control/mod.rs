@@ -1,37 +1,40 @@
-//! Who decides: one trait, one file for each controller.
+//! Who decides: one trait, one table of what is built in, one file for each controller.
 //!
 //! A controller sees an [`Observation`], nothing else of the world, and answers with the acceleration it wants. What the
 //! vehicle then does (limits, lag, friction) is the simulation's business.
 
 mod acc_aeb;
 mod baseline;
+mod built_in;
 mod constant_brake;
 mod idm;
 mod match_leader;
 mod policy;
+mod settings;
 mod shield;
+mod source;
 mod stress;
-mod zero_order_hold;
 
-pub use acc_aeb::AccAeb;
-pub use baseline::{Baseline, BaselineUnlatched};
-pub use constant_brake::ConstantBrake;
-pub use idm::Idm;
+pub use acc_aeb::{AccAeb, AccAebSettings};
+pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
+pub(crate) use built_in::with_controllers;
+pub use built_in::{AnyController, BuiltIn, ControllerSpec, InvalidSetting, Role};
+pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
+pub use idm::{Idm, IdmSettings};
 pub use match_leader::MatchLeader;
-pub use policy::PolicyDriver;
+pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy};
+pub use settings::{Field, NoSettings, Settings};
 pub use shield::{Behind, ErrorBounds, Frame, Kernel, MARGIN_M, Override, Shield, ShieldSettings};
+pub use source::{ControllerFailure, ControllerSource, Needs, ZeroOrderHold};
 pub use stress::{FullThrottle, RandomActions};
-pub use zero_order_hold::ZeroOrderHold;
 
-use std::sync::Arc;
-
-use crate::estimate::Observation;
-use crate::policy::Policy;
-use crate::scenario::ControllerSpec;
+use crate::observation::Observation;
 
 /// What a controller knows about its own vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ego {
+    /// Index of the vehicle, counted from the front.
+    pub vehicle: usize,
     /// Largest deceleration on a dry road, in m/s², positive. Friction is not known to controllers.
     pub max_brake_mps2: f64,
     /// Largest acceleration, in m/s².
@@ -44,23 +47,35 @@ pub struct Ego {
 
 /// Decides a vehicle's acceleration from what may be seen.
 pub trait Controller: Send {
-    /// The acceleration wanted until the next decision, in m/s². Values beyond the vehicle's limits are cut to them; a
-    /// NaN counts as 0.
-    fn act(&mut self, seen: &Observation) -> f64;
+    /// The acceleration wanted until the next decision, in m/s². Values beyond the vehicle's limits are cut to them.
+    ///
+    /// # Errors
+    /// [`ControllerFailure`] if there is no answer: the run ends there.
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure>;
 
-    /// Time between decisions in seconds, a multiple of the scenario's step; none to decide at every step.
-    fn interval_s(&self) -> Option<f64> {
-        None
+    /// Decides for many vehicles at once: `see` is called once for each controller, in order, and each controller does what
+    /// it would have done by itself. The answers go to `commands_mps2`, failures with their place to `failed`.
+    #[inline]
+    fn decide_together(
+        all: &mut [Self],
+        mut see: impl FnMut(usize) -> Observation,
+        commands_mps2: &mut [f64],
+        failed: &mut Vec<(usize, ControllerFailure)>,
+    ) where
+        Self: Sized,
+    {
+        for (place, (command_mps2, controller)) in commands_mps2.iter_mut().zip(all).enumerate() {
+            match controller.decide(&see(place)) {
+                Ok(answer_mps2) => *command_mps2 = answer_mps2,
+                Err(failure) => failed.push((place, failure)),
+            }
+        }
     }
 }
 
 impl Controller for Box<dyn Controller> {
-    fn act(&mut self, seen: &Observation) -> f64 {
-        (**self).act(seen)
-    }
-
-    fn interval_s(&self) -> Option<f64> {
-        (**self).interval_s()
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        (**self).decide(seen)
     }
 }
 
@@ -74,93 +89,13 @@ pub(crate) fn within(command_mps2: f64, max_brake_mps2: f64, max_accel_mps2: f64
     if command_mps2 > max_accel_mps2 { max_accel_mps2 } else { command_mps2 }
 }
 
-/// A controller of any kind, ready to drive one vehicle.
-pub enum AnyController {
-    /// The paper's baseline.
-    Baseline(Baseline),
-    /// The baseline with a brake that is released.
-    BaselineUnlatched(BaselineUnlatched),
-    /// Copies the acceleration ahead.
-    MatchLeader(MatchLeader),
-    /// Brakes at a constant rate.
-    ConstantBrake(ConstantBrake),
-    /// Intelligent Driver Model.
-    Idm(Idm),
-    /// Cruise control with emergency brake.
-    AccAeb(AccAeb),
-    /// A learned policy.
-    Policy(PolicyDriver),
-    /// Any of them behind a shield.
-    Shielded(Shield),
-    /// Somebody else's.
-    Custom(Box<dyn Controller>),
-}
-
-impl AnyController {
-    /// Builds a built-in controller for a vehicle.
-    #[must_use]
-    pub fn built_in(spec: &ControllerSpec, ego: &Ego) -> Self {
-        match spec {
-            ControllerSpec::Baseline(settings) => Self::Baseline(Baseline::new(settings, ego)),
-            ControllerSpec::BaselineUnlatched(settings) => {
-                Self::BaselineUnlatched(BaselineUnlatched::new(settings, ego))
-            }
-            ControllerSpec::MatchLeader => Self::MatchLeader(MatchLeader),
-            ControllerSpec::ConstantBrake(settings) => Self::ConstantBrake(ConstantBrake::new(settings, ego)),
-            ControllerSpec::Idm(settings) => Self::Idm(Idm::new(settings)),
-            ControllerSpec::AccAeb(settings) => Self::AccAeb(AccAeb::new(settings, ego)),
-            ControllerSpec::Policy => Self::policy(Policy::reference(), ego),
-        }
-    }
-
-    /// A policy as the controller of a vehicle.
-    #[must_use]
-    pub fn policy(policy: Arc<Policy>, ego: &Ego) -> Self {
-        Self::Policy(PolicyDriver::new(policy, ego))
-    }
-
-    /// Wraps a controller from outside, held between its decisions if it does not decide at every step.
-    #[must_use]
-    pub fn custom(controller: Box<dyn Controller>, ego: &Ego) -> Self {
-        Self::Custom(match controller.interval_s() {
-            None => controller,
-            Some(interval_s) => Box::new(ZeroOrderHold::new(controller, interval_s, ego.step_s)),
-        })
-    }
-}
-
-impl Controller for AnyController {
-    #[inline]
-    fn act(&mut self, seen: &Observation) -> f64 {
-        match self {
-            Self::Baseline(controller) => controller.act(seen),
-            Self::BaselineUnlatched(controller) => controller.act(seen),
-            Self::MatchLeader(controller) => controller.act(seen),
-            Self::ConstantBrake(controller) => controller.act(seen),
-            Self::Idm(controller) => controller.act(seen),
-            Self::AccAeb(controller) => controller.act(seen),
-            Self::Policy(controller) => controller.act(seen),
-            Self::Shielded(controller) => controller.act(seen),
-            Self::Custom(controller) => controller.act(seen),
-        }
-    }
-
-    fn interval_s(&self) -> Option<f64> {
-        match self {
-            Self::Policy(controller) => controller.interval_s(),
-            Self::Shielded(controller) => controller.interval_s(),
-            Self::Custom(controller) => controller.interval_s(),
-            _ => None,
-        }
-    }
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::estimate::Neighbour;
+    use crate::observation::Neighbour;
 
-    pub(crate) const EGO: Ego = Ego { max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
+    pub(crate) const EGO: Ego =
+        Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
 
     /// An ego at `speed_mps` behind a vehicle `gap_m` ahead at `ahead_mps` that accelerates at `ahead_mps2`.
     pub(crate) fn behind(speed_mps: f64, gap_m: f64, ahead_mps: f64, ahead_mps2: f64) -> Observation {
@@ -172,10 +107,38 @@ pub(crate) mod tests {
     fn every_built_in_controller_answers_an_empty_road_with_a_finite_command() {
         let alone = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: None, behind: None };
         for spec in ControllerSpec::built_in() {
-            let command = AnyController::built_in(&spec, &EGO).act(&alone);
+            let command = AnyController::built_in(&spec, &EGO, 0).decide(&alone).unwrap();
             assert!(command.is_finite(), "{}: {command}", spec.name());
-            let is_learned = spec == ControllerSpec::Policy;
-            assert!(is_learned || command >= 0.0, "{} brakes for nobody: {command}", spec.name());
+            assert!(spec.role() != Role::Rule || command >= 0.0, "{} brakes on an empty road: {command}", spec.name());
+        }
+    }
+
+    /// What the table says of a controller is read back from its words and from a file, whatever its settings.
+    #[test]
+    fn words_and_files_stand_for_one_specification() {
+        for mut spec in ControllerSpec::built_in() {
+            let plain = (spec.identity(), spec.words());
+            assert_eq!(plain.1, spec.name());
+            let fields = spec.fields();
+            for (index, field) in fields.iter().enumerate() {
+                *spec.get_mut(index).unwrap() = 0.3 * field.usual[0] + 0.7 * field.usual[1];
+            }
+            assert_eq!(ControllerSpec::parse(&spec.words()), Some(Ok(spec.clone())));
+            assert_eq!(fields.is_empty(), plain == (spec.identity(), spec.words()), "{}", spec.words());
+        }
+    }
+
+    #[test]
+    fn settings_that_are_not_there_or_out_of_range_are_refused_by_name() {
+        let problem = |words: &str| ControllerSpec::parse(words).unwrap().unwrap_err().to_string();
+        assert_eq!(ControllerSpec::parse("no-such,ttc_s=1"), None);
+        assert_eq!(
+            problem("baseline,ttc=1"),
+            "`ttc=1` is no setting of baseline: there are ttc_s, each with a number, as in `ttc_s=4`"
+        );
+        assert_eq!(problem("match-leader,x"), "`x` is no setting of match-leader: it has none");
+        for bad in ["baseline,ttc_s=NaN", "baseline,ttc_s=101", "baseline,ttc_s", "baseline,ttc_s=1,ttc_s=inf"] {
+            assert!(problem(bad).starts_with("baseline: ttc_s must be a number from 0 to 100, found `"), "{bad}");
         }
     }
 }

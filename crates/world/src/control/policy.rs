@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{Controller, Ego};
-use crate::estimate::Observation;
+use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings, Role};
+use crate::observation::Observation;
 use crate::policy::{Policy, Workspace};
 
 /// Asks a policy once every decision interval and holds its answer in between.
@@ -23,10 +23,32 @@ impl PolicyDriver {
         Self { policy, interval_steps, steps_to_decision: 0, held_mps2: 0.0, space: Workspace::default() }
     }
 
-    /// Many drivers at once: those whose decision is due, in one matrix product for each run of equal policies.
-    ///
-    /// `see` is called once for each driver, in order. Every driver does what it would have done by itself.
-    pub(crate) fn act_together(all: &mut [Self], mut see: impl FnMut(usize) -> Observation, commands_mps2: &mut [f64]) {
+    /// Whether a decision is due at this step; counts the step.
+    fn is_due(&mut self) -> bool {
+        let due = self.steps_to_decision == 0;
+        if due {
+            self.steps_to_decision = self.interval_steps;
+        }
+        self.steps_to_decision -= 1;
+        due
+    }
+}
+
+impl Controller for PolicyDriver {
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        if self.is_due() {
+            self.held_mps2 = self.policy.act(seen, &mut self.space);
+        }
+        Ok(self.held_mps2)
+    }
+
+    /// Those whose decision is due decide in one matrix product for each run of equal policies.
+    fn decide_together(
+        all: &mut [Self],
+        mut see: impl FnMut(usize) -> Observation,
+        commands_mps2: &mut [f64],
+        _failed: &mut Vec<(usize, ControllerFailure)>,
+    ) {
         let (mut due, mut seen) = (Vec::new(), Vec::new());
         for (index, driver) in all.iter_mut().enumerate() {
             let observation = see(index);
@@ -50,27 +72,42 @@ impl PolicyDriver {
             *command_mps2 = driver.held_mps2;
         }
     }
+}
 
-    /// Whether a decision is due at this step; counts the step.
-    fn is_due(&mut self) -> bool {
-        let due = self.steps_to_decision == 0;
-        if due {
-            self.steps_to_decision = self.interval_steps;
-        }
-        self.steps_to_decision -= 1;
-        due
+/// The committed reference policy.
+pub struct ReferencePolicy;
+
+/// The committed policy that was retrained.
+pub struct RetrainedPolicy;
+
+impl BuiltIn for ReferencePolicy {
+    const NAME: &'static str = "policy";
+    const SUMMARY: &'static str = "the committed reference policy, learned by DDPG";
+    const ROLE: Role = Role::Learned;
+    type Settings = NoSettings;
+    type Driver = PolicyDriver;
+
+    fn policy() -> Option<Arc<Policy>> {
+        Some(Policy::reference())
+    }
+
+    fn start(_settings: &NoSettings, ego: &Ego, _seed: u64) -> PolicyDriver {
+        PolicyDriver::new(Policy::reference(), ego)
     }
 }
 
-impl Controller for PolicyDriver {
-    fn act(&mut self, seen: &Observation) -> f64 {
-        if self.is_due() {
-            self.held_mps2 = self.policy.act(seen, &mut self.space);
-        }
-        self.held_mps2
+impl BuiltIn for RetrainedPolicy {
+    const NAME: &'static str = "retrained";
+    const SUMMARY: &'static str = "policy retrained in the space high-risk by retrain (corpora/policy/README.md)";
+    const ROLE: Role = Role::Learned;
+    type Settings = NoSettings;
+    type Driver = PolicyDriver;
+
+    fn policy() -> Option<Arc<Policy>> {
+        Some(Policy::retrained())
     }
 
-    fn interval_s(&self) -> Option<f64> {
-        Some(self.policy.header().decision_interval_s)
+    fn start(_settings: &NoSettings, ego: &Ego, _seed: u64) -> PolicyDriver {
+        PolicyDriver::new(Policy::retrained(), ego)
     }
 }

@@ -2,9 +2,9 @@
 
 use rand::RngExt;
 
-use super::{Controller, Ego};
-use crate::estimate::Observation;
-use crate::random::Stream;
+use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings, Role};
+use crate::observation::Observation;
+use crate::random::{self, Purpose, Stream};
 
 /// Accelerates as hard as it can, whatever it sees.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,17 +12,21 @@ pub struct FullThrottle {
     accel_mps2: f64,
 }
 
-impl FullThrottle {
-    /// The controller for a vehicle.
-    #[must_use]
-    pub fn new(ego: &Ego) -> Self {
+impl BuiltIn for FullThrottle {
+    const NAME: &'static str = "full-throttle";
+    const SUMMARY: &'static str = "full acceleration at all times, to show what a shield is worth";
+    const ROLE: Role = Role::Probe;
+    type Settings = NoSettings;
+    type Driver = Self;
+
+    fn start(_settings: &NoSettings, ego: &Ego, _seed: u64) -> Self {
         Self { accel_mps2: ego.max_accel_mps2 }
     }
 }
 
 impl Controller for FullThrottle {
-    fn act(&mut self, _seen: &Observation) -> f64 {
-        self.accel_mps2
+    fn decide(&mut self, _seen: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(self.accel_mps2)
     }
 }
 
@@ -33,16 +37,20 @@ pub struct RandomActions {
     stream: Stream,
 }
 
-impl RandomActions {
-    /// The controller for a vehicle, with its stream of random numbers.
-    #[must_use]
-    pub fn new(ego: &Ego, stream: Stream) -> Self {
-        Self { ego: *ego, stream }
+impl BuiltIn for RandomActions {
+    const NAME: &'static str = "random-actions";
+    const SUMMARY: &'static str = "a random action each step, for the same purpose";
+    const ROLE: Role = Role::Probe;
+    type Settings = NoSettings;
+    type Driver = Self;
+
+    fn start(_settings: &NoSettings, ego: &Ego, seed: u64) -> Self {
+        Self { ego: *ego, stream: random::stream(seed, Purpose::RandomActions, ego.vehicle as u64) }
     }
 }
 
 impl Controller for RandomActions {
-    fn act(&mut self, _seen: &Observation) -> f64 {
-        self.stream.random_range(-self.ego.max_brake_mps2..=self.ego.max_accel_mps2)
+    fn decide(&mut self, _seen: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(self.stream.random_range(-self.ego.max_brake_mps2..=self.ego.max_accel_mps2))
     }
 }

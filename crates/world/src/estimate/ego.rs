@@ -2,7 +2,8 @@
 
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{Estimate, Filter, Inertia, KnownChange, Neighbour, Observation, Sensor, Tuning};
+use super::{Estimate, Filter, Inertia, KnownChange, Sensor, Tuning};
+use crate::observation::{Neighbour, Observation};
 use crate::random::{self, Purpose};
 use crate::scenario::Sensors;
 

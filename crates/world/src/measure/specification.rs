@@ -66,9 +66,18 @@ pub struct RunVerdict {
     pub robustness: f64,
     /// The first contact, if there was one.
     pub contact: Option<FirstContact>,
+    /// When a controller failed, in seconds, and the index of its vehicle; none if none did. A run with such a failure
+    /// violates every specification, with a robustness of negative infinity.
+    pub failed: Option<(f64, u32)>,
 }
 
 impl RunVerdict {
+    /// The verdict on a run without contact and without failure.
+    #[must_use]
+    pub fn new(robustness: f64) -> Self {
+        Self { robustness, contact: None, failed: None }
+    }
+
     /// Whether the specification is violated.
     #[must_use]
     pub fn is_violation(&self) -> bool {
@@ -190,22 +199,22 @@ impl Specification {
     /// # Errors
     /// [`SpecificationError`] if a formula does not fit the run.
     pub fn judge(&self, run: &Run<'_>, result: &Simulated) -> Result<RunVerdict, SpecificationError> {
-        let robustness = match self {
-            Self::NoContact => match result.outcome {
-                Outcome::Collision(contact) => -contact.impact_speed_mps.max(LEAST_VIOLATION),
-                Outcome::NoCollision => {
-                    let gaps = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
-                    // A gap of zero would be a contact; rounding must not make it one.
-                    gaps.fold(f64::INFINITY, f64::min).max(0.0)
-                }
-            },
-            Self::Formula(formula) => {
+        let robustness = match (self, &result.outcome) {
+            (_, Outcome::ControllerFailed(_)) => f64::NEG_INFINITY,
+            (Self::NoContact, Outcome::Collision(contact)) => -contact.impact_speed_mps.max(LEAST_VIOLATION),
+            (Self::NoContact, Outcome::NoCollision) => {
+                let gaps = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
+                // A gap of zero would be a contact; rounding must not make it one.
+                gaps.fold(f64::INFINITY, f64::min).max(0.0)
+            }
+            (Self::Formula(formula), _) => {
                 let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
                 let signals = motion_signals(trace, run.dt_s(), &formula.signal_names())?;
                 judge_formula(formula, &signals)?
             }
         };
-        Ok(RunVerdict { robustness, contact: first_contact(run, result) })
+        let failed = result.outcome.failed().map(|failed| (failed.time_s, failed.vehicle as u32));
+        Ok(RunVerdict { robustness, contact: first_contact(run, result), failed })
     }
 }
 

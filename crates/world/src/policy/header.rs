@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::estimate::{EstimatorKind, Neighbour, Observation};
+use crate::observation::{EstimatorKind, Neighbour, Observation};
 
 /// Version of the policy file format this release reads and writes.
 pub const POLICY_VERSION: u32 = 1;

@@ -20,7 +20,7 @@ pub use simd::InSimd;
 #[cfg(test)]
 pub(crate) use simd::every_path;
 
-use crate::estimate::Observation;
+use crate::observation::Observation;
 
 /// The committed reference policy; `corpora/policy/README.md` says how it was trained.
 static REFERENCE_BYTES: &[u8] = include_bytes!("reference.safetensors");

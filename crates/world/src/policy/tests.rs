@@ -2,7 +2,7 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
 use super::*;
-use crate::estimate::{EstimatorKind, Neighbour};
+use crate::observation::{EstimatorKind, Neighbour};
 
 /// A policy with random weights.
 pub(crate) fn policy(hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {

@@ -2,9 +2,10 @@
 
 use std::fmt::Write as _;
 
+use crate::control::{AebSettings, ControllerSpec};
 use crate::scenario::{
-    AebSettings, ControllerSpec, Driver, Environment, InvalidField, LeadProfile, Recorded, SCENARIO_VERSION, Scenario,
-    ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+    Driver, Environment, InvalidField, LeadProfile, Recorded, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
+    VehicleClass, VehicleSpec,
 };
 
 use super::series::rounded;

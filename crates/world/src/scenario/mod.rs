@@ -14,7 +14,7 @@ mod vehicle;
 
 use serde::{Deserialize, Serialize};
 
-pub use driver::{AccAebSettings, AebSettings, ConstantBrakeSettings, ControllerSpec, Driver, IdmSettings};
+pub use driver::Driver;
 pub use invalid::short;
 pub use invalid::{InvalidField, Problem, Range};
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};

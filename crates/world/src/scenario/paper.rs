@@ -9,9 +9,10 @@ use rand::RngExt;
 use rand_distr::{Distribution, Normal};
 
 use super::{
-    AebSettings, Brake, ControllerSpec, Driver, Environment, InvalidField, LeadProfile, SCENARIO_VERSION, Scenario,
-    ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+    Brake, Driver, Environment, InvalidField, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
+    VehicleClass, VehicleSpec,
 };
+use crate::control::{AebSettings, ControllerSpec};
 use crate::random::{self, Purpose};
 
 /// The paper's time step, in seconds.

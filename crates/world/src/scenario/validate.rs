@@ -1,7 +1,8 @@
 //! The one place that says which scenarios are valid.
 
 use super::invalid::{InvalidField, Problem, Range};
-use super::{ControllerSpec, Driver, LeadProfile, SCENARIO_VERSION, ScenarioSpec, VehicleSpec};
+use super::{Driver, LeadProfile, SCENARIO_VERSION, ScenarioSpec, VehicleSpec};
+use crate::control::ControllerSpec;
 
 const fn from(min: f64, max: f64) -> Range {
     Range { min, max, above_min: false }
@@ -159,34 +160,10 @@ fn check_profile(place: &Place<'_>, profile: &LeadProfile) -> Result<(), Invalid
 }
 
 fn check_controller(place: &Place<'_>, controller: &ControllerSpec) -> Result<(), InvalidField> {
-    let ttc_s = from(0.0, 100.0);
-    match controller {
-        ControllerSpec::MatchLeader | ControllerSpec::Policy => Ok(()),
-        ControllerSpec::Baseline(aeb) | ControllerSpec::BaselineUnlatched(aeb) => {
-            place.at("ttc_s").number(aeb.ttc_s, ttc_s)
-        }
-        ControllerSpec::ConstantBrake(brake) => {
-            place.at("rate_mps2").number(brake.rate_mps2, RATE_MPS2)?;
-            place.at("trigger_mps2").number(brake.trigger_mps2, RATE_MPS2)?;
-            place.at("delay_s").number(brake.delay_s, from(0.0, 10.0))
-        }
-        ControllerSpec::Idm(idm) => {
-            place.at("desired_speed_mps").number(idm.desired_speed_mps, from(0.1, 100.0))?;
-            place.at("time_headway_s").number(idm.time_headway_s, from(0.0, 10.0))?;
-            place.at("standstill_gap_m").number(idm.standstill_gap_m, from(0.0, 100.0))?;
-            place.at("accel_mps2").number(idm.accel_mps2, from(0.01, 30.0))?;
-            place.at("comfortable_brake_mps2").number(idm.comfortable_brake_mps2, from(0.01, 30.0))
-        }
-        ControllerSpec::AccAeb(acc) => {
-            place.at("time_headway_s").number(acc.time_headway_s, from(0.0, 10.0))?;
-            place.at("standstill_gap_m").number(acc.standstill_gap_m, from(0.0, 100.0))?;
-            place.at("gap_gain_per_s2").number(acc.gap_gain_per_s2, from(0.0, 10.0))?;
-            place.at("speed_gain_per_s").number(acc.speed_gain_per_s, from(0.0, 10.0))?;
-            place.at("comfort_brake_mps2").number(acc.comfort_brake_mps2, RATE_MPS2)?;
-            place.at("comfort_accel_mps2").number(acc.comfort_accel_mps2, RATE_MPS2)?;
-            place.at("ttc_s").number(acc.ttc_s, ttc_s)
-        }
-    }
+    controller.values().try_for_each(|(field, value)| {
+        let [least, most] = field.range;
+        place.at(field.name).number(value, from(least, most))
+    })
 }
 
 /// A place in the file, from which its fields are checked. Its path is put together only if something is wrong there:

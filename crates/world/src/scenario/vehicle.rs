@@ -4,67 +4,87 @@ use serde::{Deserialize, Serialize};
 
 use super::driver::Driver;
 
-/// The two vehicle classes of the paper (section "Design of scenarios").
-///
-/// The paper fixes length and largest deceleration. It gives neither largest acceleration nor mass: those are ours,
-/// typical of a passenger car and of a loaded rigid truck.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum VehicleClass {
-    /// Passenger car: 2 m, brakes at up to 7.5 m/s², accelerates at up to 3 m/s², 1500 kg.
-    Light,
-    /// Truck: 15 m, brakes at up to 6 m/s², accelerates at up to 1.5 m/s², 15 000 kg.
-    Heavy,
+/// What a vehicle of a class has unless its scenario says otherwise.
+struct Preset {
+    name: &'static str,
+    length_m: f64,
+    mass_kg: f64,
+    max_brake_mps2: f64,
+    max_accel_mps2: f64,
+}
+
+/// Declares the classes, a row each. Files, the schema, spaces, logs, drawings and fuzzing strategies follow from it.
+macro_rules! classes {
+    ($(#[$about:meta])* $name:ident { $($(#[$doc:meta])* $class:ident: $preset:expr;)* }) => {
+        $(#[$about])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+        #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+        #[serde(rename_all = "kebab-case")]
+        pub enum $name {
+            $($(#[$doc])* $class,)*
+        }
+
+        impl $name {
+            /// All classes, in the order of their numbers.
+            pub const ALL: &'static [Self] = &[$(Self::$class),*];
+
+            const fn preset(self) -> Preset {
+                match self {
+                    $(Self::$class => $preset,)*
+                }
+            }
+        }
+    };
+}
+
+classes! {
+    /// The two vehicle classes of the paper (section "Design of scenarios").
+    ///
+    /// The paper fixes length and largest deceleration. It gives neither largest acceleration nor mass: those are ours,
+    /// typical of a passenger car and of a loaded rigid truck.
+    VehicleClass {
+        /// Passenger car: 2 m, brakes at up to 7.5 m/s², accelerates at up to 3 m/s², 1500 kg.
+        Light: Preset { name: "light", length_m: 2.0, mass_kg: 1_500.0, max_brake_mps2: 7.5, max_accel_mps2: 3.0 };
+        /// Truck: 15 m, brakes at up to 6 m/s², accelerates at up to 1.5 m/s², 15 000 kg.
+        Heavy: Preset { name: "heavy", length_m: 15.0, mass_kg: 15_000.0, max_brake_mps2: 6.0, max_accel_mps2: 1.5 };
+    }
 }
 
 impl VehicleClass {
-    /// Both classes, light first.
-    pub const ALL: [Self; 2] = [Self::Light, Self::Heavy];
+    /// Its number, by which spaces and logs hold it.
+    #[must_use]
+    pub fn number(self) -> u8 {
+        self as u8
+    }
 
     /// The name used in files.
     #[must_use]
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Light => "light",
-            Self::Heavy => "heavy",
-        }
+        self.preset().name
     }
 
     /// Bumper to bumper, in metres.
     #[must_use]
     pub fn length_m(self) -> f64 {
-        match self {
-            Self::Light => 2.0,
-            Self::Heavy => 15.0,
-        }
+        self.preset().length_m
     }
 
     /// Mass in kilograms.
     #[must_use]
     pub fn mass_kg(self) -> f64 {
-        match self {
-            Self::Light => 1_500.0,
-            Self::Heavy => 15_000.0,
-        }
+        self.preset().mass_kg
     }
 
     /// Largest deceleration on a dry road, in m/s², positive.
     #[must_use]
     pub fn max_brake_mps2(self) -> f64 {
-        match self {
-            Self::Light => 7.5,
-            Self::Heavy => 6.0,
-        }
+        self.preset().max_brake_mps2
     }
 
     /// Largest acceleration in m/s².
     #[must_use]
     pub fn max_accel_mps2(self) -> f64 {
-        match self {
-            Self::Light => 3.0,
-            Self::Heavy => 1.5,
-        }
+        self.preset().max_accel_mps2
     }
 }
 

@@ -15,11 +15,11 @@ mod trace;
 
 pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
-pub use named::{NamedController, RETRAINED, UnknownController};
-pub use outcome::{AfterContact, Contact, Impact, Outcome, Simulated, VehicleSummary};
+pub use named::{NamedController, UnknownController};
+pub use outcome::{AfterContact, Contact, FailedController, Impact, Outcome, Simulated, VehicleSummary};
 pub use recorder::RecordingLevel;
 pub(crate) use recorder::ttc_s;
-pub use run::{ControllerFactory, ControllerKind, Run, RunError, RunOptions, Stress};
+pub use run::{ControllerKind, Run, RunError, RunOptions};
 pub use scalar::simulate;
 pub use shielding::{Intervention, ShieldRefusal, Shielded};
 pub use stepper::Stepper;

@@ -4,10 +4,9 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::{ControllerKind, Shielded, Stress};
-use crate::control::{ErrorBounds, ShieldSettings};
+use super::{ControllerKind, Shielded};
+use crate::control::{BuiltIn, ControllerSpec, ErrorBounds, InvalidSetting, RetrainedPolicy, ShieldSettings};
 use crate::policy::{Policy, PolicyError};
-use crate::scenario::ControllerSpec;
 
 /// A controller to put under test, and what it is called.
 #[derive(Clone)]
@@ -39,14 +38,13 @@ pub enum UnknownController {
         /// What was found.
         setting: String,
     },
+    /// A setting of a built-in controller that is wrong.
+    #[error(transparent)]
+    Setting(#[from] InvalidSetting),
     /// A file that is no policy.
     #[error(transparent)]
     Policy(#[from] PolicyError),
 }
-
-/// A committed policy that is known by name but, unlike the reference policy, drives nobody in a scenario file.
-pub const RETRAINED: (&str, &str) =
-    ("retrained", "policy retrained in the space high-risk by retrain (corpora/policy/README.md)");
 
 impl NamedController {
     /// The built-in controllers, in the order they are listed.
@@ -57,6 +55,8 @@ impl NamedController {
 
     /// The built-in controller of that name, or the policy in a file; a relative path starts at `folder`.
     ///
+    /// A built-in name may be followed by settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
+    ///
     /// `shield:C` is controller C behind a shield. `shield,ahead=A:C` assumes that the vehicle ahead never brakes harder than
     /// A m/s² on a dry road, instead of its own limit; `gap-error` (m), `speed-error` and `ahead-speed-error` (m/s) bound what
     /// is seen, and those that are not given are then 0.
@@ -64,44 +64,36 @@ impl NamedController {
     /// # Errors
     /// [`UnknownController`] if there is neither, or the file holds no usable policy.
     pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownController> {
-        if let Some(spec) = ControllerSpec::named(name) {
-            return Ok(spec.into());
-        }
-        // It was called `hardened` in version 0.1.0.
-        if name == RETRAINED.0 || name == "hardened" {
-            return Ok(Self { name: RETRAINED.0.to_owned(), kind: ControllerKind::Policy(Policy::retrained()) });
-        }
-        if let Some(stress) = Stress::ALL.into_iter().find(|stress| stress.name() == name) {
-            return Ok(Self { name: name.to_owned(), kind: ControllerKind::Stress(stress) });
+        // Its name in version 0.1.0.
+        let name = if name == "hardened" { RetrainedPolicy::NAME } else { name };
+        if let Some(spec) = ControllerSpec::parse(name) {
+            return Ok(spec?.into());
         }
         if let Some((settings, inner)) = name.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
             let settings = shield_settings(settings)?;
-            let controller = Self::find(inner, folder)?.kind;
-            return Ok(Self { name: name.to_owned(), kind: Shielded { controller, settings }.into() });
+            let Self { name: inner_name, kind: controller } = Self::find(inner, folder)?;
+            let name = format!("{}{inner_name}", name.strip_suffix(inner).unwrap_or(name));
+            return Ok(Self { name, kind: Shielded { controller, settings }.into() });
         }
         if Path::new(name).extension().is_none() {
-            let stress = Stress::ALL.map(Stress::name);
-            let built_in = ControllerSpec::built_in();
-            let known: Vec<_> = built_in.iter().map(ControllerSpec::name).chain([RETRAINED.0]).chain(stress).collect();
+            let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
             return Err(UnknownController::Name { name: name.to_owned(), known: known.join(", ") });
         }
         let policy = Policy::load(&folder.join(name))?;
         Ok(Self { name: name.to_owned(), kind: ControllerKind::Policy(Arc::new(policy)) })
     }
 
+    /// The identity of a controller from outside, behind a shield or not; none for all others, whose name and policy say
+    /// what they are.
+    #[must_use]
+    pub fn identity_from_outside(&self) -> Option<String> {
+        self.kind.is_from_outside().then(|| self.kind.identity()).flatten()
+    }
+
     /// The policy, if it is a learned one.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
-        policy_of(&self.kind)
-    }
-}
-
-fn policy_of(controller: &ControllerKind) -> Option<Arc<Policy>> {
-    match controller {
-        ControllerKind::BuiltIn(ControllerSpec::Policy) => Some(Policy::reference()),
-        ControllerKind::Policy(policy) => Some(Arc::clone(policy)),
-        ControllerKind::Shielded(shielded) => policy_of(&shielded.controller),
-        ControllerKind::BuiltIn(_) | ControllerKind::Stress(_) | ControllerKind::Custom(_) => None,
+        self.kind.policy()
     }
 }
 
@@ -139,6 +131,6 @@ impl fmt::Debug for NamedController {
 
 impl From<ControllerSpec> for NamedController {
     fn from(spec: ControllerSpec) -> Self {
-        Self { name: spec.name().to_owned(), kind: ControllerKind::BuiltIn(spec) }
+        Self { name: spec.words(), kind: ControllerKind::BuiltIn(spec) }
     }
 }

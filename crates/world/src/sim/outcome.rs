@@ -1,16 +1,42 @@
 //! How a run ended.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
-/// Whether vehicles touched, and which first.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+use crate::control::ControllerFailure;
+
+/// How a run ended, and which vehicles touched first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Outcome {
-    /// Nobody touched anybody before the scenario's duration was over.
+    /// No vehicle touched another before the scenario's duration was over.
     NoCollision,
     /// The first contact.
     Collision(Contact),
+    /// A controller gave no usable answer, and the run ended there. Contacts before that, in a run that goes on after
+    /// them, are among its impacts.
+    ControllerFailed(FailedController),
+}
+
+/// A controller that gave no usable answer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct FailedController {
+    /// When, in seconds: the start of the step that it was to decide for.
+    pub time_s: f64,
+    /// Index of its vehicle.
+    pub vehicle: usize,
+    /// Why.
+    pub failure: ControllerFailure,
+}
+
+impl fmt::Display for FailedController {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { time_s, vehicle, failure } = self;
+        write!(out, "the controller of vehicle {vehicle} failed at {time_s:.2} s: {failure}")
+    }
 }
 
 impl Outcome {
@@ -18,9 +44,24 @@ impl Outcome {
     #[must_use]
     pub fn contact(&self) -> Option<&Contact> {
         match self {
-            Self::NoCollision => None,
+            Self::NoCollision | Self::ControllerFailed(_) => None,
             Self::Collision(contact) => Some(contact),
         }
+    }
+
+    /// The controller that failed, if one did.
+    #[must_use]
+    pub fn failed(&self) -> Option<&FailedController> {
+        match self {
+            Self::NoCollision | Self::Collision(_) => None,
+            Self::ControllerFailed(failed) => Some(failed),
+        }
+    }
+
+    /// Whether the run was safe to its end: no contact, and no controller that failed.
+    #[must_use]
+    pub fn is_safe(&self) -> bool {
+        *self == Self::NoCollision
     }
 }
 

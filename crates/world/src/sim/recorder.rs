@@ -2,7 +2,7 @@
 
 use super::motion::Motion;
 use super::platoon::Platoon;
-use super::{Impact, Intervention, Outcome, Simulated, Trace, Track, VehicleSummary};
+use super::{FailedController, Impact, Intervention, Outcome, Simulated, Trace, Track, VehicleSummary};
 
 /// Smallest time to collision and hardest braking of one vehicle so far.
 #[derive(Debug, Clone, Copy)]
@@ -49,8 +49,10 @@ pub(super) fn finished(
     vehicles: Vec<VehicleSummary>,
     interventions: Vec<Intervention>,
     trace: Option<Trace>,
+    failed: Option<FailedController>,
 ) -> Simulated {
-    let outcome = impacts.first().map_or(Outcome::NoCollision, |impact| Outcome::Collision(impact.contact));
+    let touched = || impacts.first().map_or(Outcome::NoCollision, |impact| Outcome::Collision(impact.contact));
+    let outcome = failed.map_or_else(touched, Outcome::ControllerFailed);
     Simulated { outcome, impacts, vehicles, interventions, trace }
 }
 

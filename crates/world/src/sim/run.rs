@@ -7,11 +7,14 @@ use super::actuator::{Actuator, Disturbance};
 use super::motion::Motion;
 use super::platoon::Platoon;
 use super::shielding::{ShieldRefusal, Shielded};
-use crate::control::{AnyController, Controller, Ego, Frame, FullThrottle, RandomActions, Shield};
-use crate::estimate::{EgoEstimator, EgoTuning, EstimatorKind, Neighbour, Observation, TrueState};
+use crate::control::{
+    AnyController, ControllerSource, ControllerSpec, Ego, Frame, Needs, PolicyDriver, Shield, ZeroOrderHold,
+};
+use crate::digest::sha256;
+use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
+use crate::observation::{EstimatorKind, Neighbour, Observation};
 use crate::policy::Policy;
-use crate::random::{self, Purpose};
-use crate::scenario::{ControllerSpec, Driver, LeadProfile, MOST_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple};
+use crate::scenario::{Driver, LeadProfile, MOST_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple};
 
 /// What drives the vehicles under test.
 #[derive(Clone)]
@@ -20,49 +23,63 @@ pub enum ControllerKind {
     BuiltIn(ControllerSpec),
     /// A learned policy.
     Policy(Arc<Policy>),
-    /// A controller nobody would drive with.
-    Stress(Stress),
     /// Any of these behind a shield.
     Shielded(Arc<Shielded>),
-    /// Anything else.
-    Custom(ControllerFactory),
+    /// A controller from outside.
+    Custom(Arc<dyn ControllerSource>),
 }
 
-/// Controllers that show what a shield is worth.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stress {
-    /// Full acceleration at all times.
-    FullThrottle,
-    /// A random action each step, from the scenario's seed.
-    RandomActions,
-}
-
-impl Stress {
-    /// All of them.
-    pub const ALL: [Self; 2] = [Self::FullThrottle, Self::RandomActions];
-
-    /// The name used on the command line.
+impl ControllerKind {
+    /// SHA-256, in hexadecimal, of everything that decides how it drives; none for a controller from outside that has none.
     #[must_use]
-    pub fn name(self) -> &'static str {
+    pub fn identity(&self) -> Option<String> {
         match self {
-            Self::FullThrottle => "full-throttle",
-            Self::RandomActions => "random-actions",
+            Self::BuiltIn(spec) => Some(spec.identity()),
+            Self::Policy(policy) => Some(policy.digest()),
+            Self::Shielded(shielded) => {
+                Some(sha256(format!("shield {:?} {}", shielded.settings, shielded.controller.identity()?)))
+            }
+            Self::Custom(source) => source.identity(),
         }
     }
 
-    /// What it does, in one line.
+    /// Time between its decisions, in seconds; none if it decides at every step. Starts nothing.
     #[must_use]
-    pub fn summary(self) -> &'static str {
+    pub fn interval_s(&self) -> Option<f64> {
         match self {
-            Self::FullThrottle => "full acceleration at all times, to show what a shield is worth",
-            Self::RandomActions => "a random action each step, for the same purpose",
+            Self::Shielded(shielded) => shielded.controller.interval_s(),
+            Self::Custom(source) => source.interval_s(),
+            Self::BuiltIn(_) | Self::Policy(_) => self.policy().map(|policy| policy.header().decision_interval_s),
         }
     }
-}
 
-impl From<Stress> for ControllerKind {
-    fn from(stress: Stress) -> Self {
-        Self::Stress(stress)
+    /// Its policy, if it is a learned one, behind a shield or not.
+    #[must_use]
+    pub fn policy(&self) -> Option<Arc<Policy>> {
+        match self {
+            Self::BuiltIn(spec) => spec.policy(),
+            Self::Policy(policy) => Some(Arc::clone(policy)),
+            Self::Shielded(shielded) => shielded.controller.policy(),
+            Self::Custom(_) => None,
+        }
+    }
+
+    /// Whether it is a controller from outside, behind a shield or not: only these can fail.
+    #[must_use]
+    pub fn is_from_outside(&self) -> bool {
+        match self {
+            Self::BuiltIn(_) | Self::Policy(_) => false,
+            Self::Shielded(shielded) => shielded.controller.is_from_outside(),
+            Self::Custom(_) => true,
+        }
+    }
+
+    fn needs(&self) -> Needs {
+        match self {
+            Self::BuiltIn(_) | Self::Policy(_) => Needs::Nothing,
+            Self::Shielded(shielded) => shielded.controller.needs(),
+            Self::Custom(source) => source.needs(),
+        }
     }
 }
 
@@ -71,10 +88,6 @@ impl From<Shielded> for ControllerKind {
         Self::Shielded(Arc::new(shielded))
     }
 }
-
-/// Builds a controller for a vehicle: called for each vehicle under test whenever a run is prepared or started, so a
-/// controller's state must begin anew with each call.
-pub type ControllerFactory = Arc<dyn Fn(&Ego) -> Box<dyn Controller> + Send + Sync>;
 
 impl From<ControllerSpec> for ControllerKind {
     fn from(spec: ControllerSpec) -> Self {
@@ -85,6 +98,12 @@ impl From<ControllerSpec> for ControllerKind {
 impl From<Arc<Policy>> for ControllerKind {
     fn from(policy: Arc<Policy>) -> Self {
         Self::Policy(policy)
+    }
+}
+
+impl<S: ControllerSource + 'static> From<Arc<S>> for ControllerKind {
+    fn from(source: Arc<S>) -> Self {
+        Self::Custom(source)
     }
 }
 
@@ -167,6 +186,14 @@ pub enum RunError {
         /// The scenario's step, in seconds.
         step_s: f64,
     },
+    /// The controller cannot drive a vehicle without a neighbour that is not there.
+    #[error("the controller cannot drive vehicle {vehicle}: there is no vehicle {missing} it")]
+    Needs {
+        /// Index of the vehicle.
+        vehicle: usize,
+        /// Where there is none: `ahead of` or `behind`.
+        missing: &'static str,
+    },
     /// A shield cannot vouch for a vehicle under test.
     #[error("a shield cannot vouch for vehicle {vehicle}: {why}")]
     Shield {
@@ -205,11 +232,22 @@ impl<'s> Run<'s> {
             return Err(RunError::TooFine { dt_s: run.dt_s(), limit: MOST_VEHICLE_STEPS, found });
         }
         run.frames = run.shield_frames()?;
-        for index in 0..scenario.vehicles().len() {
-            if let ActiveDriver::Controller(controller) = run.driver(index)
-                && let Some(interval_s) = controller.interval_s()
-            {
+        let vehicles = scenario.vehicles();
+        for (vehicle, spec) in vehicles.iter().enumerate() {
+            let kind = match &spec.driver {
+                Driver::Profile(_) => continue,
+                Driver::Controller(spec) => &ControllerKind::BuiltIn(spec.clone()),
+                Driver::UnderTest => &run.options.controller,
+            };
+            if let Some(interval_s) = kind.interval_s() {
                 whole_multiple(interval_s, step_s).ok_or(RunError::Interval { interval_s, step_s })?;
+            }
+            let needs = kind.needs();
+            if needs != Needs::Nothing && vehicle == 0 {
+                return Err(RunError::Needs { vehicle, missing: "ahead of" });
+            }
+            if needs == Needs::AheadAndBehind && vehicle + 1 == vehicles.len() {
+                return Err(RunError::Needs { vehicle, missing: "behind" });
             }
         }
         Ok(run)
@@ -270,6 +308,7 @@ impl<'s> Run<'s> {
     fn ego(&self, index: usize) -> Ego {
         let vehicle = &self.scenario.vehicles()[index];
         Ego {
+            vehicle: index,
             max_brake_mps2: vehicle.max_brake_mps2(),
             max_accel_mps2: vehicle.max_accel_mps2(),
             length_m: vehicle.length_m(),
@@ -281,29 +320,29 @@ impl<'s> Run<'s> {
     pub(super) fn driver(&self, index: usize) -> ActiveDriver<'s> {
         match &self.scenario.vehicles()[index].driver {
             Driver::Profile(profile) => ActiveDriver::Profile(profile),
-            Driver::Controller(spec) => ActiveDriver::Controller(AnyController::built_in(spec, &self.ego(index))),
-            Driver::UnderTest => ActiveDriver::Controller(self.under_test(index, &self.options.controller)),
+            Driver::Controller(spec) => {
+                ActiveDriver::Controller(AnyController::built_in(spec, &self.ego(index), self.scenario.spec().seed))
+            }
+            Driver::UnderTest => ActiveDriver::Controller(self.started(index, &self.options.controller)),
         }
     }
 
-    fn under_test(&self, index: usize, what: &ControllerKind) -> AnyController {
-        let ego = self.ego(index);
-        match what {
-            ControllerKind::BuiltIn(spec) => AnyController::built_in(spec, &ego),
-            ControllerKind::Policy(policy) => AnyController::policy(Arc::clone(policy), &ego),
-            ControllerKind::Stress(Stress::FullThrottle) => AnyController::Custom(Box::new(FullThrottle::new(&ego))),
-            ControllerKind::Stress(Stress::RandomActions) => {
-                let stream = random::stream(self.scenario.spec().seed, Purpose::RandomActions, index as u64);
-                AnyController::Custom(Box::new(RandomActions::new(&ego, stream)))
-            }
+    fn started(&self, index: usize, kind: &ControllerKind) -> AnyController {
+        let (ego, seed) = (self.ego(index), self.scenario.spec().seed);
+        match kind {
+            ControllerKind::BuiltIn(spec) => AnyController::built_in(spec, &ego, seed),
+            ControllerKind::Policy(policy) => AnyController::Policy(PolicyDriver::new(Arc::clone(policy), &ego)),
             ControllerKind::Shielded(shielded) => {
-                let controller = self.under_test(index, &shielded.controller);
+                let controller = self.started(index, &shielded.controller);
                 match self.frames.get(index).copied().flatten() {
                     Some(frame) => AnyController::Shielded(Shield::new(controller, frame)),
                     None => controller,
                 }
             }
-            ControllerKind::Custom(build) => AnyController::custom(build(&ego), &ego),
+            ControllerKind::Custom(source) => match source.start(&ego, seed) {
+                Ok(started) => AnyController::Custom(ZeroOrderHold::new(started, source.interval_s(), ego.step_s)),
+                Err(failure) => AnyController::NotStarted(failure),
+            },
         }
     }
 

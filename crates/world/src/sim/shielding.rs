@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{ControllerKind, Run};
 use crate::control::{AnyController, Behind, ErrorBounds, Frame, MARGIN_M, Override, ShieldSettings};
-use crate::estimate::EstimatorKind;
+use crate::observation::EstimatorKind;
 use crate::scenario::VehicleSpec;
 
 /// Standard deviations of noise that a shield counts on: exceeded once in 10⁹ draws.
@@ -128,7 +128,8 @@ fn noise_of(vehicle: &VehicleSpec) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::{ControllerSpec, built_in};
+    use crate::control::ControllerSpec;
+    use crate::scenario::built_in;
     use crate::sim::RunOptions;
 
     /// Seeing late and acting late are one thing, one's own as well as that of the vehicle behind.
@@ -141,7 +142,7 @@ mod tests {
                 }
             });
             let late = late.unwrap();
-            let run = Run::new(&late, RunOptions::new(ControllerSpec::MatchLeader)).unwrap();
+            let run = Run::new(&late, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
             run.frame(1, &ShieldSettings::default()).unwrap()
         };
         let frames = [(0.3, 0.1), (0.1, 0.3), (0.4, 0.0), (0.0, 0.4)].map(|(seeing, acting)| frame(seeing, acting));

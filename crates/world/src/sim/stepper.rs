@@ -5,9 +5,10 @@ use super::platoon::Platoon;
 use super::recorder::{Tally, finished, hardest_brake_mps2, summary, ttc_s};
 use super::run::{ActiveDriver, truth};
 use super::shielding::interventions;
-use super::{AfterContact, Impact, Motion, RecordingLevel, Run, Simulated, Trace};
-use crate::control::Controller;
-use crate::estimate::{EgoEstimator, Observation, TrueState};
+use super::{AfterContact, FailedController, Impact, Motion, RecordingLevel, Run, Simulated, Trace};
+use crate::control::{Controller, ControllerFailure};
+use crate::estimate::{EgoEstimator, TrueState};
+use crate::observation::Observation;
 
 /// A run under way.
 ///
@@ -21,6 +22,7 @@ pub struct Stepper<'r, 's> {
     tallies: Vec<Tally>,
     trace: Option<Trace>,
     impacts: Vec<Impact>,
+    failed: Option<FailedController>,
     step: usize,
     ended: bool,
 }
@@ -42,6 +44,7 @@ impl<'r, 's> Stepper<'r, 's> {
             loops,
             tallies,
             impacts: Vec::new(),
+            failed: None,
             step: 0,
             ended: run.scenario().steps() == 0,
         }
@@ -94,7 +97,17 @@ impl<'r, 's> Stepper<'r, 's> {
         // Everybody decides on the state at the start of the step; only then does anybody move.
         for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.decided_mps2).enumerate() {
             let is_stuck = self.platoon.is_stuck(index);
-            *decided_mps2 = vehicle.decide(&truth(&self.platoon, index), run, span_s, is_stuck);
+            match vehicle.decide(&truth(&self.platoon, index), run, span_s, is_stuck) {
+                Ok(acceleration_mps2) => *decided_mps2 = acceleration_mps2,
+                Err(failure) => {
+                    let failed = FailedController { time_s: span_s[0], vehicle: index, failure };
+                    self.failed.get_or_insert(failed);
+                }
+            }
+        }
+        if self.failed.is_some() {
+            self.ended = true;
+            return;
         }
         for (motion, &acceleration_mps2) in self.platoon.motion.iter_mut().zip(&self.decided_mps2) {
             motion.acceleration_mps2 = acceleration_mps2;
@@ -146,7 +159,7 @@ impl<'r, 's> Stepper<'r, 's> {
         let vehicles = self.platoon.min_gap_m.iter().zip(self.tallies).zip(&self.platoon.motion);
         let vehicles =
             vehicles.map(|((&min_gap_m, tally), motion)| summary(min_gap_m, tally, motion.speed_mps)).collect();
-        finished(self.impacts, vehicles, interventions, self.trace)
+        finished(self.impacts, vehicles, interventions, self.trace, self.failed)
     }
 }
 
@@ -189,25 +202,36 @@ impl<'s> VehicleLoop<'s> {
         })
     }
 
-    fn decide(&mut self, truth: &TrueState, run: &Run<'_>, [from_s, to_s]: [f64; 2], is_stuck: bool) -> f64 {
+    fn decide(
+        &mut self,
+        truth: &TrueState,
+        run: &Run<'_>,
+        [from_s, to_s]: [f64; 2],
+        is_stuck: bool,
+    ) -> Result<f64, ControllerFailure> {
         let seen = self.observe(truth, run);
         self.seen = None;
         let speed_mps = truth.observation.speed_mps;
-        let command_mps2 = self.command_mps2.take().unwrap_or_else(|| match &mut self.driver {
-            ActiveDriver::Profile(profile) => profile.acceleration_mps2(from_s, to_s, speed_mps),
-            ActiveDriver::Controller(controller) => controller.act(&seen),
-        });
+        let command_mps2 = match (self.command_mps2.take(), &mut self.driver) {
+            (Some(command_mps2), _) => command_mps2,
+            (None, ActiveDriver::Profile(profile)) => profile.acceleration_mps2(from_s, to_s, speed_mps),
+            (None, ActiveDriver::Controller(controller)) => controller.decide(&seen)?,
+        };
         let acceleration_mps2 = self.actuator.respond(command_mps2);
         let noise_mps2 = self.disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
-        if is_stuck { acceleration_mps2 + noise_mps2 } else { unless_at_rest(acceleration_mps2, noise_mps2, speed_mps) }
+        Ok(match is_stuck {
+            true => acceleration_mps2 + noise_mps2,
+            false => unless_at_rest(acceleration_mps2, noise_mps2, speed_mps),
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::{AebSettings, ControllerSpec};
     use crate::control::{AnyController, Ego};
-    use crate::scenario::{AebSettings, ControllerSpec, PaperDistribution};
+    use crate::scenario::PaperDistribution;
     use crate::sim::{RunOptions, simulate, simulate_batch};
 
     #[test]
@@ -218,14 +242,19 @@ mod tests {
             let run = Run::new(&scenario, RunOptions::new(spec.clone())).unwrap();
             let inside = simulate(&run, RecordingLevel::Trace);
             let vehicle = &scenario.vehicles()[1];
-            let ego =
-                Ego { max_brake_mps2: vehicle.max_brake_mps2(), max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
-            let mut controller = AnyController::built_in(&spec, &ego);
+            let ego = Ego {
+                vehicle: 1,
+                max_brake_mps2: vehicle.max_brake_mps2(),
+                max_accel_mps2: 3.0,
+                length_m: 2.0,
+                step_s: 0.01,
+            };
+            let mut controller = AnyController::built_in(&spec, &ego, 0);
             let mut stepper = Stepper::new(&run, RecordingLevel::Trace);
             while !stepper.has_ended() {
                 let seen = stepper.observe(1).unwrap();
                 assert_eq!(stepper.observe(1), Some(seen), "looking twice sees the same");
-                stepper.command(1, controller.act(&seen));
+                stepper.command(1, controller.decide(&seen).unwrap());
                 stepper.step();
             }
             assert_eq!(stepper.finish(), inside);

@@ -176,7 +176,7 @@ fn divergence_stops_with_a_message() {
 
 #[test]
 fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
-    use crumple_world::estimate::EstimatorKind;
+    use crumple_world::observation::EstimatorKind;
     use crumple_world::policy::Policy;
     use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
     use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate_batch};

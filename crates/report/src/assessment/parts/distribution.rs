@@ -107,7 +107,7 @@ impl Distribution {
             let mut first: Vec<bool> = Vec::new();
             for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
                 let draws = run_draws(&scenarios, controller, plan)?;
-                let collides: Vec<bool> = draws.iter().map(|draw| draw.verdict.is_collision()).collect();
+                let collides: Vec<bool> = draws.iter().map(|draw| draw.verdict.is_failure()).collect();
                 if first.is_empty() {
                     first.clone_from(&collides);
                 }
@@ -234,7 +234,7 @@ impl Tally {
     fn add(&mut self, draws: &[Draw], with_first: impl Iterator<Item = (bool, bool)>) {
         for draw in draws {
             self.draws += 1;
-            self.collisions += u64::from(draw.verdict.is_collision());
+            self.collisions += u64::from(draw.verdict.is_failure());
             self.hit += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_)));
             self.was_hit += u64::from(matches!(draw.verdict, CaseVerdict::WasHit(_)));
             self.impact_speed_sum_mps += draw.impact_speed_mps.unwrap_or(0.0);

@@ -10,8 +10,8 @@ use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, Stroke, Svg, TaggedLine};
 use crumple_learn::rl::LearningCurve;
+use crumple_world::control::ControllerSpec;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::ControllerSpec;
 use crumple_world::sim::{Trace, Track};
 
 /// The learned policies among the controllers.
@@ -84,7 +84,7 @@ impl Learned {
             }
         }
         let policies = learned.iter().map(|(name, policy)| LearnedPolicy::of(name, policy)).collect();
-        let has_reference = learned.iter().any(|(name, _)| name == ControllerSpec::Policy.name());
+        let has_reference = learned.iter().any(|(name, _)| name == ControllerSpec::Policy(Default::default()).name());
         let learning_curve = has_reference.then(|| serde_json::from_str(REFERENCE_CURVE).ok()).flatten();
         Some(Self { policies, braking, learning_curve, figures })
     }

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use crate::assessment::{AssessmentPlan, Part};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::observation::EstimatorKind;
 
 /// Assumptions and limits, each a sentence or two.
 #[derive(Debug, Clone, Serialize)]

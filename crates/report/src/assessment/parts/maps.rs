@@ -113,7 +113,7 @@ fn touched(plan: &AssessmentPlan, scenarios: &[Scenario]) -> Result<Vec<Vec<bool
         scenarios.iter().map(move |scenario| Run::new(scenario, options.clone()))
     });
     let runs = prepared.collect::<Result<Vec<_>, _>>()?;
-    let touched = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| simulated.outcome.contact().is_some());
+    let touched = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| !simulated.outcome.is_safe());
     Ok(touched.chunks(scenarios.len().max(1)).map(<[bool]>::to_vec).collect())
 }
 
@@ -228,7 +228,7 @@ mod tests {
                     }
                     let scenario = space.scenario(&values).unwrap();
                     let run = Run::new(&scenario, RunOptions::new(contender.kind.clone())).unwrap();
-                    let touched = simulate(&run, RecordingLevel::Summary).outcome.contact().is_some();
+                    let touched = !simulate(&run, RecordingLevel::Summary).outcome.is_safe();
                     assert_eq!(cell == MapCell::NoContact, !touched, "{} at {x}, {y}", map.controller);
                     kinds.insert(cell.letter());
                 }

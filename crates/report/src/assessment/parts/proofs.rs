@@ -49,7 +49,7 @@ const CONDITIONS: [&str; 4] = [
 
 impl Proofs {
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
-        let pairs = VehicleClass::ALL.into_iter().flat_map(|own| VehicleClass::ALL.map(|ahead| (own, ahead)));
+        let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
         Ok(Self {
             kernels: pairs.map(|(own, ahead)| KernelGap::of(own, ahead)).collect(),
             certificates: certified::gather(plan, work)?,

@@ -133,9 +133,9 @@ impl Summary {
 /// nothing and do not count.
 fn no_contact(scenarios: &[super::ScenarioCases], controllers: usize) -> Vec<Strength> {
     let of = |index: usize| {
-        let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| case.verdict);
-        let counted: Vec<_> = verdicts.filter(crate::assessment::CaseVerdict::counts).collect();
-        let failures = counted.iter().filter(|verdict| verdict.is_collision()).count();
+        let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict);
+        let counted: Vec<_> = verdicts.filter(|verdict| verdict.counts()).collect();
+        let failures = counted.iter().filter(|verdict| verdict.is_failure()).count();
         Strength::of(failures as u64, counted.len() as u64)
     };
     (0..controllers).map(of).collect()

@@ -92,7 +92,7 @@ fn for_shell(path: &Path) -> String {
 
 fn words(case: &Case) -> String {
     let gaps = [case.ahead.min_gap_m, case.behind.min_gap_m].into_iter().flatten();
-    match (gaps.min_by(|a, b| a.value().total_cmp(&b.value())), case.verdict) {
+    match (gaps.min_by(|a, b| a.value().total_cmp(&b.value())), &case.verdict) {
         (Some(gap_m), CaseVerdict::Safe { closing_ttc_s: None }) => format!("{gap_m} m"),
         (Some(gap_m), CaseVerdict::Safe { closing_ttc_s: Some(ttc_s) }) => {
             format!("{gap_m} m, closing (TTC {ttc_s} s)")

@@ -56,6 +56,7 @@ fn draw(profiles: &[(&str, &Mildest)], duration_s: f64, prefix: &str, width: f64
 fn contact_s(mildest: &Mildest) -> Option<f64> {
     match &mildest.verdict {
         CaseVerdict::Safe { .. } => None,
+        CaseVerdict::ControllerFailed { time_s, .. } => Some(time_s.value()),
         CaseVerdict::Hit(contact) | CaseVerdict::WasHit(contact) | CaseVerdict::Others(contact) => {
             Some(contact.time_s.value())
         }

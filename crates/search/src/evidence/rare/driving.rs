@@ -5,8 +5,8 @@ use serde::Serialize;
 
 use super::{Effort, Estimate, Problem, Splitting, State};
 use crumple_world::digest::sha256;
-use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::{Specification, SpecificationError};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::space::{Space, file};
 use crumple_world::sim::{NamedController, Run, RunError, RunOptions, simulate_batch};

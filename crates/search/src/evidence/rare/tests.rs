@@ -9,9 +9,9 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::*;
 use crate::evidence::{RateConfig, RatePlan};
-use crumple_world::estimate::EstimatorKind;
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::random::Stream;
-use crumple_world::scenario::ControllerSpec;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::NamedController;
 

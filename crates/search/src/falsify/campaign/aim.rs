@@ -80,7 +80,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn evaluated(robustness: f64, ln_likelihood: f64, departure: f64) -> Evaluated {
-        let verdict = RunVerdict { robustness, contact: None };
+        let verdict = RunVerdict::new(robustness);
         Evaluated { number: 1, point: vec![0.5], values: vec![0.5], ln_likelihood, departure, verdict }
     }
 

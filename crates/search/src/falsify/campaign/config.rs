@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{Aim, CampaignError};
 use crate::falsify::Method;
-use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{Space, SpaceSpec};
 use crumple_world::sim::{NamedController, RunOptions};
 
@@ -43,6 +43,9 @@ struct CampaignFile {
     crumple: String,
     controller: String,
     policy_sha256: Option<String>,
+    /// Identity of a controller from outside, whose name says nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    controller_sha256: Option<String>,
     estimator: EstimatorKind,
     specification: String,
     method: String,
@@ -85,6 +88,7 @@ impl Campaign {
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
             controller: self.controller.name.clone(),
             policy_sha256: self.policy_sha256(),
+            controller_sha256: self.controller.identity_from_outside(),
             estimator: self.estimator,
             specification: self.specification.to_string(),
             method: self.method.name().to_owned(),

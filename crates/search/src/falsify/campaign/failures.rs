@@ -21,6 +21,11 @@ pub enum FailureKind {
         /// Class of the vehicle that hits.
         rear_class: VehicleClass,
     },
+    /// A controller gave no usable answer.
+    ControllerFailed {
+        /// Index of its vehicle.
+        vehicle: u32,
+    },
     /// A formula is violated. What touches whom is told apart no further: it need not be the cause.
     Violation {
         /// Whether vehicles touched as well.
@@ -34,6 +39,9 @@ impl FailureKind {
     pub fn of(verdict: &RunVerdict, specification: &Specification) -> Option<Self> {
         if verdict.robustness.is_nan() || verdict.robustness >= 0.0 {
             return None;
+        }
+        if let Some((_, vehicle)) = verdict.failed {
+            return Some(Self::ControllerFailed { vehicle });
         }
         Some(match (specification, verdict.contact) {
             (Specification::NoContact, Some(struck)) => Self::Contact {
@@ -51,6 +59,7 @@ impl FailureKind {
     pub fn same_pair(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Contact { rear_vehicle: a, .. }, Self::Contact { rear_vehicle: b, .. }) => a == b,
+            (Self::ControllerFailed { vehicle: a }, Self::ControllerFailed { vehicle: b }) => a == b,
             (Self::Violation { .. }, Self::Violation { .. }) => true,
             _ => false,
         }
@@ -60,6 +69,7 @@ impl FailureKind {
     #[must_use]
     pub fn describe(&self, scenario: &Scenario) -> String {
         let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
+            Self::ControllerFailed { vehicle } => return format!("the controller of vehicle {vehicle} fails"),
             Self::Violation { touching: false } => return "the formula is violated without a contact".to_owned(),
             Self::Violation { touching: true } => return "the formula is violated, and vehicles touch".to_owned(),
             Self::Contact { front_vehicle, rear_vehicle, ego_braking, rear_class } => {

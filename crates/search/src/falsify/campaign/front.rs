@@ -91,7 +91,7 @@ mod tests {
                 method: Method::Uniform,
                 number,
                 values: Vec::new(),
-                verdict: RunVerdict { robustness: -1.0 - f64::from(deep), contact: None },
+                verdict: RunVerdict::new(-1.0 - f64::from(deep)),
                 ln_likelihood: if likely == 0 { f64::NEG_INFINITY } else { f64::from(likely) },
                 departure: f64::from(far) / 4.0,
             }).collect();

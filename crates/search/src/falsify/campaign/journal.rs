@@ -13,13 +13,16 @@ use crumple_world::digest::Sha256;
 use crumple_world::measure::{Braking, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
 
-/// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking and class as bytes.
+/// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking (or what stands in its place) and
+/// class as bytes.
 const BODY: usize = 3 * 8 + 2 * 4 + 2;
 /// The first bytes of the SHA-256 of the record's number and body: a record in another's place is damage, too.
 const CHECKSUM: usize = 6;
 const RECORD: usize = BODY + CHECKSUM;
-/// In place of the braking where nobody touched anybody.
+/// In place of the braking where no vehicles touched.
 const NO_CONTACT: u8 = u8::MAX;
+/// In place of the braking where a controller failed; the vehicle that is hit is then its own.
+const CONTROLLER_FAILED: u8 = u8::MAX - 1;
 
 pub(super) struct Journal {
     file: File,
@@ -94,21 +97,19 @@ fn checksum_of(index: u64, body: &[u8; BODY]) -> [u8; CHECKSUM] {
 }
 
 fn encode(verdict: &RunVerdict) -> [u8; BODY] {
-    let nobody = FirstContact {
-        time_s: 0.0,
-        front_vehicle: 0,
-        rear_vehicle: 0,
-        impact_speed_mps: 0.0,
-        ego_braking: Braking::None,
-        rear_class: VehicleClass::Light,
+    let (time_s, impact_speed_mps, vehicles, kind, class) = match (verdict.contact, verdict.failed) {
+        (Some(contact), _) => {
+            let FirstContact { time_s, front_vehicle, rear_vehicle, impact_speed_mps, ego_braking, rear_class } =
+                contact;
+            (time_s, impact_speed_mps, [front_vehicle, rear_vehicle], ego_braking as u8, rear_class.number())
+        }
+        (None, Some((time_s, vehicle))) => (time_s, 0.0, [vehicle, 0], CONTROLLER_FAILED, 0),
+        (None, None) => (0.0, 0.0, [0, 0], NO_CONTACT, 0),
     };
-    let struck = verdict.contact.unwrap_or(nobody);
     let mut record = [0; BODY];
-    let doubles = [verdict.robustness, struck.time_s, struck.impact_speed_mps].map(f64::to_le_bytes);
-    let vehicles = [struck.front_vehicle, struck.rear_vehicle].map(u32::to_le_bytes);
-    let braking = if verdict.contact.is_some() { struck.ego_braking as u8 } else { NO_CONTACT };
-    let class = u8::from(struck.rear_class == VehicleClass::Heavy);
-    let bytes = doubles.concat().into_iter().chain(vehicles.concat()).chain([braking, class]);
+    let doubles = [verdict.robustness, time_s, impact_speed_mps].map(f64::to_le_bytes);
+    let vehicles = vehicles.map(u32::to_le_bytes);
+    let bytes = doubles.concat().into_iter().chain(vehicles.concat()).chain([kind, class]);
     record.iter_mut().zip(bytes).for_each(|(place, byte)| *place = byte);
     record
 }
@@ -129,9 +130,10 @@ fn decode(record: &[u8; BODY]) -> RunVerdict {
         rear_vehicle: vehicle(1),
         impact_speed_mps: double(2),
         ego_braking,
-        rear_class: if class == 1 { VehicleClass::Heavy } else { VehicleClass::Light },
+        rear_class: VehicleClass::ALL.get(usize::from(class)).copied().unwrap_or(VehicleClass::Light),
     });
-    RunVerdict { robustness: double(0), contact }
+    let failed = (braking == CONTROLLER_FAILED).then(|| (double(1), vehicle(0)));
+    RunVerdict { robustness: double(0), contact, failed }
 }
 
 #[cfg(test)]
@@ -150,8 +152,8 @@ mod tests {
             ego_braking: Braking::Full,
             rear_class: VehicleClass::Heavy,
         };
-        let verdicts =
-            [RunVerdict { robustness: 3.5, contact: None }, RunVerdict { robustness: -7.5, contact: Some(struck) }];
+        let failed = RunVerdict { failed: Some((0.5, 1)), ..RunVerdict::new(f64::NEG_INFINITY) };
+        let verdicts = [failed, RunVerdict { contact: Some(struck), ..RunVerdict::new(-7.5) }];
         Journal::create(&path).unwrap().append(&verdicts).unwrap();
         OpenOptions::new().append(true).open(&path).unwrap().write_all(&[1; RECORD - 1]).unwrap();
         let mut journal = Journal::resume(&path).unwrap();
@@ -171,7 +173,7 @@ mod tests {
     fn damage_is_found_where_it_is() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal");
-        let verdicts = [1.0, 2.0, 3.0].map(|robustness| RunVerdict { robustness, contact: None });
+        let verdicts = [1.0, 2.0, 3.0].map(|robustness| RunVerdict::new(robustness));
         Journal::create(&path).unwrap().append(&verdicts).unwrap();
         let whole = std::fs::read(&path).unwrap();
         let first_damage = |bytes: &[u8]| {

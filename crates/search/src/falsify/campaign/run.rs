@@ -71,6 +71,9 @@ impl Campaign {
         resume: bool,
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<Summary, CampaignError> {
+        if resume && self.controller.kind.identity().is_none() {
+            return Err(CampaignError::NoIdentity(self.controller.name.clone()));
+        }
         let space = self.space.clone().with_noise_seed(self.seed);
         let nominal = space.scenario(&space.nominal())?;
         self.check(&nominal)?;

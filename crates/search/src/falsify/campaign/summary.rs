@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{Aim, CampaignError, Covered, FrontPoint, Region};
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
-use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
 
 /// The version of `summary.json`.
 pub(super) const SUMMARY_VERSION: u32 = 1;

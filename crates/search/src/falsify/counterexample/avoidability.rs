@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
-use crumple_world::measure::Specification;
+use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::Scenario;
 
 /// Whether any controller could have avoided a failure; see [`avoid`] for what each class asserts.
@@ -43,12 +43,18 @@ pub enum AvoidabilityClass {
 }
 
 impl Avoidability {
-    /// What convex programming says about a scenario in which contact is what must not happen.
+    /// What convex programming says about a verdict: asked of contacts alone, where contact is what must not happen.
     #[must_use]
-    pub fn of(specification: &Specification, scenario: &Scenario) -> Self {
-        if *specification != Specification::NoContact {
-            return Self::NotAsked;
+    pub fn of(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
+        match (specification, verdict.contact) {
+            (Specification::NoContact, Some(_)) => Self::of_contact(scenario),
+            _ => Self::NotAsked,
         }
+    }
+
+    /// What convex programming says about a scenario that ends in contact.
+    #[must_use]
+    pub fn of_contact(scenario: &Scenario) -> Self {
         match avoid(scenario, AvoidOptions::default()).map(|avoidance| avoidance.verdict) {
             Ok(AvoidanceVerdict::Avoidable(escape)) => Self::Avoidable { best_min_gap_m: escape.min_gap_m },
             Ok(AvoidanceVerdict::Unavoidable(_)) => Self::Unavoidable,

@@ -81,7 +81,7 @@ impl<'a> Examiner<'a> {
         let mut found = Vec::new();
         let specification = &self.campaign.specification;
         let classes: Vec<Avoidability> =
-            distinct.par_iter().map(|one| Avoidability::of(specification, &one.scenario)).collect();
+            distinct.par_iter().map(|one| Avoidability::of(specification, &one.verdict, &one.scenario)).collect();
         for (place, (one, class)) in distinct.iter().zip(classes).enumerate() {
             found.push(self.write(place + 1, one, class, &counterexamples, &mut index)?);
         }
@@ -155,9 +155,9 @@ impl<'a> Examiner<'a> {
     }
 
     fn severity(&self, one: &Examined<'_>) -> Severity {
-        let is_formula = self.campaign.specification != Specification::NoContact;
+        let goes_by_violation = self.campaign.specification != Specification::NoContact || one.verdict.failed.is_some();
         Severity {
-            violation: is_formula.then_some(-one.verdict.robustness),
+            violation: goes_by_violation.then_some(-one.verdict.robustness),
             impact_speed_mps: one.verdict.contact.map_or(0.0, |contact| contact.impact_speed_mps),
             max_delta_v_mps: one.max_delta_v_mps.unwrap_or(0.0),
             vehicles_involved: one.vehicles_involved,
@@ -195,6 +195,7 @@ impl<'a> Examiner<'a> {
         let kind = one.kind.describe(&one.scenario);
         let slug = match one.kind {
             FailureKind::Contact { front_vehicle, rear_vehicle, .. } => format!("{rear_vehicle}-hits-{front_vehicle}"),
+            FailureKind::ControllerFailed { vehicle } => format!("controller-{vehicle}-fails"),
             FailureKind::Violation { .. } => "violation".to_owned(),
         };
         let (file, original) = (format!("{place:02}-{slug}.toml"), format!("originals/{place:02}-{slug}.toml"));

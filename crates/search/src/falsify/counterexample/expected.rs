@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{Avoidability, AvoidabilityClass};
-use crumple_world::estimate::EstimatorKind;
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{self, FileError};
 use crumple_world::sim::{NamedController, Run, RunError, RunOptions, UnknownController, simulate};
@@ -177,7 +177,7 @@ impl Expected {
         let mut renewed = Self { policy_sha256, dt_fragile: false, ..self.clone() };
         let verdict = renewed.replay(folder)?.nominal;
         let violated = verdict.robustness < 0.0;
-        let class = if violated { Avoidability::of(&specification, &scenario) } else { Avoidability::NotAsked };
+        let class = Avoidability::of(&specification, &verdict, &scenario);
         renewed = Self {
             violated,
             robustness: verdict.robustness,

@@ -7,10 +7,10 @@ use std::cmp::Ordering;
 /// Where contact is what must not happen, three figures count, in this order and to whole numbers, since a difference below
 /// 1 m/s is none: the impact speed of the first contact, the largest change of speed that any one vehicle suffers when the
 /// run goes on, and how many vehicles are involved in the end. What is equal in all three goes by its exact impact speed.
-/// Where a formula must hold, how far it is violated comes before all of these.
+/// Where a formula must hold, how far it is violated comes before all of these; a controller that failed, before any.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Severity {
-    /// Negative robustness, where a formula is what must hold.
+    /// Negative robustness, where a formula is what must hold or a controller failed.
     pub(super) violation: Option<f64>,
     pub(super) impact_speed_mps: f64,
     pub(super) max_delta_v_mps: f64,

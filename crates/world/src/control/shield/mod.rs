@@ -31,8 +31,8 @@ pub use kernel::Kernel;
 
 use std::collections::VecDeque;
 
-use super::{AnyController, Controller, within};
-use crate::estimate::Observation;
+use super::{AnyController, Controller, ControllerFailure, within};
+use crate::observation::Observation;
 use kernel::{largest_closing_m, moved};
 
 /// Successive steps in which a shield braked instead of doing what its controller wanted.
@@ -121,8 +121,8 @@ impl Shield {
 }
 
 impl Controller for Shield {
-    fn act(&mut self, seen: &Observation) -> f64 {
-        let wanted_mps2 = within(self.controller.act(seen), self.frame.brake_mps2, self.frame.accel_mps2);
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        let wanted_mps2 = within(self.controller.decide(seen)?, self.frame.brake_mps2, self.frame.accel_mps2);
         let mut command_mps2 = wanted_mps2;
         if let Some(state) = self.worst_state(seen)
             && !self.frame.admits(state, wanted_mps2)
@@ -137,11 +137,7 @@ impl Controller for Shield {
         let due_mps2 = self.pending.pop_front().unwrap_or(command_mps2);
         self.response_mps2 = self.frame.response_mps2(self.response_mps2, due_mps2);
         self.step += 1;
-        command_mps2
-    }
-
-    fn interval_s(&self) -> Option<f64> {
-        self.controller.interval_s()
+        Ok(command_mps2)
     }
 }
 

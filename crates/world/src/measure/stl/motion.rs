@@ -85,9 +85,10 @@ fn towards_ahead(quantity: &str) -> Option<TowardsAhead> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::ControllerSpec;
     use crate::measure::Ahead;
     use crate::measure::stl::Formula;
-    use crate::scenario::{ControllerSpec, built_in};
+    use crate::scenario::built_in;
     use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
 
     #[test]

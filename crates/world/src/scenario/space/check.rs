@@ -26,6 +26,11 @@ const MOST_TOGETHER: usize = 14;
 /// Least share of a normal distribution that must lie in its range.
 const LEAST_MASS: f64 = 1e-6;
 
+/// The classes, in words.
+fn class_names(between: &str) -> String {
+    VehicleClass::ALL.iter().map(|class| format!("`{}`", class.name())).collect::<Vec<_>>().join(between)
+}
+
 fn wrong<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, InvalidSpace> {
     Err(InvalidSpace { field: field.into(), problem: problem.into() })
 }
@@ -114,13 +119,14 @@ impl Space {
             .marginal()
             .map_err(|(field, problem)| InvalidSpace { field: at(&format!("distribution{field}")), problem })?;
         if is_class != spec.distribution.has_classes() {
-            let problem = if is_class { "a class is a choice of `light` and `heavy`" } else { "a number is expected" };
-            return wrong(at("distribution"), problem);
+            let problem = || format!("a class is a choice of {}", class_names(" and "));
+            return wrong(at("distribution"), if is_class { problem() } else { "a number is expected".to_owned() });
         }
         let nominal = match spec.nominal {
             None => field.target.get(&self.template),
             Some(value) if matches!(value, Value::Class(_)) != is_class => {
-                let problem = if is_class { "must be `light` or `heavy`" } else { "must be a number" };
+                let problem =
+                    if is_class { format!("must be {}", class_names(" or ")) } else { "must be a number".to_owned() };
                 return wrong(at("nominal"), format!("{problem}, found {value}"));
             }
             Some(value) => vec![value.number(); field.length],
@@ -230,7 +236,7 @@ impl Value {
     fn number(self) -> f64 {
         match self {
             Self::Number(number) => number,
-            Self::Class(class) => f64::from(u8::from(class == VehicleClass::Heavy)),
+            Self::Class(class) => f64::from(class.number()),
         }
     }
 }

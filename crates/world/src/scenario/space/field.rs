@@ -1,6 +1,6 @@
 //! Which field of a scenario a parameter sets: paths looked up once, then typed access.
 
-use crate::scenario::{ControllerSpec, Driver, LeadProfile, Pieces, ScenarioSpec, VehicleClass, VehicleSpec};
+use crate::scenario::{Driver, LeadProfile, Pieces, ScenarioSpec, VehicleClass, VehicleSpec};
 
 /// A field, ready to be set.
 #[derive(Debug, Clone, Copy)]
@@ -9,8 +9,10 @@ pub(super) enum Target {
     Scenario(fn(&mut ScenarioSpec) -> &mut f64),
     /// A number of one vehicle, or of all of them.
     Vehicle(Option<usize>, fn(&mut VehicleSpec) -> &mut f64),
-    /// A number among a driver's settings.
+    /// A number of a script.
     Driver(usize, fn(&mut Driver) -> Option<&mut f64>),
+    /// A setting of a controller, by its place.
+    Setting(usize, usize),
     /// A list among a driver's settings: a signal.
     Signal(usize, fn(&mut Driver) -> Option<&mut [f64]>),
     /// The class.
@@ -68,50 +70,34 @@ const SCENARIO_NUMBERS: [ScenarioNumber; 4] = [
 
 type DriverNumber = (&'static str, &'static str, fn(&mut Driver) -> Option<&mut f64>);
 
-/// `driver.NAME.SETTING` of a script or a controller.
+/// `driver.NAME.SETTING` of a script.
 macro_rules! setting {
-    ($path:literal, $unit:literal, Profile $kind:ident, $field:ident) => {
+    ($path:literal, $unit:literal, $kind:ident, $field:ident) => {
         ($path, $unit, |driver| match driver {
             Driver::Profile(LeadProfile::$kind(settings)) => Some(&mut settings.$field),
             _ => None,
         })
     };
-    ($path:literal, $unit:literal, Controller $kind:ident, $field:ident) => {
-        ($path, $unit, |driver| match driver {
-            Driver::Controller(ControllerSpec::$kind(settings)) => Some(&mut settings.$field),
-            _ => None,
-        })
-    };
 }
 
-const DRIVER_NUMBERS: [DriverNumber; 26] = [
-    setting!("driver.brake.onset_s", "s", Profile Brake, onset_s),
-    setting!("driver.brake.rate_mps2", "m/s²", Profile Brake, rate_mps2),
-    setting!("driver.ramp-brake.onset_s", "s", Profile RampBrake, onset_s),
-    setting!("driver.ramp-brake.rate_mps2", "m/s²", Profile RampBrake, rate_mps2),
-    setting!("driver.ramp-brake.ramp_s", "s", Profile RampBrake, ramp_s),
-    setting!("driver.ramp-brake.release_s", "s", Profile RampBrake, release_s),
-    setting!("driver.brake-to-speed.onset_s", "s", Profile BrakeToSpeed, onset_s),
-    setting!("driver.brake-to-speed.rate_mps2", "m/s²", Profile BrakeToSpeed, rate_mps2),
-    setting!("driver.brake-to-speed.final_speed_mps", "m/s", Profile BrakeToSpeed, final_speed_mps),
-    setting!("driver.baseline.ttc_s", "s", Controller Baseline, ttc_s),
-    setting!("driver.baseline-unlatched.ttc_s", "s", Controller BaselineUnlatched, ttc_s),
-    setting!("driver.constant-brake.rate_mps2", "m/s²", Controller ConstantBrake, rate_mps2),
-    setting!("driver.constant-brake.trigger_mps2", "m/s²", Controller ConstantBrake, trigger_mps2),
-    setting!("driver.constant-brake.delay_s", "s", Controller ConstantBrake, delay_s),
-    setting!("driver.idm.desired_speed_mps", "m/s", Controller Idm, desired_speed_mps),
-    setting!("driver.idm.time_headway_s", "s", Controller Idm, time_headway_s),
-    setting!("driver.idm.standstill_gap_m", "m", Controller Idm, standstill_gap_m),
-    setting!("driver.idm.accel_mps2", "m/s²", Controller Idm, accel_mps2),
-    setting!("driver.idm.comfortable_brake_mps2", "m/s²", Controller Idm, comfortable_brake_mps2),
-    setting!("driver.acc-aeb.time_headway_s", "s", Controller AccAeb, time_headway_s),
-    setting!("driver.acc-aeb.standstill_gap_m", "m", Controller AccAeb, standstill_gap_m),
-    setting!("driver.acc-aeb.gap_gain_per_s2", "1/s²", Controller AccAeb, gap_gain_per_s2),
-    setting!("driver.acc-aeb.speed_gain_per_s", "1/s", Controller AccAeb, speed_gain_per_s),
-    setting!("driver.acc-aeb.comfort_brake_mps2", "m/s²", Controller AccAeb, comfort_brake_mps2),
-    setting!("driver.acc-aeb.comfort_accel_mps2", "m/s²", Controller AccAeb, comfort_accel_mps2),
-    setting!("driver.acc-aeb.ttc_s", "s", Controller AccAeb, ttc_s),
+const DRIVER_NUMBERS: [DriverNumber; 9] = [
+    setting!("driver.brake.onset_s", "s", Brake, onset_s),
+    setting!("driver.brake.rate_mps2", "m/s²", Brake, rate_mps2),
+    setting!("driver.ramp-brake.onset_s", "s", RampBrake, onset_s),
+    setting!("driver.ramp-brake.rate_mps2", "m/s²", RampBrake, rate_mps2),
+    setting!("driver.ramp-brake.ramp_s", "s", RampBrake, ramp_s),
+    setting!("driver.ramp-brake.release_s", "s", RampBrake, release_s),
+    setting!("driver.brake-to-speed.onset_s", "s", BrakeToSpeed, onset_s),
+    setting!("driver.brake-to-speed.rate_mps2", "m/s²", BrakeToSpeed, rate_mps2),
+    setting!("driver.brake-to-speed.final_speed_mps", "m/s", BrakeToSpeed, final_speed_mps),
 ];
+
+fn setting_of(driver: &mut Driver, place: usize) -> Option<&mut f64> {
+    match driver {
+        Driver::Controller(spec) => spec.get_mut(place),
+        _ => None,
+    }
+}
 
 fn pieces(driver: &mut Driver) -> Option<&mut Pieces> {
     match driver {
@@ -195,6 +181,11 @@ impl Field {
         if let Some((_, unit, access)) = DRIVER_NUMBERS.iter().find(|(known, ..)| *known == rest) {
             return Ok(field(Target::Driver(index, *access), unit, 1, own));
         }
+        if let Driver::Controller(spec) = &vehicle.driver
+            && let Some(place) = spec.fields().iter().position(|known| known.name == setting)
+        {
+            return Ok(field(Target::Setting(index, place), spec.fields()[place].unit(), 1, own));
+        }
         let list = |signal: Option<&mut [f64]>| signal.map_or(0, |signal| signal.len());
         match (kind, setting) {
             ("pieces", "accel_mps2") => {
@@ -252,6 +243,11 @@ impl Target {
                     *number = value;
                 }
             }),
+            Self::Setting(index, place) => with(spec, index, |vehicle| {
+                if let Some(number) = setting_of(&mut vehicle.driver, place) {
+                    *number = value;
+                }
+            }),
             Self::Signal(index, access) => with(spec, index, |vehicle| {
                 if let Some(signal) = access(&mut vehicle.driver) {
                     signal.iter_mut().zip(values).for_each(|(piece, value)| *piece = *value);
@@ -299,11 +295,14 @@ impl Target {
             Self::Driver(index, access) => {
                 one(spec.vehicles.get_mut(index).and_then(|v| access(&mut v.driver).copied()))
             }
+            Self::Setting(index, place) => {
+                one(spec.vehicles.get_mut(index).and_then(|v| setting_of(&mut v.driver, place).copied()))
+            }
             Self::Signal(index, access) => {
                 let signal = spec.vehicles.get_mut(index).and_then(|v| access(&mut v.driver));
                 signal.map_or_else(Vec::new, |signal| signal.to_vec())
             }
-            Self::Class(index) => one(of(index).map(|v| f64::from(u8::from(v.class == VehicleClass::Heavy)))),
+            Self::Class(index) => one(of(index).map(|v| f64::from(v.class.number()))),
             Self::Gap(index) => one(of(index).map(|v| v.position_m)),
             Self::Load(index) => one(of(index).map(|v| v.mass_kg() / v.class.mass_kg())),
             Self::BrakeOffset(index) => one(of(index).map(|v| v.max_brake_mps2() - v.class.max_brake_mps2())),
@@ -326,7 +325,7 @@ impl Target {
     /// The vehicle whose driver's settings it is.
     pub(super) fn drives(self) -> Option<usize> {
         match self {
-            Self::Driver(i, _) | Self::Signal(i, _) => Some(i),
+            Self::Driver(i, _) | Self::Setting(i, _) | Self::Signal(i, _) => Some(i),
             Self::RateShare(i) | Self::PiecesShare(i) | Self::PiecesOnset(i) => Some(i),
             Self::Scenario(_) | Self::Vehicle(..) | Self::Class(_) | Self::Gap(_) => None,
             Self::Load(_) | Self::BrakeOffset(_) => None,
@@ -339,7 +338,7 @@ impl Target {
             Self::Class(i) | Self::Load(i) | Self::BrakeOffset(i) | Self::RateShare(i) | Self::PiecesShare(i) => {
                 Some(i)
             }
-            Self::Signal(i, _) | Self::Driver(i, _) => Some(i),
+            Self::Signal(i, _) | Self::Driver(i, _) | Self::Setting(i, _) => Some(i),
             Self::Vehicle(i, _) => i,
             Self::Scenario(_) | Self::Gap(_) | Self::PiecesOnset(_) => None,
         }

@@ -7,7 +7,7 @@ use super::per_run::Runs;
 use crate::sim::motion::{closest_gap_m, first_contact};
 use crate::sim::platoon::Platoon;
 use crate::sim::recorder::finished;
-use crate::sim::{AfterContact, Impact, RecordingLevel, Run, Simulated, Trace};
+use crate::sim::{AfterContact, FailedController, Impact, RecordingLevel, Run, Simulated, Trace};
 
 /// Runs of one shape, at most [`Runs::MOST`]. A finished run's place is taken by the last one's.
 pub(super) struct Block<'a, 's> {
@@ -72,27 +72,44 @@ impl<'a, 's> Block<'a, 's> {
                 for lane in (0..self.lanes.len()).rev() {
                     if self.lanes[lane].steps == step {
                         self.sample(lane, first.time_s(step, 0));
-                        self.finish(lane, &mut done);
+                        self.finish(lane, None, &mut done);
                     }
                 }
             }
             if self.lanes.is_empty() {
                 return;
             }
-            self.decide([first.time_s(step, 0), first.time_s(step + 1, 0)]);
+            self.decide([first.time_s(step, 0), first.time_s(step + 1, 0)], &mut done);
+            if self.lanes.is_empty() {
+                return;
+            }
             for substep in 0..first.substeps() {
                 self.advance(first.time_s(step, substep), first.dt_s(), &mut done);
             }
         }
     }
 
-    /// Everybody decides on the state at the start of the step.
-    fn decide(&mut self, span_s: [f64; 2]) {
+    /// All drivers decide on the state at the start of the step. Runs in which one fails end there.
+    fn decide(&mut self, span_s: [f64; 2], done: &mut impl FnMut(usize, Simulated)) {
+        // Allocates nothing unless a controller fails.
+        let mut failed: Vec<(usize, FailedController)> = Vec::new();
         for vehicle in 0..self.columns.len() {
             let (front, rest) = self.columns.split_at_mut(vehicle);
             if let [own, behind @ ..] = rest {
-                own.decide(self.arch, &self.lanes, [front.last(), behind.first()], span_s, self.touched);
+                let failures = own.decide(self.arch, &self.lanes, [front.last(), behind.first()], span_s, self.touched);
+                failed.extend(
+                    failures
+                        .into_iter()
+                        .map(|(lane, failure)| (lane, FailedController { time_s: span_s[0], vehicle, failure })),
+                );
             }
+        }
+        // The last lane first, since it takes the place of one that ends; of each the foremost vehicle.
+        failed.sort_by_key(|(lane, failed)| (std::cmp::Reverse(*lane), failed.vehicle));
+        failed.dedup_by_key(|(lane, _)| *lane);
+        for (lane, failed) in failed {
+            self.sample(lane, span_s[0]);
+            self.finish(lane, Some(failed), done);
         }
         for column in &mut self.columns {
             std::mem::swap(&mut column.acceleration_mps2, &mut column.decided_mps2);
@@ -126,7 +143,7 @@ impl<'a, 's> Block<'a, 's> {
         for Exact { lane, ended_s, .. } in exact.into_iter().rev() {
             if let Some(ended_s) = ended_s {
                 self.sample(lane, ended_s);
-                self.finish(lane, done);
+                self.finish(lane, None, done);
             }
         }
     }
@@ -195,7 +212,7 @@ impl<'a, 's> Block<'a, 's> {
     }
 
     /// Takes a run out of the block.
-    fn finish(&mut self, lane: usize, done: &mut impl FnMut(usize, Simulated)) {
+    fn finish(&mut self, lane: usize, failed: Option<FailedController>, done: &mut impl FnMut(usize, Simulated)) {
         self.touched.swap_remove(lane, self.lanes.len() - 1);
         let Lane { index, run, impacts, trace, .. } = self.lanes.swap_remove(lane);
         let step_s = run.scenario().spec().step_s;
@@ -203,7 +220,7 @@ impl<'a, 's> Block<'a, 's> {
         let interventions = columns.flat_map(|(vehicle, column)| column.interventions(lane, vehicle, step_s)).collect();
         let vehicles = self.columns.iter_mut().map(|column| column.finish(lane)).collect();
         self.find_next_end();
-        done(index, finished(impacts, vehicles, interventions, trace));
+        done(index, finished(impacts, vehicles, interventions, trace, failed));
     }
 
     fn find_next_end(&mut self) {

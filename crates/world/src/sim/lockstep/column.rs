@@ -8,6 +8,7 @@ use super::loops::{self, Pairs};
 use super::noise::Noise;
 use super::per_run::{PerRun, Runs};
 use super::view::{Seen, View};
+use crate::control::ControllerFailure;
 use crate::estimate::{EgoEstimator, TrueState};
 use crate::policy::InSimd;
 use crate::sim::actuator::{Actuator, unless_at_rest};
@@ -88,8 +89,8 @@ impl<'s> Column<'s> {
         [front, behind]: [Option<&Self>; 2],
         span_s: [f64; 2],
         touched: Runs,
-    ) {
-        self.command(arch, lanes, [front, behind], span_s);
+    ) -> Vec<(usize, ControllerFailure)> {
+        let failed = self.command(arch, lanes, [front, behind], span_s);
         if self.sluggish.is_empty() {
             let (decided, limits) = (&mut self.decided_mps2, [&self.max_brake_mps2, &self.max_accel_mps2]);
             arch.dispatch(InSimd(
@@ -117,6 +118,7 @@ impl<'s> Column<'s> {
                 };
             }
         }
+        failed
     }
 
     #[inline(always)]
@@ -124,25 +126,33 @@ impl<'s> Column<'s> {
         Seen::first(runs, [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2])
     }
 
-    /// What the drivers want.
-    fn command(&mut self, arch: Arch, lanes: &[Lane<'_, 's>], [front, behind]: [Option<&Self>; 2], span_s: [f64; 2]) {
+    /// What the drivers want; the runs in which one failed, and why.
+    fn command(
+        &mut self,
+        arch: Arch,
+        lanes: &[Lane<'_, 's>],
+        [front, behind]: [Option<&Self>; 2],
+        span_s: [f64; 2],
+    ) -> Vec<(usize, ControllerFailure)> {
         // One length for all, known as such, so that no index needs a check.
         let runs = lanes.len();
         // Not by `seen`, which would take hold of the drivers as well.
         let own = Seen::first(runs, [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2]);
         let (front, behind) = (front.map(|front| front.seen(runs)), behind.map(|behind| behind.seen(runs)));
         let view = View { own, front, behind };
+        let mut failed = Vec::new();
         let commands_mps2 = &mut self.decided_mps2.filled_mut()[..runs];
         if self.estimator.is_empty() {
-            self.drivers.command_by_truth(arch, span_s, &view, commands_mps2);
+            self.drivers.command_by_truth(arch, span_s, &view, commands_mps2, &mut failed);
         } else {
             let estimator = &mut self.estimator;
             let see = |run: usize| {
                 let truth = TrueState { position_m: own.position_m[run], observation: view.observation(run) };
                 estimator[run].observe(lanes[run].run.tuning(), &truth)
             };
-            self.drivers.command(arch, span_s, own.speed_mps, see, commands_mps2);
+            self.drivers.command(arch, span_s, own.speed_mps, see, commands_mps2, &mut failed);
         }
+        failed
     }
 
     /// Where the vehicle is after `dt_s` if nobody touches it.

@@ -22,7 +22,6 @@ use rayon::prelude::*;
 use self::block::Block;
 use self::per_run::Runs;
 use super::{ControllerKind, RecordingLevel, Run, Simulated};
-use crate::scenario::ControllerSpec;
 
 /// Most runs in a block: enough to fill vector registers and hide latencies, few enough to stay in the first-level cache.
 const MOST_RUNS: usize = Runs::MOST;
@@ -79,8 +78,7 @@ fn compare_shapes(a: &Run<'_>, b: &Run<'_>) -> Ordering {
 fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
     let under_test = match &run.options().controller {
         ControllerKind::BuiltIn(spec) => spec.name(),
-        ControllerKind::Policy(_) => ControllerSpec::Policy.name(),
-        ControllerKind::Stress(stress) => stress.name(),
+        ControllerKind::Policy(_) => "policy",
         ControllerKind::Shielded(_) => "shielded",
         ControllerKind::Custom(_) => "custom",
     };
@@ -92,6 +90,7 @@ fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::ControllerSpec;
     use crate::policy::every_path;
     use crate::scenario::{Driver, PaperDistribution};
     use crate::sim::RunOptions;

@@ -1,7 +1,7 @@
 //! What is true of a vehicle position and its neighbours, in all runs of a block.
 
 use super::per_run::PerRun;
-use crate::estimate::{Neighbour, Observation};
+use crate::observation::{Neighbour, Observation};
 
 /// What others can see of one vehicle position, an entry a run.
 #[derive(Clone, Copy)]

@@ -1,0 +1,294 @@
+//! The table of built-in controllers, and what is derived from it.
+//!
+//! A controller is a file of its own with an implementation of [`BuiltIn`], and a row here. The command line, the format of
+//! scenario files, its schema, lists, the lockstep engine and the fuzzing strategies follow.
+
+use std::sync::Arc;
+
+use super::{
+    AccAeb, Baseline, BaselineUnlatched, ConstantBrake, Controller, ControllerFailure, Ego, Field, FullThrottle, Idm,
+    MatchLeader, PolicyDriver, RandomActions, ReferencePolicy, RetrainedPolicy, Settings, Shield, ZeroOrderHold,
+};
+use crate::digest::sha256;
+use crate::observation::Observation;
+use crate::policy::Policy;
+
+/// Hands the table to a macro. First the controllers that are rules: a row's name is that of the type that drives. Then
+/// those that are policies: a row's name, and the type that knows the policy. The documentation of a row is that of its
+/// name in scenario files.
+macro_rules! with_controllers {
+    ($then:ident) => {
+        $then! {
+            rules {
+                /// The paper's baseline ADAS.
+                Baseline,
+                /// The baseline ADAS with a brake that is released when TTC recovers.
+                BaselineUnlatched,
+                /// Command the acceleration that the vehicle ahead is seen to have.
+                MatchLeader,
+                /// Brake at a constant rate once the vehicle ahead is seen to brake.
+                ConstantBrake,
+                /// Intelligent Driver Model.
+                Idm,
+                /// Adaptive cruise control with emergency braking.
+                AccAeb,
+                /// Full acceleration at all times.
+                FullThrottle,
+                /// A random action each step, from the scenario's seed.
+                RandomActions,
+            }
+            policies {
+                /// The committed reference policy.
+                Policy(ReferencePolicy),
+                /// The committed policy that was retrained in the space `high-risk`.
+                Retrained(RetrainedPolicy),
+            }
+        }
+    };
+}
+pub(crate) use with_controllers;
+
+/// What a built-in controller is for. Lists are in this order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Role {
+    /// It drives by a rule, as traffic or under test.
+    Rule,
+    /// It was learned.
+    Learned,
+    /// Nobody would drive with it: it shows what a shield is worth.
+    Probe,
+}
+
+/// A controller that is known by name.
+pub trait BuiltIn {
+    /// The name used in files and on the command line.
+    const NAME: &'static str;
+    /// What it does, in one line.
+    const SUMMARY: &'static str;
+    /// What it is for.
+    const ROLE: Role = Role::Rule;
+    /// The numbers that decide how it drives.
+    type Settings: Settings;
+    /// What drives.
+    type Driver: Controller;
+
+    /// Its policy, if it is learned.
+    fn policy() -> Option<Arc<Policy>> {
+        None
+    }
+
+    /// A controller for a vehicle. `seed` is the scenario's.
+    fn start(settings: &Self::Settings, ego: &Ego, seed: u64) -> Self::Driver;
+}
+
+macro_rules! define {
+    (rules { $($(#[$doc:meta])* $rule:ident,)* } policies { $($(#[$policy_doc:meta])* $policy:ident($known_by:ident),)* }) => {
+        /// A built-in controller and its settings.
+        #[derive(Debug, Clone, PartialEq)]
+        pub enum ControllerSpec {
+            $($(#[$doc])* $rule(<$rule as BuiltIn>::Settings),)*
+            $($(#[$policy_doc])* $policy(<$known_by as BuiltIn>::Settings),)*
+        }
+
+        /// Evaluates `$of` for the row of a specification: with the type that knows it, and with its settings.
+        macro_rules! of_row {
+            ($spec:expr, |$row:ident, $settings:ident| $of:expr) => {
+                match $spec {
+                    $(ControllerSpec::$rule($settings) => { type $row = $rule; $of })*
+                    $(ControllerSpec::$policy($settings) => { type $row = $known_by; $of })*
+                }
+            };
+        }
+
+        impl ControllerSpec {
+            /// Every built-in controller with its default settings, in the order `crumple list controllers` shows them.
+            #[must_use]
+            pub fn built_in() -> Vec<Self> {
+                let mut all = vec![$(Self::$rule(Default::default()),)* $(Self::$policy(Default::default()),)*];
+                all.sort_by_key(Self::role);
+                all
+            }
+
+            fn with_default_settings(&self) -> Self {
+                match self {
+                    $(Self::$rule(_) => Self::$rule(Default::default()),)*
+                    $(Self::$policy(_) => Self::$policy(Default::default()),)*
+                }
+            }
+        }
+
+        /// A controller of any kind, ready to drive one vehicle.
+        pub enum AnyController {
+            $($(#[$doc])* $rule($rule),)*
+            /// A learned policy.
+            Policy(PolicyDriver),
+            /// Any controller behind a shield.
+            Shielded(Shield),
+            /// A controller from outside.
+            Custom(ZeroOrderHold),
+            /// A controller that could not be started.
+            NotStarted(ControllerFailure),
+        }
+
+        impl Controller for AnyController {
+            #[inline]
+            fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+                match self {
+                    $(Self::$rule(controller) => controller.decide(seen),)*
+                    Self::Policy(controller) => controller.decide(seen),
+                    Self::Shielded(controller) => controller.decide(seen),
+                    Self::Custom(controller) => controller.decide(seen),
+                    Self::NotStarted(failure) => Err(failure.clone()),
+                }
+            }
+        }
+
+        impl AnyController {
+            /// Builds a built-in controller for a vehicle. `seed` is the scenario's.
+            #[must_use]
+            pub fn built_in(spec: &ControllerSpec, ego: &Ego, seed: u64) -> Self {
+                match spec {
+                    $(ControllerSpec::$rule(settings) => Self::$rule($rule::start(settings, ego, seed)),)*
+                    $(ControllerSpec::$policy(settings) => Self::Policy($known_by::start(settings, ego, seed)),)*
+                }
+            }
+        }
+    };
+}
+with_controllers!(define);
+
+/// Why words name no built-in controller.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidSetting {
+    /// No such setting.
+    #[error("`{found}` is no setting of {controller}: {}", known_settings(known))]
+    Unknown {
+        /// What was found.
+        found: String,
+        /// The controller.
+        controller: &'static str,
+        /// Its settings.
+        known: &'static [Field],
+    },
+    /// A value that is no number of its range.
+    #[error("{controller}: {name} must be a number from {} to {}, found `{found}`", range[0], range[1])]
+    Value {
+        /// The controller.
+        controller: &'static str,
+        /// The setting.
+        name: &'static str,
+        /// The least and the largest value there may be.
+        range: [f64; 2],
+        /// What was found.
+        found: String,
+    },
+}
+
+fn known_settings(known: &[Field]) -> String {
+    match known {
+        [] => "it has none".to_owned(),
+        [first, ..] => {
+            let names: Vec<_> = known.iter().map(|field| field.name).collect();
+            format!("there are {}, each with a number, as in `{}={}`", names.join(", "), first.name, first.usual[1])
+        }
+    }
+}
+
+impl ControllerSpec {
+    /// The built-in controller of that name with its default settings.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::built_in().into_iter().find(|controller| controller.name() == name)
+    }
+
+    /// The built-in controller that words as on the command line stand for: a name, and settings that differ from the
+    /// default, each after a comma (`acc-aeb,ttc_s=2.0`). None if the name is not built in.
+    ///
+    /// ```
+    /// use crumple_world::control::ControllerSpec;
+    ///
+    /// let spec = ControllerSpec::parse("acc-aeb,ttc_s=2.0").unwrap().unwrap();
+    /// assert_eq!(spec.words(), "acc-aeb,ttc_s=2");
+    /// assert!(ControllerSpec::parse("acc-aeb,ttc_s=-1").unwrap().is_err());
+    /// ```
+    #[must_use]
+    pub fn parse(words: &str) -> Option<Result<Self, InvalidSetting>> {
+        let mut words = words.split(',');
+        let spec = Self::named(words.next()?)?;
+        Some(words.try_fold(spec, |mut spec, setting| {
+            let (name, found) = setting.split_once('=').unwrap_or((setting, ""));
+            let (controller, known) = (spec.name(), spec.fields());
+            let index = known.iter().position(|field| field.name == name);
+            let Some((place, field)) = index.and_then(|index| Some((spec.get_mut(index)?, known.get(index)?))) else {
+                return Err(InvalidSetting::Unknown { found: setting.to_owned(), controller, known });
+            };
+            let (name, range) = (field.name, field.range);
+            match found.parse::<f64>() {
+                Ok(value) if (range[0]..=range[1]).contains(&value) => *place = value,
+                _ => return Err(InvalidSetting::Value { controller, name, range, found: found.to_owned() }),
+            }
+            Ok(spec)
+        }))
+    }
+
+    /// The words that [`Self::parse`] reads as this: two equal specifications have the same.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let default = self.with_default_settings();
+        let set = self.values().zip(default.values()).filter(|(own, default)| own.1 != default.1);
+        set.fold(self.name().to_owned(), |words, ((field, value), _)| format!("{words},{}={value}", field.name))
+    }
+
+    /// The name used in files and on the command line, without settings.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        of_row!(self, |Row, _settings| Row::NAME)
+    }
+
+    /// What it does, in one line.
+    #[must_use]
+    pub fn summary(&self) -> &'static str {
+        of_row!(self, |Row, _settings| Row::SUMMARY)
+    }
+
+    /// What it is for.
+    #[must_use]
+    pub fn role(&self) -> Role {
+        of_row!(self, |Row, _settings| Row::ROLE)
+    }
+
+    /// Its policy, if it is learned.
+    #[must_use]
+    pub fn policy(&self) -> Option<Arc<Policy>> {
+        of_row!(self, |Row, _settings| Row::policy())
+    }
+
+    /// What its settings are, in the order in which files state them.
+    #[must_use]
+    pub fn fields(&self) -> &'static [Field] {
+        of_row!(self, |Row, _settings| <Row as BuiltIn>::Settings::FIELDS)
+    }
+
+    /// Its settings with their values.
+    pub fn values(&self) -> impl Iterator<Item = (&'static Field, f64)> {
+        (0..).zip(self.fields()).filter_map(|(index, field)| Some((field, self.get(index)?)))
+    }
+
+    fn get(&self, index: usize) -> Option<f64> {
+        of_row!(self, |_Row, settings| settings.get(index))
+    }
+
+    /// The place of the value of the `index`-th of [`Self::fields`].
+    pub fn get_mut(&mut self, index: usize) -> Option<&mut f64> {
+        of_row!(self, |_Row, settings| settings.get_mut(index))
+    }
+
+    /// SHA-256, in hexadecimal, of what decides how it drives: of a policy's file, or of a rule's name and settings.
+    #[must_use]
+    pub fn identity(&self) -> String {
+        let values: Vec<_> = self.values().map(|(_, value)| value.to_bits().to_string()).collect();
+        let rule = || sha256(format!("rule {} {}", self.name(), values.join(" ")));
+        self.policy().map_or_else(rule, |policy| policy.digest())
+    }
+}
