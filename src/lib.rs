@@ -44,6 +44,13 @@ pub use crumple_report as report;
 pub use crumple_search as search;
 pub use crumple_world as world;
 
-pub use crumple_world::control::ControllerSpec;
+pub use crumple_learn::rl::{TrainingConfig, train};
+pub use crumple_report::assessment::{Assessment, AssessmentPlan, assess};
+pub use crumple_search::evidence::RatePlan;
+pub use crumple_search::falsify::campaign::Campaign;
+pub use crumple_search::worst_case::{attack, avoid};
+pub use crumple_world::control::{Controller, ControllerFailure, ControllerSource, ControllerSpec};
+pub use crumple_world::measure::Specification;
 pub use crumple_world::scenario::Scenario;
-pub use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
+pub use crumple_world::scenario::space::Space;
+pub use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};

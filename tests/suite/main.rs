@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
 
 mod command_line;
+mod controller_failures;
 mod controllers;
 mod corpora;
 mod engines;

@@ -9,6 +9,13 @@ use crumple_world::observation::EstimatorKind;
 pub const TRAINING_VERSION: u32 = 1;
 
 /// Everything that decides a training, apart from the seed.
+///
+/// ```
+/// use crumple_learn::rl::TrainingConfig;
+///
+/// let fast = TrainingConfig::preset("fast").unwrap();
+/// assert_eq!(fast.network.hidden, [64, 64, 64]);
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingConfig {

@@ -121,18 +121,34 @@ pub enum AssessError {
     Store(#[from] StoreError),
 }
 
-/// Gathers the evidence a plan asks for; what `store` has kept of it is not gathered again.
+/// Gathers the evidence a plan asks for; what `store` has kept of it is not gathered again. Nothing is kept where a
+/// controller states no identity.
 ///
 /// `told` hears how many of the plan's runs are done.
 ///
 /// # Errors
 /// [`AssessError`] if a scenario cannot be run or drawn, or evidence not kept.
+///
+/// ```
+/// use crumple_report::assessment::{AssessConfig, AssessmentPlan, Store, assess};
+/// use std::path::Path;
+///
+/// let mut config = AssessConfig::default();
+/// config.controllers = vec!["baseline".to_owned(), "idm".to_owned()];
+/// config.gates.clear();
+/// (config.draws, config.search.spaces, config.rates.runs) = (20, Vec::new(), 0);
+/// let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
+/// let assessment = assess(&plan, &Store::none(), None, &|_| {}).unwrap();
+/// assert!(assessment.html().contains("</html>"));
+/// ```
 pub fn assess(
     plan: &AssessmentPlan,
     store: &Store,
     against: Option<&Earlier>,
     told: &(dyn Fn(u64) + Sync),
 ) -> Result<Assessment, AssessError> {
+    let nothing_kept = Store::none();
+    let store = if plan.has_identities() { store } else { &nothing_kept };
     let work = Work::new(store, told);
     let paper_scenarios = PaperScenarios::gather(plan, &work)?;
     let distribution = Distribution::gather(plan, &work)?;

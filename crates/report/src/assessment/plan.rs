@@ -64,6 +64,27 @@ impl AssessmentPlan {
         Self { subject: subject(&controllers), config, controllers, traffic: Vec::new(), spaces, certificates }
     }
 
+    /// An assessment of controllers of one's own, beside those that the configuration names. The argument is about the
+    /// first of them, unless the configuration says otherwise. Files that it names are looked for in `folder`.
+    ///
+    /// # Errors
+    /// [`ConfigError`] for a configuration that cannot be accepted, and for a name that is taken.
+    pub fn new(
+        mut config: AssessConfig,
+        own: impl IntoIterator<Item = NamedController>,
+        folder: &Path,
+    ) -> Result<Self, ConfigError> {
+        let loading = Loading { path: Path::new("configuration"), text: "", folder };
+        let mut controllers = loading.controllers(&config)?;
+        let first_own = controllers.len();
+        for controller in own {
+            loading.add(&mut controllers, "controllers", controller)?;
+        }
+        config.controllers = controllers.iter().map(|controller| controller.name.clone()).collect();
+        config.subject = config.subject.or_else(|| Some(controllers.get(first_own)?.name.clone()));
+        loading.plan(config, controllers)
+    }
+
     /// Reads a configuration file and everything it names.
     ///
     /// # Errors
@@ -72,36 +93,8 @@ impl AssessmentPlan {
         let text = file::read(path)?;
         let config: AssessConfig = file::parse_toml(&text, path)?;
         let loading = Loading { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
-        loading.check_numbers(&config)?;
         let controllers = loading.controllers(&config)?;
-        let named = |name: &str| controllers.iter().position(|controller| controller.name == name);
-        let subject = match &config.subject {
-            None => subject(&controllers),
-            Some(name) => named(name).ok_or_else(|| loading.wrong("subject", not_among(name)))?,
-        };
-        for (index, gate) in config.gates.iter().enumerate() {
-            if let Some((field, name)) = gate.controllers().into_iter().find(|(_, name)| named(name).is_none()) {
-                return Err(loading.wrong(&format!("gates[{index}].{field}"), not_among(name)));
-            }
-            if let Gate::RateAtMost { percent, .. } = gate
-                && !(0.0..=100.0).contains(percent)
-            {
-                let problem = format!("must be from 0 to 100, found {percent}");
-                return Err(loading.wrong(&format!("gates[{index}].percent"), problem));
-            }
-            if let Gate::NoAvoidableFailure { space, .. } = gate
-                && !config.search.spaces.contains(space)
-            {
-                let problem = format!("`{space}` is not among `search.spaces`");
-                return Err(loading.wrong(&format!("gates[{index}].space"), problem));
-            }
-        }
-        let (traffic, spaces) = (loading.traffic(&config)?, loading.spaces(&config)?);
-        let certificates = match &config.certificates {
-            None => shipped(&controllers),
-            Some(paths) => loading.certificates(paths)?,
-        };
-        Ok(Self { config, controllers, subject, traffic, spaces, certificates })
+        loading.plan(config, controllers)
     }
 
     /// The options that make `crumple simulate` run a scenario as this plan does.
@@ -122,10 +115,17 @@ impl AssessmentPlan {
         self.controllers.iter().map(|controller| self.identity(controller)).collect()
     }
 
-    /// The same of one controller.
+    /// Whether evidence about every controller can be told from that about others, and so be kept.
+    pub(super) fn has_identities(&self) -> bool {
+        self.controllers.iter().all(|controller| controller.kind.identity().is_some())
+    }
+
+    /// Everything about one controller that evidence depends on.
     pub(super) fn identity(&self, controller: &NamedController) -> Value {
         let policy = controller.policy().map(|policy| policy.digest());
-        json!([controller.name, policy, self.config.estimator.name()])
+        let mut identity = vec![json!(controller.name), json!(policy), json!(self.config.estimator.name())];
+        identity.extend(controller.identity_from_outside().map(Value::from));
+        identity.into()
     }
 
     /// A controller's name as part of a path; different ones for different controllers.
@@ -182,6 +182,52 @@ impl Loading<'_> {
         }
     }
 
+    /// The plan of a configuration with these controllers.
+    fn plan(&self, config: AssessConfig, controllers: Vec<NamedController>) -> Result<AssessmentPlan, ConfigError> {
+        self.check_numbers(&config)?;
+        let named = |name: &str| controllers.iter().position(|controller| controller.name == name);
+        let subject = match &config.subject {
+            None => subject(&controllers),
+            Some(name) => named(name).ok_or_else(|| self.wrong("subject", not_among(name)))?,
+        };
+        for (index, gate) in config.gates.iter().enumerate() {
+            if let Some((field, name)) = gate.controllers().into_iter().find(|(_, name)| named(name).is_none()) {
+                return Err(self.wrong(&format!("gates[{index}].{field}"), not_among(name)));
+            }
+            if let Gate::RateAtMost { percent, .. } = gate
+                && !(0.0..=100.0).contains(percent)
+            {
+                let problem = format!("must be from 0 to 100, found {percent}");
+                return Err(self.wrong(&format!("gates[{index}].percent"), problem));
+            }
+            if let Gate::NoAvoidableFailure { space, .. } = gate
+                && !config.search.spaces.contains(space)
+            {
+                let problem = format!("`{space}` is not among `search.spaces`");
+                return Err(self.wrong(&format!("gates[{index}].space"), problem));
+            }
+        }
+        let (traffic, spaces) = (self.traffic(&config)?, self.spaces(&config)?);
+        let certificates = match &config.certificates {
+            None => shipped(&controllers),
+            Some(paths) => self.certificates(paths)?,
+        };
+        Ok(AssessmentPlan { config, controllers, subject, traffic, spaces, certificates })
+    }
+
+    fn add(
+        &self,
+        controllers: &mut Vec<NamedController>,
+        field: &str,
+        controller: NamedController,
+    ) -> Result<(), ConfigError> {
+        if controllers.iter().any(|known| known.name == controller.name) {
+            return Err(self.wrong(field, format!("`{}` is named twice", controller.name)));
+        }
+        controllers.push(controller);
+        Ok(())
+    }
+
     fn check_numbers(&self, config: &AssessConfig) -> Result<(), ConfigError> {
         if config.version != CONFIG_VERSION {
             let problem = format!("version {} is not supported: this release reads {CONFIG_VERSION}", config.version);
@@ -213,10 +259,7 @@ impl Loading<'_> {
             let field = format!("controllers[{index}]");
             let controller =
                 NamedController::find(name, self.folder).map_err(|error| self.wrong(&field, error.to_string()))?;
-            if controllers.iter().any(|known: &NamedController| known.name == controller.name) {
-                return Err(self.wrong(&field, format!("`{name}` is named twice")));
-            }
-            controllers.push(controller);
+            self.add(&mut controllers, &field, controller)?;
         }
         Ok(controllers)
     }

@@ -44,7 +44,7 @@ pub struct RateConfig {
 }
 
 /// Why nothing can be claimed whatever is counted.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidRate {
     /// Number of runs.
@@ -52,6 +52,12 @@ pub enum InvalidRate {
     Runs {
         /// What was asked for.
         found: u64,
+    },
+    /// A controller that cannot be told from others.
+    #[error("the controller `{controller}` states no identity: nothing can be claimed of it")]
+    NoIdentity {
+        /// The controller.
+        controller: String,
     },
     /// Confidence.
     #[error("a confidence of {found}, which must be between 1/2 and 1")]
@@ -83,7 +89,7 @@ pub enum RateError {
     },
 }
 
-/// What has been counted so far. A run fails if vehicles touch.
+/// What has been counted so far. A run fails if vehicles touch, or if its controller fails.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tally {
@@ -113,10 +119,16 @@ impl RatePlan {
             return Err(InvalidRate::Confidence { found: confidence });
         }
         let drivers: Vec<NamedController> = std::iter::once(controllers.0).chain(controllers.1).collect();
+        if let Some(unknown) = drivers.iter().find(|driver| driver.kind.identity().is_none()) {
+            return Err(InvalidRate::NoIdentity { controller: unknown.name.clone() });
+        }
+        // Only what comes from outside can fail otherwise.
+        let may_fail = drivers.iter().any(|driver| driver.kind.is_from_outside());
+        let failure = if may_fail { "vehicles touch, or a controller fails" } else { "vehicles touch" };
         let mut configuration = BTreeMap::from([
             ("crumple".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("estimator".to_owned(), estimator.name().to_owned()),
-            ("failure".to_owned(), "vehicles touch".to_owned()),
+            ("failure".to_owned(), failure.to_owned()),
             ("seed".to_owned(), seed.to_string()),
             ("space".to_owned(), space_name),
             // A space that was built has a TOML form.
@@ -124,6 +136,9 @@ impl RatePlan {
         ]);
         for (place, driver) in ["controller", "against"].into_iter().zip(&drivers) {
             configuration.insert(place.to_owned(), driver.name.clone());
+            if let Some(identity) = driver.identity_from_outside() {
+                configuration.insert(format!("{place}_sha256"), identity);
+            }
             if let Some(policy) = driver.policy() {
                 configuration.insert(format!("{place}_policy_sha256"), policy.digest());
             }

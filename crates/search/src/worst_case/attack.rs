@@ -118,6 +118,20 @@ pub enum AttackError {
 ///
 /// # Errors
 /// [`AttackError`] if there is nothing to vary or the run does not fit the scenario.
+///
+/// ```
+/// use crumple_search::worst_case::{Aim, Envelope, attack};
+/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::observation::EstimatorKind;
+/// use crumple_world::scenario::built_in;
+/// use crumple_world::sim::RunOptions;
+///
+/// let scenario = built_in("paper-1").unwrap();
+/// let options = RunOptions::new(ControllerSpec::named("baseline").unwrap()).with_estimator(EstimatorKind::Truth);
+/// let mildest = attack(&scenario, &options, Aim::Mildest, Envelope::of(&scenario), 100).unwrap().unwrap();
+/// // The paper's leader brakes at 3 m/s².
+/// assert!(mildest.peak_brake_mps2 < 3.0);
+/// ```
 pub fn attack(
     scenario: &Scenario,
     options: &RunOptions,

@@ -120,6 +120,14 @@ const MOST_OPEN_ENDS: usize = 8;
 ///
 /// # Errors
 /// [`AvoidError`] if the options do not fit the scenario.
+///
+/// ```
+/// use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
+/// use crumple_world::scenario::built_in;
+///
+/// let found = avoid(&built_in("paper-1").unwrap(), AvoidOptions::default()).unwrap();
+/// assert!(matches!(found.verdict, AvoidanceVerdict::Avoidable(escape) if escape.min_gap_m > 8.0));
+/// ```
 pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
     avoid_all(&Family::point(scenario), options)
 }

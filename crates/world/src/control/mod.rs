@@ -46,6 +46,20 @@ pub struct Ego {
 }
 
 /// Decides a vehicle's acceleration from what may be seen.
+///
+/// ```
+/// use crumple_world::control::{Controller, ControllerFailure};
+/// use crumple_world::observation::Observation;
+///
+/// /// Never brakes.
+/// struct Coasting;
+///
+/// impl Controller for Coasting {
+///     fn decide(&mut self, _seen: &Observation) -> Result<f64, ControllerFailure> {
+///         Ok(0.0)
+///     }
+/// }
+/// ```
 pub trait Controller: Send {
     /// The acceleration wanted until the next decision, in m/s². Values beyond the vehicle's limits are cut to them.
     ///

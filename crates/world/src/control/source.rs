@@ -6,6 +6,13 @@ use super::{Controller, Ego};
 use crate::observation::Observation;
 
 /// Why a controller gave no usable answer. The run ends there: a vehicle without a driver does not coast.
+///
+/// ```
+/// use crumple_world::control::ControllerFailure;
+///
+/// let late = ControllerFailure::Late { limit_s: 0.1 };
+/// assert_eq!(late.to_string(), "it gave no answer within 0.1 s");
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]

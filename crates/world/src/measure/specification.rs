@@ -10,6 +10,18 @@ use crate::scenario::{Scenario, VehicleClass};
 use crate::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate};
 
 /// What must hold in every run.
+///
+/// ```
+/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::measure::Specification;
+/// use crumple_world::scenario::built_in;
+/// use crumple_world::sim::RunOptions;
+///
+/// let scenario = built_in("paper-1").unwrap();
+/// let headway = Specification::parse("always v1.time_gap_s > 0.3", &scenario).unwrap();
+/// let options = RunOptions::new(ControllerSpec::named("idm").unwrap());
+/// assert!(!headway.judge_scenario(&scenario, options).unwrap().is_violation());
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub enum Specification {
     /// Nobody touches anybody. Robustness is the smallest gap between any two successive vehicles, in metres, and after a

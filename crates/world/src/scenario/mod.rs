@@ -113,6 +113,15 @@ impl Default for Sensors {
 /// A valid scenario.
 ///
 /// Read it through [`Scenario::spec`]; change it through [`Scenario::edited`], which checks again.
+///
+/// ```
+/// use crumple_world::scenario::built_in;
+///
+/// let paper = built_in("paper-1").unwrap();
+/// let wet = paper.edited(|spec| spec.environment.friction = 0.6).unwrap();
+/// assert_eq!(wet.usable_brake_mps2(1), 4.5);
+/// assert!(paper.edited(|spec| spec.environment.friction = -1.0).is_err());
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scenario {
     spec: ScenarioSpec,

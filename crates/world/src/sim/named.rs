@@ -5,10 +5,21 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::{ControllerKind, Shielded};
-use crate::control::{BuiltIn, ControllerSpec, ErrorBounds, InvalidSetting, RetrainedPolicy, ShieldSettings};
+use crate::control::{
+    BuiltIn, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, RetrainedPolicy, ShieldSettings,
+};
 use crate::policy::{Policy, PolicyError};
 
 /// A controller to put under test, and what it is called.
+///
+/// ```
+/// use std::path::Path;
+/// use crumple_world::sim::NamedController;
+///
+/// let shielded = NamedController::find("shield:acc-aeb,ttc_s=2.0", Path::new("")).unwrap();
+/// assert_eq!(shielded.name, "shield:acc-aeb,ttc_s=2");
+/// assert!(NamedController::find("acc-aeb,ttc=2", Path::new("")).is_err());
+/// ```
 #[derive(Clone)]
 pub struct NamedController {
     /// A built-in name, or the path of a policy file as it was given.
@@ -47,6 +58,12 @@ pub enum UnknownController {
 }
 
 impl NamedController {
+    /// A controller from outside, under a name of one's own.
+    #[must_use]
+    pub fn from_source(name: &str, source: Arc<dyn ControllerSource>) -> Self {
+        Self { name: name.to_owned(), kind: ControllerKind::Custom(source) }
+    }
+
     /// The built-in controllers, in the order they are listed.
     #[must_use]
     pub fn built_in() -> Vec<Self> {

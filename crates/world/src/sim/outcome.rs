@@ -7,6 +7,13 @@ use serde::{Deserialize, Serialize};
 use crate::control::ControllerFailure;
 
 /// How a run ended, and which vehicles touched first.
+///
+/// ```
+/// use crumple_world::sim::Outcome;
+///
+/// assert!(Outcome::NoCollision.is_safe());
+/// assert_eq!(Outcome::NoCollision.contact(), None);
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]

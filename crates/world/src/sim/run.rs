@@ -108,6 +108,17 @@ impl<S: ControllerSource + 'static> From<Arc<S>> for ControllerKind {
 }
 
 /// How to run a scenario.
+///
+/// ```
+/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::observation::EstimatorKind;
+/// use crumple_world::sim::{AfterContact, RunOptions};
+///
+/// let options = RunOptions::new(ControllerSpec::named("baseline").unwrap())
+///     .with_estimator(EstimatorKind::Truth)
+///     .with_after_contact(AfterContact::Continue);
+/// assert_eq!(options.dt_s, None);
+/// ```
 #[derive(Clone)]
 pub struct RunOptions {
     /// What drives the vehicles under test.
@@ -205,6 +216,17 @@ pub enum RunError {
 }
 
 /// A scenario ready to run.
+///
+/// ```
+/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::scenario::built_in;
+/// use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+///
+/// let scenario = built_in("paper-1").unwrap();
+/// let idm = ControllerSpec::named("idm").unwrap();
+/// let run = Run::new(&scenario, RunOptions::new(idm)).unwrap();
+/// assert!(simulate(&run, RecordingLevel::Summary).outcome.is_safe());
+/// ```
 pub struct Run<'s> {
     scenario: &'s Scenario,
     options: RunOptions,

@@ -5,6 +5,17 @@
 use super::{RecordingLevel, Run, Simulated, Stepper};
 
 /// Runs a scenario.
+///
+/// ```
+/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::scenario::built_in;
+/// use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+///
+/// let scenario = built_in("paper-1").unwrap();
+/// let run = Run::new(&scenario, RunOptions::new(ControllerSpec::named("baseline").unwrap())).unwrap();
+/// let result = simulate(&run, RecordingLevel::Trace);
+/// assert_eq!(result.trace.unwrap().vehicles.len(), 3);
+/// ```
 #[must_use]
 pub fn simulate(run: &Run<'_>, keep: RecordingLevel) -> Simulated {
     let mut stepper = Stepper::new(run, keep);

@@ -149,14 +149,14 @@ impl Search {
         let item = format!("search {} in {}", controller.name, space.name());
         let inputs = json!([
             plan.identity(controller),
-            space_file::to_toml(space).unwrap_or_default(),
+            space_file::to_toml(space).map_err(StoreError::encoding)?,
             campaign.budget,
             campaign.seed
         ]);
         let (summary, texts): (Summary, Vec<String>) = work.store.get(&item, &inputs, || {
             let folder = work.store.workplace(&item, &inputs)?;
             let mut done = 0;
-            let summary = campaign.run(folder.path(), true, &mut |progress| {
+            let summary = campaign.run(folder.path(), controller.kind.identity().is_some(), &mut |progress| {
                 work.did(progress.evaluations - done);
                 done = progress.evaluations;
             })?;

@@ -15,6 +15,29 @@ use crumple_world::sim::{NamedController, RunOptions};
 pub const CAMPAIGN_VERSION: u32 = 2;
 
 /// Everything that decides a campaign's results.
+///
+/// ```
+/// use crumple_search::falsify::Method;
+/// use crumple_search::falsify::campaign::{Aim, Campaign};
+/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::measure::Specification;
+/// use crumple_world::observation::EstimatorKind;
+/// use crumple_world::scenario::space::built_in_space;
+///
+/// let campaign = Campaign {
+///     controller: ControllerSpec::named("match-leader").unwrap().into(),
+///     estimator: EstimatorKind::Kalman,
+///     space: built_in_space("high-risk").unwrap(),
+///     specification: Specification::NoContact,
+///     method: Method::Auto,
+///     aim: Aim::Severest,
+///     budget: 50,
+///     seed: 0,
+/// };
+/// let folder = tempfile::tempdir().unwrap();
+/// let summary = campaign.run(&folder.path().join("campaign"), false, &mut |_| {}).unwrap();
+/// assert!(summary.falsified);
+/// ```
 #[derive(Debug, Clone)]
 pub struct Campaign {
     /// What is put under test.

@@ -54,6 +54,14 @@ use super::{InvalidField, Scenario, ScenarioSpec, VehicleClass};
 use crate::random::{self, Purpose};
 
 /// A search space in which every point is a valid scenario.
+///
+/// ```
+/// use crumple_world::scenario::space::built_in_space;
+///
+/// let space = built_in_space("high-risk").unwrap();
+/// // One seed decides every draw, in any order.
+/// assert_eq!(space.draw(7, 3).unwrap(), space.draw(7, 3).unwrap());
+/// ```
 #[derive(Debug, Clone)]
 pub struct Space {
     spec: SpaceSpec,

@@ -36,6 +36,19 @@ const MOST_TRACED_SAMPLES: usize = 2_000_000;
 ///
 /// Returns what `reduce` returned, in the order of `runs`. Only the results under way are in memory at any time, so
 /// `reduce` can turn traces into something smaller.
+///
+/// ```
+/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::scenario::space::built_in_space;
+/// use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
+///
+/// let space = built_in_space("paper").unwrap();
+/// let scenarios: Vec<_> = (0..100).map(|index| space.draw(0, index).unwrap()).collect();
+/// let options = RunOptions::new(ControllerSpec::named("baseline").unwrap());
+/// let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
+/// let safe = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.is_safe());
+/// assert_eq!(safe.into_iter().filter(|&safe| safe).count(), 0);
+/// ```
 pub fn simulate_batch<R: Send>(
     runs: &[Run<'_>],
     keep: RecordingLevel,

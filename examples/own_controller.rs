@@ -1,0 +1,91 @@
+//! A controller of one's own: simulated, falsified and assessed beside those that are built in.
+//!
+//! `cargo run --release --example own_controller -- FOLDER` leaves the campaign and the report in FOLDER.
+
+use std::error::Error;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crumple::report::assessment::{AssessConfig, Store};
+use crumple::search::disk;
+use crumple::search::falsify::{Method, campaign::Aim};
+use crumple::world::control::Ego;
+use crumple::world::digest::sha256;
+use crumple::world::observation::{EstimatorKind, Observation};
+use crumple::world::scenario::{built_in, space::built_in_space};
+use crumple::{
+    AssessmentPlan, Campaign, Controller, ControllerFailure, ControllerSource, NamedController, RecordingLevel, Run,
+    RunOptions, Specification, assess, simulate,
+};
+
+/// Keeps a time gap to the vehicle ahead and brakes softly; gives up where it sees no vehicle ahead.
+#[derive(Clone)]
+struct SoftFollower {
+    time_gap_s: f64,
+}
+
+impl ControllerSource for SoftFollower {
+    /// Everything that decides how it drives: its settings, and a name that changes with its code.
+    fn identity(&self) -> Option<String> {
+        Some(sha256(format!("soft follower, version 1, {} s", self.time_gap_s)))
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        Some(0.1)
+    }
+
+    fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        Ok(Box::new(self.clone()))
+    }
+}
+
+impl Controller for SoftFollower {
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        let Some(ahead) = seen.ahead else {
+            return Err(ControllerFailure::Died { message: "no vehicle ahead".to_owned() });
+        };
+        let spacing_error_m = ahead.gap_m - 2.0 - self.time_gap_s * seen.speed_mps;
+        let wanted_mps2 = 0.2 * spacing_error_m + 0.8 * (ahead.speed_mps - seen.speed_mps);
+        Ok(wanted_mps2.clamp(-4.0, 2.0))
+    }
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let folder = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "own-controller".to_owned()));
+    let own = NamedController::from_source("soft-follower", Arc::new(SoftFollower { time_gap_s: 0.8 }));
+
+    for name in ["paper-1", "paper-2", "paper-3"] {
+        let scenario = built_in(name).ok_or("not built in")?;
+        let run = Run::new(&scenario, RunOptions::new(own.kind.clone()))?;
+        println!("{name}: {:?}", simulate(&run, RecordingLevel::Summary).outcome);
+    }
+
+    let campaign = Campaign {
+        controller: own.clone(),
+        estimator: EstimatorKind::Kalman,
+        space: built_in_space("high-risk").ok_or("not built in")?,
+        specification: Specification::NoContact,
+        method: Method::Auto,
+        aim: Aim::Severest,
+        budget: 200,
+        seed: 0,
+    };
+    // Whoever runs the example again goes on with the same campaign: it is known by the controller's identity.
+    let summary = campaign.run(&folder.join("campaign"), true, &mut |_| {})?;
+    println!("{}", summary.to_text());
+
+    let mut config = AssessConfig::default();
+    config.controllers = vec!["baseline".to_owned(), "idm".to_owned()];
+    config.gates.clear();
+    (config.draws, config.search.budget) = (100, 100);
+    let plan = AssessmentPlan::new(config, [own], &folder)?;
+    let store = Store::open(&folder.join("evidence"), "own_controller 1", false)?;
+    let assessment = assess(&plan, &store, None, &|_| {})?;
+    for (name, text) in assessment.files()? {
+        let path = folder.join(name);
+        disk::make_folder(path.parent().unwrap_or(&folder))?;
+        disk::write(&path, text)?;
+    }
+    println!("{}\nwrote {}", assessment.summary.paragraph, folder.join("assessment.html").display());
+    Ok(())
+}

@@ -1,0 +1,221 @@
+//! Controllers that give no usable answer: the run ends there, in both engines alike, and every claim counts it.
+
+use std::sync::Arc;
+
+use crumple_report::assessment::{AssessConfig, AssessmentPlan, CaseVerdict, Store, assess};
+use crumple_search::evidence::{InvalidRate, RateConfig, RatePlan};
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{Aim, Campaign};
+use crumple_world::control::{
+    Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, Needs, ShieldSettings,
+};
+use crumple_world::measure::Specification;
+use crumple_world::observation::{EstimatorKind, Observation};
+use crumple_world::scenario::space::{Space, built_in_space};
+use crumple_world::scenario::{Driver, Scenario, built_in};
+use crumple_world::sim::{
+    AfterContact, ControllerKind, FailedController, NamedController, Outcome, RecordingLevel, Run, RunError,
+    RunOptions, Shielded, simulate, simulate_batch,
+};
+use proptest::prelude::*;
+
+use crate::generate::cases;
+
+/// Accelerates mildly, and fails at its `fails_at`-th answer: by saying so, or with something that is no number.
+#[derive(Clone)]
+struct Failing {
+    fails_at: usize,
+    answer: Result<f64, ControllerFailure>,
+    needs: Needs,
+    identity: Option<&'static str>,
+    answered: usize,
+}
+
+impl Failing {
+    fn at(fails_at: usize, answer: Result<f64, ControllerFailure>) -> Self {
+        Self { fails_at, answer, needs: Needs::Nothing, identity: Some("failing"), answered: 0 }
+    }
+
+    fn kind(self) -> ControllerKind {
+        Arc::new(self).into()
+    }
+
+    fn named(self) -> NamedController {
+        NamedController::from_source("failing", Arc::new(self))
+    }
+}
+
+impl ControllerSource for Failing {
+    fn identity(&self) -> Option<String> {
+        self.identity.map(str::to_owned)
+    }
+
+    fn needs(&self) -> Needs {
+        self.needs
+    }
+
+    fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        match (&self.answer, self.fails_at) {
+            (Err(failure), 0) => Err(failure.clone()),
+            _ => Ok(Box::new(self.clone())),
+        }
+    }
+}
+
+impl Controller for Failing {
+    fn decide(&mut self, _seen: &Observation) -> Result<f64, ControllerFailure> {
+        self.answered += 1;
+        if self.answered > self.fails_at { self.answer.clone() } else { Ok(0.2) }
+    }
+}
+
+fn died() -> ControllerFailure {
+    ControllerFailure::Died { message: "no longer there".to_owned() }
+}
+
+/// Paper scenario 2 with all but the leader under test.
+fn line() -> Scenario {
+    let edited = built_in("paper-2").unwrap().edited(|spec| spec.vehicles[2].driver = Driver::UnderTest);
+    edited.unwrap()
+}
+
+proptest! {
+    #![proptest_config(cases(64))]
+
+    /// Whenever and however a controller fails, beside runs that go on: one outcome and one trace in both engines, which
+    /// end at the instant at which it was to decide.
+    #[test]
+    fn both_engines_end_the_run_at_the_same_instant(
+        fails_at in prop::collection::vec(0..1200_usize, 1..9),
+        answer in prop_oneof![Just(Ok(f64::NAN)), Just(Ok(f64::NEG_INFINITY)), Just(Err(died()))],
+        estimator in prop_oneof![Just(EstimatorKind::Truth), Just(EstimatorKind::Kalman)],
+        after_contact in crate::generate::any_after_contact(),
+        shielded in any::<bool>(),
+    ) {
+        let scenario = line();
+        let kind = |&fails_at: &usize| {
+            let controller = Failing::at(fails_at, answer.clone()).kind();
+            if shielded { Shielded { controller, settings: ShieldSettings::default() }.into() } else { controller }
+        };
+        let runs: Vec<_> = fails_at
+            .iter()
+            .map(|fails_at| {
+                let options = RunOptions::new(kind(fails_at)).with_estimator(estimator);
+                Run::new(&scenario, options.with_after_contact(after_contact)).unwrap()
+            })
+            .collect();
+        let together = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);
+        for ((run, result), &fails_at) in runs.iter().zip(together).zip(&fails_at) {
+            prop_assert_eq!(&simulate(run, RecordingLevel::Trace), &result);
+            let trace = result.trace.as_ref().unwrap();
+            let end_s = *trace.time_s.last().unwrap();
+            match &result.outcome {
+                Outcome::ControllerFailed(FailedController { time_s, vehicle, failure }) => {
+                    prop_assert_eq!((*time_s, *vehicle), (end_s, 1));
+                    prop_assert!((end_s - fails_at as f64 * 0.01).abs() < 1e-9, "{} {}", end_s, fails_at);
+                    prop_assert_eq!(failure, &answer.clone().err().unwrap_or(ControllerFailure::NotFinite));
+                }
+                Outcome::Collision(contact) => prop_assert!(contact.time_s <= fails_at as f64 * 0.01),
+                Outcome::NoCollision => prop_assert!(fails_at as f64 * 0.01 >= scenario.spec().duration_s),
+            }
+            prop_assert!(trace.time_s.is_sorted_by(|before, after| before < after));
+        }
+    }
+}
+
+#[test]
+fn a_controller_is_not_put_where_the_neighbour_it_needs_is_missing() {
+    let scenario = line();
+    for (needs, missing) in [(Needs::Nothing, None), (Needs::Ahead, None), (Needs::AheadAndBehind, Some("behind"))] {
+        let refused = Run::new(&scenario, RunOptions::new(Failing { needs, ..Failing::at(9, Ok(0.0)) }.kind())).err();
+        assert_eq!(refused, missing.map(|missing| RunError::Needs { vehicle: 2, missing }));
+    }
+}
+
+#[test]
+fn every_specification_is_violated_at_its_worst() {
+    let scenario = line();
+    let options = RunOptions::new(Failing::at(100, Err(died())).kind());
+    for text in [Specification::NO_CONTACT, "always v1.speed_mps >= 0"] {
+        let specification = Specification::parse(text, &scenario).unwrap();
+        let verdict = specification.judge_scenario(&scenario, options.clone()).unwrap();
+        assert_eq!((verdict.robustness, verdict.failed), (f64::NEG_INFINITY, Some((1.0, 1))), "{text}");
+    }
+}
+
+fn paper() -> Space {
+    built_in_space("paper").unwrap()
+}
+
+fn rate(controller: NamedController) -> Result<RatePlan, InvalidRate> {
+    RatePlan::new(RateConfig {
+        controllers: (controller, None),
+        space: ("paper".to_owned(), paper()),
+        seed: 1,
+        estimator: EstimatorKind::Truth,
+        runs: 50,
+        confidence: 0.99,
+    })
+}
+
+#[test]
+fn a_rate_counts_it_and_says_so() {
+    let plan = rate(Failing::at(10, Err(died())).named()).unwrap();
+    let mut tally = plan.tally();
+    plan.count_block(&mut tally).unwrap();
+    assert_eq!((tally.runs, tally.failures), (50, 50));
+    let configuration = &plan.registration().configuration;
+    assert_eq!(configuration["failure"], "vehicles touch, or a controller fails");
+    assert_eq!(configuration["controller_sha256"], "failing");
+    let unknown = Failing { identity: None, ..Failing::at(10, Err(died())) }.named();
+    assert!(matches!(rate(unknown), Err(InvalidRate::NoIdentity { controller }) if controller == "failing"));
+}
+
+fn campaign(controller: NamedController) -> Campaign {
+    Campaign {
+        controller,
+        estimator: EstimatorKind::Truth,
+        space: paper(),
+        specification: Specification::NoContact,
+        method: Method::Auto,
+        aim: Aim::Severest,
+        budget: 30,
+        seed: 0,
+    }
+}
+
+#[test]
+fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("campaign");
+    let own = campaign(Failing::at(10, Err(died())).named());
+    let summary = own.run(&out, false, &mut |_| {}).unwrap();
+    assert!(summary.falsified);
+    let found = &summary.counterexamples[0];
+    assert_eq!(found.kind, "the controller of vehicle 1 fails");
+    assert_eq!((found.robustness, found.contact_time_s), (f64::NEG_INFINITY, None));
+    assert!(found.file.ends_with("01-controller-1-fails.toml") && out.join(&found.file).exists(), "{}", found.file);
+    let again = own.run(&out, true, &mut |_| {}).unwrap();
+    assert_eq!(again.to_json().unwrap(), summary.to_json().unwrap());
+    let other = Failing { identity: Some("other"), ..Failing::at(10, Err(died())) }.named();
+    let refused = campaign(other).run(&out, true, &mut |_| {}).unwrap_err().to_string();
+    assert!(refused.contains("another `controller_sha256`"), "{refused}");
+    let unknown = Failing { identity: None, ..Failing::at(10, Err(died())) }.named();
+    let refused = campaign(unknown).run(&out, true, &mut |_| {}).unwrap_err().to_string();
+    assert_eq!(refused, "the controller `failing` states no identity: a campaign with it cannot be resumed");
+}
+
+#[test]
+fn an_assessment_says_who_failed_and_when() {
+    let mut config = AssessConfig { controllers: vec!["baseline".to_owned()], ..AssessConfig::default() };
+    config.gates.clear();
+    (config.draws, config.search.budget, config.rates.runs) = (20, 20, 0);
+    let own = [Failing::at(100, Ok(f64::NAN)).named()];
+    let plan = AssessmentPlan::new(config, own, std::path::Path::new("")).unwrap();
+    let assessment = assess(&plan, &Store::none(), None, &|_| {}).unwrap();
+    let case = &assessment.paper_scenarios.scenarios[0].cases[1];
+    assert!(matches!(&case.verdict, CaseVerdict::ControllerFailed { vehicle: 1, .. }), "{:?}", case.verdict);
+    assert!(assessment.markdown().contains("controller of 1 failed at 1.00 s: it answered with a number"));
+    let drawn = assessment.distribution.controllers.iter().find(|drawn| drawn.controller == "failing").unwrap();
+    assert_eq!(drawn.collisions, 20, "all draws fail");
+}
