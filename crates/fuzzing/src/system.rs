@@ -47,7 +47,7 @@ pub trait System {
         Shielded { controller: Stress::FullThrottle.into(), settings: ShieldSettings::default() }.into()
     }
 
-    /// What anybody could have done in a scenario; none if that cannot be asked of it.
+    /// What the best driver could have done in a scenario; none if that cannot be asked of it.
     fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
         avoid(scenario, AvoidOptions::default()).ok()
     }

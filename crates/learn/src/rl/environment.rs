@@ -19,7 +19,7 @@ pub enum Ending {
     None,
     /// Vehicles touched: termination.
     Contact,
-    /// Everybody stands for good, and the rest of the reward is credited: termination.
+    /// Every vehicle stands for good, and the rest of the reward is credited: termination.
     AtRest,
     /// The scenario's time is over: truncation, or termination if the configuration says so.
     TimeOver,
@@ -192,7 +192,7 @@ mod tests {
 
     #[test]
     fn the_time_limit_is_no_end_unless_it_is_said_to_be() {
-        // 0 m/s² behind a leader that holds its speed: nobody ever stops.
+        // 0 m/s² behind a leader that holds its speed: no vehicle ever stops.
         let scenario = built_in("paper-2").unwrap();
         let hold = Driver::Profile(LeadProfile::ConstantSpeed);
         let scenario = scenario.edited(|spec| spec.vehicles[0].driver = hold).unwrap();

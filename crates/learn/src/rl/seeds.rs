@@ -25,7 +25,7 @@ pub enum Event {
     },
 }
 
-/// Whoever watches a training.
+/// What watches a training.
 pub trait Observer<E> {
     /// Told of everything, in order.
     ///

@@ -34,7 +34,7 @@ pub enum Gate {
         /// The other one.
         than: String,
     },
-    /// No search found a failure of a controller that someone else would have avoided, or that is undecided.
+    /// No search found a failure of a controller that another driver would have avoided, or that is undecided.
     NoAvoidableFailure {
         /// The controller.
         controller: String,

@@ -121,7 +121,7 @@ impl AssessmentPlan {
         self.controllers.iter().map(|controller| self.identity(controller)).collect()
     }
 
-    /// The same of one controller.
+    /// What evidence about one controller depends on: its name, its policy and the estimator.
     pub(super) fn identity(&self, controller: &NamedController) -> Value {
         let policy = controller.policy().map(|policy| policy.digest());
         json!([controller.name, policy, self.config.estimator.name()])

@@ -25,7 +25,7 @@ pub struct MotionFigure<'a> {
     pub labels: &'a [String],
     /// The motion.
     pub trace: &'a Trace,
-    /// Every impact in order of time; empty if nobody touched anybody.
+    /// Every impact in order of time; empty if no vehicles touched.
     pub impacts: &'a [Impact],
 }
 

@@ -66,7 +66,7 @@ pub struct Attack {
     pub peak_brake_mps2: f64,
     /// Margin that the convex program predicted, in metres: the smallest gap, or minus v²/10 of an impact at v m/s.
     pub predicted_margin_m: f64,
-    /// The same as simulated.
+    /// The margin that the simulation has, in metres.
     pub margin_m: f64,
     /// Simulations spent.
     pub evaluations: usize,
@@ -127,7 +127,7 @@ pub fn attack(
     Ok(hunt(scenario, options, aim, envelope, budget)?.found)
 }
 
-/// The same, with what was spent whether or not there is a result.
+/// What [`attack()`] finds, with what was spent whether or not there is a result.
 ///
 /// # Errors
 /// Those of [`attack()`].

@@ -47,9 +47,9 @@ pub enum ProofStatus {
     Accepted {
         /// What that is.
         shown: String,
-        /// Upper bound of a rate, rounded by nobody.
+        /// Upper bound of a rate, not rounded.
         rate_at_most: Option<f64>,
-        /// Share of a box that is free of contact, rounded by nobody.
+        /// Share of a box that is free of contact, not rounded.
         verified_share: Option<f64>,
     },
     /// It proves nothing.

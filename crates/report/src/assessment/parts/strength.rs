@@ -56,7 +56,7 @@ pub enum Strength {
     Found {
         /// How many.
         failures: usize,
-        /// How many of them someone else would have avoided.
+        /// How many of them another driver would have avoided.
         avoidable: usize,
     },
     /// The checker accepted a certificate about part of a box of starts.

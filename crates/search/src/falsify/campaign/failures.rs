@@ -21,7 +21,7 @@ pub enum FailureKind {
         /// Class of the vehicle that hits.
         rear_class: VehicleClass,
     },
-    /// A formula is violated. What touches whom is told apart no further: it need not be the cause.
+    /// A formula is violated. Which vehicles touch makes no further difference: it need not be the cause.
     Violation {
         /// Whether vehicles touched as well.
         touching: bool,

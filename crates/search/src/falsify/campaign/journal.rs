@@ -18,7 +18,7 @@ const BODY: usize = 3 * 8 + 2 * 4 + 2;
 /// The first bytes of the SHA-256 of the record's number and body: a record in another's place is damage, too.
 const CHECKSUM: usize = 6;
 const RECORD: usize = BODY + CHECKSUM;
-/// In place of the braking where nobody touched anybody.
+/// In place of the braking where no vehicles touched.
 const NO_CONTACT: u8 = u8::MAX;
 
 pub(super) struct Journal {

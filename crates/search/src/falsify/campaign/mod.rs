@@ -80,7 +80,7 @@ pub enum CampaignError {
     /// The specification does not fit the runs.
     #[error(transparent)]
     Specification(#[from] SpecificationError),
-    /// Nobody in the space is under test.
+    /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NobodyUnderTest(String),
     /// A file cannot be encoded or decoded.

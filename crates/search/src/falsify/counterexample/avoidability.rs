@@ -1,4 +1,4 @@
-//! Could anyone have avoided it?
+//! Could any driver have avoided the failure?
 
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +10,7 @@ use crumple_world::scenario::Scenario;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(into = "Written", from = "Read")]
 pub enum Avoidability {
-    /// Nobody has asked: the specification is a formula, or the file is older than the question.
+    /// It was not asked: the specification is a formula, or the file is older than the question.
     #[default]
     NotAsked,
     /// Some acceleration of the vehicles under test avoids it, and was replayed without contact.
@@ -90,7 +90,7 @@ impl Avoidability {
         if let Self::Undecided { reason } = self { Some(reason) } else { None }
     }
 
-    /// In words; none if nobody has asked.
+    /// In words; none if it was not asked.
     #[must_use]
     pub fn describe(&self) -> Option<String> {
         match self {
@@ -111,7 +111,7 @@ struct Written {
     undecided_because: Option<String>,
 }
 
-/// The same, where `avoidable` says nothing that the class does not.
+/// What is read of [`Written`]: `avoidable` says nothing that the class does not.
 #[derive(Deserialize)]
 struct Read {
     #[serde(default)]
