@@ -22,6 +22,7 @@ pub enum Acceptance {
 /// What speaks against a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum RejectionReason {
     /// It touches a vehicle in scenarios of the paper in which the policy before it did not.
     Paper {

@@ -11,6 +11,7 @@ pub const TRAINING_VERSION: u32 = 1;
 /// Everything that decides a training, apart from the seed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct TrainingConfig {
     /// Version of the format: 1.
     pub version: u32,
@@ -37,6 +38,7 @@ pub struct TrainingConfig {
 /// The Markov decision process (paper, section "Markov decision process").
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct EnvironmentConfig {
     /// Steps of 0.01 s between decisions; 1 in the paper.
     pub decision_steps: u32,
@@ -57,6 +59,7 @@ pub struct EnvironmentConfig {
 /// What the end of an episode's time means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum TimeLimit {
     /// The episode is cut off: life goes on, and the last state has a value.
     Truncation,
@@ -67,6 +70,7 @@ pub enum TimeLimit {
 /// Shapes and first weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct NetworkConfig {
     /// Widths of the hidden layers of both networks.
     pub hidden: Vec<usize>,
@@ -77,6 +81,7 @@ pub struct NetworkConfig {
 /// The update.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct LearningConfig {
     /// Adam's step size of the actor.
     pub actor_rate: f32,
@@ -98,6 +103,7 @@ pub struct LearningConfig {
 /// Noise on actions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct ExplorationConfig {
     /// Episodes of uniformly random actions before learning begins: the stage rich in collisions.
     pub random_episodes: u64,
@@ -113,6 +119,7 @@ pub struct ExplorationConfig {
 /// The memory of transitions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct ReplayConfig {
     /// Transitions kept; 10 000 in the paper.
     pub capacity: usize,
@@ -137,6 +144,7 @@ pub struct Td3Config {
 /// Held-out scenarios and when training is done.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct EvaluationConfig {
     /// Episodes between evaluations, and between checkpoints.
     pub every_episodes: u64,

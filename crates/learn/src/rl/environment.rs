@@ -14,6 +14,7 @@ const SETTLED_S: f64 = 0.5;
 /// How an episode stands after a decision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum Ending {
     /// It goes on.
     None,

@@ -10,6 +10,7 @@ use crumple_world::scenario::{Scenario, file};
 /// Whether a contact was avoidable for any driver, and by how much.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Best {
     /// There is a profile without contact, which was replayed.
     Avoidable {

@@ -45,6 +45,7 @@ pub struct Case {
 /// How a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum CaseVerdict {
     /// No vehicles touched before the scenario was over.
     Safe {

@@ -9,6 +9,7 @@ use crumple_search::falsify::counterexample::AvoidabilityClass;
 /// Something that must hold.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "require", rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum Gate {
     /// A controller collides in none of the paper's scenarios.
     NoContactInPaperScenarios {

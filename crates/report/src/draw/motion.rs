@@ -31,6 +31,7 @@ pub struct MotionFigure<'a> {
 
 /// How the panels are arranged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Layout {
     /// Side by side, 960 pixels wide: screens and paper.
     Wide,

@@ -25,6 +25,7 @@ pub trait Search: fmt::Debug + Send {
 
 /// The search methods.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Method {
     /// Independent uniform points.
     Uniform,

@@ -10,6 +10,7 @@ use crumple_world::sim::{
 
 /// What an attack is after.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Aim {
     /// A collision with the least ∫ a² of the leader.
     Mildest,

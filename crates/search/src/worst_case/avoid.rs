@@ -23,6 +23,7 @@ pub struct AvoidOptions {
 
 /// Which of all escapes is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum EscapeKind {
     /// The one with the largest smallest gap.
     #[default]

@@ -42,6 +42,7 @@ pub struct Proof {
 /// What the checker said of a certificate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum ProofStatus {
     /// It proves what it states.
     Accepted {

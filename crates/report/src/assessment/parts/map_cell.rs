@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// What came of one controller in one scenario.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum MapCell {
     /// No vehicles touched.
     NoContact,

@@ -8,6 +8,7 @@ use crate::assessment::table::Mark;
 /// How strongly a claim is supported.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "strength", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Strength {
     /// The checker accepted the certificates in this run; it holds under the assumptions that go with them.
     Proved {

@@ -9,6 +9,7 @@ use crumple_world::scenario::{Scenario, VehicleClass};
 /// What tells failures apart at first sight: who hits whom, how hard the ego had braked until then (so whether its emergency
 /// brake had fired), and the class of the vehicle that hits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum FailureKind {
     /// Vehicles touched.
     Contact {

@@ -9,6 +9,7 @@ use crumple_world::scenario::Scenario;
 /// Whether any controller could have avoided a failure; see [`avoid`] for what each class asserts.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(into = "Written", from = "Read")]
+#[non_exhaustive]
 pub enum Avoidability {
     /// It was not asked: the specification is a formula, or the file is older than the question.
     #[default]
