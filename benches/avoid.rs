@@ -42,7 +42,7 @@ fn give_up(bencher: Bencher<'_, '_>) {
     bencher.bench_local(|| avoid(&late, AvoidOptions::default()).expect("the grid fits"));
 }
 
-/// A follower too close and too fast for anybody.
+/// A follower too close and too fast for any driver.
 #[divan::bench(sample_count = 10)]
 fn prove_unavoidable(bencher: Bencher<'_, '_>) {
     let hopeless = hopeless();

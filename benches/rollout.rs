@@ -1,7 +1,7 @@
 //! Closed-loop rollouts: time for a vehicle to be observed, decided for and moved by one step.
 //!
 //! `cargo bench --bench rollout`. The item counted is one vehicle-step; a run that ends at a contact counts the steps it
-//! made. Draws of the paper's distribution with its noise, in which everybody but the leader is under test: two vehicles of
+//! made. Draws of the paper's distribution with its noise, in which every vehicle but the leader is under test: two vehicles of
 //! three have the controller and, where it says so, the Kalman filter. Setting the engine up is part of the time.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]

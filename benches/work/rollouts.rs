@@ -1,4 +1,4 @@
-//! Rollouts that benches measure: draws of the paper's distribution with its noise, in which everybody but the leader is
+//! Rollouts that benches measure: draws of the paper's distribution with its noise, in which every vehicle but the leader is
 //! under test.
 
 use crumple_world::control::ControllerSpec;

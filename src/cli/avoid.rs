@@ -1,4 +1,4 @@
-//! `crumple avoid`: could anyone have avoided it?
+//! `crumple avoid`: could any driver have avoided the collision?
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -108,7 +108,7 @@ impl Avoid {
                 Ok(files.stage(path, serde_json::to_string(&certificate).map_err(Failure::input)? + "\n")?)
             }
             Err(reason) => {
-                // Asked for and not written: that is said even to those who want to hear of errors only.
+                // Asked for and not written: that is said even where only errors are wanted.
                 output::note(
                     &format!("warning: {} was not written: there is no certificate: {reason}", path.display()),
                     false,

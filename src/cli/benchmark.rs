@@ -62,7 +62,7 @@ impl Measure {
     }
 }
 
-/// Refuses a folder that holds anything: nobody could tell old counterexamples from new ones.
+/// Refuses a folder that holds anything: old counterexamples could not be told from new ones.
 fn check_empty(folder: &Path) -> Result<(), Failure> {
     match std::fs::read_dir(folder).map(|mut entries| entries.next().is_none()) {
         Ok(false) => Err(Failure::Input(format!("--out: {} is not empty: choose another folder", folder.display()))),

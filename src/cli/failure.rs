@@ -24,7 +24,7 @@ pub(super) enum Failure {
     /// The environment failed: exit code 3.
     #[error(transparent)]
     Environment(DiskError),
-    /// Whoever read standard output has gone: exit code 0, as other command-line tools do.
+    /// The reader of standard output has gone: exit code 0, as other command-line tools do.
     #[error("standard output is closed")]
     BrokenPipe,
 }

@@ -104,7 +104,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     }
 }
 
-/// The same command with the exit codes at the end of its long help, and of that of its own subcommands.
+/// Puts the exit codes at the end of a command's long help, and of that of its own subcommands.
 fn with_exit_codes(command: clap::Command) -> clap::Command {
     let text =
         command.get_after_long_help().map_or_else(|| EXIT_CODES.to_owned(), |help| format!("{help}\n\n{EXIT_CODES}"));

@@ -173,7 +173,7 @@ impl Simulate {
             files.stage(path, contents)?;
         }
         files.commit()?;
-        // A gate does not hold the less because nobody reads the results.
+        // A gate holds even where the results are not read.
         let printed = output::print(&results.iter().map(|result| result.text.as_str()).collect::<String>());
         self.check_expectation(&runs, &results)?;
         printed

@@ -238,6 +238,8 @@ impl Observer<Failure> for CheckpointWriter<'_> {
                 self.bar.inc(1);
             }
             Event::Evaluation { result, .. } => self.safe_share = Some(result.safe_share),
+            // The log has it; the bar has no place for it.
+            _ => {}
         }
         Ok(())
     }

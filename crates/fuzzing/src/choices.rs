@@ -5,7 +5,7 @@ use arbitrary::Unstructured;
 /// Bytes from which choices are made, one after the other.
 ///
 /// A zero byte, and any byte after the last, chooses what is nominal; the larger a number is, the farther away it leads.
-/// Whoever shrinks bytes towards zero and cuts them short walks towards the nominal case.
+/// Shrinking bytes towards zero and cutting them short therefore leads to the nominal case.
 pub(super) struct Choices<'b>(Unstructured<'b>);
 
 impl<'b> Choices<'b> {

@@ -6,7 +6,7 @@
 //! shows it again. [`targets`] are whole fuzz targets, which the suite replays without a fuzzer. [`behaviour`] is what a
 //! fuzzer is told about a run beyond the code it reached.
 //!
-//! For the project's own suites and fuzzers; no promise of stability is made to anybody else.
+//! For the project's own suites and fuzzers, without any promise of stability.
 
 pub mod behaviour;
 mod choices;
@@ -76,7 +76,7 @@ impl TestCase {
         Self { scenario: scenario(&mut from), setup: Setup::read(&mut from) }
     }
 
-    /// The same scenario with another controller under test.
+    /// This test case with another controller under test.
     #[must_use]
     pub fn under_test(mut self, controller: TestedController) -> Self {
         self.setup.controller = controller;

@@ -107,7 +107,7 @@ impl Setup {
         }
     }
 
-    /// Whether the controller cares for nobody behind.
+    /// Whether the controller ignores the vehicle behind.
     #[must_use]
     pub fn looks_ahead_only(&self) -> bool {
         matches!(&self.controller, TestedController::BuiltIn(_)) && !self.is_learned()

@@ -49,7 +49,7 @@ pub trait System {
         .into()
     }
 
-    /// What anybody could have done in a scenario; none if that cannot be asked of it.
+    /// What the best driver could have done in a scenario; none if that cannot be asked of it.
     fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
         avoid(scenario, AvoidOptions::default()).ok()
     }

@@ -41,7 +41,7 @@ pub enum Law {
     Files,
     /// The monitor's robustness is that of the definition, and its sign the verdict.
     Monitor,
-    /// Behind a shield nobody hits the vehicle ahead.
+    /// A vehicle behind a shield does not hit the one ahead.
     Shield,
     /// No driver does what is proved impossible for all.
     Avoidability,

@@ -55,7 +55,7 @@ impl Files {
             Ok(file)
         };
         let file = stage().map_err(|error: io::Error| {
-            // The kind alone: the error itself would name a temporary file nobody asked for.
+            // The kind alone: the error itself would name a temporary file, of which the caller knows nothing.
             DiskError::at(path)(match error.kind() {
                 io::ErrorKind::NotFound => io::Error::new(io::ErrorKind::NotFound, "there is no such folder"),
                 kind => kind.into(),

@@ -1,10 +1,10 @@
-//! What goes wrong: searches for failures, programs that say whether anybody could have avoided them, and claims with
-//! certificates.
+//! What goes wrong: searches for failures, programs that say whether any driver could have avoided them, and claims
+//! with certificates.
 //!
 //! | module | what it holds |
 //! |---|---|
 //! | [`disk`] | files that appear whole or not at all |
-//! | [`worst_case`] | convex programs: could anyone have avoided it, how little does it take; certificates |
+//! | [`worst_case`] | convex programs: could any driver have avoided it, how little braking does it take; certificates |
 //! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
 //! | [`evidence`] | claims with certificates: kernels of shields, failure rates; estimates of rare failures |
 

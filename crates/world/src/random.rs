@@ -67,7 +67,7 @@ pub fn derived_seed(seed: u64, index: u64) -> u64 {
 /// `rand_distr` draws by the ziggurat method (Marsaglia and Tsang, 2000; Doornik, 2005): 256 layers under the curve, of which
 /// the number drawn chooses one and a place in it. Nearly always that place is under the curve for certain, and this is all
 /// that is done here; the rest is left to the library, which starts again from where the stream was. That way the
-/// stream's state stays in registers, since nobody asks for its address.
+/// stream's state stays in registers, since nothing takes its address.
 #[derive(Debug, Clone, Copy)]
 pub struct Normals {
     /// The half width of each layer, widest first, and 0.

@@ -11,7 +11,7 @@ const ROUNDING_M: f64 = 1e-6;
 /// counters in the solver's loops half a minute.
 const MOST_STEPS: usize = 500;
 
-/// A run without contact is not one in a scenario that nobody could survive, and keeps no larger gap than anybody could.
+/// No run is without contact in a scenario proved unavoidable, and none keeps a larger gap than is proved possible.
 ///
 /// # Errors
 /// [`Law::Avoidability`].

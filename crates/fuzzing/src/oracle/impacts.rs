@@ -7,7 +7,7 @@ use crumple_world::sim::{AfterContact, Impact, Trace};
 /// Where two vehicles that stick together may seem to be apart, in metres.
 const STUCK_M: f64 = 1e-8;
 
-/// Every impact keeps the momentum of its two bodies and adds no energy; whoever touched stays together and touches once.
+/// Every impact keeps the momentum of its two bodies and adds no energy; bodies that touched stay together and touch once.
 ///
 /// # Errors
 /// [`Law::Momentum`], [`Law::Energy`] or [`Law::Sticking`].

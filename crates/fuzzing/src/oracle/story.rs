@@ -6,8 +6,8 @@ use crumple_world::measure::ContactRole;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{AfterContact, Outcome};
 
-/// The recorded motion, the outcome and whose contact it is said to be agree, and nobody goes beyond what road
-/// and vehicle allow.
+/// The recorded motion, the outcome and whose contact it is said to be agree, and no vehicle goes beyond what road and
+/// vehicle allow.
 ///
 /// # Errors
 /// [`Law::OneStory`], [`Law::Limits`] or [`Law::ContactRole`].

@@ -22,18 +22,19 @@ pub enum Acceptance {
 /// What speaks against a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum RejectionReason {
-    /// It touches somebody in scenarios of the paper in which the policy before it did not.
+    /// It touches a vehicle in scenarios of the paper in which the policy before it did not.
     Paper {
         /// Which, each with the estimator.
         scenarios: Vec<String>,
     },
-    /// The same in draws of the paper's distribution.
+    /// It touches a vehicle in draws of the paper's distribution in which the policy before it did not.
     Nominal {
         /// Which, by index.
         draws: Vec<u64>,
     },
-    /// It touches somebody more often in the draws kept aside.
+    /// It touches vehicles more often in the draws kept aside.
     KeptAside {
         /// Contacts of the policy before it.
         before: usize,

@@ -9,7 +9,7 @@ use crumple_world::digest::sha256;
 use crumple_world::scenario::space::Space;
 use crumple_world::scenario::{Scenario, ScenarioSpec};
 
-/// Avoidable scenarios in which the policy of some round touched somebody: the file `retrained-on.json`.
+/// Avoidable scenarios in which the policy of some round touched a vehicle: the file `retrained-on.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cases {

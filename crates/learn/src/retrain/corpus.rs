@@ -1,4 +1,4 @@
-//! Draws of a space, classed: which of them somebody could have avoided.
+//! Draws of a space, classed: which of their contacts were avoidable.
 
 use std::ops::Range;
 use std::path::Path;
@@ -39,9 +39,9 @@ pub struct Corpus {
     pub seed: u64,
     /// Draws that were classed: those from 0 to this, excluded.
     pub draws: u64,
-    /// How many of them somebody could have avoided: they are the corpus.
+    /// How many of them were avoidable: they are the corpus.
     pub avoidable: u64,
-    /// Those that nobody could have avoided, by proof.
+    /// Those that no driver could have avoided, by proof.
     pub unavoidable: Vec<u64>,
     /// Those of which neither is known.
     pub undecided: Vec<u64>,

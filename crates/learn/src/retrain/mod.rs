@@ -4,8 +4,8 @@
 //!
 //! 1. **Search.** A campaign ([`crumple_search::falsify::campaign`]) with a stated budget against the policy as it stands, and a number
 //!    of draws of the space. If nothing avoidable is found, the retraining is over.
-//! 2. **Keep.** Distinct counterexamples, and draws that ended in contact, if somebody could have avoided them: a witness
-//!    drives through without contact, or [`crumple_search::worst_case::avoid()`] finds an escape. What nobody can avoid teaches nothing.
+//! 2. **Keep.** Distinct counterexamples, and draws that ended in contact, if they were avoidable: a witness drives through
+//!    without contact, or [`crumple_search::worst_case::avoid()`] finds an escape. What no driver can avoid teaches nothing.
 //! 3. **Train on.** The learner goes on with its networks and its memory, on a mixture of the paper's distribution, draws of
 //!    the space, and all cases kept so far. Of its checkpoints the best on a selection of avoidable draws is the candidate.
 //! 4. **Judge.** The candidate drives the paper's scenarios, draws of the paper's distribution, and a corpus kept aside. It is

@@ -17,6 +17,7 @@ use crumple_world::digest::sha256;
 /// Why a retraining ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum Ending {
     /// All rounds were made.
     RoundsSpent,

@@ -31,9 +31,9 @@ pub struct RoundFindings {
     pub evaluations: u64,
     /// Those that ended in contact.
     pub failures: u64,
-    /// Distinct counterexamples among them that somebody could have avoided.
+    /// Distinct counterexamples among them that a driver could have avoided.
     pub avoidable: usize,
-    /// Those that nobody could have avoided, by proof.
+    /// Those that no driver could have avoided, by proof.
     pub unavoidable: usize,
     /// Those of which neither is known.
     pub undecided: usize,
@@ -41,7 +41,7 @@ pub struct RoundFindings {
     pub draws: u64,
     /// Those that ended in contact.
     pub draws_touched: usize,
-    /// Those of them that somebody could have avoided.
+    /// Those of them that a driver could have avoided.
     pub draws_avoidable: TouchedDraws,
     /// The avoidable counterexamples, as scenarios.
     pub counterexamples: Vec<String>,
@@ -69,7 +69,7 @@ pub struct Trained {
 pub struct Checkpoint {
     /// Episodes done.
     pub episode: u64,
-    /// Contacts among the avoidable draws of the selection; none if it touched somebody in what the paper has.
+    /// Contacts among the avoidable draws of the selection; none if it touched a vehicle in the paper's scenarios or draws.
     pub contacts: Option<u64>,
 }
 

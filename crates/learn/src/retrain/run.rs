@@ -60,7 +60,7 @@ pub enum Progress {
     },
 }
 
-/// Whoever is told.
+/// What is told of the progress.
 pub(super) type Show<'a> = dyn FnMut(Progress) + 'a;
 
 /// What the policy at the end is called in tables.

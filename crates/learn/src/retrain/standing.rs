@@ -12,7 +12,7 @@ use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in, built_in_names};
 use crumple_world::sim::ControllerKind;
 
-/// Everything in which a policy touches somebody.
+/// Everything in which a policy touches a vehicle.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Standing {

@@ -139,10 +139,11 @@ impl Trainer {
         Self::from_checkpoint_with(bytes, config, seed, Arc::new(PaperDraws))
     }
 
-    /// The same for a training on scenarios of `source`.
+    /// The training on scenarios of `source` that [`Trainer::to_checkpoint`] wrote; otherwise
+    /// [`Trainer::from_checkpoint`].
     ///
     /// # Errors
-    /// [`TrainingError::Checkpoint`] as above, and if it was of another source.
+    /// Those of [`Trainer::from_checkpoint`], and [`TrainingError::Checkpoint`] if it was of another source.
     pub fn from_checkpoint_with(
         bytes: &[u8],
         config: &TrainingConfig,

@@ -18,6 +18,7 @@ pub const TRAINING_VERSION: u32 = 1;
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct TrainingConfig {
     /// Version of the format: 1.
     pub version: u32,
@@ -44,6 +45,7 @@ pub struct TrainingConfig {
 /// The Markov decision process (paper, section "Markov decision process").
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct EnvironmentConfig {
     /// Steps of 0.01 s between decisions; 1 in the paper.
     pub decision_steps: u32,
@@ -64,6 +66,7 @@ pub struct EnvironmentConfig {
 /// What the end of an episode's time means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum TimeLimit {
     /// The episode is cut off: life goes on, and the last state has a value.
     Truncation,
@@ -74,6 +77,7 @@ pub enum TimeLimit {
 /// Shapes and first weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct NetworkConfig {
     /// Widths of the hidden layers of both networks.
     pub hidden: Vec<usize>,
@@ -84,6 +88,7 @@ pub struct NetworkConfig {
 /// The update.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct LearningConfig {
     /// Adam's step size of the actor.
     pub actor_rate: f32,
@@ -105,6 +110,7 @@ pub struct LearningConfig {
 /// Noise on actions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct ExplorationConfig {
     /// Episodes of uniformly random actions before learning begins: the stage rich in collisions.
     pub random_episodes: u64,
@@ -120,6 +126,7 @@ pub struct ExplorationConfig {
 /// The memory of transitions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct ReplayConfig {
     /// Transitions kept; 10 000 in the paper.
     pub capacity: usize,
@@ -144,6 +151,7 @@ pub struct Td3Config {
 /// Held-out scenarios and when training is done.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct EvaluationConfig {
     /// Episodes between evaluations, and between checkpoints.
     pub every_episodes: u64,

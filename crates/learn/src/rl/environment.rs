@@ -14,12 +14,13 @@ const SETTLED_S: f64 = 0.5;
 /// How an episode stands after a decision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum Ending {
     /// It goes on.
     None,
     /// Vehicles touched: termination.
     Contact,
-    /// Everybody stands for good, and the rest of the reward is credited: termination.
+    /// Every vehicle stands for good, and the rest of the reward is credited: termination.
     AtRest,
     /// The scenario's time is over: truncation, or termination if the configuration says so.
     TimeOver,
@@ -193,7 +194,7 @@ mod tests {
 
     #[test]
     fn the_time_limit_is_no_end_unless_it_is_said_to_be() {
-        // 0 m/s² behind a leader that holds its speed: nobody ever stops.
+        // 0 m/s² behind a leader that holds its speed: no vehicle ever stops.
         let scenario = built_in("paper-2").unwrap();
         let hold = Driver::Profile(LeadProfile::ConstantSpeed);
         let scenario = scenario.edited(|spec| spec.vehicles[0].driver = hold).unwrap();

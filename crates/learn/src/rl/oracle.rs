@@ -1,4 +1,4 @@
-//! The same update, stated plainly on candle's tensors and automatic differentiation.
+//! The learner's update, stated plainly on candle's tensors and automatic differentiation.
 //!
 //! Slow and easy to believe: what [`Learner`] computes by hand is tested against this, and its speed is
 //! measured against it. TD3's options included.

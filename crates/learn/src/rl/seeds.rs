@@ -11,6 +11,7 @@ use super::trainer::{EpisodeRecord, Trainer, TrainingError};
 /// Something a training has to tell.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Event {
     /// An episode is over.
     Episode(EpisodeRecord),
@@ -25,7 +26,7 @@ pub enum Event {
     },
 }
 
-/// Whoever watches a training.
+/// What watches a training.
 pub trait Observer<E> {
     /// Told of everything, in order.
     ///

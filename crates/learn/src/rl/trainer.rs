@@ -131,7 +131,7 @@ impl Trainer {
         }
     }
 
-    /// The same with the weights of `policy` for the actor and its target, if it is of the same shape; critics start anew.
+    /// Starts the actor and its target from the weights of `policy`, if it is of the same shape; critics start anew.
     #[must_use]
     pub fn from_policy(mut self, policy: &Policy) -> Self {
         let actor = &mut self.learner.actor;

@@ -7,9 +7,10 @@ use super::{Case, Rounded, StoreError};
 use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoid};
 use crumple_world::scenario::{Scenario, file};
 
-/// Whether anyone could have avoided a contact, and by how much.
+/// Whether a contact was avoidable for any driver, and by how much.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Best {
     /// There is a profile without contact, which was replayed.
     Avoidable {
@@ -30,7 +31,7 @@ pub enum Best {
 }
 
 impl Best {
-    /// The same, unless it is known from an earlier run.
+    /// What [`Best::of`] says of a scenario, computed only if no earlier run has kept it.
     pub(super) fn kept(scenario: &Scenario, work: &Work<'_>) -> Result<Self, StoreError> {
         let text = file::to_toml(scenario).map_err(StoreError::encoding)?;
         work.store.get(&format!("best of {}", scenario.spec().name), &text, || Ok(Self::of(scenario)))

@@ -35,7 +35,7 @@ pub struct Case {
     pub peak_jerk_mps3: Option<Rounded<1>>,
     /// Hardest deceleration of the vehicle behind one under test, in m/s².
     pub imposed_brake_mps2: Option<Rounded<2>>,
-    /// What follows if everybody drives on after the first contact.
+    /// What follows if all vehicles drive on after the first contact.
     pub pile_up: Option<PileUp>,
     /// The motion until the first contact, for the figure.
     #[serde(skip)]
@@ -45,8 +45,9 @@ pub struct Case {
 /// How a run ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum CaseVerdict {
-    /// Nobody touched anybody before the scenario was over.
+    /// No vehicles touched before the scenario was over.
     Safe {
         /// Time to collision between a vehicle under test and a neighbour when the scenario was over, in seconds, if it
         /// was below [`STILL_CLOSING_TTC_S`]: then the scenario ended before its story did.

@@ -17,6 +17,7 @@ pub const CONFIG_VERSION: u32 = 1;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "Assessment", title = "crumple assessment, version 1")]
+#[non_exhaustive]
 pub struct AssessConfig {
     /// Version of the file format: 1.
     pub version: u32,
@@ -57,6 +58,7 @@ pub struct AssessConfig {
 /// How failures are searched for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
+#[non_exhaustive]
 pub struct SearchConfig {
     /// Spaces, built-in names or files relative to the configuration file. Default: `paper` and `high-risk`.
     pub spaces: Vec<String>,
@@ -73,6 +75,7 @@ impl Default for SearchConfig {
 /// How failures are counted for a certificate: on draws of the paper's distribution, with a seed of their own.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
+#[non_exhaustive]
 pub struct RatesConfig {
     /// Runs of each learned controller; none for no count. Default 4000.
     pub runs: u64,

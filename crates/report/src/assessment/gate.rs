@@ -9,6 +9,7 @@ use crumple_search::falsify::counterexample::AvoidabilityClass;
 /// Something that must hold.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "require", rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum Gate {
     /// A controller collides in none of the paper's scenarios.
     NoContactInPaperScenarios {
@@ -34,7 +35,7 @@ pub enum Gate {
         /// The other one.
         than: String,
     },
-    /// No search found a failure of a controller that someone else would have avoided, or that is undecided.
+    /// No search found a failure of a controller that another driver would have avoided, or that is undecided.
     NoAvoidableFailure {
         /// The controller.
         controller: String,

@@ -63,7 +63,7 @@ pub struct Assessment {
     pub searches: Searches,
     /// The mildest lead braking against each controller.
     pub worst_profiles: Option<WorstProfiles>,
-    /// What each controller survives over two parameters, and what nobody does.
+    /// What each controller survives over two parameters, and what no driver does.
     pub failure_maps: Option<FailureMaps>,
     /// What is proved.
     pub proofs: Proofs,
@@ -273,10 +273,10 @@ pub fn files_of_evidence(json: &str) -> Vec<String> {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RenderError {
-    /// As JSON.
+    /// The JSON cannot be written.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
-    /// As JUnit XML.
+    /// The JUnit XML cannot be written.
     #[error(transparent)]
     Junit(#[from] quick_junit::SerializeError),
 }

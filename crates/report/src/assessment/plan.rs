@@ -120,7 +120,7 @@ impl AssessmentPlan {
         self.controllers.iter().all(|controller| controller.kind.identity().is_some())
     }
 
-    /// Everything about one controller that evidence depends on.
+    /// What evidence about one controller depends on: its name, its policy and the estimator.
     pub(super) fn identity(&self, controller: &NamedController) -> Value {
         let policy = controller.policy().map(|policy| policy.digest());
         let mut identity = vec![json!(controller.name), json!(policy), json!(self.config.estimator.name())];

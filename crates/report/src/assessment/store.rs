@@ -78,7 +78,7 @@ impl Workplace {
     }
 }
 
-/// What a file holds. Hashes guard against files that were cut, edited or moved, not against somebody who recomputes them.
+/// What a file holds. Hashes guard against files that were cut, edited or moved, not against an author who recomputes them.
 #[derive(Serialize, Deserialize)]
 struct Kept {
     name: String,

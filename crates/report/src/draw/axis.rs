@@ -59,7 +59,7 @@ impl Axis {
         Self { title: String::new(), domain: drawable(domain), marks: Vec::new(), grid: false }
     }
 
-    /// The same axis from its other end: for names that read from top to bottom.
+    /// The axis from its other end: for names that read from top to bottom.
     #[must_use]
     pub fn reversed(mut self) -> Self {
         let (low, high) = self.domain;

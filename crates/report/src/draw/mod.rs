@@ -19,6 +19,7 @@ mod names;
 mod panel;
 mod path;
 mod plan;
+#[cfg(feature = "png")]
 mod png;
 mod scale;
 mod theme;
@@ -33,6 +34,7 @@ pub use motion_axes::MotionAxes;
 pub use names::vehicle_names;
 pub use panel::{Anchor, HEADING, Marker, Panel, TaggedLine, mark, straight, tag, tag_width, words};
 pub use path::{Place, simplified};
+#[cfg(feature = "png")]
 pub use png::DrawError;
 pub use scale::{Scale, Ticks, drawable, extent, padded, signed};
 pub use theme::{COLOURS, DASHES, Ink, SMALL, STYLE, Stroke, TEXT};
@@ -94,6 +96,7 @@ impl Svg {
     /// # Errors
     /// [`DrawError::Size`] if `scale` makes the picture empty or larger than 268 million pixels; the other variants
     /// are faults of this library.
+    #[cfg(feature = "png")]
     pub fn to_png(&self, scale: f64) -> Result<Vec<u8>, DrawError> {
         png::encode(&self.document(), scale)
     }
@@ -129,5 +132,5 @@ fn identifier(text: &str) -> String {
     if name.starts_with(|letter: char| letter.is_ascii_alphabetic()) { name } else { format!("f{name}") }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "png"))]
 mod tests;

@@ -25,12 +25,13 @@ pub struct MotionFigure<'a> {
     pub labels: &'a [String],
     /// The motion.
     pub trace: &'a Trace,
-    /// Every impact in order of time; empty if nobody touched anybody.
+    /// Every impact in order of time; empty if no vehicles touched.
     pub impacts: &'a [Impact],
 }
 
 /// How the panels are arranged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Layout {
     /// Side by side, 960 pixels wide: screens and paper.
     Wide,

@@ -13,6 +13,7 @@ const TAG_HEIGHT: f64 = 14.0;
 
 /// The shape of a mark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Marker {
     /// A filled disc.
     Disc,

@@ -26,6 +26,7 @@ pub const DASHES: [&str; 4] = ["", "8 3.5", "2.2 2.6", "9 3 2.2 3"];
 /// Light colours stand in the figure as plain attributes, so that it is right wherever it is shown; [`STYLE`] selects
 /// elements by those attribute values and replaces them by CSS variables, which have other values in the dark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Ink {
     /// Titles, tick labels and whatever must be read.
     Text,

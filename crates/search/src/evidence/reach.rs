@@ -101,7 +101,7 @@ pub struct ReachPlan {
 pub struct Shares {
     /// Number of cuts of one box at most.
     pub depth: u32,
-    /// Share of the volume in which nobody touches.
+    /// Share of the volume in which no vehicles touch.
     pub verified: f64,
     /// Share of the volume in boxes with a start that ends in contact.
     pub falsified: f64,

@@ -136,7 +136,7 @@ impl Run {
         self.asked.iter().map(|point| point.iter().copied().collect()).collect()
     }
 
-    /// As [`Run::ask`], but each point is the best of `among` by `score`.
+    /// Points like those of [`Run::ask`], but each the best of `among` by `score`.
     pub(super) fn ask_screened(
         &mut self,
         random: &mut Stream,

@@ -60,8 +60,8 @@ impl Cube {
         &self.blocks
     }
 
-    /// The same cube, with the coordinates that say how a scripted leader drives: the others are its circumstances. Those
-    /// outside the cube are left out.
+    /// Names the coordinates that say how a scripted leader drives: the others are its circumstances. Coordinates outside
+    /// the cube are left out.
     #[must_use]
     pub fn with_leader(mut self, coordinates: impl IntoIterator<Item = usize>) -> Self {
         self.leader = coordinates.into_iter().filter(|&coordinate| coordinate < self.dimension()).collect();
@@ -74,7 +74,7 @@ impl Cube {
         &self.leader
     }
 
-    /// The same blocks with at most so many coordinates each: signals of fewer pieces.
+    /// A cube whose blocks have at most `pieces` coordinates each: signals of fewer pieces.
     #[must_use]
     pub fn coarse(&self, pieces: usize) -> Self {
         let lengths = self.blocks.iter().map(|block| block.len().min(pieces.max(1)));

@@ -19,12 +19,13 @@ pub trait Search: fmt::Debug + Send {
     fn ask(&mut self) -> Vec<Vec<f64>>;
 
     /// The robustness of the points asked for last, in their order. Where it is shorter (the budget is used up), the
-    /// others count as never evaluated. NaN counts as +∞: whoever cannot be evaluated is no counterexample.
+    /// others count as never evaluated. NaN counts as +∞: a point that cannot be evaluated is no counterexample.
     fn tell(&mut self, robustness: &[f64]);
 }
 
 /// The search methods.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Method {
     /// Independent uniform points.
     Uniform,

@@ -1,9 +1,9 @@
 //! How it is attacked: search methods that look for negative robustness, and the problems they are measured on.
 //!
-//! A search moves in a unit [`Cube`]; whoever owns the problem scales it. It proposes a batch of points ([`Search::ask`])
-//! and learns what they were worth ([`Search::tell`]). The batch is the method's choice and depends on the seed and on
-//! earlier values alone, so its points may be evaluated in any order and on any number of threads without changing a
-//! result; and a search is resumed by asking and telling again what an earlier run has logged.
+//! A search moves in a unit [`Cube`]; the owner of the problem scales it. A search proposes a batch of points
+//! ([`Search::ask`]) and learns what they were worth ([`Search::tell`]). The batch is the method's choice and depends on the
+//! seed and on earlier values alone, so its points may be evaluated in any order and on any number of threads without
+//! changing a result; and a search is resumed by asking and telling again what an earlier run has logged.
 //!
 //! What a method knows of a problem stands in its cube: which coordinates are a signal, and which are the script of a
 //! leader. The convex programs of `worst_case` make that script worse step by step (`sequential`, and part of `auto`);

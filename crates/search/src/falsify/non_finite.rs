@@ -54,7 +54,7 @@ pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D:
     NumberOrText::deserialize(deserializer).map(f64::from)
 }
 
-/// The same for numbers that may be missing.
+/// Numbers that may be infinite or missing.
 pub mod optional {
     use super::{Deserialize, Deserializer, NumberOrText, Serialize, Serializer};
 

@@ -11,6 +11,7 @@ use crumple_world::sim::{
 
 /// What an attack is after.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Aim {
     /// A collision with the least ∫ a² of the leader.
     Mildest,
@@ -67,7 +68,7 @@ pub struct Attack {
     pub peak_brake_mps2: f64,
     /// Margin that the convex program predicted, in metres: the smallest gap, or minus v²/10 of an impact at v m/s.
     pub predicted_margin_m: f64,
-    /// The same as simulated.
+    /// The margin that the simulation has, in metres.
     pub margin_m: f64,
     /// Simulations spent.
     pub evaluations: usize,
@@ -142,7 +143,7 @@ pub fn attack(
     Ok(hunt(scenario, options, aim, envelope, budget)?.found)
 }
 
-/// The same, with what was spent whether or not there is a result.
+/// What [`attack()`] finds, with what was spent whether or not there is a result.
 ///
 /// # Errors
 /// Those of [`attack()`].

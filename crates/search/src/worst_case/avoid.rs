@@ -1,4 +1,4 @@
-//! Could anyone have avoided it?
+//! Could any driver have avoided the collision?
 
 use crumple_verify::{Accepted, Certificate, Statement};
 
@@ -23,14 +23,16 @@ pub struct AvoidOptions {
 
 /// Which of all escapes is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum EscapeKind {
-    /// The one with the largest smallest gap
+    /// The one with the largest smallest gap.
     #[default]
     LargestGap,
     /// The one with the least ∫ a² that keeps half that gap, if the brake behind fires no later than for that: of all
-    /// escapes with that firing, not of those with another, which may be gentler
+    /// escapes with that firing, not of those with another, which may be gentler.
     Gentlest,
-    /// Likewise the one whose acceleration changes least, of all escapes with that firing
+    /// The one whose acceleration changes least and that keeps half the largest smallest gap, of all escapes with that
+    /// firing.
     LeastJerk,
 }
 
@@ -75,12 +77,12 @@ pub struct Avoidance {
     pub programs: usize,
 }
 
-/// Whether anyone could have avoided it.
+/// Whether any driver could have avoided the collision.
 #[derive(Debug, Clone, PartialEq)]
 pub enum AvoidanceVerdict {
     /// Yes, like this.
     Avoidable(Box<Escape>),
-    /// Nobody, and here is the proof; the checker has accepted it.
+    /// No, by this proof; the checker has accepted it.
     Unavoidable(Box<Certificate>),
     /// Neither was shown.
     Undecided(Reason),
@@ -132,8 +134,8 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
     avoid_all(&Family::point(scenario), options)
 }
 
-/// The same for every scenario of a box: avoidable if one profile is an escape from each of them, which the checker has to
-/// accept; unavoidable if none of them has an escape.
+/// Decides for every scenario of a box at once: avoidable if one profile is an escape from each of them, which the checker
+/// has to accept; unavoidable if none of them has an escape.
 ///
 /// # Errors
 /// [`AvoidError`] if the options do not fit the scenario.
@@ -170,7 +172,7 @@ type Conclusion = (AvoidanceVerdict, Option<f64>);
 
 fn found(situation: &Situation, search: &Search<'_>, (verdict, best_min_gap_m): Conclusion) -> Avoidance {
     let bound_m = search.bound_m().min(situation.first_gap_m(Side::Loose));
-    // Noise may take anybody beyond what was computed without it.
+    // Noise may carry a vehicle beyond what was computed without it.
     let is_noisy = matches!(situation.proof_caveat, Some(Reason::Noise { .. }));
     let min_gap_bound_m = (bound_m > 0.0 && !is_noisy).then_some(bound_m);
     Avoidance { verdict, best_min_gap_m, min_gap_bound_m, programs: search.programs }
@@ -229,7 +231,7 @@ fn conclude(
         let late = situation.egos.iter().position(|ego| ego.dead_steps > 0);
         return Err(match (&search.trouble, late) {
             (Some(status), _) => Reason::Solver { status: status.clone() },
-            // A proof is about drivers who answer at once, an escape about those who do not.
+            // A proof is about drivers that answer at once, an escape about drivers that answer late.
             (None, Some(ego)) => Reason::EgoResponse { vehicle: ego + 1 },
             (None, None) => Reason::TooClose { low_m: best_m, high_m },
         });

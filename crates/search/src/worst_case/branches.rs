@@ -124,7 +124,7 @@ impl<'a> Search<'a> {
         program::solve(self.situation, grid, firing, Wanted { objective: Objective::LargestGap, side })
     }
 
-    /// The same escape made smoother: for its firing, with half its smallest gap kept.
+    /// An escape made smoother: for its firing, with half its smallest gap kept.
     pub(super) fn smoothed(&self, best: &FoundBranches, objective: impl Fn(f64) -> Objective) -> Option<FoundBranches> {
         let wanted = Wanted { objective: objective(0.5 * best.gap_m), side: Side::Tight };
         match program::solve(self.situation, &best.grid, best.firing, wanted) {

@@ -1,6 +1,6 @@
 //! The mildest lead braking that makes the baseline collide.
 //!
-//! Until its brake fires, the first vehicle under test coasts; from then on its motion and that of everybody behind it are
+//! Until its brake fires, the first vehicle under test coasts; from then on the motion of it and of all vehicles behind it is
 //! known. So a collision is one of two things, each a convex program of the leader's motion:
 //!
 //! - the brake fires at a step σ for which the vehicles behind collide on their own;
@@ -48,7 +48,7 @@ pub(super) fn mildest(
 ) -> Result<Option<Attack>, AttackError> {
     let options_see_truth = bench.options.estimator == EstimatorKind::Truth;
     let is_quiet = bench.scenario.vehicles().iter().all(|vehicle| vehicle.acceleration_noise_mps2 == 0.0);
-    // Perhaps nobody need brake at all.
+    // Perhaps the leader need not brake at all.
     let coasting = vec![0.0; bench.cells()];
     if bench.simulate(std::slice::from_ref(&coasting))?.iter().any(Trial::collides) {
         return Ok(Some(bench.report(&coasting, 0.0, AttackMethod::Exact)?));

@@ -1,6 +1,6 @@
-//! Convex programs: could anyone have avoided it, and how little does it take to make a controller fail.
+//! Convex programs: could any driver have avoided a collision, and how little braking makes a controller fail.
 //!
-//! **Could anyone have avoided it?** A leader follows its script; the vehicles under test may do what they like within
+//! **Could any driver have avoided it?** A leader follows its script; the vehicles under test may do what they like within
 //! their limits, knowing the future; the vehicle behind them coasts until its latched emergency brake fires. For each step
 //! at which that brake may fire the question is a linear program (`program`), and few of them have to be solved, since the
 //! multipliers of one bound all others (`multipliers`, `branches`). [`avoid()`] ends in one of three verdicts:

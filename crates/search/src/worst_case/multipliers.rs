@@ -71,7 +71,7 @@ impl Multipliers {
         [&self.front, &self.rear].into_iter().chain(&self.between).chain(&self.speed)
     }
 
-    /// The same without what is only noise.
+    /// Drops multipliers so small that they are only noise.
     pub(super) fn without_dust(mut self) -> Self {
         let largest = self.lists().flatten().fold(self.fired, |most, (_, value)| most.max(*value));
         let lists = [&mut self.front, &mut self.rear].into_iter().chain(&mut self.between).chain(&mut self.speed);

@@ -7,7 +7,7 @@
 //! ```text
 //! d⁺ - d = H (w + w⁺) / 2          exact for an acceleration (w⁺ - w) / H held over the cell
 //! -b H <= w⁺ - w <= a H            limits
-//! w >= -v₀                         nobody reverses
+//! w >= -v₀                         no vehicle reverses
 //! d + m <= front slack             behind the leader
 //! d₂ - d₁ + m <= pair slack        behind the ego ahead
 //! -d + m <= rear slack of τ        ahead of the follower
@@ -202,8 +202,8 @@ impl<'a> Program<'a> {
         for instant in 1..=self.grid.cells() {
             let step = self.grid.steps[instant];
             let d = |program: &Self, ego: usize| program.speed(ego, instant) + 1;
-            // Behind a standing leader the last instant says it all, since nobody reverses; likewise ahead of a follower
-            // that stands.
+            // Behind a standing leader the last instant says it all, since no vehicle reverses; likewise ahead of a
+            // follower that stands.
             if step <= leader_rests || instant == self.grid.cells() || may_reverse {
                 let terms = [(d(self, 0), 1.0), (GAP, 1.0)];
                 self.at_most(Row::Front(step), &terms, situation.front_slack_m(step, side));

@@ -104,7 +104,7 @@ impl QuadraticProgram {
         let solution = &solver.solution;
         let multipliers = || solution.z.iter().skip(equalities).map(|z| z.max(0.0)).collect();
         match solution.status {
-            // What is almost solved is checked by whoever uses it.
+            // The caller checks what is almost solved.
             SolverStatus::Solved | SolverStatus::AlmostSolved => {
                 Solved::Optimal { at: solution.x.clone(), multipliers: multipliers() }
             }

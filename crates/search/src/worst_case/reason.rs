@@ -7,10 +7,10 @@ use serde::Serialize;
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Reason {
-    /// The leader reacts to somebody.
+    /// The leader reacts to other vehicles.
     #[error("vehicle 0 does not follow a script")]
     Leader,
-    /// Nobody is under test behind the leader, or those who are do not follow each other.
+    /// No vehicle is under test behind the leader, or those that are do not follow each other.
     #[error("the vehicles under test are not those directly behind the leader")]
     NoEgo,
     /// The vehicle behind those under test is not driven by the latched emergency brake.

@@ -1,4 +1,4 @@
-//! The leader follows its script and nobody else: where it is, in all scenarios of a box.
+//! The leader follows its script and reacts to no vehicle: where it is, in all scenarios of a box.
 
 use crumple_verify::Interval;
 
@@ -66,7 +66,7 @@ pub(super) fn between(one: f64, other: f64) -> Interval {
     Interval::point(one).hull(Interval::point(other))
 }
 
-/// The acceleration of the scripted leader in each step, its noise included: it reacts to nobody, so it drives alone.
+/// The acceleration of the scripted leader in each step, its noise included: it reacts to no vehicle, so it drives alone.
 ///
 /// Without noise it is what the script asks for, also of a leader that stands: in a box another one may still be moving. A
 /// script asks the faster of two vehicles for no more acceleration than the slower, so whatever starts between the ends of
@@ -88,7 +88,7 @@ fn alone_mps2(scenario: &Scenario) -> Vec<f64> {
     (0..scenario.steps()).map(of_step).collect()
 }
 
-/// The same by simulation.
+/// The acceleration of the scripted leader in each step, by simulation.
 fn simulated_mps2(scenario: &Scenario) -> Vec<f64> {
     let alone = scenario.edited(|spec| {
         spec.vehicles.truncate(2);

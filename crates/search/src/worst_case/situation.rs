@@ -158,7 +158,8 @@ impl Situation {
         self.leader.rests_from
     }
 
-    /// The same of a follower whose brake fires at `firing`.
+    /// The first step from which a follower whose brake fires at `firing` stands; the number of steps if it does not, 0
+    /// without a follower.
     pub(super) fn follower_rests_from(&self, firing: usize) -> usize {
         self.follower.as_ref().map_or(0, |follower| {
             let braking_s = follower.speed_mps.high() / follower.brake_mps2.low();
@@ -218,7 +219,7 @@ impl Situation {
         let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else { return f64::NAN };
         let t = self.time_s(firing);
         let theta = follower.ttc_s;
-        // - (gap - θ (closing speed)) with everybody coasting.
+        // - (gap - θ (closing speed)) with all vehicles coasting.
         let of = |x: f64, v: f64, r: f64, vr: f64| -(x + v * t - ego.length_m - (r + vr * t) - theta * (vr - v));
         side.of(
             of(ego.position_m.high(), ego.speed_mps.high(), follower.position_m.low(), follower.speed_mps.low()),

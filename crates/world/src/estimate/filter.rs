@@ -8,7 +8,7 @@
 //! ω = (q / (σ² h))^(1/6), and the standard deviations are sqrt(3 ω³ σ² h) for the rate and sqrt(2 ω⁵ σ² h) for the
 //! acceleration. A larger ω follows a braking vehicle sooner and is noisier.
 //!
-//! Jumps of the acceleration are not white jerk. Where somebody knows of one, as a vehicle knows of its own, it is fed
+//! Jumps of the acceleration are not white jerk. Where one is known, as a vehicle knows of its own, it is fed
 //! forward ([`Filter::feed_forward`]) and leaves the covariance as it is: a known input adds no uncertainty.
 
 use nalgebra::{Matrix3, Vector3};

@@ -21,7 +21,7 @@ pub fn drac_mps2(gap_m: f64, closing_mps: f64) -> Option<f64> {
 }
 
 /// Required deceleration in m/s²: the smallest constant deceleration of the vehicle behind that avoids contact with one
-/// ahead that brakes at `front_brake_mps2` to standstill. 0 if nobody need brake; none when there is no gap.
+/// ahead that brakes at `front_brake_mps2` to standstill. 0 if no braking is needed; none when there is no gap.
 ///
 /// DRAC sees no danger behind a vehicle that has just begun to brake hard, because speeds are still equal; this does.
 /// With gap `d`, speeds `v_f` and `v_r`, and deceleration `b` of the vehicle ahead,

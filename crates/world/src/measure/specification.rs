@@ -24,7 +24,7 @@ use crate::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOption
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub enum Specification {
-    /// Nobody touches anybody. Robustness is the smallest gap between any two successive vehicles, in metres, and after a
+    /// No vehicles touch. Robustness is the smallest gap between any two successive vehicles, in metres, and after a
     /// contact the negative impact speed of the first one, in m/s: a slope towards contact on one side, and towards
     /// severity on the other.
     NoContact,

@@ -10,7 +10,7 @@ use crate::scenario::{
 
 use super::series::rounded;
 
-/// Length of a recorded car, in metres. The class's 2 m is the paper's; those who were recorded drove passenger cars.
+/// Length of a recorded car, in metres. The class's 2 m is the paper's; the recorded drivers drove passenger cars.
 /// Distance of antennas less bumper spacing is 4.5 m on average over the twelve pairs of the published files tried.
 const CAR_LENGTH_M: f64 = 4.5;
 /// Steps of the scenarios in a second. Durations are rounded up to whole steps.
@@ -69,7 +69,7 @@ pub struct Placed {
 impl Episode {
     /// The scenario: the leader drives as recorded, the others start as recorded and are then driven.
     ///
-    /// The last of three or more vehicles keeps the baseline ADAS, so that those under test have somebody behind them
+    /// The last of three or more vehicles keeps the baseline ADAS, so that those under test have a vehicle behind them
     /// to mind; the others, or the only follower, are under test. All are light vehicles of 4.5 m. The leader's limits
     /// are raised where its recorded motion needs more than the class has.
     ///

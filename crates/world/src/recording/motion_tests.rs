@@ -43,7 +43,7 @@ fn motion(share_missing: f64) -> impl Strategy<Value = Motion> {
 }
 
 impl Motion {
-    /// As a file with carriage returns and a blank line, so that samples begin on line 8.
+    /// The text of a file with carriage returns and a blank line, so that samples begin on line 8.
     fn written(&self) -> String {
         let vehicles = self.speeds[0].len();
         let numbers = self.first..self.first + vehicles;

@@ -99,7 +99,7 @@ impl Header {
     }
 
     /// Names count from vehicle 1 if there are enough of them, and else from the first recorded vehicle if there is
-    /// one for each; otherwise nobody can say whose they are.
+    /// one for each; otherwise it is unknown whose they are.
     fn name_of(&self, number: usize, recorded: &BTreeMap<usize, Column>) -> Option<String> {
         let last = *recorded.keys().next_back()?;
         let place = if self.order.len() >= last {

@@ -8,7 +8,7 @@ use super::table::{Column, Row};
 
 /// Largest magnitude of a time, in seconds: beyond any clock, and still exact to a millisecond.
 const LARGEST_TIME_S: f64 = 1e10;
-/// Largest gap within a platoon, in metres: nobody is following from further away.
+/// Largest gap within a platoon, in metres: a vehicle further behind is following none.
 const LARGEST_GAP_M: f64 = 1000.0;
 /// Largest speed a scenario may hold, in m/s.
 const LARGEST_SPEED_MPS: f64 = 100.0;

@@ -239,7 +239,7 @@ fn a_start_is_where_most_followers_are_known() {
     assert_eq!(line_at(&edited(&whole, 32..39, |fields| fields[7].clear())), (3.9, 4, None));
     // Unknown throughout: three are left.
     assert_eq!(line_at(&edited(&whole, 0..300, |fields| fields[7] = "-1".to_owned())), (3.5, 3, Some(4)));
-    // The first follower is never known: nobody follows.
+    // The first follower is never known: no vehicle follows.
     let nobody = read_text(&edited(&whole, 0..300, |fields| fields[5].clear())).expect("readable");
     let found = episodes(&nobody, MinBrake::default());
     assert_eq!(found.episodes, []);

@@ -47,6 +47,7 @@ pub struct Element {
 /// What an element is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum ElementKind {
     /// A claim.
     Goal,

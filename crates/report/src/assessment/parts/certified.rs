@@ -42,14 +42,15 @@ pub struct Proof {
 /// What the checker said of a certificate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum ProofStatus {
     /// It proves what it states.
     Accepted {
         /// What that is.
         shown: String,
-        /// Upper bound of a rate, rounded by nobody.
+        /// Upper bound of a rate, not rounded.
         rate_at_most: Option<f64>,
-        /// Share of a box that is free of contact, rounded by nobody.
+        /// Share of a box that is free of contact, not rounded.
         verified_share: Option<f64>,
     },
     /// It proves nothing.

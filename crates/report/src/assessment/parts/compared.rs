@@ -183,7 +183,7 @@ impl View {
         for claim in self.summary.claims {
             for (controller, strength) in self.summary.controllers.iter().zip(claim.strengths) {
                 let what = format!("{controller}: {}", claim.claim);
-                // What nobody tried is neither better nor worse than anything: it is not there.
+                // What was not tried is neither better nor worse than anything: it is not there.
                 if strength != Strength::Untried {
                     facts.insert(what, Fact { score: score(&strength), words: strength.words(), is_failure: false });
                 }

@@ -51,14 +51,14 @@ pub struct Sampled {
     pub min_gap_behind_m: Option<Rounded<2>>,
     /// Mean impact speed of the collisions, in m/s.
     pub mean_impact_speed_mps: Option<Rounded<1>>,
-    /// The same draws under the first controller beside this one; none for the first itself.
+    /// How the first controller and this one fare on the same draws; none for the first itself.
     pub paired: Option<Paired>,
 }
 
 /// A share in percent with its bounds.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct Percent {
-    /// As observed.
+    /// The share that was observed.
     pub observed: Rounded<2>,
     /// Lower bound.
     pub lower: Rounded<2>,

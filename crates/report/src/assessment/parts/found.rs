@@ -50,7 +50,7 @@ pub struct Failure {
     pub max_delta_v_mps: Option<Rounded<1>>,
     /// Vehicles involved then.
     pub vehicles: usize,
-    /// Whether anyone could have avoided it.
+    /// Whether a driver could have avoided it.
     pub class: AvoidabilityClass,
     /// The smallest gap of the best escape, in metres, rounded down.
     pub best_gap_m: Option<Rounded<2>>,

@@ -4,8 +4,9 @@ use serde::{Deserialize, Serialize};
 
 /// What came of one controller in one scenario.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum MapCell {
-    /// Nobody touched anybody.
+    /// No vehicles touched.
     NoContact,
     /// Vehicles touched, though another driver would have avoided it.
     Avoidable,

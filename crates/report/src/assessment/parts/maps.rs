@@ -1,4 +1,4 @@
-//! Failure maps: which scenarios over two parameters each controller survives, and which nobody could.
+//! Failure maps: which scenarios over two parameters each controller survives, and which no driver could.
 
 use maud::{Markup, html};
 use rayon::prelude::*;
@@ -20,7 +20,7 @@ use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simul
 const SPACE: &str = "high-risk";
 
 /// The parameters across and up, and what they are: grip and the leader's braking decide between them how much room is
-/// left, and only where there is little grip and much braking does nobody escape.
+/// left, and only where there is little grip and much braking can no driver escape.
 const ACROSS: (&str, &str) = ("friction", "Friction of the road (1 is dry)");
 const UP: (&str, &str) = ("lead_brake_share", "leader's braking (share of what the road allows)");
 

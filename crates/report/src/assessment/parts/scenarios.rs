@@ -19,7 +19,7 @@ pub struct ScenarioCases {
     pub about: String,
     /// How to run it again.
     pub replay: String,
-    /// The best anyone could have made of it; none if that was not asked.
+    /// The best that a driver could have made of it; none if that was not asked.
     pub best: Option<Best>,
     /// One case a controller.
     pub cases: Vec<Case>,
@@ -44,7 +44,7 @@ impl ScenarioCases {
         }
     }
 
-    /// With the best anyone could have made of the scenario, and each controller's regret.
+    /// With the best that a driver could have made of the scenario, and each controller's regret.
     pub(in crate::assessment) fn with_best(mut self, best: Best) -> Self {
         for case in &mut self.cases {
             case.regret_m = best.regret_m(case);
@@ -53,7 +53,7 @@ impl ScenarioCases {
         self
     }
 
-    /// The best anyone could have made of it, in a sentence.
+    /// The best that a driver could have made of it, in a sentence.
     pub(in crate::assessment) fn best_words(&self) -> String {
         self.best.as_ref().map(Best::words).unwrap_or_default()
     }
@@ -149,12 +149,12 @@ impl ScenarioCases {
         motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &self.labels, trace, impacts })
     }
 
-    /// The same of several cases beside each other, on the same axes.
+    /// The motion of several cases beside each other, on the same axes.
     pub(in crate::assessment) fn figures_beside(&self, cases: &[&Case]) -> Markup {
         self.with_figures(cases, motion_beside)
     }
 
-    /// The same as a file for itself.
+    /// The motion of several cases as a file of its own.
     pub(in crate::assessment) fn plate(&self, cases: &[&Case]) -> Svg {
         self.with_figures(cases, |figures| motion_plate(&self.scenario, &self.scenario, figures))
     }

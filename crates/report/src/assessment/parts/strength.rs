@@ -8,6 +8,7 @@ use crate::assessment::table::Mark;
 /// How strongly a claim is supported.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "strength", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Strength {
     /// The checker accepted the certificates in this run; it holds under the assumptions that go with them.
     Proved {
@@ -56,7 +57,7 @@ pub enum Strength {
     Found {
         /// How many.
         failures: usize,
-        /// How many of them someone else would have avoided.
+        /// How many of them another driver would have avoided.
         avoidable: usize,
     },
     /// The checker accepted a certificate about part of a box of starts.

@@ -129,8 +129,8 @@ impl Summary {
     }
 }
 
-/// Of the claim that no vehicle under test touches anybody in any of the scenarios. Runs in which others crash first say
-/// nothing and do not count.
+/// Strength of the claim that no vehicle under test touches another in any of the scenarios. Runs in which others crash
+/// first say nothing and do not count.
 fn no_contact(scenarios: &[super::ScenarioCases], controllers: usize) -> Vec<Strength> {
     let of = |index: usize| {
         let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict);
@@ -164,7 +164,7 @@ fn rarely(distribution: &Distribution) -> Vec<Strength> {
     distribution.controllers.iter().map(strength).collect()
 }
 
-/// The same from a certificate: runs that were registered before the first of them.
+/// How rarely `controller` fails by its certificate: a count of runs that was registered before the first of them.
 fn certified(proofs: &Proofs, controller: &str) -> Strength {
     let rate = proofs.certificates.iter().find_map(|proof| Some((proof.shown_of(controller).0?, proof.confidence?)));
     match rate {

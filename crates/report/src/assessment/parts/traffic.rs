@@ -14,7 +14,7 @@ use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part};
 use crumple_world::sim::RunError;
 
-/// Scenarios whose figures are shown: a page of hundreds is no use to anybody.
+/// Scenarios whose figures are shown: a page of hundreds is of no use.
 const MOST_FIGURES: usize = 12;
 
 /// Every controller in every scenario the configuration names.
@@ -71,7 +71,7 @@ impl Traffic {
     }
 }
 
-/// Indices of the scenarios to show in detail: those in which somebody came closest, contacts first.
+/// Indices of the scenarios to show in detail: those in which vehicles came closest, contacts first.
 fn most_telling(scenarios: &[ScenarioCases]) -> Vec<usize> {
     let closest_m = |index: &usize| {
         let gaps = scenarios[*index].cases.iter().flat_map(|case| [case.ahead.min_gap_m, case.behind.min_gap_m]);

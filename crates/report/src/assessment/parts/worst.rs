@@ -59,13 +59,13 @@ pub struct Mildest {
     pub effort_m2ps3: Rounded<2>,
     /// What follows.
     pub verdict: CaseVerdict,
-    /// What follows if everybody drives on after that.
+    /// What follows if all vehicles drive on after that.
     pub pile_up: Option<PileUp>,
-    /// Whether anyone could have avoided it.
+    /// Whether a driver could have avoided it.
     pub best: Best,
     /// Margin that the last convex program predicted, in metres: the smallest gap, or minus v²/10 of an impact at v m/s.
     pub predicted_margin_m: Rounded<3>,
-    /// The same as simulated.
+    /// The margin that the simulation has, in metres.
     pub margin_m: Rounded<3>,
     /// Whether a milder one is ruled out on this grid, or it is a local optimum.
     pub method: AttackMethod,

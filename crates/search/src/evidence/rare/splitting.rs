@@ -193,7 +193,7 @@ impl Splitting {
             (0..self.effort.repetitions).into_par_iter().map(repeat).collect::<Result<Vec<_>, P::Error>>()?;
         let evaluations = self.pilot + repeated.iter().map(|(_, evaluations)| evaluations).sum::<u64>();
         let seen: Vec<Vec<Seen>> = repeated.into_iter().map(|(seen, _)| seen).collect();
-        // Whoever died out before the last level has seen no failure.
+        // A repetition that died out before the last level has seen no failure.
         let product = |seen: &Vec<Seen>, levels: usize| -> f64 {
             if seen.len() < levels { 0.0 } else { seen.iter().take(levels).map(|seen| seen.share).product() }
         };
@@ -262,7 +262,8 @@ impl<'a, P: Problem> Climber<'a, P> {
         Ok(states.into_iter().zip(margins).collect())
     }
 
-    /// As many as at the start, each survivor as often as any other; who is copied once more is drawn by lot.
+    /// Copies survivors until they are as many as at the start, each as often as any other; which of them are copied once
+    /// more is drawn by lot.
     fn multiplied(&mut self, mut survivors: Vec<Sample>) -> Vec<Sample> {
         let alive = survivors.len();
         if alive == 0 {

@@ -7,6 +7,7 @@ use super::Evaluated;
 
 /// Which failure is the best one to find. Until there is one, every search follows the robustness.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
 pub enum Aim {
     /// The smallest robustness: after a contact the hardest impact.
     #[default]

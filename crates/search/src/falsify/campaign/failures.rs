@@ -9,6 +9,7 @@ use crumple_world::scenario::{Scenario, VehicleClass};
 /// What tells failures apart at first sight: who hits whom, how hard the ego had braked until then (so whether its emergency
 /// brake had fired), and the class of the vehicle that hits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum FailureKind {
     /// Vehicles touched.
     Contact {
@@ -26,7 +27,7 @@ pub enum FailureKind {
         /// Index of its vehicle.
         vehicle: u32,
     },
-    /// A formula is violated. What touches whom is told apart no further: it need not be the cause.
+    /// A formula is violated. Which vehicles touch makes no further difference: it need not be the cause.
     Violation {
         /// Whether vehicles touched as well.
         touching: bool,

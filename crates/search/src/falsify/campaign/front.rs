@@ -30,7 +30,7 @@ pub struct FrontPoint {
     /// Robustness: the smaller, the severer.
     #[serde(with = "crate::falsify::non_finite")]
     pub robustness: f64,
-    /// Difference of the speeds of those that touch first, in m/s, if anybody does.
+    /// Difference of the speeds of the two vehicles that touch first, in m/s, if any do.
     pub impact_speed_mps: Option<f64>,
     /// Logarithm of the density under the space's distribution, relative to one that is even over the ranges.
     #[serde(with = "crate::falsify::non_finite")]
@@ -46,7 +46,7 @@ fn by_likelihood(one: &FailureCandidate, other: &FailureCandidate) -> Ordering {
 
 impl Front {
     pub(super) fn add(&mut self, candidate: &FailureCandidate) {
-        // Severest first means least likely first; whoever could beat the new one is at its place or before it.
+        // Severest first means least likely first; a failure that beats the new one is at its place or before it.
         let severity = |known: &FailureCandidate| known.verdict.robustness.total_cmp(&candidate.verdict.robustness);
         let place = self.failures.partition_point(|known| severity(known) == Ordering::Less);
         let milder = self.failures.partition_point(|known| severity(known) != Ordering::Greater);

@@ -8,7 +8,7 @@ use crate::disk::DiskError;
 
 /// The exclusive use of a campaign's folder. It ends with the value, and with the process however that ends.
 ///
-/// The file stays: whoever removed it might remove one that somebody else is about to lock.
+/// The file stays: a process that removed it might remove one that another process is about to lock.
 pub(super) struct Lock {
     /// Holds the lock of the operating system.
     _file: File,

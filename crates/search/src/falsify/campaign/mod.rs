@@ -83,7 +83,7 @@ pub enum CampaignError {
     /// The controller cannot be told from others, so nothing that was done with it can be gone on with.
     #[error("the controller `{0}` states no identity: a campaign with it cannot be resumed")]
     NoIdentity(String),
-    /// Nobody in the space is under test.
+    /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NobodyUnderTest(String),
     /// A file cannot be encoded or decoded.

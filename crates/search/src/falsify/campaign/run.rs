@@ -82,7 +82,7 @@ impl Campaign {
         }
         fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
         let _lock = Lock::of(folder)?;
-        // Once more: somebody may have been at work until now.
+        // Once more: another process may have been at work until now.
         match self.found(folder, resume)? {
             FolderState::Complete(summary) => return Ok(*summary),
             FolderState::Part => {}
@@ -107,7 +107,7 @@ impl Campaign {
         table.finish()?;
         progress(&state(None, &reached, self.total()));
         let summary = self.summarise(&space, &nominal, reached, &failures, &sample, folder)?;
-        // The summary is written last but for the journal's end: whoever sees it sees a whole campaign.
+        // The summary is written last but for the journal's end: a folder that has it holds a whole campaign.
         disk::write(&folder.join("summary.txt"), summary.to_text())?;
         disk::write(&folder.join(SUMMARY), summary.to_json()?)?;
         fs::remove_file(&journal_path).map_err(DiskError::at(&journal_path))?;

@@ -51,7 +51,7 @@ pub struct Summary {
     pub best_robustness: Option<f64>,
     /// Distinct failures, the severest first.
     pub counterexamples: Vec<Counterexample>,
-    /// How many of them could have been avoided; none if nobody asked.
+    /// How many of them could have been avoided; none if that was not asked.
     #[serde(default)]
     pub avoidability: Option<AvoidabilitySummary>,
     /// What each method reached: the one asked for, then the reference searches.

@@ -3,8 +3,8 @@
 //!
 //! A part holds 65 536 rows, the last one what is left, in the order of evaluation: the method asked for first, then the
 //! reference searches. A part appears whole or not at all. Columns: `method`; `evaluation` (from 1, for each method); one for each
-//! coordinate in the unit of its parameter (a class by its name); `ln_likelihood`; `robustness`; and, empty where nobody
-//! touched anybody, `contact_time_s`, `front_vehicle`, `rear_vehicle`, `impact_speed_mps`, `ego_braking`, `rear_class`.
+//! coordinate in the unit of its parameter (a class by its name); `ln_likelihood`; `robustness`; and, empty where no
+//! vehicles touched, `contact_time_s`, `front_vehicle`, `rear_vehicle`, `impact_speed_mps`, `ego_braking`, `rear_class`.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

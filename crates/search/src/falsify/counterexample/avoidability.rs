@@ -1,4 +1,4 @@
-//! Could anyone have avoided it?
+//! Could any driver have avoided the failure?
 
 use serde::{Deserialize, Serialize};
 
@@ -9,8 +9,9 @@ use crumple_world::scenario::Scenario;
 /// Whether any controller could have avoided a failure; see [`avoid`] for what each class asserts.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(into = "Written", from = "Read")]
+#[non_exhaustive]
 pub enum Avoidability {
-    /// Nobody has asked: the specification is a formula, or the file is older than the question.
+    /// It was not asked: the specification is a formula, or the file is older than the question.
     #[default]
     NotAsked,
     /// Some acceleration of the vehicles under test avoids it, and was replayed without contact.
@@ -96,7 +97,7 @@ impl Avoidability {
         if let Self::Undecided { reason } = self { Some(reason) } else { None }
     }
 
-    /// In words; none if nobody has asked.
+    /// In words; none if it was not asked.
     #[must_use]
     pub fn describe(&self) -> Option<String> {
         match self {
@@ -117,7 +118,7 @@ struct Written {
     undecided_because: Option<String>,
 }
 
-/// The same, where `avoidable` says nothing that the class does not.
+/// What is read of [`Written`]: `avoidable` says nothing that the class does not.
 #[derive(Deserialize)]
 struct Read {
     #[serde(default)]

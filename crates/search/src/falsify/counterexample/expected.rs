@@ -166,7 +166,7 @@ impl Expected {
 }
 
 impl Expected {
-    /// The same scenario and controller with what happens today; whether it was avoidable is asked again if it fails.
+    /// What happens today in this scenario under this controller; whether it was avoidable is asked again if it fails.
     ///
     /// # Errors
     /// [`ReplayError`] if something it names is not there or does not fit.

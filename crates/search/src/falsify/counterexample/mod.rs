@@ -6,8 +6,8 @@
 //! [`FailureKind`](super::campaign::FailureKind)) and with at least half the impact speed. What is recorded is the verdict
 //! on the file as it was written and read back.
 //!
-//! Violations of a formula are failures of the formula, whoever touches whom meanwhile: shrinking keeps at least half of the
-//! violation, and the list is by how far they go.
+//! Violations of a formula are failures of the formula, whichever vehicles touch meanwhile: shrinking keeps at least half of
+//! the violation, and the list is by how far they go.
 //!
 //! Two shrunk failures are *distinct* if they are of different kinds, or lie further apart than [`SAME_WITHIN`] in the unit
 //! cube of the space (mean difference over the parameters). Of those that are not, the severer one stays.
@@ -49,7 +49,7 @@ pub struct Counterexample {
     pub rear_vehicle: Option<u32>,
     /// Difference of their speeds, in m/s.
     pub impact_speed_mps: Option<f64>,
-    /// The same of the failure as it was found.
+    /// Impact speed of the failure as it was found, in m/s.
     pub original_impact_speed_mps: Option<f64>,
     /// Largest change of speed of any vehicle in any one impact, in m/s, when the run goes on after contact.
     pub max_delta_v_mps: Option<f64>,

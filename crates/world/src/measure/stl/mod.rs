@@ -33,7 +33,7 @@
 //! A window is clipped to the samples there are. One that starts after the last sample is empty: `always` over it is
 //! satisfied (robustness +∞), `eventually` and `until` are not (-∞), so that `not always` is `eventually not` also there.
 //! Only the samples that a formula refers to are ever looked at, hence a trace that lasts exactly
-//! [`Formula::horizon_s`] is clipped nowhere, whatever the nesting. Whoever wants to refuse shorter traces compares
+//! [`Formula::horizon_s`] is clipped nowhere, whatever the nesting. To refuse shorter traces, compare
 //! [`Formula::horizon_s`] with [`Signals::duration_s`].
 
 mod buffer_pool;

@@ -1,4 +1,4 @@
-//! Robustness straight from the definition: the reference search of the monitor, and the second opinion of whoever replays.
+//! Robustness straight from the definition: the reference search of the monitor, and a second opinion for replays.
 
 use std::cell::RefCell;
 

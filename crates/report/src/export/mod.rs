@@ -3,26 +3,15 @@
 //! Columns: `time_s`, `vehicle`, `position_m`, `speed_mps`, `acceleration_mps2`, `gap_m` (to the vehicle ahead; empty
 //! for the leader). Rows are in order of time, then of vehicle.
 
-use std::sync::Arc;
-
-use parquet::data_type::{DoubleType, Int32Type};
-use parquet::errors::ParquetError;
-use parquet::file::properties::WriterProperties;
-use parquet::file::writer::SerializedFileWriter;
-use parquet::schema::parser::parse_message_type;
+#[cfg(feature = "parquet")]
+mod columnar;
 
 use crumple_world::sim::Trace;
 
-const COLUMNS: [&str; 6] = ["time_s", "vehicle", "position_m", "speed_mps", "acceleration_mps2", "gap_m"];
+#[cfg(feature = "parquet")]
+pub use columnar::parquet;
 
-const PARQUET_SCHEMA: &str = "message trace {
-    REQUIRED DOUBLE time_s;
-    REQUIRED INT32 vehicle;
-    REQUIRED DOUBLE position_m;
-    REQUIRED DOUBLE speed_mps;
-    REQUIRED DOUBLE acceleration_mps2;
-    OPTIONAL DOUBLE gap_m;
-}";
+const COLUMNS: [&str; 6] = ["time_s", "vehicle", "position_m", "speed_mps", "acceleration_mps2", "gap_m"];
 
 /// Why a table could not be encoded.
 #[derive(Debug, thiserror::Error)]
@@ -32,8 +21,9 @@ pub enum ExportError {
     #[error("cannot encode the trace as CSV: {0}")]
     Csv(#[from] csv::Error),
     /// The Parquet writer failed.
+    #[cfg(feature = "parquet")]
     #[error("cannot encode the trace as Parquet: {0}")]
-    Parquet(#[from] ParquetError),
+    Parquet(#[from] ::parquet::errors::ParquetError),
 }
 
 struct Row {
@@ -81,46 +71,7 @@ pub fn csv(trace: &Trace) -> Result<Vec<u8>, ExportError> {
     writer.into_inner().map_err(|error| ExportError::Csv(error.into_error().into()))
 }
 
-/// The trace as a Parquet file.
-///
-/// # Errors
-/// [`ExportError::Parquet`] if the encoder fails, which writing to memory does not.
-pub fn parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
-    let rows = rows(trace);
-    let doubles: [fn(&Row) -> f64; 3] = [|row| row.position_m, |row| row.speed_mps, |row| row.acceleration_mps2];
-    let schema = Arc::new(parse_message_type(PARQUET_SCHEMA)?);
-    let properties = WriterProperties::builder().set_compression(parquet::basic::Compression::SNAPPY).build();
-    let mut writer = SerializedFileWriter::new(Vec::new(), schema, Arc::new(properties))?;
-    let mut group = writer.next_row_group()?;
-    let mut index = 0;
-    while let Some(mut column) = group.next_column()? {
-        match index {
-            0 => {
-                let times: Vec<_> = rows.iter().map(|row| row.time_s).collect();
-                column.typed::<DoubleType>().write_batch(&times, None, None)?;
-            }
-            1 => {
-                let vehicles: Vec<_> = rows.iter().map(|row| row.vehicle).collect();
-                column.typed::<Int32Type>().write_batch(&vehicles, None, None)?;
-            }
-            5 => {
-                let gaps: Vec<_> = rows.iter().filter_map(|row| row.gap_m).collect();
-                let present: Vec<_> = rows.iter().map(|row| i16::from(row.gap_m.is_some())).collect();
-                column.typed::<DoubleType>().write_batch(&gaps, Some(&present), None)?;
-            }
-            other => {
-                let values: Vec<_> = doubles.get(other - 2).map_or_else(Vec::new, |of| rows.iter().map(of).collect());
-                column.typed::<DoubleType>().write_batch(&values, None, None)?;
-            }
-        }
-        column.close()?;
-        index += 1;
-    }
-    group.close()?;
-    Ok(writer.into_inner()?)
-}
-
-#[cfg(test)]
+#[cfg(all(test, feature = "parquet"))]
 mod tests {
     use super::*;
     use ::parquet::file::reader::{FileReader, SerializedFileReader};
