@@ -6,16 +6,14 @@ use crumple_report::assessment::{AssessConfig, AssessmentPlan, CaseVerdict, Stor
 use crumple_search::evidence::{InvalidRate, RateConfig, RatePlan};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign};
-use crumple_world::control::{
-    Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, Needs, ShieldSettings,
-};
+use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego, Needs, ShieldSettings};
 use crumple_world::measure::Specification;
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::scenario::space::{Space, built_in_space};
 use crumple_world::scenario::{Driver, Scenario, built_in};
 use crumple_world::sim::{
-    AfterContact, ControllerKind, FailedController, NamedController, Outcome, RecordingLevel, Run, RunError,
-    RunOptions, Shielded, simulate, simulate_batch,
+    ControllerKind, FailedController, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, Shielded,
+    simulate, simulate_batch,
 };
 use proptest::prelude::*;
 
@@ -207,7 +205,8 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
 
 #[test]
 fn an_assessment_says_who_failed_and_when() {
-    let mut config = AssessConfig { controllers: vec!["baseline".to_owned()], ..AssessConfig::default() };
+    let mut config = AssessConfig::default();
+    config.controllers = vec!["baseline".to_owned()];
     config.gates.clear();
     (config.draws, config.search.budget, config.rates.runs) = (20, 20, 0);
     let own = [Failing::at(100, Ok(f64::NAN)).named()];

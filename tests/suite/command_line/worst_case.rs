@@ -37,7 +37,7 @@ fn a_worst_case_is_written_and_collides() {
     );
     assert_eq!(code(&found), 0);
     let report = objects(&found).remove(0);
-    assert_eq!((&report["found"], &report["way"]), (&true.into(), &"sequential".into()));
+    assert_eq!((&report["found"], &report["method"]), (&true.into(), &"sequential".into()));
     let replayed = crumple(folder.path(), &["simulate", "worst.toml", "--controller", "idm", "--expect", "collision"]);
     assert_eq!(code(&replayed), 0);
 }

@@ -7,7 +7,7 @@ use crumple_world::measure::stl::naive_robustness;
 use crumple_world::measure::stl::{
     Comparison, Formula, FormulaError, Interval, MonitorError, Relation, Signals, SignalsError,
 };
-use crumple_world::sim::{Outcome, Trace};
+use crumple_world::sim::Trace;
 
 /// Samples that random formulas are judged on: the definition takes quadratic time.
 const FEW: usize = 40;
@@ -24,7 +24,7 @@ pub fn monitor_agrees(question: &Question<'_>) -> Finding {
     let all = signals(trace, step_s, 1).map_err(|error| wrong(error.to_string()))?;
     let apart = never_touch(trace.vehicles.len()).map_err(|error| wrong(error.to_string()))?;
     let robustness = first(question, &apart, &all)?;
-    let collided = question.result.outcome != Outcome::NoCollision;
+    let collided = !question.result.impacts.is_empty();
     let sign = if collided { robustness <= ROUNDING_M } else { robustness > 0.0 || grazes(&question.result) };
     must(sign, Law::Monitor, || format!("{apart} has robustness {robustness}, collided: {collided}"))?;
     let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
