@@ -1,3 +1,5 @@
+//! Policies: files read back and refused, and acting on one state or many to the same bits.
+
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
