@@ -72,12 +72,14 @@ impl Actuator {
     }
 }
 
-/// A vehicle that stands and does not want to move is held by its brakes: nothing, noise included, moves it.
+/// A vehicle that stands and does not want to move is held by its brakes: nothing, noise included, moves it. Nor does noise
+/// brake one that stands and wants to move.
 ///
 /// Not for vehicles that stick to others: what such a group does is decided on their summed forces.
 #[inline]
 pub(super) fn unless_at_rest(acceleration_mps2: f64, noise_mps2: f64, speed_mps: f64) -> f64 {
-    if speed_mps == 0.0 && acceleration_mps2 <= 0.0 { 0.0 } else { acceleration_mps2 + noise_mps2 }
+    let disturbed_mps2 = acceleration_mps2 + noise_mps2;
+    if speed_mps == 0.0 && (acceleration_mps2 <= 0.0 || disturbed_mps2 < 0.0) { 0.0 } else { disturbed_mps2 }
 }
 
 /// Normal noise on a vehicle's acceleration.
