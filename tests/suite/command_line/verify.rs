@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::{code, crumple, folder, names_in, objects, stderr, stdout};
+use super::{by_another_build, code, crumple, folder, names_in, objects, stderr, stdout};
 
 #[test]
 fn a_shield_says_when_it_braked_and_what_that_did_to_the_vehicle_behind() {
@@ -67,8 +67,15 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
     // As an interrupted count leaves it.
     std::fs::create_dir(folder.path().join("part")).unwrap();
     std::fs::write(folder.path().join("part/registration.json"), file("whole/registration.json")).unwrap();
-    let progress = file("whole/progress.json").replace("2500", "1000");
-    std::fs::write(folder.path().join("part/progress.json"), progress).unwrap();
+    let (path, progress) =
+        (folder.path().join("part/progress.json"), file("whole/progress.json").replace("2500", "1000"));
+    std::fs::write(&path, &progress).unwrap();
+    by_another_build(&path);
+    let refused = count(&["--out", "part", "--resume"]);
+    assert_eq!(code(&refused), 2);
+    let expected = "error: part/progress.json: made by another build of crumple";
+    assert!(stderr(&refused).starts_with(expected), "{}", stderr(&refused));
+    std::fs::write(&path, progress).unwrap();
     assert_eq!(code(&count(&["--out", "part"])), 2, "not without --resume");
     assert_eq!(code(&count(&["--out", "part", "--resume", "--seed", "1"])), 2, "something else was registered");
     assert_eq!(code(&count(&["--out", "part", "--resume"])), 0);

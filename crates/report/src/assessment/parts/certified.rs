@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, AssessmentPlan};
+use crate::assessment::{AssessError, AssessmentPlan, StoreError};
 use crumple_search::evidence::{RateConfig, RatePlan, shipped_kernels};
 use crumple_world::digest::sha256;
 use crumple_world::scenario::space::{Space, built_in_space};
@@ -136,7 +136,7 @@ fn proof(
     policy: Option<&[u8]>,
     work: &Work<'_>,
 ) -> Result<Proof, AssessError> {
-    let text = serde_json::to_string_pretty(certificate).unwrap_or_default() + "\n";
+    let text = serde_json::to_string_pretty(certificate).map_err(StoreError::encoding)? + "\n";
     let sha256 = sha256(&text);
     // Whatever the policy is, the statement names it by its hash.
     let status = work
@@ -269,7 +269,7 @@ fn count(
             rates.count_block(&mut tally)?;
             work.did(tally.runs - before);
         }
-        Ok::<_, AssessError>(serde_json::to_string(&rates.certificate(&tally)).unwrap_or_default())
+        Ok::<_, AssessError>(serde_json::to_string(&rates.certificate(&tally)).map_err(StoreError::encoding)?)
     })?;
     let certificate = Certificate::from_json(&text).map_err(|error| AssessError::Certificate(error.to_string()))?;
     proof(plan, name.to_owned(), &certificate, None, work)

@@ -149,7 +149,7 @@ impl Search {
         let item = format!("search {} in {}", controller.name, space.name());
         let inputs = json!([
             plan.identity(controller),
-            space_file::to_toml(space).unwrap_or_default(),
+            space_file::to_toml(space).map_err(StoreError::encoding)?,
             campaign.budget,
             campaign.seed
         ]);
