@@ -8,6 +8,7 @@ use arbitrary::Unstructured;
 
 use super::choices::Choices;
 use super::driver::{DRIVER_BYTES, controller};
+use super::shape::CONTROLLERS;
 use crumple_world::control::{Controller, Ego};
 use crumple_world::estimate::{EstimatorKind, Observation};
 use crumple_world::scenario::{AebSettings, ControllerSpec};
@@ -76,7 +77,7 @@ impl Setup {
         let settings = from.bytes(DRIVER_BYTES.min(from.len())).unwrap_or_default();
         Self {
             controller: match kind {
-                0..192 => TestedController::BuiltIn(controller(kind % 7, settings)),
+                0..192 => TestedController::BuiltIn(controller(kind % CONTROLLERS, settings)),
                 192.. => TestedController::Opinionated(interval_steps),
             },
             estimator: choices.one_of(&[EstimatorKind::Kalman, EstimatorKind::Truth]).unwrap_or_default(),

@@ -12,7 +12,7 @@ const COUNTS: [usize; 5] = [3, 2, 4, 5, 6];
 pub(super) const MOST_VEHICLES: usize = 6;
 /// Sorts of lead profiles and of controllers.
 const PROFILES: u8 = 6;
-const CONTROLLERS: u8 = 7;
+pub(super) const CONTROLLERS: u8 = 7;
 
 /// What sort of driver sits in a seat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -14,6 +14,7 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use crumple_world::digest::sha256;
+use crumple_world::scenario::ControllerSpec;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
@@ -61,7 +62,8 @@ fn names_in(folder: &Path) -> Vec<String> {
 fn by_another_build(path: &Path) {
     let program = sha256(std::fs::read(env!("CARGO_BIN_EXE_crumple")).expect("readable"));
     let mut bytes = std::fs::read(path).expect("there");
-    let place = bytes.windows(program.len()).position(|found| found == program.as_bytes()).expect("it names the program");
+    let place =
+        bytes.windows(program.len()).position(|found| found == program.as_bytes()).expect("it names the program");
     bytes[place..place + program.len()].fill(b'0');
     std::fs::write(path, bytes).expect("writable");
 }
@@ -189,8 +191,8 @@ fn list_names_what_simulate_takes() {
     let folder = folder();
     let all = crumple(folder.path(), &["list"]);
     assert_eq!((code(&all), stderr(&all)), (0, ""));
-    let controllers = ["baseline", "baseline-unlatched", "match-leader", "constant-brake", "idm", "acc-aeb", "policy"];
-    for name in PAPERS.iter().chain(&controllers) {
+    let controllers = ControllerSpec::built_in();
+    for name in PAPERS.into_iter().chain(controllers.iter().map(ControllerSpec::name)) {
         assert!(stdout(&all).lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}");
     }
     let listed = &objects(&crumple(folder.path(), &["list", "--format", "json"]))[0];
