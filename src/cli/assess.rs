@@ -11,7 +11,7 @@ use crumple_report::assessment::{
     AssessError, AssessmentPlan, ComparisonError, Earlier, Store, StoreError, assess, files_of_evidence,
 };
 use crumple_search::disk::{DiskError, Files};
-use crumple_world::digest::sha256;
+use crumple_search::program;
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
@@ -63,7 +63,7 @@ impl Assess {
         };
         let against = self.against.as_deref().map(Earlier::load).transpose()?;
         let kept = self.out.join("evidence");
-        let store = Store::open(&kept, &program(), self.fresh)?;
+        let store = Store::open(&kept, program::identity()?, self.fresh)?;
         let bar = progress::bar("assessing", plan.runs(), quiet);
         let assessment = assess(&plan, &store, against.as_ref(), &|done| bar.set_position(done))?;
         bar.finish_and_clear();
@@ -105,13 +105,6 @@ impl Assess {
 
 fn missing_is_fine(error: io::Error) -> io::Result<()> {
     if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) }
-}
-
-/// Stands for the program: other code may find other evidence.
-fn program() -> String {
-    let read = |path: PathBuf| fs::read(path).ok();
-    let bytes = std::env::current_exe().ok().and_then(read);
-    bytes.map(sha256).unwrap_or_else(|| env!("CARGO_PKG_VERSION").to_owned())
 }
 
 impl From<StoreError> for Failure {

@@ -4,7 +4,6 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::simulate::Format;
-use super::verify::write;
 use super::{Failure, output, progress};
 use crumple_search::disk;
 use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, RarePlan, RareReport};
@@ -21,7 +20,7 @@ pub(super) fn estimate(plan: &RarePlan, folder: &Path, format: Format, quiet: bo
     bar.finish_and_clear();
     let report = report.map_err(Failure::input)?;
     let path = folder.join("rare-estimate.json");
-    write(&path, &report)?;
+    disk::write_json(&path, &report)?;
     output::note(&format!("wrote {}", path.display()), quiet);
     output::print(&match format {
         Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",

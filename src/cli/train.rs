@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crumple_learn::rl::{
     Evaluation, Event, HeldOut, LearningCurve, Observer, Trainer, TrainingConfig, TrainingError, UNSEEN_DRAWS,
     side_by_side, train, unseen_contacts,
 };
-use crumple_search::disk::{DiskError, Files};
+use crumple_search::disk::{self, DiskError, Files};
 
 /// Train a driving policy by reinforcement learning
 #[derive(Args)]
@@ -164,13 +164,13 @@ fn train_seed(
     bar: &ProgressBar,
 ) -> Result<SeedResult, Failure> {
     let path = folder.join(CHECKPOINT);
-    let mut trainer = match fs::read(&path) {
-        Ok(bytes) if resume => Trainer::from_checkpoint(&bytes, config, seed)
-            .map_err(|error| Failure::Input(format!("{}: {error}", path.display())))?,
-        Err(source) if resume && source.kind() != io::ErrorKind::NotFound => {
-            return Err(DiskError::at(&path)(source).into());
-        }
-        _ => Trainer::new(config, seed),
+    let earlier = if resume { disk::read(&path)? } else { None };
+    let mut trainer = match earlier {
+        Some(bytes) => Trainer::from_checkpoint(&bytes, config, seed).map_err(|error| match error {
+            TrainingError::Checkpoint(_) => Failure::Input(format!("{}: {error}", path.display())),
+            other => other.into(),
+        })?,
+        None => Trainer::new(config, seed),
     };
     let mut scribe = CheckpointWriter::new(folder, &trainer, bar)?;
     train::<Failure>(&mut trainer, held_out, &mut scribe)?;
@@ -203,16 +203,15 @@ impl<'a> CheckpointWriter<'a> {
     /// A log that begins empty, or goes on after the entries of the episodes that the training has done.
     fn new(folder: &'a Path, trainer: &Trainer, bar: &'a ProgressBar) -> Result<Self, Failure> {
         let (path, episode) = (folder.join(LOG), trainer.episode());
-        let before = if episode > 0 { fs::read_to_string(&path).unwrap_or_default() } else { String::new() };
+        let before = if episode > 0 { disk::read(&path)?.unwrap_or_default() } else { Vec::new() };
+        let before = String::from_utf8_lossy(&before);
         let kept: String = before
             .split_inclusive('\n')
             .take_while(|line| {
                 line.ends_with('\n') && crumple_learn::rl::episode_of(line).is_some_and(|e| e <= episode)
             })
             .collect();
-        let mut files = Files::default();
-        files.stage(&path, kept.as_bytes())?;
-        files.commit()?;
+        disk::write(&path, kept)?;
         bar.inc(episode);
         let log = OpenOptions::new().append(true).open(&path).map_err(DiskError::at(&path))?;
         Ok(Self { seed: trainer.seed(), folder, log, bar, rewards: VecDeque::new(), safe_share: None })
@@ -287,6 +286,7 @@ impl From<TrainingError> for Failure {
     fn from(error: TrainingError) -> Self {
         match error {
             diverged @ TrainingError::Diverged { .. } => Self::Gate(diverged.to_string()),
+            TrainingError::Disk(error) => error.into(),
             other => Self::input(other),
         }
     }

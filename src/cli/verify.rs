@@ -1,20 +1,16 @@
 //! `crumple verify`: claims with certificates.
 
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
-use crumple_search::disk::{self, DiskError};
-use crumple_verify::{Certificate, Registration, check};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use crumple_search::disk;
+use crumple_verify::{Certificate, check};
 
 use super::output;
 use super::simulate::Format;
 use super::{Failure, choice, interrupt, progress, rare, reach, subject};
 use crumple_search::evidence::rare::{Effort, RarePlan};
-use crumple_search::evidence::{RateConfig, RatePlan, Tally, shipped_kernels};
+use crumple_search::evidence::{RateConfig, RateFolderError, RatePlan, Tally, shipped_kernels};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::Space;
 use crumple_world::sim::NamedController;
@@ -117,7 +113,7 @@ impl Shield {
         let mut text = String::new();
         for (name, certificate) in shipped_kernels() {
             let path = self.out.join(format!("{name}.json"));
-            write(&path, &certificate)?;
+            disk::write_json(&path, &certificate)?;
             text += &judged(&path, &certificate)?;
         }
         output::print(&text)
@@ -127,8 +123,7 @@ impl Shield {
 impl Rate {
     fn run(self, quiet: bool) -> Result<(), Failure> {
         let Some(runs) = self.runs else { return self.estimate(quiet) };
-        let [registered, counted, proved] =
-            ["registration", "progress", "certificate"].map(|name| self.out.join(format!("{name}.json")));
+        let is_comparison = self.against.is_some();
         let plan = RatePlan::new(RateConfig {
             controllers: (self.controller, self.against),
             space: self.space,
@@ -138,61 +133,22 @@ impl Rate {
             confidence: self.confidence,
         })
         .map_err(Failure::input)?;
-        let registration = plan.registration();
-        disk::make_folder(&self.out)?;
-        let mut tally = plan.tally();
-        match (registered.exists(), self.resume) {
-            (false, _) => write(&registered, registration)?,
-            (true, false) => {
-                let place = registered.display();
-                return Err(Failure::Input(format!(
-                    "{place}: something is registered there: --resume goes on with it"
-                )));
-            }
-            (true, true) => {
-                if read::<Registration>(&registered)? != *registration {
-                    let place = registered.display();
-                    return Err(Failure::Input(format!("{place}: something else was registered")));
-                }
-                if counted.exists() {
-                    let found: Tally = read(&counted)?;
-                    if found.registration_sha256 != tally.registration_sha256 || found.runs > runs {
-                        let place = counted.display();
-                        return Err(Failure::Input(format!("{place}: registration_sha256: not of this registration")));
-                    }
-                    tally = found;
-                }
-            }
-        }
-        output::note(&format!("registered as {}", registration.digest()), quiet);
+        let mut count = plan.register_in(&self.out, self.resume)?;
+        output::note(&format!("registered as {}", plan.registration().digest()), quiet);
         interrupt::says("what is counted is kept: the same command with --resume goes on".to_owned(), quiet);
         let bar = progress::bar("counting", runs, quiet);
-        while tally.runs < runs {
-            bar.set_position(tally.runs);
-            plan.count_block(&mut tally).map_err(Failure::input)?;
-            write(&counted, &tally)?;
-        }
+        let certificate = count.certificate(&mut |done| bar.set_position(done));
         bar.finish_and_clear();
-        let certificate = plan.certificate(&tally);
-        let said = match check(&certificate) {
-            Ok(_) => judged(&proved, &certificate)?,
-            Err(rejection) => {
-                return Err(Failure::Gate(format!("nothing is shown by {}: {rejection}", counted.display())));
-            }
-        };
-        write(&proved, &certificate)?;
-        let Tally { runs, failures, only_first_failed, only_second_failed, .. } = tally;
-        let counts = match certificate.statement {
-            crumple_verify::Statement::Comparison(_) => {
-                format!("{only_first_failed} runs in which only the first failed, {only_second_failed} only the second")
-            }
-            _ => format!("{failures} failures"),
+        let said = judged(&count.certificate_path(), &certificate?)?;
+        let Tally { runs, failures, only_first_failed, only_second_failed, .. } = count.tally();
+        let counts = if is_comparison {
+            format!("{only_first_failed} runs in which only the first failed, {only_second_failed} only the second")
+        } else {
+            format!("{failures} failures")
         };
         output::print(&format!("{counts}, of {runs} runs\n{said}"))
     }
-}
 
-impl Rate {
     fn estimate(self, quiet: bool) -> Result<(), Failure> {
         let plan = RarePlan {
             controller: self.controller,
@@ -217,15 +173,12 @@ fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
     }
 }
 
-pub(super) fn write(path: &Path, contents: &impl Serialize) -> Result<(), Failure> {
-    let text = serde_json::to_string_pretty(contents).map_err(Failure::input)? + "\n";
-    Ok(disk::write(path, text)?)
-}
-
-fn read<T: DeserializeOwned>(path: &Path) -> Result<T, Failure> {
-    let text = fs::read_to_string(path).map_err(|source| match source.kind() {
-        io::ErrorKind::InvalidData => Failure::Input(format!("{}: {source}", path.display())),
-        _ => DiskError::at(path)(source).into(),
-    })?;
-    serde_json::from_str(&text).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))
+impl From<RateFolderError> for Failure {
+    fn from(error: RateFolderError) -> Self {
+        match error {
+            RateFolderError::Disk(error) => error.into(),
+            rejected @ RateFolderError::Rejected { .. } => Self::Gate(rejected.to_string()),
+            other => Self::input(other),
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! What every built-in controller promises, whatever it is shown.
 
 use crumple_world::control::AebSettings;
-use crumple_world::control::{AnyController, Baseline, BuiltIn, Controller, Ego};
+use crumple_world::control::{AnyController, Baseline, BuiltIn, Controller, ControllerSpec, Ego, Role};
 use crumple_world::measure::ttc_s;
 use crumple_world::observation::{Neighbour, Observation};
 use proptest::prelude::*;
@@ -33,7 +33,7 @@ proptest! {
     /// Commands are numbers.
     #[test]
     fn commands_are_finite(
-        spec in (0..6_u8).prop_flat_map(any_controller),
+        spec in any_controller(),
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..20),
     ) {
@@ -63,7 +63,7 @@ proptest! {
     /// No rule looks at the vehicle behind.
     #[test]
     fn built_in_controllers_look_ahead_only(
-        spec in (0..6_u8).prop_flat_map(any_controller),
+        spec in any_controller().prop_filter("looks behind", |spec| spec.role() == Role::Rule),
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..10),
     ) {
@@ -71,5 +71,13 @@ proptest! {
         for seen in seen {
             prop_assert_eq!(looking.decide(&seen), blind.decide(&Observation { behind: None, ..seen }));
         }
+    }
+}
+
+/// A rule that was added is generated, with its own settings.
+#[test]
+fn every_rule_is_generated() {
+    for rule in ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Rule) {
+        assert!(crumple_fuzzing::CONTROLLERS.contains(&rule), "{}", rule.name());
     }
 }

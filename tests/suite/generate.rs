@@ -75,8 +75,9 @@ pub(crate) fn any_profile(index: u8) -> impl Strategy<Value = LeadProfile> {
 }
 
 /// The `index`-th built-in controller, with any sensible settings.
-pub(crate) fn any_controller(index: u8) -> impl Strategy<Value = ControllerSpec> {
-    bytes(32).prop_map(move |bytes| crumple_fuzzing::controller(index, &bytes))
+pub(crate) fn any_controller() -> impl Strategy<Value = ControllerSpec> {
+    let index = 0..ControllerSpec::built_in().len() as u8;
+    (index, bytes(32)).prop_map(|(index, bytes)| crumple_fuzzing::controller(index, &bytes))
 }
 
 /// A scenario without noise, reaction or actuator delays left as they are.

@@ -1,5 +1,7 @@
 //! Drivers of all sorts.
 
+use std::sync::LazyLock;
+
 use super::choices::Choices;
 use super::shape::Kind;
 use crumple_world::control::{ControllerSpec, Role};
@@ -73,13 +75,13 @@ fn series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec<f64>
 }
 
 /// Sorts of controllers: the rules, and the reference policy.
-pub(super) const CONTROLLERS: u8 = 7;
+pub static CONTROLLERS: LazyLock<Vec<ControllerSpec>> = LazyLock::new(|| {
+    let rules = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Rule);
+    rules.chain([ControllerSpec::Policy(Default::default())]).collect()
+});
 
 fn controller_of(index: u8, choices: &mut Choices<'_>) -> ControllerSpec {
-    let rules = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Rule);
-    let Some(mut spec) = rules.into_iter().nth(usize::from(index)) else {
-        return ControllerSpec::Policy(Default::default());
-    };
+    let mut spec = CONTROLLERS[usize::from(index) % CONTROLLERS.len()].clone();
     for (place, field) in spec.fields().iter().enumerate() {
         if let Some(value) = spec.get_mut(place) {
             *value = choices.about(*value, field.usual);

@@ -28,7 +28,7 @@ use arbitrary::{Arbitrary, Unstructured};
 
 pub use collection::Collection;
 pub use collision_search::{CollisionSearch, CollisionSearchError};
-pub use driver::{controller, profile, script};
+pub use driver::{CONTROLLERS, controller, profile, script};
 pub use formula::any_formula;
 pub use oracle::{Checked, ORACLES, ORACLES_OF_A_RUN, Oracle, Question};
 pub use scenario::{SCENARIO_BYTES, scenario, scenario_of};

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use arbitrary::Unstructured;
 
 use super::choices::Choices;
-use super::driver::{CONTROLLERS, DRIVER_BYTES, controller};
+use super::driver::{DRIVER_BYTES, controller};
 use crumple_world::control::{AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
 use crumple_world::digest::sha256;
 use crumple_world::observation::{EstimatorKind, Observation};
@@ -76,7 +76,7 @@ impl Setup {
         let settings = from.bytes(DRIVER_BYTES.min(from.len())).unwrap_or_default();
         Self {
             controller: match kind {
-                0..192 => TestedController::BuiltIn(controller(kind % CONTROLLERS, settings)),
+                0..192 => TestedController::BuiltIn(controller(kind, settings)),
                 192.. => TestedController::Opinionated(interval_steps),
             },
             estimator: choices.one_of(&[EstimatorKind::Kalman, EstimatorKind::Truth]).unwrap_or_default(),

@@ -3,7 +3,6 @@
 use arbitrary::Unstructured;
 
 use super::choices::Choices;
-use super::driver::CONTROLLERS;
 
 /// Steps of scenarios, in seconds; the paper's first.
 const STEPS_S: [f64; 4] = [0.01, 0.02, 0.05, 0.1];
@@ -55,7 +54,7 @@ impl Kind {
         match byte % 3 {
             0 => Self::UnderTest,
             1 => Self::Profile(byte / 3 % PROFILES),
-            _ => Self::Controller(byte / 3 % CONTROLLERS),
+            _ => Self::Controller(byte / 3),
         }
     }
 

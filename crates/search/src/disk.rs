@@ -4,6 +4,7 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
 use tempfile::NamedTempFile;
 
 /// A file or folder that cannot be read or written.
@@ -84,6 +85,15 @@ pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
     let mut files = Files::default();
     files.stage(path, contents)?;
     files.commit()
+}
+
+/// Writes one file of indented JSON, whole or not at all.
+///
+/// # Errors
+/// [`DiskError`] if it cannot be encoded or written.
+pub fn write_json(path: &Path, contents: &impl Serialize) -> Result<(), DiskError> {
+    let text = serde_json::to_string_pretty(contents).map_err(|error| DiskError::at(path)(error.into()))?;
+    write(path, text + "\n")
 }
 
 /// The bytes of a file; none if there is no such file.

@@ -4,6 +4,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`disk`] | files that appear whole or not at all |
+//! | [`program`] | the identity of the running program, by which half-done work is known |
 //! | [`worst_case`] | convex programs: could any driver have avoided it, how little braking does it take; certificates |
 //! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
 //! | [`evidence`] | claims with certificates: kernels of shields, failure rates; estimates of rare failures |
@@ -11,4 +12,5 @@
 pub mod disk;
 pub mod evidence;
 pub mod falsify;
+pub mod program;
 pub mod worst_case;

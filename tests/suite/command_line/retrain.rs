@@ -76,6 +76,13 @@ fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of
     let other =
         crumple(folder.path(), &retrain("killed", &["--resume", "--policy", "through/rounds/01/before.safetensors"]));
     assert!(stderr(&other).contains("the retraining there has another `policy`"), "{}", stderr(&other));
+    let read = crumple(folder.path(), &resume);
+    assert_eq!((code(&read), stdout(&read)), (code(&through), stdout(&through)), "a complete one is read");
+    fs::write(folder.path().join("killed/resume.json"), r#"{ "program": "another" }"#).unwrap();
+    let refused = crumple(folder.path(), &resume);
+    let expected = "error: killed/resume.json: made by another build of crumple";
+    assert_eq!(code(&refused), 2);
+    assert!(stderr(&refused).contains(expected), "{}", stderr(&refused));
 }
 
 /// Hashes are those of the files, every round was searched and ruled on, and the exit code says whether one was accepted.

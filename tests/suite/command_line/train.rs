@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use super::{code, crumple, folder, stderr, stdout};
+use super::{by_another_build, code, crumple, folder, stderr, stdout};
 
 /// The default preset on tiny networks, with a checkpoint every ten episodes and no early end.
 fn write_preset(folder: &Path) {
@@ -68,6 +68,11 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
             assert!(through == killed, "seed {seed}: {name}");
         }
     }
+    by_another_build(&checkpoint);
+    let refused = crumple(folder.path(), &[train("killed").as_slice(), &["--resume"]].concat());
+    assert_eq!(code(&refused), 2);
+    let expected = "killed/seed-0/checkpoint.safetensors: checkpoint: made by another build of crumple";
+    assert!(stderr(&refused).contains(expected), "{}", stderr(&refused));
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! `crumple verify` and shields on the command line.
 
+use crumple_world::scenario::VehicleClass;
 use serde_json::Value;
 
-use super::{code, crumple, folder, names_in, objects, stderr, stdout};
+use super::{by_another_build, code, crumple, folder, names_in, objects, stderr, stdout};
 
 #[test]
 fn a_shield_says_when_it_braked_and_what_that_did_to_the_vehicle_behind() {
@@ -39,10 +40,11 @@ fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
 fn each_pair_of_classes_gets_a_certificate() {
     let folder = folder();
     let output = crumple(folder.path(), &["verify", "shield", "--out", "kernels"]);
+    let pairs = VehicleClass::ALL.len().pow(2);
     assert_eq!((code(&output), stderr(&output)), (0, ""));
-    assert_eq!(stdout(&output).lines().filter(|line| line.contains("accepted: kernel")).count(), 4);
+    assert_eq!(stdout(&output).lines().filter(|line| line.contains("accepted: kernel")).count(), pairs);
     let names = names_in(&folder.path().join("kernels"));
-    assert_eq!(names.len(), 4);
+    assert_eq!(names.len(), pairs);
     let text = std::fs::read_to_string(folder.path().join("kernels/light-behind-heavy.json")).unwrap();
     let certificate: Value = serde_json::from_str(&text).unwrap();
     assert_eq!(certificate["statement"]["kernel"]["catching_up_squared"], "1/3");
@@ -67,8 +69,15 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
     // As an interrupted count leaves it.
     std::fs::create_dir(folder.path().join("part")).unwrap();
     std::fs::write(folder.path().join("part/registration.json"), file("whole/registration.json")).unwrap();
-    let progress = file("whole/progress.json").replace("2500", "1000");
-    std::fs::write(folder.path().join("part/progress.json"), progress).unwrap();
+    let (path, progress) =
+        (folder.path().join("part/progress.json"), file("whole/progress.json").replace("2500", "1000"));
+    std::fs::write(&path, &progress).unwrap();
+    by_another_build(&path);
+    let refused = count(&["--out", "part", "--resume"]);
+    assert_eq!(code(&refused), 2);
+    let expected = "error: part/progress.json: made by another build of crumple";
+    assert!(stderr(&refused).starts_with(expected), "{}", stderr(&refused));
+    std::fs::write(&path, progress).unwrap();
     assert_eq!(code(&count(&["--out", "part"])), 2, "not without --resume");
     assert_eq!(code(&count(&["--out", "part", "--resume", "--seed", "1"])), 2, "something else was registered");
     assert_eq!(code(&count(&["--out", "part", "--resume"])), 0);

@@ -32,6 +32,11 @@ pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Retr
     Ok(disk::write(path, to_json(value)?)?)
 }
 
+/// The bytes of a file that must be there.
+pub(super) fn read_present(path: &Path) -> Result<Vec<u8>, RetrainError> {
+    disk::read(path)?.ok_or_else(|| RetrainError::Folder(format!("{}: the file is missing", path.display())))
+}
+
 /// The value in a file; none if there is no such file.
 pub(super) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, RetrainError> {
     let Some(bytes) = disk::read(path)? else { return Ok(None) };

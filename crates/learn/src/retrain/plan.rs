@@ -6,7 +6,10 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
+use super::files::{read_json, write_json};
+use super::report::{REPORT, Report};
 use crumple_search::disk;
+use crumple_search::program::{self, OTHER_BUILD};
 
 use crate::rl::{ConfigError, TrainingConfig};
 use crumple_search::falsify::Method;
@@ -155,20 +158,45 @@ impl RetrainingPlan {
         Ok(sha256(self.to_toml()?))
     }
 
-    /// Leaves its file in a folder, or makes sure that the folder is of this plan.
-    pub(super) fn claim(&self, folder: &Path, resume: bool) -> Result<(), RetrainError> {
-        let path = folder.join("retrain.toml");
+    /// Leaves its file in a folder, or makes sure that the folder is of this plan and of this program; the report, where the
+    /// retraining there is complete.
+    pub(super) fn claim(&self, folder: &Path, resume: bool) -> Result<Option<Report>, RetrainError> {
+        let (path, state) = (folder.join("retrain.toml"), folder.join(STATE));
         let expected = self.to_toml()?;
+        let program = program::identity()?.to_owned();
         match disk::read(&path)? {
-            None => Ok(disk::write(&path, expected)?),
-            Some(_) if !resume => Err(RetrainError::Folder(format!(
-                "{} holds a retraining already: use --resume, or another --out",
-                folder.display()
-            ))),
-            Some(found) if found == expected.as_bytes() => Ok(()),
-            Some(found) => Err(RetrainError::Folder(difference(&path, &found, &expected))),
+            None => {
+                write_json(&state, &State { program })?;
+                disk::write(&path, expected)?;
+                return Ok(None);
+            }
+            Some(_) if !resume => {
+                let folder = folder.display();
+                let problem = format!("{folder} holds a retraining already: use --resume, or another --out");
+                return Err(RetrainError::Folder(problem));
+            }
+            Some(found) if found != expected.as_bytes() => {
+                return Err(RetrainError::Folder(difference(&path, &found, &expected)));
+            }
+            Some(_) => {}
+        }
+        match read_json::<State>(&state)? {
+            Some(found) if found.program == program => Ok(None),
+            None if let Some(report) = read_json(&folder.join(REPORT))? => Ok(Some(report)),
+            _ => Err(RetrainError::Folder(format!("{}: {OTHER_BUILD}", state.display()))),
         }
     }
+}
+
+/// There only until the retraining is complete.
+pub(super) const STATE: &str = "resume.json";
+
+/// That file.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct State {
+    /// [`program::identity`] of the program at work.
+    program: String,
 }
 
 /// In what a file on disk differs from the one expected.

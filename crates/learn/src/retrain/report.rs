@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::files::to_json;
+use super::files::{read_present, to_json};
 use super::judged::{CONFIDENCE, Judged, Pairs, Tally};
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, Settings};
 use super::round::{Round, RoundFindings};
@@ -37,6 +37,8 @@ pub struct FileHash {
     /// SHA-256.
     pub sha256: String,
 }
+
+pub(super) const REPORT: &str = "report.json";
 
 /// The file `report.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -92,7 +94,7 @@ impl Report {
         judged: Judged,
     ) -> Result<Self, RetrainError> {
         let hash = |name: &str| -> Result<FileHash, RetrainError> {
-            Ok(FileHash { file: name.to_owned(), sha256: sha256(disk::read(&folder.join(name))?.unwrap_or_default()) })
+            Ok(FileHash { file: name.to_owned(), sha256: sha256(read_present(&folder.join(name))?) })
         };
         let files = [POLICY, RETRAINED_ON, "selection.json", KEPT_ASIDE, JUDGED_ON]
             .map(hash)
@@ -104,7 +106,7 @@ impl Report {
             plan_sha256: plan.digest()?,
             first: plan.first_name.clone(),
             first_sha256: plan.first.digest(),
-            retrained_sha256: files.first().map(|file| file.sha256.clone()).unwrap_or_default(),
+            retrained_sha256: hash(POLICY)?.sha256,
             space: plan.space.name().to_owned(),
             preset: plan.training.name.clone(),
             method: plan.method.name().to_owned(),
@@ -129,7 +131,7 @@ impl Report {
 
     pub(super) fn write(&self, folder: &Path) -> Result<(), RetrainError> {
         disk::write(&folder.join("report.md"), self.to_markdown())?;
-        Ok(disk::write(&folder.join("report.json"), self.to_json()?)?)
+        Ok(disk::write(&folder.join(REPORT), self.to_json()?)?)
     }
 
     /// The text of `report.json`.

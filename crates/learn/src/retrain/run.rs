@@ -4,9 +4,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::cases::Cases;
-use super::files::{read_json, write_json};
+use super::files::{read_json, read_present, write_json};
 use super::judged::{Judged, witnesses};
-use super::plan::{KEPT_ASIDE_SEED, RetrainingPlan};
+use super::plan::{KEPT_ASIDE_SEED, RetrainingPlan, STATE};
 use super::report::{Ending, Report};
 use super::round::{CANDIDATE, RECORD, Round, RoundContext, RoundFindings, gathered, round_folder, selection};
 use super::training::{forget_checkpoints, forget_learner};
@@ -73,13 +73,15 @@ pub(super) const JUDGED_ON: &str = "judged-on.json";
 pub(super) const KEPT_ASIDE: &str = "kept-aside.json";
 
 impl RetrainingPlan {
-    /// Runs the retraining in `folder`, or goes on with it where `resume` says so.
+    /// Runs the retraining in `folder`, or goes on with it where `resume` says so; of a complete one, the report is read.
     ///
     /// # Errors
-    /// [`RetrainError`] if the folder cannot be used, a search or a training fails, or hardly anything in the space is avoidable.
+    /// [`RetrainError`] if the folder cannot be used, or holds half-done work of another build, a search or a training fails, or hardly anything in the space is avoidable.
     pub fn run(&self, folder: &Path, resume: bool, show: &mut dyn FnMut(Progress)) -> Result<Report, RetrainError> {
         disk::make_folder(folder)?;
-        self.claim(folder, resume)?;
+        if let Some(report) = self.claim(folder, resume)? {
+            return Ok(report);
+        }
         let wanted = self.settings.kept_aside;
         let kept_aside = gathered(self, folder, (KEPT_ASIDE, KEPT_ASIDE_SEED, wanted), show)?;
         let selection = selection(self, folder, show)?;
@@ -116,7 +118,7 @@ impl RetrainingPlan {
             forget_checkpoints(folder, number)?;
             forget_learner(folder, number - 1)?;
             if round.acceptance.is_accepted() {
-                policy = Arc::new(candidate(&own.join(CANDIDATE))?);
+                policy = Arc::new(Policy::from_bytes(&read_present(&own.join(CANDIDATE))?)?);
                 standing = round.after.clone();
             }
             rounds.push(round);
@@ -134,6 +136,7 @@ impl RetrainingPlan {
         })?;
         let report = Report::new(self, folder, (first, standing), rounds, ending, judged)?;
         report.write(folder)?;
+        disk::remove(&folder.join(STATE))?;
         Ok(report)
     }
 }
@@ -142,9 +145,4 @@ impl RoundFindings {
     fn is_nothing(&self) -> bool {
         self.avoidable == 0 && self.draws_avoidable.indices.is_empty()
     }
-}
-
-fn candidate(path: &Path) -> Result<Policy, RetrainError> {
-    let missing = || RetrainError::Folder(format!("{}: the candidate is missing", path.display()));
-    Ok(Policy::from_bytes(&disk::read(path)?.ok_or_else(missing)?)?)
 }

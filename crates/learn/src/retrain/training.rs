@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::RetrainError;
 use super::cases::Cases;
-use super::files::{read_json, write_json};
+use super::files::{read_json, read_present, write_json};
 use super::round::{Checkpoint, RoundContext, Trained, round_folder};
 use super::run::{Progress, Show};
 use crate::rl::{Blend, Event, HeldOut, Mixed, Observer, PaperDraws, ScenarioSource, Trainer, TrainingConfig, train};
@@ -39,16 +39,19 @@ impl RoundContext<'_> {
         let episodes = from_episode + self.plan.settings.episodes;
         let config = TrainingConfig { episodes, ..self.plan.training.clone() };
         let source = self.source(cases)?;
-        if let Some(bytes) = disk::read(&self.path(LEARNER))? {
-            return Ok((Trainer::from_checkpoint_with(&bytes, &config, seed, source)?, from_episode));
+        let taken_up = |path: &Path, bytes: &[u8], source| {
+            let named = |error| RetrainError::Folder(format!("{}: {error}", path.display()));
+            Trainer::from_checkpoint_with(bytes, &config, seed, source).map_err(named)
+        };
+        let path = self.path(LEARNER);
+        if let Some(bytes) = disk::read(&path)? {
+            return Ok((taken_up(&path, &bytes, source)?, from_episode));
         }
         let Some(last) = self.last.filter(|_| from_episode > 0) else {
             return Ok((Trainer::with_source(&config, seed, source).from_policy(&self.policy), from_episode));
         };
         let path = round_folder(self.folder, last.round).join(LEARNER);
-        let missing = || RetrainError::Folder(format!("{}: the learner is missing", path.display()));
-        let bytes = disk::read(&path)?.ok_or_else(missing)?;
-        let mut trainer = Trainer::from_checkpoint_with(&bytes, &config, seed, self.source(&self.cases)?)?;
+        let mut trainer = taken_up(&path, &read_present(&path)?, self.source(&self.cases)?)?;
         trainer.turn_to(source, episodes);
         Ok((trainer, from_episode))
     }

@@ -12,6 +12,7 @@ use super::learner::Trained;
 use super::replay::Replay;
 use super::source::{PaperDraws, ScenarioSource};
 use super::trainer::{Best, Trainer, TrainingError};
+use crumple_search::program::{self, OTHER_BUILD};
 use crumple_world::digest::Sha256;
 use crumple_world::policy::Network;
 
@@ -22,8 +23,8 @@ const KEY: &str = "crumple_training";
 #[serde(deny_unknown_fields)]
 struct Header {
     version: u32,
-    /// The release that wrote it.
-    crumple: String,
+    /// The program that wrote it: another one may train differently, and a training that goes on must go on as it began.
+    program: String,
     /// SHA-256 of everything else: this header with an empty string here, and each array's name and bytes.
     sha256: String,
     config: TrainingConfig,
@@ -39,10 +40,7 @@ struct Header {
     mastered: bool,
 }
 
-const VERSION: u32 = 2;
-
-/// This release: another one may train differently, and a training that goes on must go on as it began.
-const RELEASE: &str = env!("CARGO_PKG_VERSION");
+const VERSION: u32 = 3;
 
 impl Header {
     fn digest<'a>(&self, arrays: impl Iterator<Item = (&'a str, &'a [u8])>) -> Result<String, TrainingError> {
@@ -57,21 +55,14 @@ impl Header {
     }
 }
 
-/// Refuses what another version or release wrote, by the two fields that every version of the header has or may lack.
+/// Refuses what another build wrote, whatever else its header says.
 fn check_origin(text: &str) -> Result<(), TrainingError> {
     let header: serde_json::Value = serde_json::from_str(text).map_err(broken)?;
-    let version = header.get("version").and_then(serde_json::Value::as_u64);
-    if version != Some(u64::from(VERSION)) {
-        let found = version.map_or("that is not stated".to_owned(), |version| version.to_string());
-        return Err(broken(format!("version {found} is not supported: this release reads {VERSION}")));
+    let field = |name| header.get(name).cloned().unwrap_or_default();
+    if field("version") != VERSION || field("program") != program::identity()? {
+        return Err(broken(OTHER_BUILD));
     }
-    match header.get("crumple").and_then(serde_json::Value::as_str) {
-        Some(RELEASE) => Ok(()),
-        Some(other) => Err(broken(format!(
-            "release {other} wrote it, and a training ends in the release it began in; this is {RELEASE}"
-        ))),
-        None => Err(broken("it does not say which release wrote it")),
-    }
+    Ok(())
 }
 
 fn broken(problem: impl std::fmt::Display) -> TrainingError {
@@ -87,11 +78,11 @@ impl Trainer {
         let (stored, replay) = self.replay.to_numbers();
         let mut header = Header {
             version: VERSION,
-            crumple: RELEASE.to_owned(),
+            program: program::identity()?.to_owned(),
             sha256: String::new(),
             config: self.config.clone(),
             seed: self.seed,
-            scenarios: self.source.identity(),
+            scenarios: self.source.identity()?,
             episode: self.episode,
             decisions: self.decisions,
             updates: self.learner.updates,
@@ -133,7 +124,7 @@ impl Trainer {
     /// number of episodes may differ.
     ///
     /// # Errors
-    /// [`TrainingError::Checkpoint`] for anything else: another release's, another training's, a truncated one, or one whose
+    /// [`TrainingError::Checkpoint`] for anything else: another build's, another training's, a truncated one, or one whose
     /// content is not what was written.
     pub fn from_checkpoint(bytes: &[u8], config: &TrainingConfig, seed: u64) -> Result<Self, TrainingError> {
         Self::from_checkpoint_with(bytes, config, seed, Arc::new(PaperDraws))
@@ -168,9 +159,10 @@ impl Trainer {
         if (TrainingConfig { episodes: config.episodes, ..header.config }) != *config {
             return Err(broken("it is of another configuration: only the number of episodes may differ"));
         }
-        if header.scenarios != source.identity() {
+        let asked = source.identity()?;
+        if header.scenarios != asked {
             let name = |source: Option<String>| source.unwrap_or_else(|| "the paper's distribution".to_owned());
-            let (found, asked) = (name(header.scenarios), name(source.identity()));
+            let (found, asked) = (name(header.scenarios), name(asked));
             return Err(broken(format!("it is of a training on {found}, not on {asked}")));
         }
         if header.episode > config.episodes {

@@ -22,7 +22,10 @@ pub trait ScenarioSource: Debug + Send + Sync {
 
     /// What tells this source from every other: a training is resumed only with the source that it began with, and a policy
     /// file states it. None for the paper's distribution, which needs no mention.
-    fn identity(&self) -> Option<String>;
+    ///
+    /// # Errors
+    /// If what is to be hashed cannot be encoded.
+    fn identity(&self) -> Result<Option<String>, serde_json::Error>;
 }
 
 /// The paper's distribution: what the presets train on.
@@ -34,8 +37,8 @@ impl ScenarioSource for PaperDraws {
         PaperDistribution { seed }.draw(index)
     }
 
-    fn identity(&self) -> Option<String> {
-        None
+    fn identity(&self) -> Result<Option<String>, serde_json::Error> {
+        Ok(None)
     }
 }
 
@@ -45,10 +48,9 @@ impl ScenarioSource for Space {
         Self::draw(self, seed, index)
     }
 
-    fn identity(&self) -> Option<String> {
-        // A space that was read can be written.
-        let digest = sha256(serde_json::to_string(self.spec()).unwrap_or_default());
-        Some(format!("the space `{}` (sha256 {digest})", self.name()))
+    fn identity(&self) -> Result<Option<String>, serde_json::Error> {
+        let digest = sha256(serde_json::to_string(self.spec())?);
+        Ok(Some(format!("the space `{}` (sha256 {digest})", self.name())))
     }
 }
 
@@ -79,14 +81,15 @@ impl ScenarioSource for Blend {
         source.draw(seed, index)
     }
 
-    fn identity(&self) -> Option<String> {
-        let name = |source: &Arc<dyn ScenarioSource>| source.identity().unwrap_or_else(|| PAPER.to_owned());
-        Some(format!("a share of {} of {}, otherwise {}", self.share, name(&self.first), name(&self.otherwise)))
+    fn identity(&self) -> Result<Option<String>, serde_json::Error> {
+        let (first, otherwise) = (name(&self.first)?, name(&self.otherwise)?);
+        Ok(Some(format!("a share of {} of {first}, otherwise {otherwise}", self.share)))
     }
 }
 
-/// What the source without an identity is called.
-const PAPER: &str = "the paper's distribution";
+fn name(source: &Arc<dyn ScenarioSource>) -> Result<String, serde_json::Error> {
+    Ok(source.identity()?.unwrap_or_else(|| "the paper's distribution".to_owned()))
+}
 
 /// A list of scenarios, such as counterexamples, mixed into another source.
 #[derive(Debug, Clone)]
@@ -118,16 +121,14 @@ impl ScenarioSource for Mixed {
         }
     }
 
-    fn identity(&self) -> Option<String> {
+    fn identity(&self) -> Result<Option<String>, serde_json::Error> {
         let mut digest = Sha256::default();
         for case in &self.cases {
-            // A valid scenario can always be written.
-            digest.update(serde_json::to_string(case.spec()).unwrap_or_default());
+            digest.update(serde_json::to_string(case.spec())?);
         }
-        let digest = digest.hexadecimal();
-        let otherwise = self.otherwise.identity().unwrap_or_else(|| PAPER.to_owned());
+        let (digest, otherwise) = (digest.hexadecimal(), name(&self.otherwise)?);
         let (share, count) = (self.share, self.cases.len());
-        Some(format!("a share of {share} of {count} cases (sha256 {digest}), otherwise {otherwise}"))
+        Ok(Some(format!("a share of {share} of {count} cases (sha256 {digest}), otherwise {otherwise}")))
     }
 }
 
@@ -182,13 +183,16 @@ mod tests {
             blend
                 .identity()
                 .unwrap()
+                .unwrap()
                 .starts_with("a share of 0.25 of the paper's distribution, otherwise the space `high-risk`")
         );
     }
 
     #[test]
     fn a_source_is_known_by_its_cases_and_their_share() {
-        let of = |name: &str, share| Mixed::new(vec![built_in(name).unwrap()], share, Arc::new(PaperDraws)).identity();
+        let of = |name: &str, share| {
+            Mixed::new(vec![built_in(name).unwrap()], share, Arc::new(PaperDraws)).identity().unwrap()
+        };
         assert_eq!(of("paper-1", 0.5), of("paper-1", 0.5));
         assert_ne!(of("paper-1", 0.5), of("paper-2", 0.5));
         assert_ne!(of("paper-1", 0.5), of("paper-1", 0.6));

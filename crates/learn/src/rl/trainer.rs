@@ -12,6 +12,7 @@ use super::evaluation::{Evaluation, HeldOut};
 use super::learner::{Learner, Losses};
 use super::replay::{Batch, Replay, Transition};
 use super::source::{PaperDraws, ScenarioSource, unsuited};
+use crumple_search::disk::DiskError;
 use crumple_world::control::ControllerSpec;
 use crumple_world::policy::{Network, ObservationScaling, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
 use crumple_world::random::{self, Purpose};
@@ -62,6 +63,12 @@ pub enum TrainingError {
     /// A checkpoint cannot be used.
     #[error("checkpoint: {0}")]
     Checkpoint(String),
+    /// What the scenarios are drawn from cannot be written down.
+    #[error("the scenarios of the training cannot be written down: {0}")]
+    Source(#[from] serde_json::Error),
+    /// The program that trains cannot be read.
+    #[error(transparent)]
+    Disk(#[from] DiskError),
 }
 
 /// One episode, as the log states it.
@@ -316,7 +323,7 @@ impl Trainer {
 
     fn policy_of(&self, network: Network, episode: u64) -> Result<Policy, TrainingError> {
         let mut training = serde_json::to_value(&self.config).map_err(|e| TrainingError::Checkpoint(e.to_string()))?;
-        if let (Some(training), Some(source)) = (training.as_object_mut(), self.source.identity()) {
+        if let (Some(training), Some(source)) = (training.as_object_mut(), self.source.identity()?) {
             training.insert("scenarios".to_owned(), source.into());
         }
         let header = PolicyHeader {

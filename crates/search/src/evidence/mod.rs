@@ -7,11 +7,13 @@ mod interval;
 mod kernel;
 pub mod rare;
 mod rate;
+mod rate_folder;
 mod reach;
 
 pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use rate::{InvalidRate, RateConfig, RateError, RatePlan, Tally};
+pub use rate_folder::{RateCount, RateFolderError};
 pub use reach::{BoxSpec, Doubts, InvalidBox, Partition, RangesSpec, ReachPlan, Shares};
 
 use crumple_verify::{Certificate, Provenance, Statement};

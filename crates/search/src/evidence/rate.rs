@@ -65,6 +65,9 @@ pub enum InvalidRate {
         /// What was asked for.
         found: f64,
     },
+    /// The space cannot be written down.
+    #[error("the space cannot be written as TOML: {0}")]
+    Space(#[from] toml::ser::Error),
 }
 
 /// Why a run of a plan cannot be made.
@@ -131,8 +134,7 @@ impl RatePlan {
             ("failure".to_owned(), failure.to_owned()),
             ("seed".to_owned(), seed.to_string()),
             ("space".to_owned(), space_name),
-            // A space that was built has a TOML form.
-            ("space_sha256".to_owned(), sha256(file::to_toml(&space).unwrap_or_default())),
+            ("space_sha256".to_owned(), sha256(file::to_toml(&space)?)),
         ]);
         for (place, driver) in ["controller", "against"].into_iter().zip(&drivers) {
             configuration.insert(place.to_owned(), driver.name.clone());

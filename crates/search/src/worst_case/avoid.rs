@@ -239,7 +239,7 @@ fn conclude(
     if let Some(reason) = &situation.proof_caveat {
         return Err(reason.clone());
     }
-    let proof = certificate::unavoidable(family.centre(), situation, search);
+    let proof = certificate::unavoidable(family.centre(), situation, search)?;
     let proof = proof.ok_or(Reason::TooClose { low_m: best_m, high_m })?;
     match crumple_verify::check(&proof) {
         Ok(_) => Ok((AvoidanceVerdict::Unavoidable(Box::new(proof)), None)),
@@ -258,11 +258,11 @@ pub fn certify(family: &Family, escape: &Escape) -> Result<Certificate, Reason> 
     }
     let stating = |least_m| certificate::avoidable(family.centre(), &situation, &escape.acceleration_mps2, least_m);
     let rejected = |rejection: crumple_verify::Rejection| Reason::Rejected { why: rejection.to_string() };
-    let least_m = match crumple_verify::check(&stating(None)).map_err(rejected)? {
+    let least_m = match crumple_verify::check(&stating(None)?).map_err(rejected)? {
         Accepted::Avoidable { smallest_gap_m } => Some(smallest_gap_m),
         _ => None,
     };
-    let certificate = stating(least_m);
+    let certificate = stating(least_m)?;
     crumple_verify::check(&certificate).map_err(rejected)?;
     Ok(certificate)
 }

@@ -7,6 +7,7 @@ use crumple_verify::{
 use super::branches::Search;
 use super::family::Family;
 use super::multipliers::{Multipliers, Proof, SURELY, Weighted};
+use super::reason::Reason;
 use super::situation::Situation;
 use crumple_world::scenario::{Scenario, file};
 
@@ -42,39 +43,34 @@ pub(super) fn avoidable(
     situation: &Situation,
     acceleration_mps2: &[Vec<f64>],
     min_gap_m_at_least: Option<f64>,
-) -> Certificate {
+) -> Result<Certificate, Reason> {
     let witness = acceleration_mps2.iter().map(|each| held(each)).collect();
     let statement = Avoidable { scene: scene(situation), witness, min_gap_m_at_least };
     wrapped(scenario, Statement::Avoidable(statement))
 }
 
 /// The certificate that there is no escape; none if the search has not closed every branch.
-pub(super) fn unavoidable(scenario: &Scenario, situation: &Situation, search: &Search<'_>) -> Option<Certificate> {
-    let statement = Unavoidable { scene: scene(situation), branches: branches(situation, search)? };
-    Some(wrapped(scenario, Statement::Unavoidable(statement)))
+pub(super) fn unavoidable(
+    scenario: &Scenario,
+    situation: &Situation,
+    search: &Search<'_>,
+) -> Result<Option<Certificate>, Reason> {
+    let Some(branches) = branches(situation, search) else { return Ok(None) };
+    wrapped(scenario, Statement::Unavoidable(Unavoidable { scene: scene(situation), branches })).map(Some)
 }
 
-fn wrapped(scenario: &Scenario, statement: Statement) -> Certificate {
+fn wrapped(scenario: &Scenario, statement: Statement) -> Result<Certificate, Reason> {
     let mut assumptions = statement.assumptions();
     if scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 > 0.0) {
         assumptions.push(Assumption::NoiseOfSeed);
     }
-    Certificate {
-        version: crumple_verify::certificate::VERSION,
-        provenance: provenance(scenario),
-        assumptions,
-        statement,
-    }
-}
-
-/// Where a certificate about a scenario comes from.
-pub(super) fn provenance(scenario: &Scenario) -> Provenance {
-    let text = file::to_toml(scenario).unwrap_or_default();
-    Provenance {
+    let text = file::to_toml(scenario).map_err(|error| Reason::Unwritable { why: error.to_string() })?;
+    let provenance = Provenance {
         crumple: env!("CARGO_PKG_VERSION").to_owned(),
         scenario: scenario.spec().name.clone(),
         scenario_sha256: crumple_world::digest::sha256(text),
-    }
+    };
+    Ok(Certificate { version: crumple_verify::certificate::VERSION, provenance, assumptions, statement })
 }
 
 /// Branches that close every firing: one for each early firing, and one for all late ones.

@@ -23,6 +23,12 @@ pub enum Reason {
         /// What drives it.
         driver: &'static str,
     },
+    /// The scenario cannot be written down, and a certificate holds its hash.
+    #[error("the scenario cannot be written as TOML: {why}")]
+    Unwritable {
+        /// Why.
+        why: String,
+    },
     /// The escape that was found makes a vehicle collide that is not modelled.
     #[error("vehicle {vehicle} and those behind it are not modelled")]
     BehindFollower {

@@ -40,6 +40,9 @@ pub enum RareError {
     /// The run cannot be judged.
     #[error(transparent)]
     Specification(#[from] SpecificationError),
+    /// The space cannot be written down.
+    #[error("the space cannot be written as TOML: {0}")]
+    Space(#[from] toml::ser::Error),
 }
 
 /// An estimate with all that decided it. No certificate: see [the module](super).
@@ -119,8 +122,7 @@ impl RarePlan {
             policy_sha256: self.controller.policy().map(|policy| policy.digest()),
             estimator: self.estimator,
             space: self.space.name().to_owned(),
-            // A space that was built has a TOML form.
-            space_sha256: sha256(file::to_toml(&self.space).unwrap_or_default()),
+            space_sha256: sha256(file::to_toml(&self.space)?),
             failure: "vehicles touch",
             seed: self.seed,
             effort: self.effort,

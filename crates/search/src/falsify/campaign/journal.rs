@@ -1,14 +1,17 @@
 //! What a campaign has found out so far, kept so that `kill -9` loses nothing.
 //!
-//! The journal is a flat file with one record an evaluation, in the order of evaluation, appended batch by batch. Which point
+//! The journal is a flat file that begins with the identity of the program, for another build would find other values; then one
+//! record an evaluation, in the order of evaluation, appended batch by batch. Which point
 //! an evaluation was at need not be kept: asking the search again gives the same points, as long as it is told the
 //! same values. A record that was cut short is not used; one that was changed is known by its checksum, and the campaign does
 //! not go on from it. The journal is removed once the campaign is complete: its contents are then in the Parquet files.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufReader, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use crate::disk::DiskError;
+use crate::program::{self, OTHER_BUILD};
 use crumple_world::digest::Sha256;
 use crumple_world::measure::{Braking, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
@@ -19,6 +22,8 @@ const BODY: usize = 3 * 8 + 2 * 4 + 2;
 /// The first bytes of the SHA-256 of the record's number and body: a record in another's place is damage, too.
 const CHECKSUM: usize = 6;
 const RECORD: usize = BODY + CHECKSUM;
+/// The identity of the program, in hexadecimal, and the end of its line.
+const HEADER: usize = 2 * 32 + 1;
 /// In place of the braking where no vehicles touched.
 const NO_CONTACT: u8 = u8::MAX;
 /// In place of the braking where a controller failed; the vehicle that is hit is then its own.
@@ -26,6 +31,7 @@ const CONTROLLER_FAILED: u8 = u8::MAX - 1;
 
 pub(super) struct Journal {
     file: File,
+    path: PathBuf,
     /// Records of an earlier run, not yet used.
     earlier: Option<BufReader<File>>,
     /// Records used or written so far.
@@ -36,7 +42,9 @@ pub(super) struct Journal {
 #[derive(Debug, thiserror::Error)]
 pub(super) enum JournalError {
     #[error(transparent)]
-    Read(#[from] io::Error),
+    Disk(#[from] DiskError),
+    #[error("{OTHER_BUILD}")]
+    OtherBuild,
     #[error(
         "record {number} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
          another --out"
@@ -46,16 +54,31 @@ pub(super) enum JournalError {
 
 impl Journal {
     /// An empty journal.
-    pub(super) fn create(path: &Path) -> io::Result<Self> {
-        Ok(Self { file: File::create(path)?, earlier: None, records: 0 })
+    pub(super) fn create(path: &Path) -> Result<Self, JournalError> {
+        let (unusable, header) = (DiskError::at(path), header_here()?);
+        let mut file = File::create(path).map_err(unusable)?;
+        file.write_all(header.as_bytes()).map_err(unusable)?;
+        Ok(Self { file, path: path.to_owned(), earlier: None, records: 0 })
     }
 
     /// The journal of an earlier run, or an empty one if there is none.
-    pub(super) fn resume(path: &Path) -> io::Result<Self> {
-        let file = OpenOptions::new().read(true).append(true).create(true).open(path)?;
-        let whole = file.metadata()?.len() / RECORD as u64 * RECORD as u64;
-        file.set_len(whole)?;
-        Ok(Self { file, earlier: Some(BufReader::new(File::open(path)?)), records: 0 })
+    pub(super) fn resume(path: &Path) -> Result<Self, JournalError> {
+        let unusable = DiskError::at(path);
+        let length = match fs::metadata(path) {
+            Ok(data) => data.len(),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => 0,
+            Err(error) => return Err(unusable(error).into()),
+        };
+        // One whose header was cut short holds nothing.
+        let Some(beyond) = length.checked_sub(HEADER as u64) else { return Self::create(path) };
+        let (mut earlier, mut header) = (BufReader::new(File::open(path).map_err(unusable)?), [0; HEADER]);
+        earlier.read_exact(&mut header).map_err(unusable)?;
+        if header != header_here()?.as_bytes() {
+            return Err(JournalError::OtherBuild);
+        }
+        let file = OpenOptions::new().append(true).open(path).map_err(unusable)?;
+        file.set_len(length - beyond % RECORD as u64).map_err(unusable)?;
+        Ok(Self { file, path: path.to_owned(), earlier: Some(earlier), records: 0 })
     }
 
     /// The next verdict of an earlier run.
@@ -72,12 +95,12 @@ impl Journal {
                 self.earlier = None;
                 Ok(None)
             }
-            Err(error) => Err(error.into()),
+            Err(error) => Err(DiskError::at(&self.path)(error).into()),
         }
     }
 
     /// Appends verdicts; they survive the end of the process, however sudden.
-    pub(super) fn append(&mut self, verdicts: &[RunVerdict]) -> io::Result<()> {
+    pub(super) fn append(&mut self, verdicts: &[RunVerdict]) -> Result<(), DiskError> {
         let mut bytes = Vec::with_capacity(verdicts.len() * RECORD);
         for (verdict, index) in verdicts.iter().zip(self.records..) {
             let body = encode(verdict);
@@ -85,8 +108,12 @@ impl Journal {
             bytes.extend(checksum_of(index, &body));
         }
         self.records += verdicts.len() as u64;
-        self.file.write_all(&bytes)
+        self.file.write_all(&bytes).map_err(DiskError::at(&self.path))
     }
+}
+
+fn header_here() -> Result<String, DiskError> {
+    Ok(format!("{}\n", program::identity()?))
 }
 
 fn checksum_of(index: u64, body: &[u8; BODY]) -> [u8; CHECKSUM] {
@@ -161,14 +188,14 @@ mod tests {
         assert_eq!(journal.next().unwrap(), Some(verdicts[1]));
         assert_eq!(journal.next().unwrap(), None);
         journal.append(&verdicts[..1]).unwrap();
-        assert_eq!(std::fs::metadata(&path).unwrap().len(), 3 * RECORD as u64);
+        assert_eq!(std::fs::metadata(&path).unwrap().len(), (HEADER + 3 * RECORD) as u64);
         let mut again = Journal::resume(&path).unwrap();
         for expected in [verdicts[0], verdicts[1], verdicts[0]] {
             assert_eq!(again.next().unwrap(), Some(expected));
         }
     }
 
-    /// Any bit of any record, and two whole records that change places.
+    /// Any bit of the header or any record, and two whole records that change places.
     #[test]
     fn damage_is_found_where_it_is() {
         let folder = tempfile::tempdir().unwrap();
@@ -178,7 +205,10 @@ mod tests {
         let whole = std::fs::read(&path).unwrap();
         let first_damage = |bytes: &[u8]| {
             std::fs::write(&path, bytes).unwrap();
-            let mut journal = Journal::resume(&path).unwrap();
+            let mut journal = match Journal::resume(&path) {
+                Ok(journal) => journal,
+                Err(error) => return Some(error.to_string()),
+            };
             loop {
                 match journal.next() {
                     Ok(Some(_)) => {}
@@ -191,10 +221,15 @@ mod tests {
         for bit in 0..8 * whole.len() {
             let mut bytes = whole.clone();
             bytes[bit / 8] ^= 1 << (bit % 8);
-            let expected = format!("record {} is damaged", bit / 8 / RECORD + 1);
+            let expected = match (bit / 8).checked_sub(HEADER) {
+                None => OTHER_BUILD.to_owned(),
+                Some(beyond) => format!("record {} is damaged", beyond / RECORD + 1),
+            };
             assert!(first_damage(&bytes).unwrap().starts_with(&expected));
+            assert_eq!(std::fs::read(&path).unwrap(), bytes, "nothing is cut from what is refused");
         }
-        let (one, two) = (&whole[..RECORD], &whole[RECORD..2 * RECORD]);
-        assert!(first_damage(&[two, one].concat()).unwrap().starts_with("record 1 is damaged"));
+        let (header, [one, two]) = (&whole[..HEADER], [0, 1].map(|at| &whole[HEADER + at * RECORD..][..RECORD]));
+        assert!(first_damage(&[header, two, one].concat()).unwrap().starts_with("record 1 is damaged"));
+        assert_eq!(first_damage(&header[1..]), None, "it begins anew");
     }
 }

@@ -9,7 +9,7 @@
 //! | `counterexamples/*.toml` | distinct failures, shrunk, as scenario files; `originals/` has them as they were found |
 //! | `counterexamples/expected.toml` | the recorded verdict of each of them |
 //! | `summary.json`, `summary.txt` | what was found, by which method after how many evaluations |
-//! | `evaluations.journal` | only while the campaign runs: what is lost by no `kill -9` |
+//! | `evaluations.journal` | only while the campaign runs: what is lost by no `kill -9`, for the build that wrote it |
 //! | `campaign.lock` | empty, only while the campaign runs: locked by the process that works on it |
 //!
 //! The reference searches, uniform points and a Halton sequence, always run with the same budget as the method asked for: a search

@@ -92,7 +92,7 @@ impl Campaign {
         fs::create_dir_all(&evaluations).map_err(DiskError::at(&evaluations))?;
         let journal_path = folder.join(JOURNAL);
         let journal = if resume { Journal::resume(&journal_path) } else { Journal::create(&journal_path) };
-        let mut journal = journal.map_err(DiskError::at(&journal_path))?;
+        let mut journal = journal.map_err(|error| unusable(&journal_path, error))?;
         let mut findings = Findings {
             reached: Vec::new(),
             failures: Failures::new(self.specification.clone()),
@@ -160,11 +160,6 @@ impl Campaign {
         findings: &mut Findings<'_>,
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<Reached, CampaignError> {
-        let unwritable = DiskError::at(journal_path);
-        let unreadable = |error: JournalError| match error {
-            JournalError::Read(source) => unwritable(source).into(),
-            damaged => CampaignError::Folder(format!("{}: {damaged}", journal_path.display())),
-        };
         let cube = Cube::of(space).map_err(CampaignError::encoding)?;
         let mut search = method.start(&cube, self.seed);
         let nominal = space.point(&space.nominal());
@@ -183,13 +178,13 @@ impl Campaign {
             points.truncate(usize::try_from(self.budget - reached.evaluations).unwrap_or(usize::MAX));
             let mut verdicts = Vec::with_capacity(points.len());
             while verdicts.len() < points.len()
-                && let Some(verdict) = journal.next().map_err(unreadable)?
+                && let Some(verdict) = journal.next().map_err(|error| unusable(journal_path, error))?
             {
                 verdicts.push(verdict);
             }
             let known = verdicts.len();
             verdicts.extend(self.evaluate(space, points.get(known..).unwrap_or_default())?);
-            journal.append(verdicts.get(known..).unwrap_or_default()).map_err(unwritable)?;
+            journal.append(verdicts.get(known..).unwrap_or_default())?;
             let mut told = Vec::with_capacity(points.len());
             for (point, verdict) in points.into_iter().zip(verdicts) {
                 reached.evaluations += 1;
@@ -309,6 +304,13 @@ enum FolderState {
 const CONFIGURATION: &str = "campaign.toml";
 const JOURNAL: &str = "evaluations.journal";
 const SUMMARY: &str = "summary.json";
+
+fn unusable(journal: &Path, error: JournalError) -> CampaignError {
+    match error {
+        JournalError::Disk(error) => error.into(),
+        unfit => CampaignError::Folder(format!("{}: {unfit}", journal.display())),
+    }
+}
 
 fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> Progress {
     let all = || done.iter().chain(current);
