@@ -1,52 +1,11 @@
-//! The table of built-in controllers, and what is derived from it.
-//!
-//! A controller is a file of its own with an implementation of [`BuiltIn`], and a row here. The command line, the format of
-//! scenario files, its schema, lists, the lockstep engine and the fuzzing strategies follow.
+//! What is derived from the table of built-in controllers: specifications by name, and drivers of any kind.
 
 use std::sync::Arc;
 
-use super::{
-    AccAeb, Baseline, BaselineUnlatched, ConstantBrake, Controller, ControllerFailure, Ego, Field, FullThrottle, Idm,
-    MatchLeader, PolicyDriver, RandomActions, ReferencePolicy, RetrainedPolicy, Settings, Shield, ZeroOrderHold,
-};
+use super::*;
 use crate::digest::sha256;
 use crate::observation::Observation;
 use crate::policy::Policy;
-
-/// Hands the table to a macro. First the controllers that are rules: a row's name is that of the type that drives. Then
-/// those that are policies: a row's name, and the type that knows the policy. The documentation of a row is that of its
-/// name in scenario files.
-macro_rules! with_controllers {
-    ($then:ident) => {
-        $then! {
-            rules {
-                /// The paper's baseline ADAS.
-                Baseline,
-                /// The baseline ADAS with a brake that is released when TTC recovers.
-                BaselineUnlatched,
-                /// Command the acceleration that the vehicle ahead is seen to have.
-                MatchLeader,
-                /// Brake at a constant rate once the vehicle ahead is seen to brake.
-                ConstantBrake,
-                /// Intelligent Driver Model.
-                Idm,
-                /// Adaptive cruise control with emergency braking.
-                AccAeb,
-                /// Full acceleration at all times.
-                FullThrottle,
-                /// A random action each step, from the scenario's seed.
-                RandomActions,
-            }
-            policies {
-                /// The committed reference policy.
-                Policy(ReferencePolicy),
-                /// The committed policy that was retrained in the space `high-risk`.
-                Retrained(RetrainedPolicy),
-            }
-        }
-    };
-}
-pub(crate) use with_controllers;
 
 /// What a built-in controller is for. Lists are in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

@@ -2,6 +2,44 @@
 //!
 //! A controller sees an [`Observation`], nothing else of the world, and answers with the acceleration it wants. What the
 //! vehicle then does (limits, lag, friction) is the simulation's business.
+//!
+//! A built-in controller is a file of its own with an implementation of [`BuiltIn`], named in this file among the modules and
+//! in a row of the table. The command line, the format of scenario files, its schema, spaces, lists, the lockstep engine and
+//! the fuzzing strategies follow.
+
+/// Hands the table to a macro. First the controllers that are rules: a row's name is that of the type that drives. Then
+/// those that are policies: a row's name, and the type that knows the policy. The documentation of a row is that of its
+/// name in scenario files.
+macro_rules! with_controllers {
+    ($then:ident) => {
+        $then! {
+            rules {
+                /// The paper's baseline ADAS.
+                Baseline,
+                /// The baseline ADAS with a brake that is released when TTC recovers.
+                BaselineUnlatched,
+                /// Command the acceleration that the vehicle ahead is seen to have.
+                MatchLeader,
+                /// Brake at a constant rate once the vehicle ahead is seen to brake.
+                ConstantBrake,
+                /// Intelligent Driver Model.
+                Idm,
+                /// Adaptive cruise control with emergency braking.
+                AccAeb,
+                /// Full acceleration at all times.
+                FullThrottle,
+                /// A random action each step, from the scenario's seed.
+                RandomActions,
+            }
+            policies {
+                /// The committed reference policy.
+                Policy(ReferencePolicy),
+                /// The committed policy that was retrained in the space `high-risk`.
+                Retrained(RetrainedPolicy),
+            }
+        }
+    };
+}
 
 mod acc_aeb;
 mod baseline;
@@ -17,7 +55,6 @@ mod stress;
 
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
-pub(crate) use built_in::with_controllers;
 pub use built_in::{AnyController, BuiltIn, ControllerSpec, InvalidSetting, Role};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use idm::{Idm, IdmSettings};
@@ -27,6 +64,7 @@ pub use settings::{Field, NoSettings, Settings};
 pub use shield::{Behind, ErrorBounds, Frame, Kernel, MARGIN_M, Override, Shield, ShieldSettings};
 pub use source::{ControllerFailure, ControllerSource, Needs, ZeroOrderHold};
 pub use stress::{FullThrottle, RandomActions};
+pub(crate) use with_controllers;
 
 use crate::observation::Observation;
 
