@@ -27,27 +27,28 @@ fn assert_near(found: f64, expected: f64, tolerance: f64, what: &str) {
     assert!((found - expected).abs() <= tolerance, "{what}: {found}, expected {expected} ± {tolerance}");
 }
 
+/// The follower hits the baseline, at that time and with these speeds of ego and follower.
+fn hit_from_behind(name: &str, time_s: f64, [ego_mps, follower_mps]: [f64; 2]) -> Simulated {
+    let result = with_truth(name, "baseline");
+    let contact = result.outcome.contact().expect("a rear collision");
+    assert_eq!((contact.front_vehicle, contact.rear_vehicle), (1, 2));
+    assert_near(contact.time_s, time_s, 0.02, "time of contact");
+    assert_near(contact.front_speed_mps, ego_mps, 0.1, "speed of the ego");
+    assert_near(contact.rear_speed_mps, follower_mps, 0.1, "speed of the follower");
+    result
+}
+
 /// Scenario 1: the ego brakes in time for the leader and the heavy follower hits it, at 17.5 against 7.4 m/s.
 #[test]
 fn the_baseline_is_hit_from_behind_by_a_heavy_follower() {
-    let result = with_truth("paper-1", "baseline");
-    let contact = result.outcome.contact().expect("a rear collision");
-    assert_eq!((contact.front_vehicle, contact.rear_vehicle), (1, 2));
-    assert_near(contact.time_s, 5.50, 0.02, "time of contact");
-    assert_near(contact.front_speed_mps, 7.4, 0.1, "speed of the ego");
-    assert_near(contact.rear_speed_mps, 17.5, 0.1, "speed of the follower");
+    let result = hit_from_behind("paper-1", 5.50, [7.4, 17.5]);
     assert_near(result.vehicles[1].min_gap_m.unwrap(), 4.34, 0.05, "smallest front gap");
 }
 
 /// Scenario 2: so does a light one, at 14.6 against 6.3 m/s.
 #[test]
 fn the_baseline_is_hit_from_behind_by_a_light_follower() {
-    let result = with_truth("paper-2", "baseline");
-    let contact = result.outcome.contact().expect("a rear collision");
-    assert_eq!((contact.front_vehicle, contact.rear_vehicle), (1, 2));
-    assert_near(contact.time_s, 5.64, 0.02, "time of contact");
-    assert_near(contact.front_speed_mps, 6.3, 0.1, "speed of the ego");
-    assert_near(contact.rear_speed_mps, 14.6, 0.1, "speed of the follower");
+    let result = hit_from_behind("paper-2", 5.64, [6.3, 14.6]);
     assert!(result.vehicles[1].min_gap_m.unwrap() > 0.0, "no front contact");
 }
 

@@ -3,12 +3,14 @@
 //!
 //! | module | what it holds |
 //! |---|---|
+//! | [`difference`] | in what the file of earlier work differs from the one expected |
 //! | [`disk`] | files that appear whole or not at all |
 //! | [`program`] | the identity of the running program, by which half-done work is known |
 //! | [`worst_case`] | convex programs: could any driver have avoided it, how little braking does it take; certificates |
 //! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
 //! | [`evidence`] | claims with certificates: kernels of shields, failure rates; estimates of rare failures |
 
+pub mod difference;
 pub mod disk;
 pub mod evidence;
 pub mod falsify;

@@ -58,6 +58,15 @@ fn names_in(folder: &Path) -> Vec<String> {
     names
 }
 
+/// Writes a text of which each of some passages stands changed.
+fn write_changed(path: &Path, text: &str, changes: &[(&str, &str)]) {
+    let changed = changes.iter().fold(text.to_owned(), |text, (from, to)| {
+        assert!(text.contains(from), "{from}");
+        text.replace(from, to)
+    });
+    std::fs::write(path, changed).expect("writable");
+}
+
 /// Leaves a file as another build of crumple would have.
 fn by_another_build(path: &Path) {
     let program = sha256(std::fs::read(env!("CARGO_BIN_EXE_crumple")).expect("readable"));

@@ -6,23 +6,19 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::falsify::assert_same;
-use super::{code, command, crumple, folder, killed_at_random, objects, stderr, stdout};
+use super::{code, command, crumple, folder, killed_at_random, objects, stderr, stdout, write_changed};
 
 /// The preset of the command on tiny networks that learn at once, with a checkpoint of its training every ten episodes.
 fn write_preset(folder: &Path) {
-    let mut preset = include_str!("../../../crates/learn/src/retrain/preset.toml").to_owned();
-    for (from, to) in [
+    let changes = [
         ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
         ("batch = 256", "batch = 8"),
         ("random_episodes = 200", "random_episodes = 3"),
         ("every_episodes = 25", "every_episodes = 1"),
         ("screening_draws = 200", "screening_draws = 2"),
         ("ranking_draws = 1000", "ranking_draws = 6"),
-    ] {
-        assert!(preset.contains(from), "{from}");
-        preset = preset.replace(from, to);
-    }
-    fs::write(folder.join("tiny.toml"), preset).unwrap();
+    ];
+    write_changed(&folder.join("tiny.toml"), include_str!("../../../crates/learn/src/retrain/preset.toml"), &changes);
 }
 
 const RETRAIN: [&str; 20] = [

@@ -6,12 +6,11 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use super::{by_another_build, code, crumple, folder, stderr, stdout};
+use super::{by_another_build, code, crumple, folder, stderr, stdout, write_changed};
 
 /// The default preset on tiny networks, with a checkpoint every ten episodes and no early end.
 fn write_preset(folder: &Path) {
-    let mut preset = include_str!("../../../crates/learn/src/rl/presets/fast.toml").to_owned();
-    for (from, to) in [
+    let changes = [
         ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
         ("batch = 128", "batch = 8"),
         ("random_episodes = 20", "random_episodes = 3"),
@@ -19,11 +18,8 @@ fn write_preset(folder: &Path) {
         ("screening_draws = 60", "screening_draws = 2"),
         ("ranking_draws = 2000", "ranking_draws = 2"),
         ("master_gap_m = 1.0", "master_gap_m = 0.0"),
-    ] {
-        assert!(preset.contains(from), "{from}");
-        preset = preset.replace(from, to);
-    }
-    fs::write(folder.join("tiny.toml"), preset).unwrap();
+    ];
+    write_changed(&folder.join("tiny.toml"), include_str!("../../../crates/learn/src/rl/presets/fast.toml"), &changes);
 }
 
 const FILES: [&str; 3] = ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"];

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::RetrainError;
 use super::files::{read_json, write_json};
 use super::report::{REPORT, Report};
+use crumple_search::difference;
 use crumple_search::disk;
 use crumple_search::program::{self, OTHER_BUILD};
 
@@ -176,7 +177,12 @@ impl RetrainingPlan {
                 return Err(RetrainError::Folder(problem));
             }
             Some(found) if found != expected.as_bytes() => {
-                return Err(RetrainError::Folder(difference(&path, &found, &expected)));
+                return Err(RetrainError::Folder(difference::in_toml(
+                    &path,
+                    "retraining",
+                    &String::from_utf8_lossy(&found),
+                    &expected,
+                )));
             }
             Some(_) => {}
         }
@@ -199,27 +205,6 @@ struct State {
     program: String,
 }
 
-/// In what a file on disk differs from the one expected.
-fn difference(path: &Path, found: &[u8], expected: &str) -> String {
-    let table = |text: &str| text.parse::<toml::Table>().ok();
-    let (Some(old), Some(new)) = (std::str::from_utf8(found).ok().and_then(table), table(expected)) else {
-        return format!("{}: not the file of a retraining", path.display());
-    };
-    let field = differing(&old, &new).unwrap_or_else(|| "file".to_owned());
-    format!("{}: the retraining there has another `{field}`", path.display())
-}
-
-/// The path of the first field in which two tables differ.
-fn differing(old: &toml::Table, new: &toml::Table) -> Option<String> {
-    new.iter().find(|(name, value)| old.get(*name) != Some(value)).map(|(name, value)| {
-        let inner = match (old.get(name), value) {
-            (Some(toml::Value::Table(old)), toml::Value::Table(new)) => differing(old, new),
-            _ => None,
-        };
-        inner.map_or(name.clone(), |inner| format!("{name}.{inner}"))
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -228,13 +213,5 @@ mod tests {
     fn the_preset_is_valid_and_never_ends_by_itself() {
         let preset = training_preset().unwrap();
         assert_eq!((preset.name.as_str(), preset.evaluation.master_gap_m), ("harden", 0.0));
-    }
-
-    #[test]
-    fn a_difference_is_named_by_its_path() {
-        let table = |text: &str| text.parse::<toml::Table>().unwrap();
-        let (old, new) = (table("a = 1\n[b]\nc = 2\nd = 3"), table("a = 1\n[b]\nc = 2\nd = 4"));
-        assert_eq!(differing(&old, &new), Some("b.d".to_owned()));
-        assert_eq!(differing(&old, &old), None);
     }
 }

@@ -45,6 +45,8 @@ pub struct Policy {
     header: PolicyHeader,
     network: Network,
     acting: Acting,
+    /// SHA-256 of its file.
+    digest: String,
 }
 
 impl Policy {
@@ -68,10 +70,12 @@ impl Policy {
 
     /// A policy of parts that fit each other.
     fn ready(header: PolicyHeader, network: Network) -> Result<Self, PolicyError> {
-        match network.overflowing_layer(header.observation.limit) {
-            None => Ok(Self { header, acting: Acting::new(&network), network }),
-            Some(layer) => Err(PolicyError::Overflow { layer }),
+        if let Some(layer) = network.overflowing_layer(header.observation.limit) {
+            return Err(PolicyError::Overflow { layer });
         }
+        let mut policy = Self { header, acting: Acting::new(&network), network, digest: String::new() };
+        policy.digest = crate::digest::sha256(policy.to_bytes()?);
+        Ok(policy)
     }
 
     /// The committed reference policy.
@@ -113,7 +117,7 @@ impl Policy {
     /// SHA-256 of the policy file, in hexadecimal, for reports and certificates.
     #[must_use]
     pub fn digest(&self) -> String {
-        crate::digest::sha256(self.to_bytes().unwrap_or_default())
+        self.digest.clone()
     }
 
     /// The acceleration wanted for one observation, in m/s²: a number within the action's bounds, whatever is seen.

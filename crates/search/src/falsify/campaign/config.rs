@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{Aim, CampaignError};
+use crate::difference;
 use crate::falsify::Method;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -126,68 +127,6 @@ impl Campaign {
     /// Says in what a campaign on disk differs from this one, if it does.
     pub(super) fn difference(&self, found: &str, path: &Path) -> Result<Option<String>, CampaignError> {
         let expected = self.to_toml()?;
-        if found == expected {
-            return Ok(None);
-        }
-        let table = |text: &str| text.parse::<toml::Table>().ok();
-        let (Some(old), Some(new)) = (table(found), table(&expected)) else {
-            return Ok(Some(format!("{} is no campaign", path.display())));
-        };
-        let (old, new) = (toml::Value::Table(old), toml::Value::Table(new));
-        let (place, there, here) = first_difference("", Some(&old), Some(&new)).unwrap_or_default();
-        Ok(Some(format!("{}: the campaign there has another `{place}`: {there} instead of {here}", path.display())))
-    }
-}
-
-/// The first place in which two values differ, deep inside tables and lists, and what is there.
-fn first_difference(
-    place: &str,
-    old: Option<&toml::Value>,
-    new: Option<&toml::Value>,
-) -> Option<(String, String, String)> {
-    use toml::Value::{Array, Table};
-    match (old, new) {
-        (Some(Table(old)), Some(Table(new))) => {
-            let names = new.keys().chain(old.keys().filter(|name| !new.contains_key(*name)));
-            let dot = if place.is_empty() { "" } else { "." };
-            names
-                .map(|name| (format!("{place}{dot}{name}"), old.get(name), new.get(name)))
-                .find_map(|(place, old, new)| first_difference(&place, old, new))
-        }
-        (Some(Array(old)), Some(Array(new))) => (0..old.len().max(new.len()))
-            .find_map(|index| first_difference(&format!("{place}[{index}]"), old.get(index), new.get(index))),
-        _ if old == new => None,
-        _ => {
-            let show = |value: Option<&toml::Value>| match value {
-                None => "nothing".to_owned(),
-                // Whole tables and lists would fill the screen.
-                Some(Table(_)) => "a table".to_owned(),
-                Some(Array(_)) => "a list".to_owned(),
-                Some(value) => value.to_string(),
-            };
-            Some((place.to_owned(), show(old), show(new)))
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn differences_are_named_however_deep_they_are() {
-        let at = |old: &str, new: &str| {
-            let [old, new] = [old, new].map(|text| toml::Value::Table(text.parse().unwrap()));
-            first_difference("", Some(&old), Some(&new)).map(|(place, there, here)| format!("{place}: {there}, {here}"))
-        };
-        assert_eq!(at("a = 1\nb = 2", "b = 2\na = 1"), None);
-        assert_eq!(at("a = 1", "a = 2").unwrap(), "a: 1, 2");
-        assert_eq!(
-            at("a = [{ b = 1 }, { b = 2, c.d = 3 }]", "a = [{ b = 1 }, { b = 2, c.d = 4 }]").unwrap(),
-            "a[1].c.d: 3, 4"
-        );
-        assert_eq!(at("a = [1, 2]", "a = [1]").unwrap(), "a[1]: 2, nothing");
-        assert_eq!(at("a = 1", "a.b = 1").unwrap(), "a: 1, a table");
-        assert_eq!(at("", "a = 'x'").unwrap(), "a: nothing, \"x\"");
+        Ok((found != expected).then(|| difference::in_toml(path, "campaign", found, &expected)))
     }
 }
