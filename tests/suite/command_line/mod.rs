@@ -42,6 +42,12 @@ fn stderr(output: &Output) -> &str {
     std::str::from_utf8(&output.stderr).expect("text")
 }
 
+/// Unusable input, with these words on standard error.
+fn assert_refused(output: &Output, said: &str) {
+    assert_eq!(code(output), 2, "{}", stderr(output));
+    assert!(stderr(output).contains(said), "{}", stderr(output));
+}
+
 /// The objects `--format json` prints.
 fn objects(output: &Output) -> Vec<Value> {
     stdout(output).lines().map(|line| serde_json::from_str(line).expect("one object a line")).collect()

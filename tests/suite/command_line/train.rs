@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use super::{by_another_build, code, crumple, folder, stderr, stdout, write_changed};
+use super::{assert_refused, by_another_build, code, crumple, folder, stderr, stdout, write_changed};
 
 /// The default preset on tiny networks, with a checkpoint every ten episodes and no early end.
 fn write_preset(folder: &Path) {
@@ -66,9 +66,7 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
     }
     by_another_build(&checkpoint);
     let refused = crumple(folder.path(), &[train("killed").as_slice(), &["--resume"]].concat());
-    assert_eq!(code(&refused), 2);
-    let expected = "killed/seed-0/checkpoint.safetensors: checkpoint: made by another build of crumple";
-    assert!(stderr(&refused).contains(expected), "{}", stderr(&refused));
+    assert_refused(&refused, "killed/seed-0/checkpoint.safetensors: checkpoint: made by another build of crumple");
 }
 
 #[test]
@@ -89,10 +87,8 @@ fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
     fs::write(folder.path().join("cut.safetensors"), &bytes[..bytes.len() - 9]).unwrap();
     for (file, reason) in [("cut.safetensors", "not a whole safetensors file"), ("none.safetensors", "No such file")] {
         let refused = crumple(folder.path(), &["simulate", "paper-1", "--controller", file]);
-        assert_eq!(code(&refused), 2);
-        assert!(stderr(&refused).contains(reason), "{}", stderr(&refused));
+        assert_refused(&refused, reason);
     }
     let refused = crumple(folder.path(), &["train", "--preset", "slow"]);
-    assert_eq!(code(&refused), 2);
-    assert!(stderr(&refused).contains("there is no preset `slow`"), "{}", stderr(&refused));
+    assert_refused(&refused, "there is no preset `slow`");
 }

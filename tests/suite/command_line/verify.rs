@@ -3,7 +3,7 @@
 use crumple_world::scenario::VehicleClass;
 use serde_json::Value;
 
-use super::{by_another_build, code, crumple, folder, names_in, objects, stderr, stdout};
+use super::{assert_refused, by_another_build, code, crumple, folder, names_in, objects, stderr, stdout};
 
 #[test]
 fn a_shield_says_when_it_braked_and_what_that_did_to_the_vehicle_behind() {
@@ -31,8 +31,7 @@ fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
         ("shield,colour=1:idm", "`colour=1` is no setting of a shield"),
     ] {
         let output = crumple(folder.path(), &["simulate", "paper-1", "--controller", controller]);
-        assert_eq!(code(&output), 2);
-        assert!(stderr(&output).contains(said), "{}", stderr(&output));
+        assert_refused(&output, said);
     }
 }
 
@@ -74,9 +73,7 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
     std::fs::write(&path, &progress).unwrap();
     by_another_build(&path);
     let refused = count(&["--out", "part", "--resume"]);
-    assert_eq!(code(&refused), 2);
-    let expected = "error: part/progress.json: made by another build of crumple";
-    assert!(stderr(&refused).starts_with(expected), "{}", stderr(&refused));
+    assert_refused(&refused, "error: part/progress.json: made by another build of crumple");
     std::fs::write(&path, progress).unwrap();
     assert_eq!(code(&count(&["--out", "part"])), 2, "not without --resume");
     assert_eq!(code(&count(&["--out", "part", "--resume", "--seed", "1"])), 2, "something else was registered");

@@ -102,7 +102,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`] if the folder cannot be made.
     pub fn open(folder: &Path, program: &str, fresh: bool) -> Result<Self, StoreError> {
-        fs::create_dir_all(folder).map_err(DiskError::at(&folder))?;
+        disk::make_folder(folder)?;
         Ok(Self { folder: Some(folder.to_owned()), program: program.to_owned(), fresh, gathered: Mutex::default() })
     }
 
