@@ -181,13 +181,3 @@ fn mistakes_name_line_and_field() {
     let message = file::from_toml(&inline, Path::new("p.toml")).expect_err("refused").to_string();
     assert!(message.contains("base.vehicles[0].speed_mps: must be"), "{message}");
 }
-
-#[test]
-#[ignore = "a measurement, not a promise"]
-fn time_of_a_scenario() {
-    let space = space("high-risk");
-    let points: Vec<_> = (0..1000).map(|index| space.draw_point(1, index)).collect();
-    let start = std::time::Instant::now();
-    let lengths: usize = (0..100_000).map(|i| space.at(&points[i % 1000]).unwrap().vehicles().len()).sum();
-    println!("{:.2} µs a scenario ({lengths})", start.elapsed().as_secs_f64() * 10.0);
-}

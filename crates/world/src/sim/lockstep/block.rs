@@ -64,33 +64,34 @@ impl<'a, 's> Block<'a, 's> {
         block
     }
 
-    /// Runs everybody to the end and hands over each result with the index of its run.
-    pub(super) fn run(mut self, mut done: impl FnMut(usize, Simulated)) {
+    /// Runs all to their ends and hands over each result with the index of its run. Not generic, so that the engine is
+    /// compiled here once and not in every crate that calls it.
+    pub(super) fn run(mut self, done: &mut dyn FnMut(usize, Simulated)) {
         let Some(first) = self.lanes.first().map(|lane| lane.run) else { return };
         for step in 0.. {
             if step == self.next_end {
                 for lane in (0..self.lanes.len()).rev() {
                     if self.lanes[lane].steps == step {
                         self.sample(lane, first.time_s(step, 0));
-                        self.finish(lane, None, &mut done);
+                        self.finish(lane, None, done);
                     }
                 }
             }
             if self.lanes.is_empty() {
                 return;
             }
-            self.decide([first.time_s(step, 0), first.time_s(step + 1, 0)], &mut done);
+            self.decide([first.time_s(step, 0), first.time_s(step + 1, 0)], done);
             if self.lanes.is_empty() {
                 return;
             }
             for substep in 0..first.substeps() {
-                self.advance(first.time_s(step, substep), first.dt_s(), &mut done);
+                self.advance(first.time_s(step, substep), first.dt_s(), done);
             }
         }
     }
 
     /// All drivers decide on the state at the start of the step. Runs in which one fails end there.
-    fn decide(&mut self, span_s: [f64; 2], done: &mut impl FnMut(usize, Simulated)) {
+    fn decide(&mut self, span_s: [f64; 2], done: &mut dyn FnMut(usize, Simulated)) {
         // Allocates nothing unless a controller fails.
         let mut failed: Vec<(usize, FailedController)> = Vec::new();
         for vehicle in 0..self.columns.len() {
@@ -122,7 +123,7 @@ impl<'a, 's> Block<'a, 's> {
     }
 
     /// Everybody moves by one integration step.
-    fn advance(&mut self, from_s: f64, dt_s: f64, done: &mut impl FnMut(usize, Simulated)) {
+    fn advance(&mut self, from_s: f64, dt_s: f64, done: &mut dyn FnMut(usize, Simulated)) {
         if self.keep == RecordingLevel::Trace {
             (0..self.lanes.len()).for_each(|lane| self.sample(lane, from_s));
         }
@@ -212,7 +213,7 @@ impl<'a, 's> Block<'a, 's> {
     }
 
     /// Takes a run out of the block.
-    fn finish(&mut self, lane: usize, failed: Option<FailedController>, done: &mut impl FnMut(usize, Simulated)) {
+    fn finish(&mut self, lane: usize, failed: Option<FailedController>, done: &mut dyn FnMut(usize, Simulated)) {
         self.touched.swap_remove(lane, self.lanes.len() - 1);
         let Lane { index, run, impacts, trace, .. } = self.lanes.swap_remove(lane);
         let step_s = run.scenario().spec().step_s;

@@ -71,7 +71,7 @@ pub fn simulate_batch<R: Send>(
         .flat_map_iter(|members| {
             let mut done = Vec::with_capacity(members.len());
             Block::new(Arch::new(), runs, members, keep)
-                .run(|index, simulated| done.push((index, reduce(index, simulated))));
+                .run(&mut |index, simulated| done.push((index, reduce(index, simulated))));
             done
         })
         .collect();
@@ -121,7 +121,7 @@ mod tests {
             let results = every_path().into_iter().map(|path| {
                 let mut results = Vec::new();
                 Block::new(path, &runs, &members, RecordingLevel::Trace)
-                    .run(|index, result| results.push((index, result)));
+                    .run(&mut |index, result| results.push((index, result)));
                 results
             });
             let results: Vec<_> = results.collect();
