@@ -81,10 +81,8 @@ pub struct Assessment {
 
 /// One part of an assessment.
 pub trait Part {
-    /// Anchor of the part in the page.
-    fn id(&self) -> &'static str;
-    /// Heading.
-    fn title(&self) -> String;
+    /// Anchor of the part in the page, and its heading.
+    fn heading(&self) -> (&'static str, String);
     /// The part as HTML, without its heading.
     fn html(&self) -> Markup;
     /// The part as Markdown, without its heading.

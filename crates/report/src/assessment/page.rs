@@ -24,11 +24,11 @@ pub(super) fn html(assessment: &Assessment) -> String {
                 header {
                     p.kicker { "crumple " (assessment.provenance.crumple) }
                     h1 { (TITLE) }
-                    nav { @for part in &parts { a href={ "#" (part.id()) } { (part.title()) } " " } }
+                    nav { @for (id, title) in parts.iter().map(|part| part.heading()) { a href={ "#" (id) } { (title) } " " } }
                 }
                 main {
                     @for part in &parts {
-                        section id=(part.id()) { h2 { (part.title()) } (part.html()) }
+                        section id=(part.heading().0) { h2 { (part.heading().1) } (part.html()) }
                     }
                 }
                 script { (PreEscaped(draw::ANIMATION_SCRIPT)) }
@@ -39,6 +39,6 @@ pub(super) fn html(assessment: &Assessment) -> String {
 }
 
 pub(super) fn markdown(assessment: &Assessment) -> String {
-    let part = |part: &&dyn super::Part| format!("\n## {}\n\n{}", part.title(), part.markdown());
+    let part = |part: &&dyn super::Part| format!("\n## {}\n\n{}", part.heading().1, part.markdown());
     format!("# {TITLE}\n{}", assessment.parts().iter().map(part).collect::<String>())
 }

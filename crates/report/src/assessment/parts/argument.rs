@@ -307,12 +307,8 @@ const INTRODUCTION: &str = "The verdict as a goal structure: a goal is claimed, 
     own; or it rests on a goal that is defeated. A goal with a diamond has no evidence. The same argument is in assessment.gsn.yaml.";
 
 impl Part for Argument {
-    fn id(&self) -> &'static str {
-        "argument"
-    }
-
-    fn title(&self) -> String {
-        "Argument".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("argument", "Argument".to_owned())
     }
 
     fn html(&self) -> Markup {

@@ -354,12 +354,8 @@ impl Comparison {
 }
 
 impl Part for Comparison {
-    fn id(&self) -> &'static str {
-        "changes"
-    }
-
-    fn title(&self) -> String {
-        "Since the earlier assessment".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("changes", "Since the earlier assessment".to_owned())
     }
 
     fn html(&self) -> Markup {

@@ -275,12 +275,8 @@ impl Tally {
 }
 
 impl Part for Distribution {
-    fn id(&self) -> &'static str {
-        "distribution"
-    }
-
-    fn title(&self) -> String {
-        "The paper's distribution".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("distribution", "The paper's distribution".to_owned())
     }
 
     fn html(&self) -> Markup {

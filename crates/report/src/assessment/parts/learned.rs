@@ -203,12 +203,8 @@ const INTRODUCTION: &str = "The paper reports that the learned controller brakes
     paper's scenarios rather than the road: the paper's reward asks for no contact and charges nothing for braking.";
 
 impl Part for Learned {
-    fn id(&self) -> &'static str {
-        "learned"
-    }
-
-    fn title(&self) -> String {
-        "How the learned policy drives".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("learned", "How the learned policy drives".to_owned())
     }
 
     fn html(&self) -> Markup {

@@ -48,12 +48,8 @@ impl Limits {
 }
 
 impl Part for Limits {
-    fn id(&self) -> &'static str {
-        "limits"
-    }
-
-    fn title(&self) -> String {
-        "What this does not show".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("limits", "What this does not show".to_owned())
     }
 
     fn html(&self) -> Markup {

@@ -177,12 +177,8 @@ impl FailureMaps {
 }
 
 impl Part for FailureMaps {
-    fn id(&self) -> &'static str {
-        "maps"
-    }
-
-    fn title(&self) -> String {
-        "Failure maps".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("maps", "Failure maps".to_owned())
     }
 
     fn html(&self) -> Markup {

@@ -82,12 +82,8 @@ const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s²; behind it, at
     vehicles that touch stick together.";
 
 impl Part for PaperScenarios {
-    fn id(&self) -> &'static str {
-        "paper"
-    }
-
-    fn title(&self) -> String {
-        "The paper's scenarios".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("paper", "The paper's scenarios".to_owned())
     }
 
     fn html(&self) -> Markup {

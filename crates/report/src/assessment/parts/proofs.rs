@@ -136,12 +136,8 @@ const INTRODUCTION: &str = "Each claim here is a file that the checker accepted;
 const RECHECK: &str = "crumple check certificates/*.json";
 
 impl Part for Proofs {
-    fn id(&self) -> &'static str {
-        "proofs"
-    }
-
-    fn title(&self) -> String {
-        "Proofs".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("proofs", "Proofs".to_owned())
     }
 
     fn html(&self) -> Markup {

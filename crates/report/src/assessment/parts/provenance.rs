@@ -65,12 +65,8 @@ impl Provenance {
 }
 
 impl Part for Provenance {
-    fn id(&self) -> &'static str {
-        "provenance"
-    }
-
-    fn title(&self) -> String {
-        "Provenance".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("provenance", "Provenance".to_owned())
     }
 
     fn html(&self) -> Markup {

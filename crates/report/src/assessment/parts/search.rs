@@ -327,12 +327,8 @@ const WHERE: &str = "Commands run in the folder of this report; a policy file or
     as it is there, relative to the configuration.";
 
 impl Part for Searches {
-    fn id(&self) -> &'static str {
-        "search"
-    }
-
-    fn title(&self) -> String {
-        "Failure search".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("search", "Failure search".to_owned())
     }
 
     fn html(&self) -> Markup {

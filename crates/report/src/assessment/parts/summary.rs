@@ -254,12 +254,8 @@ fn paragraph(
 }
 
 impl Part for Summary {
-    fn id(&self) -> &'static str {
-        "verdict"
-    }
-
-    fn title(&self) -> String {
-        "Verdict".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("verdict", "Verdict".to_owned())
     }
 
     fn html(&self) -> Markup {

@@ -106,12 +106,8 @@ const INTRODUCTION: &str = "Each scenario the configuration names, under every c
     each other: the scenario was over before its story was.";
 
 impl Part for Traffic {
-    fn id(&self) -> &'static str {
-        "traffic"
-    }
-
-    fn title(&self) -> String {
-        "Recorded traffic and other scenarios".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("traffic", "Recorded traffic and other scenarios".to_owned())
     }
 
     fn html(&self) -> Markup {

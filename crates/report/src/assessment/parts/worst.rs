@@ -217,12 +217,8 @@ impl Mildest {
 }
 
 impl Part for WorstProfiles {
-    fn id(&self) -> &'static str {
-        "worst"
-    }
-
-    fn title(&self) -> String {
-        "Worst brake profiles".to_owned()
+    fn heading(&self) -> (&'static str, String) {
+        ("worst", "Worst brake profiles".to_owned())
     }
 
     fn html(&self) -> Markup {
