@@ -14,7 +14,7 @@ pub enum Role {
     Rule,
     /// It was learned.
     Learned,
-    /// Nobody would drive with it: it shows what a shield is worth.
+    /// It is no way to drive, and shows what a shield is worth.
     Probe,
 }
 
@@ -130,6 +130,14 @@ pub enum InvalidSetting {
         /// Its settings.
         known: &'static [Field],
     },
+    /// A setting that is given twice.
+    #[error("{controller}: {name} is given twice")]
+    Twice {
+        /// The controller.
+        controller: &'static str,
+        /// The setting.
+        name: &'static str,
+    },
     /// A value that is no number of its range.
     #[error("{controller}: {name} must be a number from {} to {}, found `{found}`", range[0], range[1])]
     Value {
@@ -175,6 +183,7 @@ impl ControllerSpec {
     pub fn parse(words: &str) -> Option<Result<Self, InvalidSetting>> {
         let mut words = words.split(',');
         let spec = Self::named(words.next()?)?;
+        let mut given = Vec::new();
         Some(words.try_fold(spec, |mut spec, setting| {
             let (name, found) = setting.split_once('=').unwrap_or((setting, ""));
             let (controller, known) = (spec.name(), spec.fields());
@@ -183,6 +192,10 @@ impl ControllerSpec {
                 return Err(InvalidSetting::Unknown { found: setting.to_owned(), controller, known });
             };
             let (name, range) = (field.name, field.range);
+            if given.contains(&name) {
+                return Err(InvalidSetting::Twice { controller, name });
+            }
+            given.push(name);
             match found.parse::<f64>() {
                 Ok(value) if (range[0]..=range[1]).contains(&value) => *place = value,
                 _ => return Err(InvalidSetting::Value { controller, name, range, found: found.to_owned() }),

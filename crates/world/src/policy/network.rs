@@ -22,10 +22,12 @@ pub struct Layer {
 }
 
 impl Layer {
+    #[inline]
     pub fn weights(self) -> std::ops::Range<usize> {
         self.from..self.from + self.inputs * self.outputs
     }
 
+    #[inline]
     pub fn biases(self) -> std::ops::Range<usize> {
         let from = self.from + self.inputs * self.outputs;
         from..from + self.outputs
@@ -44,22 +46,26 @@ impl Network {
 
     /// Number of values of each layer, inputs first.
     #[must_use]
+    #[inline]
     pub fn sizes(&self) -> &[usize] {
         &self.sizes
     }
 
     /// All weights and biases.
     #[must_use]
+    #[inline]
     pub fn parameters(&self) -> &[f32] {
         &self.parameters
     }
 
     /// All weights and biases, to be changed.
+    #[inline]
     pub fn parameters_mut(&mut self) -> &mut [f32] {
         &mut self.parameters
     }
 
     /// The layers from input to output.
+    #[inline]
     pub fn layers(&self) -> impl DoubleEndedIterator<Item = Layer> + ExactSizeIterator + use<> {
         let mut from = 0;
         let layers: Vec<Layer> = self

@@ -64,12 +64,6 @@ impl NamedController {
         Self { name: name.to_owned(), kind: ControllerKind::Custom(source) }
     }
 
-    /// The built-in controllers, in the order they are listed.
-    #[must_use]
-    pub fn built_in() -> Vec<Self> {
-        ControllerSpec::built_in().into_iter().map(Self::from).collect()
-    }
-
     /// The built-in controller of that name, or the policy in a file; a relative path starts at `folder`.
     ///
     /// A built-in name may be followed by settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
