@@ -32,7 +32,8 @@ Examples:
   crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline --plot crash.svg
   crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm --spec 'always v1.time_gap_s > 0.3' --expect violated")]
 pub(super) struct Falsify {
-    /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
+    /// Controller of the vehicles under test (see `crumple list controllers`), with settings
+    /// as in `acc-aeb,ttc_s=2.0`, or a policy file
     #[arg(long, value_name = "C", value_parser = subject::controller)]
     controller: NamedController,
     /// Where to search: a built-in space (see `crumple list spaces`) or a space file

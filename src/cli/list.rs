@@ -39,7 +39,7 @@ enum Catalogue {
 #[derive(Serialize)]
 struct Entry {
     name: &'static str,
-    summary: &'static str,
+    summary: String,
 }
 
 impl Catalogue {
@@ -53,13 +53,19 @@ impl Catalogue {
     }
 
     fn entries(self) -> Vec<Entry> {
-        let entry = |(name, summary)| Entry { name, summary };
+        let entry = |(name, summary): (_, &str)| Entry { name, summary: summary.to_owned() };
         match self {
             Self::Scenarios => built_in_names().map(entry).into(),
             Self::Controllers => {
                 let built_in = ControllerSpec::built_in();
-                let drivers = built_in.iter().map(|driver| (driver.name(), driver.summary()));
-                drivers.chain([SHIELD]).map(entry).collect()
+                let own = built_in.iter().map(|spec| {
+                    let settings: Vec<_> =
+                        spec.values().map(|(field, value)| format!("{}={value}", field.name)).collect();
+                    let settings =
+                        if settings.is_empty() { String::new() } else { format!("; {}", settings.join(",")) };
+                    Entry { name: spec.name(), summary: format!("{}{settings}", spec.summary()) }
+                });
+                own.chain([entry(SHIELD)]).collect()
             }
             Self::Spaces => BUILT_IN_SPACES.map(|(name, summary, _)| entry((name, summary))).into(),
             Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),

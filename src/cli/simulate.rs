@@ -25,7 +25,7 @@ Where several scenarios are given, --plot and --trace write one file each, with 
 
 A formula of --spec is judged as `crumple falsify` judges it, on a run that goes on after contacts whatever --after-contact says; \
 robustness is below 0 where it is violated. `--expect satisfied` wants every specification to hold in every scenario, `--expect \
-violated` wants one to be violated in each; `safe` and `collision` look at contacts alone.
+violated` wants one to be violated in each; `safe` wants no contact and no controller that fails, `collision` a contact.
 
 Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
@@ -36,7 +36,8 @@ pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`) or scenario files
     #[arg(required = true, value_name = "SCENARIO")]
     scenarios: Vec<String>,
-    /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
+    /// Controller of the vehicles under test (see `crumple list controllers`), with settings
+    /// as in `acc-aeb,ttc_s=2.0`, or a policy file
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = subject::controller)]
     controller: NamedController,
     /// What the vehicles under test look through
@@ -83,8 +84,8 @@ enum Expectation {
 impl Expectation {
     fn is_met(self, rendered: &Rendered) -> bool {
         match self {
-            Self::Safe => rendered.outcome.is_safe(),
-            Self::Collision => rendered.outcome.contact().is_some(),
+            Self::Safe => rendered.is_safe,
+            Self::Collision => rendered.collided,
             Self::Satisfied => !rendered.violated,
             Self::Violated => rendered.violated,
         }
@@ -141,7 +142,8 @@ struct Judged {
 struct Rendered {
     text: String,
     files: Vec<(PathBuf, Vec<u8>)>,
-    outcome: Outcome,
+    is_safe: bool,
+    collided: bool,
     violated: bool,
 }
 
@@ -202,7 +204,13 @@ impl Simulate {
                 files.push((named(path, name), table.map_err(Failure::input)?));
             }
         }
-        Ok(Rendered { text, files, outcome: simulated.outcome.clone(), violated })
+        Ok(Rendered {
+            text,
+            files,
+            is_safe: simulated.outcome.is_safe(),
+            collided: !simulated.impacts.is_empty(),
+            violated,
+        })
     }
 
     fn scenario(&self, name: &str) -> Result<Scenario, Failure> {
@@ -362,7 +370,11 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
     ));
     for (index, (summary, vehicle)) in report.vehicles.iter().zip(scenario.vehicles()).enumerate() {
         let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
-        let driver = if vehicle.driver == Driver::UnderTest { controller } else { vehicle.driver.name() };
+        let driver = match &vehicle.driver {
+            Driver::UnderTest => (*controller).to_owned(),
+            Driver::Controller(spec) => spec.words(),
+            Driver::Profile(profile) => profile.name().to_owned(),
+        };
         line(format!(
             "  {index:>3}  {:<6} {driver:<20} {:>11} {:>11} {:>15}  {}",
             vehicle.class.name(),

@@ -28,7 +28,8 @@ pub(super) struct WorstCase {
     /// Built-in scenario (see `crumple list scenarios`) or scenario file
     #[arg(value_name = "SCENARIO")]
     scenario: String,
-    /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
+    /// Controller of the vehicles under test (see `crumple list controllers`), with settings
+    /// as in `acc-aeb,ttc_s=2.0`, or a policy file
     #[arg(long, value_name = "C", value_parser = subject::controller)]
     controller: NamedController,
     /// What the vehicles under test look through

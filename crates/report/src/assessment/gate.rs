@@ -72,6 +72,18 @@ impl Gate {
         }
     }
 
+    /// The names of the controllers it is about.
+    pub(super) fn controllers_mut(&mut self) -> Vec<&mut String> {
+        match self {
+            Self::RateNotAbove { controller, than } => vec![controller, than],
+            Self::NoContactInPaperScenarios { controller }
+            | Self::NoContactInTraffic { controller }
+            | Self::RateAtMost { controller, .. }
+            | Self::NoAvoidableFailure { controller, .. } => vec![controller],
+            Self::ProofsAccepted | Self::NothingWorse => Vec::new(),
+        }
+    }
+
     pub(super) fn judge(&self, found: &Assessment) -> GateResult {
         let (holds, because) = match self {
             Self::NoContactInPaperScenarios { controller } => no_contact(&found.paper_scenarios.scenarios, controller),

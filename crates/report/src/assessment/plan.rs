@@ -124,7 +124,7 @@ impl AssessmentPlan {
     pub(super) fn identity(&self, controller: &NamedController) -> Value {
         let policy = controller.policy().map(|policy| policy.digest());
         let mut identity = vec![json!(controller.name), json!(policy), json!(self.config.estimator.name())];
-        identity.extend(controller.identity_from_outside().map(Value::from));
+        identity.extend(controller.identity_beside_name().map(Value::from));
         identity.into()
     }
 
@@ -183,8 +183,15 @@ impl Loading<'_> {
     }
 
     /// The plan of a configuration with these controllers.
-    fn plan(&self, config: AssessConfig, controllers: Vec<NamedController>) -> Result<AssessmentPlan, ConfigError> {
+    fn plan(&self, mut config: AssessConfig, controllers: Vec<NamedController>) -> Result<AssessmentPlan, ConfigError> {
         self.check_numbers(&config)?;
+        // However a controller is spelled, it goes by one name.
+        let gated = config.gates.iter_mut().flat_map(Gate::controllers_mut);
+        for name in config.subject.iter_mut().chain(gated) {
+            if let Ok(found) = NamedController::find(name, self.folder) {
+                *name = found.name;
+            }
+        }
         let named = |name: &str| controllers.iter().position(|controller| controller.name == name);
         let subject = match &config.subject {
             None => subject(&controllers),

@@ -125,9 +125,7 @@ impl RatePlan {
         if let Some(unknown) = drivers.iter().find(|driver| driver.kind.identity().is_none()) {
             return Err(InvalidRate::NoIdentity { controller: unknown.name.clone() });
         }
-        // Only what comes from outside can fail otherwise.
-        let may_fail = drivers.iter().any(|driver| driver.kind.is_from_outside());
-        let failure = if may_fail { "vehicles touch, or a controller fails" } else { "vehicles touch" };
+        let failure = drivers.iter().map(NamedController::failure).max().unwrap_or_default();
         let mut configuration = BTreeMap::from([
             ("crumple".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("estimator".to_owned(), estimator.name().to_owned()),
@@ -138,7 +136,7 @@ impl RatePlan {
         ]);
         for (place, driver) in ["controller", "against"].into_iter().zip(&drivers) {
             configuration.insert(place.to_owned(), driver.name.clone());
-            if let Some(identity) = driver.identity_from_outside() {
+            if let Some(identity) = driver.identity_beside_name() {
                 configuration.insert(format!("{place}_sha256"), identity);
             }
             if let Some(policy) = driver.policy() {

@@ -197,7 +197,7 @@ impl ControllerSpec {
             }
             given.push(name);
             match found.parse::<f64>() {
-                Ok(value) if (range[0]..=range[1]).contains(&value) => *place = value,
+                Ok(value) if (range[0]..=range[1]).contains(&value) => *place = value + 0.0, // No negative zero: one value, one spelling.
                 _ => return Err(InvalidSetting::Value { controller, name, range, found: found.to_owned() }),
             }
             Ok(spec)
@@ -259,7 +259,7 @@ impl ControllerSpec {
     /// SHA-256, in hexadecimal, of what decides how it drives: of a policy's file, or of a rule's name and settings.
     #[must_use]
     pub fn identity(&self) -> String {
-        let values: Vec<_> = self.values().map(|(_, value)| value.to_bits().to_string()).collect();
+        let values: Vec<_> = self.values().map(|(_, value)| (value + 0.0).to_bits().to_string()).collect();
         let rule = || sha256(format!("rule {} {}", self.name(), values.join(" ")));
         self.policy().map_or_else(rule, |policy| policy.digest())
     }

@@ -76,7 +76,10 @@ impl NamedController {
     /// [`UnknownController`] if there is neither, or the file holds no usable policy.
     pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownController> {
         // Its name in version 0.1.0.
-        let name = if name == "hardened" { RetrainedPolicy::NAME } else { name };
+        let name = &match name.strip_prefix("hardened") {
+            Some(rest) if rest.is_empty() || rest.starts_with(',') => format!("{}{rest}", RetrainedPolicy::NAME),
+            _ => name.to_owned(),
+        };
         if let Some(spec) = ControllerSpec::parse(name) {
             return Ok(spec?.into());
         }
@@ -94,17 +97,38 @@ impl NamedController {
         Ok(Self { name: name.to_owned(), kind: ControllerKind::Policy(Arc::new(policy)) })
     }
 
-    /// The identity of a controller from outside, behind a shield or not; none for all others, whose name and policy say
-    /// what they are.
+    /// The identity, where name and policy do not say what drives: of a controller from outside, and of one that goes by
+    /// another name than its own.
     #[must_use]
-    pub fn identity_from_outside(&self) -> Option<String> {
-        self.kind.is_from_outside().then(|| self.kind.identity()).flatten()
+    pub fn identity_beside_name(&self) -> Option<String> {
+        if is_named(&self.kind, &self.name) { None } else { self.kind.identity() }
+    }
+
+    /// What counts as a failure of it, in words: only what comes from outside can fail otherwise than by contact.
+    #[must_use]
+    pub fn failure(&self) -> &'static str {
+        if self.kind.is_from_outside() { "vehicles touch, or a controller fails" } else { "vehicles touch" }
     }
 
     /// The policy, if it is a learned one.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
         self.kind.policy()
+    }
+}
+
+/// Whether a name stands for what drives; of a policy, beside its digest.
+fn is_named(kind: &ControllerKind, name: &str) -> bool {
+    match kind {
+        ControllerKind::BuiltIn(spec) => name == spec.words(),
+        ControllerKind::Policy(_) => true,
+        ControllerKind::Shielded(shielded) => {
+            name.strip_prefix("shield").and_then(|rest| rest.split_once(':')).is_some_and(|(settings, inner)| {
+                shield_settings(settings).is_ok_and(|settings| settings == shielded.settings)
+                    && is_named(&shielded.controller, inner)
+            })
+        }
+        ControllerKind::Custom(_) => false,
     }
 }
 

@@ -56,7 +56,7 @@ impl<'r, 's> Stepper<'r, 's> {
         self.step
     }
 
-    /// Whether the scenario's time is over, or a contact ended it.
+    /// Whether the scenario's time is over, or a contact or a controller that failed ended it.
     #[must_use]
     pub fn has_ended(&self) -> bool {
         self.ended
@@ -170,7 +170,7 @@ fn see_ttc(tallies: &mut [Tally], platoon: &Platoon) {
     }
 }
 
-/// The driver's vehicle of one vehicle: from what is true to the acceleration the vehicle has.
+/// The control loop of one vehicle: from what is true to the acceleration the vehicle has.
 struct VehicleLoop<'s> {
     driver: ActiveDriver<'s>,
     estimator: Option<EgoEstimator>,

@@ -226,6 +226,7 @@ struct Tally {
     hit: u64,
     was_hit: u64,
     impact_speed_sum_mps: f64,
+    impacts: u64,
     min_gaps_m: [Option<f64>; 2],
     paired: Paired,
 }
@@ -237,7 +238,10 @@ impl Tally {
             self.collisions += u64::from(draw.verdict.is_failure());
             self.hit += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_)));
             self.was_hit += u64::from(matches!(draw.verdict, CaseVerdict::WasHit(_)));
-            self.impact_speed_sum_mps += draw.impact_speed_mps.unwrap_or(0.0);
+            if let Some(impact_speed_mps) = draw.impact_speed_mps.filter(|_| draw.verdict.is_failure()) {
+                self.impact_speed_sum_mps += impact_speed_mps;
+                self.impacts += 1;
+            }
             for (smallest, gap_m) in self.min_gaps_m.iter_mut().zip(draw.gaps_m) {
                 *smallest = [*smallest, gap_m].into_iter().flatten().min_by(f64::total_cmp);
             }
@@ -255,7 +259,7 @@ impl Tally {
     fn finish(self, controller: &NamedController, is_paired: bool) -> Sampled {
         let bounds = RateInterval::exact(self.collisions, self.draws, CONFIDENCE);
         let observed = if self.draws == 0 { 0.0 } else { self.collisions as f64 / self.draws as f64 };
-        let mean_impact_mps = self.impact_speed_sum_mps / self.collisions as f64;
+        let mean_impact_mps = self.impact_speed_sum_mps / self.impacts as f64;
         Sampled {
             controller: controller.name.clone(),
             collisions: self.collisions,

@@ -123,7 +123,7 @@ impl RarePlan {
             estimator: self.estimator,
             space: self.space.name().to_owned(),
             space_sha256: sha256(file::to_toml(&self.space)?),
-            failure: "vehicles touch",
+            failure: self.controller.failure(),
             seed: self.seed,
             effort: self.effort,
             estimate: pilot.estimate(self, done)?,

@@ -67,7 +67,7 @@ struct CampaignFile {
     crumple: String,
     controller: String,
     policy_sha256: Option<String>,
-    /// Identity of a controller from outside, whose name says nothing.
+    /// Identity of a controller whose name does not say what it is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     controller_sha256: Option<String>,
     estimator: EstimatorKind,
@@ -112,7 +112,7 @@ impl Campaign {
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
             controller: self.controller.name.clone(),
             policy_sha256: self.policy_sha256(),
-            controller_sha256: self.controller.identity_from_outside(),
+            controller_sha256: self.controller.identity_beside_name(),
             estimator: self.estimator,
             specification: self.specification.to_string(),
             method: self.method.name().to_owned(),

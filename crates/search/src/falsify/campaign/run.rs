@@ -145,7 +145,10 @@ impl Campaign {
             return Err(CampaignError::Folder(difference));
         }
         match (fs::read_to_string(folder.join(SUMMARY)), folder.join(JOURNAL).exists()) {
-            (Ok(text), false) => Ok(FolderState::Complete(Box::new(Summary::from_json(&text)?))),
+            (Ok(text), false) => {
+                let damaged = |error| CampaignError::Folder(format!("{}: {error}", folder.join(SUMMARY).display()));
+                Ok(FolderState::Complete(Box::new(Summary::from_json(&text).map_err(damaged)?)))
+            }
             _ => Ok(FolderState::Part),
         }
     }

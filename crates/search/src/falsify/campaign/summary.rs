@@ -141,6 +141,7 @@ pub struct CoverageSummary {
     /// By the method asked for.
     pub method: Option<Covered>,
     /// By all methods together.
+    #[serde(alias = "with_yardsticks")]
     pub with_reference_searches: Covered,
 }
 
