@@ -74,6 +74,12 @@ pub struct Normals {
     half_widths: &'static [f64; 257],
 }
 
+impl Default for Normals {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Normals {
     /// The table is made once a process.
     #[must_use]

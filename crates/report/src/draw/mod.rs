@@ -132,5 +132,6 @@ fn identifier(text: &str) -> String {
     if name.starts_with(|letter: char| letter.is_ascii_alphabetic()) { name } else { format!("f{name}") }
 }
 
-#[cfg(all(test, feature = "png"))]
+#[cfg(test)]
+#[cfg(feature = "png")]
 mod tests;

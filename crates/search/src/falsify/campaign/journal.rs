@@ -200,7 +200,7 @@ mod tests {
     fn damage_is_found_where_it_is() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal");
-        let verdicts = [1.0, 2.0, 3.0].map(|robustness| RunVerdict::new(robustness));
+        let verdicts = [1.0, 2.0, 3.0].map(RunVerdict::new);
         Journal::create(&path).unwrap().append(&verdicts).unwrap();
         let whole = std::fs::read(&path).unwrap();
         let first_damage = |bytes: &[u8]| {
