@@ -21,7 +21,7 @@ impl Inertia {
 
     /// What was felt since the last call, one step ago: against going on with the acceleration of the step before that.
     ///
-    /// `acceleration_mps2` is the one held over the step that ends now, as in [`Observation`](super::Observation).
+    /// `acceleration_mps2` is the one held over the step that ends now, as in [`Observation`](crate::observation::Observation).
     #[inline]
     pub fn felt(&mut self, step_s: f64, speed_mps: f64, acceleration_mps2: f64) -> KnownChange {
         let change = KnownChange {
