@@ -108,11 +108,18 @@ impl Normals {
             *stream = after;
             return normal;
         }
-        let mut again = stream.clone();
-        let normal: f64 = StandardNormal.sample(&mut again);
-        *stream = again;
+        let (normal, after) = from_library(stream.clone());
+        *stream = after;
         normal
     }
+}
+
+/// A normal number, and the stream after it. Out of the way of the loops that draw most of theirs without it, so that those
+/// keep what they work with in registers.
+#[cold]
+#[inline(never)]
+fn from_library(mut stream: Stream) -> (f64, Stream) {
+    (StandardNormal.sample(&mut stream), stream)
 }
 
 /// A generator that says the same number first, and then the largest there is.

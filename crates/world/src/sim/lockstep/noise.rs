@@ -39,6 +39,7 @@ impl Noise {
         &self.ahead_mps2[now..now + self.row]
     }
 
+    #[inline(never)]
     fn draw(&mut self) {
         for (run, source) in self.sources.iter_mut().enumerate() {
             if let Some(source) = source {
