@@ -15,6 +15,9 @@ pub enum EstimatorKind {
 }
 
 impl EstimatorKind {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Kalman, Self::Truth];
+
     /// The name used on the command line and in reports.
     #[must_use]
     pub fn name(self) -> &'static str {

@@ -31,7 +31,14 @@ pub struct AssessConfig {
     /// What the vehicles under test look through. Default: the Kalman filter.
     #[serde(default)]
     pub estimator: EstimatorKind,
-    /// Draws of the paper's distribution for each controller. Default 1000.
+    /// Whether the paper's scenarios, its leader's worst braking, failure maps and its training are parts of the report.
+    /// Default true; set it to false for controllers that have nothing to do with the paper.
+    #[serde(default = "yes")]
+    pub paper: bool,
+    /// Spaces by whose law failures are counted, built-in names or files relative to the configuration. Default: `paper`.
+    #[serde(default = "default_distributions")]
+    pub distributions: Vec<String>,
+    /// Draws of each of these spaces for each controller. Default 1000.
     #[serde(default = "default_draws")]
     pub draws: u64,
     /// Seed of the draws. Default 0.
@@ -72,7 +79,7 @@ impl Default for SearchConfig {
     }
 }
 
-/// How failures are counted for a certificate: on draws of the paper's distribution, with a seed of their own.
+/// How failures are counted for a certificate: on draws of each of `distributions`, with a seed of their own.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
@@ -98,6 +105,14 @@ fn all_controllers() -> Vec<String> {
     names
 }
 
+fn yes() -> bool {
+    true
+}
+
+fn default_distributions() -> Vec<String> {
+    vec!["paper".to_owned()]
+}
+
 fn default_draws() -> u64 {
     1000
 }
@@ -110,6 +125,8 @@ impl Default for AssessConfig {
             controllers: all_controllers(),
             subject: None,
             estimator: EstimatorKind::default(),
+            paper: yes(),
+            distributions: default_distributions(),
             draws: default_draws(),
             seed: 0,
             scenarios: Vec::new(),
@@ -118,7 +135,7 @@ impl Default for AssessConfig {
             certificates: None,
             gates: vec![
                 Gate::NoContactInPaperScenarios { controller: policy.clone() },
-                Gate::RateNotAbove { controller: policy, than: baseline },
+                Gate::RateNotAbove { controller: policy, than: baseline, space: None },
                 Gate::ProofsAccepted,
             ],
         }

@@ -3,7 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Assessment, Comparison, Rounded};
+use super::claims::{Claim, Domain, Property, Strength};
+use super::{Assessment, AssessmentPlan, Comparison, Rounded};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 
 /// Something that must hold.
@@ -21,19 +22,25 @@ pub enum Gate {
         /// The controller.
         controller: String,
     },
-    /// The exact upper bound on a controller's failure rate in the paper's distribution is at most this.
+    /// The share of a controller's failures by the law of a space is at most this, by bounds on counted runs.
     RateAtMost {
         /// The controller.
         controller: String,
         /// Largest bound that passes, in percent.
         percent: f64,
+        /// The space, one of `distributions`. Default: the only one there is.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        space: Option<String>,
     },
-    /// A controller collides in no more of the draws than another one.
+    /// A controller collides in no more of the draws of a space than another one.
     RateNotAbove {
         /// The controller.
         controller: String,
         /// The other one.
         than: String,
+        /// The space, one of `distributions`. Default: the only one there is.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        space: Option<String>,
     },
     /// No search found a failure of a controller that another driver would have avoided, or that is undecided.
     NoAvoidableFailure {
@@ -63,7 +70,7 @@ impl Gate {
     /// The controllers it is about, each with its field.
     pub(super) fn controllers(&self) -> Vec<(&'static str, &str)> {
         match self {
-            Self::RateNotAbove { controller, than } => vec![("controller", controller), ("than", than)],
+            Self::RateNotAbove { controller, than, .. } => vec![("controller", controller), ("than", than)],
             Self::NoContactInPaperScenarios { controller }
             | Self::NoContactInTraffic { controller }
             | Self::RateAtMost { controller, .. }
@@ -75,7 +82,7 @@ impl Gate {
     /// The names of the controllers it is about.
     pub(super) fn controllers_mut(&mut self) -> Vec<&mut String> {
         match self {
-            Self::RateNotAbove { controller, than } => vec![controller, than],
+            Self::RateNotAbove { controller, than, .. } => vec![controller, than],
             Self::NoContactInPaperScenarios { controller }
             | Self::NoContactInTraffic { controller }
             | Self::RateAtMost { controller, .. }
@@ -84,33 +91,42 @@ impl Gate {
         }
     }
 
-    pub(super) fn judge(&self, found: &Assessment) -> GateResult {
+    pub(super) fn judge(&self, plan: &AssessmentPlan, found: &Assessment) -> GateResult {
         let (holds, because) = match self {
-            Self::NoContactInPaperScenarios { controller } => no_contact(&found.paper_scenarios.scenarios, controller),
+            Self::NoContactInPaperScenarios { controller } => {
+                let paper = found.paper_scenarios.as_ref().map_or(&[][..], |paper| &paper.scenarios);
+                no_contact(paper, controller)
+            }
             Self::NoContactInTraffic { controller } => match &found.traffic {
                 Some(traffic) => no_contact(&traffic.scenarios, controller),
                 None => (false, "the configuration names no scenarios".to_owned()),
             },
-            Self::RateAtMost { controller, percent } => rate_at_most(found, controller, *percent),
-            Self::RateNotAbove { controller, than } => rate_not_above(found, controller, than),
+            Self::RateAtMost { controller, percent, space } => {
+                rate_at_most(plan, found, controller, *percent, space.as_deref())
+            }
+            Self::RateNotAbove { controller, than, space } => rate_not_above(found, controller, than, space.as_deref()),
             Self::NoAvoidableFailure { controller, space } => no_avoidable_failure(found, controller, space),
             Self::ProofsAccepted => proofs_accepted(found),
             Self::NothingWorse => nothing_worse(found.comparison.as_ref()),
         };
-        GateResult { gate: self.words(), holds, because }
+        GateResult { gate: self.words(plan), holds, because }
     }
 
-    fn words(&self) -> String {
+    fn words(&self, plan: &AssessmentPlan) -> String {
+        let named = |space: &Option<String>| {
+            let only = || plan.config.distributions.first().cloned().unwrap_or_default();
+            space.clone().unwrap_or_else(only)
+        };
         match self {
             Self::NoContactInPaperScenarios { controller } => {
                 format!("{controller}: no contact in the paper's scenarios")
             }
             Self::NoContactInTraffic { controller } => format!("{controller}: no contact in the scenarios from files"),
-            Self::RateAtMost { controller, percent } => {
-                format!("{controller}: failure rate in the paper's distribution at most {percent} %")
+            Self::RateAtMost { controller, percent, space } => {
+                format!("{controller}: failure rate in `{}` at most {percent} %", named(space))
             }
-            Self::RateNotAbove { controller, than } => {
-                format!("{controller}: failure rate in the paper's distribution not above that of {than}")
+            Self::RateNotAbove { controller, than, space } => {
+                format!("{controller}: no more failures than {than} in the same draws of `{}`", named(space))
             }
             Self::NoAvoidableFailure { controller, space } => {
                 format!("{controller}: no avoidable failure in `{space}` within the budget")
@@ -135,23 +151,33 @@ fn no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bool, St
     }
 }
 
-fn rate_at_most(found: &Assessment, controller: &str, percent: f64) -> (bool, String) {
-    let distribution = &found.distribution;
-    match distribution.controllers.iter().find(|sampled| sampled.controller == controller) {
-        Some(sampled) if distribution.draws > 0 => {
-            let upper = 100.0 * sampled.bounds(distribution).upper;
-            (upper <= percent, format!("the upper bound is {} %", Rounded::<2>::up(upper)))
-        }
-        _ => (false, "no draws were made".to_owned()),
-    }
+/// The strongest that is known, whether it was counted for a certificate or not.
+fn rate_at_most(
+    plan: &AssessmentPlan,
+    found: &Assessment,
+    controller: &str,
+    percent: f64,
+    space: Option<&str>,
+) -> (bool, String) {
+    let named = plan.distributions.iter().find(|named| space.is_none_or(|space| named.name == space));
+    let place = plan.controllers.iter().position(|one| one.name == controller);
+    let subject = place.and_then(|place| plan.claimant(place, plan.config.estimator));
+    let (Some(named), Some(subject)) = (named, subject) else { return (false, "no draws were made".to_owned()) };
+    // What is asked for is never rounded in favour of the controller.
+    let property = Property::RateAtMost { percent: Rounded::down(percent) };
+    let standing = found.evidence.standing(&Claim { subject, property, domain: Domain::Space { space: named.known.clone() } });
+    (matches!(standing.strength, Strength::Bounded { .. }), standing.words())
 }
 
-fn rate_not_above(found: &Assessment, controller: &str, than: &str) -> (bool, String) {
-    let distribution = &found.distribution;
-    let collisions = |name: &str| Some(distribution.controllers.iter().find(|s| s.controller == name)?.collisions);
+fn rate_not_above(found: &Assessment, controller: &str, than: &str, space: Option<&str>) -> (bool, String) {
+    let Some(drawn) = found.distributions.spaces.iter().find(|drawn| space.is_none_or(|space| drawn.space.name == space))
+    else {
+        return (false, "no draws were made".to_owned());
+    };
+    let collisions = |name: &str| Some(drawn.controllers.iter().find(|s| s.controller == name)?.collisions);
     match (collisions(controller), collisions(than)) {
-        (Some(own), Some(other)) if distribution.draws > 0 => {
-            (own <= other, format!("{own} against {other} of the same {} draws collide", distribution.draws))
+        (Some(own), Some(other)) if drawn.draws > 0 => {
+            (own <= other, format!("{own} against {other} of the same {} draws collide", drawn.draws))
         }
         _ => (false, "no draws were made".to_owned()),
     }

@@ -1,40 +1,35 @@
-//! Claims and gates as tests, in the form that build servers read.
+//! Gates as tests, in the form that build servers read.
 
-use quick_junit::{NonSuccessKind, Report, SerializeError, TestCase, TestCaseStatus, TestSuite};
+use quick_junit::{NonSuccessKind, Property, Report, SerializeError, TestCase, TestCaseStatus, TestSuite};
 
-use super::Assessment;
-use super::table::Mark;
+use super::{Assessment, GateResult};
 
-/// One suite for the gates, and one a claim with a test a controller: what is refuted fails, what was not tried or not decided
-/// is skipped.
+/// The gates, each a test: a build is red where one does not hold, and for nothing else. What is claimed of each controller
+/// stands among the properties, where it fails no build.
 pub(super) fn xml(assessment: &Assessment) -> Result<String, SerializeError> {
     let mut report = Report::new("crumple assess");
     let mut gates = TestSuite::new("gates");
     for gate in &assessment.summary.gates {
-        let mark = if gate.holds { Mark::Good } else { Mark::Bad };
-        gates.add_test_case(case(&gate.gate, mark, &gate.because));
+        gates.add_test_case(case(gate));
+    }
+    for row in &assessment.summary.claims {
+        for (controller, standing) in assessment.summary.controllers.iter().zip(&row.standings) {
+            gates.add_property(Property::new(format!("{controller}: {}", row.claim), standing.words()));
+        }
     }
     report.add_test_suite(gates);
-    for claim in &assessment.summary.claims {
-        let mut suite = TestSuite::new(claim.claim.as_str());
-        for (controller, strength) in assessment.summary.controllers.iter().zip(&claim.strengths) {
-            suite.add_test_case(case(controller, strength.mark(), &strength.words()));
-        }
-        report.add_test_suite(suite);
-    }
     report.to_string()
 }
 
-fn case(name: &str, mark: Mark, words: &str) -> TestCase {
-    let mut status = match mark {
-        Mark::Good => TestCaseStatus::success(),
-        Mark::Bad => TestCaseStatus::non_success(NonSuccessKind::Failure),
-        Mark::None | Mark::Number => TestCaseStatus::skipped(),
+fn case(gate: &GateResult) -> TestCase {
+    let mut status = match gate.holds {
+        true => TestCaseStatus::success(),
+        false => TestCaseStatus::non_success(NonSuccessKind::Failure),
     };
-    if mark != Mark::Good {
-        status.set_message(words);
+    if !gate.holds {
+        status.set_message(&*gate.because);
     }
-    let mut case = TestCase::new(name, status);
-    case.set_system_out(words);
+    let mut case = TestCase::new(gate.gate.as_str(), status);
+    case.set_system_out(&gate.because);
     case
 }

@@ -6,6 +6,7 @@
 
 mod best;
 mod case;
+mod claims;
 mod config;
 mod gate;
 mod junit;
@@ -23,13 +24,16 @@ use serde::Serialize;
 
 pub use best::Best;
 pub use case::{Case, CaseVerdict, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards};
+pub use claims::{
+    Beside, Claim, Domain, Evidence, Known, Ledger, Property, Rule, Source, Standing, Strength, Subject, Words,
+};
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};
 pub use gate::{Gate, GateResult};
 pub use parts::{
-    Argument, BRAKING_MPS2, Braking, Change, Claim, Comparison, ComparisonError, Distribution, EXAMPLE_MPS, Earlier,
+    Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution, Distributions, EXAMPLE_MPS, Earlier,
     Element, ElementKind, Failure, FailureMap, FailureMaps, Held, KernelGap, Learned, LearnedPolicy, Limits, MapAxis,
     MapCell, MapRow, MethodReached, Mildest, Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs, Provenance,
-    Sampled, ScenarioCases, Search, Searches, SpaceSearches, Strength, Summary, Traffic, UnknownCell, WorstProfile,
+    Sampled, ScenarioCases, Search, Searches, SpaceSearches, SpeaksOf, Summary, Traffic, UnknownCell, WorstProfile,
     WorstProfiles,
 };
 pub use plan::AssessmentPlan;
@@ -41,10 +45,11 @@ use crumple_search::falsify::campaign::CampaignError;
 use crumple_search::worst_case::AttackError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::RunError;
+use parts::Findings;
 use work::Work;
 
 /// The version of the JSON evidence this release writes.
-pub const EVIDENCE_VERSION: u32 = 2;
+pub const EVIDENCE_VERSION: u32 = 3;
 
 /// Everything an assessment found out.
 #[derive(Debug, Clone, Serialize)]
@@ -53,10 +58,12 @@ pub struct Assessment {
     pub version: u32,
     /// The verdict: claims, and how strongly each is supported.
     pub summary: Summary,
-    /// The paper's three scenarios.
-    pub paper_scenarios: PaperScenarios,
-    /// The paper's distribution.
-    pub distribution: Distribution,
+    /// All evidence, each piece with the claim that it speaks for.
+    pub evidence: Ledger,
+    /// The paper's three scenarios; none if the plan leaves the paper out.
+    pub paper_scenarios: Option<PaperScenarios>,
+    /// Failures counted on draws of spaces.
+    pub distributions: Distributions,
     /// Scenarios from files; none if the configuration names none.
     pub traffic: Option<Traffic>,
     /// What a search for failures found.
@@ -96,8 +103,8 @@ pub enum AssessError {
     /// A scenario cannot be run.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A draw of the paper's distribution is not a valid scenario.
-    #[error("a draw of the paper's distribution is invalid: {0}")]
+    /// A draw of a space is not a valid scenario.
+    #[error("a draw is invalid: {0}")]
     Draw(#[from] InvalidField),
     /// The worst braking cannot be looked for.
     #[error(transparent)]
@@ -149,24 +156,33 @@ pub fn assess(
     let store = if plan.has_identities() { store } else { &nothing_kept };
     let work = Work::new(store, told);
     let paper_scenarios = PaperScenarios::gather(plan, &work)?;
-    let distribution = Distribution::gather(plan, &work)?;
+    let distributions = Distributions::gather(plan, &work)?;
     let traffic = Traffic::gather(plan, &work)?;
     let searches = Searches::gather(plan, &work)?;
     let worst_profiles = WorstProfiles::gather(plan, &work)?;
     let failure_maps = FailureMaps::gather(plan, &work)?;
     let proofs = Proofs::gather(plan, &work)?;
     let limits = Limits::of(plan);
-    let (with_traffic, with_worst) = (traffic.as_ref(), worst_profiles.as_ref());
-    let summary = Summary::of(plan, &paper_scenarios, &distribution, with_traffic, with_worst, &searches, &proofs);
-    let argument = Argument::of(plan, &summary, &distribution, &searches, &proofs, &limits);
+    let found = Findings {
+        paper: paper_scenarios.as_ref(),
+        distributions: &distributions,
+        traffic: traffic.as_ref(),
+        worst: worst_profiles.as_ref(),
+        searches: &searches,
+        proofs: &proofs,
+    };
+    let evidence = found.ledger(plan);
+    let summary = Summary::of(plan, &found, &evidence);
+    let argument = Argument::of(plan, &summary, &limits);
     let mut assessment = Assessment {
         version: EVIDENCE_VERSION,
-        learned: Learned::of(plan, &paper_scenarios),
+        learned: paper_scenarios.as_ref().and_then(|paper| Learned::of(plan, paper)),
         provenance: Provenance::of(plan, store),
         comparison: None,
         summary,
+        evidence,
         paper_scenarios,
-        distribution,
+        distributions,
         traffic,
         searches,
         worst_profiles,
@@ -177,7 +193,7 @@ pub fn assess(
     };
     assessment.comparison = against.and_then(|earlier| Comparison::of(earlier, &assessment));
     // Gates come last: they judge everything else.
-    assessment.summary.gates = plan.config.gates.iter().map(|gate| gate.judge(&assessment)).collect();
+    assessment.summary.gates = plan.config.gates.iter().map(|gate| gate.judge(plan, &assessment)).collect();
     Ok(assessment)
 }
 
@@ -189,9 +205,10 @@ impl AssessmentPlan {
         let scenarios = (crumple_world::scenario::built_in_names().len() + self.traffic.len()) as u64;
         // A search has a method and two reference searches.
         let searches = 3 * self.spaces.len() as u64 * self.config.search.budget;
-        let each = scenarios + self.config.draws + searches + parts::BUDGET as u64;
+        let each = scenarios + self.config.draws * self.distributions.len() as u64 + searches + parts::BUDGET as u64;
         let learned = self.controllers.iter().filter(|controller| controller.policy().is_some()).count() as u64;
-        controllers.saturating_mul(each) + (learned + 1).saturating_mul(self.config.rates.runs)
+        let counted = self.distributions.len() as u64 * (learned + 1);
+        controllers.saturating_mul(each) + counted.saturating_mul(self.config.rates.runs)
     }
 }
 
@@ -201,12 +218,12 @@ impl Assessment {
     pub fn parts(&self) -> Vec<&dyn Part> {
         let mut parts: Vec<&dyn Part> = vec![&self.summary];
         parts.extend(self.comparison.as_ref().map(|comparison| comparison as &dyn Part));
-        parts.push(&self.paper_scenarios);
+        parts.extend(self.paper_scenarios.as_ref().map(|paper| paper as &dyn Part));
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
         parts.push(&self.searches);
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn Part));
         parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn Part));
-        parts.extend([&self.distribution as &dyn Part, &self.proofs]);
+        parts.extend([&self.distributions as &dyn Part, &self.proofs]);
         parts.extend(self.learned.as_ref().map(|learned| learned as &dyn Part));
         parts.extend([&self.limits as &dyn Part, &self.argument, &self.provenance]);
         parts
@@ -244,7 +261,7 @@ impl Assessment {
             ("assessment.junit.xml".to_owned(), junit::xml(self)?),
             ("assessment.gsn.yaml".to_owned(), self.argument.yaml()),
         ];
-        files.extend(self.paper_scenarios.plates().map(|(name, svg)| (name, svg.document())));
+        files.extend(self.paper_scenarios.iter().flat_map(PaperScenarios::plates).map(|(name, svg)| (name, svg.document())));
         files.extend(self.searches.failures().map(|failure| (failure.file.clone(), failure.text.clone())));
         files.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
         Ok(files)

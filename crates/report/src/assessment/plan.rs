@@ -6,9 +6,11 @@ use std::path::{Path, PathBuf};
 use crumple_verify::Certificate;
 use serde_json::{Value, json};
 
+use super::claims::{Known, Subject};
 use super::config::{AssessConfig, CONFIG_VERSION, ConfigError};
 use super::gate::Gate;
 use crumple_world::control::ControllerSpec;
+use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::file;
@@ -31,9 +33,29 @@ pub struct AssessmentPlan {
     pub(super) subject: usize,
     /// Scenarios from files, in order of their paths, with the path as the configuration reaches it.
     pub(super) traffic: Vec<(PathBuf, Scenario)>,
-    /// Where failures are searched for, with the name to ask `crumple falsify` for.
-    pub(super) spaces: Vec<(String, Space)>,
+    /// By whose law failures are counted, with the name in the configuration.
+    pub(super) distributions: Vec<NamedSpace>,
+    /// Where failures are searched for.
+    pub(super) spaces: Vec<NamedSpace>,
     pub(super) certificates: Vec<GivenCertificate>,
+}
+
+/// A space as the configuration names it, and what it is.
+#[derive(Debug, Clone)]
+pub(super) struct NamedSpace {
+    /// The name in the configuration.
+    pub(super) name: String,
+    pub(super) space: Space,
+    /// The space as a file, and its hash under its own name.
+    pub(super) text: String,
+    pub(super) known: Known,
+}
+
+impl NamedSpace {
+    fn new(name: &str, space: Space) -> Result<Self, toml::ser::Error> {
+        let text = space_file::to_toml(&space)?;
+        Ok(Self { name: name.to_owned(), known: Known::of(space.name(), &text), space, text })
+    }
 }
 
 /// A certificate that was made earlier.
@@ -59,9 +81,12 @@ impl AssessmentPlan {
         let config = AssessConfig::default();
         let controllers: Vec<_> =
             config.controllers.iter().filter_map(|name| NamedController::find(name, Path::new("")).ok()).collect();
-        let spaces = config.search.spaces.iter().filter_map(|name| Some((name.clone(), built_in_space(name)?)));
-        let (spaces, certificates) = (spaces.collect(), shipped(&controllers));
-        Self { subject: subject(&controllers), config, controllers, traffic: Vec::new(), spaces, certificates }
+        let known = |names: &[String]| {
+            names.iter().filter_map(|name| NamedSpace::new(name, built_in_space(name)?).ok()).collect::<Vec<_>>()
+        };
+        let (distributions, spaces) = (known(&config.distributions), known(&config.search.spaces));
+        let (subject, certificates) = (subject(&controllers), shipped(&controllers));
+        Self { subject, config, controllers, traffic: Vec::new(), distributions, spaces, certificates }
     }
 
     /// An assessment of controllers of one's own, beside those that the configuration names. The argument is about the
@@ -103,6 +128,19 @@ impl AssessmentPlan {
             EstimatorKind::Kalman => String::new(),
             EstimatorKind::Truth => " --estimator truth".to_owned(),
         }
+    }
+
+    /// Who claims about the controller at that place are about. One without identity is nobody else's equal.
+    pub(super) fn claimant(&self, index: usize, estimator: EstimatorKind) -> Option<Subject> {
+        let controller = self.controllers.get(index)?;
+        let unknown = || sha256(format!("controller {index} of one report, {}", controller.name));
+        let sha256 = controller.kind.identity().unwrap_or_else(unknown);
+        Some(Subject { controller: Known { name: controller.name.clone(), sha256 }, estimator })
+    }
+
+    /// All of them, through the estimator of the assessment.
+    pub(super) fn claimants(&self) -> Vec<Subject> {
+        (0..self.controllers.len()).filter_map(|index| self.claimant(index, self.config.estimator)).collect()
     }
 
     /// The controller that the argument is about.
@@ -207,19 +245,43 @@ impl Loading<'_> {
                 let problem = format!("must be from 0 to 100, found {percent}");
                 return Err(self.wrong(&format!("gates[{index}].percent"), problem));
             }
-            if let Gate::NoAvoidableFailure { space, .. } = gate
-                && !config.search.spaces.contains(space)
-            {
-                let problem = format!("`{space}` is not among `search.spaces`");
+            let unknown = match gate {
+                Gate::NoAvoidableFailure { space, .. } if !config.search.spaces.contains(space) => {
+                    Some(format!("`{space}` is not among `search.spaces`"))
+                }
+                Gate::RateAtMost { space, .. } | Gate::RateNotAbove { space, .. } => match space {
+                    Some(space) if !config.distributions.contains(space) => {
+                        Some(format!("`{space}` is not among `distributions`"))
+                    }
+                    None if config.distributions.len() > 1 => {
+                        Some("must be named, since there are several `distributions`".to_owned())
+                    }
+                    _ => None,
+                },
+                Gate::NoContactInPaperScenarios { .. } if !config.paper => {
+                    return Err(self.wrong(&format!("gates[{index}].require"), "needs `paper = true`".to_owned()));
+                }
+                _ => None,
+            };
+            if let Some(problem) = unknown {
                 return Err(self.wrong(&format!("gates[{index}].space"), problem));
             }
         }
-        let (traffic, spaces) = (self.traffic(&config)?, self.spaces(&config)?);
+        let traffic = self.traffic(&config)?;
+        let spaces = self.spaces("search.spaces", &config.search.spaces)?;
+        let distributions = self.spaces("distributions", &config.distributions)?;
+        let clash = distributions.iter().find(|one| {
+            spaces.iter().any(|other| one.space.name() == other.space.name() && one.known != other.known)
+        });
+        if let Some(one) = clash {
+            let problem = format!("the name `{}` is that of another space in `search.spaces`", one.space.name());
+            return Err(self.wrong("distributions", problem));
+        }
         let certificates = match &config.certificates {
             None => shipped(&controllers),
             Some(paths) => self.certificates(paths)?,
         };
-        Ok(AssessmentPlan { config, controllers, subject, traffic, spaces, certificates })
+        Ok(AssessmentPlan { config, controllers, subject, traffic, distributions, spaces, certificates })
     }
 
     fn add(
@@ -302,10 +364,10 @@ impl Loading<'_> {
         Ok(traffic)
     }
 
-    fn spaces(&self, config: &AssessConfig) -> Result<Vec<(String, Space)>, ConfigError> {
-        let mut spaces: Vec<(String, Space)> = Vec::new();
-        for (index, name) in config.search.spaces.iter().enumerate() {
-            let field = format!("search.spaces[{index}]");
+    fn spaces(&self, list: &str, names: &[String]) -> Result<Vec<NamedSpace>, ConfigError> {
+        let mut spaces: Vec<NamedSpace> = Vec::new();
+        for (index, name) in names.iter().enumerate() {
+            let field = format!("{list}[{index}]");
             let space = match built_in_space(name) {
                 Some(space) => space,
                 None if name.ends_with(".toml") => space_file::load(&self.folder.join(name))?,
@@ -314,10 +376,10 @@ impl Loading<'_> {
                     return Err(self.wrong(&field, problem));
                 }
             };
-            if spaces.iter().any(|(_, known)| known.name() == space.name()) {
+            if spaces.iter().any(|known| known.space.name() == space.name()) {
                 return Err(self.wrong(&field, format!("the name `{}` is taken by another space", space.name())));
             }
-            spaces.push((name.clone(), space));
+            spaces.push(NamedSpace::new(name, space).map_err(|error| self.wrong(&field, error.to_string()))?);
         }
         Ok(spaces)
     }

@@ -136,7 +136,7 @@ impl RatePlan {
         ]);
         for (place, driver) in ["controller", "against"].into_iter().zip(&drivers) {
             configuration.insert(place.to_owned(), driver.name.clone());
-            if let Some(identity) = driver.identity_beside_name() {
+            if let Some(identity) = driver.kind.identity() {
                 configuration.insert(format!("{place}_sha256"), identity);
             }
             if let Some(policy) = driver.policy() {

@@ -9,10 +9,11 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use super::argument_figure;
-use super::{Claim, Distribution, Limits, Proofs, Searches, Strength, Summary};
+use super::certified::seeing;
+use super::{ClaimRow, Limits, Summary};
+use crate::assessment::claims::{Claim, Property, Standing, Strength};
 use crate::assessment::table::Mark;
 use crate::assessment::{AssessmentPlan, Part};
-use crumple_search::falsify::counterexample::AvoidabilityClass;
 
 /// The argument, its elements in the order of their identifiers' numbers.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -107,24 +108,46 @@ impl Building {
         self.change(id, |element| element.supported_by.push(by));
     }
 
-    /// A goal below a strategy, with its evidence: for it or against it.
-    fn claim(&mut self, strategy: &str, text: &str, evidence: &Evidence) {
-        let goal = self.add(ElementKind::Goal, text);
+    /// A goal below a strategy, with what speaks for it or against it.
+    fn claim(&mut self, strategy: &str, proposition: &Proposition<'_>) {
+        let goal = self.add(ElementKind::Goal, proposition.text());
         self.support(strategy, goal.clone());
-        let solution = |building: &mut Self, below: &str| {
-            let solution = building.add(ElementKind::Solution, evidence.words.clone());
-            building.change(&solution, |element| element.url = Some(format!("assessment.html#{}", evidence.part)));
-            building.support(below, solution);
-        };
-        match evidence.mark {
-            Mark::Good => solution(self, &goal),
+        let strength = &proposition.standing.strength;
+        match strength.mark() {
+            Mark::Good => self.solution(&goal, proposition),
             Mark::Bad => {
-                let counter = self.add(ElementKind::Goal, format!("not so: {}", evidence.words));
-                solution(self, &counter);
+                let counter = self.add(ElementKind::Goal, format!("This does not hold: {}", strength.words()));
+                self.solution(&counter, proposition);
                 self.change(&counter, |element| element.challenges = Some(goal.clone()));
                 self.change(&goal, |element| element.defeated = true);
             }
             Mark::None | Mark::Number => self.change(&goal, |element| element.undeveloped = true),
+        }
+    }
+
+    /// Where the evidence stands.
+    fn solution(&mut self, below: &str, proposition: &Proposition<'_>) {
+        let solution = self.add(ElementKind::Solution, proposition.standing.words());
+        self.change(&solution, |element| element.url = Some(format!("assessment.html#{}", proposition.row.part)));
+        self.support(below, solution);
+    }
+}
+
+/// A claim about the subject, as a sentence that is true or false.
+struct Proposition<'a> {
+    row: &'a ClaimRow,
+    claim: &'a Claim,
+    standing: &'a Standing,
+}
+
+impl Proposition<'_> {
+    fn text(&self) -> String {
+        let name = &self.claim.subject.controller.name;
+        match self.standing.strength {
+            Strength::ProvedIn { share_percent } => {
+                format!("{name} has no contact in {share_percent} % of starts: {}", self.claim.domain.words())
+            }
+            _ => format!("{name} has {}", self.row.claim),
         }
     }
 }
@@ -144,57 +167,65 @@ impl Building {
     }
 }
 
-/// What speaks for a claim or against it.
-struct Evidence {
-    words: String,
-    mark: Mark,
-    part: &'static str,
-}
+/// The goals below the top one: what is said, over what it is argued, and which properties it is about.
+type Kind = fn(&Property) -> bool;
+const GOALS: [(&str, &str, Kind); 4] = [
+    ("has no contact with others in any run that this report looks at", "over the situations looked at", |property| {
+        matches!(property, Property::NoContact | Property::NoContactAhead)
+    }),
+    ("fails rarely by the laws of the spaces drawn from", "over the spaces drawn from", |property| {
+        matches!(property, Property::RateAtMost { .. })
+    }),
+    ("fails less often than the controller that it is compared with", "over runs that both made", |property| {
+        matches!(property, Property::FailsLessOften { .. })
+    }),
+    ("never brakes without cause where nothing is the matter", "over everyday situations", |property| {
+        matches!(property, Property::NoNeedlessBraking)
+    }),
+];
 
 impl Argument {
-    pub(in crate::assessment) fn of(
-        plan: &AssessmentPlan,
-        summary: &Summary,
-        distribution: &Distribution,
-        searches: &Searches,
-        proofs: &Proofs,
-        limits: &Limits,
-    ) -> Self {
-        let name = |index: usize| plan.controllers.get(index).map_or("", |controller| controller.name.as_str());
-        let (subject, first) = (name(plan.subject), name(0));
+    pub(in crate::assessment) fn of(plan: &AssessmentPlan, summary: &Summary, limits: &Limits) -> Self {
+        let subject = plan.subject().map_or("", |controller| controller.name.as_str());
         let mut building = Building::default();
-        let top = building.add(ElementKind::Goal, format!("{subject} can be relied on within the stated limits"));
-        let over =
-            building.add(ElementKind::Strategy, "over what it avoids, and over what it does better than another");
-        building.support(&top, over.clone());
-        let context = format!(
-            "one lane; the paper's three scenarios; {} draws of its distribution (seed {}); searches of {}",
-            distribution.draws,
-            distribution.seed,
-            searches.spaces.iter().map(|space| space.name.as_str()).collect::<Vec<_>>().join(", ")
+        let all: Vec<_> = summary.claims.iter().filter_map(|row| {
+            let (claim, standing) = (row.claims.get(plan.subject)?.as_ref()?, row.standings.get(plan.subject)?);
+            Some(Proposition { row, claim, standing })
+        }).collect();
+        let top = building.add(
+            ElementKind::Goal,
+            format!("{subject}, {}, does what is claimed of it in the situations of this report", seeing(plan.config.estimator)),
         );
-        let context = building.add(ElementKind::Context, context);
-        let assumptions =
-            format!("{} assumptions and limits, under \"What this does not show\"", limits.assumptions.len());
-        let assumption = building.add(ElementKind::Assumption, assumptions);
-        building.change(&assumption, |element| element.url = Some("assessment.html#limits".to_owned()));
-        building.change(&top, |element| element.in_context_of = vec![context, assumption]);
-
-        let avoids = building.add(ElementKind::Goal, format!("{subject} touches nobody"));
-        building.support(&over, avoids.clone());
-        let by_claim = building.add(ElementKind::Strategy, "over the claims of the verdict, each with its strength");
-        building.support(&avoids, by_claim.clone());
-        for claim in &summary.claims {
-            let Some(strength) = claim.strengths.get(plan.subject) else { continue };
-            building.claim(&by_claim, &claim.claim, &Evidence::of_strength(claim, strength));
+        let over = building.add(ElementKind::Strategy, "over avoiding contact, over how rarely it fails, and over what it costs");
+        building.support(&top, over.clone());
+        let mut around = vec![building.add(
+            ElementKind::Context,
+            "one lane of vehicles on a straight road, as the simulation has them; situations are named in each goal",
+        )];
+        let mut domains: Vec<String> = Vec::new();
+        for domain in all.iter().map(|one| format!("situations: {}", one.claim.domain.words())) {
+            if !domains.contains(&domain) {
+                around.push(building.add(ElementKind::Context, domain.clone()));
+                domains.push(domain);
+            }
         }
-        if plan.subject != 0 {
-            let better = building.add(ElementKind::Goal, format!("{subject} is safer than {first}"));
-            building.support(&over, better.clone());
-            let by_pair = building.add(ElementKind::Strategy, "over the same runs and searches of both");
-            building.support(&better, by_pair.clone());
-            for (text, evidence) in compared(subject, first, distribution, searches, proofs) {
-                building.claim(&by_pair, &text, &evidence);
+        for assumption in &limits.assumptions {
+            let id = building.add(ElementKind::Assumption, *assumption);
+            building.change(&id, |element| element.url = Some("assessment.html#limits".to_owned()));
+            around.push(id);
+        }
+        building.change(&top, |element| element.in_context_of = around);
+        for (says, by, is_about) in GOALS {
+            let about: Vec<_> = all.iter().filter(|one| is_about(&one.claim.property)).collect();
+            if about.is_empty() {
+                continue;
+            }
+            let goal = building.add(ElementKind::Goal, format!("{subject} {says}"));
+            building.support(&over, goal.clone());
+            let strategy = building.add(ElementKind::Strategy, by);
+            building.support(&goal, strategy.clone());
+            for proposition in about {
+                building.claim(&strategy, proposition);
             }
         }
         building.carry_defeat();
@@ -245,60 +276,6 @@ impl Element {
             writeln!(out, "  url: {}", quoted(url))?;
         }
         Ok(())
-    }
-}
-
-impl Evidence {
-    fn of_strength(claim: &Claim, strength: &Strength) -> Self {
-        Self { words: strength.words(), mark: strength.mark(), part: claim.part }
-    }
-}
-
-/// Claims about one controller beside another.
-fn compared(
-    subject: &str,
-    first: &str,
-    distribution: &Distribution,
-    searches: &Searches,
-    proofs: &Proofs,
-) -> Vec<(String, Evidence)> {
-    let mut claims = Vec::new();
-    let sampled = |name: &str| distribution.controllers.iter().find(|sampled| sampled.controller == name);
-    if let (Some(own), Some(other)) = (sampled(subject), sampled(first))
-        && distribution.draws > 0
-    {
-        let words = format!("{} against {} of {} draws collide", own.collisions, other.collisions, distribution.draws);
-        let mark = better(&own.collisions, &other.collisions);
-        let evidence = Evidence { words, mark, part: "distribution" };
-        claims.push(("it collides in fewer of the same draws of the paper's distribution".to_owned(), evidence));
-    }
-    let pair = [subject.to_owned(), first.to_owned()];
-    if let Some(proof) = proofs.certificates.iter().find(|proof| proof.controllers == pair) {
-        let mark = if proof.is_accepted() { Mark::Good } else { Mark::Bad };
-        let evidence = Evidence { words: proof.status.words(), mark, part: "proofs" };
-        claims.push(("it fails less often, by a certificate".to_owned(), evidence));
-    }
-    for space in &searches.spaces {
-        let (Some(own), Some(other)) = (space.of(subject), space.of(first)) else { continue };
-        let (Some(own_share), Some(other_share)) = (own.uniform_share(), other.uniform_share()) else { continue };
-        let words = format!(
-            "{own_share} % against {other_share} % of uniform points collide; {} against {} distinct avoidable failures",
-            own.count(AvoidabilityClass::Avoidable),
-            other.count(AvoidabilityClass::Avoidable)
-        );
-        let mark = better(&own_share, &other_share);
-        let evidence = Evidence { words, mark, part: "search" };
-        claims.push((format!("it collides at fewer uniform points of `{}`", space.name), evidence));
-    }
-    claims
-}
-
-/// Fewer is better, and as many shows nothing.
-fn better<T: PartialOrd>(own: &T, other: &T) -> Mark {
-    match own.partial_cmp(other) {
-        Some(std::cmp::Ordering::Less) => Mark::Good,
-        Some(std::cmp::Ordering::Greater) => Mark::Bad,
-        Some(std::cmp::Ordering::Equal) | None => Mark::None,
     }
 }
 

@@ -4,13 +4,16 @@ use crumple_verify::reach::Ranges;
 use crumple_verify::{Accepted, Assumption, Certificate, Reach, Registration, Statement, check_with};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use serde_json::json;
 
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
+use crate::assessment::plan::{NamedSpace, slug};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, AssessmentPlan, StoreError};
-use crumple_search::evidence::{RateConfig, RatePlan, shipped_kernels};
+use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
+use crumple_search::evidence::{RateConfig, RatePlan, kernel_certificate, shipped_kernels};
+use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
 use crumple_world::digest::sha256;
-use crumple_world::scenario::space::{Space, built_in_space};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// A certificate and what the checker said of it.
@@ -26,10 +29,8 @@ pub struct Proof {
     pub file: String,
     /// SHA-256 of that file.
     pub sha256: String,
-    /// Which of this report's controllers it is about: one, or the two compared.
-    pub controllers: Vec<String>,
-    /// The confidence with which it holds; none if it holds without a doubt.
-    pub confidence: Option<f64>,
+    /// Of whom in this report it speaks.
+    pub speaks_of: SpeaksOf,
     /// What the checker said.
     pub status: ProofStatus,
     /// What it takes for granted.
@@ -37,6 +38,9 @@ pub struct Proof {
     /// The file itself.
     #[serde(skip)]
     pub(in crate::assessment) text: String,
+    /// The statement, if it is one about a kernel.
+    #[serde(skip)]
+    kernel: Option<Statement>,
 }
 
 /// What the checker said of a certificate.
@@ -48,16 +52,54 @@ pub enum ProofStatus {
     Accepted {
         /// What that is.
         shown: String,
-        /// Upper bound of a rate, not rounded.
-        rate_at_most: Option<f64>,
-        /// Share of a box that is free of contact, not rounded.
-        verified_share: Option<f64>,
+        /// How strongly that speaks for the claim that it makes of a controller, if it makes one.
+        strength: Option<Strength>,
     },
     /// It proves nothing.
     Rejected {
         /// Why.
         reason: String,
     },
+}
+
+/// Of whom in a report a certificate speaks. What it is called, and what it says it is about, decides nothing.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum SpeaksOf {
+    /// Of a claim about one of the report's controllers: the same by the hashes of all that the certificate names.
+    Claim(Box<Claim>),
+    /// Of the kernel that shields of a pair of brake limits use.
+    Kernel,
+    /// Of a scene or a profile, and of no controller.
+    NoController,
+    /// Of nothing in this report.
+    Foreign {
+        /// Why not.
+        because: String,
+    },
+}
+
+impl SpeaksOf {
+    pub(super) fn words(&self) -> String {
+        match self {
+            Self::Claim(claim) => {
+                let Subject { controller, estimator } = &claim.subject;
+                format!("{}, {}", controller.name, seeing(*estimator))
+            }
+            Self::Kernel => "shields".to_owned(),
+            Self::NoController => "no controller".to_owned(),
+            Self::Foreign { because } => format!("nobody here: {because}"),
+        }
+    }
+}
+
+/// What a controller looks through, in words.
+pub(super) fn seeing(estimator: EstimatorKind) -> &'static str {
+    match estimator {
+        EstimatorKind::Truth => "seeing the true state",
+        EstimatorKind::Kalman => "through the Kalman filter",
+    }
 }
 
 impl ProofStatus {
@@ -73,13 +115,26 @@ impl ProofStatus {
             Ok(accepted) => accepted,
             Err(rejection) => return Self::Rejected { reason: rejection.to_string() },
         };
-        let (mut rate_at_most, mut verified_share) = (None, None);
-        match accepted {
-            Accepted::Rate { at_most, .. } => rate_at_most = Some(at_most),
-            Accepted::Reach { verified_share: share, .. } => verified_share = Some(share),
-            _ => {}
+        Self::Accepted { shown: shown(&accepted), strength: strength(&accepted) }
+    }
+}
+
+/// How strongly an accepted statement speaks for the claim that it makes of a controller.
+fn strength(accepted: &Accepted) -> Option<Strength> {
+    match accepted {
+        Accepted::Rate { at_most, confidence } => Some(Strength::Between {
+            lower_percent: Rounded::new(0.0),
+            upper_percent: Rounded::up(100.0 * at_most),
+            confidence_percent: Rounded::down(100.0 * confidence),
+        }),
+        Accepted::FailsLessOften { confidence } => {
+            Some(Strength::Counted { confidence_percent: Rounded::down(100.0 * confidence) })
         }
-        Self::Accepted { shown: shown(&accepted), rate_at_most, verified_share }
+        Accepted::Reach { verified_share, .. } if *verified_share >= 1.0 => Some(Strength::Proved { certificates: 1 }),
+        Accepted::Reach { verified_share, .. } => {
+            Some(Strength::ProvedIn { share_percent: Rounded::down(100.0 * verified_share) })
+        }
+        _ => None,
     }
 }
 
@@ -90,14 +145,19 @@ impl Proof {
         matches!(self.status, ProofStatus::Accepted { .. })
     }
 
-    /// The upper bound of that controller's rate, and the share of a box it keeps free of contact, where accepted.
-    pub(super) fn shown_of(&self, controller: &str) -> (Option<f64>, Option<f64>) {
-        match self.status {
-            ProofStatus::Accepted { rate_at_most, verified_share, .. } if self.controllers == [controller] => {
-                (rate_at_most, verified_share)
-            }
-            _ => (None, None),
-        }
+    /// What it says of whom, if the checker accepted it and it speaks of somebody here.
+    fn evidence(&self) -> Option<Evidence> {
+        let (ProofStatus::Accepted { strength: Some(strength), .. }, SpeaksOf::Claim(claim)) =
+            (&self.status, &self.speaks_of)
+        else {
+            return None;
+        };
+        Some(Evidence { claim: (**claim).clone(), strength: strength.clone(), source: self.source() })
+    }
+
+    pub(super) fn source(&self) -> Source {
+        let (file, sha256) = (Some(self.file.clone()), Some(self.sha256.clone()));
+        Source { part: "proofs".to_owned(), what: format!("certificate `{}`", self.name), file, sha256 }
     }
 }
 
@@ -148,14 +208,10 @@ fn proof(
         about: about(certificate),
         file: format!("certificates/{name}.json"),
         sha256,
-        controllers: controllers(plan, &certificate.statement),
-        confidence: match &certificate.statement {
-            Statement::Rate(rate) => Some(rate.registration.confidence),
-            Statement::Comparison(two) => Some(two.registration.confidence),
-            _ => None,
-        },
+        speaks_of: speaks_of(plan, certificate),
         status,
         assumptions: certificate.assumptions.clone(),
+        kernel: matches!(certificate.statement, Statement::Kernel(_)).then(|| certificate.statement.clone()),
         text,
         name,
     })
@@ -202,30 +258,121 @@ fn ranges(reach: &Reach) -> String {
     words.join(", ")
 }
 
-fn controllers(plan: &AssessmentPlan, statement: &Statement) -> Vec<String> {
-    let registered = |registration: &Registration, keys: &[&str]| {
-        keys.iter().filter_map(|&key| registration.configuration.get(key).cloned()).collect()
-    };
-    match statement {
-        Statement::Rate(rate) => registered(&rate.registration, &["controller"]),
-        Statement::Comparison(two) => registered(&two.registration, &["controller", "against"]),
-        // The policy as it is: a shield before it makes another controller.
+fn speaks_of(plan: &AssessmentPlan, certificate: &Certificate) -> SpeaksOf {
+    match &certificate.statement {
+        Statement::Rate(rate) => registered(plan, &rate.registration),
+        Statement::Comparison(two) => registered(plan, &two.registration),
+        // The policy as it is, seeing the true state: a shield before it makes another controller.
         Statement::Reach(reach) => {
-            let is_it = |one: &&NamedController| {
-                !matches!(one.kind, ControllerKind::Shielded(_))
-                    && one.policy().is_some_and(|policy| policy.digest() == reach.policy_sha256)
-            };
-            plan.controllers.iter().find(is_it).map(|one| one.name.clone()).into_iter().collect()
+            let is_it = |one: &NamedController| one.kind.identity().as_deref() == Some(reach.policy_sha256.as_str());
+            let place = plan.controllers.iter().position(is_it);
+            match place.and_then(|place| plan.claimant(place, EstimatorKind::Truth)) {
+                Some(subject) => SpeaksOf::Claim(Box::new(Claim {
+                    subject,
+                    property: Property::NoContact,
+                    domain: Domain::Box { around: around(certificate, reach) },
+                })),
+                None => SpeaksOf::Foreign { because: "its policy is not among the controllers".to_owned() },
+            }
         }
-        _ => Vec::new(),
+        Statement::Kernel(_) => SpeaksOf::Kernel,
+        _ => SpeaksOf::NoController,
     }
+}
+
+/// The box, the follower, and the bounds on what is seen: all of the statement but the policy and what is shown.
+fn around(certificate: &Certificate, reach: &Reach) -> Known {
+    let content = format!(
+        "{:?} {:?} {:?} {:?} {:?}",
+        reach.step_s, reach.steps, reach.follower_ttc_s, reach.observation_error, reach.ranges
+    );
+    let horizon_s = reach.step_s * f64::from(reach.steps);
+    Known::of(format!("a box of starts around {}, for {horizon_s} s", certificate.provenance.scenario), content)
+}
+
+/// The claim that a registration fixed, if it is one that this report could have fixed: the same controllers, space and
+/// estimator by their hashes, counted by this release.
+fn registered(plan: &AssessmentPlan, registration: &Registration) -> SpeaksOf {
+    let foreign = |because: String| SpeaksOf::Foreign { because };
+    let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
+    if of("crumple") != env!("CARGO_PKG_VERSION") {
+        return foreign(format!("it was counted by crumple {}", of("crumple")));
+    }
+    let Some(named) = plan.distributions.iter().find(|named| named.known.sha256 == of("space_sha256")) else {
+        return foreign(format!("its space `{}` is not one that this report draws from", of("space")));
+    };
+    let Some(&estimator) = EstimatorKind::ALL.iter().find(|one| one.name() == of("estimator")) else {
+        return foreign("it names no estimator".to_owned());
+    };
+    let find = |place: &str| {
+        let identity = of(&format!("{place}_sha256"));
+        let is_it = |one: &NamedController| one.kind.identity().as_deref() == Some(identity);
+        plan.controllers.iter().position(is_it).and_then(|place| plan.claimant(place, estimator))
+    };
+    let Some(subject) = find("controller") else {
+        return foreign(format!("its `{}` is none of the controllers here", of("controller")));
+    };
+    let domain = Domain::Space { space: named.known.clone() };
+    let property = match registration.configuration.get("against") {
+        None => Property::FailureRate,
+        Some(other) => match find("against") {
+            Some(than) => Property::FailsLessOften { than: than.controller },
+            None => return foreign(format!("its `{other}` is none of the controllers here")),
+        },
+    };
+    SpeaksOf::Claim(Box::new(Claim { subject, property, domain }))
+}
+
+/// What accepted certificates say of the controllers, and of shields whose kernels they prove.
+pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[Proof]) -> Vec<Evidence> {
+    let mut all: Vec<_> = proofs.iter().filter_map(Proof::evidence).collect();
+    for (place, controller) in plan.controllers.iter().enumerate() {
+        let kernels = kernels(controller);
+        let proved = |kernel: &Kernel| {
+            let expected = kernel_certificate("", kernel, PAPER_STEP_S, MARGIN_M)?.statement;
+            let is_it = |proof: &&Proof| proof.is_accepted() && proof.kernel.as_ref() == Some(&expected);
+            proofs.iter().find(is_it)
+        };
+        let certificates: Option<Vec<&Proof>> = kernels.iter().map(proved).collect();
+        if let (Some(certificates), Some(subject)) = (certificates, plan.claimant(place, plan.config.estimator))
+            && let Some(first) = certificates.first()
+        {
+            let claim = Claim { subject, property: Property::NoContactAhead, domain: kernel_domain(&kernels) };
+            let mut source = first.source();
+            source.what = format!("{} certificates of kernels", certificates.len());
+            all.push(Evidence { claim, strength: Strength::Proved { certificates: certificates.len() }, source });
+        }
+    }
+    all
+}
+
+/// The kernels that a shield of this controller uses between vehicles of the classes there are; none if it has no shield, or
+/// one whose error bounds a user set: that those hold is not for this report to say.
+pub(super) fn kernels(controller: &NamedController) -> Vec<Kernel> {
+    let ControllerKind::Shielded(shielded) = &controller.kind else { return Vec::new() };
+    let ShieldSettings { ahead_brake_mps2, errors } = shielded.settings;
+    if errors.is_some() {
+        return Vec::new();
+    }
+    let limits = VehicleClass::ALL.iter().map(|class| class.max_brake_mps2());
+    let ahead: Vec<f64> = ahead_brake_mps2.map_or_else(|| limits.clone().collect(), |limit| vec![limit]);
+    let of = |own_brake_mps2| ahead.iter().map(move |&ahead_brake_mps2| Kernel { own_brake_mps2, ahead_brake_mps2 });
+    limits.flat_map(of).collect()
+}
+
+/// Starts inside them, as a domain.
+pub(super) fn kernel_domain(kernels: &[Kernel]) -> Domain {
+    let limits = |kernel: &Kernel| [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new);
+    Domain::Kernels { limits_mps2: kernels.iter().map(limits).collect() }
 }
 
 /// The seed of counted runs: not that of the draws that are reported elsewhere.
 const SEED_APART: u64 = 0x5eed;
 
 fn counted(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
-    let Some(space) = built_in_space("paper").filter(|_| plan.config.rates.runs > 0) else { return Ok(Vec::new()) };
+    if plan.config.rates.runs == 0 {
+        return Ok(Vec::new());
+    }
     let learned = plan.controllers.iter().enumerate().filter(|(_, controller)| controller.policy().is_some());
     let mut wanted: Vec<(String, NamedController, Option<NamedController>)> =
         learned.map(|(index, one)| (format!("rate-{}", plan.slug(index)), one.clone(), None)).collect();
@@ -238,32 +385,41 @@ fn counted(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessE
             Some(first.clone()),
         ));
     }
-    let counted =
-        wanted.into_iter().map(|(name, controller, against)| count(plan, work, &name, &space, controller, against));
-    // Counts that do not show that one controller fails less often are no proof of anything, and none that was rejected.
-    let says_something = |proof: &Proof| proof.statement != "comparison" || proof.is_accepted();
-    counted.filter(|proof| proof.as_ref().map_or(true, says_something)).collect()
+    // Only what states an identity can be spoken of.
+    wanted.retain(|(_, one, other)| std::iter::once(one).chain(other).all(|of| of.kind.identity().is_some()));
+    let mut counted = Vec::new();
+    for named in &plan.distributions {
+        let several = plan.distributions.len() > 1;
+        for (name, controller, against) in &wanted {
+            let name = if several { format!("{name}-{}", slug(named.space.name())) } else { name.clone() };
+            let proof = count(plan, work, name, named, controller.clone(), against.clone())?;
+            // Counts that do not show that one controller fails less often are no proof of anything, and none that was
+            // rejected.
+            if proof.statement != "comparison" || proof.is_accepted() {
+                counted.push(proof);
+            }
+        }
+    }
+    Ok(counted)
 }
 
 fn count(
     plan: &AssessmentPlan,
     work: &Work<'_>,
-    name: &str,
-    space: &Space,
+    name: String,
+    named: &NamedSpace,
     controller: NamedController,
     against: Option<NamedController>,
 ) -> Result<Proof, AssessError> {
-    let identities: Vec<_> = std::iter::once(&controller).chain(&against).map(|one| plan.identity(one)).collect();
     let rates = RatePlan::new(RateConfig {
         controllers: (controller, against),
-        space: ("paper".to_owned(), space.clone()),
+        space: (named.space.name().to_owned(), named.space.clone()),
         seed: plan.config.seed ^ SEED_APART,
         estimator: plan.config.estimator,
         runs: plan.config.rates.runs,
         confidence: plan.config.rates.confidence,
     })?;
-    let inputs = json!([rates.registration(), identities]);
-    let text: String = work.store.get(name, &inputs, || {
+    let text: String = work.store.get(&name, rates.registration(), || {
         let mut tally = rates.tally();
         while tally.runs < plan.config.rates.runs {
             let before = tally.runs;
@@ -274,5 +430,5 @@ fn count(
         Ok::<_, AssessError>(text)
     })?;
     let certificate = Certificate::from_json(&text).map_err(|error| AssessError::Certificate(error.to_string()))?;
-    proof(plan, name.to_owned(), &certificate, None, work)
+    proof(plan, name, &certificate, None, work)
 }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
-use super::Strength;
+use crate::assessment::claims::Strength;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{Assessment, EVIDENCE_VERSION, Part};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
@@ -102,7 +102,7 @@ struct Fact {
 struct View {
     version: u32,
     summary: SummaryView,
-    paper_scenarios: ScenariosView,
+    paper_scenarios: Option<ScenariosView>,
     traffic: Option<ScenariosView>,
     searches: SearchesView,
     proofs: ProofsView,
@@ -123,7 +123,13 @@ struct SummaryView {
 #[derive(Deserialize)]
 struct ClaimView {
     claim: String,
-    strengths: Vec<Strength>,
+    standings: Vec<StandingView>,
+}
+
+#[derive(Deserialize)]
+struct StandingView {
+    #[serde(flatten)]
+    strength: Strength,
 }
 
 #[derive(Deserialize)]
@@ -181,7 +187,7 @@ impl View {
     fn facts(self) -> Facts {
         let mut facts = Facts::new();
         for claim in self.summary.claims {
-            for (controller, strength) in self.summary.controllers.iter().zip(claim.strengths) {
+            for (controller, StandingView { strength }) in self.summary.controllers.iter().zip(claim.standings) {
                 let what = format!("{controller}: {}", claim.claim);
                 // What was not tried is neither better nor worse than anything: it is not there.
                 if strength != Strength::Untried {
@@ -189,8 +195,8 @@ impl View {
                 }
             }
         }
-        let scenarios = self.paper_scenarios.scenarios.into_iter();
-        for scenario in scenarios.chain(self.traffic.into_iter().flat_map(|traffic| traffic.scenarios)) {
+        let scenarios = self.paper_scenarios.into_iter().chain(self.traffic).flat_map(|part| part.scenarios);
+        for scenario in scenarios {
             for case in scenario.cases {
                 if let Some(gap_m) = case.min_gap_m {
                     let what = format!("{}: smallest gap in {}", case.controller, scenario.scenario);
@@ -232,6 +238,10 @@ fn score(strength: &Strength) -> f64 {
         Strength::Refuted { failures, runs } => -100.0 * *failures as f64 / (*runs).max(1) as f64,
         Strength::Found { failures, avoidable } => -(0.001 * *failures as f64) - *avoidable as f64,
         Strength::Defeated { peak_brake_mps2 } => peak_brake_mps2.value(),
+        Strength::Between { upper_percent, .. } => -upper_percent.value(),
+        Strength::Counted { confidence_percent } => confidence_percent.value(),
+        Strength::Compared { own, other, runs } => (*other as f64 - *own as f64) / (*runs).max(1) as f64,
+        Strength::Contradicted => 0.0,
     };
     1000.0 * f64::from(strength.rank()) + within
 }
@@ -262,7 +272,7 @@ impl Earlier {
             return Err(ComparisonError::Version { path: path.to_owned(), found: version });
         }
         let view: View = serde_json::from_str(text).map_err(syntax)?;
-        if let Some(claim) = view.summary.claims.iter().find(|c| c.strengths.len() != view.summary.controllers.len()) {
+        if let Some(claim) = view.summary.claims.iter().find(|c| c.standings.len() != view.summary.controllers.len()) {
             let problem = format!("summary.claims: `{}` is not about each controller", claim.claim);
             return Err(ComparisonError::Syntax { path: path.to_owned(), line: 1, problem });
         }

@@ -1,16 +1,19 @@
-//! The paper's distribution: failure rates with exact bounds, and paired comparison.
+//! Draws of spaces: failure rates with exact bounds, and paired comparison.
 
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use crate::assessment::case::CaseVerdict;
+use crate::assessment::case::{CaseVerdict, smallest};
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
+use crate::assessment::plan::NamedSpace;
+use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
 use crumple_search::evidence::RateInterval;
-use crumple_world::scenario::{PaperDistribution, Scenario};
+use crumple_world::scenario::Scenario;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
 
 /// Confidence of the intervals.
@@ -19,9 +22,18 @@ const CONFIDENCE: f64 = 0.95;
 /// Draws simulated at a time: enough to fill all cores, few enough not to fill memory.
 const DRAWS_AT_ONCE: u64 = 4096;
 
-/// Every controller on the same draws of the paper's distribution.
+/// Every controller on the same draws, space after space.
+#[derive(Debug, Clone, Serialize)]
+pub struct Distributions {
+    /// One entry a space.
+    pub spaces: Vec<Distribution>,
+}
+
+/// Every controller on the same draws of a space.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Distribution {
+    /// The space.
+    pub space: Known,
     /// Draws for each controller.
     pub draws: u64,
     /// Seed of the draws.
@@ -85,25 +97,61 @@ struct Draw {
 }
 
 impl Sampled {
-    /// The exact bounds on the share of collisions, not rounded.
-    pub(in crate::assessment) fn bounds(&self, distribution: &Distribution) -> RateInterval {
-        RateInterval::exact(self.collisions, distribution.draws, distribution.confidence)
+    /// The exact bounds on the share of collisions.
+    fn between(&self, distribution: &Distribution) -> Strength {
+        let bounds = RateInterval::exact(self.collisions, distribution.draws, distribution.confidence);
+        Strength::Between {
+            lower_percent: Rounded::down(100.0 * bounds.lower),
+            upper_percent: Rounded::up(100.0 * bounds.upper),
+            // Each end of a two-sided interval is a one-sided bound at half the risk.
+            confidence_percent: Rounded::down(50.0 + 50.0 * distribution.confidence),
+        }
+    }
+}
+
+impl Distributions {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
+        let of = |named: &NamedSpace| {
+            let inputs = json!([named.text, plan.config.draws, plan.config.seed, plan.identities()]);
+            work.store.get(&format!("draws of {}", named.space.name()), &inputs, || Distribution::run(plan, named, work))
+        };
+        Ok(Self { spaces: plan.distributions.iter().map(of).collect::<Result<_, _>>()? })
+    }
+
+    /// What was seen of each controller: on the draws, of the rate, and beside the first controller.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let mut all = Vec::new();
+        for drawn in self.spaces.iter().filter(|drawn| drawn.draws > 0) {
+            let space = || drawn.space.clone();
+            let draws = || Domain::Draws { space: space(), seed: drawn.seed, draws: drawn.draws };
+            let source = || Source::part(ANCHOR, format!("{} draws, seed {}", drawn.draws, drawn.seed));
+            let first = plan.claimant(0, plan.config.estimator).zip(drawn.controllers.first());
+            for (subject, sampled) in plan.claimants().into_iter().zip(&drawn.controllers) {
+                let mut add = |property, domain, strength| {
+                    let claim = Claim { subject: subject.clone(), property, domain };
+                    all.push(Evidence { claim, strength, source: source() });
+                };
+                add(Property::NoContact, draws(), Strength::of(sampled.collisions, drawn.draws));
+                add(Property::FailureRate, Domain::Space { space: space() }, sampled.between(drawn));
+                if let Some((first, of_first)) = first.as_ref().filter(|(first, _)| *first != subject) {
+                    let (own, other) = (sampled.collisions, of_first.collisions);
+                    let than = Property::FailsLessOften { than: first.controller.clone() };
+                    add(than, draws(), Strength::Compared { own, other, runs: drawn.draws });
+                }
+            }
+        }
+        all
     }
 }
 
 impl Distribution {
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
-        let inputs = json!([plan.config.draws, plan.config.seed, plan.identities()]);
-        work.store.get("distribution", &inputs, || Self::run(plan, work))
-    }
-
-    fn run(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
+    fn run(plan: &AssessmentPlan, named: &NamedSpace, work: &Work<'_>) -> Result<Self, AssessError> {
         let config = &plan.config;
         let mut tallies: Vec<Tally> = plan.controllers.iter().map(|_| Tally::default()).collect();
         for from in (0..config.draws).step_by(DRAWS_AT_ONCE as usize) {
             let to = config.draws.min(from + DRAWS_AT_ONCE);
-            let distribution = PaperDistribution { seed: config.seed };
-            let scenarios = (from..to).map(|index| distribution.draw(index)).collect::<Result<Vec<_>, _>>()?;
+            let draw = |index| named.space.draw(config.seed, index);
+            let scenarios = (from..to).map(draw).collect::<Result<Vec<_>, _>>()?;
             let mut first: Vec<bool> = Vec::new();
             for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
                 let draws = run_draws(&scenarios, controller, plan)?;
@@ -122,15 +170,21 @@ impl Distribution {
             .enumerate()
             .map(|(index, (controller, tally))| tally.finish(controller, index > 0))
             .collect();
-        Ok(Self { draws: config.draws, seed: config.seed, confidence: CONFIDENCE, controllers })
+        Ok(Self {
+            space: named.known.clone(),
+            draws: config.draws,
+            seed: config.seed,
+            confidence: CONFIDENCE,
+            controllers,
+        })
     }
 
     fn introduction(&self) -> String {
         format!(
-            "{} draws (seed {}), the same for every controller: start, lead braking and its onset, the follower's class and \
-             braking, and noise on the leader's and the follower's acceleration are random. Bounds are exact \
-             (Clopper–Pearson, {} %, each controller by itself), their ends rounded outwards.",
+            "{} draws of `{}` (seed {}), the same for every controller. Bounds are exact (Clopper–Pearson, {} %, each controller by \
+             itself), their ends rounded outwards.",
             self.draws,
+            self.space.name,
             self.seed,
             100.0 * self.confidence
         )
@@ -192,7 +246,10 @@ impl Distribution {
         let description = self.controllers.iter().map(|s| format!("{} {} %", s.controller, s.rate_percent.observed));
         let description = description.collect::<Vec<_>>().join(", ");
         let size = (width, frame.bottom() + crate::draw::BELOW);
-        Svg::new("rates", size, "Collision rates", &description, panel.draw(&Svg::id("rates", "panel")))
+        {
+            let id = format!("rates-{}", self.space.name);
+            Svg::new(&id, size, "Collision rates", &description, panel.draw(&Svg::id(&id, "panel")))
+        }
     }
 }
 
@@ -207,13 +264,15 @@ fn run_draws(
 }
 
 impl Draw {
-    /// The ego of this distribution is vehicle 1.
     fn of(scenario: &Scenario, simulated: &Simulated) -> Self {
-        let gap_m = |index: usize| simulated.vehicles.get(index).and_then(|vehicle| vehicle.min_gap_m);
+        let gap_m = |behind: usize| {
+            let of = |index: usize| simulated.vehicles.get(index + behind).and_then(|vehicle| vehicle.min_gap_m);
+            smallest((0..simulated.vehicles.len()).filter(|&index| scenario.is_under_test(index)).map(of))
+        };
         Self {
             verdict: CaseVerdict::of(simulated, scenario),
             impact_speed_mps: simulated.outcome.contact().map(|contact| contact.impact_speed_mps),
-            gaps_m: [gap_m(1), gap_m(2)],
+            gaps_m: [gap_m(0), gap_m(1)],
         }
     }
 }
@@ -278,20 +337,25 @@ impl Tally {
     }
 }
 
-impl Part for Distribution {
+const ANCHOR: &str = "distribution";
+
+impl Part for Distributions {
     fn heading(&self) -> (&'static str, String) {
-        ("distribution", "The paper's distribution".to_owned())
+        (ANCHOR, "Failure rates".to_owned())
     }
 
     fn html(&self) -> Markup {
         html! {
-            p { (self.introduction()) }
-            (self.table().html())
-            figure { (self.figure()) }
+            @for drawn in &self.spaces {
+                p { (prose(&drawn.introduction())) }
+                (drawn.table().html())
+                figure { (drawn.figure()) }
+            }
         }
     }
 
     fn markdown(&self) -> String {
-        format!("{}\n\n{}", self.introduction(), self.table().markdown())
+        let of = |drawn: &Distribution| format!("{}\n\n{}", drawn.introduction(), drawn.table().markdown());
+        self.spaces.iter().map(of).collect::<Vec<_>>().join("\n")
     }
 }

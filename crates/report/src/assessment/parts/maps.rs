@@ -57,8 +57,11 @@ pub struct FailureMap {
 }
 
 impl FailureMaps {
-    /// None if the space is not shipped.
+    /// None if the plan leaves the paper out.
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        if !plan.config.paper {
+            return Ok(None);
+        }
         let inputs = json!([plan.config.seed, plan.identities()]);
         work.store.get("failure maps", &inputs, || Self::over(plan, [ACROSS, UP], CELLS))
     }

@@ -4,9 +4,10 @@ use maud::{Markup, html};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::ScenarioCases;
+use super::{ScenarioCases, scenarios};
 use crate::assessment::best::{Best, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, Motion, run_cases};
+use crate::assessment::claims::{Domain, Evidence};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part};
 use crate::draw::Svg;
@@ -22,11 +23,18 @@ pub struct PaperScenarios {
     beside: Vec<usize>,
 }
 
+/// The part's anchor in the page.
+pub(super) const ANCHOR: &str = "paper";
+
 /// The scenario in which a collision of the first controller is shown from above.
 const FROM_ABOVE: &str = "paper-2";
 
 impl PaperScenarios {
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
+    /// None if the plan leaves the paper out.
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        if !plan.config.paper {
+            return Ok(None);
+        }
         let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
         let known = built_in_names().into_iter().filter_map(|(name, _)| built_in(name));
         let scenarios = known.map(seeded).collect::<Result<Vec<_>, _>>()?;
@@ -48,11 +56,21 @@ impl PaperScenarios {
         let learned = (1..plan.controllers.len()).find(|&index| plan.controllers[index].policy().is_some());
         let beside =
             [Some(0), learned.or(Some(1))].into_iter().flatten().filter(|&index| index < plan.controllers.len());
-        Ok(Self { scenarios, beside: beside.collect() })
+        Ok(Some(Self { scenarios, beside: beside.collect() }))
     }
 }
 
 impl PaperScenarios {
+    /// What these runs say.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        scenarios::evidence(plan, &self.scenarios, ANCHOR)
+    }
+
+    /// The scenarios as a domain.
+    pub(in crate::assessment) fn domain(&self) -> Domain {
+        scenarios::domain(&self.scenarios, ANCHOR)
+    }
+
     /// The figures that stand beside each other, as files.
     pub(in crate::assessment) fn plates(&self) -> impl Iterator<Item = (String, Svg)> {
         self.scenarios.iter().map(|scenario| {
@@ -83,7 +101,7 @@ const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s²; behind it, at
 
 impl Part for PaperScenarios {
     fn heading(&self) -> (&'static str, String) {
-        ("paper", "The paper's scenarios".to_owned())
+        (ANCHOR, "The paper's scenarios".to_owned())
     }
 
     fn html(&self) -> Markup {

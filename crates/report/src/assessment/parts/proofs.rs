@@ -4,7 +4,8 @@ use crumple_verify::Assumption;
 use maud::{Markup, html};
 use serde::Serialize;
 
-use super::certified::{self, Proof};
+use super::certified::{self, Proof, SpeaksOf};
+use crate::assessment::claims::{Claim, Domain, Evidence};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
@@ -57,13 +58,23 @@ impl Proofs {
         })
     }
 
-    /// How many certificates of kernels were accepted, if all were and there is one for each pair of classes.
-    pub(super) fn kernels_accepted(&self) -> Option<usize> {
-        let accepted = |kernel: &KernelGap| {
-            let own = self.certificates.iter().find(|proof| proof.name == kernel.pair);
-            own.is_some_and(Proof::is_accepted)
-        };
-        self.kernels.iter().all(accepted).then_some(self.kernels.len())
+    /// What accepted certificates say.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        certified::evidence(plan, &self.certificates)
+    }
+
+    /// The claims that certificates make about boxes of starts, each domain once.
+    pub(super) fn boxes(&self) -> Vec<&Claim> {
+        let mut boxes: Vec<&Claim> = Vec::new();
+        for proof in &self.certificates {
+            if let SpeaksOf::Claim(claim) = &proof.speaks_of
+                && matches!(claim.domain, Domain::Box { .. })
+                && !boxes.iter().any(|known| known.domain == claim.domain)
+            {
+                boxes.push(claim);
+            }
+        }
+        boxes
     }
 
     fn gaps(&self) -> Table {
@@ -83,12 +94,13 @@ impl Proofs {
     }
 
     fn table(&self) -> Table {
-        let mut table = Table::new(&["certificate", "about", "what is shown", "SHA-256"]);
+        let mut table = Table::new(&["certificate", "about", "what is shown", "of whom here", "SHA-256"]);
         for proof in &self.certificates {
             table.row(vec![
                 Cell::text(&proof.name),
                 Cell::text(&proof.about),
                 Cell::judged(proof.status.words(), proof.is_accepted()),
+                Cell::text(proof.speaks_of.words()),
                 Cell::text(format!("{}…", proof.sha256.get(..16).unwrap_or_default())),
             ]);
         }

@@ -3,7 +3,8 @@
 use maud::{Markup, html};
 use serde::Serialize;
 
-use crate::assessment::Best;
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject, Words};
+use crate::assessment::{AssessmentPlan, Best};
 use crate::assessment::case::Case;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
@@ -28,6 +29,31 @@ pub struct ScenarioCases {
     drawn: Scenario,
     #[serde(skip)]
     labels: Vec<String>,
+}
+
+/// What runs say of "no contact" in all these scenarios together, controller after controller. Runs in which others crash
+/// first do not count.
+pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part: &str) -> Vec<Evidence> {
+    let of = |(index, subject): (usize, Subject)| {
+        let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict);
+        let counted: Vec<_> = verdicts.filter(|verdict| verdict.counts()).collect();
+        let failures = counted.iter().filter(|verdict| verdict.is_failure()).count();
+        let claim = Claim { subject, property: Property::NoContact, domain: domain(scenarios, part) };
+        let strength = Strength::of(failures as u64, counted.len() as u64);
+        Evidence { claim, strength, source: Source::part(part, format!("{} runs", counted.len())) }
+    };
+    plan.claimants().into_iter().enumerate().map(of).collect()
+}
+
+/// These scenarios as a domain.
+pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
+    let about = match part {
+        super::paper::ANCHOR => "the paper's scenarios",
+        _ => "recorded traffic and other scenarios",
+    };
+    // Every field of a scenario, its seed among them.
+    let known = |cases: &ScenarioCases| Known::of(cases.scenario.as_str(), format!("{:?}", cases.drawn.spec()));
+    Domain::Scenarios { about: Words(about.to_owned()), all: scenarios.iter().map(known).collect() }
 }
 
 impl ScenarioCases {

@@ -9,8 +9,9 @@ use serde_json::json;
 
 use super::ScenarioCases;
 use super::found::{Failure, MethodReached};
-use crate::assessment::case::{Motion, run_cases};
-use crate::assessment::plan::slug;
+use crate::assessment::case::{Motion, largest, run_cases};
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
+use crate::assessment::plan::{NamedSpace, slug};
 use crate::assessment::prose::prose;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
@@ -23,7 +24,6 @@ use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::measure::Specification;
 use crumple_world::scenario::file;
-use crumple_world::scenario::space::{Space, file as space_file};
 use crumple_world::sim::NamedController;
 
 /// Failures of one search that are shown, the severest first: more than a campaign of a few hundred runs tells apart.
@@ -43,6 +43,8 @@ pub struct Searches {
 pub struct SpaceSearches {
     /// The space, as `--space` takes it.
     pub name: String,
+    /// The space.
+    pub known: Known,
     /// What the space covers and why.
     pub about: String,
     /// One entry a controller.
@@ -75,12 +77,29 @@ impl Searches {
             .collect();
         let found = pairs.into_par_iter().map(|(space, controller)| Search::gather(plan, space, controller, work));
         let mut found = found.collect::<Result<Vec<_>, _>>()?.into_iter();
-        let spaces = plan.spaces.iter().map(|(name, space)| SpaceSearches {
-            name: name.clone(),
-            about: space.spec().about.clone(),
+        let spaces = plan.spaces.iter().map(|named| SpaceSearches {
+            name: named.name.clone(),
+            known: named.known.clone(),
+            about: named.space.spec().about.clone(),
             controllers: found.by_ref().take(plan.controllers.len()).collect(),
         });
         Ok(Self { spaces: spaces.collect() })
+    }
+
+    /// What each search says.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let all = self.spaces.iter().flat_map(|space| {
+            plan.claimants().into_iter().zip(&space.controllers).map(move |pair| (space, pair))
+        });
+        let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &Search))| {
+            let strength = match search.total() {
+                0 => Strength::of(0, search.evaluations()),
+                failures => Strength::Found { failures, avoidable: search.count(AvoidabilityClass::Avoidable) },
+            };
+            let claim = Claim { subject, property: Property::NoContact, domain: space.domain(plan) };
+            Evidence { claim, strength, source: Source::part("search", format!("{} evaluations", search.evaluations())) }
+        };
+        all.map(of).collect()
     }
 
     /// Every failure that is shown.
@@ -90,6 +109,12 @@ impl Searches {
 }
 
 impl SpaceSearches {
+    /// What was tried of the space, as a domain.
+    pub(in crate::assessment) fn domain(&self, plan: &AssessmentPlan) -> Domain {
+        let (seed, budget) = (plan.config.seed, plan.config.search.budget);
+        Domain::Search { space: self.known.clone(), seed, budget }
+    }
+
     /// Of one controller.
     pub(in crate::assessment) fn of(&self, controller: &str) -> Option<&Search> {
         self.controllers.iter().find(|search| search.controller == controller)
@@ -117,7 +142,7 @@ impl SpaceSearches {
                 Cell::number(search.count(AvoidabilityClass::Avoidable)),
                 Cell::number(search.count(AvoidabilityClass::Unavoidable)),
                 Cell::number(search.count(AvoidabilityClass::Undecided)),
-                Cell::number(or_dash(search.failures.first().and_then(|failure| failure.impact_speed_mps))),
+                Cell::number(or_dash(search.severest_mps())),
                 Cell::number(or_none(search.methods.first().and_then(|reached| reached.first_failure))),
                 Cell::number(or_none(first(Method::Uniform))),
                 Cell::number(search.uniform_share().map_or("–".to_owned(), |share| format!("{share} %"))),
@@ -131,11 +156,11 @@ impl SpaceSearches {
 impl Search {
     fn gather(
         plan: &AssessmentPlan,
-        space: &(String, Space),
+        named: &NamedSpace,
         (index, controller): (usize, &NamedController),
         work: &Work<'_>,
     ) -> Result<Self, AssessError> {
-        let (name, space) = space;
+        let space = &named.space;
         let campaign = Campaign {
             controller: controller.clone(),
             estimator: plan.config.estimator,
@@ -149,7 +174,7 @@ impl Search {
         let item = format!("search {} in {}", controller.name, space.name());
         let inputs = json!([
             plan.identity(controller),
-            space_file::to_toml(space).map_err(StoreError::encoding)?,
+            named.text,
             campaign.budget,
             campaign.seed
         ]);
@@ -178,8 +203,9 @@ impl Search {
         ];
         let count = |class| summary.counterexamples.iter().filter(|one| one.avoidability.class() == class).count();
         let command = format!(
-            "crumple falsify --controller {} --space {name} --budget {} --seed {}{}",
+            "crumple falsify --controller {} --space {} --budget {} --seed {}{}",
             controller.name,
+            named.name,
             campaign.budget,
             campaign.seed,
             plan.simulate_options()
@@ -217,6 +243,11 @@ impl Search {
     pub(super) fn uniform_share(&self) -> Option<Rounded<1>> {
         let uniform = self.reached(Method::Uniform)?;
         Some(Rounded::new(100.0 * uniform.failures as f64 / uniform.evaluations.max(1) as f64))
+    }
+
+    /// The largest impact speed of all that are shown, in m/s.
+    fn severest_mps(&self) -> Option<Rounded<1>> {
+        largest(self.failures.iter().map(|failure| failure.impact_speed_mps.map(Rounded::value))).map(Rounded::new)
     }
 
     fn reached(&self, method: Method) -> Option<&MethodReached> {

@@ -3,11 +3,15 @@
 use maud::{Markup, html};
 use serde::Serialize;
 
-use super::{Distribution, PaperScenarios, Proofs, Searches, Strength, Traffic, WorstProfiles};
+use super::certified::{kernel_domain, kernels, seeing};
+use super::{Distributions, PaperScenarios, Proofs, Searches, Traffic, WorstProfiles};
+use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Standing, Strength};
 use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, GateResult, Part, Rounded};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::sim::ControllerKind;
 
 /// Every claim about every controller.
 #[derive(Debug, Clone, Serialize)]
@@ -16,10 +20,10 @@ pub struct Summary {
     pub paragraph: String,
     /// The controller that the question is about.
     pub subject: Option<String>,
-    /// Names of the controllers, in the order of each claim's strengths.
+    /// Names of the controllers, in the order of each claim's standings.
     pub controllers: Vec<String>,
     /// The claims.
-    pub claims: Vec<Claim>,
+    pub claims: Vec<ClaimRow>,
     /// What had to hold, and whether it does.
     pub gates: Vec<GateResult>,
     /// The first controller, the subject, and whatever learned.
@@ -27,79 +31,57 @@ pub struct Summary {
     asked: Vec<usize>,
 }
 
-/// One claim, made of every controller.
+/// One property in one domain, claimed of every controller.
 #[derive(Debug, Clone, Serialize)]
-pub struct Claim {
+pub struct ClaimRow {
     /// What is claimed.
     pub claim: String,
     /// The part of the report with the evidence.
     pub part: &'static str,
+    /// The claim as it is made of each controller; none where it makes no sense of one.
+    pub claims: Vec<Option<Claim>>,
     /// How it stands with each controller.
-    pub strengths: Vec<Strength>,
+    pub standings: Vec<Standing>,
 }
 
+/// What the claims of a verdict are made about.
+pub(in crate::assessment) struct Findings<'a> {
+    pub(in crate::assessment) paper: Option<&'a PaperScenarios>,
+    pub(in crate::assessment) distributions: &'a Distributions,
+    pub(in crate::assessment) traffic: Option<&'a Traffic>,
+    pub(in crate::assessment) worst: Option<&'a WorstProfiles>,
+    pub(in crate::assessment) searches: &'a Searches,
+    pub(in crate::assessment) proofs: &'a Proofs,
+}
+
+impl Findings<'_> {
+    /// All evidence there is.
+    pub(in crate::assessment) fn ledger(&self, plan: &AssessmentPlan) -> Ledger {
+        let mut all = Vec::new();
+        all.extend(self.paper.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(self.distributions.evidence(plan));
+        all.extend(self.traffic.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(self.searches.evidence(plan));
+        all.extend(self.worst.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(self.proofs.evidence(plan));
+        Ledger::new(all)
+    }
+}
+
+/// The largest share of collisions that still counts as rare, in percent.
+const RARE_PERCENT: f64 = 1.0;
+
 impl Summary {
-    pub(in crate::assessment) fn of(
-        plan: &AssessmentPlan,
-        paper: &PaperScenarios,
-        distribution: &Distribution,
-        traffic: Option<&Traffic>,
-        worst: Option<&WorstProfiles>,
-        searches: &Searches,
-        proofs: &Proofs,
-    ) -> Self {
+    pub(in crate::assessment) fn of(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Self {
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
-        let claim = |part, claim: &str, strengths| Claim { claim: claim.to_owned(), part, strengths };
-        let failing = distribution.controllers.iter().map(|s| Strength::of(s.collisions, distribution.draws));
-        let mut claims = vec![
-            claim("paper", "no contact in the paper's scenarios", no_contact(&paper.scenarios, controllers.len())),
-            claim("distribution", "no contact in the paper's distribution", failing.collect()),
-            claim("distribution", "contact in at most 1 % of the paper's distribution", rarely(distribution)),
-        ];
-        if controllers.iter().any(|name| certified(proofs, name) != Strength::Untried) {
-            let certified = controllers.iter().map(|name| certified(proofs, name)).collect();
-            claims.push(claim("proofs", "contact in at most 1 % of the paper's distribution, certified", certified));
-        }
-        if let Some(traffic) = traffic {
-            let strengths = no_contact(&traffic.scenarios, controllers.len());
-            claims.push(claim("traffic", "no contact in recorded traffic and other scenarios", strengths));
-        }
-        for space in &searches.spaces {
-            let found = space.controllers.iter().map(|search| match search.total() {
-                0 => Strength::of(0, search.evaluations()),
-                failures => Strength::Found { failures, avoidable: search.count(AvoidabilityClass::Avoidable) },
-            });
-            claims.push(claim(
-                "search",
-                &format!("no contact that a search of `{}` finds", space.name),
-                found.collect(),
-            ));
-        }
-        if let Some(worst) = worst {
-            claims.push(claim("worst", "no contact in paper-1, however its leader brakes", however(worst)));
-        }
-        let boxes = proofs.certificates.iter().filter(|proof| proof.statement == "reach");
-        for proof in boxes {
-            let share = |name: &String| match proof.shown_of(name) {
-                (_, Some(share)) => Strength::ProvedIn { share_percent: Rounded::down(100.0 * share) },
-                _ => Strength::Untried,
-            };
-            let start = proof.about.split(':').next().unwrap_or_default();
-            let what = format!("no contact from {start}, with the true state");
-            claims.push(claim("proofs", &what, controllers.iter().map(share).collect()));
-        }
-        let shielded =
-            proofs.kernels_accepted().map_or(Strength::Untried, |certificates| Strength::Proved { certificates });
-        let of = |name: &String| if name.starts_with("shield") { shielded.clone() } else { Strength::Untried };
-        let strengths = controllers.iter().map(of).collect();
-        claims.push(claim("proofs", "no contact with the vehicle ahead, from inside a shield's kernel", strengths));
-        let paragraph = paragraph(plan, &controllers, &claims, distribution, searches);
+        let rows = rows(plan, found, ledger);
+        let paragraph = paragraph(plan, &controllers, &rows, found);
         let subject = plan.subject().map(|subject| subject.name.clone());
         let is_asked = |&index: &usize| {
             index == 0 || index == plan.subject || plan.controllers.get(index).is_some_and(|one| one.policy().is_some())
         };
         let asked = (0..controllers.len()).filter(is_asked).collect();
-        Self { paragraph, subject, controllers, claims, gates: Vec::new(), asked }
+        Self { paragraph, subject, controllers, claims: rows, gates: Vec::new(), asked }
     }
 
     fn gate_table(&self) -> Table {
@@ -116,8 +98,8 @@ impl Summary {
         let header: Vec<&str> = std::iter::once("claim").chain(names).collect();
         let mut table = Table::new(&header);
         for claim in &self.claims {
-            let strengths = columns.iter().filter_map(|&index| claim.strengths.get(index));
-            let cells = strengths.map(|strength| Cell::marked(strength.words(), strength.mark()));
+            let standings = columns.iter().filter_map(|&index| claim.standings.get(index));
+            let cells = standings.map(|standing| Cell::marked(standing.words(), standing.strength.mark()));
             table.row(std::iter::once(Cell::text(&claim.claim)).chain(cells).collect());
         }
         table
@@ -129,75 +111,84 @@ impl Summary {
     }
 }
 
-/// Strength of the claim that no vehicle under test touches another in any of the scenarios. Runs in which others crash
-/// first say nothing and do not count.
-fn no_contact(scenarios: &[super::ScenarioCases], controllers: usize) -> Vec<Strength> {
-    let of = |index: usize| {
-        let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict);
-        let counted: Vec<_> = verdicts.filter(|verdict| verdict.counts()).collect();
-        let failures = counted.iter().filter(|verdict| verdict.is_failure()).count();
-        Strength::of(failures as u64, counted.len() as u64)
+/// Every claim, each of all controllers.
+fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<ClaimRow> {
+    let mut rows = Vec::new();
+    let mut add = |part, words: Option<String>, claims: Vec<Option<Claim>>| {
+        let Some(first) = claims.iter().flatten().next() else { return };
+        let claim = words.unwrap_or_else(|| first.words());
+        let standing = |claim: &Option<Claim>| claim.as_ref().map_or_else(Standing::default, |one| ledger.standing(one));
+        let standings = claims.iter().map(standing).collect();
+        rows.push(ClaimRow { claim, part, claims, standings });
     };
-    (0..controllers).map(of).collect()
-}
-
-/// The largest share of collisions that still counts as rare, in percent.
-const RARE_PERCENT: f64 = 1.0;
-
-fn rarely(distribution: &Distribution) -> Vec<Strength> {
-    // Each end of a two-sided interval is a one-sided bound at half the risk.
-    let confidence_percent = Rounded::new(50.0 + 50.0 * distribution.confidence);
-    let strength = |sampled: &super::Sampled| {
-        if distribution.draws == 0 {
-            return Strength::Untried;
-        }
-        let bounds = sampled.bounds(distribution);
-        let (lower_percent, upper_percent) = (Rounded::down(100.0 * bounds.lower), Rounded::up(100.0 * bounds.upper));
-        if 100.0 * bounds.upper <= RARE_PERCENT {
-            Strength::Bounded { upper_percent, confidence_percent }
-        } else if 100.0 * bounds.lower > RARE_PERCENT {
-            Strength::Exceeded { lower_percent, confidence_percent }
-        } else {
-            Strength::Undecided { lower_percent, upper_percent }
-        }
+    let of_all = |property: Property, domain: Domain, estimator: EstimatorKind| -> Vec<Option<Claim>> {
+        let claim = |index| {
+            let subject = plan.claimant(index, estimator)?;
+            Some(Claim { subject, property: property.clone(), domain: domain.clone() })
+        };
+        (0..plan.controllers.len()).map(claim).collect()
     };
-    distribution.controllers.iter().map(strength).collect()
-}
-
-/// How rarely `controller` fails by its certificate: a count of runs that was registered before the first of them.
-fn certified(proofs: &Proofs, controller: &str) -> Strength {
-    let rate = proofs.certificates.iter().find_map(|proof| Some((proof.shown_of(controller).0?, proof.confidence?)));
-    match rate {
-        None => Strength::Untried,
-        Some((at_most, confidence)) => {
-            let (upper_percent, confidence_percent) = (Rounded::up(100.0 * at_most), Rounded::down(100.0 * confidence));
-            if 100.0 * at_most <= RARE_PERCENT {
-                Strength::Bounded { upper_percent, confidence_percent }
-            } else {
-                Strength::Undecided { lower_percent: Rounded::new(0.0), upper_percent }
+    let own = plan.config.estimator;
+    if let Some(paper) = found.paper {
+        add("paper", None, of_all(Property::NoContact, paper.domain(), own));
+    }
+    if let Some(traffic) = found.traffic {
+        add("traffic", None, of_all(Property::NoContact, traffic.domain(), own));
+    }
+    for drawn in found.distributions.spaces.iter().filter(|drawn| drawn.draws > 0) {
+        let (space, seed, draws) = (|| drawn.space.clone(), drawn.seed, drawn.draws);
+        let in_draws = || Domain::Draws { space: space(), seed, draws };
+        add("distribution", None, of_all(Property::NoContact, in_draws(), own));
+        let rare = Property::RateAtMost { percent: Rounded::new(RARE_PERCENT) };
+        add("distribution", None, of_all(rare, Domain::Space { space: space() }, own));
+        if let Some(first) = plan.claimant(0, own) {
+            let fewer = Property::FailsLessOften { than: first.controller };
+            for (part, domain) in [("distribution", in_draws()), ("proofs", Domain::Space { space: space() })] {
+                let mut claims = of_all(fewer.clone(), domain, own);
+                // Of itself nobody fails less often.
+                claims[0] = None;
+                add(part, None, claims);
             }
         }
     }
-}
-
-/// A search that found nothing is as many tests.
-fn however(worst: &WorstProfiles) -> Vec<Strength> {
-    let strength = |profile: &super::WorstProfile| match &profile.mildest {
-        Some(mildest) => Strength::Defeated { peak_brake_mps2: mildest.peak_brake_mps2 },
-        None => Strength::of(0, profile.evaluations as u64),
-    };
-    worst.profiles.iter().map(strength).collect()
+    for searched in &found.searches.spaces {
+        add("search", None, of_all(Property::NoContact, searched.domain(plan), own));
+    }
+    // Of all points of a space nothing but a proof could say that none fails; one that does is enough to say otherwise.
+    let mut spaces: Vec<&Known> = Vec::new();
+    let drawn = found.distributions.spaces.iter().filter(|drawn| drawn.draws > 0).map(|drawn| &drawn.space);
+    for space in drawn.chain(found.searches.spaces.iter().map(|searched| &searched.known)) {
+        if !spaces.contains(&space) {
+            spaces.push(space);
+            add("search", None, of_all(Property::NoContact, Domain::Space { space: space.clone() }, own));
+        }
+    }
+    if let Some(worst) = found.worst {
+        add("worst", None, of_all(Property::NoContact, worst.domain(), own));
+    }
+    for claim in found.proofs.boxes() {
+        let words = format!("{}, {}", claim.words(), seeing(claim.subject.estimator));
+        add("proofs", Some(words), of_all(claim.property.clone(), claim.domain.clone(), claim.subject.estimator));
+    }
+    let shielded = plan.controllers.iter().enumerate().map(|(index, controller)| {
+        let domain = kernel_domain(&kernels(controller));
+        let has_shield = matches!(controller.kind, ControllerKind::Shielded(_));
+        let subject = plan.claimant(index, own).filter(|_| has_shield)?;
+        Some(Claim { subject, property: Property::NoContactAhead, domain })
+    });
+    add("proofs", None, shielded.collect());
+    rows
 }
 
 fn paragraph(
     plan: &AssessmentPlan,
     controllers: &[String],
-    claims: &[Claim],
-    distribution: &Distribution,
-    searches: &Searches,
+    claims: &[ClaimRow],
+    found: &Findings<'_>,
 ) -> String {
+    let strength = |claim: &ClaimRow, index: usize| claim.standings.get(index).map(|standing| standing.strength.clone());
     let collides = |&index: &usize| {
-        claims.iter().any(|claim| matches!(claim.strengths.get(index), Some(Strength::Refuted { .. })))
+        claims.iter().any(|claim| matches!(strength(claim, index), Some(Strength::Refuted { .. })))
     };
     let (failing, sound): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(collides);
     let named = |indices: &[usize]| {
@@ -209,16 +200,17 @@ fn paragraph(
         }
     };
     let mut text = String::new();
-    if let Some(first) = distribution.controllers.first().filter(|_| distribution.draws > 0) {
+    for distribution in found.distributions.spaces.iter().filter(|drawn| drawn.draws > 0) {
+        let Some(first) = distribution.controllers.first() else { continue };
         text += &format!(
-            "The {} collides in {} of {} draws of the paper's distribution",
-            first.controller, first.collisions, distribution.draws
+            "`{}` collides in {} of {} draws of `{}`",
+            first.controller, first.collisions, distribution.draws, distribution.space.name
         );
         if first.was_hit > 0 {
             text += &format!(", in {} of them because it is hit from behind", first.was_hit);
         }
         text += &match distribution.controllers.get(plan.subject).filter(|_| plan.subject != 0) {
-            Some(own) => format!("; {} collides in {} of the same draws. ", own.controller, own.collisions),
+            Some(own) => format!("; `{}` collides in {} of the same draws. ", own.controller, own.collisions),
             None => ". ".to_owned(),
         };
     }
@@ -226,7 +218,7 @@ fn paragraph(
         &format!("In the scenarios and draws of this report, its searches apart, no collision: {}; ", named(&sound));
     text += &format!("at least one: {}. ", named(&failing));
     if let Some(subject) = plan.subject() {
-        for space in &searches.spaces {
+        for space in &found.searches.spaces {
             let Some(search) = space.of(&subject.name) else { continue };
             text += &match search.total() {
                 0 => format!("A search of `{}` found no failure of {}. ", space.name, subject.name),
@@ -241,7 +233,7 @@ fn paragraph(
         }
     }
     let defeated = |&index: &usize| {
-        claims.iter().any(|claim| matches!(claim.strengths.get(index), Some(Strength::Defeated { .. })))
+        claims.iter().any(|claim| matches!(strength(claim, index), Some(Strength::Defeated { .. })))
     };
     let (defeated, withstood): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(defeated);
     if !defeated.is_empty() {

@@ -6,9 +6,10 @@ use maud::{Markup, html};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::ScenarioCases;
+use super::{ScenarioCases, scenarios};
 use crate::assessment::best::{Best, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, CaseVerdict, Motion, run_cases};
+use crate::assessment::claims::{Domain, Evidence};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part};
@@ -16,6 +17,9 @@ use crumple_world::sim::RunError;
 
 /// Scenarios whose figures are shown: a page of hundreds is of no use.
 const MOST_FIGURES: usize = 12;
+
+/// The part's anchor in the page.
+const ANCHOR: &str = "traffic";
 
 /// Every controller in every scenario the configuration names.
 #[derive(Debug, Clone, Serialize)]
@@ -55,6 +59,16 @@ impl Traffic {
             };
         }
         Ok(Some(Self { scenarios, closest_first }))
+    }
+
+    /// What these runs say.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        scenarios::evidence(plan, &self.scenarios, ANCHOR)
+    }
+
+    /// The scenarios as a domain.
+    pub(in crate::assessment) fn domain(&self) -> Domain {
+        scenarios::domain(&self.scenarios, ANCHOR)
     }
 
     fn overview(&self) -> Table {
@@ -107,7 +121,7 @@ const INTRODUCTION: &str = "Each scenario the configuration names, under every c
 
 impl Part for Traffic {
     fn heading(&self) -> (&'static str, String) {
-        ("traffic", "Recorded traffic and other scenarios".to_owned())
+        (ANCHOR, "Recorded traffic and other scenarios".to_owned())
     }
 
     fn html(&self) -> Markup {

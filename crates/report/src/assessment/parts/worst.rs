@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::worst_figure;
 use crate::assessment::best::Best;
 use crate::assessment::case::{Case, CaseVerdict, Motion, PileUp, run_cases};
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
@@ -33,6 +34,8 @@ pub struct WorstProfiles {
     pub max_jerk_mps3: Rounded<1>,
     /// One entry a controller.
     pub profiles: Vec<WorstProfile>,
+    #[serde(skip)]
+    known: Known,
 }
 
 /// What was found against one controller.
@@ -77,8 +80,9 @@ pub struct Mildest {
 impl WorstProfiles {
     /// None if the scenario is not shipped.
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
-        let Some(scenario) = built_in(SCENARIO) else { return Ok(None) };
+        let Some(scenario) = built_in(SCENARIO).filter(|_| plan.config.paper) else { return Ok(None) };
         let scenario = scenario.edited(|spec| spec.seed = plan.config.seed)?;
+        let known = Known::of(SCENARIO, format!("{:?}", scenario.spec()));
         let envelope = Envelope::of(&scenario);
         let against = |controller: &NamedController| {
             let item = format!("worst profile against {}", controller.name);
@@ -98,11 +102,31 @@ impl WorstProfiles {
         let profiles = plan.controllers.par_iter().map(against).collect::<Result<Vec<_>, _>>()?;
         Ok(Some(Self {
             scenario: SCENARIO,
+            known,
             duration_s: scenario.spec().duration_s.into(),
             max_brake_mps2: envelope.max_brake_mps2.into(),
             max_jerk_mps3: envelope.jerk_mps3.into(),
             profiles,
         }))
+    }
+
+    /// What the search against each controller says.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let of = |(subject, profile): (Subject, &WorstProfile)| {
+            let strength = match &profile.mildest {
+                Some(mildest) => Strength::Defeated { peak_brake_mps2: mildest.peak_brake_mps2 },
+                // A search that found nothing is as many tests.
+                None => Strength::of(0, profile.evaluations as u64),
+            };
+            let claim = Claim { subject, property: Property::NoContact, domain: self.domain() };
+            Evidence { claim, strength, source: Source::part("worst", format!("{} simulations", profile.evaluations)) }
+        };
+        plan.claimants().into_iter().zip(&self.profiles).map(of).collect()
+    }
+
+    /// The scenario with any braking of its leader, as a domain.
+    pub(in crate::assessment) fn domain(&self) -> Domain {
+        Domain::AnyLeaderBraking { scenario: self.known.clone() }
     }
 
     fn found(&self) -> impl Iterator<Item = (&str, &Mildest)> {

@@ -4,10 +4,8 @@ use std::cmp::Ordering;
 
 /// The severity of a failure, by which counterexamples are listed.
 ///
-/// Where contact is what must not happen, three figures count, in this order and to whole numbers, since a difference below
-/// 1 m/s is none: the impact speed of the first contact, the largest change of speed that any one vehicle suffers when the
-/// run goes on, and how many vehicles are involved in the end. What is equal in all three goes by its exact impact speed.
-/// Where a formula must hold, how far it is violated comes before all of these; a controller that failed, before any.
+/// Where contact is what must not happen, three figures count, in this order: the impact speed of the first contact, the
+/// largest change of speed that any one vehicle suffers when the run goes on, and how many vehicles are involved in the end. Where a formula must hold, how far it is violated comes before all of these; a controller that failed, before any.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Severity {
     /// Negative robustness, where a formula is what must hold or a controller failed.
@@ -21,14 +19,11 @@ impl Severity {
     /// Which of two is the severer one.
     pub(super) fn compare(&self, other: &Self) -> Ordering {
         let violation = |one: &Self| one.violation.unwrap_or(0.0);
-        let whole = |one: &Self| (one.impact_speed_mps.round(), one.max_delta_v_mps.round());
-        let ((speed, delta_v), (other_speed, other_delta_v)) = (whole(self), whole(other));
         violation(self)
             .total_cmp(&violation(other))
-            .then(speed.total_cmp(&other_speed))
-            .then(delta_v.total_cmp(&other_delta_v))
-            .then(self.vehicles_involved.cmp(&other.vehicles_involved))
             .then(self.impact_speed_mps.total_cmp(&other.impact_speed_mps))
+            .then(self.max_delta_v_mps.total_cmp(&other.max_delta_v_mps))
+            .then(self.vehicles_involved.cmp(&other.vehicles_involved))
     }
 }
 
@@ -47,10 +42,10 @@ mod tests {
         let formula = |violation| Severity { violation: Some(violation), ..contact(1.0, 1.0, 2) };
         let mildest_first = [
             contact(9.2, 14.0, 4),
-            contact(10.4, 3.0, 2),
-            contact(9.8, 5.2, 2),
+            contact(9.8, 3.0, 2),
             contact(10.1, 4.9, 2),
-            contact(9.9, 5.1, 3),
+            contact(10.1, 5.1, 2),
+            contact(10.1, 5.1, 3),
             contact(10.6, 0.0, 2),
         ];
         assert!(mildest_first.is_sorted_by(|a, b| a.compare(b) == Ordering::Less));

@@ -1,0 +1,38 @@
+//! Evidence: a claim, how strongly something speaks for it, and what that rests on.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Claim, Strength};
+
+/// What speaks for a claim, or against it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Evidence {
+    /// The claim.
+    pub claim: Claim,
+    /// How strongly.
+    #[serde(flatten)]
+    pub strength: Strength,
+    /// What it rests on.
+    pub source: Source,
+}
+
+/// Where evidence stands.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Source {
+    /// The part of the report, by its anchor in the page.
+    pub part: String,
+    /// What it is, in a few words.
+    pub what: String,
+    /// The file it rests on, from the folder of the report; none if it is the report itself.
+    pub file: Option<String>,
+    /// SHA-256 of that file, in hexadecimal.
+    pub sha256: Option<String>,
+}
+
+impl Source {
+    /// A part of the report.
+    pub fn part(part: &str, what: impl Into<String>) -> Self {
+        Self { part: part.to_owned(), what: what.into(), file: None, sha256: None }
+    }
+}

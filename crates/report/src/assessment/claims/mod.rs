@@ -1,0 +1,229 @@
+//! What is claimed, by what it is supported, and what follows from what.
+//!
+//! A claim is a subject, a property and a domain, and is compared by what these are: the subject by the hash of all that
+//! decides how it drives, the domain by the hash of the scenarios or the space. Names are for readers. Evidence is a claim
+//! with a strength; it speaks for the claim that it equals, and for others only by a [`Rule`]. The [`Ledger`] holds all
+//! evidence of an assessment and is the only one to say how a claim stands.
+
+mod evidence;
+mod ledger;
+mod rule;
+mod strength;
+
+use crumple_world::digest::sha256;
+use crumple_world::observation::EstimatorKind;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Rounded;
+pub use evidence::{Evidence, Source};
+pub use ledger::{Beside, Ledger, Standing};
+pub use rule::Rule;
+pub use strength::Strength;
+
+/// Something with a name for readers and a hash to compare by.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+pub struct Known {
+    /// What readers call it.
+    pub name: String,
+    /// SHA-256, in hexadecimal, of everything that it is.
+    pub sha256: String,
+}
+
+impl Known {
+    /// Something whose content is known.
+    pub fn of(name: impl Into<String>, content: impl AsRef<[u8]>) -> Self {
+        Self { name: name.into(), sha256: sha256(content) }
+    }
+}
+
+/// By hash alone: a name proves nothing.
+impl PartialEq for Known {
+    fn eq(&self, other: &Self) -> bool {
+        self.sha256 == other.sha256
+    }
+}
+
+impl Eq for Known {}
+
+/// Who a claim is about: a controller with its parameters and its shield, and what it looks through.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Subject {
+    /// The controller, by the identity of all that decides how it drives.
+    pub controller: Known,
+    /// What it looks through.
+    pub estimator: EstimatorKind,
+}
+
+/// What is said of a subject in a domain.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Property {
+    /// No vehicle under test touches another, and its controller does not fail.
+    NoContact,
+    /// No vehicle under test touches the one ahead.
+    NoContactAhead,
+    /// The share of runs in which the first does not hold; evidence only, since it says of no number whether it is held.
+    FailureRate,
+    /// That share is at most this.
+    RateAtMost {
+        /// In percent.
+        percent: Rounded<2>,
+    },
+    /// It fails in fewer of the same runs than another.
+    FailsLessOften {
+        /// The other, through the same estimator.
+        than: Known,
+    },
+    /// It never brakes without a cause.
+    NoNeedlessBraking,
+}
+
+/// Where something is claimed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Domain {
+    /// These scenarios.
+    Scenarios {
+        /// What they are, in words.
+        #[serde(rename = "are")]
+        about: Words,
+        /// Each of them.
+        all: Vec<Known>,
+    },
+    /// The first draws of a space under a seed.
+    Draws {
+        /// The space.
+        space: Known,
+        /// The seed.
+        seed: u64,
+        /// How many.
+        draws: u64,
+    },
+    /// All that a space can draw; of a rate, by the law of the space.
+    Space {
+        /// The space.
+        space: Known,
+    },
+    /// The points of a space that a search tried.
+    Search {
+        /// The space.
+        space: Known,
+        /// The seed.
+        seed: u64,
+        /// Evaluations of each method.
+        budget: u64,
+    },
+    /// A box of starts and braking, with a follower and bounds on what is seen.
+    Box {
+        /// All of it.
+        around: Known,
+    },
+    /// A scenario, with any braking of its leader within what that can do.
+    AnyLeaderBraking {
+        /// The scenario.
+        scenario: Known,
+    },
+    /// Any start inside the kernels of these brake limits, with what a shield takes for granted.
+    Kernels {
+        /// Limits of the own vehicle and of the one ahead, on a dry road, each pair in m/s².
+        limits_mps2: Vec<[Rounded<6>; 2]>,
+    },
+}
+
+/// Words that are equal to all words: for readers only.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(transparent)]
+pub struct Words(pub String);
+
+impl PartialEq for Words {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+/// What is said of whom, and where.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Claim {
+    /// Who.
+    pub subject: Subject,
+    /// What.
+    pub property: Property,
+    /// Where.
+    pub domain: Domain,
+}
+
+impl Property {
+    /// What is claimed, without of whom and where.
+    #[must_use]
+    pub fn words(&self) -> String {
+        match self {
+            Self::NoContact => "no contact".to_owned(),
+            Self::NoContactAhead => "no contact with the vehicle ahead".to_owned(),
+            Self::FailureRate => "the share of runs with contact".to_owned(),
+            Self::RateAtMost { percent } => format!("contact in at most {} % of runs", plain(percent.value())),
+            Self::FailsLessOften { than } => format!("contact in fewer runs than {}", than.name),
+            Self::NoNeedlessBraking => "no braking without cause".to_owned(),
+        }
+    }
+
+    /// Whether what holds of this holds of `weaker`.
+    #[must_use]
+    pub fn implies(&self, weaker: &Self) -> bool {
+        self == weaker || (*self == Self::NoContact && *weaker == Self::NoContactAhead)
+    }
+
+    /// Whether it is said of every run of a domain, so that one run refutes it.
+    #[must_use]
+    pub fn is_of_every_run(&self) -> bool {
+        matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoNeedlessBraking)
+    }
+}
+
+impl Domain {
+    /// Where something is claimed, as it follows the property.
+    #[must_use]
+    pub fn words(&self) -> String {
+        match self {
+            Self::Scenarios { about, .. } => format!("in {}", about.0),
+            Self::Draws { space, seed, draws } => format!("in {draws} draws of `{}` (seed {seed})", space.name),
+            Self::Space { space } => format!("anywhere in `{}`", space.name),
+            Self::Search { space, budget, .. } => format!("that a search of `{}` finds ({budget} a method)", space.name),
+            Self::Box { around } => format!("from {}", around.name),
+            Self::AnyLeaderBraking { scenario, .. } => format!("in {}, however its leader brakes", scenario.name),
+            Self::Kernels { .. } => "from inside the kernel of its shield".to_owned(),
+        }
+    }
+
+    /// Whether `part` lies in this one, all of it.
+    #[must_use]
+    pub fn covers(&self, part: &Self) -> bool {
+        match (self, part) {
+            (Self::Space { space }, Self::Draws { space: of, .. } | Self::Search { space: of, .. }) => space == of,
+            (Self::Scenarios { all, .. }, Self::Scenarios { all: some, .. }) => some.iter().all(|one| all.contains(one)),
+            _ => self == part,
+        }
+    }
+}
+
+impl Claim {
+    /// The claim without its subject.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let wide = match (&self.property, &self.domain) {
+            // A rate is that of the law, not of single points.
+            (Property::RateAtMost { .. } | Property::FailsLessOften { .. }, Domain::Space { space }) => {
+                format!("of `{}`", space.name)
+            }
+            (_, domain) => domain.words(),
+        };
+        format!("{} {wide}", self.property.words())
+    }
+}
+
+/// A number without zeros that say nothing.
+fn plain(value: f64) -> String {
+    format!("{value}")
+}

@@ -1,0 +1,222 @@
+//! How strongly a claim is supported.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::assessment::Rounded;
+use crate::assessment::table::Mark;
+
+/// How strongly a claim is supported.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "strength", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Strength {
+    /// The checker accepted the certificates in this run; it holds under the assumptions that go with them.
+    Proved {
+        /// How many certificates.
+        certificates: usize,
+    },
+    /// It held whenever it was tried, so many times; that is all that is known.
+    Tested {
+        /// How often it was tried, at least once.
+        runs: u64,
+    },
+    /// The share of failures lies between these, with the stated confidence.
+    Between {
+        /// Lower bound in percent, rounded down.
+        lower_percent: Rounded<2>,
+        /// Upper bound in percent, rounded up.
+        upper_percent: Rounded<2>,
+        /// Confidence of each bound, in percent.
+        confidence_percent: Rounded<1>,
+    },
+    /// The share of failures is at most this, with the stated confidence.
+    Bounded {
+        /// Upper bound in percent, rounded up.
+        upper_percent: Rounded<2>,
+        /// Confidence of the bound, in percent.
+        confidence_percent: Rounded<1>,
+    },
+    /// The share of failures is more than claimed, with the stated confidence.
+    Exceeded {
+        /// Lower bound in percent, rounded down.
+        lower_percent: Rounded<2>,
+        /// Confidence of the bound, in percent.
+        confidence_percent: Rounded<1>,
+    },
+    /// The bounds lie on both sides of what is claimed.
+    Undecided {
+        /// Lower bound in percent, rounded down.
+        lower_percent: Rounded<2>,
+        /// Upper bound in percent, rounded up.
+        upper_percent: Rounded<2>,
+    },
+    /// It follows from counted runs, with the stated confidence.
+    Counted {
+        /// The confidence, in percent.
+        confidence_percent: Rounded<1>,
+    },
+    /// How often it and another failed in the same runs.
+    Compared {
+        /// How often it failed.
+        own: u64,
+        /// How often the other did.
+        other: u64,
+        /// Of so many runs.
+        runs: u64,
+    },
+    /// It failed: there are runs to show for it.
+    Refuted {
+        /// How often.
+        failures: u64,
+        /// Of so many tries.
+        runs: u64,
+    },
+    /// A search made it fail.
+    Found {
+        /// In how many distinct ways.
+        failures: usize,
+        /// How many of them another driver would have avoided.
+        avoidable: usize,
+    },
+    /// A braking of the leader makes it fail.
+    Defeated {
+        /// The hardest deceleration of the mildest one found, in m/s².
+        peak_brake_mps2: Rounded<2>,
+    },
+    /// The checker accepted a certificate about part of a box of starts.
+    ProvedIn {
+        /// The part, in percent, rounded down.
+        share_percent: Rounded<2>,
+    },
+    /// Some evidence says that it holds and some that it does not: one of them is wrong.
+    Contradicted,
+    /// There is no evidence for it or against it.
+    Untried,
+}
+
+impl Strength {
+    /// Of the claim that nothing fails, after `failures` in `runs`.
+    #[must_use]
+    pub fn of(failures: u64, runs: u64) -> Self {
+        match (failures, runs) {
+            (_, 0) => Self::Untried,
+            (0, _) => Self::Tested { runs },
+            _ => Self::Refuted { failures, runs },
+        }
+    }
+
+    /// What bounds on a share say of the claim that it is at most `percent`; nothing if these are no bounds.
+    #[must_use]
+    pub fn of_rate(&self, percent: f64) -> Option<Self> {
+        let Self::Between { lower_percent, upper_percent, confidence_percent } = *self else { return None };
+        // Rounded outwards, so that what is shown decides.
+        Some(if upper_percent.value() <= percent {
+            Self::Bounded { upper_percent, confidence_percent }
+        } else if lower_percent.value() > percent {
+            Self::Exceeded { lower_percent, confidence_percent }
+        } else {
+            Self::Undecided { lower_percent, upper_percent }
+        })
+    }
+
+    /// Whether it says that the claim does not hold.
+    #[must_use]
+    pub fn is_refutation(&self) -> bool {
+        match self {
+            Self::Refuted { .. } | Self::Found { .. } | Self::Defeated { .. } | Self::Exceeded { .. } => true,
+            Self::Compared { own, other, .. } => own > other,
+            _ => false,
+        }
+    }
+
+    /// Whether it says that the claim holds, and not only that it was tried.
+    #[must_use]
+    pub fn is_assurance(&self) -> bool {
+        matches!(self, Self::Proved { .. } | Self::Bounded { .. } | Self::Counted { .. })
+    }
+
+    /// By what two readings of one claim are ordered: a refutation before everything, then proofs, bounds, tests. Within
+    /// one kind the sharper bound and the larger test.
+    pub(super) fn weight(&self) -> f64 {
+        let within = |value: f64| value.max(0.0) / (1.0 + value.max(0.0));
+        match self {
+            Self::Refuted { failures, .. } => 8.0 + within(*failures as f64),
+            Self::Found { failures, .. } => 8.0 + within(*failures as f64),
+            Self::Defeated { .. } | Self::Exceeded { .. } | Self::Contradicted => 8.0,
+            Self::Proved { certificates } => 7.0 + within(*certificates as f64),
+            Self::ProvedIn { share_percent } => 6.0 + within(share_percent.value()),
+            Self::Bounded { upper_percent, .. } => 5.0 - within(upper_percent.value()),
+            Self::Counted { confidence_percent } => 4.0 + 0.005 * confidence_percent.value(),
+            Self::Compared { own, other, .. } if own > other => 8.0,
+            Self::Compared { .. } => 3.0,
+            Self::Tested { runs } => 3.0 + within(*runs as f64),
+            Self::Undecided { lower_percent, upper_percent } => {
+                2.0 - within(upper_percent.value() - lower_percent.value())
+            }
+            Self::Between { .. } => 1.0,
+            Self::Untried => 0.0,
+        }
+    }
+
+    pub(in crate::assessment) fn mark(&self) -> Mark {
+        match self {
+            Self::Proved { .. }
+            | Self::ProvedIn { .. }
+            | Self::Tested { .. }
+            | Self::Bounded { .. }
+            | Self::Counted { .. } => Mark::Good,
+            Self::Compared { own, other, .. } if own < other => Mark::Good,
+            Self::Contradicted => Mark::Bad,
+            _ if self.is_refutation() => Mark::Bad,
+            _ => Mark::None,
+        }
+    }
+
+    pub(in crate::assessment) fn words(&self) -> String {
+        match self {
+            Self::Found { failures, avoidable } => {
+                format!("refuted: {failures} distinct failures, {avoidable} avoidable")
+            }
+            Self::ProvedIn { share_percent } => format!("proved for {share_percent} % of the box, see Proofs"),
+            Self::Proved { .. } => "proved under assumptions, see Proofs".to_owned(),
+            Self::Tested { runs } => format!("tested: 0 of {runs} fail"),
+            Self::Between { lower_percent, upper_percent, confidence_percent } => {
+                format!("{lower_percent} to {upper_percent} %, confidence {confidence_percent} % each")
+            }
+            Self::Bounded { upper_percent, confidence_percent } => {
+                format!("bounded: at most {upper_percent} %, confidence {confidence_percent} %")
+            }
+            Self::Exceeded { lower_percent, confidence_percent } => {
+                format!("exceeded: at least {lower_percent} %, confidence {confidence_percent} %")
+            }
+            Self::Undecided { lower_percent, upper_percent } => {
+                format!("undecided: {lower_percent} to {upper_percent} %")
+            }
+            Self::Counted { confidence_percent } => format!("shown by counting, confidence {confidence_percent} %"),
+            Self::Compared { own, other, runs } => match own.cmp(other) {
+                std::cmp::Ordering::Less => format!("{own} against {other} of {runs} fail"),
+                std::cmp::Ordering::Equal => format!("not shown: both fail in {own} of {runs}"),
+                std::cmp::Ordering::Greater => format!("refuted: {own} against {other} of {runs} fail"),
+            },
+            Self::Refuted { failures, runs } => format!("refuted: {failures} of {runs} fail"),
+            Self::Defeated { peak_brake_mps2 } => {
+                format!("refuted by a leader that brakes at up to {peak_brake_mps2} m/s²")
+            }
+            Self::Contradicted => "contradicted: see what is beside".to_owned(),
+            Self::Untried => "not shown".to_owned(),
+        }
+    }
+
+    /// How good it is to hear, for comparisons: what is refuted, what is not known, what was tried, what is proved.
+    pub(in crate::assessment) fn rank(&self) -> u8 {
+        match self {
+            Self::Proved { .. } | Self::ProvedIn { .. } => 3,
+            Self::Tested { .. } | Self::Bounded { .. } | Self::Counted { .. } => 2,
+            Self::Contradicted => 0,
+            Self::Compared { own, other, .. } if own < other => 2,
+            _ if self.is_refutation() => 0,
+            _ => 1,
+        }
+    }
+}
