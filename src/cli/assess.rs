@@ -1,14 +1,15 @@
 //! `crumple assess`: gather the evidence and write the report.
 
-use std::path::PathBuf;
-use std::{fs, io};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use std::{fs, io, process};
 
 use clap::Args;
 
 use super::output;
 use super::{Failure, progress};
 use crumple_report::assessment::{
-    AssessError, AssessmentPlan, ComparisonError, Earlier, Store, StoreError, assess, files_of_evidence,
+    AssessError, AssessmentPlan, ComparisonError, Earlier, Made, Store, StoreError, assess, files_of_evidence,
 };
 use crumple_search::disk::{DiskError, Files};
 use crumple_search::program;
@@ -24,7 +25,9 @@ what anyone could have made of each scenario (see avoid), and with every certifi
   controllers = [\"baseline\", \"policy\"]   # the first is compared with all others
   subject = \"policy\"                       # the argument is about this one
   estimator = \"kalman\"
-  draws = 1000
+  paper = true                             # false leaves out the paper's scenarios, profiles, maps and training
+  distributions = [\"paper\"]               # spaces by whose law failures are counted
+  draws = 1000                             # of each of them
   seed = 0
   scenarios = [\"episodes\"]                 # scenario files, and folders of them, relative to this file
   search = { spaces = [\"paper\", \"high-risk\"], budget = 400 }
@@ -36,7 +39,7 @@ what anyone could have made of each scenario (see avoid), and with every certifi
   than = \"baseline\"
 
 Other gates: no-contact-in-paper-scenarios, no-contact-in-traffic and no-avoidable-failure (with a space) for a controller, \
-rate-at-most (with percent), proofs-accepted, nothing-worse (than in --against).
+rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
 
 Evidence is kept in the folder `evidence` of the report, by the hash of everything it depends on: what has not changed is not \
 gathered again, and an assessment that was interrupted goes on where it stopped.")]
@@ -62,20 +65,23 @@ impl Assess {
             Some(path) => AssessmentPlan::load(path)?,
         };
         let against = self.against.as_deref().map(Earlier::load).transpose()?;
+        let folder = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         let kept = self.out.join("evidence");
-        let store = Store::open(&kept, program::identity()?, self.fresh)?;
+        let (identity, begun) = (program::identity()?, Instant::now());
+        let store = Store::open(&kept, identity, self.fresh)?;
         let bar = progress::bar("assessing", plan.runs(), quiet);
         let assessment = assess(&plan, &store, against.as_ref(), &|done| bar.set_position(done))?;
+        let assessment = assessment.made(made(folder, identity, begun.elapsed()));
         bar.finish_and_clear();
         let earlier = fs::read_to_string(self.out.join("assessment.json")).map(|json| files_of_evidence(&json));
         let earlier = earlier.unwrap_or_default();
         let mut files = Files::default();
         let rendered = assessment.files().map_err(Failure::input)?;
-        for (name, text) in &rendered {
+        for (name, contents) in &rendered {
             let path = self.out.join(name);
             let folder = path.parent().unwrap_or(&self.out);
             fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
-            files.stage(&path, text.as_bytes())?;
+            files.stage(&path, contents)?;
         }
         files.commit()?;
         for name in earlier.iter().filter(|name| !rendered.iter().any(|(known, _)| known == *name)) {
@@ -100,6 +106,34 @@ impl Assess {
                 Err(Failure::Gate(lines.join("; ")))
             }
         }
+    }
+}
+
+/// The commit of the repository that holds what is assessed, marked if files differ from it; none without a repository.
+fn commit(folder: &Path) -> Option<String> {
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let git = |arguments: &[&str]| {
+        let said = process::Command::new("git").arg("-C").arg(folder).args(arguments).output().ok()?;
+        said.status.success().then(|| String::from_utf8_lossy(&said.stdout).trim().to_owned())
+    };
+    let is_clean = git(&["status", "--porcelain", "--untracked-files=no"])?.is_empty();
+    Some(git(&["rev-parse", "HEAD"])? + if is_clean { "" } else { " with changes" })
+}
+
+/// When and where.
+fn made(folder: &Path, program_sha256: &str, took: Duration) -> Made {
+    let model = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
+        let line = text.lines().find(|line| line.starts_with("model name"))?;
+        Some(format!(", {}", line.split_once(':')?.1.trim()))
+    });
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let (system, processor) = (std::env::consts::OS, std::env::consts::ARCH);
+    Made {
+        at: chrono::Utc::now().to_rfc3339_opts(chrono::SecondsFormat::Secs, true),
+        commit: commit(folder),
+        program_sha256: program_sha256.to_owned(),
+        machine: format!("{system} {processor}, {cores} cores{}", model.unwrap_or_default()),
+        duration_s: took.as_secs(),
     }
 }
 

@@ -212,9 +212,10 @@ fn an_assessment_says_who_failed_and_when() {
     let own = [Failing::at(100, Ok(f64::NAN)).named()];
     let plan = AssessmentPlan::new(config, own, std::path::Path::new("")).unwrap();
     let assessment = assess(&plan, &Store::none(), None, &|_| {}).unwrap();
-    let case = &assessment.paper_scenarios.scenarios[0].cases[1];
+    let case = &assessment.paper_scenarios.as_ref().unwrap().scenarios[0].cases[1];
     assert!(matches!(&case.verdict, CaseVerdict::ControllerFailed { vehicle: 1, .. }), "{:?}", case.verdict);
     assert!(assessment.markdown().contains("controller of 1 failed at 1.00 s: it answered with a number"));
-    let drawn = assessment.distribution.controllers.iter().find(|drawn| drawn.controller == "failing").unwrap();
+    let drawn =
+        assessment.distributions.spaces[0].controllers.iter().find(|drawn| drawn.controller == "failing").unwrap();
     assert_eq!(drawn.collisions, 20, "all draws fail");
 }

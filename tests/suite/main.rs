@@ -4,6 +4,8 @@
 //! run, 25600 runs each a hundred times longer. Failures are kept beside the suite in `proptest-regressions/`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
 
+mod assessments;
+mod claims;
 mod command_line;
 mod controller_failures;
 mod controllers;

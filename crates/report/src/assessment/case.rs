@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Rounded;
+use super::commands::controller_word;
 use super::table::Mark;
 use crumple_world::measure::{self, ContactRole, Measures};
 use crumple_world::observation::EstimatorKind;
@@ -37,6 +38,9 @@ pub struct Case {
     pub imposed_brake_mps2: Option<Rounded<2>>,
     /// What follows if all vehicles drive on after the first contact.
     pub pile_up: Option<PileUp>,
+    /// The controller as a command names it; none for one from outside.
+    #[serde(skip)]
+    pub(super) word: Option<String>,
     /// The motion until the first contact, for the figure.
     #[serde(skip)]
     pub(super) motion: Option<(Trace, Vec<Impact>)>,
@@ -276,6 +280,7 @@ impl Case {
             imposed_brake_mps2: largest(own.iter().map(|m| m.imposed.and_then(|imposed| imposed.peak_brake_mps2)))
                 .map(Rounded::new),
             pile_up: None,
+            word: controller_word(&controller.kind),
             motion: simulated.trace.map(|trace| (trace, simulated.impacts)),
         }
     }

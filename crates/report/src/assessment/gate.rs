@@ -165,12 +165,14 @@ fn rate_at_most(
     let (Some(named), Some(subject)) = (named, subject) else { return (false, "no draws were made".to_owned()) };
     // What is asked for is never rounded in favour of the controller.
     let property = Property::RateAtMost { percent: Rounded::down(percent) };
-    let standing = found.evidence.standing(&Claim { subject, property, domain: Domain::Space { space: named.known.clone() } });
+    let standing =
+        found.evidence.standing(&Claim { subject, property, domain: Domain::Space { space: named.known.clone() } });
     (matches!(standing.strength, Strength::Bounded { .. }), standing.words())
 }
 
 fn rate_not_above(found: &Assessment, controller: &str, than: &str, space: Option<&str>) -> (bool, String) {
-    let Some(drawn) = found.distributions.spaces.iter().find(|drawn| space.is_none_or(|space| drawn.space.name == space))
+    let Some(drawn) =
+        found.distributions.spaces.iter().find(|drawn| space.is_none_or(|space| drawn.space.name == space))
     else {
         return (false, "no draws were made".to_owned());
     };

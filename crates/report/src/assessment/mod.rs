@@ -7,6 +7,7 @@
 mod best;
 mod case;
 mod claims;
+mod commands;
 mod config;
 mod gate;
 mod junit;
@@ -27,14 +28,15 @@ pub use case::{Case, CaseVerdict, PileUp, RoundedContact, STILL_CLOSING_TTC_S, T
 pub use claims::{
     Beside, Claim, Domain, Evidence, Known, Ledger, Property, Rule, Source, Standing, Strength, Subject, Words,
 };
+pub use commands::Command;
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};
 pub use gate::{Gate, GateResult};
 pub use parts::{
-    Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution, Distributions, EXAMPLE_MPS, Earlier,
-    Element, ElementKind, Failure, FailureMap, FailureMaps, Held, KernelGap, Learned, LearnedPolicy, Limits, MapAxis,
-    MapCell, MapRow, MethodReached, Mildest, Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs, Provenance,
-    Sampled, ScenarioCases, Search, Searches, SpaceSearches, SpeaksOf, Summary, Traffic, UnknownCell, WorstProfile,
-    WorstProfiles,
+    Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
+    Distributions, EXAMPLE_MPS, Earlier, Element, ElementKind, Failure, FailureMap, FailureMaps, FirstPage, Glossary,
+    Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, Made, MapAxis, MapCell, MapRow, MethodReached, Mildest,
+    Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs, Provenance, Sampled, ScenarioCases, Search, Searches,
+    SpaceSearches, SpeaksOf, Summary, Traffic, UnknownCell, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use rounded::Rounded;
@@ -56,6 +58,8 @@ pub const EVIDENCE_VERSION: u32 = 3;
 pub struct Assessment {
     /// Version of the evidence format.
     pub version: u32,
+    /// The first page: the question and its answer.
+    pub first_page: FirstPage,
     /// The verdict: claims, and how strongly each is supported.
     pub summary: Summary,
     /// All evidence, each piece with the claim that it speaks for.
@@ -84,6 +88,9 @@ pub struct Assessment {
     pub comparison: Option<Comparison>,
     /// Where the evidence comes from.
     pub provenance: Provenance,
+    /// Files that commands of the report need.
+    #[serde(skip)]
+    command_files: Vec<(String, Vec<u8>)>,
 }
 
 /// One part of an assessment.
@@ -173,12 +180,15 @@ pub fn assess(
     };
     let evidence = found.ledger(plan);
     let summary = Summary::of(plan, &found, &evidence);
+    let first_page = FirstPage::of(plan, &summary, &searches, &limits);
     let argument = Argument::of(plan, &summary, &limits);
     let mut assessment = Assessment {
         version: EVIDENCE_VERSION,
         learned: paper_scenarios.as_ref().and_then(|paper| Learned::of(plan, paper)),
         provenance: Provenance::of(plan, store),
         comparison: None,
+        command_files: plan.files_beside()?,
+        first_page,
         summary,
         evidence,
         paper_scenarios,
@@ -213,19 +223,32 @@ impl AssessmentPlan {
 }
 
 impl Assessment {
-    /// The parts in the order of the report.
+    /// The same with when and where it was made.
+    #[must_use]
+    pub fn made(mut self, made: Made) -> Self {
+        self.provenance.made = Some(made);
+        self
+    }
+
+    /// The parts in the order of the report, without the appendix.
     #[must_use]
     pub fn parts(&self) -> Vec<&dyn Part> {
-        let mut parts: Vec<&dyn Part> = vec![&self.summary];
+        let mut parts: Vec<&dyn Part> = vec![&self.first_page, &self.summary];
         parts.extend(self.comparison.as_ref().map(|comparison| comparison as &dyn Part));
         parts.extend(self.paper_scenarios.as_ref().map(|paper| paper as &dyn Part));
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
-        parts.push(&self.searches);
+        parts.extend([&self.distributions as &dyn Part, &self.searches, &self.proofs, &self.argument, &self.limits]);
+        parts
+    }
+
+    /// The parts of the appendix.
+    #[must_use]
+    pub fn appendix(&self) -> Vec<&dyn Part> {
+        let mut parts: Vec<&dyn Part> = Vec::new();
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn Part));
         parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn Part));
-        parts.extend([&self.distributions as &dyn Part, &self.proofs]);
         parts.extend(self.learned.as_ref().map(|learned| learned as &dyn Part));
-        parts.extend([&self.limits as &dyn Part, &self.argument, &self.provenance]);
+        parts.extend([&Glossary as &dyn Part, &self.provenance]);
         parts
     }
 
@@ -253,18 +276,28 @@ impl Assessment {
     ///
     /// # Errors
     /// [`RenderError`] in principle, if a writer fails.
-    pub fn files(&self) -> Result<Vec<(String, String)>, RenderError> {
-        let mut files = vec![
+    pub fn files(&self) -> Result<Vec<(String, Vec<u8>)>, RenderError> {
+        let mut texts = vec![
             ("assessment.html".to_owned(), self.html()),
             ("assessment.md".to_owned(), self.markdown()),
             ("assessment.json".to_owned(), self.json()?),
             ("assessment.junit.xml".to_owned(), junit::xml(self)?),
             ("assessment.gsn.yaml".to_owned(), self.argument.yaml()),
+            ("replay.sh".to_owned(), commands::script(self.commands())),
         ];
-        files.extend(self.paper_scenarios.iter().flat_map(PaperScenarios::plates).map(|(name, svg)| (name, svg.document())));
-        files.extend(self.searches.failures().map(|failure| (failure.file.clone(), failure.text.clone())));
-        files.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
-        Ok(files)
+        texts.extend(
+            self.paper_scenarios.iter().flat_map(PaperScenarios::plates).map(|(name, svg)| (name, svg.document())),
+        );
+        texts.extend(self.searches.failures().map(|failure| (failure.file.clone(), failure.text.clone())));
+        texts.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
+        let texts = texts.into_iter().map(|(name, text)| (name, text.into_bytes()));
+        Ok(texts.chain(self.command_files.iter().cloned()).collect())
+    }
+
+    /// Every command that shows again what the report shows, in its order.
+    pub fn commands(&self) -> impl Iterator<Item = &Command> {
+        let failures = self.searches.failures().filter_map(|failure| failure.replay.as_ref());
+        failures.chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
     }
 }
 

@@ -9,7 +9,7 @@ const STYLE: &str = include_str!("page.css");
 const TITLE: &str = "Crash test of longitudinal driving controllers";
 
 pub(super) fn html(assessment: &Assessment) -> String {
-    let parts = assessment.parts();
+    let (parts, appendix) = (assessment.parts(), assessment.appendix());
     let page: Markup = html! {
         (DOCTYPE)
         html lang="en" {
@@ -24,11 +24,17 @@ pub(super) fn html(assessment: &Assessment) -> String {
                 header {
                     p.kicker { "crumple " (assessment.provenance.crumple) }
                     h1 { (TITLE) }
-                    nav { @for (id, title) in parts.iter().map(|part| part.heading()) { a href={ "#" (id) } { (title) } " " } }
+                    nav { @for (id, title) in parts.iter().chain(&appendix).map(|part| part.heading()) { a href={ "#" (id) } { (title) } " " } }
                 }
                 main {
                     @for part in &parts {
                         section id=(part.heading().0) { h2 { (part.heading().1) } (part.html()) }
+                    }
+                    div.appendix {
+                        h1 { "Appendix" }
+                        @for part in &appendix {
+                            section id=(part.heading().0) { h2 { (part.heading().1) } (part.html()) }
+                        }
                     }
                 }
                 script { (PreEscaped(draw::ANIMATION_SCRIPT)) }
@@ -40,5 +46,6 @@ pub(super) fn html(assessment: &Assessment) -> String {
 
 pub(super) fn markdown(assessment: &Assessment) -> String {
     let part = |part: &&dyn super::Part| format!("\n## {}\n\n{}", part.heading().1, part.markdown());
-    format!("# {TITLE}\n{}", assessment.parts().iter().map(part).collect::<String>())
+    let of = |parts: Vec<&dyn super::Part>| parts.iter().map(part).collect::<String>();
+    format!("# {TITLE}\n{}\n# Appendix\n{}", of(assessment.parts()), of(assessment.appendix()))
 }

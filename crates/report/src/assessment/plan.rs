@@ -122,14 +122,6 @@ impl AssessmentPlan {
         loading.plan(config, controllers)
     }
 
-    /// The options that make `crumple simulate` run a scenario as this plan does.
-    pub(super) fn simulate_options(&self) -> String {
-        match self.config.estimator {
-            EstimatorKind::Kalman => String::new(),
-            EstimatorKind::Truth => " --estimator truth".to_owned(),
-        }
-    }
-
     /// Who claims about the controller at that place are about. One without identity is nobody else's equal.
     pub(super) fn claimant(&self, index: usize, estimator: EstimatorKind) -> Option<Subject> {
         let controller = self.controllers.get(index)?;
@@ -180,6 +172,12 @@ pub(super) fn slug(name: &str) -> String {
     name.chars().map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '-' }).collect()
 }
 
+/// A name as a file name: different ones for different names.
+pub(super) fn file_stem(name: &str) -> String {
+    let slug = slug(name);
+    if slug == name { slug } else { format!("{slug}-{}", sha256(name).get(..8).unwrap_or_default()) }
+}
+
 /// The first learned controller without a shield, or else the last one.
 fn subject(controllers: &[NamedController]) -> usize {
     let is_bare = |controller: &NamedController| {
@@ -189,7 +187,8 @@ fn subject(controllers: &[NamedController]) -> usize {
 }
 
 fn shipped(controllers: &[NamedController]) -> Vec<GivenCertificate> {
-    if !controllers.iter().any(|controller| controller.name == ControllerSpec::Policy(Default::default()).name()) {
+    let reference = ControllerSpec::Policy(Default::default()).identity();
+    if !controllers.iter().any(|controller| controller.kind.identity().as_deref() == Some(reference.as_str())) {
         return Vec::new();
     }
     let given = |(name, text): &(&str, &str)| {
@@ -270,9 +269,9 @@ impl Loading<'_> {
         let traffic = self.traffic(&config)?;
         let spaces = self.spaces("search.spaces", &config.search.spaces)?;
         let distributions = self.spaces("distributions", &config.distributions)?;
-        let clash = distributions.iter().find(|one| {
-            spaces.iter().any(|other| one.space.name() == other.space.name() && one.known != other.known)
-        });
+        let clash = distributions
+            .iter()
+            .find(|one| spaces.iter().any(|other| one.space.name() == other.space.name() && one.known != other.known));
         if let Some(one) = clash {
             let problem = format!("the name `{}` is that of another space in `search.spaces`", one.space.name());
             return Err(self.wrong("distributions", problem));

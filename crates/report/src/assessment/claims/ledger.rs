@@ -81,7 +81,9 @@ impl Ledger {
     /// holds, not only that it was tried, and another that it does not, it is [`Strength::Contradicted`].
     #[must_use]
     pub fn standing(&self, claim: &Claim) -> Standing {
-        let read = |(place, evidence)| Rule::read(evidence, claim).map(|(rule, strength)| Beside { strength, rule, evidence: place });
+        let read = |(place, evidence)| {
+            Rule::read(evidence, claim).map(|(rule, strength)| Beside { strength, rule, evidence: place })
+        };
         let mut all: Vec<Beside> = self.evidence.iter().enumerate().filter_map(read).collect();
         let united = self.proofs_of_parts(claim);
         // The strongest first; of equals the first in the ledger.

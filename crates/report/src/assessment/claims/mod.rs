@@ -163,8 +163,8 @@ impl Property {
             Self::NoContact => "no contact".to_owned(),
             Self::NoContactAhead => "no contact with the vehicle ahead".to_owned(),
             Self::FailureRate => "the share of runs with contact".to_owned(),
-            Self::RateAtMost { percent } => format!("contact in at most {} % of runs", plain(percent.value())),
-            Self::FailsLessOften { than } => format!("contact in fewer runs than {}", than.name),
+            Self::RateAtMost { percent } => format!("contact in at most {} % of runs", percent.value()),
+            Self::FailsLessOften { than } => format!("fewer failures than {}", than.name),
             Self::NoNeedlessBraking => "no braking without cause".to_owned(),
         }
     }
@@ -190,10 +190,12 @@ impl Domain {
             Self::Scenarios { about, .. } => format!("in {}", about.0),
             Self::Draws { space, seed, draws } => format!("in {draws} draws of `{}` (seed {seed})", space.name),
             Self::Space { space } => format!("anywhere in `{}`", space.name),
-            Self::Search { space, budget, .. } => format!("that a search of `{}` finds ({budget} a method)", space.name),
+            Self::Search { space, budget, .. } => {
+                format!("that a search of `{}` finds ({budget} a method)", space.name)
+            }
             Self::Box { around } => format!("from {}", around.name),
             Self::AnyLeaderBraking { scenario, .. } => format!("in {}, however its leader brakes", scenario.name),
-            Self::Kernels { .. } => "from inside the kernel of its shield".to_owned(),
+            Self::Kernels { .. } => "from any start inside the kernel of its shield".to_owned(),
         }
     }
 
@@ -202,7 +204,9 @@ impl Domain {
     pub fn covers(&self, part: &Self) -> bool {
         match (self, part) {
             (Self::Space { space }, Self::Draws { space: of, .. } | Self::Search { space: of, .. }) => space == of,
-            (Self::Scenarios { all, .. }, Self::Scenarios { all: some, .. }) => some.iter().all(|one| all.contains(one)),
+            (Self::Scenarios { all, .. }, Self::Scenarios { all: some, .. }) => {
+                some.iter().all(|one| all.contains(one))
+            }
             _ => self == part,
         }
     }
@@ -215,15 +219,10 @@ impl Claim {
         let wide = match (&self.property, &self.domain) {
             // A rate is that of the law, not of single points.
             (Property::RateAtMost { .. } | Property::FailsLessOften { .. }, Domain::Space { space }) => {
-                format!("of `{}`", space.name)
+                format!("by the law of `{}`", space.name)
             }
             (_, domain) => domain.words(),
         };
         format!("{} {wide}", self.property.words())
     }
-}
-
-/// A number without zeros that say nothing.
-fn plain(value: f64) -> String {
-    format!("{value}")
 }

@@ -32,7 +32,9 @@ impl Rule {
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
-            Self::Own => "Evidence speaks for the claim that it equals: the same controller by its hash, estimator, property and domain.",
+            Self::Own => {
+                "Evidence speaks for the claim that it equals: the same controller by its hash, estimator, property and domain."
+            }
             Self::RefutedInPart => {
                 "A run that refutes a claim about every run in one part of a domain (draws of a space, points that a search tried, \
                  some of the scenarios) refutes it in the whole."

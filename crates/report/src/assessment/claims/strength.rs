@@ -138,7 +138,7 @@ impl Strength {
 
     /// By what two readings of one claim are ordered: a refutation before everything, then proofs, bounds, tests. Within
     /// one kind the sharper bound and the larger test.
-    pub(super) fn weight(&self) -> f64 {
+    pub(in crate::assessment) fn weight(&self) -> f64 {
         let within = |value: f64| value.max(0.0) / (1.0 + value.max(0.0));
         match self {
             Self::Refuted { failures, .. } => 8.0 + within(*failures as f64),
@@ -149,7 +149,8 @@ impl Strength {
             Self::Bounded { upper_percent, .. } => 5.0 - within(upper_percent.value()),
             Self::Counted { confidence_percent } => 4.0 + 0.005 * confidence_percent.value(),
             Self::Compared { own, other, .. } if own > other => 8.0,
-            Self::Compared { .. } => 3.0,
+            Self::Compared { own, other, .. } if own < other => 3.0,
+            Self::Compared { .. } => 1.5,
             Self::Tested { runs } => 3.0 + within(*runs as f64),
             Self::Undecided { lower_percent, upper_percent } => {
                 2.0 - within(upper_percent.value() - lower_percent.value())

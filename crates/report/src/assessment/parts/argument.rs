@@ -188,15 +188,23 @@ impl Argument {
     pub(in crate::assessment) fn of(plan: &AssessmentPlan, summary: &Summary, limits: &Limits) -> Self {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
         let mut building = Building::default();
-        let all: Vec<_> = summary.claims.iter().filter_map(|row| {
-            let (claim, standing) = (row.claims.get(plan.subject)?.as_ref()?, row.standings.get(plan.subject)?);
-            Some(Proposition { row, claim, standing })
-        }).collect();
+        let all: Vec<_> = summary
+            .claims
+            .iter()
+            .filter_map(|row| {
+                let (claim, standing) = (row.claims.get(plan.subject)?.as_ref()?, row.standings.get(plan.subject)?);
+                Some(Proposition { row, claim, standing })
+            })
+            .collect();
         let top = building.add(
             ElementKind::Goal,
-            format!("{subject}, {}, does what is claimed of it in the situations of this report", seeing(plan.config.estimator)),
+            format!(
+                "{subject}, {}, does what is claimed of it in the situations of this report",
+                seeing(plan.config.estimator)
+            ),
         );
-        let over = building.add(ElementKind::Strategy, "over avoiding contact, over how rarely it fails, and over what it costs");
+        let over = building
+            .add(ElementKind::Strategy, "over avoiding contact, over how rarely it fails, and over what it costs");
         building.support(&top, over.clone());
         let mut around = vec![building.add(
             ElementKind::Context,
@@ -209,8 +217,8 @@ impl Argument {
                 domains.push(domain);
             }
         }
-        for assumption in &limits.assumptions {
-            let id = building.add(ElementKind::Assumption, *assumption);
+        for limit in &limits.assumptions {
+            let id = building.add(ElementKind::Assumption, limit.assumed);
             building.change(&id, |element| element.url = Some("assessment.html#limits".to_owned()));
             around.push(id);
         }

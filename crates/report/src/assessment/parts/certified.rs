@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
-use crate::assessment::plan::{NamedSpace, slug};
+use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
 use crumple_search::evidence::{RateConfig, RatePlan, kernel_certificate, shipped_kernels};
@@ -391,7 +391,7 @@ fn counted(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessE
     for named in &plan.distributions {
         let several = plan.distributions.len() > 1;
         for (name, controller, against) in &wanted {
-            let name = if several { format!("{name}-{}", slug(named.space.name())) } else { name.clone() };
+            let name = if several { format!("{name}-{}", file_stem(named.space.name())) } else { name.clone() };
             let proof = count(plan, work, name, named, controller.clone(), against.clone())?;
             // Counts that do not show that one controller fails less often are no proof of anything, and none that was
             // rejected.

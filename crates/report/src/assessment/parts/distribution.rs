@@ -113,7 +113,8 @@ impl Distributions {
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
         let of = |named: &NamedSpace| {
             let inputs = json!([named.text, plan.config.draws, plan.config.seed, plan.identities()]);
-            work.store.get(&format!("draws of {}", named.space.name()), &inputs, || Distribution::run(plan, named, work))
+            work.store
+                .get(&format!("draws of {}", named.space.name()), &inputs, || Distribution::run(plan, named, work))
         };
         Ok(Self { spaces: plan.distributions.iter().map(of).collect::<Result<_, _>>()? })
     }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::assessment::Rounded;
+use crate::assessment::{Command, Rounded};
 use crumple_search::falsify::campaign::MethodSummary;
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed, Counterexample};
 use crumple_world::digest::sha256;
@@ -38,8 +38,8 @@ pub struct Failure {
     pub file: String,
     /// SHA-256 of that file.
     pub sha256: String,
-    /// How to see it happen.
-    pub replay: String,
+    /// How to see it happen; none of a controller from outside.
+    pub replay: Option<Command>,
     /// What happens.
     pub kind: String,
     /// When vehicles first touch, in seconds.
@@ -70,7 +70,12 @@ pub struct Failure {
 }
 
 impl Failure {
-    pub(super) fn of(found: &Counterexample, place: &str, text: String, replay: &dyn Fn(&str) -> String) -> Self {
+    pub(super) fn of(
+        found: &Counterexample,
+        place: &str,
+        text: String,
+        replay: &dyn Fn(&str) -> Option<Command>,
+    ) -> Self {
         let name = found.file.rsplit('/').next().unwrap_or(&found.file);
         let file = format!("{place}/{name}");
         Self {

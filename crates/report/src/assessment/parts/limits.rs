@@ -6,44 +6,77 @@ use serde::Serialize;
 use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::observation::EstimatorKind;
 
-/// Assumptions and limits, each a sentence or two.
+/// Assumptions and limits.
 #[derive(Debug, Clone, Serialize)]
 pub struct Limits {
     /// The assumptions.
-    pub assumptions: Vec<&'static str>,
+    pub assumptions: Vec<Limit>,
+}
+
+/// Something that is taken for granted.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Limit {
+    /// What, in a few words that are true or false.
+    pub assumed: &'static str,
+    /// What that means.
+    pub meaning: &'static str,
 }
 
 impl Limits {
     pub(in crate::assessment) fn of(plan: &AssessmentPlan) -> Self {
-        let estimator = match plan.config.estimator {
-            EstimatorKind::Kalman => {
-                "Vehicles under test see through noisy sensors (range noise 0.03 m, position noise 0.02 m unless a scenario \
-                 says otherwise) and a Kalman filter. Noise is white and normal; real sensors also have biases, false \
-                 targets and correlated errors. A vehicle's filter knows its own acceleration exactly, as no accelerometer does; \
-                 of its neighbours' it assumes white jerk: when one of them slams on its brakes, the filter lags for about a \
-                 second and is more certain than it should be."
-            }
-            EstimatorKind::Truth => "Vehicles under test see the true state: no sensor is that good.",
-        };
-        Self {
-            assumptions: vec![
-                "One lane, point-mass vehicles, acceleration held over each step (0.01 s unless a scenario says otherwise). No steering, no lane change, no \
-                 road grade, no load transfer.",
-                estimator,
-                "All other traffic sees the true state and reacts without delay unless a scenario says otherwise; the \
-                 follower's emergency brake never fails.",
-                "Failure rates hold for the stated distribution and no other. It was built to be dangerous: they are not \
-                 rates per kilometre of real driving.",
-                "A controller without a collision here was tested, not proved safe. A run ends when its scenario does: \"no \
-                 contact\" holds until then, and a run that ends while vehicles still close in says so.",
-                "After a contact vehicles stick together with common momentum; crush, rebound and steering are not \
-                 modelled, so delta-v is indicative.",
-                "The paper gives neither largest accelerations nor masses nor the number of middle vehicles of scenario 3; \
-                 ours are 3 m/s² and 1.5 m/s², 1500 kg and 15 000 kg, and three. It does not say whether N(36, 0.5) means a \
-                 variance: we take a standard deviation. Nor does it say how the follower's braking varies: ours is normal \
-                 about the class value with 0.2 m/s², and heavy and light followers are equally likely.",
-            ],
+        let limit = |assumed, meaning| Limit { assumed, meaning };
+        let mut assumptions = vec![
+            limit(
+                "Traffic is one lane of point masses",
+                "Acceleration is held over each step (0.01 s unless a scenario says otherwise). No steering, no lane change, no road \
+                 grade, no load transfer.",
+            ),
+            match plan.config.estimator {
+                EstimatorKind::Kalman => limit(
+                    "Sensor noise is white and normal, and a Kalman filter looks through it",
+                    "Range noise 0.03 m, position noise 0.02 m unless a scenario says otherwise; real sensors also have biases, false \
+                     targets and correlated errors. A vehicle's filter knows its own acceleration exactly, as no accelerometer does; \
+                     of its neighbours' it assumes white jerk: when one of them slams on its brakes, the filter lags for about a \
+                     second and is more certain than it should be.",
+                ),
+                EstimatorKind::Truth => limit(
+                    "Vehicles under test see the true state",
+                    "No sensor is that good: take this as the best case.",
+                ),
+            },
+            limit(
+                "All other traffic reacts without delay or error",
+                "It sees the true state, unless a scenario says otherwise; the follower's emergency brake never fails.",
+            ),
+            limit(
+                "Draws follow the law of their space",
+                "Failure rates hold for that law and no other. Spaces that were built to be dangerous give no rates per kilometre of \
+                 real driving.",
+            ),
+            limit(
+                "What was only tested may still fail",
+                "A run ends when its scenario does: \"no contact\" holds until then, and a run that ends while vehicles still close in \
+                 says so. A search that found nothing says how hard it looked, and no more.",
+            ),
+            limit(
+                "Vehicles stick together after a contact, with common momentum",
+                "Crush, rebound and steering are not modelled, so delta-v is indicative.",
+            ),
+            limit(
+                "This is no certification",
+                "No controller here was built for a road, and nothing here replaces a test on one.",
+            ),
+        ];
+        if plan.config.paper {
+            assumptions.push(limit(
+                "What the paper leaves open is as we read it",
+                "It gives neither largest accelerations nor masses nor the number of middle vehicles of scenario 3; ours are 3 m/s² and \
+                 1.5 m/s², 1500 kg and 15 000 kg, and three. It does not say whether N(36, 0.5) means a variance: we take a standard \
+                 deviation. Nor does it say how the follower's braking varies: ours is normal about the class value with 0.2 m/s², \
+                 and heavy and light followers are equally likely.",
+            ));
         }
+        Self { assumptions }
     }
 }
 
@@ -53,10 +86,10 @@ impl Part for Limits {
     }
 
     fn html(&self) -> Markup {
-        html! { ul { @for assumption in &self.assumptions { li { (assumption) } } } }
+        html! { ul { @for limit in &self.assumptions { li { b { (limit.assumed) "." } " " (limit.meaning) } } } }
     }
 
     fn markdown(&self) -> String {
-        self.assumptions.iter().map(|assumption| format!("- {assumption}\n")).collect()
+        self.assumptions.iter().map(|limit| format!("- **{}.** {}\n", limit.assumed, limit.meaning)).collect()
     }
 }

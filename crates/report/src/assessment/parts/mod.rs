@@ -1,11 +1,13 @@
 //! The parts of an assessment, one file each.
 
+mod answer;
 mod argument;
 mod argument_figure;
 mod certified;
 mod compared;
 mod distribution;
 mod found;
+mod glossary;
 mod learned;
 mod limits;
 mod map_cell;
@@ -22,23 +24,26 @@ mod traffic;
 mod worst;
 mod worst_figure;
 
+pub use answer::{Answer, FirstPage};
 pub use argument::{Argument, Element, ElementKind};
 pub use certified::{Proof, ProofStatus, SpeaksOf};
 pub use compared::{Change, Comparison, ComparisonError, Earlier};
 pub use distribution::{Distribution, Distributions, Paired, Percent, Sampled};
 pub use found::{Failure, MethodReached};
+pub use glossary::Glossary;
 pub use learned::{BRAKING_MPS2, Braking, Learned, LearnedPolicy};
-pub use limits::Limits;
+pub use limits::{Limit, Limits};
 pub use map_cell::{MapCell, MapRow, UnknownCell};
 pub use map_grid::{Held, MapAxis};
 pub use maps::{FailureMap, FailureMaps};
 pub use paper::PaperScenarios;
 pub use proofs::{EXAMPLE_MPS, KernelGap, Proofs};
-pub use provenance::Provenance;
+pub use provenance::{Made, Provenance};
 pub use scenarios::ScenarioCases;
 pub use search::{Search, Searches, SpaceSearches};
 pub(super) use summary::Findings;
 pub use summary::{ClaimRow, Summary};
 pub use traffic::Traffic;
+pub(super) use traffic::scenario_file;
 pub(super) use worst::BUDGET;
 pub use worst::{Mildest, WorstProfile, WorstProfiles};

@@ -9,7 +9,7 @@ use crate::assessment::best::{Best, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, Motion, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Part};
+use crate::assessment::{AssessError, AssessmentPlan, Command, Part};
 use crate::draw::Svg;
 use crumple_world::scenario::{Scenario, built_in, built_in_names};
 
@@ -42,14 +42,17 @@ impl PaperScenarios {
         let cases = run_cases(&all, &plan.controllers, plan.config.estimator, Motion::Kept)?;
         work.did((all.len() * plan.controllers.len()) as u64);
         let bests = all.par_iter().map(|scenario| Best::kept(scenario, work)).collect::<Result<Vec<_>, _>>()?;
-        let seed = if plan.config.seed == 0 { String::new() } else { format!(" --seed {}", plan.config.seed) };
-        let options = plan.simulate_options() + &seed;
         let scenarios = scenarios
             .iter()
             .zip(cases)
             .zip(bests)
             .map(|((scenario, cases), best)| {
-                ScenarioCases::new(scenario, &format!("{}{options}", scenario.spec().name), cases).with_best(best)
+                let mut replay = Command::new(["simulate", scenario.spec().name.as_str()])
+                    .and(plan.estimator_words().iter().copied());
+                if plan.config.seed != 0 {
+                    replay = replay.and(["--seed".to_owned(), plan.config.seed.to_string()]);
+                }
+                ScenarioCases::new(scenario, replay, cases).with_best(best)
             })
             .collect();
         // The first controller, and the first learned one or else the second.
@@ -114,7 +117,7 @@ impl Part for PaperScenarios {
                 p { (scenario.about) }
                 @let (beside, others) = self.split(scenario);
                 figure { (scenario.figures_beside(&beside)) }
-                p.replay { @for case in &beside { code { (scenario.replay_of(case)) } " " } }
+                p.replay { @for case in &beside { (scenario.replay_words(case)) } }
                 @if let (true, Some(first)) = (scenario.scenario == FROM_ABOVE, scenario.cases.first()) {
                     figure { (scenario.animation(first)) }
                 }

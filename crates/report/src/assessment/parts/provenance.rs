@@ -7,6 +7,21 @@ use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceHash, Part, Store};
 use crumple_world::digest::sha256;
 
+/// When, by what and where an assessment was made. No evidence depends on it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Made {
+    /// Date and time, UTC, as RFC 3339 has it.
+    pub at: String,
+    /// The commit of the repository that holds what is assessed, if there is one.
+    pub commit: Option<String>,
+    /// SHA-256 of the program.
+    pub program_sha256: String,
+    /// System and processor.
+    pub machine: String,
+    /// How long it took, in whole seconds.
+    pub duration_s: u64,
+}
+
 /// What it takes to get the same evidence again.
 #[derive(Debug, Clone, Serialize)]
 pub struct Provenance {
@@ -18,6 +33,8 @@ pub struct Provenance {
     pub config_sha256: String,
     /// Every piece of evidence that is kept between runs.
     pub evidence: Vec<EvidenceHash>,
+    /// When and where it was made; none if nobody said.
+    pub made: Option<Made>,
 }
 
 impl Provenance {
@@ -30,6 +47,7 @@ impl Provenance {
             config: plan.config.clone(),
             config_sha256: sha256(&all),
             evidence: store.hashes(),
+            made: None,
         }
     }
 
@@ -64,6 +82,14 @@ impl Provenance {
     }
 }
 
+impl Made {
+    fn words(&self) -> String {
+        let commit = self.commit.as_ref().map_or(String::new(), |commit| format!(", commit {commit}"));
+        let program = self.program_sha256.get(..16).unwrap_or_default();
+        format!("{}{commit}, program {program}…, on {}, in {} s", self.at, self.machine, self.duration_s)
+    }
+}
+
 impl Part for Provenance {
     fn heading(&self) -> (&'static str, String) {
         ("provenance", "Provenance".to_owned())
@@ -71,12 +97,14 @@ impl Part for Provenance {
 
     fn html(&self) -> Markup {
         html! {
+            @if let Some(made) = &self.made { p #made { "Made " (made.words()) "." } }
             dl { @for (name, value) in self.lines() { dt { (name) } dd { (value) } } }
             details { summary { "hashes of the evidence" } (self.hashes().html()) }
         }
     }
 
     fn markdown(&self) -> String {
-        self.lines().into_iter().map(|(name, value)| format!("- {name}: `{value}`\n")).collect()
+        let made = self.made.iter().map(|made| format!("- made: `{}`\n", made.words()));
+        made.chain(self.lines().into_iter().map(|(name, value)| format!("- {name}: `{value}`\n"))).collect()
     }
 }

@@ -3,11 +3,11 @@
 use maud::{Markup, html};
 use serde::Serialize;
 
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject, Words};
-use crate::assessment::{AssessmentPlan, Best};
 use crate::assessment::case::Case;
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject, Words};
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
+use crate::assessment::{AssessmentPlan, Best, Command};
 use crate::draw::{MotionFigure, Svg, animation, motion_beside, motion_plate, motion_responsive, vehicle_names};
 use crumple_world::scenario::Scenario;
 
@@ -18,8 +18,8 @@ pub struct ScenarioCases {
     pub scenario: String,
     /// Why it exists.
     pub about: String,
-    /// How to run it again.
-    pub replay: String,
+    /// How to run it again, but for the controller.
+    pub replay: Command,
     /// The best that a driver could have made of it; none if that was not asked.
     pub best: Option<Best>,
     /// One case a controller.
@@ -57,12 +57,12 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
 }
 
 impl ScenarioCases {
-    /// The cases of a scenario that `crumple simulate` finds under `reach`.
-    pub(in crate::assessment) fn new(scenario: &Scenario, reach: &str, cases: Vec<Case>) -> Self {
+    /// The cases of a scenario, and the command that runs it.
+    pub(in crate::assessment) fn new(scenario: &Scenario, replay: Command, cases: Vec<Case>) -> Self {
         Self {
             scenario: scenario.spec().name.clone(),
             about: scenario.spec().about.clone(),
-            replay: format!("crumple simulate {reach}"),
+            replay,
             best: None,
             cases,
             drawn: scenario.clone(),
@@ -163,8 +163,13 @@ impl ScenarioCases {
     }
 
     /// How to run one case again.
-    pub(in crate::assessment) fn replay_of(&self, case: &Case) -> String {
-        format!("{} --controller {}", self.replay, case.controller)
+    pub(in crate::assessment) fn replay_of(&self, case: &Case) -> Option<Command> {
+        Some(self.replay.clone().and(["--controller", case.word.as_deref()?]))
+    }
+
+    /// The same, as a reader sees it.
+    pub(in crate::assessment) fn replay_words(&self, case: &Case) -> Markup {
+        html! { @if let Some(command) = self.replay_of(case) { code { (command) } " " } }
     }
 
     /// The paper's three diagrams of one case.
@@ -217,7 +222,7 @@ impl ScenarioCases {
             details {
                 summary { (case.controller) ": " (case.verdict.words()) }
                 (self.figure(case))
-                p.replay { code { (self.replay_of(case)) } }
+                p.replay { (self.replay_words(case)) }
             }
         }
     }

@@ -11,12 +11,13 @@ use super::ScenarioCases;
 use super::found::{Failure, MethodReached};
 use crate::assessment::case::{Motion, largest, run_cases};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
-use crate::assessment::plan::{NamedSpace, slug};
+use crate::assessment::commands::controller_word;
+use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::prose::prose;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded, StoreError};
+use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded, StoreError};
 use crumple_search::disk::DiskError;
 use crumple_search::evidence::RateInterval;
 use crumple_search::falsify::Method;
@@ -29,7 +30,7 @@ use crumple_world::sim::NamedController;
 /// Failures of one search that are shown, the severest first: more than a campaign of a few hundred runs tells apart.
 const MOST_SHOWN: usize = 100;
 /// Failures of one search that are drawn.
-const MOST_DRAWN: usize = 2;
+const MOST_DRAWN: usize = 3;
 
 /// What was searched for failures, and what was found.
 #[derive(Debug, Clone, Serialize)]
@@ -56,8 +57,8 @@ pub struct SpaceSearches {
 pub struct Search {
     /// The controller.
     pub controller: String,
-    /// How to search again.
-    pub command: String,
+    /// How to search again; none of a controller from outside.
+    pub command: Option<Command>,
     /// What each method reached: the search, then the reference searches.
     pub methods: Vec<MethodReached>,
     /// Distinct failures found, by class.
@@ -86,18 +87,39 @@ impl Searches {
         Ok(Self { spaces: spaces.collect() })
     }
 
+    /// The severest failures of a controller over all spaces, drawn, each under a name of its own.
+    pub(in crate::assessment) fn worst_of(&self, controller: &str, most: usize) -> Vec<ScenarioCases> {
+        let own = self.spaces.iter().filter_map(|space| space.of(controller));
+        let mut drawn: Vec<_> = own.flat_map(|search| search.failures.iter().zip(&search.drawn)).collect();
+        drawn.sort_by(|(a, _), (b, _)| {
+            let severity = |failure: &Failure| failure.impact_speed_mps.map_or(0.0, Rounded::value);
+            severity(b).total_cmp(&severity(a))
+        });
+        let named = |(rank, (_, cases)): (usize, (&Failure, &ScenarioCases))| {
+            let mut cases = cases.clone();
+            cases.scenario = format!("failure {}: {}", rank + 1, cases.scenario);
+            cases
+        };
+        drawn.into_iter().take(most).enumerate().map(named).collect()
+    }
+
     /// What each search says.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        let all = self.spaces.iter().flat_map(|space| {
-            plan.claimants().into_iter().zip(&space.controllers).map(move |pair| (space, pair))
-        });
+        let all = self
+            .spaces
+            .iter()
+            .flat_map(|space| plan.claimants().into_iter().zip(&space.controllers).map(move |pair| (space, pair)));
         let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &Search))| {
             let strength = match search.total() {
                 0 => Strength::of(0, search.evaluations()),
                 failures => Strength::Found { failures, avoidable: search.count(AvoidabilityClass::Avoidable) },
             };
             let claim = Claim { subject, property: Property::NoContact, domain: space.domain(plan) };
-            Evidence { claim, strength, source: Source::part("search", format!("{} evaluations", search.evaluations())) }
+            Evidence {
+                claim,
+                strength,
+                source: Source::part("search", format!("{} evaluations", search.evaluations())),
+            }
         };
         all.map(of).collect()
     }
@@ -172,12 +194,7 @@ impl Search {
             seed: plan.config.seed,
         };
         let item = format!("search {} in {}", controller.name, space.name());
-        let inputs = json!([
-            plan.identity(controller),
-            named.text,
-            campaign.budget,
-            campaign.seed
-        ]);
+        let inputs = json!([plan.identity(controller), named.text, campaign.budget, campaign.seed]);
         let (summary, texts): (Summary, Vec<String>) = work.store.get(&item, &inputs, || {
             let folder = work.store.workplace(&item, &inputs)?;
             let mut done = 0;
@@ -190,9 +207,13 @@ impl Search {
             folder.remove()?;
             Ok::<_, AssessError>((summary, texts))
         })?;
-        let place = format!("counterexamples/{}/{}", slug(space.name()), plan.slug(index));
-        let replay =
-            |file: &str| format!("crumple simulate {file} --controller {}{}", controller.name, plan.simulate_options());
+        let place = format!("counterexamples/{}/{}", file_stem(space.name()), plan.slug(index));
+        let word = controller_word(&controller.kind);
+        let seeing = plan.estimator_words().iter().copied();
+        let replay = |file: &str| {
+            let simulate = Command::new(["simulate", file, "--controller", word.as_deref()?]).and(seeing.clone());
+            Some(simulate.and(["--expect", "collision"]))
+        };
         let found = summary.counterexamples.iter().zip(texts);
         let failures: Vec<_> = found.map(|(found, text)| Failure::of(found, &place, text, &replay)).collect();
         let classes = [
@@ -202,14 +223,13 @@ impl Search {
             AvoidabilityClass::NotAsked,
         ];
         let count = |class| summary.counterexamples.iter().filter(|one| one.avoidability.class() == class).count();
-        let command = format!(
-            "crumple falsify --controller {} --space {} --budget {} --seed {}{}",
-            controller.name,
-            named.name,
-            campaign.budget,
-            campaign.seed,
-            plan.simulate_options()
-        );
+        let [budget, seed] = [campaign.budget, campaign.seed].map(|number| number.to_string());
+        let out = format!("searches/{}/{}", file_stem(space.name()), plan.slug(index));
+        let command = word.as_deref().map(|word| {
+            let what =
+                ["falsify", "--controller", word, "--space", &named.word(), "--budget", &budget, "--seed", &seed];
+            Command::new(what).and(["--out", &out]).and(seeing.clone())
+        });
         let drawn = if is_drawn(plan, index, controller) { draw(plan, controller, &failures)? } else { Vec::new() };
         Ok(Self {
             controller: controller.name.clone(),
@@ -339,8 +359,8 @@ fn draw(
         let named = scenario.edited(|spec| spec.name = format!("{} {}", spec.name, failure.short_name()))?;
         let one = std::slice::from_ref(controller);
         let cases = run_cases(&[&named], one, plan.config.estimator, Motion::Kept)?;
-        let reach = format!("{}{}", failure.file, plan.simulate_options());
-        drawn.extend(cases.into_iter().map(|cases| ScenarioCases::new(&named, &reach, cases)));
+        let replay = Command::new(["simulate", failure.file.as_str()]).and(plan.estimator_words().iter().copied());
+        drawn.extend(cases.into_iter().map(|cases| ScenarioCases::new(&named, replay.clone(), cases)));
     }
     Ok(drawn)
 }
@@ -354,8 +374,8 @@ const INTRODUCTION: &str = "A search looks for contacts; points drawn evenly ove
     and by likelihood, and classed: avoidable, if a driver who knows the future has an escape; unavoidable, if the checker has \
     accepted a proof that nobody has one. A failure says that something can happen, not how often.";
 
-const WHERE: &str = "Commands run in the folder of this report; a policy file or space that the configuration names is named \
-    as it is there, relative to the configuration.";
+const WHERE: &str = "Commands run in the folder of this report, where policies and spaces that are not built in lie beside it; \
+    `replay.sh` runs all that show a failure.";
 
 impl Part for Searches {
     fn heading(&self) -> (&'static str, String) {
@@ -364,7 +384,7 @@ impl Part for Searches {
 
     fn html(&self) -> Markup {
         html! {
-            p { (INTRODUCTION) " " (WHERE) }
+            p { (INTRODUCTION) " " (prose(WHERE)) }
             @for space in &self.spaces {
                 h3 { "Space " (space.name) }
                 p { (prose(&space.about)) }
@@ -375,9 +395,9 @@ impl Part for Searches {
                         p { (prose(&search.effort())) }
                         @if !search.failures.is_empty() {
                             (search.table().html())
-                            ul { @for failure in &search.failures { li { code { (failure.replay) } } } }
+                            ul { @for command in search.failures.iter().filter_map(|one| one.replay.as_ref()) { li { code { (command) } } } }
                         }
-                        p { "Search again: " code { (search.command) } }
+                        @if let Some(command) = &search.command { p { "Search again: " code { (command) } } }
                         @if !search.drawn.is_empty() {
                             details {
                                 summary { "the severest, drawn" }
@@ -400,9 +420,12 @@ impl Part for Searches {
         for space in &self.spaces {
             text += &format!("\n### Space {}\n\n{}\n\n{}", space.name, space.about, space.table().markdown());
             for search in &space.controllers {
-                text += &format!("\n{}: {} Search again: `{}`\n\n", search.controller, search.effort(), search.command);
+                let again =
+                    search.command.as_ref().map_or(String::new(), |command| format!(" Search again: `{command}`"));
+                text += &format!("\n{}: {}{again}\n\n", search.controller, search.effort());
                 for failure in &search.failures {
-                    text += &format!("- {}, {}: `{}`\n", failure.words(), failure.class_words(), failure.replay);
+                    let replay = failure.replay.as_ref().map_or(String::new(), |command| format!(": `{command}`"));
+                    text += &format!("- {}, {}{replay}\n", failure.words(), failure.class_words());
                 }
             }
         }

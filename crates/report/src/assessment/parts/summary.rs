@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::certified::{kernel_domain, kernels, seeing};
 use super::{Distributions, PaperScenarios, Proofs, Searches, Traffic, WorstProfiles};
-use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Standing, Strength};
+use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, Standing, Strength};
 use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, GateResult, Part, Rounded};
@@ -98,8 +98,11 @@ impl Summary {
         let header: Vec<&str> = std::iter::once("claim").chain(names).collect();
         let mut table = Table::new(&header);
         for claim in &self.claims {
-            let standings = columns.iter().filter_map(|&index| claim.standings.get(index));
-            let cells = standings.map(|standing| Cell::marked(standing.words(), standing.strength.mark()));
+            let of = |&index: &usize| Some((claim.claims.get(index)?.as_ref(), claim.standings.get(index)?));
+            let cells = columns.iter().filter_map(of).map(|(claim, standing)| match claim {
+                Some(_) => Cell::marked(standing.words(), standing.strength.mark()),
+                None => Cell::text("–"),
+            });
             table.row(std::iter::once(Cell::text(&claim.claim)).chain(cells).collect());
         }
         table
@@ -117,7 +120,8 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     let mut add = |part, words: Option<String>, claims: Vec<Option<Claim>>| {
         let Some(first) = claims.iter().flatten().next() else { return };
         let claim = words.unwrap_or_else(|| first.words());
-        let standing = |claim: &Option<Claim>| claim.as_ref().map_or_else(Standing::default, |one| ledger.standing(one));
+        let standing =
+            |claim: &Option<Claim>| claim.as_ref().map_or_else(Standing::default, |one| ledger.standing(one));
         let standings = claims.iter().map(standing).collect();
         rows.push(ClaimRow { claim, part, claims, standings });
     };
@@ -180,16 +184,11 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     rows
 }
 
-fn paragraph(
-    plan: &AssessmentPlan,
-    controllers: &[String],
-    claims: &[ClaimRow],
-    found: &Findings<'_>,
-) -> String {
-    let strength = |claim: &ClaimRow, index: usize| claim.standings.get(index).map(|standing| standing.strength.clone());
-    let collides = |&index: &usize| {
-        claims.iter().any(|claim| matches!(strength(claim, index), Some(Strength::Refuted { .. })))
-    };
+fn paragraph(plan: &AssessmentPlan, controllers: &[String], claims: &[ClaimRow], found: &Findings<'_>) -> String {
+    let strength =
+        |claim: &ClaimRow, index: usize| claim.standings.get(index).map(|standing| standing.strength.clone());
+    let collides =
+        |&index: &usize| claims.iter().any(|claim| matches!(strength(claim, index), Some(Strength::Refuted { .. })));
     let (failing, sound): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(collides);
     let named = |indices: &[usize]| {
         let names: Vec<_> = indices.iter().filter_map(|&index| controllers.get(index).map(String::as_str)).collect();
@@ -232,9 +231,8 @@ fn paragraph(
             };
         }
     }
-    let defeated = |&index: &usize| {
-        claims.iter().any(|claim| matches!(strength(claim, index), Some(Strength::Defeated { .. })))
-    };
+    let defeated =
+        |&index: &usize| claims.iter().any(|claim| matches!(strength(claim, index), Some(Strength::Defeated { .. })));
     let (defeated, withstood): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(defeated);
     if !defeated.is_empty() {
         text += &match withstood.as_slice() {
@@ -247,13 +245,13 @@ fn paragraph(
 
 impl Part for Summary {
     fn heading(&self) -> (&'static str, String) {
-        ("verdict", "Verdict".to_owned())
+        ("verdict", "Claims".to_owned())
     }
 
     fn html(&self) -> Markup {
         let (asked, others) = self.columns();
         html! {
-            p.lead { (prose(&self.paragraph)) }
+            p { (prose(&self.paragraph)) }
             (self.table(&asked).html())
             @if !others.is_empty() {
                 details { summary { "the other controllers" } (self.table(&others).html()) }
@@ -262,6 +260,7 @@ impl Part for Summary {
                 h3 { "Gates" }
                 (self.gate_table().html())
             }
+            details { summary { "how evidence speaks for claims" } ul { li { (Rule::Own.words()) } @for rule in Rule::ALL { li { (rule.words()) } } } }
         }
     }
 

@@ -1,7 +1,5 @@
 //! Scenarios from files: recorded traffic, and whatever else the configuration names.
 
-use std::path::Path;
-
 use maud::{Markup, html};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -10,9 +8,11 @@ use super::{ScenarioCases, scenarios};
 use crate::assessment::best::{Best, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, CaseVerdict, Motion, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
+use crate::assessment::plan::file_stem;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Part};
+use crate::assessment::{AssessError, AssessmentPlan, Command, Part};
+use crumple_world::scenario::Scenario;
 use crumple_world::sim::RunError;
 
 /// Scenarios whose figures are shown: a page of hundreds is of no use.
@@ -36,13 +36,14 @@ impl Traffic {
         if plan.traffic.is_empty() {
             return Ok(None);
         }
-        let options = plan.simulate_options();
         let run = |indices: &[usize], motion: Motion| -> Result<Vec<ScenarioCases>, RunError> {
             let chosen: Vec<_> = indices.iter().filter_map(|&index| plan.traffic.get(index)).collect();
             let scenarios: Vec<_> = chosen.iter().map(|(_, scenario)| scenario).collect();
             let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
-            let named = chosen.iter().zip(cases).map(|((path, scenario), cases)| {
-                ScenarioCases::new(scenario, &format!("{}{options}", for_shell(path)), cases)
+            let named = chosen.iter().zip(cases).map(|((_, scenario), cases)| {
+                let replay = Command::new(["simulate".to_owned(), scenario_file(scenario)])
+                    .and(plan.estimator_words().iter().copied());
+                ScenarioCases::new(scenario, replay, cases)
             });
             Ok(named.collect())
         };
@@ -97,11 +98,9 @@ fn most_telling(scenarios: &[ScenarioCases]) -> Vec<usize> {
     indices
 }
 
-/// A path as a shell takes it.
-fn for_shell(path: &Path) -> String {
-    let path = path.to_string_lossy();
-    // Only a NUL cannot be quoted, and no path holds one.
-    shlex::try_quote(&path).map_or_else(|_| path.to_string(), |quoted| quoted.into_owned())
+/// Where a scenario lies, from the folder of the report.
+pub(in crate::assessment) fn scenario_file(scenario: &Scenario) -> String {
+    format!("scenarios/{}.toml", file_stem(&scenario.spec().name))
 }
 
 fn words(case: &Case) -> String {

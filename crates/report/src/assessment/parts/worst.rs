@@ -8,9 +8,10 @@ use super::worst_figure;
 use crate::assessment::best::Best;
 use crate::assessment::case::{Case, CaseVerdict, Motion, PileUp, run_cases};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
+use crate::assessment::commands::controller_word;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
+use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
 use crumple_search::worst_case::{Aim, Attack, AttackMethod, AttackResult, Envelope, hunt};
 use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in};
 use crumple_world::sim::{NamedController, RunOptions};
@@ -43,8 +44,8 @@ pub struct WorstProfiles {
 pub struct WorstProfile {
     /// The controller.
     pub controller: String,
-    /// How to find it again.
-    pub replay: String,
+    /// How to find it again; none of a controller from outside.
+    pub replay: Option<Command>,
     /// Simulations spent.
     pub evaluations: usize,
     /// Convex programs solved.
@@ -127,6 +128,11 @@ impl WorstProfiles {
     /// The scenario with any braking of its leader, as a domain.
     pub(in crate::assessment) fn domain(&self) -> Domain {
         Domain::AnyLeaderBraking { scenario: self.known.clone() }
+    }
+
+    /// Commands that find the profiles again.
+    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
+        self.profiles.iter().filter_map(|profile| profile.replay.as_ref())
     }
 
     fn found(&self) -> impl Iterator<Item = (&str, &Mildest)> {
@@ -212,8 +218,10 @@ impl WorstProfile {
             Some(attack) => Mildest::of(attack, controller, plan)?,
             None => None,
         };
-        let replay =
-            format!("crumple worst-case {SCENARIO}{} --controller {}", plan.simulate_options(), controller.name);
+        let replay = controller_word(&controller.kind).map(|word| {
+            let attack = Command::new(["worst-case", SCENARIO, "--controller", word.as_str()]);
+            attack.and(plan.estimator_words().iter().copied())
+        });
         Ok(Self { controller: controller.name.clone(), replay, evaluations, programs, mildest })
     }
 }
@@ -256,7 +264,7 @@ impl Part for WorstProfiles {
             @for line in self.withstood() { p { (line) } }
             details {
                 summary { "commands that find them again" }
-                ul { @for profile in &self.profiles { li { code { (profile.replay) } } } }
+                ul { @for command in self.commands() { li { code { (command) } } } }
             }
         }
     }
@@ -269,7 +277,7 @@ impl Part for WorstProfiles {
         for line in self.withstood() {
             text += &format!("{line}\n\n");
         }
-        let commands = self.profiles.iter().map(|profile| format!("- `{}`\n", profile.replay)).collect::<String>();
+        let commands = self.commands().map(|command| format!("- `{command}`\n")).collect::<String>();
         text + "Commands that find them again:\n\n" + &commands
     }
 }

@@ -23,6 +23,19 @@ pub struct ShieldSettings {
     pub errors: Option<ErrorBounds>,
 }
 
+impl ShieldSettings {
+    /// The settings as they stand after `shield` on a command line, each with a comma before it.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let errors = self.errors.map(|errors| {
+            let ErrorBounds { gap_m, speed_mps, ahead_speed_mps } = errors;
+            format!(",gap-error={gap_m},speed-error={speed_mps},ahead-speed-error={ahead_speed_mps}")
+        });
+        let ahead = self.ahead_brake_mps2.map(|limit| format!(",ahead={limit}"));
+        ahead.into_iter().chain(errors).collect()
+    }
+}
+
 /// The vehicle behind, as far as a shield cares.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Behind {

@@ -1,0 +1,158 @@
+//! What a reader types to see again what the report shows, in the folder of the report, with the files that takes.
+//!
+//! Every word is quoted for a shell. Policies and spaces that are not built in lie in the folder, policies under their hashes,
+//! so that neither a name nor a folder elsewhere matters. A controller from outside has no name on a command line.
+
+use std::ffi::OsStr;
+use std::fmt;
+use std::path::Path;
+
+use crumple_verify::Statement;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::parts::scenario_file;
+use super::plan::{NamedSpace, file_stem};
+use super::{AssessmentPlan, StoreError};
+use crumple_world::digest::sha256;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::file;
+use crumple_world::sim::ControllerKind;
+
+/// A command line of crumple; its arguments by themselves, its text quoted for a shell.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(transparent)]
+pub struct Command {
+    arguments: Vec<String>,
+}
+
+impl Command {
+    /// Of these arguments.
+    pub(super) fn new<W: Into<String>>(arguments: impl IntoIterator<Item = W>) -> Self {
+        Self { arguments: arguments.into_iter().map(Into::into).collect() }
+    }
+
+    /// With more of them.
+    pub(super) fn and<W: Into<String>>(mut self, arguments: impl IntoIterator<Item = W>) -> Self {
+        self.arguments.extend(arguments.into_iter().map(Into::into));
+        self
+    }
+
+    /// Everything after `crumple`.
+    #[must_use]
+    pub fn arguments(&self) -> &[String] {
+        &self.arguments
+    }
+
+    /// The arguments, quoted for a shell.
+    pub(super) fn quoted(&self) -> String {
+        // Only a NUL cannot be quoted, and no argument can hold one.
+        let quoted = |word: &String| shlex::try_quote(word).map_or_else(|_| "''".to_owned(), |word| word.into_owned());
+        self.arguments.iter().map(quoted).collect::<Vec<_>>().join(" ")
+    }
+}
+
+impl fmt::Display for Command {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "crumple {}", self.quoted())
+    }
+}
+
+/// The controller as a command in the folder of the report names it; none for one from outside.
+pub(super) fn controller_word(kind: &ControllerKind) -> Option<String> {
+    match kind {
+        ControllerKind::BuiltIn(spec) => Some(spec.words()),
+        ControllerKind::Policy(policy) => Some(policy_file(policy)),
+        ControllerKind::Shielded(shielded) => {
+            Some(format!("shield{}:{}", shielded.settings.words(), controller_word(&shielded.controller)?))
+        }
+        ControllerKind::Custom(_) => None,
+    }
+}
+
+/// Where a policy lies, from the folder of the report.
+fn policy_file(policy: &Policy) -> String {
+    let digest = policy.digest();
+    format!("controllers/{}.safetensors", digest.get(..16).unwrap_or(&digest))
+}
+
+impl NamedSpace {
+    /// The space as a command names it.
+    pub(super) fn word(&self) -> String {
+        if self.is_built_in() { self.name.clone() } else { self.file() }
+    }
+
+    fn is_built_in(&self) -> bool {
+        crumple_world::scenario::space::built_in_space(&self.name).is_some()
+    }
+
+    /// Where an own space lies, from the folder of the report.
+    fn file(&self) -> String {
+        format!("spaces/{}.toml", file_stem(self.space.name()))
+    }
+}
+
+impl AssessmentPlan {
+    /// The options that make a command look through what this plan looks through.
+    pub(super) fn estimator_words(&self) -> &'static [&'static str] {
+        match self.config.estimator {
+            EstimatorKind::Kalman => &[],
+            EstimatorKind::Truth => &["--estimator", "truth"],
+        }
+    }
+
+    /// The policies, spaces and scenarios that commands of the report need, by their paths from its folder.
+    ///
+    /// # Errors
+    /// [`StoreError::Encoding`] if one of them cannot be written down.
+    pub(super) fn files_beside(&self) -> Result<Vec<(String, Vec<u8>)>, StoreError> {
+        let mut files: Vec<(String, Vec<u8>)> = Vec::new();
+        let mut add = |path: String, bytes: Vec<u8>| {
+            if !files.iter().any(|(known, _)| *known == path) {
+                files.push((path, bytes));
+            }
+        };
+        for controller in &self.controllers {
+            // Only policies that were read from files have no other name.
+            if let (Some(word), Some(policy)) = (controller_word(&controller.kind), controller.policy())
+                && word.ends_with(&policy_file(&policy))
+            {
+                add(policy_file(&policy), policy.to_bytes().map_err(StoreError::encoding)?);
+            }
+        }
+        for own in self.distributions.iter().chain(&self.spaces).filter(|named| !named.is_built_in()) {
+            add(own.file(), own.text.clone().into_bytes());
+        }
+        for given in &self.certificates {
+            // A certificate may name any file: only one that lies beside it, and that it was made for, is put there.
+            if let (Statement::Reach(reach), Some(policy)) = (&given.certificate.statement, &given.policy)
+                && sha256(policy) == reach.policy_sha256
+                && Path::new(&reach.policy_file).file_name() == Some(OsStr::new(&reach.policy_file))
+            {
+                add(format!("certificates/{}", reach.policy_file), policy.clone());
+            }
+        }
+        for (_, scenario) in &self.traffic {
+            let text = file::to_toml(scenario).map_err(StoreError::encoding)?;
+            add(scenario_file(scenario), text.into_bytes());
+        }
+        Ok(files)
+    }
+}
+
+/// A script that runs commands one after the other and says which of them did not do what it should.
+pub(super) fn script<'a>(commands: impl Iterator<Item = &'a Command>) -> String {
+    let mut script = String::from(
+        "#!/bin/sh\n\
+         # Shows again what this report shows; every command may also be run by itself, in this folder. CRUMPLE names the program.\n\
+         cd \"$(dirname \"$0\")\" || exit 2\n\
+         crumple=${CRUMPLE:-crumple}\n\
+         failed=0\n\
+         run() { \"$crumple\" \"$@\" || { echo \"did not end as reported: crumple $*\" >&2; failed=1; }; }\n",
+    );
+    for command in commands {
+        script += &format!("run {}\n", command.quoted());
+    }
+    script + "exit $failed\n"
+}

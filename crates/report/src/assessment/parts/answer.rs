@@ -1,0 +1,176 @@
+//! The first page: what was asked, what the answer is, and what to look at first.
+
+use maud::{Markup, html};
+use serde::Serialize;
+
+use super::certified::seeing;
+use super::{Limits, ScenarioCases, Searches, Summary};
+use crate::assessment::claims::{Claim, Property, Standing, Strength};
+use crate::assessment::prose::prose;
+use crate::assessment::{AssessmentPlan, Part};
+
+/// The answer to the question whether the subject touches others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Answer {
+    /// There are runs in which it fails.
+    NotSafe,
+    /// No run failed, and how rarely one does is bounded or proved where it was looked.
+    SafeInDomain,
+    /// No run failed, and no more is known; or what is known contradicts itself.
+    Undecided,
+}
+
+/// The first page.
+#[derive(Debug, Clone, Serialize)]
+pub struct FirstPage {
+    /// What was asked.
+    pub question: String,
+    /// The answer.
+    pub answer: Answer,
+    /// It in words that may be quoted.
+    pub words: String,
+    /// What speaks against the subject, the gravest first.
+    pub against: Vec<String>,
+    /// What speaks for it, the strongest first.
+    pub speaks_for: Vec<String>,
+    /// What is taken for granted.
+    pub assumed: Vec<&'static str>,
+    #[serde(skip)]
+    worst: Vec<ScenarioCases>,
+}
+
+/// Failures that are shown.
+const MOST_SHOWN: usize = 3;
+
+impl FirstPage {
+    pub(in crate::assessment) fn of(
+        plan: &AssessmentPlan,
+        summary: &Summary,
+        searches: &Searches,
+        limits: &Limits,
+    ) -> Self {
+        let subject = plan.subject().map_or("", |controller| controller.name.as_str());
+        let mut claims: Vec<(String, &Claim, &Standing)> = Vec::new();
+        for row in &summary.claims {
+            if let (Some(Some(claim)), Some(standing)) = (row.claims.get(plan.subject), row.standings.get(plan.subject))
+            {
+                claims.push((row.claim.clone(), claim, standing));
+            }
+        }
+        // The strongest first: a refutation outweighs everything.
+        claims.sort_by(|a, b| b.2.strength.weight().total_cmp(&a.2.strength.weight()));
+        let said = |wanted: &dyn Fn(&Strength) -> bool| -> Vec<String> {
+            let of = claims.iter().filter(|(_, _, standing)| wanted(&standing.strength));
+            of.map(|(words, _, standing)| format!("{words}: {}", standing.strength.words())).collect()
+        };
+        let against = said(&|strength| strength.is_refutation() || *strength == Strength::Contradicted);
+        let speaks_for = said(&|strength| {
+            strength.is_assurance() || matches!(strength, Strength::Tested { .. } | Strength::ProvedIn { .. })
+        });
+        let answer = Answer::of(claims.iter().map(|(_, claim, standing)| (*claim, *standing)));
+        let compared = match plan.controllers.first() {
+            Some(first) if plan.subject != 0 => format!(", and is it safer than `{}`", first.name),
+            _ => String::new(),
+        };
+        let question =
+            format!("Does `{subject}`, {}, keep off the vehicles around it{compared}?", seeing(plan.config.estimator));
+        Self {
+            question,
+            answer,
+            words: answer.words(subject, &against, &speaks_for),
+            against,
+            speaks_for,
+            assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
+            worst: searches.worst_of(subject, MOST_SHOWN),
+        }
+    }
+}
+
+impl Answer {
+    fn of<'a>(claims: impl Iterator<Item = (&'a Claim, &'a Standing)> + Clone) -> Self {
+        let contact = |claim: &Claim| {
+            matches!(claim.property, Property::NoContact | Property::NoContactAhead | Property::RateAtMost { .. })
+        };
+        let mut about = claims.filter(|(claim, _)| contact(claim)).map(|(_, standing)| &standing.strength);
+        if about.clone().any(|strength| *strength == Strength::Contradicted) {
+            Self::Undecided
+        } else if about.clone().any(Strength::is_refutation) {
+            Self::NotSafe
+        } else if about.any(Strength::is_assurance) {
+            Self::SafeInDomain
+        } else {
+            Self::Undecided
+        }
+    }
+
+    fn words(self, subject: &str, against: &[String], speaks_for: &[String]) -> String {
+        match self {
+            Self::NotSafe => format!(
+                "Not safe: there are situations in this report in which `{subject}` fails ({} of the claims made of it are refuted, {} \
+                 hold as far as they were examined).",
+                against.len(),
+                speaks_for.len()
+            ),
+            Self::SafeInDomain => format!(
+                "Safe where it was looked, to the strength stated with each claim: nothing in this report made `{subject}` fail, and \
+                 bounds or proofs say how rarely it does there. Of other situations nothing is said."
+            ),
+            Self::Undecided => {
+                format!(
+                    "Undecided: nothing in this report bounds how often `{subject}` fails, or its evidence contradicts itself."
+                )
+            }
+        }
+    }
+
+    fn class(self) -> &'static str {
+        match self {
+            Self::NotSafe => "answer bad",
+            Self::SafeInDomain => "answer good",
+            Self::Undecided => "answer",
+        }
+    }
+}
+
+const FOR_WHOM: &str = "For whoever decides whether a driving controller may go on to the next stage: what was asked, what the answer \
+    is and how strong, where to look first. The parts that follow hold the evidence, the appendix lists and methods.";
+
+impl Part for FirstPage {
+    fn heading(&self) -> (&'static str, String) {
+        ("answer", "The answer".to_owned())
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (FOR_WHOM) }
+            p { b { (prose(&self.question)) } }
+            p class=(self.answer.class()) { (prose(&self.words)) }
+            div.sides {
+                div { h3 { "Against it" } ul { @for line in &self.against { li { (prose(line)) } } @if self.against.is_empty() { li { "nothing that was found" } } } }
+                div { h3 { "For it" } ul { @for line in &self.speaks_for { li { (prose(line)) } } @if self.speaks_for.is_empty() { li { "nothing that was shown" } } } }
+            }
+            @if !self.worst.is_empty() {
+                h3 { "Its severest failures" }
+                div.worst { @for cases in &self.worst { @for case in &cases.cases {
+                    figure { (cases.figure(case)) figcaption { (case.verdict.words()) " · " (cases.replay_words(case)) } }
+                } } }
+            }
+            h3 { "Taken for granted" }
+            ul.short { @for line in &self.assumed { li { (line) } } }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        let list = |lines: &[String]| lines.iter().map(|line| format!("- {line}\n")).collect::<String>();
+        let assumed: String = self.assumed.iter().map(|line| format!("- {line}\n")).collect();
+        format!(
+            "{FOR_WHOM}\n\n**{}**\n\n{}\n\nAgainst it:\n\n{}\nFor it:\n\n{}\nTaken for granted:\n\n{assumed}",
+            self.question,
+            self.words,
+            list(&self.against),
+            list(&self.speaks_for)
+        )
+    }
+}

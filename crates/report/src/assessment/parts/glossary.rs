@@ -1,0 +1,56 @@
+//! The words of the report.
+
+use maud::{Markup, html};
+
+use crate::assessment::Part;
+use crate::assessment::table::{Cell, Table};
+
+/// What the words of the report mean.
+#[derive(Debug, Clone, Copy)]
+pub struct Glossary;
+
+const WORDS: [(&str, &str); 16] = [
+    (
+        "avoidable",
+        "a driver who knows the future has a way to keep everybody apart: it is shown as a profile and replayed",
+    ),
+    ("bounded", "the share of failures is at most a number, with a stated confidence, by counted runs"),
+    ("confidence", "how often, over many repetitions, a bound made this way is true"),
+    ("counterexample", "a scenario in which the controller fails, kept as a file"),
+    ("draws", "scenarios taken from a space by its law, by chance, from a seed"),
+    ("ego, subject", "the vehicle with the controller under test, and the controller that the question is about"),
+    ("headway, time gap", "time to where the vehicle ahead is now, front to front, and from the own front to its rear"),
+    ("imposed braking", "deceleration that the vehicle behind is forced to by the one under test"),
+    ("kernel", "the states from which full braking avoids the vehicle ahead however that one brakes within its limit"),
+    ("proved", "a certificate says so and the checker accepted it; it holds under the assumptions that go with it"),
+    ("refuted", "there is at least one run to show that it does not hold"),
+    ("regret", "how much more gap the best driver would have kept"),
+    ("shield", "lets the controller act as long as a way out is left, and brakes fully otherwise"),
+    ("space", "scenarios with parameters that vary, each by a law within a range"),
+    ("tested", "it held whenever it was tried; nothing follows for what was not tried"),
+    ("TTC", "time to collision: the gap over the closing speed"),
+];
+
+impl Glossary {
+    fn table() -> Table {
+        let mut table = Table::new(&["word", "meaning"]);
+        for (word, meaning) in WORDS {
+            table.row(vec![Cell::text(word), Cell::text(meaning)]);
+        }
+        table
+    }
+}
+
+impl Part for Glossary {
+    fn heading(&self) -> (&'static str, String) {
+        ("glossary", "Glossary".to_owned())
+    }
+
+    fn html(&self) -> Markup {
+        html! { (Self::table().html()) }
+    }
+
+    fn markdown(&self) -> String {
+        Self::table().markdown()
+    }
+}

@@ -1,0 +1,200 @@
+//! Assessments that somebody would like to say more than they may: evidence of others, under one's own name.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use crumple_report::assessment::{
+    AssessConfig, Assessment, AssessmentPlan, ProofStatus, SpeaksOf, Standing, Store, Strength, assess,
+};
+use crumple_search::evidence::{RateConfig, RatePlan};
+use crumple_verify::{Certificate, Statement};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
+use crumple_world::sim::NamedController;
+
+/// A small assessment of these controllers on draws of the paper's space, without its scenarios.
+fn config(controllers: &[&str]) -> AssessConfig {
+    let mut config = AssessConfig::default();
+    config.controllers = controllers.iter().map(|&name| name.to_owned()).collect();
+    config.gates.clear();
+    config.search.spaces.clear();
+    (config.paper, config.draws, config.rates.runs) = (false, 40, 0);
+    config.certificates = Some(Vec::new());
+    config
+}
+
+fn run(config: AssessConfig, folder: &Path) -> Assessment {
+    assess(&AssessmentPlan::new(config, [], folder).expect("valid"), &Store::none(), None, &|_| {}).expect("runs")
+}
+
+fn standings(assessment: &Assessment) -> Vec<&Standing> {
+    assessment.summary.claims.iter().flat_map(|row| &row.standings).collect()
+}
+
+/// The claim about a rate, of the controller at that place.
+fn rate_of(assessment: &Assessment, place: usize) -> &Strength {
+    let row = assessment.summary.claims.iter().find(|row| row.claim.contains("at most")).expect("claimed");
+    &row.standings[place].strength
+}
+
+fn counted(
+    controller: &str,
+    against: Option<&str>,
+    space: &Space,
+    estimator: EstimatorKind,
+    folder: &Path,
+) -> Certificate {
+    let find = |name: &str| NamedController::find(name, folder).expect("known");
+    let config = RateConfig {
+        controllers: (find(controller), against.map(find)),
+        space: (space.name().to_owned(), space.clone()),
+        seed: 9,
+        estimator,
+        runs: 3000,
+        confidence: 0.999,
+    };
+    let plan = RatePlan::new(config).expect("valid");
+    let mut tally = plan.tally();
+    while tally.runs < 3000 {
+        plan.count_block(&mut tally).expect("runs");
+    }
+    plan.certificate(&tally)
+}
+
+/// Certificates that the checker accepts and that speak of something else: another estimator, another space of that name, another
+/// policy under that name, another release, the other order. Not one claim changes by them; the genuine one changes its own.
+#[test]
+fn foreign_certificates_change_no_claim() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let own = folder.path().join("own.safetensors");
+    fs::write(&own, Policy::retrained_bytes()).expect("writes");
+    let paper = built_in_space("paper").expect("built in");
+    let text = space_file::to_toml(&paper).expect("written").replace("mean = 36.0", "mean = 37.0");
+    let gentle = space_file::from_toml(&text, Path::new("gentle.toml")).expect("valid");
+    assert_eq!(gentle.name(), paper.name(), "equal names");
+    let there = folder.path().join("elsewhere");
+    fs::create_dir(&there).expect("made");
+    fs::write(there.join("own.safetensors"), Policy::reference_bytes()).expect("writes");
+    let (truth, kalman) = (EstimatorKind::Truth, EstimatorKind::Kalman);
+    let stale = {
+        let mut certificate = counted("own.safetensors", None, &paper, kalman, folder.path());
+        let Statement::Rate(rate) = &mut certificate.statement else { panic!("a rate") };
+        rate.registration.configuration.insert("crumple".to_owned(), "0.0.9".to_owned());
+        rate.registration_sha256 = rate.registration.digest();
+        certificate
+    };
+    let renamed = {
+        let mut certificate = counted("idm", None, &paper, kalman, folder.path());
+        let Statement::Rate(rate) = &mut certificate.statement else { panic!("a rate") };
+        rate.registration.configuration.insert("controller".to_owned(), "own.safetensors".to_owned());
+        rate.registration_sha256 = rate.registration.digest();
+        certificate
+    };
+    let hostile = [
+        counted("own.safetensors", None, &paper, truth, folder.path()),
+        counted("own.safetensors", None, &gentle, kalman, folder.path()),
+        counted("own.safetensors", None, &paper, kalman, &there),
+        counted("shield:own.safetensors", None, &paper, kalman, folder.path()),
+        counted("baseline", Some("own.safetensors"), &gentle, kalman, folder.path()),
+        counted("own.safetensors", Some("baseline-unlatched"), &paper, kalman, folder.path()),
+        stale,
+        renamed,
+    ];
+    let controllers = ["baseline", "own.safetensors"];
+    let bare = run(config(&controllers), folder.path());
+    for (place, certificate) in hostile.iter().enumerate() {
+        let path = folder.path().join("given.json");
+        fs::write(&path, serde_json::to_string(certificate).expect("JSON")).expect("writes");
+        let mut with = config(&controllers);
+        with.certificates = Some(vec![path]);
+        let with = run(with, folder.path());
+        let strengths = |of: &Assessment| standings(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
+        assert_eq!(strengths(&with), strengths(&bare), "certificate {place}");
+        let proof = with.proofs.certificates.iter().find(|proof| proof.name == "given").expect("listed");
+        let is_foreign = matches!(&proof.speaks_of, SpeaksOf::Foreign { because } if !because.is_empty());
+        assert!(is_foreign || place == 0, "{place}: {:?}", proof.speaks_of);
+    }
+    let genuine = folder.path().join("genuine.json");
+    let certificate = counted("own.safetensors", None, &paper, kalman, folder.path());
+    fs::write(&genuine, serde_json::to_string(&certificate).expect("JSON")).expect("writes");
+    let mut with = config(&controllers);
+    with.certificates = Some(vec![genuine]);
+    let with = run(with, folder.path());
+    assert!(matches!(rate_of(&bare, 1), Strength::Undecided { .. }), "{:?}", rate_of(&bare, 1));
+    assert!(matches!(rate_of(&with, 1), Strength::Bounded { .. }), "{:?}", rate_of(&with, 1));
+}
+
+/// A file that is called a shield is none; a shield for other limits has other kernels; a copy of a policy is that policy.
+#[test]
+fn names_prove_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let copy = "shield-candidate.safetensors";
+    fs::write(folder.path().join(copy), Policy::reference_bytes()).expect("writes");
+    let all =
+        ["baseline", copy, "policy", "shield:policy", "shield,ahead=0.1:full-throttle", "shield,gap-error=0:policy"];
+    let mut asked = config(&all);
+    asked.certificates = None;
+    let assessment = run(asked, folder.path());
+    let row = assessment.summary.claims.iter().find(|row| row.claim.contains("kernel")).expect("claimed");
+    let proved: Vec<bool> = row.standings.iter().map(|one| matches!(one.strength, Strength::Proved { .. })).collect();
+    assert_eq!(proved, [false, false, false, true, false, false]);
+    assert_eq!(row.claims.iter().map(Option::is_some).collect::<Vec<_>>(), [false, false, false, true, true, true]);
+    for row in assessment.summary.claims.iter().filter(|row| row.claim.contains("box of starts")) {
+        assert_eq!(row.standings[1], row.standings[2], "the copy is that policy");
+        assert!(matches!(row.standings[3].strength, Strength::Untried), "before a shield it is another controller");
+    }
+    assert!(assessment.proofs.certificates.iter().all(|proof| matches!(proof.status, ProofStatus::Accepted { .. })));
+    assert!(!assessment.markdown().to_lowercase().contains("paper-3"), "nobody asked for the paper's scenarios");
+}
+
+/// Every command that a report prints runs in its folder, whatever policies, spaces and scenarios are called and wherever they
+/// were, and ends as the report says.
+#[test]
+fn every_command_of_a_report_runs_in_its_folder() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let policy = "x;touch PWNED;# 'y'.safetensors";
+    fs::write(folder.path().join(policy), Policy::reference_bytes()).expect("writes");
+    let space = space_file::to_toml(&built_in_space("high-risk").expect("built in")).expect("written");
+    fs::write(folder.path().join("own space.toml"), space.replacen("high-risk", "own", 1)).expect("writes");
+    fs::create_dir(folder.path().join("episodes")).expect("made");
+    let episode = crumple_world::scenario::built_in("paper-2")
+        .expect("built in")
+        .edited(|spec| spec.name = "an episode".to_owned());
+    let episode = crumple_world::scenario::file::to_toml(&episode.expect("valid")).expect("written");
+    fs::write(folder.path().join("episodes/e.toml"), episode).expect("writes");
+    let mut asked = config(&["baseline", policy, &format!("shield,ahead=8:{policy}")]);
+    asked.search.spaces = vec!["own space.toml".to_owned()];
+    (asked.search.budget, asked.scenarios, asked.certificates) = (60, vec!["episodes".into()], None);
+    let assessment = run(asked, folder.path());
+    let report = folder.path().join("the report");
+    for (name, contents) in assessment.files().expect("renders") {
+        let path = report.join(name);
+        fs::create_dir_all(path.parent().expect("below")).expect("made");
+        fs::write(path, contents).expect("writes");
+    }
+    let program = Path::new(env!("CARGO_BIN_EXE_crumple"));
+    let path =
+        format!("{}:{}", program.parent().expect("a folder").display(), std::env::var("PATH").unwrap_or_default());
+    let shell = |command: &str| {
+        let ran = Command::new("sh").arg("-c").arg(command).current_dir(&report).env("PATH", &path).output();
+        let ran = ran.expect("a shell");
+        assert!(ran.status.success(), "{command}: {}", String::from_utf8_lossy(&ran.stderr));
+    };
+    let page = assessment.html();
+    let codes = page.split("<code>crumple ").skip(1).filter_map(|rest| rest.split("</code>").next());
+    let plain =
+        |code: &str| code.replace("&quot;", "\"").replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
+    let mut commands: Vec<String> = codes.map(|code| format!("crumple {}", plain(code))).collect();
+    commands.sort();
+    commands.dedup();
+    for wanted in
+        ["crumple simulate scenarios/", "crumple simulate counterexamples/", "crumple falsify", "crumple check"]
+    {
+        assert!(commands.iter().any(|command| command.starts_with(wanted)), "{wanted}: {commands:#?}");
+    }
+    commands.iter().for_each(|command| shell(command));
+    shell("sh replay.sh");
+    assert!(!report.join("PWNED").exists() && !folder.path().join("PWNED").exists());
+}

@@ -1,0 +1,175 @@
+//! No claim is shown to be stronger than the evidence allows, by a second opinion that reads the JSON.
+
+use crumple_report::assessment::{
+    Claim, Domain, Evidence, Known, Ledger, Property, Rounded, Source, Strength, Subject, Words,
+};
+use crumple_world::observation::EstimatorKind;
+use proptest::prelude::*;
+use proptest::sample::select;
+use serde_json::Value;
+
+/// A few of each kind, so that claims meet: names are equal where hashes are not, and the other way round.
+fn known(kind: &'static str) -> impl Strategy<Value = Known> {
+    (0..2_u8, 0..2_u8).prop_map(move |(name, content)| Known::of(format!("{kind} {name}"), format!("{kind} {content}")))
+}
+
+fn subject() -> impl Strategy<Value = Subject> {
+    (known("controller"), select(&EstimatorKind::ALL[..]))
+        .prop_map(|(controller, estimator)| Subject { controller, estimator })
+}
+
+fn property() -> impl Strategy<Value = Property> {
+    prop_oneof![
+        Just(Property::NoContact),
+        Just(Property::NoContactAhead),
+        Just(Property::FailureRate),
+        (0..3_u8).prop_map(|percent| Property::RateAtMost { percent: Rounded::new(f64::from(percent)) }),
+        known("controller").prop_map(|than| Property::FailsLessOften { than }),
+        Just(Property::NoNeedlessBraking),
+    ]
+}
+
+fn domain() -> impl Strategy<Value = Domain> {
+    prop_oneof![
+        prop::collection::vec(known("scenario"), 1..3)
+            .prop_map(|all| Domain::Scenarios { about: Words("some".to_owned()), all }),
+        (known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Draws { space, seed, draws: 10 }),
+        known("space").prop_map(|space| Domain::Space { space }),
+        (known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Search { space, seed, budget: 10 }),
+        known("box").prop_map(|around| Domain::Box { around }),
+    ]
+}
+
+fn strength() -> impl Strategy<Value = Strength> {
+    let confidence_percent = Rounded::new(99.0);
+    let between = (0..4_u8, 0..4_u8).prop_map(move |(a, b)| Strength::Between {
+        lower_percent: Rounded::new(f64::from(a.min(b))),
+        upper_percent: Rounded::new(f64::from(a.max(b))),
+        confidence_percent,
+    });
+    prop_oneof![
+        Just(Strength::Proved { certificates: 1 }),
+        (1..9_u64).prop_map(|runs| Strength::Tested { runs }),
+        between,
+        Just(Strength::Counted { confidence_percent }),
+        (0..3_u64, 0..3_u64).prop_map(|(own, other)| Strength::Compared { own, other, runs: 9 }),
+        (1..9_u64).prop_map(|failures| Strength::Refuted { failures, runs: 9 }),
+        Just(Strength::Found { failures: 2, avoidable: 1 }),
+        Just(Strength::ProvedIn { share_percent: Rounded::new(40.0) }),
+        Just(Strength::Untried),
+    ]
+}
+
+fn claim() -> impl Strategy<Value = Claim> {
+    (subject(), property(), domain()).prop_map(|(subject, property, domain)| Claim { subject, property, domain })
+}
+
+fn evidence() -> impl Strategy<Value = Evidence> {
+    (claim(), strength()).prop_map(|(claim, strength)| Evidence { claim, strength, source: Source::part("x", "y") })
+}
+
+/// What is said of a claim: that it does not hold, nothing, that it was tried, that it holds often, always.
+fn level(said: &Value) -> u8 {
+    match said["strength"].as_str().expect("a strength") {
+        "refuted" | "found" | "defeated" | "exceeded" | "contradicted" => 0,
+        "compared" if said["own"].as_u64() > said["other"].as_u64() => 0,
+        "compared" if said["own"].as_u64() < said["other"].as_u64() => 2,
+        "tested" => 2,
+        "bounded" | "counted" | "proved_in" => 3,
+        "proved" => 4,
+        _ => 1,
+    }
+}
+
+/// Written from the rules as the report prints them, and from nothing else: all that evidence allows to say of a claim.
+fn allowed(evidence: &[Value], claim: &Value) -> u8 {
+    let same = |a: &Value, b: &Value| a["sha256"] == b["sha256"];
+    let about_runs =
+        |p: &Value| ["no_contact", "no_contact_ahead", "no_needless_braking"].contains(&p["kind"].as_str().unwrap());
+    let same_property = |a: &Value, b: &Value| {
+        a["kind"] == b["kind"]
+            && a["percent"] == b["percent"]
+            && (a["kind"] != "fails_less_often" || same(&a["than"], &b["than"]))
+    };
+    let scenarios = |d: &Value| d["all"].as_array().cloned().unwrap_or_default();
+    let within = |part: &Value, whole: &Value| -> bool {
+        match (part["kind"].as_str().unwrap(), whole["kind"].as_str().unwrap()) {
+            ("scenarios", "scenarios") => scenarios(part).iter().all(|p| scenarios(whole).iter().any(|w| same(p, w))),
+            ("draws" | "search", "space") => same(&part["space"], &whole["space"]),
+            ("box", "box") => same(&part["around"], &whole["around"]),
+            (a, b) => a == b && same(&part["space"], &whole["space"]) && part["seed"] == whole["seed"],
+        }
+    };
+    let equal = |a: &Value, b: &Value| match (a["kind"] == "scenarios") && (b["kind"] == "scenarios") {
+        true => {
+            let (a, b) = (scenarios(a), scenarios(b));
+            a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| same(a, b))
+        }
+        false => a["kind"] == b["kind"] && within(a, b),
+    };
+    let stronger =
+        |p: &Value, q: &Value| same_property(p, q) || (p["kind"] == "no_contact" && q["kind"] == "no_contact_ahead");
+    let (mut best, mut refuted, mut holds) = (1, false, false);
+    let mut proved: Vec<Value> = Vec::new();
+    for one in evidence {
+        let own = &one["claim"];
+        let is_subjects = same(&own["subject"]["controller"], &claim["subject"]["controller"])
+            && own["subject"]["estimator"] == claim["subject"]["estimator"];
+        let (p, q, d, e) = (&own["property"], &claim["property"], &own["domain"], &claim["domain"]);
+        let mut says = level(one);
+        let applies = if same_property(p, q) && equal(d, e) {
+            true
+        } else if p["kind"] == "failure_rate"
+            && q["kind"] == "rate_at_most"
+            && one["strength"] == "between"
+            && equal(d, e)
+        {
+            let at_most = q["percent"].as_f64().unwrap();
+            says = if one["upper_percent"].as_f64().unwrap() <= at_most {
+                3
+            } else {
+                u8::from(one["lower_percent"].as_f64().unwrap() <= at_most)
+            };
+            true
+        } else if !(about_runs(p) && about_runs(q)) {
+            false
+        } else {
+            (says == 0 && stronger(q, p) && within(d, e)) || (says == 4 && stronger(p, q) && within(e, d))
+        };
+        if is_subjects && says == 4 && stronger(p, q) && d["kind"] == "scenarios" {
+            // What is not said of every run is said of one scenario only where it was proved of that one.
+            proved.extend(scenarios(d).into_iter().filter(|_| about_runs(p) || scenarios(d).len() == 1));
+        }
+        if is_subjects && applies {
+            refuted |= says == 0;
+            holds |= says == 4 || (says == 3 && one["strength"] != "proved_in");
+            best = best.max(says);
+        }
+    }
+    let parts = scenarios(&claim["domain"]);
+    let united = !parts.is_empty() && parts.iter().all(|part| proved.iter().any(|one| same(one, part)));
+    if refuted {
+        0
+    } else if united {
+        4
+    } else {
+        best.max(u8::from(holds))
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(4000))]
+    #[test]
+    fn no_claim_is_stronger_than_its_evidence(evidence in prop::collection::vec(evidence(), 0..7), claim in claim()) {
+        let ledger = Ledger::new(evidence);
+        let json = serde_json::to_value(&ledger).unwrap();
+        let standing = ledger.standing(&claim);
+        let shown = level(&serde_json::to_value(&standing).unwrap());
+        let allowed = allowed(json.as_array().unwrap(), &serde_json::to_value(&claim).unwrap());
+        prop_assert!(shown <= allowed, "{shown} where {allowed} is allowed: {standing:#?}");
+        // Nor is anything kept back that speaks against a claim, or for it.
+        prop_assert_eq!(shown, allowed, "{:#?}", standing);
+        let read_back: Ledger = serde_json::from_value(json).unwrap();
+        prop_assert_eq!(read_back.standing(&claim), standing);
+    }
+}
