@@ -27,10 +27,10 @@ pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchC
 pub use gate::{Gate, GateResult};
 pub use parts::{
     Argument, BRAKING_MPS2, Braking, Change, Claim, Comparison, ComparisonError, Distribution, EXAMPLE_MPS, Earlier,
-    Element, ElementKind, Failure, FailureMap, FailureMaps, Held, KernelGap, Learned, LearnedPolicy, Limits, MapAxis,
-    MapCell, MapRow, MethodReached, Mildest, Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs, Provenance,
-    Sampled, ScenarioCases, Search, Searches, SpaceSearches, Strength, Summary, Traffic, UnknownCell, WorstProfile,
-    WorstProfiles,
+    Element, ElementKind, Failure, FailureMap, FailureMaps, Held, KernelGap, Learned, LearnedPolicy, Limits,
+    LineVerdict, MapAxis, MapCell, MapRow, MethodReached, Mildest, Paired, PaperScenarios, Percent, Proof, ProofStatus,
+    Proofs, Provenance, Sampled, ScenarioCases, Search, Searches, SpaceSearches, Strength, Summary, Traffic,
+    UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use rounded::Rounded;

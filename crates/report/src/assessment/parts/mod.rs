@@ -20,6 +20,7 @@ mod search;
 mod strength;
 mod summary;
 mod traffic;
+mod usefulness;
 mod worst;
 mod worst_figure;
 
@@ -41,5 +42,6 @@ pub use search::{Search, Searches, SpaceSearches};
 pub use strength::Strength;
 pub use summary::{Claim, Summary};
 pub use traffic::Traffic;
+pub use usefulness::{LineVerdict, Useful, Usefulness};
 pub(super) use worst::BUDGET;
 pub use worst::{Mildest, WorstProfile, WorstProfiles};
