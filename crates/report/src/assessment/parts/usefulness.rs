@@ -4,19 +4,17 @@ use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::Percent;
+use super::{LineVerdict, Percent};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::rounded::or_dash;
-use crate::assessment::table::{Cell, Mark, Table};
+use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, Marker, Panel, SMALL, Stroke, Svg, text_width};
-use crumple_world::measure::{self, Following, NEEDLESS_MARGIN_MPS2, SpeedAmplification};
+use crumple_world::measure::{self, Following, NEEDLESS_MARGIN_MPS2};
 use crumple_world::scenario::space::{Space, built_in_space};
-use crumple_world::scenario::{SPEED_DIP_S, Scenario, speed_dip};
-use crumple_world::sim::{
-    NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate, simulate_batch,
-};
+use crumple_world::scenario::{Scenario, speed_dip};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
 
 /// Draws of each space. The motion of each is looked at: these are slower than those whose contacts alone are counted.
 const DRAWS: u64 = 200;
@@ -79,27 +77,6 @@ pub struct Useful {
     pub line: LineVerdict,
     /// The share of failures where something threatens, in percent, and its exact bounds.
     pub high_risk_percent: Percent,
-}
-
-/// What a line of vehicles makes of a disturbance of its leader.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-#[non_exhaustive]
-pub enum LineVerdict {
-    /// No vehicle deviates more than the one ahead.
-    Damps {
-        /// The last one's deviation, relative to the leader's.
-        gain: Rounded<2>,
-    },
-    /// Some vehicle deviates more than the one ahead.
-    Amplifies {
-        /// The last one's deviation, relative to the leader's.
-        gain: Rounded<2>,
-    },
-    /// The line does not drive at one speed to begin with.
-    DoesNotSettle,
-    /// Vehicles touch, or a controller fails.
-    Fails,
 }
 
 /// What is kept of one drive in traffic.
@@ -277,29 +254,6 @@ impl Useful {
     }
 }
 
-impl LineVerdict {
-    fn of(line: &Scenario, options: &RunOptions) -> Result<Self, RunError> {
-        let simulated = simulate(&Run::new(line, options.clone())?, RecordingLevel::Trace);
-        if !simulated.outcome.is_safe() {
-            return Ok(Self::Fails);
-        }
-        let found = simulated.trace.as_ref().and_then(|trace| SpeedAmplification::of(trace, SPEED_DIP_S));
-        Ok(found.map_or(Self::DoesNotSettle, |found| {
-            let gain = Rounded::new(found.overall);
-            if found.grows() { Self::Amplifies { gain } } else { Self::Damps { gain } }
-        }))
-    }
-
-    fn cell(self) -> Cell {
-        match self {
-            Self::Damps { gain } => Cell::marked(gain, Mark::Good),
-            Self::Amplifies { gain } => Cell::marked(gain, Mark::Bad),
-            Self::DoesNotSettle => Cell::text("does not settle"),
-            Self::Fails => Cell::marked("fails", Mark::Bad),
-        }
-    }
-}
-
 impl Part for Usefulness {
     fn heading(&self) -> (&'static str, String) {
         ("usefulness", "Usefulness: everyday traffic".to_owned())
@@ -327,9 +281,8 @@ mod tests {
 
     #[test]
     fn both_sides_are_told_of_every_controller() {
-        let mut config = AssessConfig::default();
-        config.controllers = ["idm", "retrained"].map(str::to_owned).into();
-        (config.gates, config.subject) = (Vec::new(), None);
+        let controllers = ["idm", "retrained"].map(str::to_owned).into();
+        let config = AssessConfig { controllers, gates: Vec::new(), ..AssessConfig::default() };
         let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
         let found = Usefulness::gather(&plan, &Work::new(&Store::none(), &|_| {})).unwrap().unwrap();
         let [idm, retrained] = &found.controllers[..] else { panic!("one entry a controller") };
