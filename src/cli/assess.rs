@@ -28,6 +28,7 @@ what anyone could have made of each scenario (see avoid), and with every certifi
   paper = true                             # false leaves out the paper's scenarios, profiles, maps and training
   distributions = [\"paper\"]               # spaces by whose law failures are counted
   draws = 1000                             # of each of them
+  everyday_draws = 200                     # drives in `traffic`, where braking needs a cause
   seed = 0
   scenarios = [\"episodes\"]                 # scenario files, and folders of them, relative to this file
   search = { spaces = [\"paper\", \"high-risk\"], budget = 400 }
@@ -39,7 +40,7 @@ what anyone could have made of each scenario (see avoid), and with every certifi
   than = \"baseline\"
 
 Other gates: no-contact-in-paper-scenarios, no-contact-in-traffic and no-avoidable-failure (with a space) for a controller, \
-rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
+needless-braking-at-most (with percent), rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
 
 Evidence is kept in the folder `evidence` of the report, by the hash of everything it depends on: what has not changed is not \
 gathered again, and an assessment that was interrupted goes on where it stopped.")]

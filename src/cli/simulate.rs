@@ -10,7 +10,7 @@ use super::{Failure, choice, subject};
 use crumple_report::draw::{self, Layout, MotionFigure, PNG_SCALE};
 use crumple_report::export;
 use crumple_search::disk::Files;
-use crumple_world::measure::{Specification, SpecificationError};
+use crumple_world::measure::{NeedlessBrake, NeedlessBraking, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, Scenario};
 use crumple_world::sim::{
@@ -25,12 +25,14 @@ Where several scenarios are given, --plot and --trace write one file each, with 
 
 A formula of --spec is judged as `crumple falsify` judges it, on a run that goes on after contacts whatever --after-contact says; \
 robustness is below 0 where it is violated. `--expect satisfied` wants every specification to hold in every scenario, `--expect \
-violated` wants one to be violated in each; `safe` wants no contact and no controller that fails, `collision` a contact.
+violated` wants one to be violated in each; `safe` wants no contact and no controller that fails, `collision` a contact. \
+`useful` wants what `safe` does and no vehicle under test that brakes without cause: by more than 2 m/s² harder, for 0.2 s, than \
+the Intelligent Driver Model would at its true state, than avoiding a contact took, and than the vehicle ahead itself.
 
 Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
   crumple simulate paper-1 --after-contact continue --plot pile-up.svg
-  crumple simulate my-scenario.toml --controller idm --expect safe --format json
+  crumple simulate my-scenario.toml --controller idm --expect useful --format json
   crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' --spec 'no contact' --expect satisfied")]
 pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`) or scenario files
@@ -73,7 +75,9 @@ pub(super) struct Simulate {
 enum Expectation {
     /// No vehicles touch, and no controller fails
     Safe,
-    /// Somebody does
+    /// The same, and no vehicle under test brakes without cause
+    Useful,
+    /// Vehicles touch
     Collision,
     /// Every --spec holds
     Satisfied,
@@ -85,6 +89,7 @@ impl Expectation {
     fn is_met(self, rendered: &Rendered) -> bool {
         match self {
             Self::Safe => rendered.is_safe,
+            Self::Useful => rendered.is_safe && !rendered.brakes_needlessly,
             Self::Collision => rendered.collided,
             Self::Satisfied => !rendered.violated,
             Self::Violated => rendered.violated,
@@ -94,6 +99,7 @@ impl Expectation {
     fn in_words(self) -> &'static str {
         match self {
             Self::Safe => "no collision",
+            Self::Useful => "no collision and no braking without cause",
             Self::Collision => "a collision",
             Self::Satisfied => "every specification to hold",
             Self::Violated => "a violated specification",
@@ -124,8 +130,19 @@ struct Report<'a> {
     vehicles_involved: usize,
     #[serde(skip_serializing_if = "<[Intervention]>::is_empty")]
     interventions: &'a [Intervention],
+    /// One entry a vehicle under test.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    braking_without_cause: Vec<BrakingWithoutCause>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     specifications: Vec<Judged>,
+}
+
+/// Braking without cause of a vehicle.
+#[derive(Serialize)]
+struct BrakingWithoutCause {
+    vehicle: usize,
+    #[serde(flatten)]
+    braking: NeedlessBraking,
 }
 
 /// What a specification says of a scenario.
@@ -143,6 +160,7 @@ struct Rendered {
     text: String,
     files: Vec<(PathBuf, Vec<u8>)>,
     is_safe: bool,
+    brakes_needlessly: bool,
     collided: bool,
     violated: bool,
 }
@@ -165,10 +183,11 @@ impl Simulate {
             let name = &scenario.spec().name;
             output::note(&format!("note: {name} has no vehicle under test, so --controller drives nobody"), quiet);
         }
-        let keep =
-            if self.trace.is_some() || self.plot.is_some() { RecordingLevel::Trace } else { RecordingLevel::Summary };
         let many = runs.len() > 1;
-        let results = simulate_batch(&runs, keep, |index, simulated| self.render(&runs[index], &simulated, many));
+        // Braking without cause shows in the motion alone.
+        let results = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
+            self.render(&runs[index], &simulated, many)
+        });
         let results = results.into_iter().collect::<Result<Vec<_>, _>>()?;
         let mut files = Files::default();
         for (path, contents) in results.iter().flat_map(|result| &result.files) {
@@ -185,6 +204,7 @@ impl Simulate {
     fn render(&self, run: &Run<'_>, simulated: &Simulated, is_one_of_many: bool) -> Result<Rendered, Failure> {
         let report = self.report(run, simulated)?;
         let violated = report.specifications.iter().any(|judged| !judged.satisfied);
+        let brakes_needlessly = report.braking_without_cause.iter().any(|one| !one.braking.is_none());
         let text = match self.format {
             Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
             Format::Text => describe(&report, run.scenario()),
@@ -208,6 +228,7 @@ impl Simulate {
             text,
             files,
             is_safe: simulated.outcome.is_safe(),
+            brakes_needlessly,
             collided: !simulated.impacts.is_empty(),
             violated,
         })
@@ -245,6 +266,7 @@ impl Simulate {
             impacts: &result.impacts,
             vehicles_involved: result.vehicles_involved(),
             interventions: &result.interventions,
+            braking_without_cause: braking_without_cause(scenario, result),
             specifications: self.judge(scenario).map_err(|error| Failure::Input(format!("--spec: {error}")))?,
         })
     }
@@ -355,6 +377,15 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
     if report.impacts.len() > 1 {
         line(format!("  {} of {} vehicles involved", report.vehicles_involved, report.vehicles.len()));
     }
+    for BrakingWithoutCause { vehicle, braking } in &report.braking_without_cause {
+        if let Some(NeedlessBrake { time_s, brake_mps2, caused_mps2 }) = braking.hardest {
+            line(format!(
+                "  vehicle {vehicle} brakes without cause for {:.2} s, hardest at {time_s:.2} s: {brake_mps2:.1} m/s² where \
+                 {caused_mps2:.1} had a cause",
+                braking.time_s
+            ));
+        }
+    }
     for Judged { specification, satisfied, robustness } in &report.specifications {
         let verdict = if *satisfied { "holds" } else { "VIOLATED" };
         line(format!("  {verdict}, robustness {robustness:.3}: {specification}"));
@@ -385,6 +416,17 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
         ));
     }
     text
+}
+
+/// How the vehicles under test brake without cause, front to rear.
+fn braking_without_cause(scenario: &Scenario, result: &Simulated) -> Vec<BrakingWithoutCause> {
+    let Some(trace) = &result.trace else { return Vec::new() };
+    let under_test = (0..trace.vehicles.len()).filter(|&vehicle| scenario.is_under_test(vehicle));
+    let of = |vehicle| {
+        let braking = NeedlessBraking::of(trace, &result.impacts, vehicle)?;
+        Some(BrakingWithoutCause { vehicle, braking })
+    };
+    under_test.filter_map(of).collect()
 }
 
 /// What the shield of a vehicle did, in a line; none if it did nothing.

@@ -20,7 +20,7 @@ fn config(controllers: &[&str]) -> AssessConfig {
     config.controllers = controllers.iter().map(|&name| name.to_owned()).collect();
     config.gates.clear();
     config.search.spaces.clear();
-    (config.paper, config.draws, config.rates.runs) = (false, 40, 0);
+    (config.paper, config.draws, config.rates.runs, config.everyday_draws) = (false, 40, 0, 4);
     config.certificates = Some(Vec::new());
     config
 }

@@ -153,6 +153,36 @@ fn expectations_decide_the_exit_code_and_say_so_on_standard_error() {
     assert_eq!((code(&missed), stderr(&missed)), (1, "gate: expected a collision in paper-1, paper-2, paper-3\n"));
 }
 
+/// Who stops a scenario by braking for nothing is safe in it, and no use.
+#[test]
+fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
+    let folder = folder();
+    let quiet = "version = 1\nname = \"quiet\"\nduration_s = 20.0\n\
+        [[vehicles]]\nclass = \"light\"\nposition_m = 60.0\nspeed_mps = 25.0\ndriver = \"constant-speed\"\n\
+        [[vehicles]]\nclass = \"light\"\nposition_m = 10.0\nspeed_mps = 25.0\ndriver = \"under-test\"\n";
+    std::fs::write(folder.path().join("quiet.toml"), quiet).expect("writable");
+    let run = |controller: &str, more: &[&str]| {
+        crumple(folder.path(), &[&["simulate", "quiet.toml", "--controller", controller], more].concat())
+    };
+    assert_eq!(code(&run("random-actions", &["--expect", "safe"])), 0);
+    let output = run("random-actions", &["--expect", "useful"]);
+    let said = "gate: expected no collision and no braking without cause in quiet\n";
+    assert_eq!((code(&output), stderr(&output)), (1, said));
+    assert!(stdout(&output).contains("\n  vehicle 1 brakes without cause for "), "{}", stdout(&output));
+    assert!(stdout(&output).contains(" had a cause\n"), "{}", stdout(&output));
+
+    let useful = run("idm", &["--expect", "useful", "--format", "json"]);
+    assert_eq!(code(&useful), 0);
+    let none = json!([{ "vehicle": 1, "time_s": 0.0, "count": 0, "hardest": null }]);
+    assert_eq!(objects(&useful)[0]["braking_without_cause"], none);
+    let report = objects(&run("random-actions", &["--format", "json"])).remove(0);
+    let braking = &report["braking_without_cause"][0];
+    let hardest = |field: &str| braking["hardest"][field].as_f64().expect("a number");
+    assert!(braking["count"].as_u64() > Some(0) && hardest("brake_mps2") > hardest("caused_mps2") + 2.0, "{report}");
+    let contact = crumple(folder.path(), &["simulate", "paper-1", "--expect", "useful"]);
+    assert_eq!(code(&contact), 1, "a contact is no use either");
+}
+
 /// CSV and Parquet hold one row a sample and vehicle: every step up to the contact, and the contact itself.
 #[test]
 fn traces_have_one_row_a_sample_and_vehicle() {

@@ -41,6 +41,10 @@ pub struct AssessConfig {
     /// Draws of each of these spaces for each controller. Default 1000.
     #[serde(default = "default_draws")]
     pub draws: u64,
+    /// Drives of each controller in everyday traffic, and as many where something threatens; none leaves usefulness out.
+    /// Default 200.
+    #[serde(default = "default_everyday_draws")]
+    pub everyday_draws: u64,
     /// Seed of the draws. Default 0.
     #[serde(default)]
     pub seed: u64,
@@ -117,6 +121,10 @@ fn default_draws() -> u64 {
     1000
 }
 
+fn default_everyday_draws() -> u64 {
+    200
+}
+
 impl Default for AssessConfig {
     fn default() -> Self {
         let (baseline, policy) = ("baseline".to_owned(), "policy".to_owned());
@@ -128,6 +136,7 @@ impl Default for AssessConfig {
             paper: yes(),
             distributions: default_distributions(),
             draws: default_draws(),
+            everyday_draws: default_everyday_draws(),
             seed: 0,
             scenarios: Vec::new(),
             search: SearchConfig::default(),

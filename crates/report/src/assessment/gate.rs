@@ -49,6 +49,13 @@ pub enum Gate {
         /// In which space.
         space: String,
     },
+    /// In everyday traffic a controller brakes without cause in at most this share of its drives.
+    NeedlessBrakingAtMost {
+        /// The controller.
+        controller: String,
+        /// Largest share that passes, in percent.
+        percent: f64,
+    },
     /// Every certificate is accepted.
     ProofsAccepted,
     /// Nothing is worse than in the assessment that this one is compared with, and there is one.
@@ -74,6 +81,7 @@ impl Gate {
             Self::NoContactInPaperScenarios { controller }
             | Self::NoContactInTraffic { controller }
             | Self::RateAtMost { controller, .. }
+            | Self::NeedlessBrakingAtMost { controller, .. }
             | Self::NoAvoidableFailure { controller, .. } => vec![("controller", controller)],
             Self::ProofsAccepted | Self::NothingWorse => Vec::new(),
         }
@@ -86,6 +94,7 @@ impl Gate {
             Self::NoContactInPaperScenarios { controller }
             | Self::NoContactInTraffic { controller }
             | Self::RateAtMost { controller, .. }
+            | Self::NeedlessBrakingAtMost { controller, .. }
             | Self::NoAvoidableFailure { controller, .. } => vec![controller],
             Self::ProofsAccepted | Self::NothingWorse => Vec::new(),
         }
@@ -106,6 +115,7 @@ impl Gate {
             }
             Self::RateNotAbove { controller, than, space } => rate_not_above(found, controller, than, space.as_deref()),
             Self::NoAvoidableFailure { controller, space } => no_avoidable_failure(found, controller, space),
+            Self::NeedlessBrakingAtMost { controller, percent } => needless_at_most(found, controller, *percent),
             Self::ProofsAccepted => proofs_accepted(found),
             Self::NothingWorse => nothing_worse(found.comparison.as_ref()),
         };
@@ -130,6 +140,9 @@ impl Gate {
             }
             Self::NoAvoidableFailure { controller, space } => {
                 format!("{controller}: no avoidable failure in `{space}` within the budget")
+            }
+            Self::NeedlessBrakingAtMost { controller, percent } => {
+                format!("{controller}: braking without cause in at most {percent} % of drives in everyday traffic")
             }
             Self::ProofsAccepted => "every proof is accepted".to_owned(),
             Self::NothingWorse => "nothing is worse than before".to_owned(),
@@ -195,6 +208,18 @@ fn no_avoidable_failure(found: &Assessment, controller: &str, space: &str) -> (b
     match avoidable + undecided {
         0 => (true, format!("none in {} evaluations", search.evaluations())),
         _ => (false, format!("{avoidable} avoidable and {undecided} undecided ones were found")),
+    }
+}
+
+fn needless_at_most(found: &Assessment, controller: &str, percent: f64) -> (bool, String) {
+    let useful =
+        found.usefulness.as_ref().and_then(|all| all.controllers.iter().find(|one| one.controller == controller));
+    match (useful, found.usefulness.as_ref()) {
+        (Some(useful), Some(all)) => {
+            let share = 100.0 * useful.needless as f64 / all.draws as f64;
+            (share <= percent, format!("{} of {} drives", useful.needless, all.draws))
+        }
+        _ => (false, "no such drives were made".to_owned()),
     }
 }
 

@@ -34,9 +34,9 @@ pub use gate::{Gate, GateResult};
 pub use parts::{
     Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
     Distributions, EXAMPLE_MPS, Earlier, Element, ElementKind, Failure, FailureMap, FailureMaps, FirstPage, Glossary,
-    Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, Made, MapAxis, MapCell, MapRow, MethodReached, Mildest,
-    Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs, Provenance, Sampled, ScenarioCases, Search, Searches,
-    SpaceSearches, SpeaksOf, Summary, Traffic, UnknownCell, WorstProfile, WorstProfiles,
+    Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, LineVerdict, Made, MapAxis, MapCell, MapRow, MethodReached,
+    Mildest, Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs, Provenance, Sampled, ScenarioCases, Search,
+    Searches, SpaceSearches, SpeaksOf, Summary, Traffic, UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use rounded::Rounded;
@@ -76,6 +76,8 @@ pub struct Assessment {
     pub worst_profiles: Option<WorstProfiles>,
     /// What each controller survives over two parameters, and what no driver does.
     pub failure_maps: Option<FailureMaps>,
+    /// What each controller does where nothing threatens; none if the plan makes no such drives.
+    pub usefulness: Option<Usefulness>,
     /// What is proved.
     pub proofs: Proofs,
     /// How the learned policies drive; none if there are none among the controllers.
@@ -168,6 +170,7 @@ pub fn assess(
     let searches = Searches::gather(plan, &work)?;
     let worst_profiles = WorstProfiles::gather(plan, &work)?;
     let failure_maps = FailureMaps::gather(plan, &work)?;
+    let usefulness = Usefulness::gather(plan, &work)?;
     let proofs = Proofs::gather(plan, &work)?;
     let limits = Limits::of(plan);
     let found = Findings {
@@ -176,11 +179,12 @@ pub fn assess(
         traffic: traffic.as_ref(),
         worst: worst_profiles.as_ref(),
         searches: &searches,
+        usefulness: usefulness.as_ref(),
         proofs: &proofs,
     };
     let evidence = found.ledger(plan);
     let summary = Summary::of(plan, &found, &evidence);
-    let first_page = FirstPage::of(plan, &summary, &searches, &limits);
+    let first_page = FirstPage::of(plan, &summary, &searches, usefulness.as_ref(), &limits);
     let argument = Argument::of(plan, &summary, &limits);
     let mut assessment = Assessment {
         version: EVIDENCE_VERSION,
@@ -197,6 +201,7 @@ pub fn assess(
         searches,
         worst_profiles,
         failure_maps,
+        usefulness,
         proofs,
         limits,
         argument,
@@ -217,8 +222,9 @@ impl AssessmentPlan {
         let searches = 3 * self.spaces.len() as u64 * self.config.search.budget;
         let each = scenarios + self.config.draws * self.distributions.len() as u64 + searches + parts::BUDGET as u64;
         let learned = self.controllers.iter().filter(|controller| controller.policy().is_some()).count() as u64;
+        let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
         let counted = self.distributions.len() as u64 * (learned + 1);
-        controllers.saturating_mul(each) + counted.saturating_mul(self.config.rates.runs)
+        driven + controllers.saturating_mul(each) + counted.saturating_mul(self.config.rates.runs)
     }
 }
 
@@ -237,7 +243,9 @@ impl Assessment {
         parts.extend(self.comparison.as_ref().map(|comparison| comparison as &dyn Part));
         parts.extend(self.paper_scenarios.as_ref().map(|paper| paper as &dyn Part));
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
-        parts.extend([&self.distributions as &dyn Part, &self.searches, &self.proofs, &self.argument, &self.limits]);
+        parts.extend([&self.distributions as &dyn Part, &self.searches]);
+        parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn Part));
+        parts.extend([&self.proofs as &dyn Part, &self.argument, &self.limits]);
         parts
     }
 

@@ -257,6 +257,10 @@ impl Loading<'_> {
                     }
                     _ => None,
                 },
+                Gate::NeedlessBrakingAtMost { percent, .. } if !(0.0..=100.0).contains(percent) => {
+                    let problem = format!("must be from 0 to 100, found {percent}");
+                    return Err(self.wrong(&format!("gates[{index}].percent"), problem));
+                }
                 Gate::NoContactInPaperScenarios { .. } if !config.paper => {
                     return Err(self.wrong(&format!("gates[{index}].require"), "needs `paper = true`".to_owned()));
                 }
@@ -301,8 +305,10 @@ impl Loading<'_> {
             let problem = format!("version {} is not supported: this release reads {CONFIG_VERSION}", config.version);
             return Err(self.wrong("version", problem));
         }
-        if config.draws > MOST_DRAWS {
-            return Err(self.wrong("draws", format!("must be at most {MOST_DRAWS}, found {}", config.draws)));
+        for (field, draws) in [("draws", config.draws), ("everyday_draws", config.everyday_draws)] {
+            if draws > MOST_DRAWS {
+                return Err(self.wrong(field, format!("must be at most {MOST_DRAWS}, found {draws}")));
+            }
         }
         let (budget, runs) = (config.search.budget, config.rates.runs);
         if !(1..=MOST_EVALUATIONS).contains(&budget) {

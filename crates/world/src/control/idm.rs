@@ -52,12 +52,23 @@ impl Idm {
     pub(crate) fn acceleration_mps2(&self, speed_mps: f64, ahead: Option<[f64; 2]>) -> f64 {
         let squared = |value: f64| value * value;
         let free = 1.0 - squared(squared(speed_mps / self.desired_speed_mps));
-        let interaction = ahead.map_or(0.0, |[gap_m, ahead_mps]| {
-            let closing_mps = speed_mps - ahead_mps;
-            let dynamic_m = speed_mps * self.time_headway_s + speed_mps * closing_mps / self.twice_mean_mps2;
-            squared((self.standstill_gap_m + dynamic_m.max(0.0)) / gap_m.max(LEAST_GAP_M))
-        });
+        let interaction = ahead.map_or(0.0, |ahead| self.interaction(speed_mps, ahead));
         self.accel_mps2 * (free - interaction)
+    }
+
+    /// (s*/s)²: what the vehicle ahead takes away, as a share of the largest acceleration.
+    #[inline(always)]
+    fn interaction(&self, speed_mps: f64, [gap_m, ahead_mps]: [f64; 2]) -> f64 {
+        let closing_mps = speed_mps - ahead_mps;
+        let dynamic_m = speed_mps * self.time_headway_s + speed_mps * closing_mps / self.twice_mean_mps2;
+        let share = (self.standstill_gap_m + dynamic_m.max(0.0)) / gap_m.max(LEAST_GAP_M);
+        share * share
+    }
+
+    /// Deceleration for the vehicle ahead alone, in m/s², never negative: a (s*/s)², whatever speed would be wanted on a
+    /// free road.
+    pub(crate) fn interaction_brake_mps2(&self, speed_mps: f64, ahead: [f64; 2]) -> f64 {
+        self.accel_mps2 * self.interaction(speed_mps, ahead)
     }
 }
 
@@ -76,6 +87,12 @@ impl BuiltIn for Idm {
     type Driver = Self;
 
     fn start(settings: &IdmSettings, _ego: &Ego, _seed: u64) -> Self {
+        settings.into()
+    }
+}
+
+impl From<&IdmSettings> for Idm {
+    fn from(settings: &IdmSettings) -> Self {
         let IdmSettings { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } =
             *settings;
         let twice_mean_mps2 = 2.0 * (accel_mps2 * comfortable_brake_mps2).sqrt();

@@ -3,7 +3,7 @@
 use crate::sim::{Contact, Impact, Motion, Pair, Trace, closest_gap_m};
 
 /// Samples this close to a contact, in seconds, are the contact.
-const SAME_INSTANT_S: f64 = 1e-9;
+pub(super) const SAME_INSTANT_S: f64 = 1e-9;
 
 /// Two successive vehicles at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -114,7 +114,8 @@ impl Approach {
     }
 }
 
-fn states_of<'a>(pair: &'a Pair<'_>) -> impl Iterator<Item = State> + 'a {
+/// Both at every sample, to the end of the trace: gaps may be negative.
+pub(super) fn states_of<'a>(pair: &Pair<'a>) -> impl Iterator<Item = State> + use<'a> {
     let speeds = pair.front.speed_mps.iter().zip(&pair.rear.speed_mps);
     let accelerations = pair.front.acceleration_mps2.iter().zip(&pair.rear.acceleration_mps2);
     pair.time_s.iter().zip(pair.gaps_m()).zip(speeds.zip(accelerations)).map(

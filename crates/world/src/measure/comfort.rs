@@ -47,19 +47,19 @@ pub fn peak_jerk_mps3(time_s: &[f64], track: &Track, window_s: f64) -> Option<f6
 /// The smallest or largest of the values held within a window that slides forward, in constant time a step.
 ///
 /// Keeps only values that may still become the extreme: each new one removes those it beats.
-struct SlidingExtreme {
+pub(super) struct SlidingExtreme {
     beats: fn(f64, f64) -> bool,
     /// Values and until when each was held.
     kept: VecDeque<(f64, f64)>,
 }
 
 impl SlidingExtreme {
-    fn new(beats: fn(f64, f64) -> bool) -> Self {
+    pub(super) fn new(beats: fn(f64, f64) -> bool) -> Self {
         Self { beats, kept: VecDeque::new() }
     }
 
     /// The extreme of a new value, held until `until_s`, and of those before it that were held after `since_s`.
-    fn after(&mut self, value: f64, until_s: f64, since_s: f64) -> f64 {
+    pub(super) fn after(&mut self, value: f64, until_s: f64, since_s: f64) -> f64 {
         while self.kept.front().is_some_and(|&(_, held_until_s)| held_until_s <= since_s) {
             self.kept.pop_front();
         }

@@ -2,7 +2,8 @@
 //!
 //! A collision is a rare event; these measures say how near a run without one came to it, and how bad a run with one
 //! was. Each pointwise formula is a function of its own, with its source; [`Approach`] applies those of a pair to a
-//! trace, from its start to the contact of the pair, and [`Measures`] holds the results for one vehicle.
+//! trace, from its start to the contact of the pair, and [`Measures`] holds the results for one vehicle. That nothing
+//! happens is not enough: [`Usefulness`] says whether a vehicle got on with traffic, and what it did to others for it.
 //!
 //! All figures describe what happened, not what a controller believed: they are computed from the true motion.
 
@@ -17,6 +18,7 @@ mod specification;
 pub mod stl;
 #[cfg(test)]
 mod testing;
+mod usefulness;
 
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +30,11 @@ pub use exposure::{Exposure, TTC_THRESHOLD_S};
 pub use proximity::{time_gap_s, time_headway_s, ttc_s};
 pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};
 pub use specification::{Braking, FirstContact, RunVerdict, Specification, SpecificationError};
+pub use usefulness::{
+    CAUSE_LASTS_S, EASY_BRAKE_MPS2, FOLLOWS_WITHIN_S, Following, HARD_BRAKE_MPS2, LEAST_BRAKING_S, LEAST_DEVIATION_MPS,
+    LEAST_SPEED_MPS, MOVING_MPS, NEEDLESS_MARGIN_MPS2, NeedlessBrake, NeedlessBraking, SETTLED_MPS, SpeedAmplification,
+    Usefulness,
+};
 
 use crate::sim::{Impact, Trace};
 

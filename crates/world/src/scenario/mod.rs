@@ -9,6 +9,7 @@ mod invalid;
 mod paper;
 mod profile;
 pub mod space;
+mod speed_dip;
 mod validate;
 mod vehicle;
 
@@ -19,6 +20,7 @@ pub use invalid::short;
 pub use invalid::{InvalidField, Problem, Range};
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};
+pub use speed_dip::{SPEED_DIP_S, speed_dip};
 pub use validate::{MOST_VEHICLE_STEPS, whole_multiple};
 pub use vehicle::{VehicleClass, VehicleSpec};
 

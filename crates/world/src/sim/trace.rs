@@ -65,9 +65,9 @@ pub struct Pair<'a> {
     pub rear: &'a Track,
 }
 
-impl Pair<'_> {
+impl<'a> Pair<'a> {
     /// Bumper gap at each sample, in metres.
-    pub fn gaps_m(&self) -> impl Iterator<Item = f64> + '_ {
+    pub fn gaps_m(&self) -> impl Iterator<Item = f64> + use<'a> {
         let length_m = self.front.length_m;
         self.front.position_m.iter().zip(&self.rear.position_m).map(move |(front, rear)| front - length_m - rear)
     }

@@ -4,10 +4,11 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use super::certified::seeing;
-use super::{Limits, ScenarioCases, Searches, Summary};
+use super::{Limits, ScenarioCases, Searches, Summary, Usefulness};
 use crate::assessment::claims::{Claim, Property, Standing, Strength};
 use crate::assessment::prose::prose;
 use crate::assessment::{AssessmentPlan, Part};
+use crate::draw::Svg;
 
 /// The answer to the question whether the subject touches others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -39,6 +40,8 @@ pub struct FirstPage {
     pub assumed: Vec<&'static str>,
     #[serde(skip)]
     worst: Vec<ScenarioCases>,
+    #[serde(skip)]
+    sides: Option<Svg>,
 }
 
 /// Failures that are shown.
@@ -49,6 +52,7 @@ impl FirstPage {
         plan: &AssessmentPlan,
         summary: &Summary,
         searches: &Searches,
+        usefulness: Option<&Usefulness>,
         limits: &Limits,
     ) -> Self {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
@@ -84,6 +88,7 @@ impl FirstPage {
             speaks_for,
             assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
             worst: searches.worst_of(subject, MOST_SHOWN),
+            sides: usefulness.map(|usefulness| usefulness.figure("both-sides")),
         }
     }
 }
@@ -150,6 +155,11 @@ impl Part for FirstPage {
             div.sides {
                 div { h3 { "Against it" } ul { @for line in &self.against { li { (prose(line)) } } @if self.against.is_empty() { li { "nothing that was found" } } } }
                 div { h3 { "For it" } ul { @for line in &self.speaks_for { li { (prose(line)) } } @if self.speaks_for.is_empty() { li { "nothing that was shown" } } } }
+            }
+            @if let Some(sides) = &self.sides {
+                h3 { "Both sides of each controller" }
+                p { "What it avoids where something threatens, and what it does where nothing does: the nearer to the left, the better." }
+                figure { (sides) }
             }
             @if !self.worst.is_empty() {
                 h3 { "Its severest failures" }

@@ -78,6 +78,19 @@ pub struct Percent {
     pub upper: Rounded<2>,
 }
 
+impl Percent {
+    /// The share of `count` in `total`, and its exact bounds, their ends rounded outwards.
+    pub(super) fn exact(count: u64, total: u64, confidence: f64) -> Self {
+        let bounds = RateInterval::exact(count, total, confidence);
+        let observed = if total == 0 { 0.0 } else { count as f64 / total as f64 };
+        Self {
+            observed: Rounded::new(100.0 * observed),
+            lower: Rounded::down(100.0 * bounds.lower),
+            upper: Rounded::up(100.0 * bounds.upper),
+        }
+    }
+}
+
 /// Two controllers on the same draws.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub struct Paired {
@@ -317,19 +330,13 @@ impl Tally {
     }
 
     fn finish(self, controller: &NamedController, is_paired: bool) -> Sampled {
-        let bounds = RateInterval::exact(self.collisions, self.draws, CONFIDENCE);
-        let observed = if self.draws == 0 { 0.0 } else { self.collisions as f64 / self.draws as f64 };
         let mean_impact_mps = self.impact_speed_sum_mps / self.impacts as f64;
         Sampled {
             controller: controller.name.clone(),
             collisions: self.collisions,
             hit: self.hit,
             was_hit: self.was_hit,
-            rate_percent: Percent {
-                observed: Rounded::new(100.0 * observed),
-                lower: Rounded::down(100.0 * bounds.lower),
-                upper: Rounded::up(100.0 * bounds.upper),
-            },
+            rate_percent: Percent::exact(self.collisions, self.draws, CONFIDENCE),
             min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
             min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),
             mean_impact_speed_mps: (self.collisions > 0).then(|| mean_impact_mps.into()),

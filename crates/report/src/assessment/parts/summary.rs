@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use super::certified::{kernel_domain, kernels, seeing};
-use super::{Distributions, PaperScenarios, Proofs, Searches, Traffic, WorstProfiles};
+use super::{Distributions, PaperScenarios, Proofs, Searches, Traffic, Usefulness, WorstProfiles};
 use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, Standing, Strength};
 use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
@@ -51,6 +51,7 @@ pub(in crate::assessment) struct Findings<'a> {
     pub(in crate::assessment) traffic: Option<&'a Traffic>,
     pub(in crate::assessment) worst: Option<&'a WorstProfiles>,
     pub(in crate::assessment) searches: &'a Searches,
+    pub(in crate::assessment) usefulness: Option<&'a Usefulness>,
     pub(in crate::assessment) proofs: &'a Proofs,
 }
 
@@ -63,6 +64,7 @@ impl Findings<'_> {
         all.extend(self.traffic.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.searches.evidence(plan));
         all.extend(self.worst.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(self.usefulness.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.proofs.evidence(plan));
         Ledger::new(all)
     }
@@ -159,6 +161,12 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
         add("search", None, of_all(Property::NoContact, searched.domain(plan), own));
     }
     // Of all points of a space nothing but a proof could say that none fails; one that does is enough to say otherwise.
+    if let Some(usefulness) = found.usefulness {
+        let [traffic, danger] = usefulness.domains();
+        add("usefulness", None, of_all(Property::NoNeedlessBraking, traffic.clone(), own));
+        add("usefulness", None, of_all(Property::NoContact, traffic, own));
+        add("usefulness", None, of_all(Property::NoContact, danger, own));
+    }
     let mut spaces: Vec<&Known> = Vec::new();
     let drawn = found.distributions.spaces.iter().filter(|drawn| drawn.draws > 0).map(|drawn| &drawn.space);
     for space in drawn.chain(found.searches.spaces.iter().map(|searched| &searched.known)) {

@@ -146,8 +146,9 @@ impl Grower<'_> {
                 |below: bool| on.clone().filter(move |(_, side)| *side == below).map(|(split, _)| split.threshold);
             let most = bound(true).reduce(f64::min);
             let least = bound(false).reduce(f64::max);
-            if parameter.is_class() {
-                return Some(format!("{name} = {}", if most.is_some() { "light" } else { "heavy" }));
+            if parameter.is_named() {
+                let [low, high] = parameter.range();
+                return Some(format!("{name} = {}", parameter.show(if most.is_some() { low } else { high })));
             }
             let unit = if parameter.unit() == "1" { String::new() } else { format!(" {}", parameter.unit()) };
             Some(match (least, most) {

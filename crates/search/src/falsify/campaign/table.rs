@@ -63,7 +63,7 @@ impl<'a> Table<'a> {
     fn schema(&self) -> String {
         let mut columns = "REQUIRED BINARY method (UTF8); REQUIRED INT64 evaluation;".to_owned();
         for (name, parameter) in self.space.coordinate_names().iter().zip(self.space.coordinate_parameters()) {
-            let kind = if parameter.is_class() { format!("BINARY {name} (UTF8)") } else { format!("DOUBLE {name}") };
+            let kind = if parameter.is_named() { format!("BINARY {name} (UTF8)") } else { format!("DOUBLE {name}") };
             columns += &format!(" REQUIRED {kind};");
         }
         columns += " REQUIRED DOUBLE ln_likelihood; REQUIRED DOUBLE robustness; OPTIONAL DOUBLE contact_time_s; \
@@ -96,7 +96,7 @@ impl<'a> Table<'a> {
                 }
                 (_, Some(parameter)) => {
                     let values = rows.iter().map(|(_, row)| row.values.get(index - 2).copied().unwrap_or(f64::NAN));
-                    if parameter.is_class() {
+                    if parameter.is_named() {
                         let shown: Vec<String> = values.map(|value| parameter.show(value)).collect();
                         texts(&mut column, shown.iter().map(|text| Some(text.as_str())), false)?;
                     } else {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::field::{Field, Target};
 use super::marginal::Marginal;
-use super::spec::{Base, Choice, Distribution, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value};
+use super::spec::{Base, Choice, Distribution, Kind, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value};
 use super::{Parameter, Space};
 use crate::scenario::{InvalidField, Scenario, VehicleClass, built_in, built_in_names, file, short};
 use statrs::distribution::{ContinuousCDF, Normal as Gauss};
@@ -94,7 +94,7 @@ impl Space {
         }
         let field =
             Field::find(&spec.field, &self.template).map_err(|problem| InvalidSpace { field: at("field"), problem })?;
-        if matches!(field.target, Target::Gap(_)) && !self.lines_up {
+        if matches!(field.target, Target::Gap(_) | Target::TimeGap(_)) && !self.lines_up {
             return wrong(at("field"), "a space has gaps or positions, not both");
         }
         if spec.unit != field.unit {
@@ -108,25 +108,32 @@ impl Space {
             return wrong(at("unit"), problem);
         }
         for write in &field.writes {
-            if let Some((_, other)) = written.iter().find(|(known, _)| known == write) {
+            if let Some((_, other)) = written.iter().find(|(known, _)| overlap(known, write)) {
                 return wrong(at("field"), format!("`{write}` is set by the parameter `{other}` already"));
             }
         }
         written.extend(field.writes.iter().map(|write| (write.clone(), spec.name.clone())));
-        let is_class = matches!(field.target, Target::Class(_));
+        let kind = field.target.kind();
         let marginal = spec
             .distribution
             .marginal()
             .map_err(|(field, problem)| InvalidSpace { field: at(&format!("distribution{field}")), problem })?;
-        if is_class != spec.distribution.has_classes() {
-            let problem = || format!("a class is a choice of {}", class_names(" and "));
-            return wrong(at("distribution"), if is_class { problem() } else { "a number is expected".to_owned() });
+        if kind != spec.distribution.kind() {
+            let problem = match kind {
+                Kind::Number => "a number is expected".to_owned(),
+                Kind::Class => format!("a class is a choice of {}", class_names(" and ")),
+                Kind::Driver => "a driver is a choice of built-in controllers".to_owned(),
+            };
+            return wrong(at("distribution"), problem);
         }
         let nominal = match spec.nominal {
             None => field.target.get(&self.template),
-            Some(value) if matches!(value, Value::Class(_)) != is_class => {
-                let problem =
-                    if is_class { format!("must be {}", class_names(" or ")) } else { "must be a number".to_owned() };
+            Some(value) if value.kind() != kind => {
+                let problem = match kind {
+                    Kind::Number => "must be a number".to_owned(),
+                    Kind::Class => format!("must be {}", class_names(" or ")),
+                    Kind::Driver => "must be a built-in controller".to_owned(),
+                };
                 return wrong(at("nominal"), format!("{problem}, found {value}"));
             }
             Some(value) => vec![value.number(); field.length],
@@ -207,6 +214,13 @@ impl Space {
     }
 }
 
+/// Whether two paths name one field, or one of them a part of the other.
+fn overlap(a: &str, b: &str) -> bool {
+    let is_part =
+        |part: &str, of: &str| part.strip_prefix(of).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+    is_part(a, b) || is_part(b, a)
+}
+
 /// Whether a problem can come from several fields together.
 fn together(invalid: &InvalidField) -> bool {
     use crate::scenario::Problem as P;
@@ -232,20 +246,21 @@ fn base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
 }
 
 impl Value {
-    /// The number itself, or that of a class.
+    /// The number itself, or that of a class or a driver.
     fn number(self) -> f64 {
         match self {
             Self::Number(number) => number,
             Self::Class(class) => f64::from(class.number()),
+            Self::Driver(driver) => driver.number(),
         }
     }
 }
 
 impl Distribution {
-    fn has_classes(&self) -> bool {
+    fn kind(&self) -> Kind {
         match self {
-            Self::Choice(choice) => choice.values.iter().any(|value| matches!(value, Value::Class(_))),
-            _ => false,
+            Self::Choice(choice) => choice.values.first().map_or(Kind::Number, |value| value.kind()),
+            _ => Kind::Number,
         }
     }
 
@@ -307,12 +322,11 @@ fn finite(kind: &'static str, field: &str, found: f64) -> Result<(), (&'static s
 fn choice_of(choice: &Choice) -> Result<Marginal, (&'static str, String)> {
     let unusable = |problem: String| Err((".choice.values", problem));
     let values: Vec<f64> = choice.values.iter().map(|value| value.number()).collect();
-    let is_class = |value: &Value| matches!(value, Value::Class(_));
     if values.is_empty() {
         return unusable("must have at least one value".to_owned());
     }
-    if choice.values.iter().any(is_class) && !choice.values.iter().all(is_class) {
-        return unusable("must be all numbers or all classes, found both".to_owned());
+    if choice.values.windows(2).any(|pair| pair[0].kind() != pair[1].kind()) {
+        return unusable("must be all numbers, all classes or all drivers".to_owned());
     }
     if let Some(value) = values.iter().find(|value| !value.is_finite()) {
         return unusable(format!("must be finite numbers, found {value}"));

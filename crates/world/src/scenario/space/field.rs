@@ -1,5 +1,7 @@
 //! Which field of a scenario a parameter sets: paths looked up once, then typed access.
 
+use super::derived::{cruise, load};
+use super::spec::{DriverName, Kind};
 use crate::scenario::{Driver, LeadProfile, Pieces, ScenarioSpec, VehicleClass, VehicleSpec};
 
 /// A field, ready to be set.
@@ -17,8 +19,12 @@ pub(super) enum Target {
     Signal(usize, fn(&mut Driver) -> Option<&mut [f64]>),
     /// The class.
     Class(usize),
+    /// Which built-in controller drives.
+    DrivenBy(usize),
     /// The bumper gap ahead.
     Gap(usize),
+    /// The same, as the time it takes at the vehicle's own speed.
+    TimeGap(usize),
     /// Mass relative to that of the class, and the braking it leaves.
     Load(usize),
     /// Deceleration at most, relative to that of the class.
@@ -29,6 +35,10 @@ pub(super) enum Target {
     PiecesShare(usize),
     /// Start of the first piece; the others keep their distance.
     PiecesOnset(usize),
+    /// Acceleration of every piece, cut where the speed would leave 18 to 130 km/h.
+    PiecesCruise(usize),
+    /// What all pieces are multiplied by, after everything else.
+    PiecesScale(usize),
 }
 
 /// What a path stands for.
@@ -127,13 +137,6 @@ fn rate(driver: &mut Driver) -> Option<&mut f64> {
     }
 }
 
-/// Mass relative to that of the class. The brake force is that of the class: above its mass deceleration falls in
-/// proportion, below it the tyres limit deceleration to that of the class.
-fn load(vehicle: &mut VehicleSpec, load: f64) {
-    vehicle.mass_kg = Some(load * vehicle.class.mass_kg());
-    vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() / load.max(1.0));
-}
-
 impl Field {
     /// The field of a path in a base scenario.
     pub(super) fn find(path: &str, base: &ScenarioSpec) -> Result<Self, String> {
@@ -162,8 +165,18 @@ impl Field {
         let field = |target, unit, length, writes| Self { target, unit, length, writes };
         match rest {
             "class" => return Ok(field(Target::Class(index), "", 1, sets(&["class"]))),
-            "gap_m" if index == 0 => return Err("nobody is ahead of vehicle 0".to_owned()),
+            "driver" if matches!(vehicle.driver, Driver::Controller(_)) => {
+                return Ok(field(Target::DrivenBy(index), "", 1, sets(&["driver"])));
+            }
+            "driver" => {
+                let name = vehicle.driver.name();
+                return Err(format!(
+                    "vehicle {index} of the base scenario is driven by `{name}`, no built-in controller"
+                ));
+            }
+            "gap_m" | "time_gap_s" if index == 0 => return Err("nobody is ahead of vehicle 0".to_owned()),
             "gap_m" => return Ok(field(Target::Gap(index), "m", 1, sets(&["position_m"]))),
+            "time_gap_s" => return Ok(field(Target::TimeGap(index), "s", 1, sets(&["position_m"]))),
             "load" => return Ok(field(Target::Load(index), "1", 1, sets(&["mass_kg", "max_brake_mps2"]))),
             "brake_offset_mps2" => {
                 return Ok(field(Target::BrakeOffset(index), "m/s²", 1, sets(&["max_brake_mps2"])));
@@ -196,6 +209,11 @@ impl Field {
                 Ok(field(Target::PiecesShare(index), "1", length, sets(&["driver.pieces.accel_mps2"])))
             }
             ("pieces", "onset_s") => Ok(field(Target::PiecesOnset(index), "s", 1, own)),
+            ("pieces", "cruise_mps2") => {
+                let length = list(accelerations(&mut driver));
+                Ok(field(Target::PiecesCruise(index), "m/s²", length, sets(&["driver.pieces.accel_mps2"])))
+            }
+            ("pieces", "scale") => Ok(field(Target::PiecesScale(index), "1", 1, own)),
             ("recorded", "speed_mps") => {
                 Ok(field(Target::Signal(index, recorded_speeds), "m/s", list(recorded_speeds(&mut driver)), own))
             }
@@ -211,9 +229,12 @@ impl Field {
     }
 }
 
+/// What may vary in a vehicle besides its numbers.
+const DERIVED_OF_VEHICLE: [&str; 6] = ["class", "driver", "gap_m", "time_gap_s", "load", "brake_offset_mps2"];
+
 fn known_fields() -> String {
     let scenario = SCENARIO_NUMBERS.iter().map(|(name, ..)| *name);
-    let vehicle = VEHICLE_NUMBERS.iter().map(|(name, ..)| *name).chain(["class", "gap_m", "load", "brake_offset_mps2"]);
+    let vehicle = VEHICLE_NUMBERS.iter().map(|(name, ..)| *name).chain(DERIVED_OF_VEHICLE);
     let (scenario, vehicle) = (scenario.collect::<Vec<_>>().join(", "), vehicle.collect::<Vec<_>>().join(", "));
     format!("there are {scenario}, and in vehicles[i]: {vehicle}, driver.NAME.SETTING")
 }
@@ -222,9 +243,10 @@ impl Target {
     /// When it is set: what others build on comes first.
     pub(super) fn stage(self) -> u8 {
         match self {
-            Self::Class(_) => 0,
+            Self::Class(_) | Self::DrivenBy(_) => 0,
             Self::Vehicle(None, _) => 1,
-            Self::RateShare(_) | Self::PiecesShare(_) => 3,
+            Self::RateShare(_) | Self::PiecesShare(_) | Self::PiecesCruise(_) | Self::TimeGap(_) => 3,
+            Self::PiecesScale(_) => 4,
             _ => 2,
         }
     }
@@ -257,7 +279,14 @@ impl Target {
                 let class = VehicleClass::ALL.get(value as usize).copied();
                 vehicle.class = class.unwrap_or(vehicle.class);
             }),
+            Self::DrivenBy(index) => with(spec, index, |vehicle| {
+                let other = DriverName::of_number(value).filter(|name| name.name() != vehicle.driver.name());
+                if let Some(controller) = other.and_then(DriverName::controller) {
+                    vehicle.driver = Driver::Controller(controller);
+                }
+            }),
             Self::Gap(index) => with(spec, index, |vehicle| vehicle.position_m = value),
+            Self::TimeGap(index) => with(spec, index, |vehicle| vehicle.position_m = value * vehicle.speed_mps),
             Self::Load(index) => with(spec, index, |vehicle| load(vehicle, value)),
             Self::BrakeOffset(index) => with(spec, index, |vehicle| {
                 vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() + value);
@@ -280,6 +309,13 @@ impl Target {
                     pieces.from_s.iter_mut().for_each(|from_s| *from_s += later_s);
                 }
             }),
+            Self::PiecesCruise(index) => {
+                let until_s = spec.duration_s;
+                with(spec, index, |vehicle| cruise(vehicle, values, until_s));
+            }
+            Self::PiecesScale(index) => with(spec, index, |vehicle| {
+                accelerations(&mut vehicle.driver).unwrap_or_default().iter_mut().for_each(|piece| *piece *= value);
+            }),
         }
     }
 
@@ -298,12 +334,18 @@ impl Target {
             Self::Setting(index, place) => {
                 one(spec.vehicles.get_mut(index).and_then(|v| setting_of(&mut v.driver, place).copied()))
             }
+            Self::PiecesCruise(index) => Self::Signal(index, accelerations).get(&spec),
             Self::Signal(index, access) => {
                 let signal = spec.vehicles.get_mut(index).and_then(|v| access(&mut v.driver));
                 signal.map_or_else(Vec::new, |signal| signal.to_vec())
             }
             Self::Class(index) => one(of(index).map(|v| f64::from(v.class.number()))),
+            Self::DrivenBy(index) => {
+                one(of(index).and_then(|v| DriverName::find(v.driver.name())).map(DriverName::number))
+            }
             Self::Gap(index) => one(of(index).map(|v| v.position_m)),
+            Self::TimeGap(index) => one(of(index).map(|v| v.position_m / v.speed_mps)),
+            Self::PiecesScale(_) => vec![1.0],
             Self::Load(index) => one(of(index).map(|v| v.mass_kg() / v.class.mass_kg())),
             Self::BrakeOffset(index) => one(of(index).map(|v| v.max_brake_mps2() - v.class.max_brake_mps2())),
             Self::RateShare(index) => one(spec.vehicles.get_mut(index).and_then(|v| {
@@ -322,12 +364,22 @@ impl Target {
         }
     }
 
+    /// What its values are.
+    pub(super) fn kind(self) -> Kind {
+        match self {
+            Self::Class(_) => Kind::Class,
+            Self::DrivenBy(_) => Kind::Driver,
+            _ => Kind::Number,
+        }
+    }
+
     /// The vehicle whose driver's settings it is.
     pub(super) fn drives(self) -> Option<usize> {
         match self {
             Self::Driver(i, _) | Self::Setting(i, _) | Self::Signal(i, _) => Some(i),
             Self::RateShare(i) | Self::PiecesShare(i) | Self::PiecesOnset(i) => Some(i),
-            Self::Scenario(_) | Self::Vehicle(..) | Self::Class(_) | Self::Gap(_) => None,
+            Self::PiecesCruise(i) | Self::PiecesScale(i) | Self::DrivenBy(i) => Some(i),
+            Self::Scenario(_) | Self::Vehicle(..) | Self::Class(_) | Self::Gap(_) | Self::TimeGap(_) => None,
             Self::Load(_) | Self::BrakeOffset(_) => None,
         }
     }
@@ -339,6 +391,7 @@ impl Target {
                 Some(i)
             }
             Self::Signal(i, _) | Self::Driver(i, _) | Self::Setting(i, _) => Some(i),
+            Self::TimeGap(i) | Self::DrivenBy(i) | Self::PiecesCruise(i) | Self::PiecesScale(i) => Some(i),
             Self::Vehicle(i, _) => i,
             Self::Scenario(_) | Self::Gap(_) | Self::PiecesOnset(_) => None,
         }

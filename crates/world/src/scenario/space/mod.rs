@@ -23,16 +23,21 @@
 //! | field | what it sets |
 //! |---|---|
 //! | `vehicles[i].gap_m` | the bumper gap ahead; vehicles are lined up behind the leader, so that none overlap |
+//! | `vehicles[i].time_gap_s` | the same, as the time it takes at the vehicle's own speed |
+//! | `vehicles[i].driver` | who drives: a choice of built-in controllers with their default settings |
 //! | `vehicles[i].load` | mass relative to its class's, at its class's brake force: deceleration falls as 1 / load above 1 |
 //! | `vehicles[i].brake_offset_mps2` | largest deceleration relative to its class's |
 //! | `vehicles[i].driver.NAME.rate_share` | rate of a braking script, as a share of what the vehicle can do on this road |
 //! | `vehicles[i].driver.pieces.brake_share` | the same for every piece of a script |
 //! | `vehicles[i].driver.pieces.onset_s` | when the first piece starts; the others keep their distance |
+//! | `vehicles[i].driver.pieces.cruise_mps2` | acceleration of every piece, cut where the speed would leave 18 to 130 km/h |
+//! | `vehicles[i].driver.pieces.scale` | what all pieces are multiplied by, after everything else: 0 is a constant speed |
 //!
 //! In a space without positions all vehicles keep their bumper gaps when lengths or classes vary.
 
 mod built_in;
 mod check;
+mod derived;
 mod field;
 pub mod file;
 mod marginal;
@@ -46,10 +51,13 @@ use rand::RngExt;
 
 pub use built_in::{BUILT_IN_SPACES, built_in_space};
 pub use check::InvalidSpace;
-pub use spec::{Base, Choice, Distribution, Normal, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value};
+pub use spec::{
+    Base, Choice, Distribution, DriverName, Normal, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value,
+};
 
 use self::field::Target;
 use self::marginal::Marginal;
+use self::spec::Kind;
 use super::{InvalidField, Scenario, ScenarioSpec, VehicleClass};
 use crate::random::{self, Purpose};
 
@@ -91,7 +99,7 @@ impl Parameter {
         &self.name
     }
 
-    /// Its unit: `1` for a share, empty for a class.
+    /// Its unit: `1` for a share, empty for a class or a driver.
     #[must_use]
     pub fn unit(&self) -> &'static str {
         self.unit
@@ -109,7 +117,7 @@ impl Parameter {
         &self.nominal
     }
 
-    /// Smallest and largest value; of a class, their numbers.
+    /// Smallest and largest value; of a class or a driver, their numbers.
     #[must_use]
     pub fn range(&self) -> [f64; 2] {
         [self.marginal.low(), self.marginal.high()]
@@ -121,10 +129,10 @@ impl Parameter {
         matches!(self.marginal, Marginal::Choice { .. })
     }
 
-    /// Whether it is a vehicle's class.
+    /// Whether its values have names instead of being numbers: a vehicle's class, or its driver.
     #[must_use]
-    pub fn is_class(&self) -> bool {
-        matches!(self.target, Target::Class(_))
+    pub fn is_named(&self) -> bool {
+        self.target.kind() != Kind::Number
     }
 
     /// The value at a coordinate from 0 to 1, on the parameter's own scale: even over the range, or over its logarithm.
@@ -145,13 +153,15 @@ impl Parameter {
         self.marginal.coordinate(value)
     }
 
-    /// The value as a reader knows it: a number, or a class's name.
+    /// The value as a reader knows it: a number, or a name.
     #[must_use]
     pub fn show(&self, value: f64) -> String {
-        match VehicleClass::ALL.get(value as usize) {
-            Some(class) if self.is_class() => class.name().to_owned(),
-            _ => value.to_string(),
-        }
+        let name = match self.target.kind() {
+            Kind::Number => None,
+            Kind::Class => VehicleClass::ALL.get(value as usize).map(|class| class.name()),
+            Kind::Driver => DriverName::of_number(value).map(DriverName::name),
+        };
+        name.map_or_else(|| value.to_string(), str::to_owned)
     }
 }
 

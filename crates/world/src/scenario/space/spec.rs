@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
+use crate::control::ControllerSpec;
 use crate::scenario::{ScenarioSpec, VehicleClass};
 
 /// The version of the space file format this release reads and writes.
@@ -47,7 +48,7 @@ pub struct ParameterSpec {
     pub name: String,
     /// Which field of the scenario, such as `environment.friction` or `vehicles[2].gap_m`.
     pub field: String,
-    /// Unit of the field, repeated so that a reader need not guess; `1` for a share, empty for a class.
+    /// Unit of the field, repeated so that a reader need not guess; `1` for a share, empty for a class or a driver.
     #[serde(default)]
     pub unit: String,
     /// Nominal value; by default the one in the base scenario.
@@ -103,7 +104,7 @@ pub struct Normal {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Choice {
-    /// The values: numbers, or vehicle classes.
+    /// The values: numbers, vehicle classes, or built-in controllers.
     pub values: Vec<Value>,
     /// How likely each is, relative to the others; by default all alike.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -113,12 +114,78 @@ pub struct Choice {
 /// A value of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(untagged, expecting = "must be a number, `light` or `heavy`")]
+#[serde(untagged, expecting = "must be a number, a vehicle class or a built-in controller")]
 pub enum Value {
     /// A number in the field's unit.
     Number(f64),
     /// A vehicle class.
     Class(VehicleClass),
+    /// A built-in controller, with its default settings.
+    Driver(DriverName),
+}
+
+/// What a value is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Number,
+    Class,
+    Driver,
+}
+
+impl Value {
+    pub(super) fn kind(self) -> Kind {
+        match self {
+            Self::Number(_) => Kind::Number,
+            Self::Class(_) => Kind::Class,
+            Self::Driver(_) => Kind::Driver,
+        }
+    }
+}
+
+/// The name of a built-in controller.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DriverName(&'static str);
+
+impl DriverName {
+    /// The name, if it is one.
+    #[must_use]
+    pub fn find(name: &str) -> Option<Self> {
+        ControllerSpec::named(name).map(|spec| Self(spec.name()))
+    }
+
+    /// The name itself.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.0
+    }
+
+    /// The controller with its default settings.
+    pub(super) fn controller(self) -> Option<ControllerSpec> {
+        ControllerSpec::named(self.0)
+    }
+
+    /// Its place among the built-in controllers, by which points hold it while a program runs.
+    pub(super) fn number(self) -> f64 {
+        ControllerSpec::built_in().iter().position(|spec| spec.name() == self.0).map_or(f64::NAN, |index| index as f64)
+    }
+
+    /// The name at a place.
+    pub(super) fn of_number(number: f64) -> Option<Self> {
+        ControllerSpec::built_in().get(number as usize).map(|spec| Self(spec.name()))
+    }
+}
+
+impl Serialize for DriverName {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.0)
+    }
+}
+
+impl<'de> Deserialize<'de> for DriverName {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        Self::find(&name).ok_or_else(|| de::Error::custom(format!("there is no controller `{name}`")))
+    }
 }
 
 impl fmt::Display for Value {
@@ -126,6 +193,7 @@ impl fmt::Display for Value {
         match self {
             Self::Number(number) => number.fmt(out),
             Self::Class(class) => out.write_str(class.name()),
+            Self::Driver(driver) => out.write_str(driver.name()),
         }
     }
 }
@@ -160,6 +228,18 @@ impl<'de> Deserialize<'de> for Base {
             }
         }
         deserializer.deserialize_any(NameOrTable)
+    }
+}
+
+#[cfg(feature = "schema")]
+impl schemars::JsonSchema for DriverName {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "DriverName".into()
+    }
+
+    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        let names: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
+        schemars::json_schema!({ "description": "The name of a built-in controller.", "enum": names })
     }
 }
 

@@ -3,7 +3,10 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::*;
+use crate::control::ControllerSpec;
+use crate::measure::Usefulness;
 use crate::scenario::{Driver, LeadProfile, PaperDistribution};
+use crate::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 fn space(name: &str) -> Space {
     built_in_space(name).expect("built in")
@@ -135,6 +138,62 @@ fn derived_fields_do_what_they_say() {
     assert_eq!(lead.accel_mps2, [0.0, -4.5, -2.25, 0.0, -4.5]);
 }
 
+proptest! {
+    /// In traffic everywhere: the leader keeps to the speeds and accelerations that the file promises, the others start at
+    /// their time gaps, and the drivers are those named.
+    #[test]
+    fn everyday_traffic_is_what_it_says(
+        point in prop::collection::vec(prop_oneof![Just(0.0), Just(1.0), 0.0..1.0f64], 17),
+    ) {
+        let space = space("traffic");
+        let values = space.values(&point);
+        let value = |name: &str| {
+            let parameter = space.parameters().iter().find(|parameter| parameter.name() == name).unwrap();
+            values[parameter.coordinates().start]
+        };
+        let scenario = space.at(&point).unwrap();
+        let [leader, _, follower] = scenario.vehicles() else { panic!("three") };
+        for (index, name) in [(1, "time_gap_ahead_s"), (2, "time_gap_behind_s")] {
+            let gap_m = scenario.initial_gap_m(index).unwrap();
+            prop_assert!((gap_m - value(name) * value("speed_mps")).abs() < 1e-9);
+        }
+        let Driver::Profile(LeadProfile::Pieces(pieces)) = &leader.driver else { panic!("pieces") };
+        let ends_s = pieces.from_s.iter().skip(1).chain([&40.0]);
+        let mut speed_mps = leader.speed_mps;
+        for ((accel_mps2, from_s), to_s) in pieces.accel_mps2.iter().zip(&pieces.from_s).zip(ends_s) {
+            speed_mps += accel_mps2 * (to_s - from_s);
+            prop_assert!((-2.5..=1.5).contains(accel_mps2) && (4.999..=36.112).contains(&speed_mps), "{pieces:?}");
+            prop_assert!(value("lead_scale") != 0.0 || *accel_mps2 == 0.0);
+        }
+        let follower = follower.driver.name();
+        prop_assert!(["idm", "acc-aeb"].contains(&follower));
+        let parameter = space.parameters().iter().find(|parameter| parameter.name() == "follower").unwrap();
+        prop_assert_eq!(parameter.show(value("follower")), follower);
+    }
+}
+
+/// What the space is for: rules of the road get through it, and a policy that was paid for not touching alone is shown up.
+#[test]
+fn everyday_traffic_needs_no_hard_braking_and_tells_who_does_it_all_the_same() {
+    let space = space("traffic");
+    let scenarios: Vec<_> = (0..200).map(|index| space.draw(1, index).unwrap()).collect();
+    let steady = |scenario: &&Scenario| match &scenario.vehicles()[0].driver {
+        Driver::Profile(LeadProfile::Pieces(pieces)) => pieces.accel_mps2.iter().all(|accel_mps2| *accel_mps2 == 0.0),
+        other => panic!("{other:?}"),
+    };
+    assert!((35..=65).contains(&scenarios.iter().filter(steady).count()), "a quarter keep their speed");
+    for (name, least, most) in [("idm", 0, 0), ("acc-aeb", 0, 0), ("policy", 80, 200), ("retrained", 160, 200)] {
+        let options = RunOptions::new(ControllerSpec::named(name).unwrap());
+        let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
+        let needless = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
+            assert!(result.outcome.is_safe(), "{name}: {:?}", result.outcome);
+            !Usefulness::of(&result.trace.unwrap(), &result.impacts, 1).unwrap().needless.is_none()
+        });
+        let found = needless.into_iter().filter(|needless| *needless).count();
+        assert!((least..=most).contains(&found), "{name} brakes without cause in {found} of 200 draws");
+    }
+}
+
 #[test]
 fn mistakes_name_line_and_field() {
     let uniform = |low: f64, high: f64| format!("distribution.uniform = {{ low = {low}, high = {high} }}");
@@ -168,6 +227,23 @@ fn mistakes_name_line_and_field() {
         (
             parameter("vehicles[0].driver.brake.rate_mps2", "m/s²", &uniform(1.0, 9.0)),
             "s.toml:4: parameters: `vehicles0driverbrakeratemps2` do not fit together: vehicles[0].driver.brake: asks for 9",
+        ),
+        (
+            parameter("vehicles[1].driver", "", "distribution.choice = { values = [\"idm\"] }"),
+            "s.toml:6: parameters[0].field: vehicle 1 of the base scenario is driven by `under-test`, no built-in controller",
+        ),
+        (
+            parameter("vehicles[2].driver", "", "distribution.choice = { values = [\"idm\", \"light\"] }"),
+            "s.toml:8: parameters[0].distribution.choice.values: must be all numbers, all classes or all drivers",
+        ),
+        (
+            parameter("vehicles[2].driver", "", "distribution.choice = { values = [\"idm\", \"baseline\"] }")
+                + &parameter("vehicles[2].driver.baseline.ttc_s", "s", &uniform(1.0, 2.0)),
+            "s.toml:11: parameters[1].field: `vehicles[2].driver.baseline.ttc_s` is set by the parameter `vehicles2driver`",
+        ),
+        (
+            parameter("vehicles[1].time_gap_s", "s", &uniform(-1.0, 3.0)),
+            "s.toml:4: parameters: `vehicles1timegaps` do not fit together: vehicles[1].position_m",
         ),
         (
             parameter("vehicles[2].class", "", &uniform(0.0, 1.0)),

@@ -1,0 +1,53 @@
+//! What a line of vehicles under one controller makes of a disturbance.
+
+use serde::{Deserialize, Serialize};
+
+use crate::assessment::Rounded;
+use crate::assessment::table::{Cell, Mark};
+use crumple_world::measure::SpeedAmplification;
+use crumple_world::scenario::{SPEED_DIP_S, Scenario};
+use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
+
+/// What a line of vehicles makes of a disturbance of its leader.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum LineVerdict {
+    /// No vehicle deviates more than the one ahead.
+    Damps {
+        /// The last one's deviation, relative to the leader's.
+        gain: Rounded<2>,
+    },
+    /// Some vehicle deviates more than the one ahead.
+    Amplifies {
+        /// The last one's deviation, relative to the leader's.
+        gain: Rounded<2>,
+    },
+    /// The line does not drive at one speed to begin with.
+    DoesNotSettle,
+    /// Vehicles touch, or a controller fails.
+    Fails,
+}
+
+impl LineVerdict {
+    pub(super) fn of(line: &Scenario, options: &RunOptions) -> Result<Self, RunError> {
+        let simulated = simulate(&Run::new(line, options.clone())?, RecordingLevel::Trace);
+        if !simulated.outcome.is_safe() {
+            return Ok(Self::Fails);
+        }
+        let found = simulated.trace.as_ref().and_then(|trace| SpeedAmplification::of(trace, SPEED_DIP_S));
+        Ok(found.map_or(Self::DoesNotSettle, |found| {
+            let gain = Rounded::new(found.overall);
+            if found.grows() { Self::Amplifies { gain } } else { Self::Damps { gain } }
+        }))
+    }
+
+    pub(super) fn cell(self) -> Cell {
+        match self {
+            Self::Damps { gain } => Cell::marked(gain, Mark::Good),
+            Self::Amplifies { gain } => Cell::marked(gain, Mark::Bad),
+            Self::DoesNotSettle => Cell::text("does not settle"),
+            Self::Fails => Cell::marked("fails", Mark::Bad),
+        }
+    }
+}

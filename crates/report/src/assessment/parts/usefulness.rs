@@ -1,0 +1,337 @@
+//! Usefulness: what a controller does where nothing threatens, beside what it survives where something does.
+
+use maud::{Markup, html};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use super::{LineVerdict, Percent};
+use crate::assessment::case::CaseVerdict;
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
+use crate::assessment::rounded::or_dash;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded, StoreError};
+use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, Marker, Panel, SMALL, Stroke, Svg, text_width};
+use crumple_world::measure::{self, Following, NEEDLESS_MARGIN_MPS2};
+use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
+use crumple_world::scenario::{Scenario, speed_dip};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
+
+/// The part's anchor in the page.
+const ANCHOR: &str = "usefulness";
+
+/// Confidence of the intervals.
+const CONFIDENCE: f64 = 0.95;
+
+/// Where nothing threatens, and where something does.
+const SPACES: [&str; 2] = ["traffic", "high-risk"];
+
+/// Vehicles behind the leader of the line in which a disturbance is followed.
+const FOLLOWERS: usize = 5;
+
+/// Time gap at which they start, in seconds.
+const TIME_GAP_S: f64 = 1.5;
+
+/// Every controller in everyday traffic, in danger, and in a line.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Usefulness {
+    /// Where nothing threatens, and where something does.
+    pub spaces: [Known; 2],
+    /// Draws of each space for each controller.
+    pub draws: u64,
+    /// Seed of the draws.
+    pub seed: u64,
+    /// Confidence of the bounds.
+    pub confidence: f64,
+    /// One entry a controller.
+    pub controllers: Vec<Useful>,
+}
+
+/// How one controller gets on. Means are over the drives in which there is such a value.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Useful {
+    /// The controller's name.
+    pub controller: String,
+    /// Drives in traffic in which it touched, was touched or failed.
+    pub failures: u64,
+    /// Draws where something threatens in which it failed.
+    pub high_risk_failures: u64,
+    /// Drives in traffic with braking without cause.
+    pub needless: u64,
+    /// Their share, in percent, and its exact bounds.
+    pub needless_percent: Percent,
+    /// Mean time of braking without cause in a drive, in seconds.
+    pub needless_s: Option<Rounded<2>>,
+    /// Drives in traffic with hard braking where little had a cause.
+    pub hard: u64,
+    /// Drives in traffic at whose end it was left behind.
+    pub left_behind: u64,
+    /// Mean distance driven, relative to the vehicle ahead's.
+    pub progress: Option<Rounded<2>>,
+    /// Mean time gap, in seconds.
+    pub time_gap_s: Option<Rounded<2>>,
+    /// Mean of the time gap's standard deviation over a drive, in seconds.
+    pub time_gap_deviation_s: Option<Rounded<2>>,
+    /// Mean of a drive's root mean square of acceleration, in m/s².
+    pub rms_acceleration_mps2: Option<Rounded<2>>,
+    /// Mean of a drive's root mean square of jerk, in m/s³.
+    pub rms_jerk_mps3: Option<Rounded<2>>,
+    /// Mean of the hardest deceleration of the vehicle behind, in m/s².
+    pub imposed_brake_mps2: Option<Rounded<2>>,
+    /// What a line of five makes of a disturbance.
+    pub line: LineVerdict,
+    /// The share of failures where something threatens, in percent, and its exact bounds.
+    pub high_risk_percent: Percent,
+}
+
+/// What is kept of one drive in traffic.
+struct Drive {
+    failed: bool,
+    usefulness: Option<measure::Usefulness>,
+}
+
+impl Usefulness {
+    /// None if the plan makes no such drives. The motion of each is looked at: these are slower than draws whose contacts
+    /// alone are counted.
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        if plan.config.everyday_draws == 0 {
+            return Ok(None);
+        }
+        let inputs =
+            json!([plan.config.everyday_draws, plan.config.seed, plan.config.estimator.name(), plan.identities()]);
+        work.store.get("usefulness", &inputs, || Self::run(plan, work))
+    }
+
+    fn run(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        let (seed, count) = (plan.config.seed, plan.config.everyday_draws);
+        let [Some(traffic), Some(high_risk)] = SPACES.map(built_in_space) else { return Ok(None) };
+        let spaces =
+            [&traffic, &high_risk].map(|space| space_file::to_toml(space).map(|text| Known::of(space.name(), text)));
+        let [traffic_known, high_risk_known] = spaces;
+        let spaces = [traffic_known.map_err(StoreError::encoding)?, high_risk_known.map_err(StoreError::encoding)?];
+        let draws = |space: Space| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
+        let (traffic, high_risk, line) = (draws(traffic)?, draws(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
+        let useful = |controller: &NamedController| -> Result<Useful, AssessError> {
+            let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
+            let drives = Drive::all(&traffic, &options)?;
+            let touched = failures(&high_risk, &options)?;
+            let line = LineVerdict::of(&line, &options)?;
+            work.did(2 * count + 1);
+            Ok(Useful::of(controller, &drives, touched, line))
+        };
+        let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
+        Ok(Some(Self { spaces, draws: count, seed, confidence: CONFIDENCE, controllers }))
+    }
+
+    /// The drives as domains: where nothing threatens, and where something does.
+    pub(in crate::assessment) fn domains(&self) -> [Domain; 2] {
+        let (seed, draws) = (self.seed, self.draws);
+        self.spaces.clone().map(|space| Domain::Draws { space, seed, draws })
+    }
+
+    /// What these drives say of contacts on both sides, and of braking without cause.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let [traffic, danger] = self.domains();
+        let mut all = Vec::new();
+        for (subject, useful) in plan.claimants().into_iter().zip(&self.controllers) {
+            let counts = [
+                (Property::NoContact, &traffic, useful.failures),
+                (Property::NoNeedlessBraking, &traffic, useful.needless),
+                (Property::NoContact, &danger, useful.high_risk_failures),
+            ];
+            all.extend(counts.map(|(property, domain, failures)| Evidence {
+                claim: Claim { subject: subject.clone(), property, domain: domain.clone() },
+                strength: Strength::of(failures, self.draws),
+                source: Source::part(ANCHOR, format!("{} drives, seed {}", self.draws, self.seed)),
+            }));
+        }
+        all
+    }
+
+    fn introduction(&self) -> String {
+        format!(
+            "Who stands still hits nobody. {} draws of `traffic` (seed {}), everyday driving in which nobody need brake hard, \
+             and as many of `high-risk`, the same for every controller. Braking is without cause where it is more than \
+             {NEEDLESS_MARGIN_MPS2} m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at the true state, than \
+             avoiding a contact took, and than the vehicle ahead braked itself. In the line, {FOLLOWERS} vehicles under test \
+             follow a leader that slows down by 4 m/s and recovers: its gain is the last one's largest change of speed relative \
+             to the leader's. Bounds are exact (Clopper–Pearson, {} %, each by itself).",
+            self.draws,
+            self.seed,
+            100.0 * self.confidence
+        )
+    }
+
+    fn table(&self) -> Table {
+        let mut table = Table::new(&[
+            "controller",
+            "fails in traffic",
+            "brakes without cause %",
+            "bounds %",
+            "s a drive",
+            "brakes hard",
+            "left behind",
+            "progress",
+            "time gap s",
+            "rms a m/s²",
+            "rms jerk m/s³",
+            "follower brakes m/s²",
+            "gain of a line",
+            "fails in high-risk %",
+        ]);
+        for useful in &self.controllers {
+            let Percent { observed, lower, upper } = useful.needless_percent;
+            table.row(vec![
+                Cell::text(&useful.controller),
+                Cell::judged(useful.failures, useful.failures == 0),
+                Cell::judged(observed, useful.needless == 0),
+                Cell::number(format!("{lower} – {upper}")),
+                Cell::number(or_dash(useful.needless_s)),
+                Cell::number(useful.hard),
+                Cell::number(useful.left_behind),
+                Cell::number(or_dash(useful.progress)),
+                Cell::number(format!("{} ± {}", or_dash(useful.time_gap_s), or_dash(useful.time_gap_deviation_s))),
+                Cell::number(or_dash(useful.rms_acceleration_mps2)),
+                Cell::number(or_dash(useful.rms_jerk_mps3)),
+                Cell::number(or_dash(useful.imposed_brake_mps2)),
+                useful.line.cell(),
+                Cell::number(useful.high_risk_percent.observed),
+            ]);
+        }
+        table
+    }
+
+    /// Both sides: a row a controller, and nothing at the right is better.
+    pub(super) fn figure(&self, id: &str) -> Svg {
+        let names: Vec<_> = self.controllers.iter().map(|useful| useful.controller.as_str()).collect();
+        let left = names.iter().map(|name| text_width(name, SMALL)).fold(0.0, f64::max) + 16.0;
+        let (width, height) = (480.0, 36.0 * names.len() as f64);
+        let frame = Frame { left, top: HEADING, width: width - left - 24.0, height };
+        let axis = Axis::numbers("Share of draws (%)", (0.0, 100.0), 5);
+        let title = "Failures in high-risk (crosses), braking without cause in traffic (rings)";
+        let mut panel = Panel::new(frame, title, axis, Axis::names("", &names).reversed());
+        for (index, useful) in self.controllers.iter().enumerate() {
+            let row = (names.len() - 1 - index) as f64;
+            let sides = [
+                (useful.high_risk_percent, row + 0.15, Ink::Alert, Marker::Cross),
+                (useful.needless_percent, row - 0.15, Ink::Series(0), Marker::Ring),
+            ];
+            for (Percent { observed, lower, upper }, y, ink, marker) in sides {
+                panel.segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
+                panel.marks(&[(observed.value(), y)], marker, ink);
+            }
+        }
+        let of = |useful: &Useful| {
+            let (fails, brakes) = (useful.high_risk_percent.observed, useful.needless_percent.observed);
+            format!(
+                "{} fails in {fails} % of high-risk, brakes without cause in {brakes} % of traffic",
+                useful.controller
+            )
+        };
+        let description = self.controllers.iter().map(of).collect::<Vec<_>>().join("; ");
+        let size = (width, frame.bottom() + BELOW);
+        Svg::new(id, size, "Both sides", &description, panel.draw(&Svg::id(id, "panel")))
+    }
+}
+
+/// How many runs fail.
+fn failures(scenarios: &[Scenario], options: &RunOptions) -> Result<u64, RunError> {
+    let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+    let failed = |index: usize, simulated: Simulated| {
+        u64::from(CaseVerdict::of(&simulated, runs[index].scenario()).is_failure())
+    };
+    Ok(simulate_batch(&runs, RecordingLevel::Summary, failed).into_iter().sum())
+}
+
+impl Drive {
+    fn all(scenarios: &[Scenario], options: &RunOptions) -> Result<Vec<Self>, RunError> {
+        let runs =
+            scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+        Ok(simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
+            Self::of(runs[index].scenario(), &simulated)
+        }))
+    }
+
+    fn of(scenario: &Scenario, simulated: &Simulated) -> Self {
+        let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
+        let usefulness = simulated.trace.as_ref().zip(ego);
+        Self {
+            failed: CaseVerdict::of(simulated, scenario).is_failure(),
+            usefulness: usefulness.and_then(|(trace, ego)| measure::Usefulness::of(trace, &simulated.impacts, ego)),
+        }
+    }
+}
+
+impl Useful {
+    fn of(controller: &NamedController, drives: &[Drive], high_risk: u64, line: LineVerdict) -> Self {
+        let all: Vec<_> = drives.iter().filter_map(|drive| drive.usefulness).collect();
+        let count = |is: &dyn Fn(&measure::Usefulness) -> bool| all.iter().filter(|one| is(one)).count() as u64;
+        let mean = |of: &dyn Fn(&measure::Usefulness) -> Option<f64>| {
+            let (sum, n) = all.iter().filter_map(of).fold((0.0, 0_u32), |(sum, n), value| (sum + value, n + 1));
+            (n > 0).then(|| Rounded::new(sum / f64::from(n)))
+        };
+        let following = |of: fn(Following) -> Option<f64>| mean(&|one| one.following.and_then(of));
+        let needless = count(&|one| !one.needless.is_none());
+        Self {
+            controller: controller.name.clone(),
+            failures: drives.iter().filter(|drive| drive.failed).count() as u64,
+            high_risk_failures: high_risk,
+            needless,
+            needless_percent: Percent::exact(needless, drives.len() as u64, CONFIDENCE),
+            needless_s: mean(&|one| Some(one.needless.time_s)),
+            hard: count(&|one| !one.hard.is_none()),
+            left_behind: count(&|one| one.following.is_some_and(|following| following.left_behind)),
+            progress: following(|following| following.progress),
+            time_gap_s: following(|following| following.mean_time_gap_s),
+            time_gap_deviation_s: following(|following| following.time_gap_deviation_s),
+            rms_acceleration_mps2: mean(&|one| one.rms_acceleration_mps2),
+            rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
+            imposed_brake_mps2: mean(&|one| one.imposed.and_then(|imposed| imposed.peak_brake_mps2)),
+            line,
+            high_risk_percent: Percent::exact(high_risk, drives.len() as u64, CONFIDENCE),
+        }
+    }
+}
+
+impl Part for Usefulness {
+    fn heading(&self) -> (&'static str, String) {
+        (ANCHOR, "Usefulness: everyday traffic".to_owned())
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (self.introduction()) }
+            (self.table().html())
+            figure { (self.figure(ANCHOR)) }
+        }
+    }
+
+    fn markdown(&self) -> String {
+        format!("{}\n\n{}", self.introduction(), self.table().markdown())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::assessment::{AssessConfig, Store};
+
+    #[test]
+    fn both_sides_are_told_of_every_controller() {
+        let controllers = ["idm", "retrained"].map(str::to_owned).into();
+        let config = AssessConfig { controllers, gates: Vec::new(), ..AssessConfig::default() };
+        let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
+        let found = Usefulness::gather(&plan, &Work::new(&Store::none(), &|_| {})).unwrap().unwrap();
+        let [idm, retrained] = &found.controllers[..] else { panic!("one entry a controller") };
+        assert_eq!((idm.failures, idm.needless, idm.hard, retrained.failures), (0, 0, 0, 0));
+        assert!(retrained.needless > found.draws / 2 && retrained.progress < idm.progress);
+        assert!(retrained.high_risk_percent.observed < idm.high_risk_percent.observed, "the other side");
+        assert!(matches!(idm.line, LineVerdict::Damps { gain } if gain.value() < 1.0), "{:?}", idm.line);
+        assert_eq!(retrained.line, LineVerdict::DoesNotSettle);
+        let json = serde_json::to_string(&found).unwrap();
+        assert_eq!(serde_json::to_string(&serde_json::from_str::<Usefulness>(&json).unwrap()).unwrap(), json);
+        assert!(found.markdown().contains("| idm |") && found.html().into_string().contains("<svg"));
+    }
+}

@@ -1,0 +1,34 @@
+//! Fields that set numbers of a vehicle by a rule, so that they fit together.
+
+use crate::scenario::{Driver, LeadProfile, Pieces, VehicleSpec};
+
+/// Speeds between which `cruise_mps2` keeps a leader, in m/s: 18 km/h, and 130 km/h, the limit on most motorways of Europe.
+pub(super) const CRUISE_MPS: [f64; 2] = [18.0 / 3.6, 130.0 / 3.6];
+
+/// Mass relative to that of the class. The brake force is that of the class: above its mass deceleration falls in
+/// proportion, below it the tyres limit deceleration to that of the class.
+pub(super) fn load(vehicle: &mut VehicleSpec, load: f64) {
+    vehicle.mass_kg = Some(load * vehicle.class.mass_kg());
+    vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() / load.max(1.0));
+}
+
+/// Accelerations as they are wanted, each as far as the speed at the end of its piece stays within [`CRUISE_MPS`]; a speed
+/// that is beyond already does not get further away. A cut only takes away, so that limits that hold for all values hold.
+pub(super) fn cruise(vehicle: &mut VehicleSpec, wanted_mps2: &[f64], until_s: f64) {
+    let mut speed_mps = vehicle.speed_mps;
+    let Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2 })) = &mut vehicle.driver else { return };
+    let [lowest_mps, highest_mps] = CRUISE_MPS;
+    let ends_s = from_s.iter().skip(1).copied().chain([until_s]);
+    for (((accel_mps2, &from_s), to_s), &wanted_mps2) in
+        accel_mps2.iter_mut().zip(&*from_s).zip(ends_s).zip(wanted_mps2)
+    {
+        let held_s = (to_s - from_s).max(0.0);
+        let (down_mps, up_mps) = (lowest_mps.min(speed_mps) - speed_mps, highest_mps.max(speed_mps) - speed_mps);
+        *accel_mps2 = match wanted_mps2 * held_s {
+            gained_mps if gained_mps < down_mps => down_mps / held_s,
+            gained_mps if gained_mps > up_mps => up_mps / held_s,
+            _ => wanted_mps2,
+        };
+        speed_mps += *accel_mps2 * held_s;
+    }
+}

@@ -1,0 +1,70 @@
+//! The standard experiment of string stability: a leader slows down a little and recovers.
+
+use super::{
+    Driver, Environment, InvalidField, LeadProfile, PAPER_STEP_S, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec,
+    Sensors, VehicleClass, VehicleSpec,
+};
+
+/// When the leader of [`speed_dip`] begins to slow down, in seconds: until then the line settles to its own time gaps.
+pub const SPEED_DIP_S: f64 = 60.0;
+/// The leader's speed: 72 km/h.
+const SPEED_MPS: f64 = 20.0;
+/// How much faster the others start, so that a cruise control, which does not want to go faster than it did, closes up to the
+/// time gap at which it follows.
+const CLOSING_MPS: f64 = 2.0;
+/// From the onset on: 2 m/s² for 2 s, which takes 4 m/s off; then back at 1 m/s².
+const DIP: [(f64, f64); 3] = [(0.0, -2.0), (2.0, 1.0), (6.0, 0.0)];
+/// Long enough for the dip to arrive at the last of many vehicles.
+const DURATION_S: f64 = 120.0;
+
+/// A leader at 20 m/s that slows down to 16 m/s and recovers, and `followers` cars behind it, all under test, that start at
+/// `time_gap_s` seconds and a little faster. By the time of the dip each should follow at the time gap it likes.
+///
+/// # Errors
+/// [`InvalidField`] for no followers, too many, or a time gap that is no room.
+pub fn speed_dip(followers: usize, time_gap_s: f64) -> Result<Scenario, InvalidField> {
+    let class = VehicleClass::Light;
+    let pieces = Pieces {
+        from_s: DIP.iter().map(|(after_s, _)| SPEED_DIP_S + after_s).collect(),
+        accel_mps2: DIP.iter().map(|&(_, accel_mps2)| accel_mps2).collect(),
+    };
+    let spacing_m = class.length_m() + time_gap_s * SPEED_MPS;
+    let leader = VehicleSpec::new(class, 0.0, SPEED_MPS, Driver::Profile(LeadProfile::Pieces(pieces)));
+    let behind = (1..=followers)
+        .map(|index| VehicleSpec::new(class, -spacing_m * index as f64, SPEED_MPS + CLOSING_MPS, Driver::UnderTest));
+    Scenario::new(ScenarioSpec {
+        version: SCENARIO_VERSION,
+        name: format!("speed-dip-{followers}"),
+        about: "A leader slows down a little and recovers: does the disturbance grow along the line?".to_owned(),
+        duration_s: DURATION_S,
+        step_s: PAPER_STEP_S,
+        seed: 0,
+        environment: Environment::default(),
+        sensors: Sensors::default(),
+        vehicles: std::iter::once(leader).chain(behind).collect(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::ControllerSpec;
+    use crate::measure::SpeedAmplification;
+    use crate::observation::EstimatorKind;
+    use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
+
+    #[test]
+    fn the_dip_takes_four_metres_a_second_off_and_a_line_of_cruise_controls_carries_it_back() {
+        let scenario = speed_dip(5, 1.5).unwrap();
+        assert!((1..=5).all(|index| scenario.is_under_test(index) && scenario.initial_gap_m(index) == Some(30.0)));
+        let acc = ControllerSpec::named("acc-aeb").unwrap();
+        let run = Run::new(&scenario, RunOptions::new(acc).with_estimator(EstimatorKind::Truth)).unwrap();
+        let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
+        let leader = &trace.vehicles[0].speed_mps;
+        let slowest_mps = leader.iter().copied().fold(f64::INFINITY, f64::min);
+        assert!((slowest_mps - 16.0).abs() < 1e-9 && (leader.last().unwrap() - 20.0).abs() < 1e-9);
+        let found = SpeedAmplification::of(&trace, SPEED_DIP_S).unwrap();
+        assert!(found.of_each.len() == 5 && found.overall > 0.1, "{found:?}");
+        assert!(speed_dip(0, 1.5).is_err() && speed_dip(5, 0.0).is_err() && speed_dip(5, f64::NAN).is_err());
+    }
+}
