@@ -86,6 +86,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         disk::make_folder(path.parent().unwrap_or(&folder))?;
         disk::write(&path, text)?;
     }
-    println!("{}\nwrote {}", assessment.summary.paragraph, folder.join("assessment.html").display());
+    println!("{}wrote {}", assessment.first_page.plain(), folder.join("assessment.html").display());
     Ok(())
 }

@@ -94,7 +94,7 @@ impl Assess {
             if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were there") };
         let page = self.out.join("assessment.html");
         output::note(&format!("wrote {} (and .md, .json, .junit.xml, .gsn.yaml){again}", page.display()), quiet);
-        let mut said = format!("{}\n", assessment.summary.paragraph);
+        let mut said = assessment.first_page.plain();
         if let Some(comparison) = &assessment.comparison {
             said += &format!("{}\n", comparison.words());
         }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use crumple_report::assessment::{Assessment, AssessmentPlan, Best, Store, assess};
+use crumple_report::assessment::{AssessConfig, Assessment, AssessmentPlan, Best, Store, assess};
 use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
@@ -17,7 +17,7 @@ fn committed(name: &str) -> String {
 }
 
 /// When and where a report was made is the only thing that differs each time.
-fn without_made(name: &str, text: &str) -> String {
+pub(crate) fn without_made(name: &str, text: &str) -> String {
     match name.rsplit('.').next() {
         Some("html") => match (text.find("<p id=\"made\">"), text.find("<dl>")) {
             (Some(from), Some(to)) if from < to => format!("{}{}", &text[..from], &text[to..]),
@@ -52,6 +52,20 @@ fn the_built_in_assessment_says_what_it_said() {
         insta::assert_snapshot!("assessment_md", BUILT_IN.markdown());
         insta::assert_json_snapshot!("assessment_json", serde_json::to_value(&*BUILT_IN).expect("serializes"));
     });
+}
+
+/// What reads the evidence or writes a configuration has a schema for it, which the committed report keeps to.
+#[test]
+fn schemas_are_those_of_the_types() {
+    use crate::schema::{assert_committed, validate};
+    let evidence = schemars::schema_for!(Assessment).to_value();
+    assert_committed("crates/report/src/assessment/evidence.schema.json", &evidence);
+    let config = schemars::schema_for!(AssessConfig).to_value();
+    assert_committed("crates/report/src/assessment/configuration.schema.json", &config);
+    let found = serde_json::to_value(&*BUILT_IN).expect("serializes");
+    validate(&evidence, &evidence, &found, "evidence").expect("as the schema says");
+    let default = serde_json::to_value(AssessConfig::default()).expect("serializes");
+    validate(&config, &config, &default, "configuration").expect("as the schema says");
 }
 
 /// Every file of the report is committed as it would be written now, and there is no other counterexample or certificate.

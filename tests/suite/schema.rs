@@ -33,6 +33,12 @@ pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str)
             "maximum" => value.as_f64().is_none_or(|found| found <= number(rule)),
             "minItems" => value.as_array().is_none_or(|items| items.len() as f64 >= number(rule)),
             "maxItems" => value.as_array().is_none_or(|items| items.len() as f64 <= number(rule)),
+            "prefixItems" => {
+                for (index, (item, rule)) in value.as_array().into_iter().flatten().zip(all(rule)).enumerate() {
+                    validate(root, &rule, item, &format!("{place}[{index}]"))?;
+                }
+                true
+            }
             "items" => {
                 for (index, item) in value.as_array().into_iter().flatten().enumerate() {
                     validate(root, rule, item, &format!("{place}[{index}]"))?;
@@ -51,10 +57,15 @@ pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str)
                 true
             }
             "additionalProperties" => {
-                assert_eq!(rule, false, "only the closed form is used");
                 let known = rules.get("properties").and_then(Value::as_object);
-                let is_known = |name: &String| known.is_some_and(|known| known.contains_key(name));
-                value.as_object().is_none_or(|members| members.keys().all(is_known))
+                let is_known = |name: &str| known.is_some_and(|known| known.contains_key(name));
+                for (name, member) in value.as_object().into_iter().flatten().filter(|(name, _)| !is_known(name)) {
+                    if *rule == Value::Bool(false) {
+                        return Err(format!("{place}: `{name}` is not known"));
+                    }
+                    validate(root, rule, member, &format!("{place}.{name}"))?;
+                }
+                true
             }
             other => panic!("{place}: the keyword {other} is not known here"),
         };
@@ -73,6 +84,7 @@ fn is_of_type(value: &Value, name: &Value) -> bool {
         "number" => value.is_number(),
         "integer" => value.is_u64() || value.is_i64(),
         "null" => value.is_null(),
+        "boolean" => value.is_boolean(),
         other => panic!("unknown type {other}"),
     }
 }

@@ -1,5 +1,6 @@
 //! `crumple assess` and `crumple import` as a user meets them.
 
+use crate::report::without_made;
 use std::fs;
 use std::path::Path;
 
@@ -39,6 +40,8 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
         "counterexamples",
         "evidence",
         "figures",
+        "replay.sh",
+        "scenarios",
     ];
     for threads in ["1", "2"] {
         let out = format!("report-{threads}");
@@ -48,7 +51,9 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
         assert_eq!(names_in(&folder.path().join(&out)), written);
     }
     for name in &written[..5] {
-        let read = |folder_name: &str| fs::read(folder.path().join(folder_name).join(name)).unwrap();
+        let read = |folder_name: &str| {
+            without_made(name, &fs::read_to_string(folder.path().join(folder_name).join(name)).unwrap())
+        };
         assert_eq!(read("report-1"), read("report-2"), "{name} depends on the number of threads");
     }
     let markdown = fs::read_to_string(folder.path().join("report-1/assessment.md")).unwrap();
@@ -78,7 +83,10 @@ fn gates_decide_and_evidence_is_kept() {
     assert!(stdout(&again).contains("0 better, 0 worse, 0 new, 0 gone"), "{again:?}");
     let third = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
     assert!(stderr(&third).contains("pieces of evidence were there"), "{third:?}");
-    let read = |report: &str| fs::read_to_string(folder.path().join(report).join("assessment.json")).unwrap();
+    let read = |report: &str| {
+        let text = fs::read_to_string(folder.path().join(report).join("assessment.json")).unwrap();
+        without_made("assessment.json", &text)
+    };
     assert_eq!(read("one"), read("two"));
 
     config("[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n");

@@ -29,7 +29,7 @@ pub fn episode_of(line: &str) -> Option<u64> {
 }
 
 /// Mean and standard deviation over trainings of the reward in evaluation. A training that has ended keeps its best.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LearningCurve {
     /// Name of the training configuration.
@@ -41,7 +41,7 @@ pub struct LearningCurve {
 }
 
 /// One evaluation over all trainings.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CurvePoint {
     /// Episodes done.

@@ -1,5 +1,6 @@
 //! What the best driver could have made of a scenario, and how far a controller stays behind.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::work::Work;
@@ -8,7 +9,7 @@ use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoi
 use crumple_world::scenario::{Scenario, file};
 
 /// Whether a contact was avoidable for any driver, and by how much.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Best {

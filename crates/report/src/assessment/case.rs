@@ -1,5 +1,6 @@
 //! One controller in one scenario: what is reported of it.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Rounded;
@@ -16,7 +17,7 @@ use crumple_world::sim::{
 /// What came of one controller in one scenario.
 ///
 /// Where several vehicles are under test, each measure is that of the vehicle that fared worst by it.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Case {
     /// The controller's name.
     pub controller: String,
@@ -47,7 +48,7 @@ pub struct Case {
 }
 
 /// How a run ended.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum CaseVerdict {
@@ -78,7 +79,7 @@ pub enum CaseVerdict {
 pub const STILL_CLOSING_TTC_S: f64 = 30.0;
 
 /// A contact with the numbers a report needs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RoundedContact {
     /// When, in seconds.
     pub time_s: Rounded<2>,
@@ -91,7 +92,7 @@ pub struct RoundedContact {
 }
 
 /// Measures of one vehicle towards the one ahead of it.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Towards {
     /// Smallest gap, in metres.
     pub min_gap_m: Option<Rounded<2>>,
@@ -114,7 +115,7 @@ pub struct Towards {
 }
 
 /// The crash when it is played to its end, vehicles sticking together.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PileUp {
     /// Impacts.
     pub impacts: usize,

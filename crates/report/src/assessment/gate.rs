@@ -63,7 +63,7 @@ pub enum Gate {
 }
 
 /// What came of a gate.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct GateResult {
     /// What must hold.
     pub gate: String,

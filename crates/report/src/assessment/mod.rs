@@ -21,6 +21,7 @@ mod table;
 mod work;
 
 use maud::Markup;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 pub use best::Best;
@@ -54,7 +55,7 @@ use work::Work;
 pub const EVIDENCE_VERSION: u32 = 3;
 
 /// Everything an assessment found out.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Assessment {
     /// Version of the evidence format.
     pub version: u32,
@@ -245,14 +246,14 @@ impl Assessment {
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
         parts.extend([&self.distributions as &dyn Part, &self.searches]);
         parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn Part));
-        parts.extend([&self.proofs as &dyn Part, &self.argument, &self.limits]);
+        parts.extend([&self.proofs as &dyn Part, &self.limits]);
         parts
     }
 
     /// The parts of the appendix.
     #[must_use]
     pub fn appendix(&self) -> Vec<&dyn Part> {
-        let mut parts: Vec<&dyn Part> = Vec::new();
+        let mut parts: Vec<&dyn Part> = vec![&self.argument];
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn Part));
         parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn Part));
         parts.extend(self.learned.as_ref().map(|learned| learned as &dyn Part));

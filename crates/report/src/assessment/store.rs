@@ -8,6 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
+use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +17,7 @@ use crumple_search::disk::{self, DiskError};
 use crumple_world::digest::sha256;
 
 /// A piece of evidence: its name, what it depends on, and what it says, as hashes.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 pub struct EvidenceHash {
     /// Which evidence.
     pub name: String,
@@ -79,7 +80,7 @@ impl Workplace {
 }
 
 /// What a file holds. Hashes guard against files that were cut, edited or moved, not against an author who recomputes them.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct Kept {
     name: String,
     inputs_sha256: String,

@@ -1,6 +1,7 @@
 //! The first page: what was asked, what the answer is, and what to look at first.
 
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::certified::seeing;
@@ -11,7 +12,7 @@ use crate::assessment::{AssessmentPlan, Part};
 use crate::draw::Svg;
 
 /// The answer to the question whether the subject touches others.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Answer {
@@ -24,7 +25,7 @@ pub enum Answer {
 }
 
 /// The first page.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct FirstPage {
     /// What was asked.
     pub question: String,
@@ -136,6 +137,19 @@ impl Answer {
             Self::SafeInDomain => "answer good",
             Self::Undecided => "answer",
         }
+    }
+}
+
+impl FirstPage {
+    /// Question, answer and reasons, for a terminal.
+    #[must_use]
+    pub fn plain(&self) -> String {
+        let list = |head: &str, lines: &[String]| {
+            let lines: String = lines.iter().map(|line| format!("  {line}\n")).collect();
+            if lines.is_empty() { String::new() } else { format!("{head}\n{lines}") }
+        };
+        let text = format!("{}\n{}\n", self.question, self.words);
+        text + &list("against it:", &self.against) + &list("for it:", &self.speaks_for)
     }
 }
 

@@ -6,6 +6,7 @@
 use std::fmt::Write;
 
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::argument_figure;
@@ -16,14 +17,14 @@ use crate::assessment::table::Mark;
 use crate::assessment::{AssessmentPlan, Part};
 
 /// The argument, its elements in the order of their identifiers' numbers.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Argument {
     /// Its elements; the first one is the top goal.
     pub elements: Vec<Element>,
 }
 
 /// One element of the notation.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Element {
     /// Identifier, its first letters saying what it is.
     pub id: String,
@@ -46,7 +47,7 @@ pub struct Element {
 }
 
 /// What an element is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum ElementKind {

@@ -3,6 +3,7 @@
 use crumple_verify::reach::Ranges;
 use crumple_verify::{Accepted, Assumption, Certificate, Reach, Registration, Statement, check_with};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
@@ -17,7 +18,7 @@ use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// A certificate and what the checker said of it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Proof {
     /// Its name.
     pub name: String,
@@ -34,6 +35,7 @@ pub struct Proof {
     /// What the checker said.
     pub status: ProofStatus,
     /// What it takes for granted.
+    #[schemars(with = "Vec<String>")]
     pub assumptions: Vec<Assumption>,
     /// The file itself.
     #[serde(skip)]
@@ -44,7 +46,7 @@ pub struct Proof {
 }
 
 /// What the checker said of a certificate.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum ProofStatus {
@@ -63,7 +65,7 @@ pub enum ProofStatus {
 }
 
 /// Of whom in a report a certificate speaks. What it is called, and what it says it is about, decides nothing.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum SpeaksOf {

@@ -6,6 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::claims::Strength;
@@ -15,7 +16,7 @@ use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::digest::sha256;
 
 /// What changed since an earlier assessment.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Comparison {
     /// SHA-256 of the evidence it is compared with.
     pub earlier_sha256: String,
@@ -34,7 +35,7 @@ pub struct Comparison {
 }
 
 /// Something that differs.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Change {
     /// What it is.
     pub what: String,

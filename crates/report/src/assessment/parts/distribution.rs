@@ -1,6 +1,7 @@
 //! Draws of spaces: failure rates with exact bounds, and paired comparison.
 
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -23,14 +24,14 @@ const CONFIDENCE: f64 = 0.95;
 const DRAWS_AT_ONCE: u64 = 4096;
 
 /// Every controller on the same draws, space after space.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Distributions {
     /// One entry a space.
     pub spaces: Vec<Distribution>,
 }
 
 /// Every controller on the same draws of a space.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 pub struct Distribution {
     /// The space.
     pub space: Known,
@@ -45,7 +46,7 @@ pub struct Distribution {
 }
 
 /// How one controller did on all draws.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 pub struct Sampled {
     /// The controller's name.
     pub controller: String,
@@ -68,7 +69,7 @@ pub struct Sampled {
 }
 
 /// A share in percent with its bounds.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize, JsonSchema)]
 pub struct Percent {
     /// The share that was observed.
     pub observed: Rounded<2>,
@@ -92,7 +93,7 @@ impl Percent {
 }
 
 /// Two controllers on the same draws.
-#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Paired {
     /// Both collide.
     pub both: u64,

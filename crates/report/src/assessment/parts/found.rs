@@ -1,5 +1,6 @@
 //! A failure that a search found, as a report shows it.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::assessment::{Command, Rounded};
@@ -8,7 +9,7 @@ use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed, Counte
 use crumple_world::digest::sha256;
 
 /// What a method reached within its budget.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct MethodReached {
     /// The method.
     pub method: String,
@@ -32,7 +33,7 @@ impl From<&MethodSummary> for MethodReached {
 }
 
 /// A distinct failure, shrunk.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Failure {
     /// The scenario file, from the folder of the report.
     pub file: String,

@@ -1,6 +1,7 @@
 //! Learned policies: where they come from, and how they brake.
 
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{PaperScenarios, ScenarioCases};
@@ -15,7 +16,7 @@ use crumple_world::policy::Policy;
 use crumple_world::sim::{Trace, Track};
 
 /// The learned policies among the controllers.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Learned {
     /// One entry a policy.
     pub policies: Vec<LearnedPolicy>,
@@ -31,7 +32,7 @@ pub struct Learned {
 const REFERENCE_CURVE: &str = include_str!("../built_in/learning-curve.json");
 
 /// A policy and its origin.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct LearnedPolicy {
     /// The name it goes by here.
     pub name: String,
@@ -44,7 +45,7 @@ pub struct LearnedPolicy {
 }
 
 /// When the first vehicle under test and the one behind it begin to brake.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Braking {
     /// The scenario.
     pub scenario: String,

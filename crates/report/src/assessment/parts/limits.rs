@@ -1,20 +1,21 @@
 //! What the assessment does not show.
 
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::observation::EstimatorKind;
 
 /// Assumptions and limits.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Limits {
     /// The assumptions.
     pub assumptions: Vec<Limit>,
 }
 
 /// Something that is taken for granted.
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
 pub struct Limit {
     /// What, in a few words that are true or false.
     pub assumed: &'static str,

@@ -1,5 +1,6 @@
 //! What a line of vehicles under one controller makes of a disturbance.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::Rounded;
@@ -9,7 +10,7 @@ use crumple_world::scenario::{SPEED_DIP_S, Scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// What a line of vehicles makes of a disturbance of its leader.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum LineVerdict {

@@ -2,6 +2,7 @@
 
 use maud::{Markup, html};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -31,7 +32,7 @@ const CELLS: (usize, usize) = (14, 14);
 const MOST_SHOWN: usize = 4;
 
 /// Maps of the same scenarios, one a controller.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FailureMaps {
     /// The search space the scenarios come from.
     pub space: String,
@@ -48,7 +49,7 @@ pub struct FailureMaps {
 }
 
 /// What came of one controller.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FailureMap {
     /// The controller.
     pub controller: String,

@@ -2,6 +2,7 @@
 
 use maud::{Markup, html};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{ScenarioCases, scenarios};
@@ -14,7 +15,7 @@ use crate::draw::Svg;
 use crumple_world::scenario::{Scenario, built_in, built_in_names};
 
 /// Every controller in the paper's three scenarios.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct PaperScenarios {
     /// One entry a scenario.
     pub scenarios: Vec<ScenarioCases>,

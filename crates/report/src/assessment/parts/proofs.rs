@@ -2,6 +2,7 @@
 
 use crumple_verify::Assumption;
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::certified::{self, Proof, SpeaksOf};
@@ -13,7 +14,7 @@ use crumple_world::control::Kernel;
 use crumple_world::scenario::VehicleClass;
 
 /// Certificates, each checked in this very run or in one that asked the same.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Proofs {
     /// What the shield's kernels demand, one entry a pair of vehicle classes.
     pub kernels: Vec<KernelGap>,
@@ -24,7 +25,7 @@ pub struct Proofs {
 }
 
 /// What the kernel of a pair of vehicle classes demands on a dry road.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct KernelGap {
     /// Name of the pair, and of the certificate.
     pub pair: String,

@@ -1,6 +1,7 @@
 //! Where the evidence comes from.
 
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::assessment::table::{Cell, Table};
@@ -8,7 +9,7 @@ use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceHash, Part, Store}
 use crumple_world::digest::sha256;
 
 /// When, by what and where an assessment was made. No evidence depends on it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Made {
     /// Date and time, UTC, as RFC 3339 has it.
     pub at: String,
@@ -23,7 +24,7 @@ pub struct Made {
 }
 
 /// What it takes to get the same evidence again.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Provenance {
     /// Version of crumple.
     pub crumple: &'static str,

@@ -1,6 +1,7 @@
 //! All controllers in one scenario: a table, and a figure for each.
 
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::assessment::case::Case;
@@ -12,7 +13,7 @@ use crate::draw::{MotionFigure, Svg, animation, motion_beside, motion_plate, mot
 use crumple_world::scenario::Scenario;
 
 /// What came of every controller in one scenario.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct ScenarioCases {
     /// Name of the scenario.
     pub scenario: String,
@@ -158,7 +159,7 @@ impl ScenarioCases {
     pub(in crate::assessment) fn tables(&self) -> Markup {
         html! {
             (self.table().html())
-            details.measures { summary { "further measures" } (self.further_measures().html()) }
+            details { summary { "further measures" } (self.further_measures().html()) }
         }
     }
 

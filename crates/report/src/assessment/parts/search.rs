@@ -4,6 +4,7 @@ use std::path::Path;
 
 use maud::{Markup, html};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::json;
 
@@ -33,14 +34,14 @@ const MOST_SHOWN: usize = 100;
 const MOST_DRAWN: usize = 3;
 
 /// What was searched for failures, and what was found.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Searches {
     /// One entry a space.
     pub spaces: Vec<SpaceSearches>,
 }
 
 /// Every controller in one space.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct SpaceSearches {
     /// The space, as `--space` takes it.
     pub name: String,
@@ -53,7 +54,7 @@ pub struct SpaceSearches {
 }
 
 /// One controller in one space.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Search {
     /// The controller.
     pub controller: String,
@@ -390,7 +391,7 @@ impl Part for Searches {
                 p { (prose(&space.about)) }
                 (space.table().html())
                 @for search in &space.controllers {
-                    details.measures {
+                    details {
                         summary { (search.controller) ": " (search.in_short()) }
                         p { (prose(&search.effort())) }
                         @if !search.failures.is_empty() {

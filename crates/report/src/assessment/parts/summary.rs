@@ -1,23 +1,20 @@
 //! The verdict: claims about each controller, and how strongly each is supported.
 
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::certified::{kernel_domain, kernels, seeing};
 use super::{Distributions, PaperScenarios, Proofs, Searches, Traffic, Usefulness, WorstProfiles};
-use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, Standing, Strength};
-use crate::assessment::prose::prose;
+use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, Standing};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, GateResult, Part, Rounded};
-use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::ControllerKind;
 
 /// Every claim about every controller.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Summary {
-    /// The verdict in a paragraph.
-    pub paragraph: String,
     /// The controller that the question is about.
     pub subject: Option<String>,
     /// Names of the controllers, in the order of each claim's standings.
@@ -32,7 +29,7 @@ pub struct Summary {
 }
 
 /// One property in one domain, claimed of every controller.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct ClaimRow {
     /// What is claimed.
     pub claim: String,
@@ -77,13 +74,12 @@ impl Summary {
     pub(in crate::assessment) fn of(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Self {
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
         let rows = rows(plan, found, ledger);
-        let paragraph = paragraph(plan, &controllers, &rows, found);
         let subject = plan.subject().map(|subject| subject.name.clone());
         let is_asked = |&index: &usize| {
             index == 0 || index == plan.subject || plan.controllers.get(index).is_some_and(|one| one.policy().is_some())
         };
         let asked = (0..controllers.len()).filter(is_asked).collect();
-        Self { paragraph, subject, controllers, claims: rows, gates: Vec::new(), asked }
+        Self { subject, controllers, claims: rows, gates: Vec::new(), asked }
     }
 
     fn gate_table(&self) -> Table {
@@ -192,65 +188,6 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     rows
 }
 
-fn paragraph(plan: &AssessmentPlan, controllers: &[String], claims: &[ClaimRow], found: &Findings<'_>) -> String {
-    let strength =
-        |claim: &ClaimRow, index: usize| claim.standings.get(index).map(|standing| standing.strength.clone());
-    let collides =
-        |&index: &usize| claims.iter().any(|claim| matches!(strength(claim, index), Some(Strength::Refuted { .. })));
-    let (failing, sound): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(collides);
-    let named = |indices: &[usize]| {
-        let names: Vec<_> = indices.iter().filter_map(|&index| controllers.get(index).map(String::as_str)).collect();
-        match names.split_last() {
-            None => "none".to_owned(),
-            Some((last, [])) => (*last).to_owned(),
-            Some((last, others)) => format!("{} and {last}", others.join(", ")),
-        }
-    };
-    let mut text = String::new();
-    for distribution in found.distributions.spaces.iter().filter(|drawn| drawn.draws > 0) {
-        let Some(first) = distribution.controllers.first() else { continue };
-        text += &format!(
-            "`{}` collides in {} of {} draws of `{}`",
-            first.controller, first.collisions, distribution.draws, distribution.space.name
-        );
-        if first.was_hit > 0 {
-            text += &format!(", in {} of them because it is hit from behind", first.was_hit);
-        }
-        text += &match distribution.controllers.get(plan.subject).filter(|_| plan.subject != 0) {
-            Some(own) => format!("; `{}` collides in {} of the same draws. ", own.controller, own.collisions),
-            None => ". ".to_owned(),
-        };
-    }
-    text +=
-        &format!("In the scenarios and draws of this report, its searches apart, no collision: {}; ", named(&sound));
-    text += &format!("at least one: {}. ", named(&failing));
-    if let Some(subject) = plan.subject() {
-        for space in &found.searches.spaces {
-            let Some(search) = space.of(&subject.name) else { continue };
-            text += &match search.total() {
-                0 => format!("A search of `{}` found no failure of {}. ", space.name, subject.name),
-                1 => format!("A search of `{}` makes {} collide in one way. ", space.name, subject.name),
-                total => format!(
-                    "A search of `{}` makes {} collide in {total} distinct ways, {} of which another driver would have avoided. ",
-                    space.name,
-                    subject.name,
-                    search.count(AvoidabilityClass::Avoidable)
-                ),
-            };
-        }
-    }
-    let defeated =
-        |&index: &usize| claims.iter().any(|claim| matches!(strength(claim, index), Some(Strength::Defeated { .. })));
-    let (defeated, withstood): (Vec<_>, Vec<_>) = (0..controllers.len()).partition(defeated);
-    if !defeated.is_empty() {
-        text += &match withstood.as_slice() {
-            [] => "In paper-1 a search for the mildest lead braking made every controller collide. ".to_owned(),
-            _ => format!("In paper-1 a search for the mildest lead braking made these collide: {}. ", named(&defeated)),
-        };
-    }
-    text.trim_end().to_owned()
-}
-
 impl Part for Summary {
     fn heading(&self) -> (&'static str, String) {
         ("verdict", "Claims".to_owned())
@@ -259,7 +196,6 @@ impl Part for Summary {
     fn html(&self) -> Markup {
         let (asked, others) = self.columns();
         html! {
-            p { (prose(&self.paragraph)) }
             (self.table(&asked).html())
             @if !others.is_empty() {
                 details { summary { "the other controllers" } (self.table(&others).html()) }
@@ -282,6 +218,6 @@ impl Part for Summary {
             true => String::new(),
             false => format!("\nThe other controllers:\n\n{}", self.table(&others).markdown()),
         };
-        format!("{}\n\n{}{others}{gates}", self.paragraph, self.table(&asked).markdown())
+        format!("{}{others}{gates}", self.table(&asked).markdown())
     }
 }

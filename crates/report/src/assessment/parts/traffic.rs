@@ -2,6 +2,7 @@
 
 use maud::{Markup, html};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{ScenarioCases, scenarios};
@@ -22,7 +23,7 @@ const MOST_FIGURES: usize = 12;
 const ANCHOR: &str = "traffic";
 
 /// Every controller in every scenario the configuration names.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Traffic {
     /// One entry a scenario.
     pub scenarios: Vec<ScenarioCases>,

@@ -1,6 +1,7 @@
 //! Usefulness: what a controller does where nothing threatens, beside what it survives where something does.
 
 use maud::{Markup, html};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -33,7 +34,7 @@ const FOLLOWERS: usize = 5;
 const TIME_GAP_S: f64 = 1.5;
 
 /// Every controller in everyday traffic, in danger, and in a line.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 pub struct Usefulness {
     /// Where nothing threatens, and where something does.
     pub spaces: [Known; 2],
@@ -48,7 +49,7 @@ pub struct Usefulness {
 }
 
 /// How one controller gets on. Means are over the drives in which there is such a value.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 pub struct Useful {
     /// The controller's name.
     pub controller: String,
@@ -208,7 +209,7 @@ impl Usefulness {
         let (width, height) = (480.0, 36.0 * names.len() as f64);
         let frame = Frame { left, top: HEADING, width: width - left - 24.0, height };
         let axis = Axis::numbers("Share of draws (%)", (0.0, 100.0), 5);
-        let title = "Failures in high-risk (crosses), braking without cause in traffic (rings)";
+        let title = "Failures in danger (×), needless brakes (○)";
         let mut panel = Panel::new(frame, title, axis, Axis::names("", &names).reversed());
         for (index, useful) in self.controllers.iter().enumerate() {
             let row = (names.len() - 1 - index) as f64;

@@ -2,6 +2,7 @@
 
 use maud::{Markup, html};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::worst_figure;
@@ -23,7 +24,7 @@ const SCENARIO: &str = "paper-1";
 pub(in crate::assessment) const BUDGET: usize = 3000;
 
 /// The mildest braking of the leader found against every controller.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct WorstProfiles {
     /// The scenario whose leader brakes.
     pub scenario: &'static str,
@@ -40,7 +41,7 @@ pub struct WorstProfiles {
 }
 
 /// What was found against one controller.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 pub struct WorstProfile {
     /// The controller.
     pub controller: String,
@@ -55,7 +56,7 @@ pub struct WorstProfile {
 }
 
 /// A braking of the leader that ends in a collision.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 pub struct Mildest {
     /// Hardest deceleration of the leader, in m/s².
     pub peak_brake_mps2: Rounded<2>,

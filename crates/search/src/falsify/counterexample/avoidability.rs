@@ -29,7 +29,7 @@ pub enum Avoidability {
 }
 
 /// An [`Avoidability`] as one word.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AvoidabilityClass {
     /// [`Avoidability::NotAsked`].
