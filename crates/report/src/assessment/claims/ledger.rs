@@ -118,6 +118,6 @@ impl Ledger {
             self.evidence.iter().position(proves)
         };
         let proofs = all.iter().cloned().map(proof_of).collect::<Option<Vec<_>>>()?;
-        (proofs.len() > 1).then(|| (Strength::Proved { certificates: proofs.len() }, proofs))
+        (proofs.len() > 1).then_some((Strength::Proved { certificates: proofs.len() }, proofs))
     }
 }
