@@ -128,6 +128,22 @@ fn the_goal_structure_has_no_dangling_reference() {
                 reached.push(reference);
             }
         }
+        let kind = |id: &str| id.trim_end_matches(|letter: char| letter.is_ascii_digit()).to_owned();
+        let list = |name: &str| -> Vec<String> {
+            let all = field(name).and_then(Yaml::as_sequence).into_iter().flatten();
+            all.map(|reference| kind(reference.as_str().expect("a name"))).collect()
+        };
+        // What may support what, after the GSN Community Standard, version 3, part 1.
+        let may: &[&str] = match kind(id).as_str() {
+            "G" => &["G", "S", "Sn"],
+            "S" => &["G"],
+            _ => &[],
+        };
+        assert!(list("supportedBy").iter().all(|below| may.contains(&below.as_str())), "{id}");
+        assert!(list("inContextOf").iter().all(|around| around == "C" || around == "A"), "{id}");
+        let undeveloped = field("undeveloped").is_some();
+        let bare = list("supportedBy").is_empty() && field("defeated").is_none();
+        assert_eq!(kind(id) == "G" && bare, undeveloped, "{id}");
         if let Some(challenged) = field("challenges").and_then(Yaml::as_str) {
             assert!(ids.contains(&challenged), "{id} challenges {challenged}");
             let target = elements.iter().find(|(other, _)| other.as_str() == Some(challenged)).expect("there").1;

@@ -130,6 +130,8 @@ fn mistakes_are_said_before_anything_is_written() {
     assert!(retrain(&["--policy", "idm"]).contains("--policy: `idm` is no policy that can be trained on"));
     assert!(retrain(&["--policy", "shield:policy"]).contains("is no policy that can be trained on"));
     assert!(retrain(&["--preset", "slow"]).contains("there is no preset `slow`"));
-    assert!(retrain(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk) nor a file"));
+    assert!(
+        retrain(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic) nor a file")
+    );
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }

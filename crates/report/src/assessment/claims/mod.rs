@@ -78,6 +78,8 @@ pub enum Property {
     },
     /// It never brakes without a cause.
     NoNeedlessBraking,
+    /// A line of vehicles with it makes a disturbance no larger from one to the next.
+    StringStable,
 }
 
 /// Where something is claimed.
@@ -166,6 +168,7 @@ impl Property {
             Self::RateAtMost { percent } => format!("contact in at most {} % of runs", percent.value()),
             Self::FailsLessOften { than } => format!("fewer failures than {}", than.name),
             Self::NoNeedlessBraking => "no braking without cause".to_owned(),
+            Self::StringStable => "no disturbance grows along a line".to_owned(),
         }
     }
 

@@ -10,7 +10,7 @@ use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, Stroke, Svg, TaggedLine};
-use crumple_learn::rl::LearningCurve;
+use crumple_learn::rl::{CurvePoint, LearningCurve};
 use crumple_world::control::ControllerSpec;
 use crumple_world::policy::Policy;
 use crumple_world::sim::{Trace, Track};
@@ -203,6 +203,20 @@ const INTRODUCTION: &str = "The paper reports that the learned controller brakes
     follower's brake fires; and whether it speeds up afterwards. A policy that brakes before its leader does has learned the \
     paper's scenarios rather than the road: the paper's reward asks for no contact and charges nothing for braking.";
 
+/// What the curve shows and what it does not.
+fn in_words(curve: &LearningCurve) -> String {
+    let reward = |point: Option<&CurvePoint>| point.map_or(0.0, |point| point.mean_reward);
+    format!(
+        "{} seeds of preset {} score {} before any training, on average, and {} at the end, where 22500 is no contact in any run: what \
+         is learned lies between the two. A seed that has finished keeps its best from then on, so the end of the curve says when seeds \
+         finished, and not how they would have gone on.",
+        curve.seeds,
+        curve.preset,
+        reward(curve.points.first()),
+        reward(curve.points.last())
+    )
+}
+
 impl Part for Learned {
     fn heading(&self) -> (&'static str, String) {
         ("learned", "How the learned policy drives".to_owned())
@@ -211,7 +225,10 @@ impl Part for Learned {
     fn html(&self) -> Markup {
         html! {
             (self.origins().html())
-            @if let Some(curve) = &self.learning_curve { figure { (crate::figures::learning_curve(curve)) } }
+            @if let Some(curve) = &self.learning_curve {
+                figure { (crate::figures::learning_curve(curve)) }
+                p { (in_words(curve)) }
+            }
             p { (INTRODUCTION) }
             (self.times().html())
             @for (name, figure) in &self.figures {
@@ -221,10 +238,7 @@ impl Part for Learned {
     }
 
     fn markdown(&self) -> String {
-        let curve = self.learning_curve.as_ref().map_or(String::new(), |curve| {
-            let last = curve.points.last().map_or(0.0, |point| point.mean_reward);
-            format!("{} seeds of preset {} reach a mean reward of {last} of 22500.\n\n", curve.seeds, curve.preset)
-        });
+        let curve = self.learning_curve.as_ref().map_or(String::new(), |curve| in_words(curve) + "\n\n");
         format!("{}\n{curve}{INTRODUCTION}\n\n{}", self.origins().markdown(), self.times().markdown())
     }
 }

@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::Rounded;
+use crate::assessment::claims::Strength;
 use crate::assessment::table::{Cell, Mark};
 use crumple_world::measure::SpeedAmplification;
 use crumple_world::scenario::{SPEED_DIP_S, Scenario};
@@ -41,6 +42,15 @@ impl LineVerdict {
             let gain = Rounded::new(found.overall);
             if found.grows() { Self::Amplifies { gain } } else { Self::Damps { gain } }
         }))
+    }
+
+    /// What it says of the claim that no disturbance grows: of a line that drives at no one speed nothing.
+    pub(super) fn strength(self) -> Strength {
+        match self {
+            Self::Damps { .. } => Strength::of(0, 1),
+            Self::Amplifies { .. } | Self::Fails => Strength::of(1, 1),
+            Self::DoesNotSettle => Strength::Untried,
+        }
     }
 
     pub(super) fn cell(self) -> Cell {

@@ -45,7 +45,7 @@ pub use provenance::{Made, Provenance};
 pub use scenarios::ScenarioCases;
 pub use search::{Search, Searches, SpaceSearches};
 pub(super) use summary::Findings;
-pub use summary::{ClaimRow, Summary};
+pub use summary::{ClaimRow, NamedThing, Summary};
 pub use traffic::Traffic;
 pub(super) use traffic::scenario_file;
 pub use usefulness::{Useful, Usefulness};

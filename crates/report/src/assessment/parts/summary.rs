@@ -19,6 +19,8 @@ pub struct Summary {
     pub subject: Option<String>,
     /// Names of the controllers, in the order of each claim's standings.
     pub controllers: Vec<String>,
+    /// What the names of controllers and spaces stand for, in a few words each.
+    pub named: Vec<NamedThing>,
     /// The claims.
     pub claims: Vec<ClaimRow>,
     /// What had to hold, and whether it does.
@@ -26,6 +28,15 @@ pub struct Summary {
     /// The first controller, the subject, and whatever learned.
     #[serde(skip)]
     asked: Vec<usize>,
+}
+
+/// A name, and what it stands for.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct NamedThing {
+    /// The name.
+    pub name: String,
+    /// What it is.
+    pub what: String,
 }
 
 /// One property in one domain, claimed of every controller.
@@ -79,7 +90,7 @@ impl Summary {
             index == 0 || index == plan.subject || plan.controllers.get(index).is_some_and(|one| one.policy().is_some())
         };
         let asked = (0..controllers.len()).filter(is_asked).collect();
-        Self { subject, controllers, claims: rows, gates: Vec::new(), asked }
+        Self { subject, controllers, named: named(plan, found), claims: rows, gates: Vec::new(), asked }
     }
 
     fn gate_table(&self) -> Table {
@@ -106,9 +117,50 @@ impl Summary {
         table
     }
 
+    fn names(&self) -> Table {
+        let mut table = Table::new(&["name", "what it is"]);
+        for NamedThing { name, what } in &self.named {
+            table.row(vec![Cell::text(name), Cell::text(what)]);
+        }
+        table
+    }
+
     /// Those the question is about, and the others.
     fn columns(&self) -> (Vec<usize>, Vec<usize>) {
         (0..self.controllers.len()).partition(|index| self.asked.contains(index))
+    }
+}
+
+/// The controllers, and the spaces that claims are about.
+fn named(plan: &AssessmentPlan, found: &Findings<'_>) -> Vec<NamedThing> {
+    let controllers =
+        plan.controllers.iter().map(|one| NamedThing { name: one.name.clone(), what: what_drives(&one.kind) });
+    let mut all: Vec<NamedThing> = controllers.collect();
+    let everyday = found.usefulness.iter().flat_map(|usefulness| usefulness.abouts());
+    let own = plan.distributions.iter().chain(&plan.spaces);
+    let own = own.map(|named| (named.space.name().to_owned(), named.space.spec().about.clone()));
+    for (name, about) in own.chain(everyday) {
+        let name = format!("space `{name}`");
+        if !all.iter().any(|known| known.name == name) {
+            let first = about.split_inclusive(['.', ':']).next().unwrap_or_default();
+            all.push(NamedThing { name, what: first.trim_end_matches(['.', ':']).to_owned() });
+        }
+    }
+    all
+}
+
+/// What drives, in a few words.
+fn what_drives(kind: &ControllerKind) -> String {
+    match kind {
+        ControllerKind::BuiltIn(spec) => spec.summary().to_owned(),
+        ControllerKind::Policy(policy) => format!("a learned policy with hidden layers {:?}", policy.header().hidden),
+        ControllerKind::Shielded(shielded) => {
+            format!(
+                "behind a shield, which brakes fully where no way out would be left: {}",
+                what_drives(&shielded.controller)
+            )
+        }
+        ControllerKind::Custom(_) => "a controller from outside".to_owned(),
     }
 }
 
@@ -160,6 +212,7 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     if let Some(usefulness) = found.usefulness {
         let [traffic, danger] = usefulness.domains();
         add("usefulness", None, of_all(Property::NoNeedlessBraking, traffic.clone(), own));
+        add("usefulness", None, of_all(Property::StringStable, usefulness.line_domain(), own));
         add("usefulness", None, of_all(Property::NoContact, traffic, own));
         add("usefulness", None, of_all(Property::NoContact, danger, own));
     }
@@ -196,6 +249,7 @@ impl Part for Summary {
     fn html(&self) -> Markup {
         let (asked, others) = self.columns();
         html! {
+            details { summary { "what the names stand for" } (self.names().html()) }
             (self.table(&asked).html())
             @if !others.is_empty() {
                 details { summary { "the other controllers" } (self.table(&others).html()) }
@@ -218,6 +272,6 @@ impl Part for Summary {
             true => String::new(),
             false => format!("\nThe other controllers:\n\n{}", self.table(&others).markdown()),
         };
-        format!("{}{others}{gates}", self.table(&asked).markdown())
+        format!("{}\n{}{others}{gates}", self.names().markdown(), self.table(&asked).markdown())
     }
 }

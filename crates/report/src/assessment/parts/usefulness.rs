@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::{LineVerdict, Percent};
 use crate::assessment::case::CaseVerdict;
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Words};
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
@@ -38,6 +38,8 @@ const TIME_GAP_S: f64 = 1.5;
 pub struct Usefulness {
     /// Where nothing threatens, and where something does.
     pub spaces: [Known; 2],
+    /// The line in which a disturbance is followed.
+    pub line: Known,
     /// Draws of each space for each controller.
     pub draws: u64,
     /// Seed of the draws.
@@ -112,6 +114,7 @@ impl Usefulness {
         let spaces = [traffic_known.map_err(StoreError::encoding)?, high_risk_known.map_err(StoreError::encoding)?];
         let draws = |space: Space| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
         let (traffic, high_risk, line) = (draws(traffic)?, draws(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
+        let known_line = Known::of("a line of five behind a leader that slows down", format!("{:?}", line.spec()));
         let useful = |controller: &NamedController| -> Result<Useful, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
             let drives = Drive::all(&traffic, &options)?;
@@ -121,13 +124,24 @@ impl Usefulness {
             Ok(Useful::of(controller, &drives, touched, line))
         };
         let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
-        Ok(Some(Self { spaces, draws: count, seed, confidence: CONFIDENCE, controllers }))
+        Ok(Some(Self { spaces, line: known_line, draws: count, seed, confidence: CONFIDENCE, controllers }))
     }
 
     /// The drives as domains: where nothing threatens, and where something does.
     pub(in crate::assessment) fn domains(&self) -> [Domain; 2] {
         let (seed, draws) = (self.seed, self.draws);
         self.spaces.clone().map(|space| Domain::Draws { space, seed, draws })
+    }
+
+    /// The spaces with what they are.
+    pub(super) fn abouts(&self) -> Vec<(String, String)> {
+        let of = |name: &str| Some((name.to_owned(), built_in_space(name)?.spec().about.clone()));
+        SPACES.iter().filter_map(|name| of(name)).collect()
+    }
+
+    /// The line as a domain.
+    pub(in crate::assessment) fn line_domain(&self) -> Domain {
+        Domain::Scenarios { about: Words(self.line.name.clone()), all: vec![self.line.clone()] }
     }
 
     /// What these drives say of contacts on both sides, and of braking without cause.
@@ -140,6 +154,9 @@ impl Usefulness {
                 (Property::NoNeedlessBraking, &traffic, useful.needless),
                 (Property::NoContact, &danger, useful.high_risk_failures),
             ];
+            let line = Claim { subject: subject.clone(), property: Property::StringStable, domain: self.line_domain() };
+            let source = Source::part(ANCHOR, "one run of a line");
+            all.push(Evidence { claim: line, strength: useful.line.strength(), source });
             all.extend(counts.map(|(property, domain, failures)| Evidence {
                 claim: Claim { subject: subject.clone(), property, domain: domain.clone() },
                 strength: Strength::of(failures, self.draws),
