@@ -141,7 +141,7 @@ fn names_prove_nothing() {
     let proved: Vec<bool> = row.standings.iter().map(|one| matches!(one.strength, Strength::Proved { .. })).collect();
     assert_eq!(proved, [false, false, false, true, false, false]);
     assert_eq!(row.claims.iter().map(Option::is_some).collect::<Vec<_>>(), [false, false, false, true, true, true]);
-    for row in assessment.summary.claims.iter().filter(|row| row.claim.contains("box of starts")) {
+    for row in assessment.summary.claims.iter().filter(|row| row.claim.contains("the box of starts")) {
         assert_eq!(row.standings[1], row.standings[2], "the copy is that policy");
         assert!(matches!(row.standings[3].strength, Strength::Untried), "before a shield it is another controller");
     }

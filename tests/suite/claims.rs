@@ -42,10 +42,10 @@ fn domain() -> impl Strategy<Value = Domain> {
 
 fn strength() -> impl Strategy<Value = Strength> {
     let confidence_percent = Rounded::new(99.0);
-    let between = (0..4_u8, 0..4_u8).prop_map(move |(a, b)| Strength::Between {
+    let between = (0..4_u8, 0..4_u8, select(&[50.0, 99.0][..])).prop_map(|(a, b, confidence)| Strength::Between {
+        confidence_percent: Rounded::new(confidence),
         lower_percent: Rounded::new(f64::from(a.min(b))),
         upper_percent: Rounded::new(f64::from(a.max(b))),
-        confidence_percent,
     });
     prop_oneof![
         Just(Strength::Proved { certificates: 1 }),
@@ -125,7 +125,9 @@ fn allowed(evidence: &[Value], claim: &Value) -> u8 {
             && equal(d, e)
         {
             let at_most = q["percent"].as_f64().unwrap();
-            says = if one["upper_percent"].as_f64().unwrap() <= at_most {
+            says = if one["confidence_percent"].as_f64().unwrap() < 95.0 {
+                1
+            } else if one["upper_percent"].as_f64().unwrap() <= at_most {
                 3
             } else {
                 u8::from(one["lower_percent"].as_f64().unwrap() <= at_most)
@@ -145,6 +147,24 @@ fn allowed(evidence: &[Value], claim: &Value) -> u8 {
             holds |= says == 4 || (says == 3 && one["strength"] != "proved_in");
             best = best.max(says);
         }
+    }
+    // Bounds on one rate that do not meet contradict each other, whatever each of them decides.
+    let mut meet = (0.0, 100.0);
+    for one in
+        evidence.iter().filter(|one| one["strength"] == "between" && one["claim"]["property"]["kind"] == "failure_rate")
+    {
+        let own = &one["claim"];
+        let is_subjects = same(&own["subject"]["controller"], &claim["subject"]["controller"])
+            && own["subject"]["estimator"] == claim["subject"]["estimator"];
+        if is_subjects && equal(&own["domain"], &claim["domain"]) {
+            meet = (
+                f64::max(meet.0, one["lower_percent"].as_f64().unwrap()),
+                f64::min(meet.1, one["upper_percent"].as_f64().unwrap()),
+            );
+        }
+    }
+    if claim["property"]["kind"] == "rate_at_most" && meet.0 > meet.1 {
+        return 0;
     }
     let parts = scenarios(&claim["domain"]);
     let united = !parts.is_empty() && parts.iter().all(|part| proved.iter().any(|one| same(one, part)));

@@ -13,7 +13,9 @@ pub(super) fn xml(assessment: &Assessment) -> Result<String, SerializeError> {
         gates.add_test_case(case(gate));
     }
     for row in &assessment.summary.claims {
-        for (controller, standing) in assessment.summary.controllers.iter().zip(&row.standings) {
+        let made = row.claims.iter().zip(&row.standings).filter(|(claim, _)| claim.is_some());
+        for (claim, standing) in made {
+            let controller = claim.as_ref().map_or("", |claim| claim.subject.controller.name.as_str());
             gates.add_property(Property::new(format!("{controller}: {}", row.claim), standing.words()));
         }
     }

@@ -27,7 +27,8 @@ use serde::Serialize;
 pub use best::Best;
 pub use case::{Case, CaseVerdict, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards};
 pub use claims::{
-    Beside, Claim, Domain, Evidence, Known, Ledger, Property, Rule, Source, Standing, Strength, Subject, Words,
+    Beside, Claim, Domain, Evidence, Known, LEAST_CONFIDENCE_PERCENT, Ledger, Property, Rule, Source, Standing,
+    Strength, Subject, Words,
 };
 pub use commands::Command;
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};

@@ -384,7 +384,14 @@ impl Loading<'_> {
             if spaces.iter().any(|known| known.space.name() == space.name()) {
                 return Err(self.wrong(&field, format!("the name `{}` is taken by another space", space.name())));
             }
-            spaces.push(NamedSpace::new(name, space).map_err(|error| self.wrong(&field, error.to_string()))?);
+            let named = NamedSpace::new(name, space).map_err(|error| self.wrong(&field, error.to_string()))?;
+            let built_in = built_in_space(named.space.name()).and_then(|known| space_file::to_toml(&known).ok());
+            if built_in.is_some_and(|built_in| built_in != named.text) {
+                let problem =
+                    format!("the name `{}` is that of a built-in space with other contents", named.space.name());
+                return Err(self.wrong(&field, problem));
+            }
+            spaces.push(named);
         }
         Ok(spaces)
     }

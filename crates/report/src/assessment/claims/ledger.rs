@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Claim, Domain, Evidence, Rule, Strength};
+use super::{Claim, Domain, Evidence, Property, Rule, Strength};
 
 /// All evidence of an assessment.
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
@@ -90,7 +90,7 @@ impl Ledger {
         all.sort_by(|a, b| b.strength.weight().total_cmp(&a.strength.weight()));
         let holds = united.is_some() || all.iter().any(|one| one.strength.is_assurance());
         let refuted: Vec<_> = all.iter().filter(|one| one.strength.is_refutation()).map(|one| one.evidence).collect();
-        if holds && !refuted.is_empty() {
+        if (holds && !refuted.is_empty()) || self.bounds_part(claim) {
             let evidence = all.iter().map(|one| one.evidence).collect();
             return Standing { strength: Strength::Contradicted, rule: None, evidence, beside: all };
         }
@@ -104,6 +104,24 @@ impl Ledger {
         }
         let Beside { strength, rule, evidence } = all.remove(0);
         Standing { strength, rule: Some(rule), evidence: vec![evidence], beside: all }
+    }
+
+    /// Whether two pieces of evidence bound the rate that a claim is about, and their bounds do not meet.
+    fn bounds_part(&self, claim: &Claim) -> bool {
+        if !matches!(claim.property, Property::RateAtMost { .. }) {
+            return false;
+        }
+        let rate = Claim { property: Property::FailureRate, ..claim.clone() };
+        let bounds =
+            self.evidence.iter().filter(|evidence| evidence.claim == rate).filter_map(|one| match one.strength {
+                Strength::Between { lower_percent, upper_percent, .. } => {
+                    Some((lower_percent.value(), upper_percent.value()))
+                }
+                _ => None,
+            });
+        let meet =
+            bounds.fold((0.0, 100.0), |(low, high), (lower, upper)| (f64::max(low, lower), f64::min(high, upper)));
+        meet.0 > meet.1
     }
 
     /// The proofs that cover all scenarios of a claim together, if no single one does.

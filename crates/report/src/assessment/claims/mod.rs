@@ -19,7 +19,7 @@ use super::Rounded;
 pub use evidence::{Evidence, Source};
 pub use ledger::{Beside, Ledger, Standing};
 pub use rule::Rule;
-pub use strength::Strength;
+pub use strength::{LEAST_CONFIDENCE_PERCENT, Strength};
 
 /// Something with a name for readers and a hash to compare by.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
@@ -216,16 +216,21 @@ impl Domain {
 }
 
 impl Claim {
-    /// The claim without its subject.
+    /// Where, as it follows the property.
     #[must_use]
-    pub fn words(&self) -> String {
-        let wide = match (&self.property, &self.domain) {
+    pub fn place(&self) -> String {
+        match (&self.property, &self.domain) {
             // A rate is that of the law, not of single points.
             (Property::RateAtMost { .. } | Property::FailsLessOften { .. }, Domain::Space { space }) => {
                 format!("by the law of `{}`", space.name)
             }
             (_, domain) => domain.words(),
-        };
-        format!("{} {wide}", self.property.words())
+        }
+    }
+
+    /// The claim without its subject.
+    #[must_use]
+    pub fn words(&self) -> String {
+        format!("{} {}", self.property.words(), self.place())
     }
 }

@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 use crate::assessment::Rounded;
 use crate::assessment::table::Mark;
 
+/// Least confidence, in percent, with which counting decides a claim.
+pub const LEAST_CONFIDENCE_PERCENT: f64 = 95.0;
+
 /// How strongly a claim is supported.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "strength", rename_all = "snake_case")]
@@ -50,6 +53,8 @@ pub enum Strength {
         lower_percent: Rounded<2>,
         /// Upper bound in percent, rounded up.
         upper_percent: Rounded<2>,
+        /// Confidence of each bound, in percent.
+        confidence_percent: Rounded<1>,
     },
     /// It follows from counted runs, with the stated confidence.
     Counted {
@@ -110,13 +115,15 @@ impl Strength {
     #[must_use]
     pub fn of_rate(&self, percent: f64) -> Option<Self> {
         let Self::Between { lower_percent, upper_percent, confidence_percent } = *self else { return None };
-        // Rounded outwards, so that what is shown decides.
-        Some(if upper_percent.value() <= percent {
+        // Rounded outwards, so that what is shown decides. A bound of little confidence decides nothing.
+        Some(if confidence_percent.value() < LEAST_CONFIDENCE_PERCENT {
+            Self::Undecided { lower_percent, upper_percent, confidence_percent }
+        } else if upper_percent.value() <= percent {
             Self::Bounded { upper_percent, confidence_percent }
         } else if lower_percent.value() > percent {
             Self::Exceeded { lower_percent, confidence_percent }
         } else {
-            Self::Undecided { lower_percent, upper_percent }
+            Self::Undecided { lower_percent, upper_percent, confidence_percent }
         })
     }
 
@@ -152,7 +159,7 @@ impl Strength {
             Self::Compared { own, other, .. } if own < other => 3.0,
             Self::Compared { .. } => 1.5,
             Self::Tested { runs } => 3.0 + within(*runs as f64),
-            Self::Undecided { lower_percent, upper_percent } => {
+            Self::Undecided { lower_percent, upper_percent, .. } => {
                 2.0 - within(upper_percent.value() - lower_percent.value())
             }
             Self::Between { .. } => 1.0,
@@ -162,11 +169,7 @@ impl Strength {
 
     pub(in crate::assessment) fn mark(&self) -> Mark {
         match self {
-            Self::Proved { .. }
-            | Self::ProvedIn { .. }
-            | Self::Tested { .. }
-            | Self::Bounded { .. }
-            | Self::Counted { .. } => Mark::Good,
+            Self::Proved { .. } | Self::Tested { .. } | Self::Bounded { .. } | Self::Counted { .. } => Mark::Good,
             Self::Compared { own, other, .. } if own < other => Mark::Good,
             Self::Contradicted => Mark::Bad,
             _ if self.is_refutation() => Mark::Bad,
@@ -177,7 +180,8 @@ impl Strength {
     pub(in crate::assessment) fn words(&self) -> String {
         match self {
             Self::Found { failures, avoidable } => {
-                format!("refuted: {failures} distinct failures, {avoidable} avoidable")
+                let plural = if *failures == 1 { "" } else { "s" };
+                format!("refuted: {failures} distinct failure{plural}, {avoidable} avoidable")
             }
             Self::ProvedIn { share_percent } => format!("proved for {share_percent} % of the box, see Proofs"),
             Self::Proved { .. } => "proved under assumptions, see Proofs".to_owned(),
@@ -191,13 +195,13 @@ impl Strength {
             Self::Exceeded { lower_percent, confidence_percent } => {
                 format!("exceeded: at least {lower_percent} %, confidence {confidence_percent} %")
             }
-            Self::Undecided { lower_percent, upper_percent } => {
-                format!("undecided: {lower_percent} to {upper_percent} %")
+            Self::Undecided { lower_percent, upper_percent, confidence_percent } => {
+                format!("undecided: {lower_percent} to {upper_percent} %, confidence {confidence_percent} % each")
             }
             Self::Counted { confidence_percent } => format!("shown by counting, confidence {confidence_percent} %"),
             Self::Compared { own, other, runs } => match own.cmp(other) {
                 std::cmp::Ordering::Less => format!("{own} against {other} of {runs} fail"),
-                std::cmp::Ordering::Equal => format!("not shown: both fail in {own} of {runs}"),
+                std::cmp::Ordering::Equal => format!("not shown: each fails in {own} of {runs}"),
                 std::cmp::Ordering::Greater => format!("refuted: {own} against {other} of {runs} fail"),
             },
             Self::Refuted { failures, runs } => format!("refuted: {failures} of {runs} fail"),
@@ -212,8 +216,8 @@ impl Strength {
     /// How good it is to hear, for comparisons: what is refuted, what is not known, what was tried, what is proved.
     pub(in crate::assessment) fn rank(&self) -> u8 {
         match self {
-            Self::Proved { .. } | Self::ProvedIn { .. } => 3,
-            Self::Tested { .. } | Self::Bounded { .. } | Self::Counted { .. } => 2,
+            Self::Proved { .. } => 3,
+            Self::ProvedIn { .. } | Self::Tested { .. } | Self::Bounded { .. } | Self::Counted { .. } => 2,
             Self::Contradicted => 0,
             Self::Compared { own, other, .. } if own < other => 2,
             _ if self.is_refutation() => 0,

@@ -74,7 +74,7 @@ impl FirstPage {
         let speaks_for = said(&|strength| {
             strength.is_assurance() || matches!(strength, Strength::Tested { .. } | Strength::ProvedIn { .. })
         });
-        let answer = Answer::of(claims.iter().map(|(_, claim, standing)| (*claim, *standing)));
+        let answer = Answer::of(plan, &claims);
         let compared = match plan.controllers.first() {
             Some(first) if plan.subject != 0 => format!(", and is it safer than `{}`", first.name),
             _ => String::new(),
@@ -84,7 +84,9 @@ impl FirstPage {
         Self {
             question,
             answer,
-            words: answer.words(subject, &against, &speaks_for),
+            words: format!("{} {}", answer.words(subject, against.len(), speaks_for.len()), safer(plan, &claims))
+                .trim_end()
+                .to_owned(),
             against,
             speaks_for,
             assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
@@ -94,40 +96,58 @@ impl FirstPage {
     }
 }
 
+/// Whether it is shown to fail less often than the first controller, in a sentence; nothing if that was not asked.
+fn safer(plan: &AssessmentPlan, claims: &[(String, &Claim, &Standing)]) -> String {
+    let Some(first) = plan.controllers.first().filter(|_| plan.subject != 0) else { return String::new() };
+    let compared = claims.iter().filter(|(_, claim, _)| matches!(claim.property, Property::FailsLessOften { .. }));
+    let shown: Vec<_> =
+        compared.filter(|(.., standing)| standing.strength.is_assurance()).map(|(_, claim, _)| claim).collect();
+    let spaces: Vec<_> = shown.iter().map(|claim| claim.place()).collect();
+    match spaces.as_slice() {
+        [] => format!("That it fails less often than `{}` is not shown.", first.name),
+        spaces => {
+            format!("It is shown to fail less often than `{}` {}, and nowhere else.", first.name, spaces.join(" and "))
+        }
+    }
+}
+
 impl Answer {
-    fn of<'a>(claims: impl Iterator<Item = (&'a Claim, &'a Standing)> + Clone) -> Self {
-        let contact = |claim: &Claim| {
-            matches!(claim.property, Property::NoContact | Property::NoContactAhead | Property::RateAtMost { .. })
+    /// A run that fails weighs more than any evidence beside it; what was shown through another estimator, or of the vehicle
+    /// ahead alone, answers nothing.
+    fn of(plan: &AssessmentPlan, claims: &[(String, &Claim, &Standing)]) -> Self {
+        let is_asked = |claim: &Claim| {
+            matches!(claim.property, Property::NoContact | Property::RateAtMost { .. })
+                && claim.subject.estimator == plan.config.estimator
         };
-        let mut about = claims.filter(|(claim, _)| contact(claim)).map(|(_, standing)| &standing.strength);
-        if about.clone().any(|strength| *strength == Strength::Contradicted) {
-            Self::Undecided
-        } else if about.clone().any(Strength::is_refutation) {
+        let about: Vec<_> =
+            claims.iter().filter(|(_, claim, _)| is_asked(claim)).map(|(.., standing)| *standing).collect();
+        let refutes = |standing: &&Standing| {
+            standing.strength.is_refutation() || standing.beside.iter().any(|beside| beside.strength.is_refutation())
+        };
+        if about.iter().any(refutes) {
             Self::NotSafe
-        } else if about.any(Strength::is_assurance) {
+        } else if about.iter().any(|standing| standing.strength == Strength::Contradicted) {
+            Self::Undecided
+        } else if about.iter().any(|standing| standing.strength.is_assurance()) {
             Self::SafeInDomain
         } else {
             Self::Undecided
         }
     }
 
-    fn words(self, subject: &str, against: &[String], speaks_for: &[String]) -> String {
+    fn words(self, subject: &str, against: usize, speaks_for: usize) -> String {
+        let counted = format!(
+            "of the claims made of it {against} are refuted or contradicted, {speaks_for} hold as far as they were examined"
+        );
         match self {
-            Self::NotSafe => format!(
-                "Not safe: there are situations in this report in which `{subject}` fails ({} of the claims made of it are refuted, {} \
-                 hold as far as they were examined).",
-                against.len(),
-                speaks_for.len()
-            ),
+            Self::NotSafe => format!("Not safe: there are runs in this report in which `{subject}` fails; {counted}."),
             Self::SafeInDomain => format!(
-                "Safe where it was looked, to the strength stated with each claim: nothing in this report made `{subject}` fail, and \
-                 bounds or proofs say how rarely it does there. Of other situations nothing is said."
+                "Safe where it was looked, to the strength stated with each claim: `{subject}` touched nobody in this report, and \
+                 bounds or proofs say how rarely it does there; {counted}. Of other situations nothing is said."
             ),
-            Self::Undecided => {
-                format!(
-                    "Undecided: nothing in this report bounds how often `{subject}` fails, or its evidence contradicts itself."
-                )
-            }
+            Self::Undecided => format!(
+                "Undecided: nothing in this report bounds how often `{subject}` fails as it is asked; {counted}."
+            ),
         }
     }
 

@@ -115,6 +115,7 @@ impl Building {
         self.support(strategy, goal.clone());
         let strength = &proposition.standing.strength;
         match strength.mark() {
+            _ if matches!(strength, Strength::ProvedIn { .. }) => self.solution(&goal, proposition),
             Mark::Good => self.solution(&goal, proposition),
             Mark::Bad => {
                 let counter = self.add(ElementKind::Goal, format!("This does not hold: {}", strength.words()));
@@ -146,7 +147,11 @@ impl Proposition<'_> {
         let name = &self.claim.subject.controller.name;
         match self.standing.strength {
             Strength::ProvedIn { share_percent } => {
-                format!("{name} has no contact in {share_percent} % of starts: {}", self.claim.domain.words())
+                let seeing = seeing(self.claim.subject.estimator);
+                format!(
+                    "{name}, {seeing}, has no contact in {share_percent} % of starts: {}",
+                    self.claim.domain.words()
+                )
             }
             _ => format!("{name} has {}", self.row.claim),
         }
@@ -180,9 +185,11 @@ const GOALS: [(&str, &str, Kind); 4] = [
     ("fails less often than the controller that it is compared with", "over runs that both made", |property| {
         matches!(property, Property::FailsLessOften { .. })
     }),
-    ("never brakes without cause where nothing is the matter", "over everyday situations", |property| {
-        matches!(property, Property::NoNeedlessBraking)
-    }),
+    (
+        "is of use where nothing threatens: it brakes with a cause, and damps disturbances",
+        "over everyday situations",
+        |property| matches!(property, Property::NoNeedlessBraking | Property::StringStable),
+    ),
 ];
 
 impl Argument {
@@ -200,7 +207,7 @@ impl Argument {
         let top = building.add(
             ElementKind::Goal,
             format!(
-                "{subject}, {}, does what is claimed of it in the situations of this report",
+                "{subject}, {}, keeps off the vehicles around it in the situations of this report",
                 seeing(plan.config.estimator)
             ),
         );

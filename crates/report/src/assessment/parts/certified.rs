@@ -1,16 +1,18 @@
 //! Certificates of an assessment: those of kernels, those counted for it, those that were given.
 
 use crumple_verify::reach::Ranges;
-use crumple_verify::{Accepted, Assumption, Certificate, Reach, Registration, Statement, check_with};
+use crumple_verify::{Accepted, Assumption, Certificate, Rate, Reach, Registration, Statement, check_with};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
+use crate::assessment::claims::{
+    Claim, Domain, Evidence, Known, LEAST_CONFIDENCE_PERCENT, Property, Source, Strength, Subject,
+};
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
-use crumple_search::evidence::{RateConfig, RatePlan, kernel_certificate, shipped_kernels};
+use crumple_search::evidence::{RateConfig, RateInterval, RatePlan, kernel_certificate, shipped_kernels};
 use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
@@ -43,6 +45,9 @@ pub struct Proof {
     /// The statement, if it is one about a kernel.
     #[serde(skip)]
     kernel: Option<Statement>,
+    /// The statement, if it is one about a rate.
+    #[serde(skip)]
+    rate: Option<Rate>,
 }
 
 /// What the checker said of a certificate.
@@ -129,15 +134,30 @@ fn strength(accepted: &Accepted) -> Option<Strength> {
             upper_percent: Rounded::up(100.0 * at_most),
             confidence_percent: Rounded::down(100.0 * confidence),
         }),
-        Accepted::FailsLessOften { confidence } => {
-            Some(Strength::Counted { confidence_percent: Rounded::down(100.0 * confidence) })
+        // With little confidence it shows nothing.
+        Accepted::FailsLessOften { confidence } => Some(Rounded::down(100.0 * confidence))
+            .filter(|percent| percent.value() >= LEAST_CONFIDENCE_PERCENT)
+            .map(|confidence_percent| Strength::Counted { confidence_percent }),
+        // A cell with a start that ends in contact.
+        Accepted::Reach { falsified_share, .. } if *falsified_share > 0.0 => {
+            Some(Strength::Refuted { failures: 1, runs: 1 })
         }
         Accepted::Reach { verified_share, .. } if *verified_share >= 1.0 => Some(Strength::Proved { certificates: 1 }),
-        Accepted::Reach { verified_share, .. } => {
-            Some(Strength::ProvedIn { share_percent: Rounded::down(100.0 * verified_share) })
-        }
+        Accepted::Reach { verified_share, .. } => Some(Rounded::down(100.0 * verified_share))
+            .filter(|percent| percent.value() > 0.0)
+            .map(|share_percent| Strength::ProvedIn { share_percent }),
         _ => None,
     }
+}
+
+/// The runs that a rate was counted on, as a domain; a failure among them is one in its space.
+fn counted_runs(claim: &Claim, rate: &Rate) -> Option<Evidence> {
+    let Domain::Space { space } = &claim.domain else { return None };
+    let seed = rate.registration.configuration.get("seed")?.parse().ok()?;
+    let domain = Domain::Draws { space: space.clone(), seed, draws: rate.registration.runs };
+    let claim = Claim { property: Property::NoContact, domain, ..claim.clone() };
+    let strength = Strength::of(rate.failures, rate.registration.runs);
+    Some(Evidence { claim, strength, source: Source::part("proofs", "counted runs") })
 }
 
 impl Proof {
@@ -148,13 +168,21 @@ impl Proof {
     }
 
     /// What it says of whom, if the checker accepted it and it speaks of somebody here.
-    fn evidence(&self) -> Option<Evidence> {
+    fn evidence(&self) -> Vec<Evidence> {
         let (ProofStatus::Accepted { strength: Some(strength), .. }, SpeaksOf::Claim(claim)) =
             (&self.status, &self.speaks_of)
         else {
-            return None;
+            return Vec::new();
         };
-        Some(Evidence { claim: (**claim).clone(), strength: strength.clone(), source: self.source() })
+        let (claim, mut strength) = ((**claim).clone(), strength.clone());
+        if let (Some(rate), Strength::Between { lower_percent, .. }) = (&self.rate, &mut strength) {
+            // The certificate bounds from above alone; from below by the same count, at the same confidence.
+            let (runs, two_sided) = (rate.registration.runs, 2.0 * rate.registration.confidence - 1.0);
+            *lower_percent = Rounded::down(100.0 * RateInterval::exact(rate.failures, runs, two_sided).lower);
+        }
+        let counted = self.rate.as_ref().and_then(|rate| counted_runs(&claim, rate));
+        let own = Evidence { claim, strength, source: self.source() };
+        std::iter::once(own).chain(counted.map(|one| Evidence { source: self.source(), ..one })).collect()
     }
 
     pub(super) fn source(&self) -> Source {
@@ -183,11 +211,11 @@ fn shown(accepted: &Accepted) -> String {
 pub(super) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
     let mut proofs = shipped_kernels()
         .into_iter()
-        .map(|(name, certificate)| proof(plan, name, &certificate, None, work))
+        .map(|(name, certificate)| proof(plan, name, &certificate, None))
         .collect::<Result<Vec<_>, _>>()?;
     proofs.extend(counted(plan, work)?);
     let given = plan.certificates.par_iter();
-    let given = given.map(|one| proof(plan, one.name.clone(), &one.certificate, one.policy.as_deref(), work));
+    let given = given.map(|one| proof(plan, one.name.clone(), &one.certificate, one.policy.as_deref()));
     proofs.extend(given.collect::<Result<Vec<_>, _>>()?);
     Ok(proofs)
 }
@@ -197,14 +225,11 @@ fn proof(
     name: String,
     certificate: &Certificate,
     policy: Option<&[u8]>,
-    work: &Work<'_>,
 ) -> Result<Proof, AssessError> {
     let text = serde_json::to_string_pretty(certificate).map_err(StoreError::encoding)? + "\n";
     let sha256 = sha256(&text);
-    // Whatever the policy is, the statement names it by its hash.
-    let status = work
-        .store
-        .get(&format!("certificate {name}"), &sha256, || Ok::<_, AssessError>(ProofStatus::of(certificate, policy)))?;
+    // Never from what is kept: checking is cheap, and what lies on a disk can be edited.
+    let status = ProofStatus::of(certificate, policy);
     Ok(Proof {
         statement: certificate.statement.name(),
         about: about(certificate),
@@ -213,6 +238,10 @@ fn proof(
         speaks_of: speaks_of(plan, certificate),
         status,
         assumptions: certificate.assumptions.clone(),
+        rate: match &certificate.statement {
+            Statement::Rate(rate) => Some(rate.clone()),
+            _ => None,
+        },
         kernel: matches!(certificate.statement, Statement::Kernel(_)).then(|| certificate.statement.clone()),
         text,
         name,
@@ -231,15 +260,22 @@ fn about(certificate: &Certificate) -> String {
             format!("{first} against {second} in {} runs of space `{}`", two.registration.runs, of("space"))
         }
         Statement::Reach(reach) => {
-            format!("a box of starts around {}: {}", certificate.provenance.scenario, ranges(reach))
+            let about = &certificate.provenance.scenario;
+            format!("a box of starts, by its own word around {about}: {}", ranges(reach).join(", "))
         }
         Statement::Kernel(_) => "any two vehicles of these classes, on a dry road".to_owned(),
         _ => certificate.provenance.scenario.clone(),
     }
 }
 
-/// What varies in a box, in the order of the certificate.
-fn ranges(reach: &Reach) -> String {
+/// What varies in a box.
+fn varied(reach: &Reach) -> String {
+    let varied: Vec<_> = ranges(reach).into_iter().filter(|range| range.contains(" to ")).collect();
+    if varied.is_empty() { "a single start".to_owned() } else { varied.join(", ") }
+}
+
+/// What a box spans, in the order of the certificate.
+fn ranges(reach: &Reach) -> Vec<String> {
     let Ranges { gap_ahead_m, gap_behind_m, leader_speed_mps, ego_speed_mps, .. } = reach.ranges;
     let Ranges { follower_speed_mps, leader_brake_mps2, follower_brake_mps2, onset_steps, .. } = reach.ranges;
     let in_seconds = |steps: f64| steps * reach.step_s;
@@ -257,7 +293,7 @@ fn ranges(reach: &Reach) -> String {
         true => format!("{name} {low} {unit}"),
         false => format!("{name} {low} to {high} {unit}"),
     });
-    words.join(", ")
+    words.into()
 }
 
 fn speaks_of(plan: &AssessmentPlan, certificate: &Certificate) -> SpeaksOf {
@@ -272,7 +308,7 @@ fn speaks_of(plan: &AssessmentPlan, certificate: &Certificate) -> SpeaksOf {
                 Some(subject) => SpeaksOf::Claim(Box::new(Claim {
                     subject,
                     property: Property::NoContact,
-                    domain: Domain::Box { around: around(certificate, reach) },
+                    domain: Domain::Box { around: around(reach) },
                 })),
                 None => SpeaksOf::Foreign { because: "its policy is not among the controllers".to_owned() },
             }
@@ -283,13 +319,17 @@ fn speaks_of(plan: &AssessmentPlan, certificate: &Certificate) -> SpeaksOf {
 }
 
 /// The box, the follower, and the bounds on what is seen: all of the statement but the policy and what is shown.
-fn around(certificate: &Certificate, reach: &Reach) -> Known {
+fn around(reach: &Reach) -> Known {
     let content = format!(
         "{:?} {:?} {:?} {:?} {:?}",
         reach.step_s, reach.steps, reach.follower_ttc_s, reach.observation_error, reach.ranges
     );
     let horizon_s = reach.step_s * f64::from(reach.steps);
-    Known::of(format!("a box of starts around {}, for {horizon_s} s", certificate.provenance.scenario), content)
+    // What a certificate calls its scenario is nobody's word but its own.
+    let digest = sha256(&content);
+    let name =
+        format!("the box of starts {} ({}) for {horizon_s} s", digest.get(..8).unwrap_or_default(), varied(reach));
+    Known { name, sha256: digest }
 }
 
 /// The claim that a registration fixed, if it is one that this report could have fixed: the same controllers, space and
@@ -309,7 +349,13 @@ fn registered(plan: &AssessmentPlan, registration: &Registration) -> SpeaksOf {
     let find = |place: &str| {
         let identity = of(&format!("{place}_sha256"));
         let is_it = |one: &NamedController| one.kind.identity().as_deref() == Some(identity);
-        plan.controllers.iter().position(is_it).and_then(|place| plan.claimant(place, estimator))
+        // What was counted as a failure must be what is one here.
+        let place = plan.controllers.iter().position(is_it)?;
+        let counts = plan
+            .controllers
+            .get(place)
+            .is_some_and(|one| [one.failure(), "vehicles touch, or a controller fails"].contains(&of("failure")));
+        plan.claimant(place, estimator).filter(|_| counts)
     };
     let Some(subject) = find("controller") else {
         return foreign(format!("its `{}` is none of the controllers here", of("controller")));
@@ -327,7 +373,7 @@ fn registered(plan: &AssessmentPlan, registration: &Registration) -> SpeaksOf {
 
 /// What accepted certificates say of the controllers, and of shields whose kernels they prove.
 pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[Proof]) -> Vec<Evidence> {
-    let mut all: Vec<_> = proofs.iter().filter_map(Proof::evidence).collect();
+    let mut all: Vec<_> = proofs.iter().flat_map(Proof::evidence).collect();
     for (place, controller) in plan.controllers.iter().enumerate() {
         let kernels = kernels(controller);
         let proved = |kernel: &Kernel| {
@@ -432,5 +478,5 @@ fn count(
         Ok::<_, AssessError>(text)
     })?;
     let certificate = Certificate::from_json(&text).map_err(|error| AssessError::Certificate(error.to_string()))?;
-    proof(plan, name, &certificate, None, work)
+    proof(plan, name, &certificate, None)
 }

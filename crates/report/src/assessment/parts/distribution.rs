@@ -52,6 +52,8 @@ pub struct Sampled {
     pub controller: String,
     /// Draws in which vehicles touched.
     pub collisions: u64,
+    /// Draws that ended when vehicles that are not under test touched: they say nothing of the controller.
+    pub cut_short: u64,
     /// Draws in which a vehicle under test hit the one ahead first.
     pub hit: u64,
     /// Draws in which a vehicle under test was hit from behind first.
@@ -113,10 +115,13 @@ struct Draw {
 impl Sampled {
     /// The exact bounds on the share of collisions.
     fn between(&self, distribution: &Distribution) -> Strength {
-        let bounds = RateInterval::exact(self.collisions, distribution.draws, distribution.confidence);
+        // What a draw that was cut short would have come to is not known: it counts against the controller where that is
+        // worse, and not where it is better.
+        let exact = |failures| RateInterval::exact(failures, distribution.draws, distribution.confidence);
+        let (lower, upper) = (exact(self.collisions).lower, exact(self.collisions + self.cut_short).upper);
         Strength::Between {
-            lower_percent: Rounded::down(100.0 * bounds.lower),
-            upper_percent: Rounded::up(100.0 * bounds.upper),
+            lower_percent: Rounded::down(100.0 * lower),
+            upper_percent: Rounded::up(100.0 * upper),
             // Each end of a two-sided interval is a one-sided bound at half the risk.
             confidence_percent: Rounded::down(50.0 + 50.0 * distribution.confidence),
         }
@@ -146,7 +151,7 @@ impl Distributions {
                     let claim = Claim { subject: subject.clone(), property, domain };
                     all.push(Evidence { claim, strength, source: source() });
                 };
-                add(Property::NoContact, draws(), Strength::of(sampled.collisions, drawn.draws));
+                add(Property::NoContact, draws(), Strength::of(sampled.collisions, drawn.draws - sampled.cut_short));
                 add(Property::FailureRate, Domain::Space { space: space() }, sampled.between(drawn));
                 if let Some((first, of_first)) = first.as_ref().filter(|(first, _)| *first != subject) {
                     let (own, other) = (sampled.collisions, of_first.collisions);
@@ -215,6 +220,7 @@ impl Distribution {
             "bounds %",
             "hit ahead",
             "hit from behind",
+            "cut short by others",
             "min gap ahead m",
             "min gap behind m",
             "mean impact m/s",
@@ -232,6 +238,7 @@ impl Distribution {
                 Cell::number(format!("{} – {}", rate.lower, rate.upper)),
                 Cell::number(sampled.hit),
                 Cell::number(sampled.was_hit),
+                Cell::number(sampled.cut_short),
                 Cell::number(dash(sampled.min_gap_ahead_m)),
                 Cell::number(dash(sampled.min_gap_behind_m)),
                 Cell::number(sampled.mean_impact_speed_mps.map_or("–".to_owned(), |speed| speed.to_string())),
@@ -297,6 +304,7 @@ impl Draw {
 struct Tally {
     draws: u64,
     collisions: u64,
+    cut_short: u64,
     hit: u64,
     was_hit: u64,
     impact_speed_sum_mps: f64,
@@ -310,6 +318,7 @@ impl Tally {
         for draw in draws {
             self.draws += 1;
             self.collisions += u64::from(draw.verdict.is_failure());
+            self.cut_short += u64::from(!draw.verdict.counts());
             self.hit += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_)));
             self.was_hit += u64::from(matches!(draw.verdict, CaseVerdict::WasHit(_)));
             if let Some(impact_speed_mps) = draw.impact_speed_mps.filter(|_| draw.verdict.is_failure()) {
@@ -335,6 +344,7 @@ impl Tally {
         Sampled {
             controller: controller.name.clone(),
             collisions: self.collisions,
+            cut_short: self.cut_short,
             hit: self.hit,
             was_hit: self.was_hit,
             rate_percent: Percent::exact(self.collisions, self.draws, CONFIDENCE),

@@ -169,6 +169,9 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     let mut rows = Vec::new();
     let mut add = |part, words: Option<String>, claims: Vec<Option<Claim>>| {
         let Some(first) = claims.iter().flatten().next() else { return };
+        if rows.iter().any(|known: &ClaimRow| known.claims == claims) {
+            return;
+        }
         let claim = words.unwrap_or_else(|| first.words());
         let standing =
             |claim: &Option<Claim>| claim.as_ref().map_or_else(Standing::default, |one| ledger.standing(one));

@@ -57,6 +57,8 @@ pub struct Useful {
     pub controller: String,
     /// Drives in traffic in which it touched, was touched or failed.
     pub failures: u64,
+    /// Drives in traffic, and draws where something threatens, that ended when others touched: they say nothing of it.
+    pub cut_short: [u64; 2],
     /// Draws where something threatens in which it failed.
     pub high_risk_failures: u64,
     /// Drives in traffic with braking without cause.
@@ -90,6 +92,7 @@ pub struct Useful {
 /// What is kept of one drive in traffic.
 struct Drive {
     failed: bool,
+    cut_short: bool,
     usefulness: Option<measure::Usefulness>,
 }
 
@@ -150,16 +153,16 @@ impl Usefulness {
         let mut all = Vec::new();
         for (subject, useful) in plan.claimants().into_iter().zip(&self.controllers) {
             let counts = [
-                (Property::NoContact, &traffic, useful.failures),
-                (Property::NoNeedlessBraking, &traffic, useful.needless),
-                (Property::NoContact, &danger, useful.high_risk_failures),
+                (Property::NoContact, &traffic, useful.failures, useful.cut_short[0]),
+                (Property::NoNeedlessBraking, &traffic, useful.needless, 0),
+                (Property::NoContact, &danger, useful.high_risk_failures, useful.cut_short[1]),
             ];
             let line = Claim { subject: subject.clone(), property: Property::StringStable, domain: self.line_domain() };
             let source = Source::part(ANCHOR, "one run of a line");
             all.push(Evidence { claim: line, strength: useful.line.strength(), source });
-            all.extend(counts.map(|(property, domain, failures)| Evidence {
+            all.extend(counts.map(|(property, domain, failures, cut_short)| Evidence {
                 claim: Claim { subject: subject.clone(), property, domain: domain.clone() },
-                strength: Strength::of(failures, self.draws),
+                strength: Strength::of(failures, self.draws - cut_short),
                 source: Source::part(ANCHOR, format!("{} drives, seed {}", self.draws, self.seed)),
             }));
         }
@@ -252,13 +255,15 @@ impl Usefulness {
     }
 }
 
-/// How many runs fail.
-fn failures(scenarios: &[Scenario], options: &RunOptions) -> Result<u64, RunError> {
+/// How many runs fail, and how many are cut short by others.
+fn failures(scenarios: &[Scenario], options: &RunOptions) -> Result<[u64; 2], RunError> {
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
     let failed = |index: usize, simulated: Simulated| {
-        u64::from(CaseVerdict::of(&simulated, runs[index].scenario()).is_failure())
+        let verdict = CaseVerdict::of(&simulated, runs[index].scenario());
+        [u64::from(verdict.is_failure()), u64::from(!verdict.counts())]
     };
-    Ok(simulate_batch(&runs, RecordingLevel::Summary, failed).into_iter().sum())
+    let all = simulate_batch(&runs, RecordingLevel::Summary, failed);
+    Ok(all.into_iter().fold([0, 0], |[failed, cut], [one, other]| [failed + one, cut + other]))
 }
 
 impl Drive {
@@ -273,15 +278,17 @@ impl Drive {
     fn of(scenario: &Scenario, simulated: &Simulated) -> Self {
         let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
         let usefulness = simulated.trace.as_ref().zip(ego);
+        let verdict = CaseVerdict::of(simulated, scenario);
         Self {
-            failed: CaseVerdict::of(simulated, scenario).is_failure(),
+            failed: verdict.is_failure(),
+            cut_short: !verdict.counts(),
             usefulness: usefulness.and_then(|(trace, ego)| measure::Usefulness::of(trace, &simulated.impacts, ego)),
         }
     }
 }
 
 impl Useful {
-    fn of(controller: &NamedController, drives: &[Drive], high_risk: u64, line: LineVerdict) -> Self {
+    fn of(controller: &NamedController, drives: &[Drive], [high_risk, cut_short]: [u64; 2], line: LineVerdict) -> Self {
         let all: Vec<_> = drives.iter().filter_map(|drive| drive.usefulness).collect();
         let count = |is: &dyn Fn(&measure::Usefulness) -> bool| all.iter().filter(|one| is(one)).count() as u64;
         let mean = |of: &dyn Fn(&measure::Usefulness) -> Option<f64>| {
@@ -293,6 +300,7 @@ impl Useful {
         Self {
             controller: controller.name.clone(),
             failures: drives.iter().filter(|drive| drive.failed).count() as u64,
+            cut_short: [drives.iter().filter(|drive| drive.cut_short).count() as u64, cut_short],
             high_risk_failures: high_risk,
             needless,
             needless_percent: Percent::exact(needless, drives.len() as u64, CONFIDENCE),
