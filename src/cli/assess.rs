@@ -25,7 +25,7 @@ what anyone could have made of each scenario (see avoid), and with every certifi
   controllers = [\"baseline\", \"policy\"]   # the first is compared with all others
   subject = \"policy\"                       # the argument is about this one
   estimator = \"kalman\"
-  paper = true                             # false leaves out the paper's scenarios, profiles, maps and training
+  paper = true                             # false leaves out the paper's scenarios, profiles, maps, training and space
   distributions = [\"paper\"]               # spaces by whose law failures are counted
   draws = 1000                             # of each of them
   everyday_draws = 200                     # drives in `traffic`, where braking needs a cause
@@ -40,7 +40,7 @@ what anyone could have made of each scenario (see avoid), and with every certifi
   than = \"baseline\"
 
 Other gates: no-contact-in-paper-scenarios, no-contact-in-traffic and no-avoidable-failure (with a space) for a controller, \
-needless-braking-at-most (with percent), rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
+needless-braking-at-most (with percent), string-stable, rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
 
 Evidence is kept in the folder `evidence` of the report, by the hash of everything it depends on: what has not changed is not \
 gathered again, and an assessment that was interrupted goes on where it stopped.")]

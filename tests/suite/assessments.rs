@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_report::assessment::{
-    AssessConfig, Assessment, AssessmentPlan, ProofStatus, SpeaksOf, Standing, Store, Strength, assess,
+    AssessConfig, Assessment, AssessmentPlan, Gate, ProofStatus, SpeaksOf, Standing, Store, Strength, assess,
 };
 use crumple_search::evidence::{RateConfig, RatePlan};
 use crumple_verify::{Certificate, Statement};
@@ -19,7 +19,7 @@ fn config(controllers: &[&str]) -> AssessConfig {
     let mut config = AssessConfig::default();
     config.controllers = controllers.iter().map(|&name| name.to_owned()).collect();
     config.gates.clear();
-    config.search.spaces.clear();
+    (config.distributions, config.search.spaces) = (Some(vec!["paper".to_owned()]), Some(Vec::new()));
     (config.paper, config.draws, config.rates.runs, config.everyday_draws) = (false, 40, 0, 4);
     config.certificates = Some(Vec::new());
     config
@@ -165,7 +165,7 @@ fn every_command_of_a_report_runs_in_its_folder() {
     let episode = crumple_world::scenario::file::to_toml(&episode.expect("valid")).expect("written");
     fs::write(folder.path().join("episodes/e.toml"), episode).expect("writes");
     let mut asked = config(&["baseline", policy, &format!("shield,ahead=8:{policy}")]);
-    asked.search.spaces = vec!["own space.toml".to_owned()];
+    asked.search.spaces = Some(vec!["own space.toml".to_owned()]);
     (asked.search.budget, asked.scenarios, asked.certificates) = (60, vec!["episodes".into()], None);
     let assessment = run(asked, folder.path());
     let report = folder.path().join("the report");
@@ -197,4 +197,31 @@ fn every_command_of_a_report_runs_in_its_folder() {
     commands.iter().for_each(|command| shell(command));
     shell("sh replay.sh");
     assert!(!report.join("PWNED").exists() && !folder.path().join("PWNED").exists());
+}
+
+/// A space of one's own has a name in the configuration that is not its own.
+#[test]
+fn gates_find_the_draws_of_own_spaces() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let paper = built_in_space("paper").expect("built in");
+    let text = space_file::to_toml(&paper).expect("written").replace("mean = 36.0", "mean = 37.0");
+    let text = text.replacen("name = \"paper\"", "name = \"mine\"", 1);
+    fs::write(folder.path().join("of mine.toml"), text).expect("writes");
+    let space = || Some("of mine.toml".to_owned());
+    let rate = |controller: &str, percent| Gate::RateAtMost { controller: controller.into(), percent, space: space() };
+    let fewer = |controller: &str, than: &str| Gate::RateNotAbove {
+        controller: controller.into(),
+        than: than.into(),
+        space: space(),
+    };
+    let mut asked = config(&["match-leader", "full-throttle"]);
+    asked.distributions = Some(vec!["of mine.toml".to_owned()]);
+    asked.gates = vec![
+        rate("full-throttle", 100.0),
+        rate("full-throttle", 1.0),
+        fewer("match-leader", "full-throttle"),
+        fewer("full-throttle", "match-leader"),
+    ];
+    let holds: Vec<_> = run(asked, folder.path()).summary.gates.iter().map(|gate| gate.holds).collect();
+    assert_eq!(holds, [true, false, true, false]);
 }

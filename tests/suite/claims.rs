@@ -42,10 +42,12 @@ fn domain() -> impl Strategy<Value = Domain> {
 
 fn strength() -> impl Strategy<Value = Strength> {
     let confidence_percent = Rounded::new(99.0);
-    let between = (0..4_u8, 0..4_u8, select(&[50.0, 99.0][..])).prop_map(|(a, b, confidence)| Strength::Between {
+    let bounds = (0..4_u8, 0..4_u8, select(&[50.0, 97.5, 99.0][..]), 1..3_u64);
+    let between = bounds.prop_map(|(a, b, confidence, runs)| Strength::Between {
         confidence_percent: Rounded::new(confidence),
         lower_percent: Rounded::new(f64::from(a.min(b))),
         upper_percent: Rounded::new(f64::from(a.max(b))),
+        runs,
     });
     prop_oneof![
         Just(Strength::Proved { certificates: 1 }),
@@ -109,7 +111,22 @@ fn allowed(evidence: &[Value], claim: &Value) -> u8 {
     };
     let stronger =
         |p: &Value, q: &Value| same_property(p, q) || (p["kind"] == "no_contact" && q["kind"] == "no_contact_ahead");
-    let (mut best, mut refuted, mut holds) = (1, false, false);
+    let before = |one: &Value| {
+        let number = |field: &str| one[field].as_f64().unwrap();
+        (number("confidence_percent"), number("runs"), number("upper_percent"))
+    };
+    let decides = |one: &Value| {
+        let own = &one["claim"];
+        let rivals = evidence.iter().filter(|rival| {
+            rival["strength"] == "between"
+                && rival["claim"]["property"]["kind"] == "failure_rate"
+                && same(&rival["claim"]["subject"]["controller"], &own["subject"]["controller"])
+                && rival["claim"]["subject"]["estimator"] == own["subject"]["estimator"]
+                && equal(&rival["claim"]["domain"], &own["domain"])
+        });
+        rivals.into_iter().all(|rival| before(rival) <= before(one))
+    };
+    let (mut best, mut refuted) = (1, false);
     let mut proved: Vec<Value> = Vec::new();
     for one in evidence {
         let own = &one["claim"];
@@ -132,7 +149,8 @@ fn allowed(evidence: &[Value], claim: &Value) -> u8 {
             } else {
                 u8::from(one["lower_percent"].as_f64().unwrap() <= at_most)
             };
-            true
+            // Bounds that others come before may still refute.
+            says == 0 || decides(one)
         } else if !(about_runs(p) && about_runs(q)) {
             false
         } else {
@@ -144,7 +162,6 @@ fn allowed(evidence: &[Value], claim: &Value) -> u8 {
         }
         if is_subjects && applies {
             refuted |= says == 0;
-            holds |= says == 4 || (says == 3 && one["strength"] != "proved_in");
             best = best.max(says);
         }
     }
@@ -173,7 +190,7 @@ fn allowed(evidence: &[Value], claim: &Value) -> u8 {
     } else if united {
         4
     } else {
-        best.max(u8::from(holds))
+        best
     }
 }
 

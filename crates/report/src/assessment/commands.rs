@@ -27,6 +27,15 @@ pub struct Command {
     arguments: Vec<String>,
 }
 
+/// A file that commands of a report need.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
+pub struct CommandFile {
+    /// Where it lies, from the folder of the report.
+    pub file: String,
+    #[serde(skip)]
+    pub(super) contents: Vec<u8>,
+}
+
 impl Command {
     /// Of these arguments.
     pub(super) fn new<W: Into<String>>(arguments: impl IntoIterator<Item = W>) -> Self {
@@ -37,12 +46,6 @@ impl Command {
     pub(super) fn and<W: Into<String>>(mut self, arguments: impl IntoIterator<Item = W>) -> Self {
         self.arguments.extend(arguments.into_iter().map(Into::into));
         self
-    }
-
-    /// Everything after `crumple`.
-    #[must_use]
-    pub fn arguments(&self) -> &[String] {
-        &self.arguments
     }
 
     /// The arguments, quoted for a shell.
@@ -106,11 +109,11 @@ impl AssessmentPlan {
     ///
     /// # Errors
     /// [`StoreError::Encoding`] if one of them cannot be written down.
-    pub(super) fn files_beside(&self) -> Result<Vec<(String, Vec<u8>)>, StoreError> {
-        let mut files: Vec<(String, Vec<u8>)> = Vec::new();
-        let mut add = |path: String, bytes: Vec<u8>| {
-            if !files.iter().any(|(known, _)| *known == path) {
-                files.push((path, bytes));
+    pub(super) fn files_beside(&self) -> Result<Vec<CommandFile>, StoreError> {
+        let mut files: Vec<CommandFile> = Vec::new();
+        let mut add = |file: String, contents: Vec<u8>| {
+            if !files.iter().any(|known| known.file == file) {
+                files.push(CommandFile { file, contents });
             }
         };
         for controller in &self.controllers {

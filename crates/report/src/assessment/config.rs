@@ -35,9 +35,10 @@ pub struct AssessConfig {
     /// Default true; set it to false for controllers that have nothing to do with the paper.
     #[serde(default = "yes")]
     pub paper: bool,
-    /// Spaces by whose law failures are counted, built-in names or files relative to the configuration. Default: `paper`.
-    #[serde(default = "default_distributions")]
-    pub distributions: Vec<String>,
+    /// Spaces by whose law failures are counted, built-in names or files relative to the configuration. Default: `paper`, or
+    /// `high-risk` if the paper is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distributions: Option<Vec<String>>,
     /// Draws of each of these spaces for each controller. Default 1000.
     #[serde(default = "default_draws")]
     pub draws: u64,
@@ -58,7 +59,7 @@ pub struct AssessConfig {
     #[serde(default)]
     pub rates: RatesConfig,
     /// Certificates to check, relative to the configuration file. Default: those shipped about the reference policy, if it is
-    /// among the controllers.
+    /// among the controllers and the paper is not left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub certificates: Option<Vec<PathBuf>>,
     /// What must hold; `crumple assess` ends with exit code 1 if something does not. Default none.
@@ -71,15 +72,17 @@ pub struct AssessConfig {
 #[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
 pub struct SearchConfig {
-    /// Spaces, built-in names or files relative to the configuration file. Default: `paper` and `high-risk`.
-    pub spaces: Vec<String>,
+    /// Spaces, built-in names or files relative to the configuration file. Default: `paper` and `high-risk`, or the latter
+    /// alone if the paper is left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spaces: Option<Vec<String>>,
     /// Evaluations of the search, and of each reference search. Default 400.
     pub budget: u64,
 }
 
 impl Default for SearchConfig {
     fn default() -> Self {
-        Self { spaces: vec!["paper".to_owned(), "high-risk".to_owned()], budget: 400 }
+        Self { spaces: None, budget: 400 }
     }
 }
 
@@ -113,16 +116,29 @@ fn yes() -> bool {
     true
 }
 
-fn default_distributions() -> Vec<String> {
-    vec!["paper".to_owned()]
-}
-
 fn default_draws() -> u64 {
     1000
 }
 
 fn default_everyday_draws() -> u64 {
     200
+}
+
+impl AssessConfig {
+    /// The spaces by whose law failures are counted, as they are named.
+    #[must_use]
+    pub fn distributions(&self) -> Vec<String> {
+        let unless_named = || vec![if self.paper { "paper" } else { "high-risk" }.to_owned()];
+        self.distributions.clone().unwrap_or_else(unless_named)
+    }
+
+    /// The spaces that are searched for failures, as they are named.
+    #[must_use]
+    pub fn searched(&self) -> Vec<String> {
+        let of_the_paper = self.paper.then(|| "paper".to_owned());
+        let unless_named = || of_the_paper.into_iter().chain(["high-risk".to_owned()]).collect();
+        self.search.spaces.clone().unwrap_or_else(unless_named)
+    }
 }
 
 impl Default for AssessConfig {
@@ -134,7 +150,7 @@ impl Default for AssessConfig {
             subject: None,
             estimator: EstimatorKind::default(),
             paper: yes(),
-            distributions: default_distributions(),
+            distributions: None,
             draws: default_draws(),
             everyday_draws: default_everyday_draws(),
             seed: 0,

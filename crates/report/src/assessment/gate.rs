@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::claims::{Claim, Domain, Property, Strength};
-use super::{Assessment, AssessmentPlan, Comparison, Rounded};
+use super::{AssessConfig, Assessment, AssessmentPlan, Comparison, Rounded};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 
 /// Something that must hold.
@@ -56,6 +56,11 @@ pub enum Gate {
         /// Largest share that passes, in percent.
         percent: f64,
     },
+    /// In a line of vehicles with a controller a disturbance does not grow.
+    StringStable {
+        /// The controller.
+        controller: String,
+    },
     /// Every certificate is accepted.
     ProofsAccepted,
     /// Nothing is worse than in the assessment that this one is compared with, and there is one.
@@ -74,29 +79,36 @@ pub struct GateResult {
 }
 
 impl Gate {
-    /// The controllers it is about, each with its field.
-    pub(super) fn controllers(&self) -> Vec<(&'static str, &str)> {
+    /// The names of the controllers it is about, each with its field.
+    pub(super) fn controllers_mut(&mut self) -> Vec<(&'static str, &mut String)> {
         match self {
             Self::RateNotAbove { controller, than, .. } => vec![("controller", controller), ("than", than)],
             Self::NoContactInPaperScenarios { controller }
             | Self::NoContactInTraffic { controller }
             | Self::RateAtMost { controller, .. }
             | Self::NeedlessBrakingAtMost { controller, .. }
+            | Self::StringStable { controller }
             | Self::NoAvoidableFailure { controller, .. } => vec![("controller", controller)],
             Self::ProofsAccepted | Self::NothingWorse => Vec::new(),
         }
     }
 
-    /// The names of the controllers it is about.
-    pub(super) fn controllers_mut(&mut self) -> Vec<&mut String> {
+    /// What of it no assessment of this configuration could judge: the field, and what is wrong with it.
+    pub(super) fn problem(&self, config: &AssessConfig) -> Option<(&'static str, String)> {
+        let needs_drives =
+            || (config.everyday_draws == 0).then(|| ("require", "needs `everyday_draws` above 0".to_owned()));
         match self {
-            Self::RateNotAbove { controller, than, .. } => vec![controller, than],
-            Self::NoContactInPaperScenarios { controller }
-            | Self::NoContactInTraffic { controller }
-            | Self::RateAtMost { controller, .. }
-            | Self::NeedlessBrakingAtMost { controller, .. }
-            | Self::NoAvoidableFailure { controller, .. } => vec![controller],
-            Self::ProofsAccepted | Self::NothingWorse => Vec::new(),
+            Self::NoContactInPaperScenarios { .. } if !config.paper => {
+                Some(("require", "needs `paper = true`".to_owned()))
+            }
+            Self::NoAvoidableFailure { space, .. } if !config.searched().contains(space) => {
+                Some(("space", format!("`{space}` is not among `search.spaces`")))
+            }
+            Self::RateAtMost { percent, space, .. } => share_problem(*percent).or_else(|| space_problem(space, config)),
+            Self::RateNotAbove { space, .. } => space_problem(space, config),
+            Self::NeedlessBrakingAtMost { percent, .. } => share_problem(*percent).or_else(needs_drives),
+            Self::StringStable { .. } => needs_drives(),
+            _ => None,
         }
     }
 
@@ -113,9 +125,12 @@ impl Gate {
             Self::RateAtMost { controller, percent, space } => {
                 rate_at_most(plan, found, controller, *percent, space.as_deref())
             }
-            Self::RateNotAbove { controller, than, space } => rate_not_above(found, controller, than, space.as_deref()),
+            Self::RateNotAbove { controller, than, space } => {
+                rate_not_above(plan, found, [controller, than], space.as_deref())
+            }
             Self::NoAvoidableFailure { controller, space } => no_avoidable_failure(found, controller, space),
             Self::NeedlessBrakingAtMost { controller, percent } => needless_at_most(found, controller, *percent),
+            Self::StringStable { controller } => string_stable(found, controller),
             Self::ProofsAccepted => proofs_accepted(found),
             Self::NothingWorse => nothing_worse(found.comparison.as_ref()),
         };
@@ -124,7 +139,7 @@ impl Gate {
 
     fn words(&self, plan: &AssessmentPlan) -> String {
         let named = |space: &Option<String>| {
-            let only = || plan.config.distributions.first().cloned().unwrap_or_default();
+            let only = || plan.distributions.first().map(|named| named.name.clone()).unwrap_or_default();
             space.clone().unwrap_or_else(only)
         };
         match self {
@@ -144,6 +159,7 @@ impl Gate {
             Self::NeedlessBrakingAtMost { controller, percent } => {
                 format!("{controller}: braking without cause in at most {percent} % of drives in everyday traffic")
             }
+            Self::StringStable { controller } => format!("{controller}: no disturbance grows along a line"),
             Self::ProofsAccepted => "every proof is accepted".to_owned(),
             Self::NothingWorse => "nothing is worse than before".to_owned(),
         }
@@ -172,7 +188,7 @@ fn rate_at_most(
     percent: f64,
     space: Option<&str>,
 ) -> (bool, String) {
-    let named = plan.distributions.iter().find(|named| space.is_none_or(|space| named.name == space));
+    let named = asked_of(plan, space).and_then(|place| plan.distributions.get(place));
     let place = plan.controllers.iter().position(|one| one.name == controller);
     let subject = place.and_then(|place| plan.claimant(place, plan.config.estimator));
     let (Some(named), Some(subject)) = (named, subject) else { return (false, "no draws were made".to_owned()) };
@@ -183,19 +199,31 @@ fn rate_at_most(
     (matches!(standing.strength, Strength::Bounded { .. }), standing.words())
 }
 
-fn rate_not_above(found: &Assessment, controller: &str, than: &str, space: Option<&str>) -> (bool, String) {
-    let Some(drawn) =
-        found.distributions.spaces.iter().find(|drawn| space.is_none_or(|space| drawn.space.name == space))
-    else {
-        return (false, "no draws were made".to_owned());
+/// A draw that was cut short counts against the controller.
+fn rate_not_above(
+    plan: &AssessmentPlan,
+    found: &Assessment,
+    [controller, than]: [&str; 2],
+    space: Option<&str>,
+) -> (bool, String) {
+    let drawn = asked_of(plan, space).and_then(|place| found.distributions.spaces.get(place));
+    let Some(drawn) = drawn.filter(|drawn| drawn.draws > 0) else { return (false, "no draws were made".to_owned()) };
+    let of = |name: &str| drawn.controllers.iter().find(|sampled| sampled.controller == name);
+    let (Some(own), Some(other)) = (of(controller), of(than)) else {
+        return (false, "it was not drawn for".to_owned());
     };
-    let collisions = |name: &str| Some(drawn.controllers.iter().find(|s| s.controller == name)?.collisions);
-    match (collisions(controller), collisions(than)) {
-        (Some(own), Some(other)) if drawn.draws > 0 => {
-            (own <= other, format!("{own} against {other} of the same {} draws collide", drawn.draws))
-        }
-        _ => (false, "no draws were made".to_owned()),
-    }
+    let cut_short = match own.cut_short {
+        0 => String::new(),
+        cut_short => format!(", and {cut_short} were cut short"),
+    };
+    let because =
+        format!("{} against {} of the same {} draws collide{cut_short}", own.collisions, other.collisions, drawn.draws);
+    (own.collisions + own.cut_short <= other.collisions, because)
+}
+
+/// The place of the space that a gate asks for, as the configuration names it, among those that are drawn from.
+fn asked_of(plan: &AssessmentPlan, space: Option<&str>) -> Option<usize> {
+    plan.distributions.iter().position(|named| space.is_none_or(|space| named.name == space))
 }
 
 fn no_avoidable_failure(found: &Assessment, controller: &str, space: &str) -> (bool, String) {
@@ -212,14 +240,30 @@ fn no_avoidable_failure(found: &Assessment, controller: &str, space: &str) -> (b
 }
 
 fn needless_at_most(found: &Assessment, controller: &str, percent: f64) -> (bool, String) {
-    let useful =
-        found.usefulness.as_ref().and_then(|all| all.controllers.iter().find(|one| one.controller == controller));
-    match (useful, found.usefulness.as_ref()) {
-        (Some(useful), Some(all)) => {
-            let share = 100.0 * useful.needless as f64 / all.draws as f64;
-            (share <= percent, format!("{} of {} drives", useful.needless, all.draws))
-        }
-        _ => (false, "no such drives were made".to_owned()),
+    let all = found.usefulness.as_ref();
+    let Some((all, useful)) = all.and_then(|all| Some((all, all.of(controller)?))) else {
+        return (false, "no such drives were made".to_owned());
+    };
+    let share = 100.0 * useful.needless as f64 / all.draws as f64;
+    (share <= percent, format!("{} of {} drives", useful.needless, all.draws))
+}
+
+fn string_stable(found: &Assessment, controller: &str) -> (bool, String) {
+    let line = found.usefulness.as_ref().and_then(|all| Some(&all.of(controller)?.line));
+    line.map_or((false, "no line was driven".to_owned()), |line| (line.holds(), line.words()))
+}
+
+fn share_problem(percent: f64) -> Option<(&'static str, String)> {
+    let is_share = (0.0..=100.0).contains(&percent);
+    (!is_share).then(|| ("percent", format!("must be from 0 to 100, found {percent}")))
+}
+
+fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<(&'static str, String)> {
+    let known = config.distributions();
+    match space {
+        Some(space) if !known.contains(space) => Some(("space", format!("`{space}` is not among `distributions`"))),
+        None if known.len() > 1 => Some(("space", "must be named, since there are several `distributions`".to_owned())),
+        _ => None,
     }
 }
 

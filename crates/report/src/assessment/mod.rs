@@ -30,7 +30,7 @@ pub use claims::{
     Beside, Claim, Domain, Evidence, Known, LEAST_CONFIDENCE_PERCENT, Ledger, Property, Rule, Source, Standing,
     Strength, Subject, Words,
 };
-pub use commands::Command;
+pub use commands::{Command, CommandFile};
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};
 pub use gate::{Gate, GateResult};
 pub use parts::{
@@ -94,8 +94,7 @@ pub struct Assessment {
     /// Where the evidence comes from.
     pub provenance: Provenance,
     /// Files that commands of the report need.
-    #[serde(skip)]
-    command_files: Vec<(String, Vec<u8>)>,
+    pub command_files: Vec<CommandFile>,
 }
 
 /// One part of an assessment.
@@ -153,7 +152,7 @@ pub enum AssessError {
 /// let mut config = AssessConfig::default();
 /// config.controllers = vec!["baseline".to_owned(), "idm".to_owned()];
 /// config.gates.clear();
-/// (config.draws, config.search.spaces, config.rates.runs) = (20, Vec::new(), 0);
+/// (config.draws, config.search.spaces, config.rates.runs) = (20, Some(Vec::new()), 0);
 /// let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
 /// let assessment = assess(&plan, &Store::none(), None, &|_| {}).unwrap();
 /// assert!(assessment.html().contains("</html>"));
@@ -246,7 +245,9 @@ impl Assessment {
         parts.extend(self.comparison.as_ref().map(|comparison| comparison as &dyn Part));
         parts.extend(self.paper_scenarios.as_ref().map(|paper| paper as &dyn Part));
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
-        parts.extend([&self.distributions as &dyn Part, &self.searches]);
+        let (is_drawn, is_searched) = (!self.distributions.spaces.is_empty(), !self.searches.spaces.is_empty());
+        parts.extend(is_drawn.then_some(&self.distributions as &dyn Part));
+        parts.extend(is_searched.then_some(&self.searches as &dyn Part));
         parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn Part));
         parts.extend([&self.proofs as &dyn Part, &self.limits]);
         parts
@@ -302,7 +303,8 @@ impl Assessment {
         texts.extend(self.searches.failures().map(|failure| (failure.file.clone(), failure.text.clone())));
         texts.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
         let texts = texts.into_iter().map(|(name, text)| (name, text.into_bytes()));
-        Ok(texts.chain(self.command_files.iter().cloned()).collect())
+        let needed = self.command_files.iter().map(|needed| (needed.file.clone(), needed.contents.clone()));
+        Ok(texts.chain(needed).collect())
     }
 
     /// Every command that shows again what the report shows, in its order.
@@ -312,19 +314,18 @@ impl Assessment {
     }
 }
 
-/// The files that stood beside the evidence of an earlier report, by their paths from its folder: counterexamples and
-/// certificates. None of what is no such evidence, and no path that leads out of the folder.
+/// The files that stood beside the evidence of an earlier report, by their paths from its folder: counterexamples,
+/// certificates, and what its commands needed. None of what is no such evidence, and no path that leads out of the folder.
 #[must_use]
 pub fn files_of_evidence(json: &str) -> Vec<String> {
     let evidence: serde_json::Value = serde_json::from_str(json).unwrap_or_default();
     let list = |value: &serde_json::Value| value.as_array().cloned().unwrap_or_default();
     let searches = list(&evidence["searches"]["spaces"]).into_iter().flat_map(|space| list(&space["controllers"]));
     let failures = searches.flat_map(|search| list(&search["failures"]));
-    let files = failures.chain(list(&evidence["proofs"]["certificates"]));
+    let files = failures.chain(list(&evidence["proofs"]["certificates"])).chain(list(&evidence["command_files"]));
     let names = files.filter_map(|file| file["file"].as_str().map(str::to_owned));
-    let is_own = |name: &String| {
-        (name.starts_with("counterexamples/") || name.starts_with("certificates/")) && !name.contains("..")
-    };
+    let folders = ["counterexamples/", "certificates/", "controllers/", "spaces/", "scenarios/"];
+    let is_own = |name: &String| folders.iter().any(|folder| name.starts_with(folder)) && !name.contains("..");
     names.filter(is_own).collect()
 }
 

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::claims::{Known, Subject};
 use super::config::{AssessConfig, CONFIG_VERSION, ConfigError};
-use super::gate::Gate;
+use super::parts;
 use crumple_world::control::ControllerSpec;
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
@@ -56,6 +56,15 @@ impl NamedSpace {
         let text = space_file::to_toml(&space)?;
         Ok(Self { name: name.to_owned(), known: Known::of(space.name(), &text), space, text })
     }
+
+    /// Whether two successive vehicles of its scenarios are both not under test.
+    pub(super) fn others_may_touch(&self) -> bool {
+        // Whose nominal scenario cannot be run has no runs.
+        self.space.scenario(&self.space.nominal()).is_ok_and(|scenario| {
+            let is_other = |index: usize| !scenario.is_under_test(index);
+            (1..scenario.vehicles().len()).any(|rear| is_other(rear) && is_other(rear - 1))
+        })
+    }
 }
 
 /// A certificate that was made earlier.
@@ -84,7 +93,7 @@ impl AssessmentPlan {
         let known = |names: &[String]| {
             names.iter().filter_map(|name| NamedSpace::new(name, built_in_space(name)?).ok()).collect::<Vec<_>>()
         };
-        let (distributions, spaces) = (known(&config.distributions), known(&config.search.spaces));
+        let (distributions, spaces) = (known(&config.distributions()), known(&config.searched()));
         let (subject, certificates) = (subject(&controllers), shipped(&controllers));
         Self { subject, config, controllers, traffic: Vec::new(), distributions, spaces, certificates }
     }
@@ -223,56 +232,29 @@ impl Loading<'_> {
     fn plan(&self, mut config: AssessConfig, controllers: Vec<NamedController>) -> Result<AssessmentPlan, ConfigError> {
         self.check_numbers(&config)?;
         // However a controller is spelled, it goes by one name.
-        let gated = config.gates.iter_mut().flat_map(Gate::controllers_mut);
-        for name in config.subject.iter_mut().chain(gated) {
+        let place_of = |name: &mut String| {
             if let Ok(found) = NamedController::find(name, self.folder) {
                 *name = found.name;
             }
-        }
-        let named = |name: &str| controllers.iter().position(|controller| controller.name == name);
-        let subject = match &config.subject {
-            None => subject(&controllers),
-            Some(name) => named(name).ok_or_else(|| self.wrong("subject", not_among(name)))?,
+            controllers.iter().position(|controller| controller.name == *name)
         };
+        let subject = match &mut config.subject {
+            None => subject(&controllers),
+            Some(name) => place_of(name).ok_or_else(|| self.wrong("subject", not_among(name)))?,
+        };
+        for (index, gate) in config.gates.iter_mut().enumerate() {
+            for (field, name) in gate.controllers_mut() {
+                place_of(name).ok_or_else(|| self.wrong(&format!("gates[{index}].{field}"), not_among(name)))?;
+            }
+        }
         for (index, gate) in config.gates.iter().enumerate() {
-            if let Some((field, name)) = gate.controllers().into_iter().find(|(_, name)| named(name).is_none()) {
-                return Err(self.wrong(&format!("gates[{index}].{field}"), not_among(name)));
-            }
-            if let Gate::RateAtMost { percent, .. } = gate
-                && !(0.0..=100.0).contains(percent)
-            {
-                let problem = format!("must be from 0 to 100, found {percent}");
-                return Err(self.wrong(&format!("gates[{index}].percent"), problem));
-            }
-            let unknown = match gate {
-                Gate::NoAvoidableFailure { space, .. } if !config.search.spaces.contains(space) => {
-                    Some(format!("`{space}` is not among `search.spaces`"))
-                }
-                Gate::RateAtMost { space, .. } | Gate::RateNotAbove { space, .. } => match space {
-                    Some(space) if !config.distributions.contains(space) => {
-                        Some(format!("`{space}` is not among `distributions`"))
-                    }
-                    None if config.distributions.len() > 1 => {
-                        Some("must be named, since there are several `distributions`".to_owned())
-                    }
-                    _ => None,
-                },
-                Gate::NeedlessBrakingAtMost { percent, .. } if !(0.0..=100.0).contains(percent) => {
-                    let problem = format!("must be from 0 to 100, found {percent}");
-                    return Err(self.wrong(&format!("gates[{index}].percent"), problem));
-                }
-                Gate::NoContactInPaperScenarios { .. } if !config.paper => {
-                    return Err(self.wrong(&format!("gates[{index}].require"), "needs `paper = true`".to_owned()));
-                }
-                _ => None,
-            };
-            if let Some(problem) = unknown {
-                return Err(self.wrong(&format!("gates[{index}].space"), problem));
+            if let Some((field, problem)) = gate.problem(&config) {
+                return Err(self.wrong(&format!("gates[{index}].{field}"), problem));
             }
         }
         let traffic = self.traffic(&config)?;
-        let spaces = self.spaces("search.spaces", &config.search.spaces)?;
-        let distributions = self.spaces("distributions", &config.distributions)?;
+        let spaces = self.spaces("search.spaces", &config.searched())?;
+        let distributions = self.spaces("distributions", &config.distributions())?;
         let clash = distributions
             .iter()
             .find(|one| spaces.iter().any(|other| one.space.name() == other.space.name() && one.known != other.known));
@@ -280,11 +262,15 @@ impl Loading<'_> {
             let problem = format!("the name `{}` is that of another space in `search.spaces`", one.space.name());
             return Err(self.wrong("distributions", problem));
         }
-        let certificates = match &config.certificates {
-            None => shipped(&controllers),
-            Some(paths) => self.certificates(paths)?,
+        let given = config.certificates.clone();
+        let mut plan =
+            AssessmentPlan { config, controllers, subject, traffic, distributions, spaces, certificates: Vec::new() };
+        plan.certificates = match given {
+            None if plan.config.paper => shipped(&plan.controllers),
+            None => Vec::new(),
+            Some(paths) => self.certificates(&paths, &parts::made_here(&plan))?,
         };
-        Ok(AssessmentPlan { config, controllers, subject, traffic, distributions, spaces, certificates })
+        Ok(plan)
     }
 
     fn add(
@@ -396,7 +382,7 @@ impl Loading<'_> {
         Ok(spaces)
     }
 
-    fn certificates(&self, paths: &[PathBuf]) -> Result<Vec<GivenCertificate>, ConfigError> {
+    fn certificates(&self, paths: &[PathBuf], made_here: &[String]) -> Result<Vec<GivenCertificate>, ConfigError> {
         let mut given: Vec<GivenCertificate> = Vec::new();
         for (index, path) in paths.iter().enumerate() {
             let field = format!("certificates[{index}]");
@@ -406,6 +392,9 @@ impl Loading<'_> {
             let certificate = Certificate::from_json(&text)
                 .map_err(|error| self.wrong(&field, format!("{}: {error}", at.display())))?;
             let name = at.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
+            if made_here.contains(&name) {
+                return Err(self.wrong(&field, format!("the name `{name}` is that of a certificate made here")));
+            }
             if given.iter().any(|known| known.name == name) {
                 return Err(self.wrong(&field, format!("the name `{name}` is taken by another certificate")));
             }

@@ -86,8 +86,13 @@ impl Ledger {
         };
         let mut all: Vec<Beside> = self.evidence.iter().enumerate().filter_map(read).collect();
         let united = self.proofs_of_parts(claim);
+        let deciding = self.deciding(claim);
+        let weight = |one: &Beside| {
+            let is_picked = one.rule != Rule::BoundsDecide || one.strength.is_refutation();
+            if is_picked || Some(one.evidence) == deciding { one.strength.weight() } else { -1.0 }
+        };
         // The strongest first; of equals the first in the ledger.
-        all.sort_by(|a, b| b.strength.weight().total_cmp(&a.strength.weight()));
+        all.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
         let holds = united.is_some() || all.iter().any(|one| one.strength.is_assurance());
         let refuted: Vec<_> = all.iter().filter(|one| one.strength.is_refutation()).map(|one| one.evidence).collect();
         if (holds && !refuted.is_empty()) || self.bounds_part(claim) {
@@ -106,22 +111,32 @@ impl Ledger {
         Standing { strength, rule: Some(rule), evidence: vec![evidence], beside: all }
     }
 
-    /// Whether two pieces of evidence bound the rate that a claim is about, and their bounds do not meet.
-    fn bounds_part(&self, claim: &Claim) -> bool {
+    /// The bounds on the rate that a claim is about, each with its place.
+    fn bounds(&self, claim: &Claim) -> Vec<(usize, Bounds)> {
         if !matches!(claim.property, Property::RateAtMost { .. }) {
-            return false;
+            return Vec::new();
         }
         let rate = Claim { property: Property::FailureRate, ..claim.clone() };
-        let bounds =
-            self.evidence.iter().filter(|evidence| evidence.claim == rate).filter_map(|one| match one.strength {
-                Strength::Between { lower_percent, upper_percent, .. } => {
-                    Some((lower_percent.value(), upper_percent.value()))
-                }
-                _ => None,
-            });
-        let meet =
-            bounds.fold((0.0, 100.0), |(low, high), (lower, upper)| (f64::max(low, lower), f64::min(high, upper)));
-        meet.0 > meet.1
+        let own = self.evidence.iter().enumerate().filter(|(_, evidence)| evidence.claim == rate);
+        own.filter_map(|(place, evidence)| Some((place, Bounds::of(&evidence.strength)?))).collect()
+    }
+
+    /// Whether two pieces of evidence bound the rate that a claim is about, and their bounds do not meet.
+    fn bounds_part(&self, claim: &Claim) -> bool {
+        let bounds = self.bounds(claim);
+        let lower = bounds.iter().map(|(_, one)| one.lower_percent).fold(0.0, f64::max);
+        lower > bounds.iter().map(|(_, one)| one.upper_percent).fold(100.0, f64::min)
+    }
+
+    /// Which bounds decide a claim about a rate, where there are several: not those that happen to please, for the best of
+    /// many bounds holds less often than each. What decides was fixed before anything was counted: the highest confidence,
+    /// then the most runs; of equals the least favourable.
+    fn deciding(&self, claim: &Claim) -> Option<usize> {
+        let before = |a: &Bounds, b: &Bounds| {
+            let confidence = a.confidence_percent.total_cmp(&b.confidence_percent);
+            confidence.then(a.runs.cmp(&b.runs)).then(a.upper_percent.total_cmp(&b.upper_percent))
+        };
+        self.bounds(claim).into_iter().max_by(|(_, a), (_, b)| before(a, b)).map(|(place, _)| place)
     }
 
     /// The proofs that cover all scenarios of a claim together, if no single one does.
@@ -137,5 +152,27 @@ impl Ledger {
         };
         let proofs = all.iter().cloned().map(proof_of).collect::<Option<Vec<_>>>()?;
         (proofs.len() > 1).then_some((Strength::Proved { certificates: proofs.len() }, proofs))
+    }
+}
+
+/// Bounds on a rate.
+struct Bounds {
+    lower_percent: f64,
+    upper_percent: f64,
+    confidence_percent: f64,
+    runs: u64,
+}
+
+impl Bounds {
+    fn of(strength: &Strength) -> Option<Self> {
+        match *strength {
+            Strength::Between { lower_percent, upper_percent, confidence_percent, runs } => Some(Self {
+                lower_percent: lower_percent.value(),
+                upper_percent: upper_percent.value(),
+                confidence_percent: confidence_percent.value(),
+                runs,
+            }),
+            _ => None,
+        }
     }
 }

@@ -168,7 +168,7 @@ impl Property {
             Self::RateAtMost { percent } => format!("contact in at most {} % of runs", percent.value()),
             Self::FailsLessOften { than } => format!("fewer failures than {}", than.name),
             Self::NoNeedlessBraking => "no braking without cause".to_owned(),
-            Self::StringStable => "no disturbance grows along a line".to_owned(),
+            Self::StringStable => "no disturbance grows".to_owned(),
         }
     }
 
@@ -191,7 +191,10 @@ impl Domain {
     pub fn words(&self) -> String {
         match self {
             Self::Scenarios { about, .. } => format!("in {}", about.0),
-            Self::Draws { space, seed, draws } => format!("in {draws} draws of `{}` (seed {seed})", space.name),
+            Self::Draws { space, seed, draws } => {
+                let plural = if *draws == 1 { "" } else { "s" };
+                format!("in {draws} draw{plural} of `{}` (seed {seed})", space.name)
+            }
             Self::Space { space } => format!("anywhere in `{}`", space.name),
             Self::Search { space, budget, .. } => {
                 format!("that a search of `{}` finds ({budget} a method)", space.name)

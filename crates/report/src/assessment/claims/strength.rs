@@ -32,6 +32,8 @@ pub enum Strength {
         upper_percent: Rounded<2>,
         /// Confidence of each bound, in percent.
         confidence_percent: Rounded<1>,
+        /// On how many runs they rest.
+        runs: u64,
     },
     /// The share of failures is at most this, with the stated confidence.
     Bounded {
@@ -114,7 +116,7 @@ impl Strength {
     /// What bounds on a share say of the claim that it is at most `percent`; nothing if these are no bounds.
     #[must_use]
     pub fn of_rate(&self, percent: f64) -> Option<Self> {
-        let Self::Between { lower_percent, upper_percent, confidence_percent } = *self else { return None };
+        let Self::Between { lower_percent, upper_percent, confidence_percent, .. } = *self else { return None };
         // Rounded outwards, so that what is shown decides. A bound of little confidence decides nothing.
         Some(if confidence_percent.value() < LEAST_CONFIDENCE_PERCENT {
             Self::Undecided { lower_percent, upper_percent, confidence_percent }
@@ -168,12 +170,10 @@ impl Strength {
     }
 
     pub(in crate::assessment) fn mark(&self) -> Mark {
-        match self {
-            Self::Proved { .. } | Self::Tested { .. } | Self::Bounded { .. } | Self::Counted { .. } => Mark::Good,
-            Self::Compared { own, other, .. } if own < other => Mark::Good,
-            Self::Contradicted => Mark::Bad,
-            _ if self.is_refutation() => Mark::Bad,
-            _ => Mark::None,
+        match self.rank() {
+            0 => Mark::Bad,
+            1 => Mark::None,
+            _ => Mark::Good,
         }
     }
 
@@ -185,8 +185,9 @@ impl Strength {
             }
             Self::ProvedIn { share_percent } => format!("proved for {share_percent} % of the box, see Proofs"),
             Self::Proved { .. } => "proved under assumptions, see Proofs".to_owned(),
+            Self::Tested { runs: 1 } => "tested: one run, and it holds".to_owned(),
             Self::Tested { runs } => format!("tested: 0 of {runs} fail"),
-            Self::Between { lower_percent, upper_percent, confidence_percent } => {
+            Self::Between { lower_percent, upper_percent, confidence_percent, .. } => {
                 format!("{lower_percent} to {upper_percent} %, confidence {confidence_percent} % each")
             }
             Self::Bounded { upper_percent, confidence_percent } => {
@@ -217,7 +218,7 @@ impl Strength {
     pub(in crate::assessment) fn rank(&self) -> u8 {
         match self {
             Self::Proved { .. } => 3,
-            Self::ProvedIn { .. } | Self::Tested { .. } | Self::Bounded { .. } | Self::Counted { .. } => 2,
+            Self::Tested { .. } | Self::Bounded { .. } | Self::Counted { .. } => 2,
             Self::Contradicted => 0,
             Self::Compared { own, other, .. } if own < other => 2,
             _ if self.is_refutation() => 0,

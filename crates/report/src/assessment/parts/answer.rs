@@ -57,11 +57,11 @@ impl FirstPage {
         limits: &Limits,
     ) -> Self {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
-        let mut claims: Vec<(String, &Claim, &Standing)> = Vec::new();
+        let mut claims: Vec<(&str, &Claim, &Standing)> = Vec::new();
         for row in &summary.claims {
             if let (Some(Some(claim)), Some(standing)) = (row.claims.get(plan.subject), row.standings.get(plan.subject))
             {
-                claims.push((row.claim.clone(), claim, standing));
+                claims.push((&row.claim, claim, standing));
             }
         }
         // The strongest first: a refutation outweighs everything.
@@ -97,7 +97,7 @@ impl FirstPage {
 }
 
 /// Whether it is shown to fail less often than the first controller, in a sentence; nothing if that was not asked.
-fn safer(plan: &AssessmentPlan, claims: &[(String, &Claim, &Standing)]) -> String {
+fn safer(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> String {
     let Some(first) = plan.controllers.first().filter(|_| plan.subject != 0) else { return String::new() };
     let compared = claims.iter().filter(|(_, claim, _)| matches!(claim.property, Property::FailsLessOften { .. }));
     let shown: Vec<_> =
@@ -114,7 +114,7 @@ fn safer(plan: &AssessmentPlan, claims: &[(String, &Claim, &Standing)]) -> Strin
 impl Answer {
     /// A run that fails weighs more than any evidence beside it; what was shown through another estimator, or of the vehicle
     /// ahead alone, answers nothing.
-    fn of(plan: &AssessmentPlan, claims: &[(String, &Claim, &Standing)]) -> Self {
+    fn of(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> Self {
         let is_asked = |claim: &Claim| {
             matches!(claim.property, Property::NoContact | Property::RateAtMost { .. })
                 && claim.subject.estimator == plan.config.estimator

@@ -45,7 +45,7 @@ pub struct Proof {
     /// The statement, if it is one about a kernel.
     #[serde(skip)]
     kernel: Option<Statement>,
-    /// The statement, if it is one about a rate.
+    /// The statement, if it is one about a rate and every failure that it counts is one of the controller.
     #[serde(skip)]
     rate: Option<Rate>,
 }
@@ -117,22 +117,32 @@ impl ProofStatus {
         }
     }
 
-    fn of(certificate: &Certificate, policy: Option<&[u8]>) -> Self {
+    fn of(certificate: &Certificate, policy: Option<&[u8]>, counts_others: bool) -> Self {
         let accepted = match check_with(certificate, policy) {
             Ok(accepted) => accepted,
             Err(rejection) => return Self::Rejected { reason: rejection.to_string() },
         };
-        Self::Accepted { shown: shown(&accepted), strength: strength(&accepted) }
+        Self::Accepted { shown: shown(&accepted), strength: strength(&accepted, &certificate.statement, counts_others) }
     }
 }
 
 /// How strongly an accepted statement speaks for the claim that it makes of a controller.
-fn strength(accepted: &Accepted) -> Option<Strength> {
+fn strength(accepted: &Accepted, statement: &Statement, counts_others: bool) -> Option<Strength> {
+    // The certificate bounds a rate from above alone; from below by the same count, at the same confidence, unless others'
+    // contacts are among what it counts.
+    let (lower, runs) = match statement {
+        Statement::Rate(Rate { failures, registration: Registration { runs, confidence, .. }, .. }) => {
+            let failures = if counts_others { 0 } else { *failures };
+            (RateInterval::exact(failures, *runs, 2.0 * confidence - 1.0).lower, *runs)
+        }
+        _ => (0.0, 0),
+    };
     match accepted {
         Accepted::Rate { at_most, confidence } => Some(Strength::Between {
-            lower_percent: Rounded::new(0.0),
+            lower_percent: Rounded::down(100.0 * lower),
             upper_percent: Rounded::up(100.0 * at_most),
             confidence_percent: Rounded::down(100.0 * confidence),
+            runs,
         }),
         // With little confidence it shows nothing.
         Accepted::FailsLessOften { confidence } => Some(Rounded::down(100.0 * confidence))
@@ -150,16 +160,6 @@ fn strength(accepted: &Accepted) -> Option<Strength> {
     }
 }
 
-/// The runs that a rate was counted on, as a domain; a failure among them is one in its space.
-fn counted_runs(claim: &Claim, rate: &Rate) -> Option<Evidence> {
-    let Domain::Space { space } = &claim.domain else { return None };
-    let seed = rate.registration.configuration.get("seed")?.parse().ok()?;
-    let domain = Domain::Draws { space: space.clone(), seed, draws: rate.registration.runs };
-    let claim = Claim { property: Property::NoContact, domain, ..claim.clone() };
-    let strength = Strength::of(rate.failures, rate.registration.runs);
-    Some(Evidence { claim, strength, source: Source::part("proofs", "counted runs") })
-}
-
 impl Proof {
     /// Whether the checker accepted it.
     #[must_use]
@@ -174,15 +174,17 @@ impl Proof {
         else {
             return Vec::new();
         };
-        let (claim, mut strength) = ((**claim).clone(), strength.clone());
-        if let (Some(rate), Strength::Between { lower_percent, .. }) = (&self.rate, &mut strength) {
-            // The certificate bounds from above alone; from below by the same count, at the same confidence.
-            let (runs, two_sided) = (rate.registration.runs, 2.0 * rate.registration.confidence - 1.0);
-            *lower_percent = Rounded::down(100.0 * RateInterval::exact(rate.failures, runs, two_sided).lower);
-        }
-        let counted = self.rate.as_ref().and_then(|rate| counted_runs(&claim, rate));
-        let own = Evidence { claim, strength, source: self.source() };
-        std::iter::once(own).chain(counted.map(|one| Evidence { source: self.source(), ..one })).collect()
+        let own = Evidence { claim: (**claim).clone(), strength: strength.clone(), source: self.source() };
+        std::iter::once(own).chain(self.counted_runs(claim)).collect()
+    }
+
+    /// The runs that a rate was counted on, as a domain; a failure among them is one in its space.
+    fn counted_runs(&self, claim: &Claim) -> Option<Evidence> {
+        let (Some(rate), Domain::Space { space }) = (&self.rate, &claim.domain) else { return None };
+        let (seed, draws) = (rate.registration.configuration.get("seed")?.parse().ok()?, rate.registration.runs);
+        let domain = Domain::Draws { space: space.clone(), seed, draws };
+        let claim = Claim { subject: claim.subject.clone(), property: Property::NoContact, domain };
+        Some(Evidence { claim, strength: Strength::of(rate.failures, draws), source: self.source() })
     }
 
     pub(super) fn source(&self) -> Source {
@@ -228,8 +230,9 @@ fn proof(
 ) -> Result<Proof, AssessError> {
     let text = serde_json::to_string_pretty(certificate).map_err(StoreError::encoding)? + "\n";
     let sha256 = sha256(&text);
+    let counts_others = counts_others(plan, &certificate.statement);
     // Never from what is kept: checking is cheap, and what lies on a disk can be edited.
-    let status = ProofStatus::of(certificate, policy);
+    let status = ProofStatus::of(certificate, policy, counts_others);
     Ok(Proof {
         statement: certificate.statement.name(),
         about: about(certificate),
@@ -239,7 +242,7 @@ fn proof(
         status,
         assumptions: certificate.assumptions.clone(),
         rate: match &certificate.statement {
-            Statement::Rate(rate) => Some(rate.clone()),
+            Statement::Rate(rate) if !counts_others => Some(rate.clone()),
             _ => None,
         },
         kernel: matches!(certificate.statement, Statement::Kernel(_)).then(|| certificate.statement.clone()),
@@ -332,6 +335,21 @@ fn around(reach: &Reach) -> Known {
     Known { name, sha256: digest }
 }
 
+/// The space that a registration names, if the report draws from it.
+fn space_of<'a>(plan: &'a AssessmentPlan, registration: &Registration) -> Option<&'a NamedSpace> {
+    let sha256 = registration.configuration.get("space_sha256")?;
+    plan.distributions.iter().find(|named| named.known.sha256 == *sha256)
+}
+
+/// Whether vehicles that are not under test may touch in the runs of a rate: such a run counts as a failure there, and says
+/// nothing of the controller here.
+fn counts_others(plan: &AssessmentPlan, statement: &Statement) -> bool {
+    match statement {
+        Statement::Rate(rate) => space_of(plan, &rate.registration).is_some_and(NamedSpace::others_may_touch),
+        _ => false,
+    }
+}
+
 /// The claim that a registration fixed, if it is one that this report could have fixed: the same controllers, space and
 /// estimator by their hashes, counted by this release.
 fn registered(plan: &AssessmentPlan, registration: &Registration) -> SpeaksOf {
@@ -340,7 +358,7 @@ fn registered(plan: &AssessmentPlan, registration: &Registration) -> SpeaksOf {
     if of("crumple") != env!("CARGO_PKG_VERSION") {
         return foreign(format!("it was counted by crumple {}", of("crumple")));
     }
-    let Some(named) = plan.distributions.iter().find(|named| named.known.sha256 == of("space_sha256")) else {
+    let Some(named) = space_of(plan, registration) else {
         return foreign(format!("its space `{}` is not one that this report draws from", of("space")));
     };
     let Some(&estimator) = EstimatorKind::ALL.iter().find(|one| one.name() == of("estimator")) else {
@@ -363,6 +381,9 @@ fn registered(plan: &AssessmentPlan, registration: &Registration) -> SpeaksOf {
     let domain = Domain::Space { space: named.known.clone() };
     let property = match registration.configuration.get("against") {
         None => Property::FailureRate,
+        Some(_) if named.others_may_touch() => {
+            return foreign("it counts contacts of vehicles that are not under test".to_owned());
+        }
         Some(other) => match find("against") {
             Some(than) => Property::FailsLessOften { than: than.controller },
             None => return foreign(format!("its `{other}` is none of the controllers here")),
@@ -417,9 +438,23 @@ pub(super) fn kernel_domain(kernels: &[Kernel]) -> Domain {
 /// The seed of counted runs: not that of the draws that are reported elsewhere.
 const SEED_APART: u64 = 0x5eed;
 
-fn counted(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
+/// What is counted for a certificate: under which name, in which space, of whom, against whom.
+struct Counted<'a> {
+    name: String,
+    space: &'a NamedSpace,
+    controller: NamedController,
+    against: Option<NamedController>,
+}
+
+/// The names of certificates that are made for a report.
+pub(in crate::assessment) fn made_here(plan: &AssessmentPlan) -> Vec<String> {
+    let kernels = shipped_kernels().into_iter().map(|(name, _)| name);
+    kernels.chain(to_be_counted(plan).into_iter().map(|counted| counted.name)).collect()
+}
+
+fn to_be_counted(plan: &AssessmentPlan) -> Vec<Counted<'_>> {
     if plan.config.rates.runs == 0 {
-        return Ok(Vec::new());
+        return Vec::new();
     }
     let learned = plan.controllers.iter().enumerate().filter(|(_, controller)| controller.policy().is_some());
     let mut wanted: Vec<(String, NamedController, Option<NamedController>)> =
@@ -435,33 +470,30 @@ fn counted(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessE
     }
     // Only what states an identity can be spoken of.
     wanted.retain(|(_, one, other)| std::iter::once(one).chain(other).all(|of| of.kind.identity().is_some()));
+    let several = plan.distributions.len() > 1;
     let mut counted = Vec::new();
-    for named in &plan.distributions {
-        let several = plan.distributions.len() > 1;
-        for (name, controller, against) in &wanted {
-            let name = if several { format!("{name}-{}", file_stem(named.space.name())) } else { name.clone() };
-            let proof = count(plan, work, name, named, controller.clone(), against.clone())?;
-            // Counts that do not show that one controller fails less often are no proof of anything, and none that was
-            // rejected.
-            if proof.statement != "comparison" || proof.is_accepted() {
-                counted.push(proof);
-            }
+    for space in &plan.distributions {
+        for (name, controller, against) in wanted.clone() {
+            let name = if several { format!("{name}-{}", file_stem(space.space.name())) } else { name };
+            counted.push(Counted { name, space, controller, against });
         }
     }
-    Ok(counted)
+    counted
 }
 
-fn count(
-    plan: &AssessmentPlan,
-    work: &Work<'_>,
-    name: String,
-    named: &NamedSpace,
-    controller: NamedController,
-    against: Option<NamedController>,
-) -> Result<Proof, AssessError> {
+fn counted(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
+    let proofs = to_be_counted(plan).into_iter().map(|counted| count(plan, work, counted));
+    let mut proofs = proofs.collect::<Result<Vec<_>, _>>()?;
+    // Counts that do not show that one controller fails less often are no proof of anything, and none that was rejected.
+    proofs.retain(|proof| proof.statement != "comparison" || proof.is_accepted());
+    Ok(proofs)
+}
+
+fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result<Proof, AssessError> {
+    let Counted { name, space, controller, against } = counted;
     let rates = RatePlan::new(RateConfig {
         controllers: (controller, against),
-        space: (named.space.name().to_owned(), named.space.clone()),
+        space: (space.space.name().to_owned(), space.space.clone()),
         seed: plan.config.seed ^ SEED_APART,
         estimator: plan.config.estimator,
         runs: plan.config.rates.runs,

@@ -181,6 +181,8 @@ struct ProofsView {
 #[derive(Deserialize)]
 struct ProofView {
     name: String,
+    statement: String,
+    about: String,
     status: super::ProofStatus,
 }
 
@@ -222,7 +224,8 @@ impl View {
         for proof in self.proofs.certificates {
             let score = f64::from(matches!(proof.status, super::ProofStatus::Accepted { .. }));
             let fact = Fact { score, words: proof.status.words(), is_failure: false };
-            facts.insert(format!("certificate {}", proof.name), fact);
+            // Another certificate under the same name is another thing.
+            facts.insert(format!("certificate {}: {}, {}", proof.name, proof.statement, proof.about), fact);
         }
         facts
     }

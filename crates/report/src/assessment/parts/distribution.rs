@@ -106,8 +106,8 @@ pub struct Paired {
 }
 
 /// What is kept of one run.
-struct Draw {
-    verdict: CaseVerdict,
+pub(super) struct Draw {
+    pub(super) verdict: CaseVerdict,
     impact_speed_mps: Option<f64>,
     gaps_m: [Option<f64>; 2],
 }
@@ -124,6 +124,7 @@ impl Sampled {
             upper_percent: Rounded::up(100.0 * upper),
             // Each end of a two-sided interval is a one-sided bound at half the risk.
             confidence_percent: Rounded::down(50.0 + 50.0 * distribution.confidence),
+            runs: distribution.draws,
         }
     }
 }
@@ -268,14 +269,13 @@ impl Distribution {
         let description = self.controllers.iter().map(|s| format!("{} {} %", s.controller, s.rate_percent.observed));
         let description = description.collect::<Vec<_>>().join(", ");
         let size = (width, frame.bottom() + crate::draw::BELOW);
-        {
-            let id = format!("rates-{}", self.space.name);
-            Svg::new(&id, size, "Collision rates", &description, panel.draw(&Svg::id(&id, "panel")))
-        }
+        let id = format!("rates-{}", self.space.name);
+        Svg::new(&id, size, "Collision rates", &description, panel.draw(&Svg::id(&id, "panel")))
     }
 }
 
-fn run_draws(
+/// What comes of each, none recorded but in its sums.
+pub(super) fn run_draws(
     scenarios: &[Scenario],
     controller: &NamedController,
     plan: &AssessmentPlan,

@@ -53,6 +53,22 @@ impl LineVerdict {
         }
     }
 
+    /// Whether no disturbance grew.
+    pub(in crate::assessment) fn holds(self) -> bool {
+        matches!(self, Self::Damps { .. })
+    }
+
+    pub(in crate::assessment) fn words(self) -> String {
+        match self {
+            Self::Damps { gain } => format!("it shrinks to {gain} of what it was"),
+            Self::Amplifies { gain } => {
+                format!("some vehicle deviates more than the one ahead, the last by {gain} of it")
+            }
+            Self::DoesNotSettle => "the line does not settle to one speed".to_owned(),
+            Self::Fails => "vehicles of the line touch, or a controller fails".to_owned(),
+        }
+    }
+
     pub(super) fn cell(self) -> Cell {
         match self {
             Self::Damps { gain } => Cell::marked(gain, Mark::Good),

@@ -28,6 +28,7 @@ mod worst_figure;
 
 pub use answer::{Answer, FirstPage};
 pub use argument::{Argument, Element, ElementKind};
+pub(super) use certified::made_here;
 pub use certified::{Proof, ProofStatus, SpeaksOf};
 pub use compared::{Change, Comparison, ComparisonError, Earlier};
 pub use distribution::{Distribution, Distributions, Paired, Percent, Sampled};

@@ -70,7 +70,7 @@ impl Provenance {
             ("seed", self.config.seed.to_string()),
             (
                 "searches",
-                format!("{}, {} evaluations a method", self.config.search.spaces.join(", "), self.config.search.budget),
+                format!("{}, {} evaluations a method", self.config.searched().join(", "), self.config.search.budget),
             ),
             ("counted runs", format!("{} at confidence {}", self.config.rates.runs, self.config.rates.confidence)),
             (

@@ -23,7 +23,7 @@ use crumple_search::disk::DiskError;
 use crumple_search::evidence::RateInterval;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
-use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_search::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_world::measure::Specification;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
@@ -66,6 +66,9 @@ pub struct Search {
     pub distinct: Vec<(AvoidabilityClass, usize)>,
     /// The severest of them.
     pub failures: Vec<Failure>,
+    /// Distinct ways in which only vehicles touched that are not under test. They are no failures of the controller, but
+    /// count as such in what each method reached.
+    pub others: usize,
     #[serde(skip)]
     drawn: Vec<ScenarioCases>,
 }
@@ -215,7 +218,13 @@ impl Search {
             let simulate = Command::new(["simulate", file, "--controller", word.as_deref()?]).and(seeing.clone());
             Some(simulate.and(["--expect", "collision"]))
         };
-        let found = summary.counterexamples.iter().zip(texts);
+        let nominal = space.scenario(&space.nominal())?;
+        let is_own = |found: &&Counterexample| {
+            let vehicles = [found.front_vehicle, found.rear_vehicle].into_iter().flatten();
+            let mut tested = vehicles.map(|index| nominal.is_under_test(index as usize)).peekable();
+            tested.peek().is_none() || tested.any(|is_tested| is_tested)
+        };
+        let found = summary.counterexamples.iter().zip(texts).filter(|(found, _)| is_own(found));
         let failures: Vec<_> = found.map(|(found, text)| Failure::of(found, &place, text, &replay)).collect();
         let classes = [
             AvoidabilityClass::Avoidable,
@@ -223,7 +232,8 @@ impl Search {
             AvoidabilityClass::Undecided,
             AvoidabilityClass::NotAsked,
         ];
-        let count = |class| summary.counterexamples.iter().filter(|one| one.avoidability.class() == class).count();
+        let own: Vec<_> = summary.counterexamples.iter().filter(is_own).collect();
+        let count = |class| own.iter().filter(|one| one.avoidability.class() == class).count();
         let [budget, seed] = [campaign.budget, campaign.seed].map(|number| number.to_string());
         let out = format!("searches/{}/{}", file_stem(space.name()), plan.slug(index));
         let command = word.as_deref().map(|word| {
@@ -238,6 +248,7 @@ impl Search {
             methods: summary.methods.iter().map(MethodReached::from).collect(),
             distinct: classes.map(|class| (class, count(class))).into_iter().filter(|(_, n)| *n > 0).collect(),
             failures,
+            others: summary.counterexamples.len() - own.len(),
             drawn,
         })
     }
@@ -338,7 +349,14 @@ impl Search {
         };
         let rest = self.total().saturating_sub(self.failures.len());
         let rest = if rest == 0 { String::new() } else { format!(" {rest} further distinct failures are not listed.") };
-        format!("{first}; {random}.{rest}")
+        let others = match self.others {
+            0 => String::new(),
+            others => format!(
+                " In {others} further ways only vehicles touch that are not under test: counted here, and no failures of the \
+                 controller."
+            ),
+        };
+        format!("{first}; {random}.{rest}{others}")
     }
 }
 

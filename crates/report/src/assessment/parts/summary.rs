@@ -211,7 +211,6 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     for searched in &found.searches.spaces {
         add("search", None, of_all(Property::NoContact, searched.domain(plan), own));
     }
-    // Of all points of a space nothing but a proof could say that none fails; one that does is enough to say otherwise.
     if let Some(usefulness) = found.usefulness {
         let [traffic, danger] = usefulness.domains();
         add("usefulness", None, of_all(Property::NoNeedlessBraking, traffic.clone(), own));
@@ -219,6 +218,7 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
         add("usefulness", None, of_all(Property::NoContact, traffic, own));
         add("usefulness", None, of_all(Property::NoContact, danger, own));
     }
+    // Of all points of a space nothing but a proof could say that none fails; one that does is enough to say otherwise.
     let mut spaces: Vec<&Known> = Vec::new();
     let drawn = found.distributions.spaces.iter().filter(|drawn| drawn.draws > 0).map(|drawn| &drawn.space);
     for space in drawn.chain(found.searches.spaces.iter().map(|searched| &searched.known)) {

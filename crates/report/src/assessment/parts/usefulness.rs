@@ -5,6 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use super::distribution::{Draw, run_draws};
 use super::{LineVerdict, Percent};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Words};
@@ -61,7 +62,7 @@ pub struct Useful {
     pub cut_short: [u64; 2],
     /// Draws where something threatens in which it failed.
     pub high_risk_failures: u64,
-    /// Drives in traffic with braking without cause.
+    /// Drives in traffic with braking without cause, or with a controller that failed.
     pub needless: u64,
     /// Their share, in percent, and its exact bounds.
     pub needless_percent: Percent,
@@ -91,8 +92,7 @@ pub struct Useful {
 
 /// What is kept of one drive in traffic.
 struct Drive {
-    failed: bool,
-    cut_short: bool,
+    verdict: CaseVerdict,
     usefulness: Option<measure::Usefulness>,
 }
 
@@ -117,14 +117,15 @@ impl Usefulness {
         let spaces = [traffic_known.map_err(StoreError::encoding)?, high_risk_known.map_err(StoreError::encoding)?];
         let draws = |space: Space| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
         let (traffic, high_risk, line) = (draws(traffic)?, draws(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
-        let known_line = Known::of("a line of five behind a leader that slows down", format!("{:?}", line.spec()));
+        let known_line =
+            Known::of("a line of five vehicles behind a leader that slows down", format!("{:?}", line.spec()));
         let useful = |controller: &NamedController| -> Result<Useful, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
             let drives = Drive::all(&traffic, &options)?;
-            let touched = failures(&high_risk, &options)?;
+            let danger = run_draws(&high_risk, controller, plan)?;
             let line = LineVerdict::of(&line, &options)?;
             work.did(2 * count + 1);
-            Ok(Useful::of(controller, &drives, touched, line))
+            Ok(Useful::of(controller, &drives, &danger, line))
         };
         let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
         Ok(Some(Self { spaces, line: known_line, draws: count, seed, confidence: CONFIDENCE, controllers }))
@@ -140,6 +141,11 @@ impl Usefulness {
     pub(super) fn abouts(&self) -> Vec<(String, String)> {
         let of = |name: &str| Some((name.to_owned(), built_in_space(name)?.spec().about.clone()));
         SPACES.iter().filter_map(|name| of(name)).collect()
+    }
+
+    /// Of one controller.
+    pub(in crate::assessment) fn of(&self, controller: &str) -> Option<&Useful> {
+        self.controllers.iter().find(|useful| useful.controller == controller)
     }
 
     /// The line as a domain.
@@ -255,17 +261,6 @@ impl Usefulness {
     }
 }
 
-/// How many runs fail, and how many are cut short by others.
-fn failures(scenarios: &[Scenario], options: &RunOptions) -> Result<[u64; 2], RunError> {
-    let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-    let failed = |index: usize, simulated: Simulated| {
-        let verdict = CaseVerdict::of(&simulated, runs[index].scenario());
-        [u64::from(verdict.is_failure()), u64::from(!verdict.counts())]
-    };
-    let all = simulate_batch(&runs, RecordingLevel::Summary, failed);
-    Ok(all.into_iter().fold([0, 0], |[failed, cut], [one, other]| [failed + one, cut + other]))
-}
-
 impl Drive {
     fn all(scenarios: &[Scenario], options: &RunOptions) -> Result<Vec<Self>, RunError> {
         let runs =
@@ -278,17 +273,15 @@ impl Drive {
     fn of(scenario: &Scenario, simulated: &Simulated) -> Self {
         let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
         let usefulness = simulated.trace.as_ref().zip(ego);
-        let verdict = CaseVerdict::of(simulated, scenario);
         Self {
-            failed: verdict.is_failure(),
-            cut_short: !verdict.counts(),
+            verdict: CaseVerdict::of(simulated, scenario),
             usefulness: usefulness.and_then(|(trace, ego)| measure::Usefulness::of(trace, &simulated.impacts, ego)),
         }
     }
 }
 
 impl Useful {
-    fn of(controller: &NamedController, drives: &[Drive], [high_risk, cut_short]: [u64; 2], line: LineVerdict) -> Self {
+    fn of(controller: &NamedController, drives: &[Drive], danger: &[Draw], line: LineVerdict) -> Self {
         let all: Vec<_> = drives.iter().filter_map(|drive| drive.usefulness).collect();
         let count = |is: &dyn Fn(&measure::Usefulness) -> bool| all.iter().filter(|one| is(one)).count() as u64;
         let mean = |of: &dyn Fn(&measure::Usefulness) -> Option<f64>| {
@@ -296,12 +289,20 @@ impl Useful {
             (n > 0).then(|| Rounded::new(sum / f64::from(n)))
         };
         let following = |of: fn(Following) -> Option<f64>| mean(&|one| one.following.and_then(of));
-        let needless = count(&|one| !one.needless.is_none());
+        // Who failed to answer is not known to have driven any better.
+        let brakes = |drive: &&Drive| {
+            drive.usefulness.is_some_and(|one| !one.needless.is_none())
+                || matches!(drive.verdict, CaseVerdict::ControllerFailed { .. })
+        };
+        let needless = drives.iter().filter(brakes).count() as u64;
+        let (drives_end, danger_ends) =
+            (drives.iter().map(|drive| &drive.verdict), danger.iter().map(|draw| &draw.verdict));
+        let ([failures, cut_short], [high_risk_failures, high_risk_cut_short]) = (ends(drives_end), ends(danger_ends));
         Self {
             controller: controller.name.clone(),
-            failures: drives.iter().filter(|drive| drive.failed).count() as u64,
-            cut_short: [drives.iter().filter(|drive| drive.cut_short).count() as u64, cut_short],
-            high_risk_failures: high_risk,
+            failures,
+            cut_short: [cut_short, high_risk_cut_short],
+            high_risk_failures,
             needless,
             needless_percent: Percent::exact(needless, drives.len() as u64, CONFIDENCE),
             needless_s: mean(&|one| Some(one.needless.time_s)),
@@ -314,9 +315,16 @@ impl Useful {
             rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
             imposed_brake_mps2: mean(&|one| one.imposed.and_then(|imposed| imposed.peak_brake_mps2)),
             line,
-            high_risk_percent: Percent::exact(high_risk, drives.len() as u64, CONFIDENCE),
+            high_risk_percent: Percent::exact(high_risk_failures, danger.len() as u64, CONFIDENCE),
         }
     }
+}
+
+/// How many fail, and how many are cut short by others.
+fn ends<'a>(verdicts: impl Iterator<Item = &'a CaseVerdict>) -> [u64; 2] {
+    verdicts.fold([0, 0], |[failures, cut_short], verdict| {
+        [failures + u64::from(verdict.is_failure()), cut_short + u64::from(!verdict.counts())]
+    })
 }
 
 impl Part for Usefulness {
