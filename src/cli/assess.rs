@@ -40,7 +40,7 @@ what anyone could have made of each scenario (see avoid), and with every certifi
   than = \"baseline\"
 
 Other gates: no-contact-in-paper-scenarios, no-contact-in-traffic and no-avoidable-failure (with a space) for a controller, \
-needless-braking-at-most (with percent), string-stable, rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
+needless-braking-at-most and left-behind-at-most (with percent), string-stable, rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
 
 Evidence is kept in the folder `evidence` of the report, by the hash of everything it depends on: what has not changed is not \
 gathered again, and an assessment that was interrupted goes on where it stopped.")]
@@ -66,6 +66,9 @@ impl Assess {
             Some(path) => AssessmentPlan::load(path)?,
         };
         let against = self.against.as_deref().map(Earlier::load).transpose()?;
+        if against.is_none() && plan.wants_earlier() {
+            return Err(Failure::Input("--against: the gate `nothing-worse` needs an earlier assessment".to_owned()));
+        }
         let folder = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         let kept = self.out.join("evidence");
         let (identity, begun) = (program::identity()?, Instant::now());

@@ -24,9 +24,6 @@ pub(super) enum Failure {
     /// The environment failed: exit code 3.
     #[error(transparent)]
     Environment(DiskError),
-    /// The reader of standard output has gone: exit code 0, as other command-line tools do.
-    #[error("standard output is closed")]
-    BrokenPipe,
 }
 
 impl Failure {
@@ -42,14 +39,12 @@ impl Failure {
             Self::Gate(_) => ExitCode::from(1),
             Self::Input(_) => ExitCode::from(2),
             Self::Environment(_) => ExitCode::from(3),
-            Self::BrokenPipe => ExitCode::SUCCESS,
         }
     }
 
     /// Prints the failure to standard error.
     pub(super) fn report(&self) {
         match self {
-            Self::BrokenPipe => {}
             Self::Gate(gate) => output::note(&format!("gate: {gate}"), false),
             other => output::note(&format!("error: {other}"), false),
         }

@@ -8,6 +8,7 @@ use super::simulate::Format;
 use super::{Failure, choice, interrupt, output, progress, subject};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, CampaignError, Progress};
+use crumple_search::work::WorkError;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
@@ -19,7 +20,8 @@ use crumple_world::sim::NamedController;
 The method and two reference searches (uniform points, a Halton sequence) get the same budget each. Failures are replayed at the \
 scenario's step and at a tenth of it, shrunk, told apart and ranked. The folder holds every evaluation as Parquet \
 (`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a summary. A campaign that was \
-interrupted, by `kill -9` too, goes on with --resume and ends with the same bytes.
+interrupted, by `kill -9` too, goes on with --resume and ends with the same bytes. `work.json` says of every file what it is: one that \
+was cut, edited, moved or left over is named, and nothing goes on. That is no protection against somebody who writes both anew.
 
 Formulas for --spec are over signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 and \
 v1.jerk_mps3, vehicles counted from the front.
@@ -130,7 +132,7 @@ fn space(name: &str) -> Result<Space, Failure> {
 impl From<CampaignError> for Failure {
     fn from(error: CampaignError) -> Self {
         match error {
-            CampaignError::Disk(error) => error.into(),
+            CampaignError::Disk(error) | CampaignError::Work(WorkError::Disk(error)) => error.into(),
             other => Self::input(other),
         }
     }

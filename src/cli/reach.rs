@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_search::disk::{DiskError, Files};
+use crumple_search::disk::Files;
 use crumple_verify::{WorkLimit, check_within};
 
 use super::output;
@@ -46,7 +46,7 @@ impl Reach {
         let is_shielded = matches!(self.controller.kind, crumple_world::sim::ControllerKind::Shielded(_));
         let policy = self.controller.policy().filter(|_| !is_shielded);
         let policy = policy.ok_or_else(|| Failure::Input("--controller: must be a learned policy".to_owned()))?;
-        let text = std::fs::read_to_string(&self.starts).map_err(DiskError::at(&self.starts))?;
+        let text = crumple_world::scenario::file::read(&self.starts)?;
         let plan = ReachPlan::new(policy, &BoxSpec::from_toml(&text).map_err(failed)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
         let told = |now: &Shares| {

@@ -9,10 +9,10 @@ use super::simulate::Format;
 use super::{Failure, output, progress, subject};
 use crumple_learn::retrain::{Progress, Report, RetrainError, RetrainingPlan, Settings, training_preset};
 use crumple_learn::rl::TrainingConfig;
-use crumple_search::disk::DiskError;
+use crumple_search::disk;
 use crumple_search::falsify::Method;
 use crumple_world::scenario::space::Space;
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Retrain a policy: search for failures, train on those that could have been avoided, accept what breaks nothing
 #[derive(Args)]
@@ -81,7 +81,8 @@ pub(super) struct Retrain {
 impl Retrain {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let name = &self.policy.name;
-        let first = self.policy.policy().filter(|_| !name.starts_with("shield"));
+        let is_shielded = matches!(self.policy.kind, ControllerKind::Shielded(_));
+        let first = self.policy.policy().filter(|_| !is_shielded);
         let first =
             first.ok_or_else(|| Failure::Input(format!("--policy: `{name}` is no policy that can be trained on")))?;
         let plan = RetrainingPlan {
@@ -107,8 +108,7 @@ impl Retrain {
         bar.finish_and_clear();
         let report = report?;
         let picture = self.out.join("report.svg");
-        std::fs::write(&picture, crumple_report::figures::retraining(&report).document())
-            .map_err(DiskError::at(&picture))?;
+        disk::write(&picture, crumple_report::figures::retraining(&report).document())?;
         let out = self.out.display();
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
         output::print(&match self.format {

@@ -10,7 +10,7 @@ use super::{Failure, choice, subject};
 use crumple_report::draw::{self, Layout, MotionFigure, PNG_SCALE};
 use crumple_report::export;
 use crumple_search::disk::Files;
-use crumple_world::measure::{NeedlessBrake, NeedlessBraking, Specification, SpecificationError};
+use crumple_world::measure::{NeedlessBrake, NeedlessBraking, Specification, SpecificationError, Usefulness};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, Scenario};
 use crumple_world::sim::{
@@ -27,7 +27,8 @@ A formula of --spec is judged as `crumple falsify` judges it, on a run that goes
 robustness is below 0 where it is violated. `--expect satisfied` wants every specification to hold in every scenario, `--expect \
 violated` wants one to be violated in each; `safe` wants no contact and no controller that fails, `collision` a contact. \
 `useful` wants what `safe` does and no vehicle under test that brakes without cause: by more than 2 m/s² harder, for 0.2 s, than \
-the Intelligent Driver Model would at its true state, than avoiding a contact took, and than the vehicle ahead itself.
+the Intelligent Driver Model would at its true state, than avoiding a contact took, and than the vehicle ahead itself; nor one \
+that ends at less than half the speed of a vehicle ahead that drives on.
 
 Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
@@ -75,7 +76,7 @@ pub(super) struct Simulate {
 enum Expectation {
     /// No vehicles touch, and no controller fails
     Safe,
-    /// The same, and no vehicle under test brakes without cause
+    /// The same, and vehicles under test, of which there is one, brake with a cause and are not left behind
     Useful,
     /// Vehicles touch
     Collision,
@@ -89,7 +90,7 @@ impl Expectation {
     fn is_met(self, rendered: &Rendered) -> bool {
         match self {
             Self::Safe => rendered.is_safe,
-            Self::Useful => rendered.is_safe && !rendered.brakes_needlessly,
+            Self::Useful => rendered.is_safe && rendered.is_useful,
             Self::Collision => rendered.collided,
             Self::Satisfied => !rendered.violated,
             Self::Violated => rendered.violated,
@@ -99,7 +100,7 @@ impl Expectation {
     fn in_words(self) -> &'static str {
         match self {
             Self::Safe => "no collision",
-            Self::Useful => "no collision and no braking without cause",
+            Self::Useful => "no collision, no braking without cause and nobody left behind",
             Self::Collision => "a collision",
             Self::Satisfied => "every specification to hold",
             Self::Violated => "a violated specification",
@@ -133,6 +134,9 @@ struct Report<'a> {
     /// One entry a vehicle under test.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     braking_without_cause: Vec<BrakingWithoutCause>,
+    /// Vehicles under test that end far slower than the one ahead drives on.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    left_behind: Vec<usize>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     specifications: Vec<Judged>,
 }
@@ -160,7 +164,7 @@ struct Rendered {
     text: String,
     files: Vec<(PathBuf, Vec<u8>)>,
     is_safe: bool,
-    brakes_needlessly: bool,
+    is_useful: bool,
     collided: bool,
     violated: bool,
 }
@@ -204,7 +208,9 @@ impl Simulate {
     fn render(&self, run: &Run<'_>, simulated: &Simulated, is_one_of_many: bool) -> Result<Rendered, Failure> {
         let report = self.report(run, simulated)?;
         let violated = report.specifications.iter().any(|judged| !judged.satisfied);
-        let brakes_needlessly = report.braking_without_cause.iter().any(|one| !one.braking.is_none());
+        let judged = &report.braking_without_cause;
+        let brakes_with_cause = !judged.is_empty() && judged.iter().all(|one| one.braking.is_none());
+        let is_useful = brakes_with_cause && report.left_behind.is_empty();
         let text = match self.format {
             Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
             Format::Text => describe(&report, run.scenario()),
@@ -228,7 +234,7 @@ impl Simulate {
             text,
             files,
             is_safe: simulated.outcome.is_safe(),
-            brakes_needlessly,
+            is_useful,
             collided: !simulated.impacts.is_empty(),
             violated,
         })
@@ -267,6 +273,7 @@ impl Simulate {
             vehicles_involved: result.vehicles_involved(),
             interventions: &result.interventions,
             braking_without_cause: braking_without_cause(scenario, result),
+            left_behind: left_behind(scenario, result),
             specifications: self.judge(scenario).map_err(|error| Failure::Input(format!("--spec: {error}")))?,
         })
     }
@@ -386,6 +393,9 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
             ));
         }
     }
+    for vehicle in &report.left_behind {
+        line(format!("  vehicle {vehicle} is left behind by the one ahead"));
+    }
     for Judged { specification, satisfied, robustness } in &report.specifications {
         let verdict = if *satisfied { "holds" } else { "VIOLATED" };
         line(format!("  {verdict}, robustness {robustness:.3}: {specification}"));
@@ -427,6 +437,16 @@ fn braking_without_cause(scenario: &Scenario, result: &Simulated) -> Vec<Braking
         Some(BrakingWithoutCause { vehicle, braking })
     };
     under_test.filter_map(of).collect()
+}
+
+/// The vehicles under test that are left behind, front to rear.
+fn left_behind(scenario: &Scenario, result: &Simulated) -> Vec<usize> {
+    let Some(trace) = &result.trace else { return Vec::new() };
+    let is_left = |vehicle: &usize| {
+        let found = Usefulness::of(trace, &result.impacts, *vehicle).and_then(|useful| useful.following);
+        scenario.is_under_test(*vehicle) && found.is_some_and(|following| following.left_behind)
+    };
+    (0..trace.vehicles.len()).filter(is_left).collect()
 }
 
 /// What the shield of a vehicle did, in a line; none if it did nothing.

@@ -137,10 +137,13 @@ fn names_prove_nothing() {
     let mut asked = config(&all);
     asked.certificates = None;
     let assessment = run(asked, folder.path());
-    let row = assessment.summary.claims.iter().find(|row| row.claim.contains("kernel")).expect("claimed");
-    let proved: Vec<bool> = row.standings.iter().map(|one| matches!(one.strength, Strength::Proved { .. })).collect();
-    assert_eq!(proved, [false, false, false, true, false, false]);
-    assert_eq!(row.claims.iter().map(Option::is_some).collect::<Vec<_>>(), [false, false, false, true, true, true]);
+    let rows: Vec<_> = assessment.summary.claims.iter().filter(|row| row.claim.contains("kernel")).collect();
+    let proved = |strength: &Strength| matches!(strength, Strength::Proved { .. });
+    let is_proved = |place: usize| rows.iter().any(|row| proved(&row.standings[place].strength));
+    assert_eq!([0, 1, 2, 3, 4, 5].map(is_proved), [false, false, false, true, false, false]);
+    let is_claimed = |place: usize| rows.iter().filter(|row| row.claims[place].is_some()).count();
+    assert_eq!([0, 1, 2, 3, 4, 5].map(is_claimed), [0, 0, 0, 1, 1, 1]);
+    assert!(rows[1].claim.ends_with("where nobody ahead can brake harder than 0.1 m/s²"), "{}", rows[1].claim);
     for row in assessment.summary.claims.iter().filter(|row| row.claim.contains("the box of starts")) {
         assert_eq!(row.standings[1], row.standings[2], "the copy is that policy");
         assert!(matches!(row.standings[3].strength, Strength::Untried), "before a shield it is another controller");
@@ -224,4 +227,111 @@ fn gates_find_the_draws_of_own_spaces() {
     ];
     let holds: Vec<_> = run(asked, folder.path()).summary.gates.iter().map(|gate| gate.holds).collect();
     assert_eq!(holds, [true, false, true, false]);
+}
+
+/// A line in which the third vehicle brakes and the fourth hits it, whoever is under test: by `drivers`, front to rear.
+fn crash_of_others(drivers: [&str; 4]) -> String {
+    let vehicle = |(place_m, speed_mps, driver): (f64, f64, &str)| {
+        format!(
+            "[[base.vehicles]]\nclass = \"light\"\nposition_m = {place_m}\nspeed_mps = {speed_mps}\ndriver{driver}\n"
+        )
+    };
+    let places = [(210.0, 0.0), (120.0, 20.0), (40.0, 20.0), (30.0, 25.0)];
+    let vehicles: String = places
+        .iter()
+        .zip(drivers)
+        .map(|(&(place_m, speed_mps), driver)| vehicle((place_m, speed_mps, driver)))
+        .collect();
+    format!(
+        "version = 1\nname = \"others\"\nabout = \"Others crash at once.\"\n[base]\nversion = 1\nname = \"others\"\nabout = \"x\"\n\
+         duration_s = 20.0\n{vehicles}[[parameters]]\nname = \"friction\"\nfield = \"environment.friction\"\nunit = \"1\"\n\
+         distribution.uniform = {{ low = 0.9, high = 1.0 }}\n"
+    )
+}
+
+const STILL: &str = ".pieces = { from_s = [1.0], accel_mps2 = [0.0] }";
+const BRAKES: &str = ".pieces = { from_s = [0.1], accel_mps2 = [-7.0] }";
+
+/// What says nothing of a controller makes no claim about it, neither by draws nor by a search, a count or a gate; and it is said
+/// that the others crash.
+#[test]
+fn runs_that_others_end_say_nothing_of_a_controller() {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("others.toml"), crash_of_others([STILL, " = \"under-test\"", BRAKES, STILL]))
+        .expect("writes");
+    let mut asked = config(&["full-throttle", "idm"]);
+    asked.distributions = Some(vec!["others.toml".to_owned()]);
+    asked.search.spaces = Some(vec!["others.toml".to_owned()]);
+    (asked.search.budget, asked.everyday_draws) = (20, 0);
+    let (controller, than) = ("idm".to_owned(), "full-throttle".to_owned());
+    asked.gates = vec![Gate::RateNotAbove { controller, than, space: None }];
+    let found = run(asked, folder.path());
+    let said = |row: &str| -> Vec<&Strength> {
+        let rows = found.summary.claims.iter().filter(|known| known.claim.starts_with(row));
+        rows.flat_map(|row| row.standings.iter().map(|standing| &standing.strength)).collect()
+    };
+    for row in ["no contact in", "no contact that a search", "no contact anywhere", "fewer failures"] {
+        assert!(said(row).iter().all(|strength| **strength == Strength::Untried), "{row}: {:?}", said(row));
+    }
+    let undecided = |strength: &&&Strength| matches!(strength, Strength::Undecided { .. });
+    assert_eq!(said("contact in at most").iter().filter(undecided).count(), 2);
+    let refuted = |strength: &&&Strength| matches!(strength, Strength::Refuted { failures: 40, runs: 40 });
+    assert_eq!(said("no contact among the others").iter().filter(refuted).count(), 2);
+    assert!(!found.summary.gates[0].holds, "{}", found.summary.gates[0].because);
+}
+
+/// A configuration that could only end in a report that misleads is refused before the first run, with its file and its field.
+#[test]
+fn what_would_mislead_is_refused_before_the_work() {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("nobody.toml"), crash_of_others([STILL, " = \"idm\"", BRAKES, STILL]))
+        .expect("writes");
+    let begin = "version = 1\ncontrollers = [\"idm\", \"baseline\"]\npaper = false\n";
+    for (rest, said) in [
+        ("distributions = [\"nobody.toml\"]\n", "a.toml:4: distributions[0]: nobody.toml: no vehicle is under test"),
+        ("distributions = [\"gone.toml\"]\n", "a.toml:4: distributions[0]: "),
+        ("[[gates]]\nrequire = \"proofs-accepted\"\ncontroler = \"idm\"\n", "controler"),
+        (
+            "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"idm\"\nthan = \"idm\"\n",
+            "gates[0].than: is the controller itself",
+        ),
+        (
+            "[[gates]]\nrequire = \"no-contact-in-traffic\"\ncontroller = \"idm\"\n",
+            "gates[0].require: needs `scenarios`",
+        ),
+        (
+            "everyday_draws = 0\n[[gates]]\nrequire = \"string-stable\"\ncontroller = \"idm\"\n",
+            "needs `everyday_draws`",
+        ),
+    ] {
+        let path = folder.path().join("a.toml");
+        fs::write(&path, format!("{begin}{rest}")).expect("writes");
+        let refused = AssessmentPlan::load(&path).expect_err("refused").to_string();
+        assert!(refused.contains(said), "{rest}: {refused}");
+    }
+}
+
+/// Which of two fails less often is what the assessment counted, whatever certificates of no greater weight are given.
+#[test]
+fn a_count_in_vain_is_not_outweighed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let own = folder.path().join("own.safetensors");
+    fs::write(&own, Policy::retrained_bytes()).expect("writes");
+    let paper = built_in_space("paper").expect("built in");
+    let mut forged = counted("own.safetensors", Some("idm"), &paper, EstimatorKind::Kalman, folder.path());
+    let Statement::Comparison(two) = &mut forged.statement else { panic!("a comparison") };
+    (two.only_first_failed, two.only_second_failed) = (0, 500);
+    let path = folder.path().join("forged.json");
+    fs::write(&path, serde_json::to_string(&forged).expect("JSON")).expect("writes");
+    let mut asked = config(&["idm", "own.safetensors"]);
+    (asked.rates.runs, asked.rates.confidence) = (4000, 0.999);
+    asked.certificates = Some(vec![path]);
+    let found = run(asked, folder.path());
+    let row = found.summary.claims.iter().find(|row| row.claim.contains("fewer failures") && row.part == "proofs");
+    let standing = &row.expect("claimed").standings[1];
+    assert!(matches!(standing.strength, Strength::CountedInVain { runs: 4000, .. }), "{standing:?}");
+    assert!(
+        matches!(standing.beside[..], [ref one] if matches!(one.strength, Strength::Counted { .. })),
+        "{standing:?}"
+    );
 }

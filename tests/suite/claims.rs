@@ -26,6 +26,7 @@ fn property() -> impl Strategy<Value = Property> {
         (0..3_u8).prop_map(|percent| Property::RateAtMost { percent: Rounded::new(f64::from(percent)) }),
         known("controller").prop_map(|than| Property::FailsLessOften { than }),
         Just(Property::NoNeedlessBraking),
+        Just(Property::KeepsUp),
     ]
 }
 
@@ -53,7 +54,8 @@ fn strength() -> impl Strategy<Value = Strength> {
         Just(Strength::Proved { certificates: 1 }),
         (1..9_u64).prop_map(|runs| Strength::Tested { runs }),
         between,
-        Just(Strength::Counted { confidence_percent }),
+        (1..3_u64).prop_map(move |runs| Strength::Counted { confidence_percent, runs }),
+        (1..3_u64).prop_map(move |runs| Strength::CountedInVain { confidence_percent, runs }),
         (0..3_u64, 0..3_u64).prop_map(|(own, other)| Strength::Compared { own, other, runs: 9 }),
         (1..9_u64).prop_map(|failures| Strength::Refuted { failures, runs: 9 }),
         Just(Strength::Found { failures: 2, avoidable: 1 }),
@@ -111,21 +113,28 @@ fn allowed(evidence: &[Value], claim: &Value) -> u8 {
     };
     let stronger =
         |p: &Value, q: &Value| same_property(p, q) || (p["kind"] == "no_contact" && q["kind"] == "no_contact_ahead");
-    let before = |one: &Value| {
-        let number = |field: &str| one[field].as_f64().unwrap();
-        (number("confidence_percent"), number("runs"), number("upper_percent"))
+    // How a count was fixed before it began, and how much it says against the claim; the largest decides.
+    let fixed = |one: &Value| {
+        let against = match one["strength"].as_str() {
+            Some("counted") => 0.0,
+            Some("counted_in_vain") => 100.0,
+            _ => one["upper_percent"].as_f64().unwrap(),
+        };
+        (one["confidence_percent"].as_f64().unwrap(), one["runs"].as_f64().unwrap(), against)
     };
-    let decides = |one: &Value| {
+    let counts = |one: &Value| {
         let own = &one["claim"];
-        let rivals = evidence.iter().filter(|rival| {
-            rival["strength"] == "between"
-                && rival["claim"]["property"]["kind"] == "failure_rate"
-                && same(&rival["claim"]["subject"]["controller"], &own["subject"]["controller"])
-                && rival["claim"]["subject"]["estimator"] == own["subject"]["estimator"]
-                && equal(&rival["claim"]["domain"], &own["domain"])
-        });
-        rivals.into_iter().all(|rival| before(rival) <= before(one))
+        let is_subjects = same(&own["subject"]["controller"], &claim["subject"]["controller"])
+            && own["subject"]["estimator"] == claim["subject"]["estimator"];
+        let is_rate = own["property"]["kind"] == "failure_rate" && claim["property"]["kind"] == "rate_at_most";
+        let is_counted = match one["strength"].as_str() {
+            Some("between") => is_rate,
+            Some("counted" | "counted_in_vain") => same_property(&own["property"], &claim["property"]),
+            _ => false,
+        };
+        is_subjects && is_counted && equal(&own["domain"], &claim["domain"])
     };
+    let decides = |one: &Value| evidence.iter().filter(|rival| counts(rival)).all(|rival| fixed(rival) <= fixed(one));
     let (mut best, mut refuted) = (1, false);
     let mut proved: Vec<Value> = Vec::new();
     for one in evidence {
@@ -135,7 +144,7 @@ fn allowed(evidence: &[Value], claim: &Value) -> u8 {
         let (p, q, d, e) = (&own["property"], &claim["property"], &own["domain"], &claim["domain"]);
         let mut says = level(one);
         let applies = if same_property(p, q) && equal(d, e) {
-            true
+            !counts(one) || decides(one)
         } else if p["kind"] == "failure_rate"
             && q["kind"] == "rate_at_most"
             && one["strength"] == "between"

@@ -1,5 +1,6 @@
-//! Files that appear whole or not at all, and errors that name them.
+//! Files that appear whole or not at all, through a loss of power too, and errors that name them.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -24,6 +25,15 @@ impl DiskError {
     }
 }
 
+/// How names of files begin that are not yet in their places.
+const UNFINISHED: &str = ".crumple-unfinished-";
+
+/// Whether a file was being written when the process that did so ended: it may be removed.
+#[must_use]
+pub fn is_unfinished(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(UNFINISHED))
+}
+
 /// Files to be written together. They are first written beside their places and then moved there, so that a failure
 /// leaves nothing half-written.
 #[derive(Default)]
@@ -41,18 +51,21 @@ impl Files {
             let twice = "two results would go there: give scenarios names of their own";
             return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, twice)));
         }
-        let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = folder_of(path);
         let stage = || {
             // What cannot be replaced is known before anything is written.
             if path.is_dir() {
                 return Err(io::ErrorKind::IsADirectory.into());
             }
             let mut builder = tempfile::Builder::new();
+            builder.prefix(UNFINISHED);
             // A temporary file is private; the result should be as readable as any other new file.
             #[cfg(unix)]
             builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644));
             let mut file = builder.tempfile_in(folder)?;
             file.write_all(contents.as_ref())?;
+            // Else a loss of power could leave the new name with nothing behind it.
+            file.as_file().sync_all()?;
             Ok(file)
         };
         let file = stage().map_err(|error: io::Error| {
@@ -71,9 +84,12 @@ impl Files {
     /// # Errors
     /// [`DiskError`] names the first file that cannot be moved; those before it are in their places.
     pub fn commit(self) -> Result<(), DiskError> {
-        self.staged.into_iter().try_for_each(|(file, path)| {
-            file.persist(&path).map(drop).map_err(|error| DiskError::at(&path)(error.error))
-        })
+        let mut folders = BTreeSet::new();
+        for (file, path) in self.staged {
+            file.persist(&path).map_err(|error| DiskError::at(&path)(error.error))?;
+            folders.insert(folder_of(&path).to_owned());
+        }
+        folders.iter().try_for_each(|folder| sync_folder(folder))
     }
 }
 
@@ -109,7 +125,10 @@ pub fn read(path: &Path) -> Result<Option<Vec<u8>>, DiskError> {
 /// # Errors
 /// [`DiskError`] if it cannot be removed.
 pub fn remove(path: &Path) -> Result<(), DiskError> {
-    unless_missing(fs::remove_file(path)).map(drop).map_err(DiskError::at(path))
+    match unless_missing(fs::remove_file(path)).map_err(DiskError::at(path))? {
+        Some(()) => sync_folder(folder_of(path)),
+        None => Ok(()),
+    }
 }
 
 /// Makes a folder and those it lies in, as far as they are missing.
@@ -117,7 +136,23 @@ pub fn remove(path: &Path) -> Result<(), DiskError> {
 /// # Errors
 /// [`DiskError`] if it cannot be made.
 pub fn make_folder(path: &Path) -> Result<(), DiskError> {
-    fs::create_dir_all(path).map_err(DiskError::at(path))
+    if path.is_dir() {
+        return Ok(());
+    }
+    fs::create_dir_all(path).map_err(DiskError::at(path))?;
+    sync_folder(folder_of(path))
+}
+
+/// The folder that a file lies in.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Makes the names in a folder outlast a loss of power. Where folders cannot be opened as files, nothing can be done.
+fn sync_folder(folder: &Path) -> Result<(), DiskError> {
+    #[cfg(unix)]
+    fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(DiskError::at(folder))?;
+    Ok(())
 }
 
 fn unless_missing<T>(result: io::Result<T>) -> io::Result<Option<T>> {

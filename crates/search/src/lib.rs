@@ -6,6 +6,7 @@
 //! | [`difference`] | in what the file of earlier work differs from the one expected |
 //! | [`disk`] | files that appear whole or not at all |
 //! | [`program`] | the identity of the running program, by which half-done work is known |
+//! | [`work`] | work that is kept in a folder: what lies there is what was written, or an error names it |
 //! | [`worst_case`] | convex programs: could any driver have avoided it, how little braking does it take; certificates |
 //! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
 //! | [`evidence`] | claims with certificates: kernels of shields, failure rates; estimates of rare failures |
@@ -15,4 +16,5 @@ pub mod disk;
 pub mod evidence;
 pub mod falsify;
 pub mod program;
+pub mod work;
 pub mod worst_case;

@@ -2,8 +2,9 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::Stdio;
 
-use super::{code, crumple, folder, names_in, stderr, stdout};
+use super::{assert_refused, code, command, crumple, folder, names_in, stderr, stdout};
 
 /// A valid scenario; every case of [`bad_scenarios_name_file_line_and_field`] changes one thing in it.
 const GOOD: &str = r#"version = 1
@@ -155,4 +156,34 @@ fn output_that_cannot_be_written_leaves_nothing_behind() {
         assert_eq!(names_in(folder.path()), ["file", "t-paper-2.csv"], "{arguments:?}");
     }
     assert_eq!(names_in(&folder.path().join("t-paper-2.csv")), [""; 0]);
+}
+
+/// What a command says by its exit code it says whoever reads its output.
+#[test]
+#[cfg(unix)]
+fn nobody_who_reads_makes_a_failing_gate_pass() {
+    let folder = folder();
+    let arguments = ["simulate", "paper-1", "--controller", "full-throttle", "--expect", "safe"];
+    assert_eq!(code(&crumple(folder.path(), &arguments)), 1);
+    let mut child = command(folder.path(), &arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    drop(child.stdout.take());
+    assert_eq!(child.wait().unwrap().code(), Some(1));
+}
+
+#[test]
+fn names_and_lists_that_mean_something_else_are_refused() {
+    let folder = folder();
+    let deep = format!("{}policy", "shield:".repeat(10_000));
+    let refused = crumple(folder.path(), &["simulate", "paper-1", "--controller", &deep]);
+    assert_refused(&refused, "at most 8 shields may stand before a controller");
+    fs::write(folder.path().join("list.json"), "[1, \"list\", [], 15.0]").unwrap();
+    let refused = crumple(folder.path(), &["simulate", "list.json"]);
+    assert_refused(&refused, "list.json:1: a list, where fields with names are wanted");
+    let space = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
+    let first = space.find("[[parameters]]\nname = \"").unwrap() + "[[parameters]]\nname = \"".len();
+    let end = first + space[first..].find('"').unwrap();
+    let named = format!("{}method{}", &space[..first], &space[end..]);
+    fs::write(folder.path().join("own.toml"), named.replacen("name = \"paper\"", "name = \"own\"", 1)).unwrap();
+    let refused = crumple(folder.path(), &["falsify", "--controller", "idm", "--space", "own.toml"]);
+    assert_refused(&refused, "`method` is a column of every table of evaluations");
 }

@@ -232,7 +232,7 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
     assert_eq!(ended.status.code(), Some(130));
     let said = String::from_utf8(ended.stderr).unwrap();
     assert!(said.contains("interrupted: every evaluation is kept in busy: the same command with --resume"), "{said}");
-    for (place, said) in [(1000, "record 24 is damaged"), (0, "made by another build of crumple")] {
+    for (place, said) in [(1000, "record 24 is damaged"), (0, "not of this campaign")] {
         let mut bytes = fs::read(&journal).unwrap();
         bytes[place] ^= 1;
         fs::write(&journal, bytes).unwrap();

@@ -166,7 +166,7 @@ fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
     };
     assert_eq!(code(&run("random-actions", &["--expect", "safe"])), 0);
     let output = run("random-actions", &["--expect", "useful"]);
-    let said = "gate: expected no collision and no braking without cause in quiet\n";
+    let said = "gate: expected no collision, no braking without cause and nobody left behind in quiet\n";
     assert_eq!((code(&output), stderr(&output)), (1, said));
     assert!(stdout(&output).contains("\n  vehicle 1 brakes without cause for "), "{}", stdout(&output));
     assert!(stdout(&output).contains(" had a cause\n"), "{}", stdout(&output));
@@ -179,6 +179,10 @@ fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
     let braking = &report["braking_without_cause"][0];
     let hardest = |field: &str| braking["hardest"][field].as_f64().expect("a number");
     assert!(braking["count"].as_u64() > Some(0) && hardest("brake_mps2") > hardest("caused_mps2") + 2.0, "{report}");
+    let left =
+        crumple(folder.path(), &["simulate", "quiet.toml", "--controller", "constant-brake", "--expect", "useful"]);
+    assert_eq!(code(&left), 1);
+    assert!(stdout(&left).contains("vehicle 1 is left behind by the one ahead"), "{}", stdout(&left));
     let contact = crumple(folder.path(), &["simulate", "paper-1", "--expect", "useful"]);
     assert_eq!(code(&contact), 1, "a contact is no use either");
 }

@@ -161,7 +161,7 @@ impl Default for AssessConfig {
             gates: vec![
                 Gate::NoContactInPaperScenarios { controller: policy.clone() },
                 Gate::RateNotAbove { controller: policy, than: baseline, space: None },
-                Gate::ProofsAccepted,
+                Gate::ProofsAccepted {},
             ],
         }
     }

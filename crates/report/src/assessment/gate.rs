@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::claims::{Claim, Domain, Property, Strength};
-use super::{AssessConfig, Assessment, AssessmentPlan, Comparison, Rounded};
+use super::{AssessConfig, Assessment, AssessmentPlan, Comparison, Proof, ProofStatus, Rounded, Useful};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 
 /// Something that must hold.
@@ -56,15 +56,22 @@ pub enum Gate {
         /// Largest share that passes, in percent.
         percent: f64,
     },
+    /// In everyday traffic a controller is left behind in at most this share of its drives.
+    LeftBehindAtMost {
+        /// The controller.
+        controller: String,
+        /// Largest share that passes, in percent.
+        percent: f64,
+    },
     /// In a line of vehicles with a controller a disturbance does not grow.
     StringStable {
         /// The controller.
         controller: String,
     },
     /// Every certificate is accepted.
-    ProofsAccepted,
+    ProofsAccepted {},
     /// Nothing is worse than in the assessment that this one is compared with, and there is one.
-    NothingWorse,
+    NothingWorse {},
 }
 
 /// What came of a gate.
@@ -87,9 +94,10 @@ impl Gate {
             | Self::NoContactInTraffic { controller }
             | Self::RateAtMost { controller, .. }
             | Self::NeedlessBrakingAtMost { controller, .. }
+            | Self::LeftBehindAtMost { controller, .. }
             | Self::StringStable { controller }
             | Self::NoAvoidableFailure { controller, .. } => vec![("controller", controller)],
-            Self::ProofsAccepted | Self::NothingWorse => Vec::new(),
+            Self::ProofsAccepted {} | Self::NothingWorse {} => Vec::new(),
         }
     }
 
@@ -105,8 +113,17 @@ impl Gate {
                 Some(("space", format!("`{space}` is not among `search.spaces`")))
             }
             Self::RateAtMost { percent, space, .. } => share_problem(*percent).or_else(|| space_problem(space, config)),
+            Self::RateNotAbove { controller, than, .. } if controller == than => {
+                Some(("than", "is the controller itself".to_owned()))
+            }
+            Self::RateNotAbove { .. } if config.draws == 0 => Some(("require", "needs `draws` above 0".to_owned())),
             Self::RateNotAbove { space, .. } => space_problem(space, config),
-            Self::NeedlessBrakingAtMost { percent, .. } => share_problem(*percent).or_else(needs_drives),
+            Self::NoContactInTraffic { .. } if config.scenarios.is_empty() => {
+                Some(("require", "needs `scenarios`".to_owned()))
+            }
+            Self::NeedlessBrakingAtMost { percent, .. } | Self::LeftBehindAtMost { percent, .. } => {
+                share_problem(*percent).or_else(needs_drives)
+            }
             Self::StringStable { .. } => needs_drives(),
             _ => None,
         }
@@ -129,10 +146,15 @@ impl Gate {
                 rate_not_above(plan, found, [controller, than], space.as_deref())
             }
             Self::NoAvoidableFailure { controller, space } => no_avoidable_failure(found, controller, space),
-            Self::NeedlessBrakingAtMost { controller, percent } => needless_at_most(found, controller, *percent),
+            Self::NeedlessBrakingAtMost { controller, percent } => {
+                drives_at_most(found, controller, *percent, |useful| useful.needless)
+            }
+            Self::LeftBehindAtMost { controller, percent } => {
+                drives_at_most(found, controller, *percent, |useful| useful.left_behind)
+            }
             Self::StringStable { controller } => string_stable(found, controller),
-            Self::ProofsAccepted => proofs_accepted(found),
-            Self::NothingWorse => nothing_worse(found.comparison.as_ref()),
+            Self::ProofsAccepted {} => proofs_accepted(found),
+            Self::NothingWorse {} => nothing_worse(found.comparison.as_ref()),
         };
         GateResult { gate: self.words(plan), holds, because }
     }
@@ -159,9 +181,12 @@ impl Gate {
             Self::NeedlessBrakingAtMost { controller, percent } => {
                 format!("{controller}: braking without cause in at most {percent} % of drives in everyday traffic")
             }
+            Self::LeftBehindAtMost { controller, percent } => {
+                format!("{controller}: left behind in at most {percent} % of drives in everyday traffic")
+            }
             Self::StringStable { controller } => format!("{controller}: no disturbance grows along a line"),
-            Self::ProofsAccepted => "every proof is accepted".to_owned(),
-            Self::NothingWorse => "nothing is worse than before".to_owned(),
+            Self::ProofsAccepted {} => "every proof is accepted".to_owned(),
+            Self::NothingWorse {} => "nothing is worse than before".to_owned(),
         }
     }
 }
@@ -218,7 +243,8 @@ fn rate_not_above(
     };
     let because =
         format!("{} against {} of the same {} draws collide{cut_short}", own.collisions, other.collisions, drawn.draws);
-    (own.collisions + own.cut_short <= other.collisions, because)
+    let is_known = own.cut_short < drawn.draws;
+    (is_known && own.collisions + own.cut_short <= other.collisions, because)
 }
 
 /// The place of the space that a gate asks for, as the configuration names it, among those that are drawn from.
@@ -239,13 +265,18 @@ fn no_avoidable_failure(found: &Assessment, controller: &str, space: &str) -> (b
     }
 }
 
-fn needless_at_most(found: &Assessment, controller: &str, percent: f64) -> (bool, String) {
+fn drives_at_most(
+    found: &Assessment,
+    controller: &str,
+    percent: f64,
+    count: impl Fn(&Useful) -> u64,
+) -> (bool, String) {
     let all = found.usefulness.as_ref();
     let Some((all, useful)) = all.and_then(|all| Some((all, all.of(controller)?))) else {
         return (false, "no such drives were made".to_owned());
     };
-    let share = 100.0 * useful.needless as f64 / all.draws as f64;
-    (share <= percent, format!("{} of {} drives", useful.needless, all.draws))
+    let share = 100.0 * count(useful) as f64 / all.draws as f64;
+    (share <= percent, format!("{} of {} drives", count(useful), all.draws))
 }
 
 fn string_stable(found: &Assessment, controller: &str) -> (bool, String) {
@@ -261,6 +292,7 @@ fn share_problem(percent: f64) -> Option<(&'static str, String)> {
 fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<(&'static str, String)> {
     let known = config.distributions();
     match space {
+        _ if known.is_empty() => Some(("require", "needs `distributions`".to_owned())),
         Some(space) if !known.contains(space) => Some(("space", format!("`{space}` is not among `distributions`"))),
         None if known.len() > 1 => Some(("space", "must be named, since there are several `distributions`".to_owned())),
         _ => None,
@@ -268,8 +300,10 @@ fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<(&'sta
 }
 
 fn proofs_accepted(found: &Assessment) -> (bool, String) {
-    let all = found.proofs.certificates.len();
-    let rejected: Vec<_> = found.proofs.certificates.iter().filter(|one| !one.is_accepted()).collect();
+    let claims_to_prove = |one: &&Proof| !matches!(one.status, ProofStatus::NothingShown { .. });
+    let certificates: Vec<_> = found.proofs.certificates.iter().filter(claims_to_prove).collect();
+    let all = certificates.len();
+    let rejected: Vec<_> = certificates.iter().filter(|one| !one.is_accepted()).collect();
     match rejected.first() {
         None => (all > 0, format!("{all} of {all} certificates are accepted")),
         Some(first) => (false, format!("{} of {all} are rejected, first {}", rejected.len(), first.name)),
@@ -279,6 +313,9 @@ fn proofs_accepted(found: &Assessment) -> (bool, String) {
 fn nothing_worse(comparison: Option<&Comparison>) -> (bool, String) {
     match comparison {
         None => (false, "there is no earlier assessment: name one with --against".to_owned()),
+        Some(comparison) if comparison.is_of_nothing() => {
+            (false, "the earlier assessment says nothing that this one says".to_owned())
+        }
         Some(comparison) => {
             // A failure that is new, and anything else that is gone, is as bad as what got worse.
             let new = comparison.new.iter().filter(|change| change.is_failure);

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use super::claims::{Known, Subject};
 use super::config::{AssessConfig, CONFIG_VERSION, ConfigError};
+use super::gate::Gate;
 use super::parts;
 use crumple_world::control::ControllerSpec;
 use crumple_world::digest::sha256;
@@ -129,6 +130,12 @@ impl AssessmentPlan {
         let loading = Loading { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
         let controllers = loading.controllers(&config)?;
         loading.plan(config, controllers)
+    }
+
+    /// Whether a gate needs an earlier assessment to compare with.
+    #[must_use]
+    pub fn wants_earlier(&self) -> bool {
+        self.config.gates.iter().any(|gate| matches!(gate, Gate::NothingWorse {}))
     }
 
     /// Who claims about the controller at that place are about. One without identity is nobody else's equal.
@@ -361,12 +368,21 @@ impl Loading<'_> {
             let field = format!("{list}[{index}]");
             let space = match built_in_space(name) {
                 Some(space) => space,
-                None if name.ends_with(".toml") => space_file::load(&self.folder.join(name))?,
+                None if name.ends_with(".toml") => {
+                    let loaded = space_file::load(&self.folder.join(name));
+                    loaded.map_err(|error| self.wrong(&field, error.to_string()))?
+                }
                 None => {
                     let problem = format!("`{name}` is neither a built-in space nor a .toml file");
                     return Err(self.wrong(&field, problem));
                 }
             };
+            let nominal = space.scenario(&space.nominal());
+            let nominal =
+                nominal.map_err(|error| self.wrong(&field, format!("{name}: its nominal scenario: {error}")))?;
+            if !nominal.has_vehicle_under_test() {
+                return Err(self.wrong(&field, format!("{name}: no vehicle is under test")));
+            }
             if spaces.iter().any(|known| known.space.name() == space.name()) {
                 return Err(self.wrong(&field, format!("the name `{}` is taken by another space", space.name())));
             }

@@ -59,6 +59,12 @@ pub enum InvalidRate {
         /// The controller.
         controller: String,
     },
+    /// A space without anybody whose failures could be counted.
+    #[error("the space `{space}` has no vehicle under test")]
+    NobodyUnderTest {
+        /// The space.
+        space: String,
+    },
     /// Confidence.
     #[error("a confidence of {found}, which must be between 1/2 and 1")]
     Confidence {
@@ -120,6 +126,10 @@ impl RatePlan {
         }
         if !(confidence > 0.5 && confidence < 1.0) {
             return Err(InvalidRate::Confidence { found: confidence });
+        }
+        // A nominal scenario that is none says so when the first run is drawn.
+        if space.scenario(&space.nominal()).is_ok_and(|nominal| !nominal.has_vehicle_under_test()) {
+            return Err(InvalidRate::NobodyUnderTest { space: space_name });
         }
         let drivers: Vec<NamedController> = std::iter::once(controllers.0).chain(controllers.1).collect();
         if let Some(unknown) = drivers.iter().find(|driver| driver.kind.identity().is_none()) {

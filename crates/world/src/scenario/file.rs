@@ -1,7 +1,7 @@
 //! Scenario files: TOML or JSON, told apart by their extension, with errors that name file, line and field.
 
-use std::fs;
-use std::io;
+use std::fs::{self, File};
+use std::io::{self, Read as _};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -91,9 +91,21 @@ pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     files.into_iter().map(|path| load(&path).map(|scenario| (path, scenario))).collect()
 }
 
+/// Most bytes of a text file: ten times a minute of scripted motion at the finest step, and little memory once parsed.
+pub const MOST_BYTES: u64 = 8 << 20;
+
 /// Reads a text file.
+///
+/// # Errors
+/// [`FileError::Read`] for one that cannot be read, is not UTF-8 or holds more than [`MOST_BYTES`].
 pub fn read(path: &Path) -> Result<String, FileError> {
-    let text = fs::read_to_string(path).map_err(|source| FileError::Read { path: path.to_owned(), source })?;
+    let unreadable = |source| FileError::Read { path: path.to_owned(), source };
+    let mut text = String::new();
+    File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_string(&mut text)).map_err(unreadable)?;
+    if text.len() as u64 > MOST_BYTES {
+        let problem = format!("holds more than {} MiB, too much for such a file", MOST_BYTES >> 20);
+        return Err(unreadable(io::Error::new(io::ErrorKind::InvalidData, problem)));
+    }
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
 
@@ -146,6 +158,11 @@ fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileErr
         line: error.line().max(1),
         message: name_field(&field, error.to_string().split(" at line ").next().unwrap_or_default()),
     };
+    // A list would be taken for the values of the fields in their order.
+    if text.trim_start().starts_with('[') {
+        let message = "a list, where fields with names are wanted".to_owned();
+        return Err(FileError::Syntax { path: path.to_owned(), line: 1, message });
+    }
     let value = serde_path_to_error::deserialize(&mut parsed)
         .map_err(|error| misread(error.path().to_string(), error.into_inner()))?;
     parsed.end().map_err(|error| misread(String::new(), error))?;

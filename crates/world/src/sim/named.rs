@@ -28,6 +28,9 @@ pub struct NamedController {
     pub kind: ControllerKind,
 }
 
+/// Most shields before one controller: one within another may assume another vehicle ahead, and a name has an end.
+const MOST_SHIELDS: usize = 8;
+
 /// Why a name stands for no controller.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -49,6 +52,9 @@ pub enum UnknownController {
         /// What was found.
         setting: String,
     },
+    /// More shields than anybody needs.
+    #[error("at most {MOST_SHIELDS} shields may stand before a controller")]
+    Shields,
     /// A setting of a built-in controller that is wrong.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
@@ -75,6 +81,11 @@ impl NamedController {
     /// # Errors
     /// [`UnknownController`] if there is neither, or the file holds no usable policy.
     pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownController> {
+        Self::behind(MOST_SHIELDS, name, folder)
+    }
+
+    /// The controller of that name, which says at most so many shields.
+    fn behind(shields: usize, name: &str, folder: &Path) -> Result<Self, UnknownController> {
         // Its name in version 0.1.0.
         let name = &match name.strip_prefix("hardened") {
             Some(rest) if rest.is_empty() || rest.starts_with(',') => format!("{}{rest}", RetrainedPolicy::NAME),
@@ -85,7 +96,8 @@ impl NamedController {
         }
         if let Some((settings, inner)) = name.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
             let settings = shield_settings(settings)?;
-            let Self { name: inner_name, kind: controller } = Self::find(inner, folder)?;
+            let left = shields.checked_sub(1).ok_or(UnknownController::Shields)?;
+            let Self { name: inner_name, kind: controller } = Self::behind(left, inner, folder)?;
             let name = format!("{}{inner_name}", name.strip_suffix(inner).unwrap_or(name));
             return Ok(Self { name, kind: Shielded { controller, settings }.into() });
         }

@@ -1,5 +1,7 @@
 //! All evidence of an assessment, and how claims stand by it.
 
+use std::cmp::Ordering;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -36,6 +38,14 @@ pub struct Beside {
     pub rule: Rule,
     /// Which evidence, by its place in the ledger.
     pub evidence: usize,
+}
+
+impl Beside {
+    /// Whether it is what a count says, so that one of several has to be chosen without regard to what it says.
+    fn is_counted(&self) -> bool {
+        self.rule == Rule::BoundsDecide
+            || matches!(self.strength, Strength::Counted { .. } | Strength::CountedInVain { .. })
+    }
 }
 
 impl Default for Standing {
@@ -86,10 +96,10 @@ impl Ledger {
         };
         let mut all: Vec<Beside> = self.evidence.iter().enumerate().filter_map(read).collect();
         let united = self.proofs_of_parts(claim);
-        let deciding = self.deciding(claim);
+        let deciding = self.deciding(&all);
         let weight = |one: &Beside| {
-            let is_picked = one.rule != Rule::BoundsDecide || one.strength.is_refutation();
-            if is_picked || Some(one.evidence) == deciding { one.strength.weight() } else { -1.0 }
+            let is_free = !one.is_counted() || one.strength.is_refutation();
+            if is_free || Some(one.evidence) == deciding { one.strength.weight() } else { -1.0 }
         };
         // The strongest first; of equals the first in the ledger.
         all.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
@@ -111,32 +121,32 @@ impl Ledger {
         Standing { strength, rule: Some(rule), evidence: vec![evidence], beside: all }
     }
 
-    /// The bounds on the rate that a claim is about, each with its place.
-    fn bounds(&self, claim: &Claim) -> Vec<(usize, Bounds)> {
-        if !matches!(claim.property, Property::RateAtMost { .. }) {
-            return Vec::new();
-        }
-        let rate = Claim { property: Property::FailureRate, ..claim.clone() };
-        let own = self.evidence.iter().enumerate().filter(|(_, evidence)| evidence.claim == rate);
-        own.filter_map(|(place, evidence)| Some((place, Bounds::of(&evidence.strength)?))).collect()
-    }
-
     /// Whether two pieces of evidence bound the rate that a claim is about, and their bounds do not meet.
     fn bounds_part(&self, claim: &Claim) -> bool {
-        let bounds = self.bounds(claim);
-        let lower = bounds.iter().map(|(_, one)| one.lower_percent).fold(0.0, f64::max);
-        lower > bounds.iter().map(|(_, one)| one.upper_percent).fold(100.0, f64::min)
+        if !matches!(claim.property, Property::RateAtMost { .. }) {
+            return false;
+        }
+        let rate = Claim { property: Property::FailureRate, ..claim.clone() };
+        let bounds = self.evidence.iter().filter(|one| one.claim == rate).filter_map(|one| match one.strength {
+            Strength::Between { lower_percent, upper_percent, .. } => {
+                Some((lower_percent.value(), upper_percent.value()))
+            }
+            _ => None,
+        });
+        let (lower, upper) =
+            bounds.fold((0.0, 100.0), |(lower, upper), (low, high)| (f64::max(lower, low), f64::min(upper, high)));
+        lower > upper
     }
 
-    /// Which bounds decide a claim about a rate, where there are several: not those that happen to please, for the best of
-    /// many bounds holds less often than each. What decides was fixed before anything was counted: the highest confidence,
-    /// then the most runs; of equals the least favourable.
-    fn deciding(&self, claim: &Claim) -> Option<usize> {
-        let before = |a: &Bounds, b: &Bounds| {
-            let confidence = a.confidence_percent.total_cmp(&b.confidence_percent);
-            confidence.then(a.runs.cmp(&b.runs)).then(a.upper_percent.total_cmp(&b.upper_percent))
-        };
-        self.bounds(claim).into_iter().max_by(|(_, a), (_, b)| before(a, b)).map(|(place, _)| place)
+    /// Which count decides a claim, where there are several: not the one that happens to please, for the best of many counts
+    /// is right less often than each. What decides was fixed before anything was counted: the highest confidence, as it is
+    /// shown, then the most runs; of equals the least favourable.
+    fn deciding(&self, readings: &[Beside]) -> Option<usize> {
+        let counts = readings.iter().filter(|one| one.is_counted()).filter_map(|one| {
+            let fixed = Fixed::of(&self.evidence.get(one.evidence)?.strength)?;
+            Some((one.evidence, fixed))
+        });
+        counts.max_by(|(_, a), (_, b)| a.compare(b)).map(|(place, _)| place)
     }
 
     /// The proofs that cover all scenarios of a claim together, if no single one does.
@@ -155,24 +165,28 @@ impl Ledger {
     }
 }
 
-/// Bounds on a rate.
-struct Bounds {
-    lower_percent: f64,
-    upper_percent: f64,
+/// What was fixed of a count before it began, and how unfavourable it came out.
+struct Fixed {
     confidence_percent: f64,
     runs: u64,
+    against_percent: f64,
 }
 
-impl Bounds {
+impl Fixed {
     fn of(strength: &Strength) -> Option<Self> {
-        match *strength {
-            Strength::Between { lower_percent, upper_percent, confidence_percent, runs } => Some(Self {
-                lower_percent: lower_percent.value(),
-                upper_percent: upper_percent.value(),
-                confidence_percent: confidence_percent.value(),
-                runs,
-            }),
-            _ => None,
-        }
+        let (confidence_percent, runs, against_percent) = match *strength {
+            Strength::Between { upper_percent, confidence_percent, runs, .. } => {
+                (confidence_percent, runs, upper_percent.value())
+            }
+            Strength::Counted { confidence_percent, runs } => (confidence_percent, runs, 0.0),
+            Strength::CountedInVain { confidence_percent, runs } => (confidence_percent, runs, 100.0),
+            _ => return None,
+        };
+        Some(Self { confidence_percent: confidence_percent.value(), runs, against_percent })
+    }
+
+    fn compare(&self, other: &Self) -> Ordering {
+        let confidence = self.confidence_percent.total_cmp(&other.confidence_percent);
+        confidence.then(self.runs.cmp(&other.runs)).then(self.against_percent.total_cmp(&other.against_percent))
     }
 }

@@ -78,6 +78,10 @@ pub enum Property {
     },
     /// It never brakes without a cause.
     NoNeedlessBraking,
+    /// It is never left behind by a vehicle ahead that drives on.
+    KeepsUp,
+    /// No two vehicles touch that are both not under test.
+    OthersKeepClear,
     /// A line of vehicles with it makes a disturbance no larger from one to the next.
     StringStable,
 }
@@ -168,7 +172,25 @@ impl Property {
             Self::RateAtMost { percent } => format!("contact in at most {} % of runs", percent.value()),
             Self::FailsLessOften { than } => format!("fewer failures than {}", than.name),
             Self::NoNeedlessBraking => "no braking without cause".to_owned(),
+            Self::KeepsUp => "never left behind".to_owned(),
+            Self::OthersKeepClear => "no contact among the others".to_owned(),
             Self::StringStable => "no disturbance grows".to_owned(),
+        }
+    }
+
+    /// What it means that it does not hold, without of whom and where.
+    #[must_use]
+    pub fn violated_words(&self) -> String {
+        match self {
+            Self::NoContact => "contact".to_owned(),
+            Self::NoContactAhead => "contact with the vehicle ahead".to_owned(),
+            Self::FailureRate => self.words(),
+            Self::RateAtMost { percent } => format!("contact in more than {} % of runs", percent.value()),
+            Self::FailsLessOften { than } => format!("no fewer failures than {}", than.name),
+            Self::NoNeedlessBraking => "braking without cause".to_owned(),
+            Self::KeepsUp => "left behind".to_owned(),
+            Self::OthersKeepClear => "contact among the others".to_owned(),
+            Self::StringStable => "a disturbance that grows".to_owned(),
         }
     }
 
@@ -201,7 +223,13 @@ impl Domain {
             }
             Self::Box { around } => format!("from {}", around.name),
             Self::AnyLeaderBraking { scenario, .. } => format!("in {}, however its leader brakes", scenario.name),
-            Self::Kernels { .. } => "from any start inside the kernel of its shield".to_owned(),
+            Self::Kernels { limits_mps2 } => {
+                let hardest = limits_mps2.iter().map(|[_, ahead]| ahead.value()).reduce(f64::max);
+                let ahead = hardest.map_or_else(String::new, |ahead| {
+                    format!(", where nobody ahead can brake harder than {ahead} m/s²")
+                });
+                format!("from any start inside the kernel of its shield{ahead}")
+            }
         }
     }
 

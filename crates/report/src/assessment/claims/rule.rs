@@ -46,7 +46,8 @@ impl Rule {
             Self::ProofsOfParts => "Scenarios of which each is proved are proved together.",
             Self::BoundsDecide => {
                 "Bounds on the share of failures decide a claim about that share: above it, below it, or neither. Of several the one \
-                 decides that was fixed before anything was counted: the highest confidence, then the most runs."
+                 decides that was fixed before anything was counted: the highest confidence, then the most runs; so it is with \
+                 counts that show which of two fails less often. One that refutes is always shown."
             }
         }
     }

@@ -62,6 +62,15 @@ pub enum Strength {
     Counted {
         /// The confidence, in percent.
         confidence_percent: Rounded<1>,
+        /// How many runs.
+        runs: u64,
+    },
+    /// Runs were counted to show it with that confidence, and did not.
+    CountedInVain {
+        /// The confidence, in percent.
+        confidence_percent: Rounded<1>,
+        /// How many runs.
+        runs: u64,
     },
     /// How often it and another failed in the same runs.
     Compared {
@@ -113,6 +122,22 @@ impl Strength {
         }
     }
 
+    /// Of the claim that it fails in fewer of the same runs than another: how often each did, and how many of its runs were cut
+    /// short, of which it is not known how they would have ended.
+    #[must_use]
+    pub fn compared([own, own_cut_short]: [u64; 2], [other, other_cut_short]: [u64; 2], runs: u64) -> Self {
+        let (own_most, other_most) = (own + own_cut_short, other + other_cut_short);
+        if own_cut_short + other_cut_short == 0 {
+            Self::Compared { own, other, runs }
+        } else if own_most < other {
+            Self::Compared { own: own_most, other, runs }
+        } else if own > other_most {
+            Self::Compared { own, other: other_most, runs }
+        } else {
+            Self::Untried
+        }
+    }
+
     /// What bounds on a share say of the claim that it is at most `percent`; nothing if these are no bounds.
     #[must_use]
     pub fn of_rate(&self, percent: f64) -> Option<Self> {
@@ -156,7 +181,7 @@ impl Strength {
             Self::Proved { certificates } => 7.0 + within(*certificates as f64),
             Self::ProvedIn { share_percent } => 6.0 + within(share_percent.value()),
             Self::Bounded { upper_percent, .. } => 5.0 - within(upper_percent.value()),
-            Self::Counted { confidence_percent } => 4.0 + 0.005 * confidence_percent.value(),
+            Self::Counted { confidence_percent, .. } => 4.0 + 0.005 * confidence_percent.value(),
             Self::Compared { own, other, .. } if own > other => 8.0,
             Self::Compared { own, other, .. } if own < other => 3.0,
             Self::Compared { .. } => 1.5,
@@ -164,6 +189,7 @@ impl Strength {
             Self::Undecided { lower_percent, upper_percent, .. } => {
                 2.0 - within(upper_percent.value() - lower_percent.value())
             }
+            Self::CountedInVain { .. } => 1.2,
             Self::Between { .. } => 1.0,
             Self::Untried => 0.0,
         }
@@ -199,7 +225,8 @@ impl Strength {
             Self::Undecided { lower_percent, upper_percent, confidence_percent } => {
                 format!("undecided: {lower_percent} to {upper_percent} %, confidence {confidence_percent} % each")
             }
-            Self::Counted { confidence_percent } => format!("shown by counting, confidence {confidence_percent} %"),
+            Self::Counted { confidence_percent, .. } => format!("shown by counting, confidence {confidence_percent} %"),
+            Self::CountedInVain { runs, .. } => format!("not shown by {runs} counted runs"),
             Self::Compared { own, other, runs } => match own.cmp(other) {
                 std::cmp::Ordering::Less => format!("{own} against {other} of {runs} fail"),
                 std::cmp::Ordering::Equal => format!("not shown: each fails in {own} of {runs}"),

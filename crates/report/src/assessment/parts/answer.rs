@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::certified::seeing;
 use super::{Limits, ScenarioCases, Searches, Summary, Usefulness};
-use crate::assessment::claims::{Claim, Property, Standing, Strength};
+use crate::assessment::claims::{Claim, Property, Rule, Standing, Strength};
 use crate::assessment::prose::prose;
 use crate::assessment::{AssessmentPlan, Part};
 use crate::draw::Svg;
@@ -66,14 +66,23 @@ impl FirstPage {
         }
         // The strongest first: a refutation outweighs everything.
         claims.sort_by(|a, b| b.2.strength.weight().total_cmp(&a.2.strength.weight()));
-        let said = |wanted: &dyn Fn(&Strength) -> bool| -> Vec<String> {
-            let of = claims.iter().filter(|(_, _, standing)| wanted(&standing.strength));
-            of.map(|(words, _, standing)| format!("{words}: {}", standing.strength.words())).collect()
+        let chosen = |wanted: &dyn Fn(&Standing) -> bool| -> Vec<(&str, &Claim, &Standing)> {
+            claims.iter().copied().filter(|(_, _, standing)| wanted(standing)).collect()
         };
-        let against = said(&|strength| strength.is_refutation() || *strength == Strength::Contradicted);
-        let speaks_for = said(&|strength| {
-            strength.is_assurance() || matches!(strength, Strength::Tested { .. } | Strength::ProvedIn { .. })
+        // What is refuted because a part of it is stands there already.
+        let against: Vec<_> = chosen(&|standing| {
+            (standing.strength.is_refutation() && standing.rule != Some(Rule::RefutedInPart))
+                || standing.strength == Strength::Contradicted
         });
+        let against: Vec<String> =
+            against.into_iter().map(|(words, claim, standing)| refuted(words, claim, standing)).collect();
+        let speaks_for: Vec<String> = chosen(&|standing| {
+            standing.strength.is_assurance()
+                || matches!(standing.strength, Strength::Tested { .. } | Strength::ProvedIn { .. })
+        })
+        .into_iter()
+        .map(|(words, _, standing)| format!("{words}: {}", standing.strength.words()))
+        .collect();
         let answer = Answer::of(plan, &claims);
         let compared = match plan.controllers.first() {
             Some(first) if plan.subject != 0 => format!(", and is it safer than `{}`", first.name),
@@ -84,7 +93,7 @@ impl FirstPage {
         Self {
             question,
             answer,
-            words: format!("{} {}", answer.words(subject, against.len(), speaks_for.len()), safer(plan, &claims))
+            words: format!("{} {}", answer.words(plan, subject, &claims, &against), safer(plan, &claims))
                 .trim_end()
                 .to_owned(),
             against,
@@ -111,16 +120,33 @@ fn safer(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> String 
     }
 }
 
+/// Whether it is an answer to the question, through the estimator that was asked about.
+fn is_asked(plan: &AssessmentPlan, claim: &Claim) -> bool {
+    matches!(claim.property, Property::NoContact | Property::RateAtMost { .. })
+        && claim.subject.estimator == plan.config.estimator
+}
+
+/// What a claim that does not hold comes to, what happens before how often.
+fn refuted(words: &str, claim: &Claim, standing: &Standing) -> String {
+    let strength = standing.strength.words();
+    match strength.strip_prefix("refuted") {
+        Some(how) => {
+            let how = how.strip_prefix(" by").map_or_else(|| how.to_owned(), |by| format!(": with{by}"));
+            format!("{} {}{how}", claim.property.violated_words(), claim.place())
+        }
+        None if standing.strength.is_refutation() => {
+            format!("{} {}: {strength}", claim.property.violated_words(), claim.place())
+        }
+        None => format!("{words}: {strength}"),
+    }
+}
+
 impl Answer {
     /// A run that fails weighs more than any evidence beside it; what was shown through another estimator, or of the vehicle
     /// ahead alone, answers nothing.
     fn of(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> Self {
-        let is_asked = |claim: &Claim| {
-            matches!(claim.property, Property::NoContact | Property::RateAtMost { .. })
-                && claim.subject.estimator == plan.config.estimator
-        };
-        let about: Vec<_> =
-            claims.iter().filter(|(_, claim, _)| is_asked(claim)).map(|(.., standing)| *standing).collect();
+        let about = claims.iter().filter(|(_, claim, _)| is_asked(plan, claim));
+        let about: Vec<_> = about.map(|(.., standing)| *standing).collect();
         let refutes = |standing: &&Standing| {
             standing.strength.is_refutation() || standing.beside.iter().any(|beside| beside.strength.is_refutation())
         };
@@ -135,18 +161,42 @@ impl Answer {
         }
     }
 
-    fn words(self, subject: &str, against: usize, speaks_for: usize) -> String {
-        let counted = format!(
-            "of the claims made of it {against} are refuted or contradicted, {speaks_for} hold as far as they were examined"
-        );
+    /// In words that may be quoted without the rest: with the domain and the strength of what is said.
+    fn words(
+        self,
+        plan: &AssessmentPlan,
+        subject: &str,
+        claims: &[(&str, &Claim, &Standing)],
+        against: &[String],
+    ) -> String {
+        let besides = || against.first().map_or(String::new(), |first| format!(" What speaks against it: {first}."));
         match self {
-            Self::NotSafe => format!("Not safe: there are runs in this report in which `{subject}` fails; {counted}."),
-            Self::SafeInDomain => format!(
-                "Safe where it was looked, to the strength stated with each claim: `{subject}` touched nobody in this report, and \
-                 bounds or proofs say how rarely it does there; {counted}. Of other situations nothing is said."
-            ),
+            Self::NotSafe => {
+                let is_why = |(_, claim, standing): &&(&str, &Claim, &Standing)| {
+                    is_asked(plan, claim)
+                        && standing.strength.is_refutation()
+                        && standing.rule != Some(Rule::RefutedInPart)
+                };
+                let why = claims.iter().find(is_why).map(|(words, claim, standing)| refuted(words, claim, standing));
+                let why = why.unwrap_or_else(|| "a run of a part that refutes the whole".to_owned());
+                format!("Not safe: `{subject}` fails in runs of this report, as in {why}.")
+            }
+            Self::SafeInDomain => {
+                let assured = claims
+                    .iter()
+                    .filter(|(_, claim, standing)| is_asked(plan, claim) && standing.strength.is_assurance());
+                let assured: Vec<_> =
+                    assured.map(|(words, _, standing)| format!("{words} ({})", standing.strength.words())).collect();
+                format!(
+                    "Safe in this domain and to this strength, and no further: of `{subject}` there is {}. It touched nobody in \
+                     the runs of this report; of other situations nothing is said.{}",
+                    assured.join("; "),
+                    besides()
+                )
+            }
             Self::Undecided => format!(
-                "Undecided: nothing in this report bounds how often `{subject}` fails as it is asked; {counted}."
+                "Undecided: nothing in this report bounds how often `{subject}` fails as it is asked.{}",
+                besides()
             ),
         }
     }

@@ -175,7 +175,7 @@ impl Building {
 
 /// The goals below the top one: what is said, over what it is argued, and which properties it is about.
 type Kind = fn(&Property) -> bool;
-const GOALS: [(&str, &str, Kind); 4] = [
+const GOALS: [(&str, &str, Kind); 5] = [
     ("has no contact with others in any run that this report looks at", "over the situations looked at", |property| {
         matches!(property, Property::NoContact | Property::NoContactAhead)
     }),
@@ -185,10 +185,13 @@ const GOALS: [(&str, &str, Kind); 4] = [
     ("fails less often than the controller that it is compared with", "over runs that both made", |property| {
         matches!(property, Property::FailsLessOften { .. })
     }),
+    ("leaves the others clear of each other", "over runs in which others may touch", |property| {
+        matches!(property, Property::OthersKeepClear)
+    }),
     (
-        "is of use where nothing threatens: it brakes with a cause, and damps disturbances",
+        "is of use where nothing threatens: it brakes with a cause, keeps up, and damps disturbances",
         "over everyday situations",
-        |property| matches!(property, Property::NoNeedlessBraking | Property::StringStable),
+        |property| matches!(property, Property::NoNeedlessBraking | Property::KeepsUp | Property::StringStable),
     ),
 ];
 

@@ -62,6 +62,13 @@ pub enum ProofStatus {
         /// How strongly that speaks for the claim that it makes of a controller, if it makes one.
         strength: Option<Strength>,
     },
+    /// Its runs were counted here, as they were registered, and do not show what they were to show.
+    NothingShown {
+        /// What they are, in words.
+        counted: String,
+        /// How strongly that speaks for the claim.
+        strength: Strength,
+    },
     /// It proves nothing.
     Rejected {
         /// Why.
@@ -113,6 +120,7 @@ impl ProofStatus {
     pub(super) fn words(&self) -> String {
         match self {
             Self::Accepted { shown, .. } => shown.clone(),
+            Self::NothingShown { counted, .. } => format!("nothing: {counted}"),
             Self::Rejected { reason } => format!("rejected: {reason}"),
         }
     }
@@ -135,6 +143,7 @@ fn strength(accepted: &Accepted, statement: &Statement, counts_others: bool) -> 
             let failures = if counts_others { 0 } else { *failures };
             (RateInterval::exact(failures, *runs, 2.0 * confidence - 1.0).lower, *runs)
         }
+        Statement::Comparison(two) => (0.0, two.registration.runs),
         _ => (0.0, 0),
     };
     match accepted {
@@ -147,7 +156,7 @@ fn strength(accepted: &Accepted, statement: &Statement, counts_others: bool) -> 
         // With little confidence it shows nothing.
         Accepted::FailsLessOften { confidence } => Some(Rounded::down(100.0 * confidence))
             .filter(|percent| percent.value() >= LEAST_CONFIDENCE_PERCENT)
-            .map(|confidence_percent| Strength::Counted { confidence_percent }),
+            .map(|confidence_percent| Strength::Counted { confidence_percent, runs }),
         // A cell with a start that ends in contact.
         Accepted::Reach { falsified_share, .. } if *falsified_share > 0.0 => {
             Some(Strength::Refuted { failures: 1, runs: 1 })
@@ -169,8 +178,10 @@ impl Proof {
 
     /// What it says of whom, if the checker accepted it and it speaks of somebody here.
     fn evidence(&self) -> Vec<Evidence> {
-        let (ProofStatus::Accepted { strength: Some(strength), .. }, SpeaksOf::Claim(claim)) =
-            (&self.status, &self.speaks_of)
+        let (
+            ProofStatus::Accepted { strength: Some(strength), .. } | ProofStatus::NothingShown { strength, .. },
+            SpeaksOf::Claim(claim),
+        ) = (&self.status, &self.speaks_of)
         else {
             return Vec::new();
         };
@@ -264,17 +275,11 @@ fn about(certificate: &Certificate) -> String {
         }
         Statement::Reach(reach) => {
             let about = &certificate.provenance.scenario;
-            format!("a box of starts, by its own word around {about}: {}", ranges(reach).join(", "))
+            format!("{}, by its own word around {about}: {}", around(reach).name, ranges(reach).join(", "))
         }
         Statement::Kernel(_) => "any two vehicles of these classes, on a dry road".to_owned(),
         _ => certificate.provenance.scenario.clone(),
     }
-}
-
-/// What varies in a box.
-fn varied(reach: &Reach) -> String {
-    let varied: Vec<_> = ranges(reach).into_iter().filter(|range| range.contains(" to ")).collect();
-    if varied.is_empty() { "a single start".to_owned() } else { varied.join(", ") }
 }
 
 /// What a box spans, in the order of the certificate.
@@ -330,8 +335,7 @@ fn around(reach: &Reach) -> Known {
     let horizon_s = reach.step_s * f64::from(reach.steps);
     // What a certificate calls its scenario is nobody's word but its own.
     let digest = sha256(&content);
-    let name =
-        format!("the box of starts {} ({}) for {horizon_s} s", digest.get(..8).unwrap_or_default(), varied(reach));
+    let name = format!("the box of starts {} for {horizon_s} s", digest.get(..8).unwrap_or_default());
     Known { name, sha256: digest }
 }
 
@@ -483,10 +487,7 @@ fn to_be_counted(plan: &AssessmentPlan) -> Vec<Counted<'_>> {
 
 fn counted(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
     let proofs = to_be_counted(plan).into_iter().map(|counted| count(plan, work, counted));
-    let mut proofs = proofs.collect::<Result<Vec<_>, _>>()?;
-    // Counts that do not show that one controller fails less often are no proof of anything, and none that was rejected.
-    proofs.retain(|proof| proof.statement != "comparison" || proof.is_accepted());
-    Ok(proofs)
+    proofs.collect()
 }
 
 fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result<Proof, AssessError> {
@@ -510,5 +511,18 @@ fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result
         Ok::<_, AssessError>(text)
     })?;
     let certificate = Certificate::from_json(&text).map_err(|error| AssessError::Certificate(error.to_string()))?;
-    proof(plan, name, &certificate, None)
+    let mut proof = proof(plan, name, &certificate, None)?;
+    // Counts that do not show that one controller fails less often are no proof, and none that was tampered with.
+    if let (Statement::Comparison(two), false) = (&certificate.statement, proof.is_accepted()) {
+        let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
+        let registration = &two.registration;
+        proof.status = ProofStatus::NothingShown {
+            counted: format!("only the first failed in {only_first} runs, only the second in {only_second}"),
+            strength: Strength::CountedInVain {
+                confidence_percent: Rounded::down(100.0 * registration.confidence),
+                runs: registration.runs,
+            },
+        };
+    }
+    Ok(proof)
 }

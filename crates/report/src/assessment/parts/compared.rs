@@ -9,7 +9,7 @@ use maud::{Markup, html};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::assessment::claims::Strength;
+use crate::assessment::claims::{Claim, Strength};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{Assessment, EVIDENCE_VERSION, Part};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
@@ -43,7 +43,7 @@ pub struct Change {
     pub before: Option<String>,
     /// What is said of it now.
     pub now: Option<String>,
-    /// Whether it is a failure that a search found.
+    /// Whether it is a failure that a search found, or a claim that is refuted.
     pub is_failure: bool,
 }
 
@@ -88,13 +88,14 @@ pub enum ComparisonError {
 }
 
 /// What is said of each thing, and how good that is: the larger the better.
-type Facts = BTreeMap<String, Fact>;
+/// Things of one name may be of other domains, such as a space that was changed: they are told apart by hashes.
+type Facts = BTreeMap<(String, String), Fact>;
 
 #[derive(Debug, Clone)]
 struct Fact {
     score: f64,
     words: String,
-    /// A failure that was found: bad to be there at all.
+    /// A failure that was found, or a claim refuted: bad to be there at all.
     is_failure: bool,
 }
 
@@ -124,6 +125,7 @@ struct SummaryView {
 #[derive(Deserialize)]
 struct ClaimView {
     claim: String,
+    claims: Vec<Option<Claim>>,
     standings: Vec<StandingView>,
 }
 
@@ -190,11 +192,14 @@ impl View {
     fn facts(self) -> Facts {
         let mut facts = Facts::new();
         for claim in self.summary.claims {
-            for (controller, StandingView { strength }) in self.summary.controllers.iter().zip(claim.standings) {
+            let standings = self.summary.controllers.iter().zip(claim.claims).zip(claim.standings);
+            for ((controller, made), StandingView { strength }) in standings {
                 let what = format!("{controller}: {}", claim.claim);
+                let domain = made.map_or_else(String::new, |made| sha256(format!("{:?}", made.domain)));
                 // What was not tried is neither better nor worse than anything: it is not there.
                 if strength != Strength::Untried {
-                    facts.insert(what, Fact { score: score(&strength), words: strength.words(), is_failure: false });
+                    let is_failure = strength.is_refutation();
+                    facts.insert((what, domain), Fact { score: score(&strength), words: strength.words(), is_failure });
                 }
             }
         }
@@ -203,7 +208,8 @@ impl View {
             for case in scenario.cases {
                 if let Some(gap_m) = case.min_gap_m {
                     let what = format!("{}: smallest gap in {}", case.controller, scenario.scenario);
-                    facts.insert(what, Fact { score: gap_m, words: format!("{gap_m:.2} m"), is_failure: false });
+                    let fact = Fact { score: gap_m, words: format!("{gap_m:.2} m"), is_failure: false };
+                    facts.insert((what, String::new()), fact);
                 }
             }
         }
@@ -217,7 +223,7 @@ impl View {
                     };
                     let what = format!("{}: failure in `{}`: {}", search.controller, space.name, failure.kind);
                     let fact = Fact { score: 0.0, words: "found".to_owned(), is_failure: true };
-                    facts.insert(format!("{what}, {class}"), fact);
+                    facts.insert((format!("{what}, {class}"), String::new()), fact);
                 }
             }
         }
@@ -225,7 +231,8 @@ impl View {
             let score = f64::from(matches!(proof.status, super::ProofStatus::Accepted { .. }));
             let fact = Fact { score, words: proof.status.words(), is_failure: false };
             // Another certificate under the same name is another thing.
-            facts.insert(format!("certificate {}: {}, {}", proof.name, proof.statement, proof.about), fact);
+            let what = format!("certificate {}: {}, {}", proof.name, proof.statement, proof.about);
+            facts.insert((what, String::new()), fact);
         }
         facts
     }
@@ -243,7 +250,8 @@ fn score(strength: &Strength) -> f64 {
         Strength::Found { failures, avoidable } => -(0.001 * *failures as f64) - *avoidable as f64,
         Strength::Defeated { peak_brake_mps2 } => peak_brake_mps2.value(),
         Strength::Between { upper_percent, .. } => -upper_percent.value(),
-        Strength::Counted { confidence_percent } => confidence_percent.value(),
+        Strength::Counted { confidence_percent, .. } => confidence_percent.value(),
+        Strength::CountedInVain { .. } => 0.0,
         Strength::Compared { own, other, runs } => (*other as f64 - *own as f64) / (*runs).max(1) as f64,
         Strength::Contradicted => 0.0,
     };
@@ -276,7 +284,9 @@ impl Earlier {
             return Err(ComparisonError::Version { path: path.to_owned(), found: version });
         }
         let view: View = serde_json::from_str(text).map_err(syntax)?;
-        if let Some(claim) = view.summary.claims.iter().find(|c| c.standings.len() != view.summary.controllers.len()) {
+        let controllers = view.summary.controllers.len();
+        let is_wrong = |claim: &&ClaimView| claim.standings.len() != controllers || claim.claims.len() != controllers;
+        if let Some(claim) = view.summary.claims.iter().find(is_wrong) {
             let problem = format!("summary.claims: `{}` is not about each controller", claim.claim);
             return Err(ComparisonError::Syntax { path: path.to_owned(), line: 1, problem });
         }
@@ -298,8 +308,8 @@ impl Comparison {
 
     fn between(earlier: &Earlier, facts: &Facts) -> Self {
         let (mut better, mut worse, mut new, mut unchanged) = (Vec::new(), Vec::new(), Vec::new(), 0);
-        for (what, fact) in facts {
-            let before = earlier.facts.get(what);
+        for (key @ (what, _), fact) in facts {
+            let before = earlier.facts.get(key);
             let change = Change {
                 what: what.clone(),
                 before: before.map(|before| before.words.clone()),
@@ -313,8 +323,8 @@ impl Comparison {
                 Some(std::cmp::Ordering::Equal) => unchanged += 1,
             }
         }
-        let gone = earlier.facts.iter().filter(|(what, _)| !facts.contains_key(*what));
-        let gone = gone.map(|(what, fact)| Change {
+        let gone = earlier.facts.iter().filter(|(key, _)| !facts.contains_key(*key));
+        let gone = gone.map(|((what, _), fact)| Change {
             what: what.clone(),
             before: Some(fact.words.clone()),
             now: None,
@@ -362,6 +372,11 @@ impl Comparison {
         table
     }
 
+    /// Whether the two have nothing in common.
+    pub(in crate::assessment) fn is_of_nothing(&self) -> bool {
+        self.better.len() + self.worse.len() + self.unchanged == 0
+    }
+
     fn is_empty(&self) -> bool {
         self.better.len() + self.worse.len() + self.new.len() + self.gone.len() == 0
     }
@@ -391,7 +406,7 @@ mod tests {
 
     fn of(facts: &[(&str, f64)]) -> Facts {
         let fact = |score: f64| Fact { score, words: score.to_string(), is_failure: false };
-        facts.iter().map(|(what, score)| ((*what).to_owned(), fact(*score))).collect()
+        facts.iter().map(|(what, score)| (((*what).to_owned(), String::new()), fact(*score))).collect()
     }
 
     #[test]

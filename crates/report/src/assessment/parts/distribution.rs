@@ -82,14 +82,15 @@ pub struct Percent {
 }
 
 impl Percent {
-    /// The share of `count` in `total`, and its exact bounds, their ends rounded outwards.
-    pub(super) fn exact(count: u64, total: u64, confidence: f64) -> Self {
-        let bounds = RateInterval::exact(count, total, confidence);
+    /// The share of `count` in `total`, and its exact bounds, their ends rounded outwards. What those that were cut short would
+    /// have come to is not known: they count where that is worse, and not where it is better.
+    pub(super) fn exact([count, cut_short]: [u64; 2], total: u64, confidence: f64) -> Self {
+        let bounds = |count| RateInterval::exact(count, total, confidence);
         let observed = if total == 0 { 0.0 } else { count as f64 / total as f64 };
         Self {
             observed: Rounded::new(100.0 * observed),
-            lower: Rounded::down(100.0 * bounds.lower),
-            upper: Rounded::up(100.0 * bounds.upper),
+            lower: Rounded::down(100.0 * bounds(count).lower),
+            upper: Rounded::up(100.0 * bounds(count + cut_short).upper),
         }
     }
 }
@@ -115,13 +116,9 @@ pub(super) struct Draw {
 impl Sampled {
     /// The exact bounds on the share of collisions.
     fn between(&self, distribution: &Distribution) -> Strength {
-        // What a draw that was cut short would have come to is not known: it counts against the controller where that is
-        // worse, and not where it is better.
-        let exact = |failures| RateInterval::exact(failures, distribution.draws, distribution.confidence);
-        let (lower, upper) = (exact(self.collisions).lower, exact(self.collisions + self.cut_short).upper);
         Strength::Between {
-            lower_percent: Rounded::down(100.0 * lower),
-            upper_percent: Rounded::up(100.0 * upper),
+            lower_percent: self.rate_percent.lower,
+            upper_percent: self.rate_percent.upper,
             // Each end of a two-sided interval is a one-sided bound at half the risk.
             confidence_percent: Rounded::down(50.0 + 50.0 * distribution.confidence),
             runs: distribution.draws,
@@ -153,11 +150,12 @@ impl Distributions {
                     all.push(Evidence { claim, strength, source: source() });
                 };
                 add(Property::NoContact, draws(), Strength::of(sampled.collisions, drawn.draws - sampled.cut_short));
+                add(Property::OthersKeepClear, draws(), Strength::of(sampled.cut_short, drawn.draws));
                 add(Property::FailureRate, Domain::Space { space: space() }, sampled.between(drawn));
                 if let Some((first, of_first)) = first.as_ref().filter(|(first, _)| *first != subject) {
-                    let (own, other) = (sampled.collisions, of_first.collisions);
+                    let [own, other] = [sampled, of_first].map(|of| [of.collisions, of.cut_short]);
                     let than = Property::FailsLessOften { than: first.controller.clone() };
-                    add(than, draws(), Strength::Compared { own, other, runs: drawn.draws });
+                    add(than, draws(), Strength::compared(own, other, drawn.draws));
                 }
             }
         }
@@ -234,7 +232,7 @@ impl Distribution {
             let dash = |value: Option<Rounded<2>>| value.map_or("–".to_owned(), |value| value.to_string());
             table.row(vec![
                 Cell::text(&sampled.controller),
-                Cell::judged(sampled.collisions, sampled.collisions == 0),
+                Cell::judged(sampled.collisions, sampled.collisions + sampled.cut_short == 0),
                 Cell::number(rate.observed),
                 Cell::number(format!("{} – {}", rate.lower, rate.upper)),
                 Cell::number(sampled.hit),
@@ -347,7 +345,7 @@ impl Tally {
             cut_short: self.cut_short,
             hit: self.hit,
             was_hit: self.was_hit,
-            rate_percent: Percent::exact(self.collisions, self.draws, CONFIDENCE),
+            rate_percent: Percent::exact([self.collisions, self.cut_short], self.draws, CONFIDENCE),
             min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
             min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),
             mean_impact_speed_mps: (self.collisions > 0).then(|| mean_impact_mps.into()),

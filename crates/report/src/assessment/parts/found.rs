@@ -4,9 +4,10 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::assessment::{Command, Rounded};
-use crumple_search::falsify::campaign::MethodSummary;
+use crumple_search::falsify::campaign::{MethodSummary, Summary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed, Counterexample};
 use crumple_world::digest::sha256;
+use crumple_world::scenario::Scenario;
 
 /// What a method reached within its budget.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
@@ -15,21 +16,34 @@ pub struct MethodReached {
     pub method: String,
     /// Runs it made.
     pub evaluations: u64,
-    /// In which of them, from 1, it met its first failure.
+    /// In which of them, from 1, it met its first failure of the controller.
     pub first_failure: Option<u64>,
-    /// How many of them failed.
+    /// How many of them the controller failed in.
     pub failures: u64,
+    /// How many ended when vehicles touched that are not under test: they say nothing of the controller.
+    pub others: u64,
 }
 
-impl From<&MethodSummary> for MethodReached {
-    fn from(summary: &MethodSummary) -> Self {
+impl MethodReached {
+    /// Of scenarios like `nominal`.
+    pub(super) fn of(method: &MethodSummary, all: &Summary, nominal: &Scenario) -> Self {
+        let own = all.failures.iter().filter(|kind| is_own([kind.front_vehicle, kind.rear_vehicle], nominal));
+        let own: Vec<_> = own.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method).collect();
+        let failures = own.iter().map(|by| by.count).sum();
         Self {
-            method: summary.method.clone(),
-            evaluations: summary.evaluations,
-            first_failure: summary.first_falsification,
-            failures: summary.failures,
+            method: method.method.clone(),
+            evaluations: method.evaluations,
+            first_failure: own.iter().map(|by| by.first).min(),
+            failures,
+            others: method.failures.saturating_sub(failures),
         }
     }
+}
+
+/// Whether a contact between these is one of a vehicle under test; what is no contact is its controller's.
+pub(super) fn is_own(vehicles: [Option<u32>; 2], nominal: &Scenario) -> bool {
+    let mut tested = vehicles.into_iter().flatten().map(|index| nominal.is_under_test(index as usize)).peekable();
+    tested.peek().is_none() || tested.any(|is_tested| is_tested)
 }
 
 /// A distinct failure, shrunk.

@@ -1,9 +1,11 @@
 //! What the assessment does not show.
 
+use crumple_verify::Statement;
 use maud::{Markup, html};
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use crate::assessment::plan::GivenCertificate;
 use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::observation::EstimatorKind;
 
@@ -68,6 +70,15 @@ impl Limits {
                 "No controller here was built for a road, and nothing here replaces a test on one.",
             ),
         ];
+        let is_counted =
+            |one: &GivenCertificate| matches!(one.certificate.statement, Statement::Rate(_) | Statement::Comparison(_));
+        if plan.certificates.iter().any(is_counted) {
+            assumptions.push(limit(
+                "Runs of given certificates came out as these say",
+                "The checker holds what follows from the counts against them; that the runs were made, and came out so, is their \
+                 author's word. What was counted for this report was counted by it.",
+            ));
+        }
         if plan.config.paper {
             assumptions.push(limit(
                 "What the paper leaves open is as we read it",

@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::certified::{self, Proof, SpeaksOf};
+use crate::assessment::ProofStatus;
 use crate::assessment::claims::{Claim, Domain, Evidence};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
@@ -100,7 +101,10 @@ impl Proofs {
             table.row(vec![
                 Cell::text(&proof.name),
                 Cell::text(&proof.about),
-                Cell::judged(proof.status.words(), proof.is_accepted()),
+                match proof.status {
+                    ProofStatus::NothingShown { .. } => Cell::text(proof.status.words()),
+                    _ => Cell::judged(proof.status.words(), proof.is_accepted()),
+                },
                 Cell::text(proof.speaks_of.words()),
                 Cell::text(format!("{}…", proof.sha256.get(..16).unwrap_or_default())),
             ]);

@@ -30,7 +30,7 @@ pub struct Provenance {
     pub crumple: &'static str,
     /// The configuration, defaults filled in.
     pub config: AssessConfig,
-    /// SHA-256 of the configuration and of every scenario it names.
+    /// SHA-256 of the configuration and of every scenario and space it names.
     pub config_sha256: String,
     /// Every piece of evidence that is kept between runs.
     pub evidence: Vec<EvidenceHash>,
@@ -42,7 +42,9 @@ impl Provenance {
     pub(in crate::assessment) fn of(plan: &AssessmentPlan, store: &Store) -> Self {
         // `Debug` writes every field of both, and cannot fail as a serializer can.
         let scenarios = plan.traffic.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
-        let all = std::iter::once(format!("{:?}", plan.config)).chain(scenarios).collect::<Vec<_>>().join("\n");
+        let spaces = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.clone());
+        let config = std::iter::once(format!("{:?}", plan.config));
+        let all = config.chain(scenarios).chain(spaces).collect::<Vec<_>>().join("\n");
         Self {
             crumple: env!("CARGO_PKG_VERSION"),
             config: plan.config.clone(),

@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::ScenarioCases;
-use super::found::{Failure, MethodReached};
+use super::found::{Failure, MethodReached, is_own};
 use crate::assessment::case::{Motion, largest, run_cases};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
 use crate::assessment::commands::controller_word;
@@ -66,8 +66,7 @@ pub struct Search {
     pub distinct: Vec<(AvoidabilityClass, usize)>,
     /// The severest of them.
     pub failures: Vec<Failure>,
-    /// Distinct ways in which only vehicles touched that are not under test. They are no failures of the controller, but
-    /// count as such in what each method reached.
+    /// Distinct ways in which only vehicles touched that are not under test: they are no failures of the controller.
     pub others: usize,
     #[serde(skip)]
     drawn: Vec<ScenarioCases>,
@@ -93,15 +92,17 @@ impl Searches {
 
     /// The severest failures of a controller over all spaces, drawn, each under a name of its own.
     pub(in crate::assessment) fn worst_of(&self, controller: &str, most: usize) -> Vec<ScenarioCases> {
-        let own = self.spaces.iter().filter_map(|space| space.of(controller));
-        let mut drawn: Vec<_> = own.flat_map(|search| search.failures.iter().zip(&search.drawn)).collect();
-        drawn.sort_by(|(a, _), (b, _)| {
+        let own = self.spaces.iter().filter_map(|space| Some((space, space.of(controller)?)));
+        let drawn =
+            own.flat_map(|(space, search)| search.failures.iter().zip(&search.drawn).map(move |one| (space, one)));
+        let mut drawn: Vec<_> = drawn.collect();
+        drawn.sort_by(|(_, (a, _)), (_, (b, _))| {
             let severity = |failure: &Failure| failure.impact_speed_mps.map_or(0.0, Rounded::value);
             severity(b).total_cmp(&severity(a))
         });
-        let named = |(rank, (_, cases)): (usize, (&Failure, &ScenarioCases))| {
+        let named = |(rank, (space, (_, cases))): (usize, (&SpaceSearches, (&Failure, &ScenarioCases)))| {
             let mut cases = cases.clone();
-            cases.scenario = format!("failure {}: {}", rank + 1, cases.scenario);
+            cases.scenario = format!("failure {} of {}", rank + 1, space.known.name);
             cases
         };
         drawn.into_iter().take(most).enumerate().map(named).collect()
@@ -115,7 +116,7 @@ impl Searches {
             .flat_map(|space| plan.claimants().into_iter().zip(&space.controllers).map(move |pair| (space, pair)));
         let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &Search))| {
             let strength = match search.total() {
-                0 => Strength::of(0, search.evaluations()),
+                0 => Strength::of(search.methods.iter().map(|reached| reached.failures).sum(), search.telling()),
                 failures => Strength::Found { failures, avoidable: search.count(AvoidabilityClass::Avoidable) },
             };
             let claim = Claim { subject, property: Property::NoContact, domain: space.domain(plan) };
@@ -219,11 +220,7 @@ impl Search {
             Some(simulate.and(["--expect", "collision"]))
         };
         let nominal = space.scenario(&space.nominal())?;
-        let is_own = |found: &&Counterexample| {
-            let vehicles = [found.front_vehicle, found.rear_vehicle].into_iter().flatten();
-            let mut tested = vehicles.map(|index| nominal.is_under_test(index as usize)).peekable();
-            tested.peek().is_none() || tested.any(|is_tested| is_tested)
-        };
+        let is_own = |found: &&Counterexample| is_own([found.front_vehicle, found.rear_vehicle], &nominal);
         let found = summary.counterexamples.iter().zip(texts).filter(|(found, _)| is_own(found));
         let failures: Vec<_> = found.map(|(found, text)| Failure::of(found, &place, text, &replay)).collect();
         let classes = [
@@ -245,7 +242,7 @@ impl Search {
         Ok(Self {
             controller: controller.name.clone(),
             command,
-            methods: summary.methods.iter().map(MethodReached::from).collect(),
+            methods: summary.methods.iter().map(|method| MethodReached::of(method, &summary, &nominal)).collect(),
             distinct: classes.map(|class| (class, count(class))).into_iter().filter(|(_, n)| *n > 0).collect(),
             failures,
             others: summary.counterexamples.len() - own.len(),
@@ -269,6 +266,12 @@ impl Search {
     #[must_use]
     pub fn evaluations(&self) -> u64 {
         self.methods.iter().map(|reached| reached.evaluations).sum()
+    }
+
+    /// Those that say something of the controller.
+    #[must_use]
+    pub fn telling(&self) -> u64 {
+        self.evaluations() - self.methods.iter().map(|reached| reached.others).sum::<u64>()
     }
 
     /// Share of uniform points that fail, in percent.
@@ -352,8 +355,9 @@ impl Search {
         let others = match self.others {
             0 => String::new(),
             others => format!(
-                " In {others} further ways only vehicles touch that are not under test: counted here, and no failures of the \
-                 controller."
+                " {} runs ended when vehicles touched that are not under test, in {others} ways: these say nothing of the \
+                 controller.",
+                self.evaluations() - self.telling()
             ),
         };
         format!("{first}; {random}.{rest}{others}")

@@ -10,7 +10,7 @@ use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, St
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, GateResult, Part, Rounded};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::ControllerKind;
+use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Every claim about every controller.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
@@ -192,10 +192,14 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     if let Some(traffic) = found.traffic {
         add("traffic", None, of_all(Property::NoContact, traffic.domain(), own));
     }
-    for drawn in found.distributions.spaces.iter().filter(|drawn| drawn.draws > 0) {
+    let drawn_from = found.distributions.spaces.iter().zip(&plan.distributions);
+    for (drawn, named) in drawn_from.filter(|(drawn, _)| drawn.draws > 0) {
         let (space, seed, draws) = (|| drawn.space.clone(), drawn.seed, drawn.draws);
         let in_draws = || Domain::Draws { space: space(), seed, draws };
         add("distribution", None, of_all(Property::NoContact, in_draws(), own));
+        if named.others_may_touch() {
+            add("distribution", None, of_all(Property::OthersKeepClear, in_draws(), own));
+        }
         let rare = Property::RateAtMost { percent: Rounded::new(RARE_PERCENT) };
         add("distribution", None, of_all(rare, Domain::Space { space: space() }, own));
         if let Some(first) = plan.claimant(0, own) {
@@ -214,6 +218,7 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     if let Some(usefulness) = found.usefulness {
         let [traffic, danger] = usefulness.domains();
         add("usefulness", None, of_all(Property::NoNeedlessBraking, traffic.clone(), own));
+        add("usefulness", None, of_all(Property::KeepsUp, traffic.clone(), own));
         add("usefulness", None, of_all(Property::StringStable, usefulness.line_domain(), own));
         add("usefulness", None, of_all(Property::NoContact, traffic, own));
         add("usefulness", None, of_all(Property::NoContact, danger, own));
@@ -234,13 +239,17 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
         let words = format!("{}, {}", claim.words(), seeing(claim.subject.estimator));
         add("proofs", Some(words), of_all(claim.property.clone(), claim.domain.clone(), claim.subject.estimator));
     }
-    let shielded = plan.controllers.iter().enumerate().map(|(index, controller)| {
-        let domain = kernel_domain(&kernels(controller));
-        let has_shield = matches!(controller.kind, ControllerKind::Shielded(_));
-        let subject = plan.claimant(index, own).filter(|_| has_shield)?;
-        Some(Claim { subject, property: Property::NoContactAhead, domain })
-    });
-    add("proofs", None, shielded.collect());
+    let shielded = |controller: &NamedController| matches!(controller.kind, ControllerKind::Shielded(_));
+    let domain = |controller: &NamedController| kernel_domain(&kernels(controller));
+    for one in plan.controllers.iter().filter(|one| shielded(one)) {
+        // Shields of other limits prove other things.
+        let claim = |(index, other): (usize, &NamedController)| {
+            let is_same = shielded(other) && domain(other) == domain(one);
+            let subject = plan.claimant(index, own).filter(|_| is_same)?;
+            Some(Claim { subject, property: Property::NoContactAhead, domain: domain(one) })
+        };
+        add("proofs", None, plan.controllers.iter().enumerate().map(claim).collect());
+    }
     rows
 }
 

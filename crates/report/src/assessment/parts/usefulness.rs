@@ -153,7 +153,7 @@ impl Usefulness {
         Domain::Scenarios { about: Words(self.line.name.clone()), all: vec![self.line.clone()] }
     }
 
-    /// What these drives say of contacts on both sides, and of braking without cause.
+    /// What these drives say of contacts on both sides, of braking without cause and of keeping up.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let [traffic, danger] = self.domains();
         let mut all = Vec::new();
@@ -161,6 +161,7 @@ impl Usefulness {
             let counts = [
                 (Property::NoContact, &traffic, useful.failures, useful.cut_short[0]),
                 (Property::NoNeedlessBraking, &traffic, useful.needless, 0),
+                (Property::KeepsUp, &traffic, useful.left_behind, 0),
                 (Property::NoContact, &danger, useful.high_risk_failures, useful.cut_short[1]),
             ];
             let line = Claim { subject: subject.clone(), property: Property::StringStable, domain: self.line_domain() };
@@ -304,7 +305,7 @@ impl Useful {
             cut_short: [cut_short, high_risk_cut_short],
             high_risk_failures,
             needless,
-            needless_percent: Percent::exact(needless, drives.len() as u64, CONFIDENCE),
+            needless_percent: Percent::exact([needless, 0], drives.len() as u64, CONFIDENCE),
             needless_s: mean(&|one| Some(one.needless.time_s)),
             hard: count(&|one| !one.hard.is_none()),
             left_behind: count(&|one| one.following.is_some_and(|following| following.left_behind)),
@@ -315,7 +316,11 @@ impl Useful {
             rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
             imposed_brake_mps2: mean(&|one| one.imposed.and_then(|imposed| imposed.peak_brake_mps2)),
             line,
-            high_risk_percent: Percent::exact(high_risk_failures, danger.len() as u64, CONFIDENCE),
+            high_risk_percent: Percent::exact(
+                [high_risk_failures, high_risk_cut_short],
+                danger.len() as u64,
+                CONFIDENCE,
+            ),
         }
     }
 }

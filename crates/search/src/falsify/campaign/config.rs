@@ -1,11 +1,8 @@
 //! What a campaign is: everything that decides its results, as a file.
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
 
 use super::{Aim, CampaignError};
-use crate::difference;
 use crate::falsify::Method;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -122,11 +119,5 @@ impl Campaign {
             space: self.space.spec().clone(),
         };
         toml::to_string(&file).map_err(CampaignError::encoding)
-    }
-
-    /// Says in what a campaign on disk differs from this one, if it does.
-    pub(super) fn difference(&self, found: &str, path: &Path) -> Result<Option<String>, CampaignError> {
-        let expected = self.to_toml()?;
-        Ok((found != expected).then(|| difference::in_toml(path, "campaign", found, &expected)))
     }
 }

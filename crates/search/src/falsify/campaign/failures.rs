@@ -55,6 +55,15 @@ impl FailureKind {
         })
     }
 
+    /// Indices of the vehicle that is hit and of the one that hits it; none if it is not about a contact.
+    #[must_use]
+    pub fn vehicles(&self) -> Option<[u32; 2]> {
+        match self {
+            Self::Contact { front_vehicle, rear_vehicle, .. } => Some([*front_vehicle, *rear_vehicle]),
+            Self::ControllerFailed { .. } | Self::Violation { .. } => None,
+        }
+    }
+
     /// Whether the same two vehicles touch, or both are violations of the formula.
     #[must_use]
     pub fn same_pair(&self, other: &Self) -> bool {

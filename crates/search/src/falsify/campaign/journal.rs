@@ -1,7 +1,7 @@
 //! What a campaign has found out so far, kept so that `kill -9` loses nothing.
 //!
-//! The journal is a flat file that begins with the identity of the program, for another build would find other values; then one
-//! record an evaluation, in the order of evaluation, appended batch by batch. Which point
+//! The journal is a flat file that begins with the identity of the work, for another build, or another seed, would find other
+//! values; then one record an evaluation, in the order of evaluation, appended batch by batch. Which point
 //! an evaluation was at need not be kept: asking the search again gives the same points, as long as it is told the
 //! same values. A record that was cut short is not used; one that was changed is known by its checksum, and the campaign does
 //! not go on from it. The journal is removed once the campaign is complete: its contents are then in the Parquet files.
@@ -11,7 +11,6 @@ use std::io::{self, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use crate::disk::DiskError;
-use crate::program::{self, OTHER_BUILD};
 use crumple_world::digest::Sha256;
 use crumple_world::measure::{Braking, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
@@ -19,10 +18,11 @@ use crumple_world::scenario::VehicleClass;
 /// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking (or what stands in its place) and
 /// class as bytes.
 const BODY: usize = 3 * 8 + 2 * 4 + 2;
-/// The first bytes of the SHA-256 of the record's number and body: a record in another's place is damage, too.
+/// The first bytes of the SHA-256 of the work's identity and the record's number and body: a record in another's place is
+/// damage, too.
 const CHECKSUM: usize = 6;
 const RECORD: usize = BODY + CHECKSUM;
-/// The identity of the program, in hexadecimal, and the end of its line.
+/// The identity of the work, in hexadecimal, and the end of its line.
 const HEADER: usize = 2 * 32 + 1;
 /// In place of the braking where no vehicles touched.
 const NO_CONTACT: u8 = u8::MAX;
@@ -32,6 +32,7 @@ const CONTROLLER_FAILED: u8 = u8::MAX - 1;
 pub(super) struct Journal {
     file: File,
     path: PathBuf,
+    identity: String,
     /// Records of an earlier run, not yet used.
     earlier: Option<BufReader<File>>,
     /// Records used or written so far.
@@ -43,8 +44,8 @@ pub(super) struct Journal {
 pub(super) enum JournalError {
     #[error(transparent)]
     Disk(#[from] DiskError),
-    #[error("{OTHER_BUILD}")]
-    OtherBuild,
+    #[error("not of this campaign: it cannot go on; remove its folder, or use another --out")]
+    OtherWork,
     #[error(
         "record {number} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
          another --out"
@@ -53,16 +54,16 @@ pub(super) enum JournalError {
 }
 
 impl Journal {
-    /// An empty journal.
-    pub(super) fn create(path: &Path) -> Result<Self, JournalError> {
-        let (unusable, header) = (DiskError::at(path), header_here()?);
+    /// An empty journal of work with that identity.
+    pub(super) fn create(path: &Path, identity: &str) -> Result<Self, JournalError> {
+        let unusable = DiskError::at(path);
         let mut file = File::create(path).map_err(unusable)?;
-        file.write_all(header.as_bytes()).map_err(unusable)?;
-        Ok(Self { file, path: path.to_owned(), earlier: None, records: 0 })
+        file.write_all(header(identity).as_bytes()).map_err(unusable)?;
+        Ok(Self { file, path: path.to_owned(), identity: identity.to_owned(), earlier: None, records: 0 })
     }
 
     /// The journal of an earlier run, or an empty one if there is none.
-    pub(super) fn resume(path: &Path) -> Result<Self, JournalError> {
+    pub(super) fn resume(path: &Path, identity: &str) -> Result<Self, JournalError> {
         let unusable = DiskError::at(path);
         let length = match fs::metadata(path) {
             Ok(data) => data.len(),
@@ -70,15 +71,15 @@ impl Journal {
             Err(error) => return Err(unusable(error).into()),
         };
         // One whose header was cut short holds nothing.
-        let Some(beyond) = length.checked_sub(HEADER as u64) else { return Self::create(path) };
-        let (mut earlier, mut header) = (BufReader::new(File::open(path).map_err(unusable)?), [0; HEADER]);
-        earlier.read_exact(&mut header).map_err(unusable)?;
-        if header != header_here()?.as_bytes() {
-            return Err(JournalError::OtherBuild);
+        let Some(beyond) = length.checked_sub(HEADER as u64) else { return Self::create(path, identity) };
+        let (mut earlier, mut found) = (BufReader::new(File::open(path).map_err(unusable)?), [0; HEADER]);
+        earlier.read_exact(&mut found).map_err(unusable)?;
+        if found != header(identity).as_bytes() {
+            return Err(JournalError::OtherWork);
         }
         let file = OpenOptions::new().append(true).open(path).map_err(unusable)?;
         file.set_len(length - beyond % RECORD as u64).map_err(unusable)?;
-        Ok(Self { file, path: path.to_owned(), earlier: Some(earlier), records: 0 })
+        Ok(Self { file, path: path.to_owned(), identity: identity.to_owned(), earlier: Some(earlier), records: 0 })
     }
 
     /// The next verdict of an earlier run.
@@ -86,7 +87,7 @@ impl Journal {
         let Some(earlier) = &mut self.earlier else { return Ok(None) };
         let (mut body, mut checksum) = ([0; BODY], [0; CHECKSUM]);
         match earlier.read_exact(&mut body).and_then(|()| earlier.read_exact(&mut checksum)) {
-            Ok(()) if checksum == checksum_of(self.records, &body) => {
+            Ok(()) if checksum == checksum_of(&self.identity, self.records, &body) => {
                 self.records += 1;
                 Ok(Some(decode(&body)))
             }
@@ -105,19 +106,19 @@ impl Journal {
         for (verdict, index) in verdicts.iter().zip(self.records..) {
             let body = encode(verdict);
             bytes.extend(body);
-            bytes.extend(checksum_of(index, &body));
+            bytes.extend(checksum_of(&self.identity, index, &body));
         }
         self.records += verdicts.len() as u64;
         self.file.write_all(&bytes).map_err(DiskError::at(&self.path))
     }
 }
 
-fn header_here() -> Result<String, DiskError> {
-    Ok(format!("{}\n", program::identity()?))
+fn header(identity: &str) -> String {
+    format!("{identity}\n")
 }
 
-fn checksum_of(index: u64, body: &[u8; BODY]) -> [u8; CHECKSUM] {
-    let digest = Sha256::default().with(index.to_le_bytes()).with(body).finish();
+fn checksum_of(identity: &str, index: u64, body: &[u8; BODY]) -> [u8; CHECKSUM] {
+    let digest = Sha256::default().with(identity).with(index.to_le_bytes()).with(body).finish();
     let mut first = [0; CHECKSUM];
     first.iter_mut().zip(digest).for_each(|(place, byte)| *place = byte);
     first
@@ -167,6 +168,10 @@ fn decode(record: &[u8; BODY]) -> RunVerdict {
 mod tests {
     use super::*;
 
+    fn identity() -> String {
+        "1a".repeat(32)
+    }
+
     #[test]
     fn verdicts_survive_and_torn_records_do_not() {
         let folder = tempfile::tempdir().unwrap();
@@ -181,15 +186,15 @@ mod tests {
         };
         let failed = RunVerdict { failed: Some((0.5, 1)), ..RunVerdict::new(f64::NEG_INFINITY) };
         let verdicts = [failed, RunVerdict { contact: Some(struck), ..RunVerdict::new(-7.5) }];
-        Journal::create(&path).unwrap().append(&verdicts).unwrap();
+        Journal::create(&path, &identity()).unwrap().append(&verdicts).unwrap();
         OpenOptions::new().append(true).open(&path).unwrap().write_all(&[1; RECORD - 1]).unwrap();
-        let mut journal = Journal::resume(&path).unwrap();
+        let mut journal = Journal::resume(&path, &identity()).unwrap();
         assert_eq!(journal.next().unwrap(), Some(verdicts[0]));
         assert_eq!(journal.next().unwrap(), Some(verdicts[1]));
         assert_eq!(journal.next().unwrap(), None);
         journal.append(&verdicts[..1]).unwrap();
         assert_eq!(std::fs::metadata(&path).unwrap().len(), (HEADER + 3 * RECORD) as u64);
-        let mut again = Journal::resume(&path).unwrap();
+        let mut again = Journal::resume(&path, &identity()).unwrap();
         for expected in [verdicts[0], verdicts[1], verdicts[0]] {
             assert_eq!(again.next().unwrap(), Some(expected));
         }
@@ -201,11 +206,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal");
         let verdicts = [1.0, 2.0, 3.0].map(RunVerdict::new);
-        Journal::create(&path).unwrap().append(&verdicts).unwrap();
+        Journal::create(&path, &identity()).unwrap().append(&verdicts).unwrap();
         let whole = std::fs::read(&path).unwrap();
         let first_damage = |bytes: &[u8]| {
             std::fs::write(&path, bytes).unwrap();
-            let mut journal = match Journal::resume(&path) {
+            let mut journal = match Journal::resume(&path, &identity()) {
                 Ok(journal) => journal,
                 Err(error) => return Some(error.to_string()),
             };
@@ -222,7 +227,7 @@ mod tests {
             let mut bytes = whole.clone();
             bytes[bit / 8] ^= 1 << (bit % 8);
             let expected = match (bit / 8).checked_sub(HEADER) {
-                None => OTHER_BUILD.to_owned(),
+                None => JournalError::OtherWork.to_string(),
                 Some(beyond) => format!("record {} is damaged", beyond / RECORD + 1),
             };
             assert!(first_damage(&bytes).unwrap().starts_with(&expected));

@@ -10,7 +10,7 @@
 //! | `counterexamples/expected.toml` | the recorded verdict of each of them |
 //! | `summary.json`, `summary.txt` | what was found, by which method after how many evaluations |
 //! | `evaluations.journal` | only while the campaign runs: what is lost by no `kill -9`, for the build that wrote it |
-//! | `campaign.lock` | empty, only while the campaign runs: locked by the process that works on it |
+//! | `work.json`, `work.lock` | what all of these are (see [`crate::work`]); locked by the process that works there |
 //!
 //! The reference searches, uniform points and a Halton sequence, always run with the same budget as the method asked for: a search
 //! that does no better than random must say so. Results depend neither on the number of threads nor on interruptions.
@@ -24,7 +24,6 @@ mod coverage;
 mod failures;
 mod front;
 mod journal;
-mod lock;
 mod regions;
 mod run;
 mod summary;
@@ -40,6 +39,7 @@ pub use run::Progress;
 pub use summary::{AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
 
 use crate::disk::DiskError;
+use crate::work::WorkError;
 use crumple_world::measure::{RunVerdict, SpecificationError};
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::RunError;
@@ -68,9 +68,12 @@ pub enum CampaignError {
     /// A file or folder cannot be read or written.
     #[error(transparent)]
     Disk(#[from] DiskError),
-    /// The folder holds another campaign, or one already, or a damaged one, or another process works there.
+    /// The folder holds another campaign.
     #[error("{0}")]
     Folder(String),
+    /// The folder cannot be worked in.
+    #[error(transparent)]
+    Work(#[from] WorkError),
     /// A scenario cannot be run with this controller.
     #[error(transparent)]
     Run(#[from] RunError),

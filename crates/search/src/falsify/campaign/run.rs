@@ -1,21 +1,21 @@
 //! Running a campaign, from its first evaluation to its summary.
 
-use std::fs;
 use std::path::Path;
 
 use super::coverage::Coverage;
 use super::failures::{Failures, Kind};
 use super::journal::{Journal, JournalError};
-use super::lock::Lock;
 use super::regions::Sample;
 use super::summary::{
     AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, SUMMARY_VERSION, Summary,
 };
 use super::table::Table;
 use super::{Campaign, CampaignError, Evaluated, FailureKind};
-use crate::disk::{self, DiskError};
+use crate::difference;
+use crate::disk;
 use crate::falsify::counterexample::Examiner;
 use crate::falsify::{Cube, Method};
+use crate::work::{Asked, Work, WorkError};
 use crumple_world::digest::sha256;
 use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
@@ -77,27 +77,20 @@ impl Campaign {
         let space = self.space.clone().with_noise_seed(self.seed);
         let nominal = space.scenario(&space.nominal())?;
         self.check(&nominal)?;
-        if let FolderState::Complete(summary) = self.found(folder, resume)? {
-            return Ok(*summary);
+        let work = self.work(folder, resume)?;
+        if work.is_complete() {
+            return Summary::from_json(&String::from_utf8_lossy(&work.read_present(SUMMARY)?));
         }
-        fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
-        let _lock = Lock::of(folder)?;
-        // Once more: another process may have been at work until now.
-        match self.found(folder, resume)? {
-            FolderState::Complete(summary) => return Ok(*summary),
-            FolderState::Part => {}
-            FolderState::Nothing => disk::write(&folder.join(CONFIGURATION), &self.to_toml()?)?,
-        }
-        let evaluations = folder.join("evaluations");
-        fs::create_dir_all(&evaluations).map_err(DiskError::at(&evaluations))?;
-        let journal_path = folder.join(JOURNAL);
-        let journal = if resume { Journal::resume(&journal_path) } else { Journal::create(&journal_path) };
+        work.write(CONFIGURATION, self.to_toml()?)?;
+        let (journal_path, identity) = (work.let_grow(JOURNAL)?, work.identity());
+        let journal =
+            if resume { Journal::resume(&journal_path, &identity) } else { Journal::create(&journal_path, &identity) };
         let mut journal = journal.map_err(|error| unusable(&journal_path, error))?;
         let mut findings = Findings {
             reached: Vec::new(),
             failures: Failures::new(self.specification.clone()),
             sample: Sample::default(),
-            table: Table::new(&space, &evaluations),
+            table: Table::new(&space, &work),
         };
         for method in self.methods() {
             let reached = self.search(method, &space, &mut journal, &journal_path, &mut findings, progress)?;
@@ -106,11 +99,10 @@ impl Campaign {
         let Findings { reached, failures, sample, table } = findings;
         table.finish()?;
         progress(&state(None, &reached, self.total()));
-        let summary = self.summarise(&space, &nominal, reached, &failures, &sample, folder)?;
-        // The summary is written last but for the journal's end: a folder that has it holds a whole campaign.
-        disk::write(&folder.join("summary.txt"), summary.to_text())?;
-        disk::write(&folder.join(SUMMARY), summary.to_json()?)?;
-        fs::remove_file(&journal_path).map_err(DiskError::at(&journal_path))?;
+        let summary = self.summarise(&space, &nominal, reached, &failures, &sample, &work)?;
+        work.write_all(&[("summary.txt", summary.to_text()), (SUMMARY, summary.to_json()?)])?;
+        work.remove(&[JOURNAL])?;
+        work.finish()?;
         Ok(summary)
     }
 
@@ -129,27 +121,18 @@ impl Campaign {
         Ok(())
     }
 
-    /// What is in the folder; an error if it is in the way.
-    fn found(&self, folder: &Path, resume: bool) -> Result<FolderState, CampaignError> {
+    /// The folder, if it is this campaign's or nobody's; where it is another's, the error says in what they differ.
+    fn work(&self, folder: &Path, resume: bool) -> Result<Work, CampaignError> {
+        let configuration = self.to_toml()?;
+        let asked = Asked { kind: "campaign", configuration: &configuration, resume };
         let path = folder.join(CONFIGURATION);
-        let text = match fs::read_to_string(&path) {
-            Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(FolderState::Nothing),
-            Err(source) => return Err(DiskError::at(&path)(source).into()),
-        };
-        if !resume {
-            let problem = format!("{} holds a campaign already: use --resume, or another --out", folder.display());
-            return Err(CampaignError::Folder(problem));
-        }
-        if let Some(difference) = self.difference(&text, &path)? {
-            return Err(CampaignError::Folder(difference));
-        }
-        match (fs::read_to_string(folder.join(SUMMARY)), folder.join(JOURNAL).exists()) {
-            (Ok(text), false) => {
-                let damaged = |error| CampaignError::Folder(format!("{}: {error}", folder.join(SUMMARY).display()));
-                Ok(FolderState::Complete(Box::new(Summary::from_json(&text).map_err(damaged)?)))
+        match Work::open(folder, asked) {
+            Err(WorkError::OtherConfiguration { .. }) => {
+                let found = disk::read(&path)?.unwrap_or_default();
+                let found = String::from_utf8_lossy(&found);
+                Err(CampaignError::Folder(difference::in_toml(&path, "campaign", &found, &configuration)))
             }
-            _ => Ok(FolderState::Part),
+            work => Ok(work?),
         }
     }
 
@@ -238,18 +221,20 @@ impl Campaign {
         reached: Vec<Reached>,
         failures: &Failures,
         sample: &Sample,
-        folder: &Path,
+        work: &Work,
     ) -> Result<Summary, CampaignError> {
         let mut kinds: Vec<_> = failures.kinds.iter().collect();
         kinds.sort_by_key(|kind| std::cmp::Reverse(kind.count()));
         let picks: Vec<_> = kinds.iter().take(MOST_KINDS).flat_map(|kind| kind.picks()).collect();
-        let counterexamples = Examiner::new(self, space)?.examine_all(&picks, folder)?;
+        let counterexamples = Examiner::new(self, space)?.examine_all(&picks, work)?;
         let mut all = Coverage::new(space.dimension());
         reached.iter().for_each(|reached| all.join(&reached.coverage));
         let finite = |value: f64| Some(value).filter(|value| value.is_finite());
         let main = reached.first();
         let kind_summary = |kind: &&Kind| KindSummary {
             kind: kind.kind.describe(nominal),
+            front_vehicle: kind.kind.vehicles().map(|[front, _]| front),
+            rear_vehicle: kind.kind.vehicles().map(|[_, rear]| rear),
             count: kind.count(),
             by_method: kind
                 .by_method
@@ -295,13 +280,6 @@ impl Campaign {
             counterexamples,
         })
     }
-}
-
-/// What a folder holds of a campaign.
-enum FolderState {
-    Nothing,
-    Part,
-    Complete(Box<Summary>),
 }
 
 const CONFIGURATION: &str = "campaign.toml";

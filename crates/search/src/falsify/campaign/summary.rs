@@ -118,6 +118,12 @@ pub struct MethodSummary {
 pub struct KindSummary {
     /// In words.
     pub kind: String,
+    /// Index of the vehicle that is hit; none if it is not about a contact.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub front_vehicle: Option<u32>,
+    /// Index of the vehicle that hits it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rear_vehicle: Option<u32>,
     /// How often it was found.
     pub count: u64,
     /// By whom.

@@ -6,7 +6,6 @@
 //! coordinate in the unit of its parameter (a class by its name); `ln_likelihood`; `robustness`; and, empty where no
 //! vehicles touched, `contact_time_s`, `front_vehicle`, `rear_vehicle`, `impact_speed_mps`, `ego_braking`, `rear_class`.
 
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use parquet::basic::Compression;
@@ -17,8 +16,8 @@ use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
 use parquet::schema::parser::parse_message_type;
 
 use super::{CampaignError, Evaluated};
-use crate::disk;
 use crate::falsify::Method;
+use crate::work::Work;
 use crumple_world::measure::FirstContact;
 use crumple_world::scenario::space::Space;
 
@@ -28,14 +27,14 @@ const ROWS: usize = 65_536;
 /// Writes rows to parts.
 pub(super) struct Table<'a> {
     space: &'a Space,
-    folder: PathBuf,
+    work: &'a Work,
     parts: usize,
     rows: Vec<(Method, Evaluated)>,
 }
 
 impl<'a> Table<'a> {
-    pub(super) fn new(space: &'a Space, folder: &Path) -> Self {
-        Self { space, folder: folder.to_owned(), parts: 0, rows: Vec::new() }
+    pub(super) fn new(space: &'a Space, work: &'a Work) -> Self {
+        Self { space, work, parts: 0, rows: Vec::new() }
     }
 
     pub(super) fn add(&mut self, method: Method, evaluated: &Evaluated) -> Result<(), CampaignError> {
@@ -49,13 +48,10 @@ impl<'a> Table<'a> {
     }
 
     fn write(&mut self) -> Result<(), CampaignError> {
-        let path = self.folder.join(format!("part-{:05}.parquet", self.parts));
+        let name = format!("evaluations/part-{:05}.parquet", self.parts);
         self.parts += 1;
-        // A part that is there is whole, and the same: a resumed campaign comes by here again.
-        if !path.exists() {
-            let bytes = self.encode().map_err(CampaignError::encoding)?;
-            disk::write(&path, bytes)?;
-        }
+        // A resumed campaign comes by here again, and finds the part as it left it.
+        self.work.write(&name, self.encode().map_err(CampaignError::encoding)?)?;
         self.rows.clear();
         Ok(())
     }

@@ -1,6 +1,5 @@
 //! From a failure that a search met to a counterexample on disk.
 
-use std::fs;
 use std::path::Path;
 
 use rayon::prelude::*;
@@ -9,9 +8,9 @@ use super::expected::{EXPECTED_VERSION, Expected, ExpectedFile, FINER, Replay, R
 use super::severity::Severity;
 use super::shrink::shrink;
 use super::{Avoidability, Changed, Counterexample};
-use crate::disk::{self, DiskError};
 use crate::falsify::Cube;
 use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind};
+use crate::work::Work;
 use crumple_world::measure::max_delta_v_mps;
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::space::Space;
@@ -51,22 +50,15 @@ impl<'a> Examiner<'a> {
         Ok(Self { campaign, space, cube, nominal: space.point(&space.nominal()) })
     }
 
-    /// Looks at all candidates, keeps the distinct ones and writes them to `folder`.
+    /// Looks at all candidates, keeps the distinct ones and writes them down.
     pub(in crate::falsify) fn examine_all(
         &self,
         candidates: &[&'a FailureCandidate],
-        folder: &Path,
+        work: &Work,
     ) -> Result<Vec<Counterexample>, CampaignError> {
-        let counterexamples = folder.join("counterexamples");
-        if counterexamples.exists() {
-            // Of a run that was interrupted here.
-            fs::remove_dir_all(&counterexamples).map_err(DiskError::at(&counterexamples))?;
-        }
         if candidates.is_empty() {
             return Ok(Vec::new());
         }
-        let originals = counterexamples.join("originals");
-        fs::create_dir_all(&originals).map_err(DiskError::at(&originals))?;
         let examined: Vec<Option<Examined<'a>>> =
             candidates.par_iter().map(|candidate| self.examine(candidate)).collect::<Result<_, _>>()?;
         let mut examined: Vec<Examined<'a>> = examined.into_iter().flatten().collect();
@@ -78,16 +70,17 @@ impl<'a> Examiner<'a> {
             }
         }
         let mut index = ExpectedFile { version: EXPECTED_VERSION, expected: Vec::new() };
-        let mut found = Vec::new();
+        let (mut found, mut files) = (Vec::new(), Vec::new());
         let specification = &self.campaign.specification;
         let classes: Vec<Avoidability> =
             distinct.par_iter().map(|one| Avoidability::of(specification, &one.verdict, &one.scenario)).collect();
         for (place, (one, class)) in distinct.iter().zip(classes).enumerate() {
-            found.push(self.write(place + 1, one, class, &counterexamples, &mut index)?);
+            found.push(self.record(place + 1, one, class, &mut files, &mut index)?);
         }
         self.rank(&mut found);
         let text = toml::to_string(&index).map_err(CampaignError::encoding)?;
-        disk::write(&counterexamples.join("expected.toml"), &text)?;
+        files.push(("counterexamples/expected.toml".to_owned(), text));
+        work.write_all(&files)?;
         Ok(found)
     }
 
@@ -184,12 +177,13 @@ impl<'a> Examiner<'a> {
         one.kind == other.kind && self.cube.distance(&a, &b) <= SAME_WITHIN * self.cube.blocks().len() as f64
     }
 
-    fn write(
+    /// A failure with its files, not yet written.
+    fn record(
         &self,
         place: usize,
         one: &Examined<'_>,
         avoidability: Avoidability,
-        folder: &Path,
+        files: &mut Vec<(String, String)>,
         index: &mut ExpectedFile,
     ) -> Result<Counterexample, CampaignError> {
         let kind = one.kind.describe(&one.scenario);
@@ -224,10 +218,9 @@ impl<'a> Examiner<'a> {
         let mut record = |file: &str, scenario: &Scenario, name: String, about: String, class: &Avoidability| {
             let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
             let text = file::to_toml(&named).map_err(CampaignError::encoding)?;
-            let path = folder.join(file);
-            disk::write(&path, &text)?;
             // From the text, not from memory: the file alone must fail.
-            let again = file::from_toml(&text, &path).map_err(CampaignError::encoding)?;
+            let again = file::from_toml(&text, Path::new(file)).map_err(CampaignError::encoding)?;
+            files.push((format!("counterexamples/{file}"), text));
             let verdict = self.judge(&again, 1)?;
             index.expected.push(Expected {
                 scenario: file.to_owned(),

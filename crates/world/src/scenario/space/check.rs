@@ -19,6 +19,20 @@ pub struct InvalidSpace {
     pub problem: String,
 }
 
+/// Names that mean something else in tables of evaluations.
+const RESERVED: [&str; 10] = [
+    "method",
+    "evaluation",
+    "ln_likelihood",
+    "robustness",
+    "contact_time_s",
+    "front_vehicle",
+    "rear_vehicle",
+    "impact_speed_mps",
+    "ego_braking",
+    "rear_class",
+];
+
 const MOST_PARAMETERS: usize = 200;
 const MOST_COORDINATES: usize = 1000;
 /// Corners that are tried where several parameters together decide whether a vehicle fits: 2 to this power.
@@ -74,6 +88,10 @@ impl Space {
             let found = space.dimension();
             return wrong("parameters", format!("must have at most {MOST_COORDINATES} coordinates, found {found}"));
         }
+        let names = space.coordinate_names();
+        if let Some(twice) = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name)) {
+            return wrong("parameters", format!("two coordinates are called `{}`", twice.1));
+        }
         space.order = (0..space.parameters.len()).collect();
         space.order.sort_by_key(|&index| space.parameters.get(index).map(|p| p.target.stage()));
         space.check_each()?;
@@ -88,6 +106,9 @@ impl Space {
         let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if !(1..=60).contains(&spec.name.len()) || !spec.name.chars().all(is_plain) {
             return wrong(at("name"), "must be 1 to 60 letters, digits and underscores");
+        }
+        if RESERVED.contains(&spec.name.as_str()) {
+            return wrong(at("name"), format!("`{}` is a column of every table of evaluations", spec.name));
         }
         if self.parameters.iter().any(|known| known.name == spec.name) {
             return wrong(at("name"), format!("`{}` is the name of another parameter", spec.name));

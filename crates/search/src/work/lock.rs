@@ -1,0 +1,46 @@
+//! One process a folder.
+
+use std::fs::{File, TryLockError};
+use std::path::Path;
+
+use crate::disk::DiskError;
+
+/// The file that is locked.
+const LOCK: &str = "work.lock";
+
+/// The exclusive use of a folder. It ends with the value, and with the process however that ends.
+///
+/// The file stays: a process that removed it might remove one that another process is about to lock.
+#[derive(Debug)]
+pub(super) struct Lock {
+    /// Holds the lock of the operating system.
+    _file: File,
+}
+
+impl Lock {
+    /// None if another process has it.
+    pub(super) fn of(folder: &Path) -> Result<Option<Self>, DiskError> {
+        let path = folder.join(LOCK);
+        let unusable = DiskError::at(&path);
+        let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(unusable)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Some(Self { _file: file })),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(source)) => Err(unusable(source)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_is_locked_once_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let lock = Lock::of(folder.path()).unwrap().unwrap();
+        assert!(Lock::of(folder.path()).unwrap().is_none());
+        drop(lock);
+        assert!(Lock::of(folder.path()).unwrap().is_some());
+    }
+}

@@ -1,0 +1,160 @@
+//! What a folder of work holds.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{UNKNOWN, WorkError};
+use crate::disk::{self, DiskError};
+use crumple_world::digest::sha256;
+
+/// The version of the file.
+const VERSION: u32 = 1;
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Manifest {
+    version: u32,
+    /// What kind of work it is, as a noun for readers.
+    pub(super) kind: String,
+    /// [`crate::program::identity`] of the program at work; none once the work is complete, so that results are the same
+    /// bytes whatever build made them.
+    pub(super) program: Option<String>,
+    /// SHA-256 of everything that decides the results.
+    pub(super) configuration_sha256: String,
+    /// Each file as it may be found: as it is; while a change is on its way, as before it and as after it.
+    files: BTreeMap<String, Vec<FileState>>,
+    /// SHA-256 of this file with an empty string here.
+    sha256: String,
+}
+
+/// How a file may be found.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub(super) enum FileState {
+    /// It is not there.
+    Absent,
+    /// It is there, or not yet, and checks its own records.
+    Growing,
+    /// It has these contents.
+    Whole { bytes: u64, sha256: String },
+}
+
+impl FileState {
+    pub(super) fn of(contents: &[u8]) -> Self {
+        Self::Whole { bytes: contents.len() as u64, sha256: sha256(contents) }
+    }
+
+    /// Whether a file of these bytes, or none, is in this state.
+    fn is(&self, found: Option<&[u8]>) -> bool {
+        match (self, found) {
+            (Self::Growing, _) => true,
+            (Self::Absent, found) => found.is_none(),
+            (Self::Whole { bytes, .. }, Some(found)) if *bytes != found.len() as u64 => false,
+            (Self::Whole { sha256: expected, .. }, Some(found)) => sha256(found) == *expected,
+            (Self::Whole { .. }, None) => false,
+        }
+    }
+}
+
+impl Manifest {
+    pub(super) fn new(kind: &str, program: &str, configuration_sha256: &str) -> Self {
+        Self {
+            version: VERSION,
+            kind: kind.to_owned(),
+            program: Some(program.to_owned()),
+            configuration_sha256: configuration_sha256.to_owned(),
+            files: BTreeMap::new(),
+            sha256: String::new(),
+        }
+    }
+
+    /// The manifest in a file; none if there is no such file.
+    pub(super) fn read(path: &Path) -> Result<Option<Self>, WorkError> {
+        let Some(bytes) = disk::read(path)? else { return Ok(None) };
+        let damaged = |problem: String| WorkError::damaged(path, problem);
+        let found: Self = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
+        if found.version != VERSION {
+            return Err(damaged(format!("version: {}, and this release reads {VERSION}", found.version)));
+        }
+        match found.text() {
+            Ok(text) if text.as_bytes() == bytes => Ok(Some(found)),
+            _ => Err(damaged("sha256: not as it was written".to_owned())),
+        }
+    }
+
+    pub(super) fn write(&self, path: &Path) -> Result<(), DiskError> {
+        disk::write(path, self.text().map_err(|error| DiskError::at(path)(error.into()))?)
+    }
+
+    /// The file, with its digest in it.
+    fn text(&self) -> Result<String, serde_json::Error> {
+        let with = |sha256| serde_json::to_string_pretty(&Self { sha256, ..self.clone() }).map(|text| text + "\n");
+        with(sha256(with(String::new())?))
+    }
+
+    pub(super) fn names(&self) -> Vec<String> {
+        self.files.keys().cloned().collect()
+    }
+
+    pub(super) fn knows(&self, name: &str) -> bool {
+        self.files.contains_key(name)
+    }
+
+    /// The folders that files are in, beside that of the manifest itself.
+    pub(super) fn folders(&self) -> BTreeSet<&str> {
+        self.files.keys().filter_map(|name| name.rsplit_once('/')).map(|(folder, _)| folder).collect()
+    }
+
+    /// Says what a file will be; false if that is what it is.
+    pub(super) fn announce(&mut self, name: &str, to: FileState) -> bool {
+        let states = self.files.entry(name.to_owned()).or_insert_with(|| vec![FileState::Absent]);
+        if states.as_slice() == std::slice::from_ref(&to) {
+            return false;
+        }
+        states.push(to);
+        true
+    }
+
+    /// Says that a file is what it was last said to be.
+    pub(super) fn made(&mut self, name: &str) {
+        if let Some(states) = self.files.get_mut(name)
+            && let Some(last) = states.pop()
+        {
+            *states = vec![last];
+            self.forget_absent(name);
+        }
+    }
+
+    /// Whether a file may be found like this.
+    pub(super) fn check(&self, name: &str, found: Option<&[u8]>) -> Result<(), String> {
+        let absent = [FileState::Absent];
+        let states = self.files.get(name).map_or(&absent[..], Vec::as_slice);
+        match states.iter().any(|state| state.is(found)) {
+            true => Ok(()),
+            false => Err(match found {
+                None => "the file is missing".to_owned(),
+                Some(_) if states == absent => UNKNOWN.to_owned(),
+                Some(_) => "not as it was written".to_owned(),
+            }),
+        }
+    }
+
+    /// The same, and remembers how it was found.
+    pub(super) fn settle(&mut self, name: &str, found: Option<&[u8]>) -> Result<(), String> {
+        self.check(name, found)?;
+        if let Some(states) = self.files.get_mut(name) {
+            states.retain(|state| state.is(found));
+            states.truncate(1);
+        }
+        self.forget_absent(name);
+        Ok(())
+    }
+
+    fn forget_absent(&mut self, name: &str) {
+        if self.files.get(name).is_some_and(|states| states.as_slice() == [FileState::Absent]) {
+            self.files.remove(name);
+        }
+    }
+}

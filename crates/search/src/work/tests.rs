@@ -1,0 +1,132 @@
+use std::fs;
+
+use super::*;
+
+const ASKED: Asked<'_> = Asked { kind: "count", configuration: "runs = 3", resume: true };
+
+/// A folder with three files, one of which was changed and one removed.
+fn worked() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let work = Work::open(folder.path(), ASKED).unwrap();
+    work.write_all(&[("a.json", "first"), ("deep/b.json", "b"), ("c.json", "c")]).unwrap();
+    work.write("a.json", "second").unwrap();
+    work.remove(&["c.json"]).unwrap();
+    work.finish().unwrap();
+    folder
+}
+
+#[test]
+fn what_was_written_is_read_and_nothing_else_is() {
+    let folder = worked();
+    let work = Work::open(folder.path(), ASKED).unwrap();
+    assert_eq!(work.read("a.json").unwrap().unwrap(), b"second");
+    assert_eq!((work.read("c.json").unwrap(), work.is_complete()), (None, true));
+    assert_eq!(work.names(), ["a.json", "deep/b.json"]);
+    fs::write(work.path("c.json"), "left over").unwrap();
+    let said = work.read("c.json").unwrap_err().to_string();
+    assert!(said.contains("c.json: work.json knows no such file"), "{said}");
+    assert!(matches!(Work::open(folder.path(), ASKED), Err(WorkError::InUse { .. })));
+}
+
+#[test]
+fn another_folders_work_is_refused() {
+    let folder = worked();
+    let open = |asked| Work::open(folder.path(), asked).err().map(|error| error.to_string()).unwrap();
+    assert!(open(Asked { resume: false, ..ASKED }).contains("holds a count already"));
+    assert!(open(Asked { kind: "training", ..ASKED }).contains("the work there is a count, and no training"));
+    assert!(open(Asked { configuration: "runs = 4", ..ASKED }).contains("configured otherwise"));
+}
+
+/// Every bit of every file, every length of it, its absence, and the place of each file with that of another: never believed.
+#[test]
+fn any_damage_names_its_file() {
+    let folder = worked();
+    let names = [MANIFEST, "a.json", "deep/b.json"];
+    let whole = names.map(|name| fs::read(folder.path().join(name)).unwrap());
+    let refused = |name: &str| {
+        let error = Work::open(folder.path(), ASKED).err().map(|error| error.to_string());
+        let seen = examine(folder.path());
+        let is_seen = seen.is_err()
+            || seen.is_ok_and(|seen| seen.files.iter().any(|(file, found)| file == name && found.is_err()));
+        assert!(is_seen, "{name} is damaged, and no examination says so");
+        error.unwrap_or_else(|| panic!("{name} is damaged, and believed"))
+    };
+    for (name, bytes) in names.iter().zip(&whole) {
+        let path = folder.path().join(name);
+        let says = |said: String| assert!(said.contains(name), "{name}: {said}");
+        for bit in 0..8 * bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            fs::write(&path, damaged).unwrap();
+            says(refused(name));
+        }
+        for length in 0..bytes.len() {
+            fs::write(&path, &bytes[..length]).unwrap();
+            says(refused(name));
+        }
+        for other in whole.iter().filter(|other| *other != bytes) {
+            fs::write(&path, other).unwrap();
+            says(refused(name));
+        }
+        fs::remove_file(&path).unwrap();
+        if *name != MANIFEST {
+            says(refused(name));
+        }
+        fs::write(&path, bytes).unwrap();
+    }
+    Work::open(folder.path(), ASKED).unwrap();
+}
+
+/// Wherever the process ends, the folder is as before a change or as after it, and every file is one of the two.
+#[test]
+fn an_end_between_announcement_and_change_loses_one_change_at_most() {
+    for is_made in [false, true] {
+        let folder = worked();
+        {
+            let work = Work::open(folder.path(), ASKED).unwrap();
+            let mut manifest = work.locked();
+            assert!(manifest.announce("a.json", FileState::of(b"third")));
+            manifest.program = Some(work.program.to_owned());
+            manifest.write(&work.path(MANIFEST)).unwrap();
+        }
+        if is_made {
+            fs::write(folder.path().join("a.json"), "third").unwrap();
+        }
+        let work = Work::open(folder.path(), ASKED).unwrap();
+        assert!(!work.is_complete());
+        assert_eq!(work.read("a.json").unwrap().unwrap(), if is_made { &b"third"[..] } else { b"second" });
+        work.write("a.json", "fourth").unwrap();
+        drop(work);
+        assert_eq!(Work::open(folder.path(), ASKED).unwrap().read_present("a.json").unwrap(), b"fourth");
+    }
+}
+
+#[test]
+fn what_is_left_over_is_neither_overwritten_nor_taken_in() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("parts")).unwrap();
+    for name in ["notes.txt", "a.json", "parts/7"] {
+        fs::write(folder.path().join(name), "mine").unwrap();
+    }
+    let work = Work::open(folder.path(), ASKED).unwrap();
+    for (name, left_over) in [("a.json", "a.json"), ("parts/1", "parts/7")] {
+        let said = work.write(name, "ours").unwrap_err().to_string();
+        assert!(said.contains(&format!("{left_over}: {UNKNOWN}")), "{said}");
+    }
+    work.write("b.json", "ours").unwrap();
+    drop(work);
+    for name in ["notes.txt", "a.json", "parts/7"] {
+        assert_eq!(fs::read_to_string(folder.path().join(name)).unwrap(), "mine");
+    }
+    fs::remove_dir_all(folder.path().join("parts")).unwrap();
+    let work = Work::open(folder.path(), ASKED).unwrap();
+    work.write("parts/1", "ours").unwrap();
+    drop(work);
+    let unfinished = folder.path().join("parts/.crumple-unfinished-x");
+    fs::write(&unfinished, "half").unwrap();
+    drop(Work::open(folder.path(), ASKED).unwrap());
+    assert!(!unfinished.exists());
+    fs::write(folder.path().join("parts/2"), "mine").unwrap();
+    let said = Work::open(folder.path(), ASKED).unwrap_err().to_string();
+    assert!(said.contains("parts/2: work.json knows no such file"), "{said}");
+}
