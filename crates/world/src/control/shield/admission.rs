@@ -41,15 +41,22 @@ impl<R: Real> Frame<R> {
         ShieldState { gap_m: state.gap_m + ahead_m - covered_m, speed_mps, ahead_mps, response_mps2 }
     }
 
+    /// z, which takes the place of the own speed in the kernel, in m/s: with what the lag still lets it gain, see
+    /// [`Frame::lag_s`]. A vehicle that stands and does not move has none.
+    #[must_use]
+    #[inline]
+    pub fn speed_to_lose_mps(&self, state: ShieldState<R>) -> R {
+        let zero = R::of(0.0);
+        let stands = zero.at_least(state.speed_mps) & zero.at_least(state.response_mps2);
+        let by_lag_mps = || self.lag_s() * (state.response_mps2 + self.brake_mps2);
+        R::either(stands, || zero, || state.speed_mps + by_lag_mps())
+    }
+
     /// How much more gap there is than the kernel demands, in metres. Full braking never makes it smaller.
     #[must_use]
     #[inline]
     pub fn spare_m(&self, state: ShieldState<R>) -> R {
-        let zero = R::of(0.0);
-        let stands = zero.at_least(state.speed_mps) & zero.at_least(state.response_mps2);
-        let still_to_lose_mps = || self.lag_s() * (state.response_mps2 + self.brake_mps2);
-        let speed_mps = R::either(stands, || zero, || state.speed_mps + still_to_lose_mps());
-        state.gap_m - self.kernel().demanded_gap_m(speed_mps, state.ahead_mps)
+        state.gap_m - self.kernel().demanded_gap_m(self.speed_to_lose_mps(state), state.ahead_mps)
     }
 
     /// Whether an action leaves a way out against every reaction of the vehicle ahead.

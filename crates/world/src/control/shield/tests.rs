@@ -4,6 +4,7 @@
 use super::*;
 use crate::control::ControllerSpec;
 use crate::control::tests::{EGO, behind};
+use crate::observation::Neighbour;
 use proptest::prelude::*;
 
 /// The car brakes at 8 m/s², the truck ahead of it at 5, and a step is a second.
@@ -189,4 +190,57 @@ fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
         let expected = Override { first_step: 0, last_step: 0, outside_kernel: outside, rear_conflict: false };
         assert_eq!(shield.overrides(), [expected]);
     }
+}
+
+/// It holds 20 m/s for 0.4 s while the own vehicle brakes at 8 m/s² to 16.8 m/s over 7.36 m, then brakes at 6 m/s².
+#[test]
+fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
+    let behind_it = Behind { brake_mps2: 6.0, reaction_s: 0.4 };
+    let conflict = |frame: Frame, rear_gap_m: Option<f64>| {
+        let rear = rear_gap_m.map(|gap_m| Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: 0.0 });
+        let mut shield = shield(frame);
+        assert_eq!(shield.decide(&Observation { behind: rear, ..behind(20.0, 1.0, 10.0, 0.0) }).unwrap(), -8.0);
+        shield.overrides()[0].rear_conflict
+    };
+    let frame = Frame { step_s: 0.1, behind: Some(behind_it), ..slow_steps() };
+    let least_m = 8.0 - 7.36 + 400.0 / 12.0 - 16.8 * 16.8 / 16.0;
+    assert!(conflict(frame, Some(least_m - 1e-9)) && !conflict(frame, Some(least_m + 1e-9)));
+    assert!(!conflict(frame, None) && !conflict(Frame { behind: None, ..frame }, Some(0.1)));
+}
+
+#[test]
+fn overrides_in_successive_steps_are_one() {
+    let frame = Frame { step_s: 0.1, behind: Some(Behind { brake_mps2: 6.0, reaction_s: 0.0 }), ..slow_steps() };
+    let mut shield = shield(frame);
+    let near_m = frame.kernel().demanded_gap_m(20.0, 15.0) + 0.01;
+    let rear = Some(Neighbour { gap_m: 0.1, speed_mps: 30.0, acceleration_mps2: 0.0 });
+    let far = behind(20.0, 500.0, 15.0, 0.0);
+    let near = behind(20.0, near_m, 15.0, 0.0);
+    let outside = behind(20.0, near_m - 1.0, 15.0, 0.0);
+    for seen in [near, outside, Observation { behind: rear, ..near }, far, near, Observation { ahead: None, ..near }] {
+        shield.decide(&seen).unwrap();
+    }
+    let first = Override { first_step: 0, last_step: 2, outside_kernel: true, rear_conflict: true };
+    let second = Override { first_step: 4, last_step: 4, outside_kernel: false, rear_conflict: false };
+    assert_eq!(shield.overrides(), [first, second]);
+}
+
+/// Whoever brakes fully is not overruled; whoever answers with more than can be had is cut to that.
+#[test]
+fn only_what_is_changed_is_an_override() {
+    let frame = Frame { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_steps() };
+    let mut shield = shield(frame);
+    assert_eq!(shield.decide(&behind(20.0, 900.0, 20.0, 0.0)).unwrap(), 1.0, "cut to what there is");
+    let full_brake = Frame { accel_mps2: -2.0, ..frame };
+    let mut braking = self::shield(full_brake);
+    assert_eq!(braking.decide(&behind(20.0, 0.5, 20.0, 0.0)).unwrap(), -2.0);
+    assert_eq!(braking.overrides(), []);
+}
+
+#[test]
+fn settings_are_said_as_they_are_read() {
+    let errors = Some(ErrorBounds { gap_m: 0.5, speed_mps: 0.25, ahead_speed_mps: 1.0 });
+    assert_eq!(ShieldSettings::default().words(), "");
+    let words = ShieldSettings { ahead_brake_mps2: Some(6.0), errors }.words();
+    assert_eq!(words, ",ahead=6,gap-error=0.5,speed-error=0.25,ahead-speed-error=1");
 }
