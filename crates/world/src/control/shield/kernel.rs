@@ -1,8 +1,8 @@
 //! The gap that must not be undercut: a vehicle that brakes fully behind one that brakes fully.
 //!
 //! The mathematics, and the check of the closed form in exact arithmetic, are in `crumple_verify::kernel`. The functions here
-//! are the ones that drive, and the ones that are proved: certificates and obligations are made by computing with them in
-//! other numbers ([`Real`]).
+//! are the ones that drive, and the ones that are proved: certificates are held against them, and obligations written, by
+//! computing with them in other numbers ([`Real`]).
 
 use super::Real;
 
@@ -70,6 +70,12 @@ pub fn largest_closing_m<R: Real>(speed_mps: R, acceleration_mps2: R, ahead_mps:
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    /// A soft brake ahead stops late: between w c and w/c, half a second and two, the two are equally fast.
+    #[test]
+    fn the_gap_is_smallest_before_either_stands() {
+        assert!((largest_closing_m(2.0, -2.0, 1.0, 0.5, 2.0) - 1.0 / 3.0).abs() < 1e-12);
+    }
 
     #[test]
     fn a_harder_braking_car_behind_a_truck_needs_4_17_m_where_the_familiar_distance_needs_none() {

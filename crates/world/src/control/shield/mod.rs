@@ -24,10 +24,11 @@
 //! brake limit holds there.
 //!
 //! What drives is what is proved: [`Frame::admits`] and all it calls are written for any [`Real`] number. With exact quotients
-//! they give certificates their coefficients, with terms they write the obligations in `verify/obligations`. What is left to
+//! certificates are held against them, with terms they write the obligations in `verify/obligations`. What is left to
 //! arithmetic in double precision is paid for by a margin, see [`Travel::margin_m`].
 //!
-//! Proved for the shipped limits, of these functions as they stand: the kernel, motion, the test of an action at every instant of the
+//! Proved for all limits, in Coq, of the formulas: the kernel and lag (`docs/kernel-theorems.md`). Proved for the shipped limits,
+//! of these functions as they stand: the kernel, motion, the test of an action at every instant of the
 //! step, lag. Derived on paper: the margin. Tested only: delay, noise, and the loop in this file. Taken on trust: that an
 //! estimator keeps the bounds that are stated for it, which are six standard deviations where noise has no bound.
 

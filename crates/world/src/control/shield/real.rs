@@ -4,8 +4,8 @@ use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
 
 /// A number as the kernel and the shield's test need it: `f64` on the road.
 ///
-/// Exact quotients and terms of a logic are others: certificates take their coefficients from the kernel by computing with the
-/// former, and the obligations for solvers are written by computing with the latter.
+/// Exact quotients and terms of a logic are others: certificates are held against the kernel by computing with the former, and
+/// the obligations for solvers are written by computing with the latter.
 pub trait Real:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
