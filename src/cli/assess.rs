@@ -19,7 +19,7 @@ use crumple_search::program;
 #[command(after_long_help = "\
 Without a file, every built-in controller, the policy behind a shield and the retrained one: on the paper's scenarios and 1000 draws of its \
 distribution, against a search for failures, against the mildest lead braking that makes each collide (see worst-case), with \
-what anyone could have made of each scenario (see avoid), and with every certificate checked. A file says more:
+the best escape found from each scenario (see avoid), and with every certificate checked. A file says more:
 
   version = 1
   controllers = [\"baseline\", \"policy\"]   # the first is compared with all others

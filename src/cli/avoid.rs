@@ -20,7 +20,8 @@ use crumple_world::scenario::{Scenario, file};
 #[command(after_long_help = "\
 The vehicles under test may accelerate and brake as they like within their limits, knowing the future; the leader follows its \
 script and the vehicle behind them its latched emergency brake. `avoidable` comes with the accelerations that leave the \
-largest smallest gap, replayed without contact at the scenario's step and at a tenth of it. `unavoidable` comes with a proof \
+largest smallest gap of those held over steps of --grid, replayed without contact at the scenario's step and at a tenth of it: the \
+best found, for a finer grid may find more. What no driver exceeds is computed, and has no certificate. `unavoidable` comes with a proof \
 about every possible driver, accepted by the checker behind `crumple check`. Everything else is `undecided`, with the reason.
 
 A file of ranges makes a box of the scenario; `avoidable` then means that one profile is an escape from all of it:
@@ -147,7 +148,11 @@ fn describe(report: &Report<'_>) -> String {
         let _ = writeln!(text, "  smallest gap of the escape {:.2} m", (100.0 * gap_m).floor() / 100.0);
     }
     if let Some(bound_m) = min_gap_bound_m {
-        let _ = writeln!(text, "  no driver keeps more than {:.2} m", (100.0 * bound_m).ceil() / 100.0);
+        let _ = writeln!(
+            text,
+            "  no driver keeps more than {:.2} m, by a computed bound without a certificate",
+            (100.0 * bound_m).ceil() / 100.0
+        );
     }
     match (trigger_time_s, escape_min_gap_m) {
         (Some(time_s), _) => {

@@ -33,7 +33,10 @@ enum Claim {
 #[derive(Args)]
 #[command(after_long_help = "\
 A road that scales both brake limits by a friction scales the demanded gaps by its inverse, so the certificates for a dry road \
-speak for every other.")]
+speak for every other.
+
+What is proved are the kernel and, in verify/obligations, the shield's test of an action, of the functions that drive and in real \
+numbers. Rounding is paid for by a margin. Delay, noise and that an estimator keeps its error bounds are tested, not proved.")]
 struct Shield {
     /// Where certificates go
     #[arg(long, value_name = "DIR", default_value = "crumple-shield")]

@@ -1,10 +1,18 @@
 //! Every pair of vehicle classes has its proof obligations, and each of them a recorded proof.
+//!
+//! They speak of the functions that drive: the gap that is demanded, motion, what a step closes at most and the shield's test
+//! are written down by computing with terms in the place of numbers. A change of one of them is a change of the files.
+
+mod term;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crumple_world::control::{ErrorBounds, Frame, Kernel, ShieldState, largest_closing_m, moved};
 use crumple_world::scenario::VehicleClass;
+
+use term::Term;
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("verify/obligations")
@@ -17,9 +25,57 @@ fn quotient(limit_mps2: f64) -> [String; 2] {
     [limit_mps2 * 2.0_f64.powi(halvings), 2.0_f64.powi(halvings)].map(|whole| format!("{whole:.0}"))
 }
 
+/// What the code computes, by the names that the statements have for it.
+fn of_code() -> [(&'static str, String); 7] {
+    let [b, c, v, w, a, h, zero] = ["b", "c", "v", "w", "a", "h", "0.0"].map(Term::named);
+    let demanded = Kernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w);
+    let [covered, speed] = moved(v, a, h);
+    let frame = |share: &str| Frame {
+        step_s: h,
+        brake_mps2: b,
+        accel_mps2: Term::named("most"),
+        noise_mps2: zero,
+        ahead_brake_mps2: c,
+        delay_steps: 0,
+        share: Term::named(share),
+        errors: ErrorBounds::default(),
+        behind: None,
+        margin_m: Term::named("m"),
+    };
+    let state = ShieldState { gap_m: Term::named("g"), speed_mps: v, ahead_mps: w, response_mps2: Term::named("r") };
+    let sluggish = frame("share");
+    let own = Term::named("own");
+    [
+        ("{demanded}", demanded.text()),
+        ("{moved-covered}", covered.text()),
+        ("{moved-speed}", speed.text()),
+        ("{largest-closing}", largest_closing_m(v, own, w, c, h).text()),
+        ("{admits}", frame("1.0").admits(state, a).text()),
+        ("{to-lose}", sluggish.speed_to_lose_mps(state).text()),
+        ("{to-lose-after-braking}", sluggish.speed_to_lose_mps(sluggish.after(state, -b)).text()),
+    ]
+}
+
+/// What there is to prove of a pair, the last of them only of one that brakes harder than what is ahead.
+const STATEMENTS: [&str; 9] = [
+    "invariance",
+    "worst-leader",
+    "maximality",
+    "motion",
+    "closing",
+    "admission-inside",
+    "admission-end",
+    "lag",
+    "control",
+];
+
 /// File name and contents of each obligation.
 fn obligations() -> Vec<(String, String)> {
-    let statement = |name: &str| fs::read_to_string(folder().join("statements").join(format!("{name}.smt2"))).unwrap();
+    let of_code = of_code();
+    let statement = |name: &str| {
+        let text = fs::read_to_string(folder().join("statements").join(format!("{name}.smt2"))).unwrap();
+        of_code.iter().fold(text, |text, (place, term)| text.replace(place, term))
+    };
     let mut all = Vec::new();
     for own in VehicleClass::ALL {
         for ahead in VehicleClass::ALL {
@@ -32,7 +88,7 @@ fn obligations() -> Vec<(String, String)> {
                 .replace("{ahead_numerator}", &m)
                 .replace("{ahead_denominator}", &e);
             let harder = own.max_brake_mps2() > ahead.max_brake_mps2();
-            for name in ["invariance", "worst-leader", "maximality"].into_iter().chain(harder.then_some("control")) {
+            for name in STATEMENTS.into_iter().filter(|name| *name != "control" || harder) {
                 let file = format!("{}/{name}.smt2", title.replace(' ', "-"));
                 all.push((file, filled.clone() + &statement(name)));
             }
@@ -74,5 +130,28 @@ fn a_solver_confirms_one_of_them_where_there_is_one() {
     match Command::new("z3").arg(&path).output() {
         Ok(done) => assert_eq!(String::from_utf8_lossy(&done.stdout).trim(), "unsat"),
         Err(_) => println!("skipped: no z3 here"),
+    }
+}
+
+/// The page for readers shows statements and definitions as they are in the file, and Coq has accepted that file.
+#[test]
+fn theorems_in_the_docs_are_those_that_coq_has_checked() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let read = |file: &str| fs::read_to_string(root.join(file)).unwrap();
+    let (theory, said) = (read("verify/coq/Kernel.v"), read("verify/coq/output.txt"));
+    let digest = crumple_world::digest::sha256(&theory);
+    assert!(said.starts_with(&format!("Kernel.v {digest}\n")), "run verify/coq/run");
+    for gap in ["Admitted.", "admit.", "Axiom ", "Parameter ", "Hypothesis "] {
+        assert!(!theory.contains(gap), "{gap}");
+    }
+    let page = read("docs/kernel-theorems.md");
+    let shown: Vec<_> = page.split("```coq\n").skip(1).filter_map(|rest| rest.split("\n```").next()).collect();
+    let shown: Vec<_> = shown.iter().flat_map(|block| block.split("\n\n")).collect();
+    assert!(shown.len() > 10);
+    for statement in shown {
+        assert!(theory.contains(&format!("\n{statement}\n")), "not in the file: {statement}");
+        if let Some(theorem) = statement.strip_prefix("Theorem ").and_then(|rest| rest.split(' ').next()) {
+            assert!(said.contains(&format!("proved: {theorem}\n")), "{theorem}");
+        }
     }
 }

@@ -101,8 +101,8 @@ pub(crate) fn check(kernel: &Kernel, work: &Work) -> Result<Accepted, Rejection>
         (None, false) => [&pair.stops_last()[..], &pair.brakes_softer()].concat(),
         _ => return Err(Rejection::invalid("catching_up_squared", "must be there exactly where b > c")),
     };
-    match cases.into_iter().find(|(_, holds)| !holds) {
-        Some((case, _)) => Err(Rejection::invalid("kernel", case)),
+    match cases.into_iter().find(|case| !case.holds()) {
+        Some(case) => Err(Rejection::invalid("kernel", case.fails_where)),
         None => Ok(Accepted::Kernel),
     }
 }
@@ -112,8 +112,29 @@ fn number(field: &'static str, text: &str) -> Result<BigRational, Rejection> {
     read.ok_or_else(|| Rejection::invalid(field, "must be a number such as \"15/2\""))
 }
 
-/// What happens in a case, and whether the closed form is right there.
-type Case = (&'static str, bool);
+/// One case of who moves and who stands: what must hold of a polynomial in x, y, z >= 0 for the closed form to be right there.
+#[derive(Debug, Clone)]
+struct Case {
+    /// What is said if it does not hold.
+    fails_where: &'static str,
+    polynomial: Polynomial,
+    /// Whether it has to be zero; otherwise it only must not be negative.
+    vanishes: bool,
+}
+
+impl Case {
+    fn zero(fails_where: &'static str, polynomial: Polynomial) -> Self {
+        Self { fails_where, polynomial, vanishes: true }
+    }
+
+    fn nonnegative(fails_where: &'static str, polynomial: Polynomial) -> Self {
+        Self { fails_where, polynomial, vanishes: false }
+    }
+
+    fn holds(&self) -> bool {
+        if self.vanishes { self.polynomial.is_zero() } else { self.polynomial.has_no_negative_coefficient() }
+    }
+}
 
 /// The two limits, and the polynomials they make. `a` and `b` are times to standstill, `t` an instant.
 struct Pair<'a> {
@@ -151,8 +172,8 @@ impl Pair<'_> {
         let (t, a) = (&x + &y, &(&x + &y) + &z);
         let leader_stands = &s_of(&a, &x) - &self.closing([&a, &t], [&x, &x]);
         [
-            ("fails where both stand", both_stand.is_zero()),
-            ("fails where only the vehicle ahead stands", leader_stands.has_no_negative_coefficient()),
+            Case::zero("fails where both stand", both_stand),
+            Case::nonnegative("fails where only the vehicle ahead stands", leader_stands),
         ]
     }
 
@@ -163,7 +184,7 @@ impl Pair<'_> {
         let (b, a) = (&x + &y, &(&x + &y) + &z);
         let at_end = self.closing([&a, &a], [&b, &b]);
         let to_come = &at_end - &self.closing([&a, &x], [&b, &x]);
-        ("fails where both move, the own vehicle brakes harder and stops last", to_come.has_no_negative_coefficient())
+        Case::nonnegative("fails where both move, the own vehicle brakes harder and stops last", to_come)
     }
 
     /// b > c, and the own vehicle stops first: D = r (v - w)² where v > w, else 0.
@@ -187,10 +208,10 @@ impl Pair<'_> {
         let (t, b) = (&x + &y, &(&x + &y) + &z);
         let since_stop = &self.closing([&x, &x], [&b, &x]) - &self.closing([&x, &x], [&b, &t]);
         [
-            ("fails where both move, the own vehicle brakes harder and stops first", both_move.is_zero()),
-            ("fails where closing turns round after the own stop", before_stop.has_no_negative_coefficient()),
-            ("fails where the own vehicle is slower", falling_back.has_no_negative_coefficient()),
-            ("fails where only the own vehicle stands, having braked harder", since_stop.has_no_negative_coefficient()),
+            Case::zero("fails where both move, the own vehicle brakes harder and stops first", both_move),
+            Case::nonnegative("fails where closing turns round after the own stop", before_stop),
+            Case::nonnegative("fails where the own vehicle is slower", falling_back),
+            Case::nonnegative("fails where only the own vehicle stands, having braked harder", since_stop),
         ]
     }
 
@@ -207,10 +228,13 @@ impl Pair<'_> {
         // Both stand: A = x, B = x + y.
         let both_stand = -&self.closing([&x, &x], [&b, &b]);
         [
-            ("fails where both move, the own vehicle stops last", stop_ahead.has_no_negative_coefficient()),
-            ("fails where both move, the own vehicle stops first", both_move.has_no_negative_coefficient()),
-            ("fails where only the own vehicle stands", own_stands.has_no_negative_coefficient()),
-            ("fails where both stand, the own vehicle stopped first", both_stand.has_no_negative_coefficient()),
+            Case::nonnegative("fails where both move, the own vehicle stops last", stop_ahead),
+            Case::nonnegative("fails where both move, the own vehicle stops first", both_move),
+            Case::nonnegative("fails where only the own vehicle stands", own_stands),
+            Case::nonnegative("fails where both stand, the own vehicle stopped first", both_stand),
         ]
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -36,6 +36,16 @@ impl Polynomial {
         self * self
     }
 
+    /// Its value at a point.
+    #[cfg(test)]
+    pub(crate) fn at(&self, point: [&BigRational; 3]) -> BigRational {
+        let term = |(powers, coefficient): (&[u8; 3], &BigRational)| {
+            let factors = powers.iter().zip(point).flat_map(|(&power, value)| std::iter::repeat_n(value, power.into()));
+            factors.fold(coefficient.clone(), |product, factor| product * factor)
+        };
+        self.0.iter().map(term).sum()
+    }
+
     /// Whether it is the polynomial 0.
     #[must_use]
     pub fn is_zero(&self) -> bool {

@@ -96,6 +96,17 @@ fn the_familiar_distance_alone_is_rejected_where_the_own_vehicle_brakes_harder()
     assert_eq!(checked(&none).unwrap_err().to_string(), "`margin_m` must be positive");
 }
 
+/// Numbers are read up to a length, and no further: what a stranger wrote must not take for ever.
+#[test]
+fn numbers_of_a_hundred_characters_are_read_and_longer_ones_refused() {
+    for (zeros, is_read) in [(96, true), (97, true), (98, false)] {
+        let padded = |text: &str| format!("{}{text}", "0".repeat(zeros));
+        let long = Kernel { ego_brake_mps2: padded("6/1"), ..kernel("6", "6") };
+        let result = checked(&long);
+        assert_eq!(result.is_ok(), is_read, "{zeros}: {result:?}");
+    }
+}
+
 /// The argument's conclusion, tried out by brute force over time with exact numbers.
 #[test]
 fn the_demanded_gap_is_the_largest_closing_distance() {

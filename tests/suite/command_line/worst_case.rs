@@ -28,6 +28,25 @@ fn an_escape_is_written_replayed_and_checked() {
     assert_eq!(code(&run(&["avoid", "paper-1", "--grid", "0.015"])), 2);
 }
 
+/// An escape is the best that was found on its grid: nobody may read that no better one exists.
+#[test]
+fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is() {
+    let folder = folder();
+    let gap_m = |grid: &str| {
+        let found = crumple(folder.path(), &["avoid", "paper-2", "--grid", grid, "--format", "json"]);
+        assert_eq!(code(&found), 0);
+        let report = objects(&found).remove(0);
+        let (kept_m, bound_m) =
+            (report["best_min_gap_m"].as_f64().unwrap(), report["min_gap_bound_m"].as_f64().unwrap());
+        assert!(kept_m <= bound_m, "{report}");
+        assert!(report["escape_is_best_for"].as_str().unwrap().contains("found on this grid"), "{report}");
+        kept_m
+    };
+    assert!(gap_m("0.02") > gap_m("0.1") + 0.01);
+    let words = crumple(folder.path(), &["avoid", "paper-2"]);
+    assert!(stdout(&words).contains("by a computed bound without a certificate"), "{}", stdout(&words));
+}
+
 #[test]
 fn a_worst_case_is_written_and_collides() {
     let folder = folder();

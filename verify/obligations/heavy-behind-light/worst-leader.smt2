@@ -6,11 +6,8 @@
 (define-fun b () Real (/ 6.0 1.0))
 (define-fun c () Real (/ 15.0 2.0))
 (define-fun positive ((x Real)) Real (ite (>= x 0.0) x 0.0))
-; The gap that is demanded.
-(define-fun D ((v Real) (w Real)) Real
-  (ite (or (<= b c) (>= (* v c) (* w b)))
-       (positive (- (/ (* v v) (* 2.0 b)) (/ (* w w) (* 2.0 c))))
-       (/ (* (positive (- v w)) (positive (- v w))) (* 2.0 (- b c)))))
+; The gap that is demanded, as the shield's kernel computes it.
+(define-fun D ((v Real) (w Real)) Real (ite (or (>= c b) (>= (* v c) (* w b))) (ite (>= (- (/ (* v v) (* 2.0 b)) (/ (* w w) (* 2.0 c))) 0.0) (- (/ (* v v) (* 2.0 b)) (/ (* w w) (* 2.0 c))) 0.0) (/ (* (ite (>= (- v w) 0.0) (- v w) 0.0) (ite (>= (- v w) 0.0) (- v w) 0.0)) (* 2.0 (- b c)))))
 ; Speed and distance covered s after speed u while braking at rate r, to standstill if it comes to that.
 (define-fun braked ((u Real) (r Real) (s Real)) Real (positive (- u (* r s))))
 (define-fun covered ((u Real) (r Real) (s Real)) Real

@@ -1,4 +1,4 @@
-//! What the best driver could have made of a scenario, and how far a controller stays behind.
+//! The best escape found from a scenario, and how far a controller stays behind.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -55,8 +55,8 @@ impl Best {
         }
     }
 
-    /// How much more of the smallest gap the best driver kept than the controller of a case, from the numbers as they are
-    /// shown; none if there is no best driver, or if others crashed first. Zero for a controller that did better than the
+    /// How much more of the smallest gap the best escape found kept than the controller of a case, from the numbers as they are
+    /// shown; none if none was found, or if others crashed first. Zero for a controller that did better than the
     /// profile that was found, which can only be within its grid.
     pub(super) fn regret_m(&self, case: &Case) -> Option<Rounded<2>> {
         match self {
@@ -73,9 +73,11 @@ impl Best {
             Self::Avoidable { min_gap_m, min_gap_bound_m, follower_brakes_s } => {
                 let fires =
                     follower_brakes_s.map(|time_s| format!(", firing the follower's emergency brake at {time_s} s"));
-                let bound = min_gap_bound_m.map(|bound_m| format!("; nobody can keep more than {bound_m} m"));
+                let bound = min_gap_bound_m.map(|bound_m| {
+                    format!("; nobody keeps more than {bound_m} m, by a computed bound without a certificate")
+                });
                 format!(
-                    "Avoidable: the best smallest gap anyone could have kept is {min_gap_m} m{}{}.",
+                    "Avoidable: the best escape found keeps a smallest gap of {min_gap_m} m{}{}.",
                     fires.unwrap_or_default(),
                     bound.unwrap_or_default()
                 )
@@ -98,8 +100,9 @@ impl Best {
 }
 
 /// What the numbers are, and how they relate.
-pub(super) const WHAT_REGRET_IS: &str = "The best smallest gap is that of a profile for the vehicles under test, found by \
-    convex programming with knowledge of the future and held over steps of 0.1 s (or finer, where those do not decide), and \
-    replayed by the simulation. A controller's regret is that gap less its own smallest one, ahead or behind. The bound \
-    beside it comes from the multipliers of those programs and holds for every driver, so regret understates what was lost by \
-    no more than the distance between the two.";
+pub(super) const WHAT_REGRET_IS: &str = "The best escape found is a profile for the vehicles under test, from \
+    convex programming with knowledge of the future, held over steps of 0.1 s (or finer, where those do not decide), and \
+    replayed by the simulation; one on a finer grid may keep more. A controller's regret is its smallest gap less the controller's \
+    own, ahead or behind. The bound beside it comes from the multipliers of those programs and is of every driver, but it is \
+    computed and has no certificate; as far as it holds, regret understates what was lost by no more than the distance between \
+    the two.";

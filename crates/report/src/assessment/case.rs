@@ -29,7 +29,7 @@ pub struct Case {
     pub behind: Towards,
     /// Smallest gap between any two vehicles until the first contact, in metres.
     pub min_gap_m: Option<Rounded<2>>,
-    /// How much more the best driver kept of it, in metres; none where that is not known, or where others crashed first.
+    /// How much more the best escape found kept of it, in metres; none where that is not known, or where others crashed first.
     pub regret_m: Option<Rounded<2>>,
     /// Hardest deceleration of a vehicle under test, in m/s².
     pub peak_brake_mps2: Option<Rounded<2>>,

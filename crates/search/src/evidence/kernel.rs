@@ -84,34 +84,4 @@ impl std::fmt::Display for Quotient {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crumple_verify::{Accepted, check};
-    use proptest::prelude::*;
-
-    #[test]
-    fn each_shipped_pair_is_proved() {
-        let shipped = shipped_kernels();
-        assert_eq!(shipped.len(), 4);
-        for (name, certificate) in shipped {
-            assert_eq!(check(&certificate), Ok(Accepted::Kernel), "{name}");
-        }
-    }
-
-    proptest! {
-        /// Any limits a scenario may have, friction included, and the same function as the shield's.
-        #[test]
-        fn any_pair_is_proved(b in 0.001..30.0_f64, c in 0.001..30.0_f64) {
-            let kernel = Kernel { own_brake_mps2: b, ahead_brake_mps2: c };
-            let certificate = kernel_certificate("any", &kernel, 0.01, 1e-6).unwrap();
-            prop_assert_eq!(check(&certificate), Ok(Accepted::Kernel));
-            let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };
-            let number = |text: &str| {
-                let (over, under) = text.split_once('/').unwrap_or((text, "1"));
-                over.parse::<f64>().unwrap() / under.parse::<f64>().unwrap()
-            };
-            let own = number(&stated.stopping_own_squared) * 30.0 * 30.0;
-            prop_assert!((own - kernel.demanded_gap_m(30.0, 0.0)).abs() <= 1e-9 * own);
-        }
-    }
-}
+mod tests;

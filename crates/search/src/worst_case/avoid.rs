@@ -25,7 +25,7 @@ pub struct AvoidOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum EscapeKind {
-    /// The one with the largest smallest gap.
+    /// The one with the largest smallest gap on the grid.
     #[default]
     LargestGap,
     /// The one with the least ∫ a² that keeps half that gap, if the brake behind fires no later than for that: of all
@@ -41,7 +41,7 @@ impl EscapeKind {
     #[must_use]
     pub fn is_best_for(self) -> &'static str {
         match self {
-            Self::LargestGap => "the largest smallest gap, whenever the brake behind fires",
+            Self::LargestGap => "the largest smallest gap found on this grid, whenever the brake behind fires",
             Self::Gentlest => "the gentlest that keeps half the largest gap, for this firing of the brake behind only",
             Self::LeastJerk => {
                 "the smoothest that keeps half the largest gap, for this firing of the brake behind only"
@@ -69,9 +69,11 @@ pub enum AvoidError {
 pub struct Avoidance {
     /// The answer.
     pub verdict: AvoidanceVerdict,
-    /// The largest smallest gap of an escape that was replayed, in metres; the escape shown may have less (see [`EscapeKind`]).
+    /// The largest smallest gap of the escapes that were found and replayed, in metres: best found, not best there is, for a finer
+    /// grid may find a larger one. The escape shown may have less (see [`EscapeKind`]).
     pub best_min_gap_m: Option<f64>,
-    /// No escape has a larger smallest gap, in metres: a bound over every controller. None if there is no bound, or no escape.
+    /// No escape has a larger smallest gap, in metres: a bound over every controller, as computed from multipliers of the programs.
+    /// It has no certificate. None if there is no bound, or no escape.
     pub min_gap_bound_m: Option<f64>,
     /// Convex programs solved.
     pub programs: usize,

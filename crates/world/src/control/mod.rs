@@ -61,7 +61,10 @@ pub use idm::{Idm, IdmSettings};
 pub use match_leader::MatchLeader;
 pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy};
 pub use settings::{Field, NoSettings, Settings};
-pub use shield::{Behind, ErrorBounds, Frame, Kernel, MARGIN_M, Override, Shield, ShieldSettings};
+pub use shield::{
+    Behind, ErrorBounds, Frame, Kernel, MARGIN_M, MOST_MARGIN_M, Override, Real, Shield, ShieldSettings, ShieldState,
+    Travel, largest_closing_m, moved,
+};
 pub use source::{ControllerFailure, ControllerSource, Needs, ZeroOrderHold};
 pub use stress::{FullThrottle, RandomActions};
 pub(crate) use with_controllers;

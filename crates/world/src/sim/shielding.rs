@@ -3,9 +3,11 @@
 use serde::{Deserialize, Serialize};
 
 use super::{ControllerKind, Run};
-use crate::control::{AnyController, Behind, ErrorBounds, Frame, MARGIN_M, Override, ShieldSettings};
+use crate::control::{
+    AnyController, Behind, ErrorBounds, Frame, Kernel, MARGIN_M, MOST_MARGIN_M, Override, ShieldSettings, Travel,
+};
 use crate::observation::EstimatorKind;
-use crate::scenario::VehicleSpec;
+use crate::scenario::{Driver, LeadProfile, VehicleSpec};
 
 /// Standard deviations of noise that a shield counts on: exceeded once in 10⁹ draws.
 const DEVIATIONS: f64 = 6.0;
@@ -37,6 +39,18 @@ pub enum ShieldRefusal {
         "its sensors lose measurements, so the error of what it sees has no bound: give bounds, as in `shield,gap-error=0.5,speed-error=0.5,ahead-speed-error=1:policy`"
     )]
     Dropout,
+    /// Rounding may take more of the gap than a margin should make up for.
+    #[error(
+        "rounding may take up to {half_m} m of the gap in runs so long, at positions up to {position_m:e} m, which a margin of at most {most_m} m does not pay for twice: begin nearer to the origin, or make fewer or longer steps"
+    )]
+    Rounding {
+        /// What rounding may take, in metres.
+        half_m: f64,
+        /// How far from the origin the run may lead, in metres.
+        position_m: f64,
+        /// The largest margin, in metres.
+        most_m: f64,
+    },
 }
 
 /// A time in which a shield braked instead of doing what its controller wanted.
@@ -103,7 +117,7 @@ impl Run<'_> {
         };
         let delay_steps =
             (whole_steps(own.reaction_delay_s + own.actuator_delay_s) as usize).min(self.scenario().steps());
-        Ok(Frame {
+        let mut frame = Frame {
             step_s,
             brake_mps2,
             accel_mps2,
@@ -117,7 +131,52 @@ impl Run<'_> {
                 reaction_s: whole_steps(behind.reaction_delay_s + behind.actuator_delay_s) * step_s,
             }),
             margin_m: MARGIN_M,
-        })
+        };
+        // With nothing ahead nothing is asked of the margin.
+        if let Some(front) = index.checked_sub(1) {
+            let travel = self.travel(front, &frame);
+            frame.margin_m = travel.margin_m(&frame);
+            if frame.margin_m > MOST_MARGIN_M || frame.margin_m.is_nan() {
+                let (half_m, position_m) = (0.5 * frame.margin_m, travel.position_m);
+                return Err(ShieldRefusal::Rounding { half_m, position_m, most_m: MOST_MARGIN_M });
+            }
+        }
+        Ok(frame)
+    }
+
+    /// How far and how fast vehicle `front` and the one behind it may travel in this run, nobody having touched.
+    ///
+    /// Nobody overtakes, so the first vehicle bounds all positions; and a vehicle in the kernel of the one ahead is no faster than
+    /// D <= g allows: v²/2b - w²/2c is at most the road between them.
+    fn travel(&self, front: usize, frame: &Frame) -> Travel {
+        let spec = self.scenario().spec();
+        let vehicles = self.scenario().vehicles();
+        let fastest_mps = |vehicle: &VehicleSpec| {
+            let accel_mps2 = match &vehicle.driver {
+                // A recording is followed as closely as the vehicle can.
+                Driver::Profile(profile) if !matches!(profile, LeadProfile::Recorded(_)) => {
+                    profile.acceleration_range_mps2()[1].min(vehicle.max_accel_mps2())
+                }
+                _ => vehicle.max_accel_mps2(),
+            };
+            vehicle.speed_mps + (accel_mps2 + noise_of(vehicle)) * spec.duration_s
+        };
+        let (first, ahead, own) = (&vehicles[0], &vehicles[front], &vehicles[front + 1]);
+        // A step's way to spare, and a vehicle's length.
+        let spare_m = (100.0 + 60.0 * frame.step_s) * frame.step_s + ahead.length_m();
+        let farthest_m = first.position_m + fastest_mps(first) * spec.duration_s + spare_m;
+        let ahead_mps = fastest_mps(ahead);
+        let Kernel { own_brake_mps2, ahead_brake_mps2 } = frame.kernel();
+        let road_m = farthest_m - own.position_m;
+        let in_kernel_mps =
+            (2.0 * own_brake_mps2 * road_m + own_brake_mps2 / ahead_brake_mps2 * ahead_mps * ahead_mps).sqrt();
+        let own_mps = fastest_mps(own).min(in_kernel_mps);
+        Travel {
+            position_m: farthest_m.abs().max((own.position_m - spare_m).abs()),
+            speed_mps: own_mps.max(ahead_mps),
+            steps: self.scenario().steps().saturating_mul(self.substeps()),
+            substeps: self.substeps(),
+        }
     }
 }
 
@@ -126,27 +185,4 @@ fn noise_of(vehicle: &VehicleSpec) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::control::ControllerSpec;
-    use crate::scenario::built_in;
-    use crate::sim::RunOptions;
-
-    /// Seeing late and acting late are one thing, one's own as well as that of the vehicle behind.
-    #[test]
-    fn delays_add_up() {
-        let frame = |reaction_delay_s: f64, actuator_delay_s: f64| {
-            let late = built_in("paper-1").unwrap().edited(|spec| {
-                for vehicle in &mut spec.vehicles[1..] {
-                    (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (reaction_delay_s, actuator_delay_s);
-                }
-            });
-            let late = late.unwrap();
-            let run = Run::new(&late, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
-            run.frame(1, &ShieldSettings::default()).unwrap()
-        };
-        let frames = [(0.3, 0.1), (0.1, 0.3), (0.4, 0.0), (0.0, 0.4)].map(|(seeing, acting)| frame(seeing, acting));
-        assert!(frames.iter().all(|other| *other == frames[0]), "{frames:?}");
-        assert_eq!((frames[0].delay_steps, frames[0].behind.map(|behind| behind.reaction_s)), (40, Some(0.4)));
-    }
-}
+mod tests;

@@ -24,7 +24,7 @@ const WORDS: [(&str, &str); 16] = [
     ("kernel", "the states from which full braking avoids the vehicle ahead however that one brakes within its limit"),
     ("proved", "a certificate says so and the checker accepted it; it holds under the assumptions that go with it"),
     ("refuted", "there is at least one run to show that it does not hold"),
-    ("regret", "how much more gap the best driver would have kept"),
+    ("regret", "how much more gap the best escape found keeps"),
     ("shield", "lets the controller act as long as a way out is left, and brakes fully otherwise"),
     ("space", "scenarios with parameters that vary, each by a law within a range"),
     ("tested", "it held whenever it was tried; nothing follows for what was not tried"),

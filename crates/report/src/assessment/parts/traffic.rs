@@ -76,7 +76,7 @@ impl Traffic {
     fn overview(&self) -> Table {
         let names =
             self.scenarios.first().map_or(&[][..], |scenario| &scenario.cases).iter().map(|c| c.controller.as_str());
-        let header: Vec<&str> = std::iter::once("scenario").chain(names).chain(["best anyone could"]).collect();
+        let header: Vec<&str> = std::iter::once("scenario").chain(names).chain(["best escape found"]).collect();
         let mut table = Table::new(&header);
         for scenario in &self.scenarios {
             let cells = scenario.cases.iter().map(|case| Cell::marked(words(case), case.verdict.mark()));

@@ -147,7 +147,7 @@ impl WorstProfiles {
             "∫a² (m²/s³)",
             "what follows",
             "pile-up (vehicles)",
-            "best gap anyone could keep",
+            "gap of the best escape found",
             "margin predicted (m)",
             "simulated (m)",
             "a milder one is",

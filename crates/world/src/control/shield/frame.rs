@@ -1,6 +1,6 @@
 //! What a shield takes for granted about its vehicle and the two beside it.
 
-use super::kernel::Kernel;
+use super::{Kernel, Real};
 
 /// Bounds of the errors of what is seen, all not negative.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -47,36 +47,35 @@ pub struct Behind {
 
 /// Everything a shield takes for granted.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Frame {
+pub struct Frame<R = f64> {
     /// The time between decisions, in seconds.
-    pub step_s: f64,
+    pub step_s: R,
     /// What full braking is, in m/s², positive, noise left aside.
-    pub brake_mps2: f64,
+    pub brake_mps2: R,
     /// Largest acceleration, in m/s².
-    pub accel_mps2: f64,
+    pub accel_mps2: R,
     /// Largest deviation of the own acceleration from the actuator's, in m/s².
-    pub noise_mps2: f64,
+    pub noise_mps2: R,
     /// What the vehicle ahead never brakes harder than, in m/s².
-    pub ahead_brake_mps2: f64,
+    pub ahead_brake_mps2: R,
     /// Steps from a command to the actuator.
     pub delay_steps: usize,
     /// Share of the way to the command that the actuator covers in a step: 1 without lag.
-    pub share: f64,
+    pub share: R,
     /// Bounds of what is seen.
     pub errors: ErrorBounds,
     /// The vehicle behind, if there is one.
     pub behind: Option<Behind>,
-    /// Demanded on top of the kernel's gap, in metres: it pays for rounding, and keeps the gap from being exactly zero.
-    pub margin_m: f64,
+    /// Demanded on top of the kernel's gap, in metres: it pays for rounding, and keeps the gap from being exactly zero. Half
+    /// of it is for what comes after an action was let through, see [`Travel::margin_m`](super::Travel::margin_m).
+    pub margin_m: R,
 }
 
-/// Rounding in a run of 10⁵ steps at positions of 10⁴ m stays well below this, in metres.
-pub const MARGIN_M: f64 = 1e-6;
-
-impl Frame {
+impl<R: Real> Frame<R> {
     /// The kernel against the vehicle ahead. What noise may take away from the own brake is not counted on.
     #[must_use]
-    pub fn kernel(&self) -> Kernel {
+    #[inline]
+    pub fn kernel(&self) -> Kernel<R> {
         Kernel { own_brake_mps2: self.brake_mps2 - self.noise_mps2, ahead_brake_mps2: self.ahead_brake_mps2 }
     }
 
@@ -86,7 +85,8 @@ impl Frame {
     /// step of full braking, since r + b shrinks to its share 1 - σ; and z bounds the speed. So a vehicle that brakes fully is
     /// at no instant faster, nor further, than one without lag that starts at z, and z takes the place of v in the kernel.
     #[must_use]
-    pub fn lag_s(&self) -> f64 {
-        self.step_s * (1.0 - self.share) / self.share
+    #[inline]
+    pub fn lag_s(&self) -> R {
+        self.step_s * (R::of(1.0) - self.share) / self.share
     }
 }

@@ -1,17 +1,21 @@
 //! The gap that must not be undercut: a vehicle that brakes fully behind one that brakes fully.
 //!
-//! The mathematics, and the check of the closed form in exact arithmetic, are in `crumple_verify::kernel`.
+//! The mathematics, and the check of the closed form in exact arithmetic, are in `crumple_verify::kernel`. The functions here
+//! are the ones that drive, and the ones that are proved: certificates are held against them, and obligations written, by
+//! computing with them in other numbers ([`Real`]).
+
+use super::Real;
 
 /// Brake limits of two successive vehicles, and which states they can leave without contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Kernel {
+pub struct Kernel<R = f64> {
     /// b, what the rear vehicle can brake at, in m/s², positive.
-    pub own_brake_mps2: f64,
+    pub own_brake_mps2: R,
     /// c, what the front vehicle never brakes harder than, in m/s², positive.
-    pub ahead_brake_mps2: f64,
+    pub ahead_brake_mps2: R,
 }
 
-impl Kernel {
+impl<R: Real> Kernel<R> {
     /// D(v, w), in metres: the rear vehicle at `speed_mps` can avoid the one ahead at `ahead_mps`, whatever that does,
     /// exactly where the gap is larger.
     ///
@@ -19,50 +23,59 @@ impl Kernel {
     /// Shalev-Shwartz, Shammah and Shashua (arXiv:1708.06374, definition 1, without response time): where the rear vehicle
     /// brakes harder and stops first, the two are closest before either stands.
     #[must_use]
-    pub fn demanded_gap_m(&self, speed_mps: f64, ahead_mps: f64) -> f64 {
+    #[inline]
+    pub fn demanded_gap_m(&self, speed_mps: R, ahead_mps: R) -> R {
         let Self { own_brake_mps2: b, ahead_brake_mps2: c } = *self;
         let (v, w) = (speed_mps, ahead_mps);
-        if b <= c || v * c >= w * b {
-            (v * v / (2.0 * b) - w * w / (2.0 * c)).max(0.0)
-        } else {
-            let closing_mps = (v - w).max(0.0);
-            closing_mps * closing_mps / (2.0 * (b - c))
-        }
+        let (zero, two) = (R::of(0.0), R::of(2.0));
+        let closest_at_rest = c.at_least(b) | (v * c).at_least(w * b);
+        let difference_of_stops_m = || (v * v / (two * b) - w * w / (two * c)).larger(zero);
+        let catching_up_m = || {
+            let closing_mps = (v - w).larger(zero);
+            closing_mps * closing_mps / (two * (b - c))
+        };
+        R::either(closest_at_rest, difference_of_stops_m, catching_up_m)
     }
 }
 
-/// Distance covered and speed after `dt_s` from `speed_mps` under a held acceleration; nobody reverses.
-pub(super) fn moved(speed_mps: f64, acceleration_mps2: f64, dt_s: f64) -> [f64; 2] {
+/// Distance covered (m) and speed (m/s) after `dt_s` from `speed_mps` under a held acceleration; nobody reverses.
+#[must_use]
+#[inline]
+pub fn moved<R: Real>(speed_mps: R, acceleration_mps2: R, dt_s: R) -> [R; 2] {
+    let (zero, half) = (R::of(0.0), R::of(0.5));
     let end_mps = speed_mps + acceleration_mps2 * dt_s;
-    if end_mps < 0.0 {
-        [speed_mps * speed_mps / (-2.0 * acceleration_mps2), 0.0]
-    } else {
-        [speed_mps * dt_s + 0.5 * acceleration_mps2 * dt_s * dt_s, end_mps]
-    }
+    let stops = zero.above(end_mps);
+    let to_stop_m = || speed_mps * speed_mps / (R::of(-2.0) * acceleration_mps2);
+    let covered_m = || speed_mps * dt_s + half * acceleration_mps2 * dt_s * dt_s;
+    [R::either(stops, to_stop_m, covered_m), R::either(stops, || zero, || end_mps)]
 }
 
 /// How far the gap closes at most at any instant within `dt_s`, in metres, if the front vehicle brakes at `ahead_brake_mps2`
 /// and the rear one holds `acceleration_mps2`.
 ///
 /// The closing speed is linear until a vehicle stops; it turns from positive to negative only while both move.
-pub(super) fn largest_closing_m(
-    speed_mps: f64,
-    acceleration_mps2: f64,
-    ahead_mps: f64,
-    ahead_brake_mps2: f64,
-    dt_s: f64,
-) -> f64 {
-    let closing_m = |t: f64| moved(speed_mps, acceleration_mps2, t)[0] - moved(ahead_mps, -ahead_brake_mps2, t)[0];
-    let at_end_m = closing_m(dt_s).max(0.0);
+#[must_use]
+#[inline]
+pub fn largest_closing_m<R: Real>(speed_mps: R, acceleration_mps2: R, ahead_mps: R, ahead_brake_mps2: R, dt_s: R) -> R {
+    let zero = R::of(0.0);
+    let closing_m = |t: R| moved(speed_mps, acceleration_mps2, t)[0] - moved(ahead_mps, -ahead_brake_mps2, t)[0];
+    let at_end_m = closing_m(dt_s).larger(zero);
     let turn_s = (speed_mps - ahead_mps) / (-acceleration_mps2 - ahead_brake_mps2);
-    let turns_inside = speed_mps > ahead_mps && turn_s > 0.0 && turn_s < dt_s.min(ahead_mps / ahead_brake_mps2);
-    if turns_inside { at_end_m.max(closing_m(turn_s)) } else { at_end_m }
+    let turns_inside =
+        speed_mps.above(ahead_mps) & turn_s.above(zero) & dt_s.smaller(ahead_mps / ahead_brake_mps2).above(turn_s);
+    R::either(turns_inside, || at_end_m.larger(closing_m(turn_s)), || at_end_m)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    /// A soft brake ahead stops late: between w c and w/c, half a second and two, the two are equally fast.
+    #[test]
+    fn the_gap_is_smallest_before_either_stands() {
+        assert!((largest_closing_m(2.0, -2.0, 1.0, 0.5, 2.0) - 1.0 / 3.0).abs() < 1e-12);
+    }
 
     #[test]
     fn a_harder_braking_car_behind_a_truck_needs_4_17_m_where_the_familiar_distance_needs_none() {

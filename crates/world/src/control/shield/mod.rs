@@ -22,18 +22,32 @@
 //!
 //! Nothing is promised to a vehicle that is pushed by the one behind, nor behind one that is stopped by an impact: no
 //! brake limit holds there.
+//!
+//! What drives is what is proved: [`Frame::admits`] and all it calls are written for any [`Real`] number. With exact quotients
+//! certificates are held against them, with terms they write the obligations in `verify/obligations`. What is left to
+//! arithmetic in double precision is paid for by a margin, see [`Travel::margin_m`].
+//!
+//! Proved for all limits, in Coq, of the formulas: the kernel and lag (`docs/kernel-theorems.md`). Proved for the shipped limits,
+//! of these functions as they stand: the kernel, motion, the test of an action at every instant of the
+//! step, lag. Derived on paper: the margin. Tested only: delay, noise, and the loop in this file. Taken on trust: that an
+//! estimator keeps the bounds that are stated for it, which are six standard deviations where noise has no bound.
 
+mod admission;
 mod frame;
 mod kernel;
+mod real;
+mod rounding;
 
-pub use frame::{Behind, ErrorBounds, Frame, MARGIN_M, ShieldSettings};
-pub use kernel::Kernel;
+pub use admission::ShieldState;
+pub use frame::{Behind, ErrorBounds, Frame, ShieldSettings};
+pub use kernel::{Kernel, largest_closing_m, moved};
+pub use real::Real;
+pub use rounding::{MARGIN_M, MOST_MARGIN_M, Travel};
 
 use std::collections::VecDeque;
 
 use super::{AnyController, Controller, ControllerFailure, within};
 use crate::observation::Observation;
-use kernel::{largest_closing_m, moved};
 
 /// Successive steps in which a shield braked instead of doing what its controller wanted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,15 +74,6 @@ pub struct Shield {
     overrides: Vec<Override>,
 }
 
-/// Gap and speeds at one instant, with the own actuator's response.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct State {
-    gap_m: f64,
-    speed_mps: f64,
-    ahead_mps: f64,
-    response_mps2: f64,
-}
-
 impl Shield {
     /// Puts a controller behind a shield.
     #[must_use]
@@ -90,10 +95,10 @@ impl Shield {
     }
 
     /// The worst state within the error bounds in which a command given now will act; none on an open road.
-    fn worst_state(&self, seen: &Observation) -> Option<State> {
+    fn worst_state(&self, seen: &Observation) -> Option<ShieldState> {
         let ahead = seen.ahead?;
         let ErrorBounds { gap_m, speed_mps, ahead_speed_mps } = self.frame.errors;
-        let mut state = State {
+        let mut state = ShieldState {
             gap_m: ahead.gap_m - gap_m,
             speed_mps: seen.speed_mps + speed_mps,
             ahead_mps: (ahead.speed_mps - ahead_speed_mps).max(0.0),
@@ -130,7 +135,8 @@ impl Controller for Shield {
             command_mps2 = -self.frame.brake_mps2;
             // A controller that brakes fully by itself is not overruled.
             if wanted_mps2 > command_mps2 {
-                self.note_override(self.frame.margin_m(state) < 0.0, self.frame.endangers_rear(seen));
+                let outside_kernel = self.frame.spare_m(state) < 0.5 * self.frame.margin_m;
+                self.note_override(outside_kernel, self.frame.endangers_rear(seen));
             }
         }
         self.pending.push_back(command_mps2);
@@ -142,41 +148,6 @@ impl Controller for Shield {
 }
 
 impl Frame {
-    fn response_mps2(&self, response_mps2: f64, due_mps2: f64) -> f64 {
-        response_mps2 + self.share * (within(due_mps2, self.brake_mps2, self.accel_mps2) - response_mps2)
-    }
-
-    /// The fastest the vehicle may accelerate over a step; a vehicle that stands and does not want to move is held.
-    fn acceleration_mps2(&self, state: State, response_mps2: f64) -> f64 {
-        let is_held = state.speed_mps == 0.0 && response_mps2 <= 0.0;
-        if is_held { 0.0 } else { response_mps2 + self.noise_mps2 }
-    }
-
-    /// The state a step later, the vehicle ahead braking hardest.
-    fn after(&self, state: State, due_mps2: f64) -> State {
-        let response_mps2 = self.response_mps2(state.response_mps2, due_mps2);
-        let [covered_m, speed_mps] = moved(state.speed_mps, self.acceleration_mps2(state, response_mps2), self.step_s);
-        let [ahead_m, ahead_mps] = moved(state.ahead_mps, -self.ahead_brake_mps2, self.step_s);
-        State { gap_m: state.gap_m + ahead_m - covered_m, speed_mps, ahead_mps, response_mps2 }
-    }
-
-    /// How much more gap there is than the kernel and the margin demand, in metres. Full braking never makes it smaller.
-    fn margin_m(&self, state: State) -> f64 {
-        let stands = state.speed_mps == 0.0 && state.response_mps2 <= 0.0;
-        let still_to_lose_mps = self.lag_s() * (state.response_mps2 + self.brake_mps2);
-        let speed_mps = if stands { 0.0 } else { state.speed_mps + still_to_lose_mps };
-        state.gap_m - self.kernel().demanded_gap_m(speed_mps, state.ahead_mps) - self.margin_m
-    }
-
-    /// Whether an action leaves a way out against every reaction of the vehicle ahead.
-    fn admits(&self, state: State, wanted_mps2: f64) -> bool {
-        let response_mps2 = self.response_mps2(state.response_mps2, wanted_mps2);
-        let acceleration_mps2 = self.acceleration_mps2(state, response_mps2);
-        let State { speed_mps, ahead_mps, .. } = state;
-        let closing_m = largest_closing_m(speed_mps, acceleration_mps2, ahead_mps, self.ahead_brake_mps2, self.step_s);
-        state.gap_m - closing_m >= self.margin_m && self.margin_m(self.after(state, wanted_mps2)) >= 0.0
-    }
-
     /// Whether full braking from now on cannot be avoided by the vehicle behind, which holds its speed until it reacts.
     ///
     /// The gap behind is concave while it holds its speed and the own vehicle brakes, so it is smallest at an end of that.
@@ -188,3 +159,6 @@ impl Frame {
         gap_m <= kernel.demanded_gap_m(rear.speed_mps, speed_mps)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,144 @@
+//! What certificates state is what the shield computes, and the checker accepts it.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use super::*;
+use crumple_verify::{Accepted, check};
+use crumple_world::control::Real;
+use proptest::prelude::*;
+
+/// The shield's own functions in exact arithmetic. Overflow and division by zero panic: the tests' numbers are short.
+impl Real for Quotient {
+    type Truth = bool;
+
+    fn of(value: f64) -> Self {
+        let scaled = value * 4.0;
+        assert!(scaled.fract() == 0.0, "no constant of the kernel");
+        Self::new(scaled as i128, 4).unwrap()
+    }
+
+    fn above(self, other: Self) -> bool {
+        self.minus(other).unwrap().over > 0
+    }
+
+    fn at_least(self, other: Self) -> bool {
+        self.minus(other).unwrap().over >= 0
+    }
+
+    fn either(truth: bool, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
+        if truth { then() } else { otherwise() }
+    }
+}
+
+impl Add for Quotient {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        self.minus(-other).unwrap()
+    }
+}
+
+impl Sub for Quotient {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        self.minus(other).unwrap()
+    }
+}
+
+impl Mul for Quotient {
+    type Output = Self;
+    fn mul(self, other: Self) -> Self {
+        Self::new(self.over.checked_mul(other.over).unwrap(), self.under.checked_mul(other.under).unwrap()).unwrap()
+    }
+}
+
+impl Div for Quotient {
+    type Output = Self;
+    fn div(self, other: Self) -> Self {
+        let sign = other.over.signum();
+        self * Self::new(sign * other.under, sign * other.over).unwrap()
+    }
+}
+
+impl Neg for Quotient {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self { over: -self.over, under: self.under }
+    }
+}
+
+#[test]
+fn each_shipped_pair_is_proved() {
+    let shipped = shipped_kernels();
+    assert_eq!(shipped.len(), 4);
+    for (name, certificate) in shipped {
+        assert_eq!(check(&certificate), Ok(Accepted::Kernel), "{name}");
+    }
+}
+
+fn exact(value: f64) -> Quotient {
+    Real::of(value)
+}
+
+fn quotient(text: &str) -> Quotient {
+    let (over, under) = text.split_once('/').unwrap_or((text, "1"));
+    Quotient::new(over.parse().unwrap(), under.parse().unwrap()).unwrap()
+}
+
+/// D(v, w) as the checker reads a certificate: `crumple_verify::kernel` proves this form.
+fn stated_gap_m(stated: &crumple_verify::Kernel, v: Quotient, w: Quotient) -> Quotient {
+    let [b, c, p, q] = [
+        &stated.ego_brake_mps2,
+        &stated.leader_brake_mps2,
+        &stated.stopping_own_squared,
+        &stated.stopping_ahead_squared,
+    ]
+    .map(|text| quotient(text));
+    let zero = exact(0.0);
+    match &stated.catching_up_squared {
+        Some(r) if Real::above(w / c, v / b) => quotient(r) * (v - w).larger(zero) * (v - w).larger(zero),
+        _ => (p * v * v + q * w * w).larger(zero),
+    }
+}
+
+/// The shield's own function, in exact arithmetic: a factor of 2 that is 2.5 there is refuted here, and so is any other case.
+#[test]
+fn what_is_certified_is_what_the_shield_computes() {
+    let quarter = |over: i128| Quotient::new(over, 4).unwrap();
+    let speeds = || (0..=60).chain([75, 100, 140]).map(quarter);
+    for (b, c) in [(7.5, 7.5), (7.5, 6.0), (6.0, 7.5), (6.0, 6.0), (8.0, 5.0), (0.25, 30.0), (30.0, 0.5)] {
+        let limits = Kernel { own_brake_mps2: b, ahead_brake_mps2: c };
+        let certificate = kernel_certificate("any", &limits, 0.01, 1e-6).unwrap();
+        assert_eq!(check(&certificate), Ok(Accepted::Kernel));
+        let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };
+        let shield = Kernel { own_brake_mps2: exact(b), ahead_brake_mps2: exact(c) };
+        for v in speeds() {
+            for w in speeds() {
+                assert_eq!(shield.demanded_gap_m(v, w), stated_gap_m(&stated, v, w), "{v} m/s behind {w} m/s, {b} {c}");
+            }
+        }
+    }
+}
+
+proptest! {
+    /// Any limits a scenario may have, friction included, and the same function as the shield's in double precision.
+    #[test]
+    fn any_pair_is_proved(b in 0.001..30.0_f64, c in 0.001..30.0_f64, v in 0.0..100.0_f64, part in 0.0..2.0_f64) {
+        let kernel = Kernel { own_brake_mps2: b, ahead_brake_mps2: c };
+        let certificate = kernel_certificate("any", &kernel, 0.01, 1e-6).unwrap();
+        prop_assert_eq!(check(&certificate), Ok(Accepted::Kernel));
+        let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };
+        let number = |text: &str| {
+            let (over, under) = text.split_once('/').unwrap_or((text, "1"));
+            over.parse::<f64>().unwrap() / under.parse::<f64>().unwrap()
+        };
+        let (p, q) = (number(&stated.stopping_own_squared), number(&stated.stopping_ahead_squared));
+        // A vehicle ahead that stops at `part` of the own time to standstill.
+        let w = part * c * v / b;
+        let demanded_m = match &stated.catching_up_squared {
+            Some(r) if part > 1.0 => number(r) * (v - w).max(0.0).powi(2),
+            _ => (p * v * v + q * w * w).max(0.0),
+        };
+        prop_assert!((kernel.demanded_gap_m(v, w) - demanded_m).abs() <= 1e-9 * (p * v * v - q * w * w));
+    }
+}

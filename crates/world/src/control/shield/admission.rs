@@ -1,0 +1,74 @@
+//! Whether an action leaves a way out.
+
+use super::kernel::{largest_closing_m, moved};
+use super::{Frame, Real};
+
+/// Gap and speeds at one instant, with the own actuator's response.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShieldState<R = f64> {
+    /// The gap ahead, in metres.
+    pub gap_m: R,
+    /// The own speed, in m/s.
+    pub speed_mps: R,
+    /// The speed of the vehicle ahead, in m/s.
+    pub ahead_mps: R,
+    /// What the own actuator does, in m/s².
+    pub response_mps2: R,
+}
+
+impl<R: Real> Frame<R> {
+    /// What the actuator does when a command within the vehicle's limits has become due, in m/s².
+    #[must_use]
+    #[inline]
+    pub fn response_mps2(&self, response_mps2: R, due_mps2: R) -> R {
+        response_mps2 + self.share * (due_mps2 - response_mps2)
+    }
+
+    /// The fastest the vehicle may accelerate over a step; a vehicle that stands and does not want to move is held.
+    fn acceleration_mps2(&self, state: ShieldState<R>, response_mps2: R) -> R {
+        let zero = R::of(0.0);
+        let is_held = zero.at_least(state.speed_mps) & zero.at_least(response_mps2);
+        R::either(is_held, || zero, || response_mps2 + self.noise_mps2)
+    }
+
+    /// The state a step later, the vehicle ahead braking hardest.
+    #[must_use]
+    #[inline]
+    pub fn after(&self, state: ShieldState<R>, due_mps2: R) -> ShieldState<R> {
+        let response_mps2 = self.response_mps2(state.response_mps2, due_mps2);
+        let [covered_m, speed_mps] = moved(state.speed_mps, self.acceleration_mps2(state, response_mps2), self.step_s);
+        let [ahead_m, ahead_mps] = moved(state.ahead_mps, -self.ahead_brake_mps2, self.step_s);
+        ShieldState { gap_m: state.gap_m + ahead_m - covered_m, speed_mps, ahead_mps, response_mps2 }
+    }
+
+    /// z, which takes the place of the own speed in the kernel, in m/s: with what the lag still lets it gain, see
+    /// [`Frame::lag_s`]. A vehicle that stands and does not move has none.
+    #[must_use]
+    #[inline]
+    pub fn speed_to_lose_mps(&self, state: ShieldState<R>) -> R {
+        let zero = R::of(0.0);
+        let stands = zero.at_least(state.speed_mps) & zero.at_least(state.response_mps2);
+        let by_lag_mps = || self.lag_s() * (state.response_mps2 + self.brake_mps2);
+        R::either(stands, || zero, || state.speed_mps + by_lag_mps())
+    }
+
+    /// How much more gap there is than the kernel demands, in metres. Full braking never makes it smaller.
+    #[must_use]
+    #[inline]
+    pub fn spare_m(&self, state: ShieldState<R>) -> R {
+        state.gap_m - self.kernel().demanded_gap_m(self.speed_to_lose_mps(state), state.ahead_mps)
+    }
+
+    /// Whether an action leaves a way out against every reaction of the vehicle ahead.
+    #[must_use]
+    #[inline]
+    pub fn admits(&self, state: ShieldState<R>, wanted_mps2: R) -> R::Truth {
+        let response_mps2 = self.response_mps2(state.response_mps2, wanted_mps2);
+        let acceleration_mps2 = self.acceleration_mps2(state, response_mps2);
+        let ShieldState { speed_mps, ahead_mps, .. } = state;
+        let closing_m = largest_closing_m(speed_mps, acceleration_mps2, ahead_mps, self.ahead_brake_mps2, self.step_s);
+        let stays_open = (state.gap_m - closing_m).at_least(self.margin_m);
+        let stays_in_kernel = self.spare_m(self.after(state, wanted_mps2)).at_least(self.margin_m);
+        stays_open & stays_in_kernel
+    }
+}

@@ -1,0 +1,72 @@
+//! The numbers that a shield computes with, so that one text is what drives and what is proved.
+
+use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
+
+/// A number as the kernel and the shield's test need it: `f64` on the road.
+///
+/// Exact quotients and terms of a logic are others: certificates are held against the kernel by computing with the former, and
+/// the obligations for solvers are written by computing with the latter.
+pub trait Real:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
+{
+    /// What a comparison answers.
+    type Truth: Copy + BitAnd<Output = Self::Truth> + BitOr<Output = Self::Truth>;
+
+    /// A constant, exactly.
+    fn of(value: f64) -> Self;
+
+    /// Whether this is greater than `other`.
+    fn above(self, other: Self) -> Self::Truth;
+
+    /// Whether this is not less than `other`.
+    fn at_least(self, other: Self) -> Self::Truth;
+
+    /// One or the other.
+    fn either(truth: Self::Truth, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self;
+
+    /// The larger of two.
+    #[must_use]
+    fn larger(self, other: Self) -> Self {
+        Self::either(self.at_least(other), || self, || other)
+    }
+
+    /// The smaller of two.
+    #[must_use]
+    fn smaller(self, other: Self) -> Self {
+        Self::either(self.at_least(other), || other, || self)
+    }
+}
+
+impl Real for f64 {
+    type Truth = bool;
+
+    #[inline]
+    fn of(value: f64) -> Self {
+        value
+    }
+
+    #[inline]
+    fn above(self, other: Self) -> bool {
+        self > other
+    }
+
+    #[inline]
+    fn at_least(self, other: Self) -> bool {
+        self >= other
+    }
+
+    #[inline]
+    fn either(truth: bool, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
+        if truth { then() } else { otherwise() }
+    }
+
+    #[inline]
+    fn larger(self, other: Self) -> Self {
+        self.max(other)
+    }
+
+    #[inline]
+    fn smaller(self, other: Self) -> Self {
+        self.min(other)
+    }
+}

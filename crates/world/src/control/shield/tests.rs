@@ -1,0 +1,246 @@
+//! What the shield's test of an action promises, tried out against every instant and every vehicle ahead.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use crate::control::ControllerSpec;
+use crate::control::tests::{EGO, behind};
+use crate::observation::Neighbour;
+use proptest::prelude::*;
+
+/// The car brakes at 8 m/s², the truck ahead of it at 5, and a step is a second.
+fn slow_steps() -> Frame {
+    Frame {
+        step_s: 1.0,
+        brake_mps2: 8.0,
+        accel_mps2: 3.0,
+        noise_mps2: 0.0,
+        ahead_brake_mps2: 5.0,
+        delay_steps: 0,
+        share: 1.0,
+        errors: ErrorBounds::default(),
+        behind: None,
+        margin_m: MARGIN_M,
+    }
+}
+
+fn state(gap_m: f64, speed_mps: f64, ahead_mps: f64) -> ShieldState {
+    ShieldState { gap_m, speed_mps, ahead_mps, response_mps2: 0.0 }
+}
+
+/// Equally fast after half a second, when the gap has closed by a quarter of a metre; apart again at the end of the step.
+#[test]
+fn what_touches_in_mid_step_is_not_let_through_though_the_step_ends_well() {
+    let (frame, wanted_mps2) = (slow_steps(), -7.0);
+    for (gap_m, is_admitted) in [(0.2, false), (0.25, false), (0.250_002, true)] {
+        let now = state(gap_m, 11.0, 10.0);
+        assert!(frame.spare_m(now) > frame.margin_m, "there is a way out: full braking");
+        let later = frame.after(now, wanted_mps2);
+        assert!(frame.spare_m(later) >= frame.margin_m, "and the step ends in the kernel");
+        assert_eq!(frame.admits(now, wanted_mps2), is_admitted, "{gap_m} m");
+    }
+}
+
+#[test]
+fn the_step_has_to_end_in_the_kernel_by_the_margin() {
+    let frame = slow_steps();
+    // 20 m/s held over a second behind one that brakes from 20 to 15: 2.5 m less, and 5²/6 m demanded.
+    let needed_m = 2.5 + 25.0 / 6.0;
+    for (more, is_admitted) in [(0.0, false), (0.5, false), (1.5, true)] {
+        assert_eq!(
+            frame.admits(state(needed_m + more * MARGIN_M, 20.0, 20.0), 0.0),
+            is_admitted,
+            "{more} margins more"
+        );
+    }
+}
+
+prop_compose! {
+    /// A frame, a state and an action.
+    fn question()(
+        step_s in prop_oneof![0.005..0.05_f64, 0.05..1.0_f64],
+        (brake_mps2, ahead_brake_mps2) in (0.5..10.0_f64, 0.5..10.0_f64),
+        noise_share in prop_oneof![Just(0.0), 0.0..0.3_f64],
+        share in prop_oneof![Just(1.0), 0.05..1.0_f64],
+        (spare_m, speed_mps, ahead_mps) in (0.0..0.5_f64, 0.0..30.0_f64, prop_oneof![3 => 0.0..30.0_f64, 1 => Just(0.0)]),
+        near in prop::option::of(-1.0..1.0_f64),
+        (response, wanted) in (0.0..1.0_f64, 0.0..1.0_f64),
+    ) -> (Frame, ShieldState, f64) {
+        let noise_mps2 = noise_share * brake_mps2;
+        let frame = Frame { step_s, brake_mps2, ahead_brake_mps2, noise_mps2, share, ..slow_steps() };
+        let between = |part: f64| -brake_mps2 + part * (brake_mps2 + frame.accel_mps2);
+        let ahead_mps = near.map_or(ahead_mps, |by| (speed_mps + by).max(0.0));
+        let response_mps2 = if share < 1.0 { between(response) } else { 0.0 };
+        let at_kernel = ShieldState { gap_m: 0.0, speed_mps, ahead_mps, response_mps2 };
+        let gap_m = spare_m - frame.spare_m(at_kernel);
+        (frame, ShieldState { gap_m, ..at_kernel }, between(wanted))
+    }
+}
+
+/// The gap at an instant of the step if the own vehicle does as wanted and the one ahead holds an acceleration.
+fn gap_m(frame: &Frame, state: ShieldState, wanted_mps2: f64, noise_mps2: f64, ahead_mps2: f64, t: f64) -> f64 {
+    let response_mps2 = frame.response_mps2(state.response_mps2, wanted_mps2);
+    let held = state.speed_mps == 0.0 && response_mps2 <= 0.0;
+    let own_mps2 = if held { 0.0 } else { response_mps2 + noise_mps2 };
+    state.gap_m + moved(state.ahead_mps, ahead_mps2, t)[0] - moved(state.speed_mps, own_mps2, t)[0]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    /// At every instant of a step that is let through the gap is open, and a way out is left at its end, whatever the vehicle
+    /// ahead and noise do; and whatever is held back has one reason or the other.
+    #[test]
+    fn an_action_is_let_through_exactly_if_it_leaves_a_way_out((frame, now, wanted_mps2) in question(),
+                                                               ahead in 0.0..1.0_f64, noise in -1.0..1.0_f64) {
+        let worst = |t: f64| gap_m(&frame, now, wanted_mps2, frame.noise_mps2, -frame.ahead_brake_mps2, t);
+        let grid = || (0..=400).map(|k| frame.step_s * f64::from(k) / 400.0);
+        let coarse_m = 20.0 * (frame.step_s / 400.0).powi(2) + 1e-9;
+        let later = frame.after(now, wanted_mps2);
+        prop_assert!((later.gap_m - worst(frame.step_s)).abs() < 1e-9);
+        let closest_m = grid().map(worst).fold(f64::INFINITY, f64::min);
+        if frame.admits(now, wanted_mps2) {
+            prop_assert!(closest_m >= frame.margin_m - 1e-9 && frame.spare_m(later) >= frame.margin_m);
+            let ahead_mps2 = -frame.ahead_brake_mps2 + ahead * (frame.ahead_brake_mps2 + 4.0);
+            for t in grid() {
+                let gap_m = gap_m(&frame, now, wanted_mps2, noise * frame.noise_mps2, ahead_mps2, t);
+                prop_assert!(gap_m >= frame.margin_m - 1e-9, "{gap_m} m after {t} s");
+            }
+        } else {
+            prop_assert!(closest_m < frame.margin_m + coarse_m || frame.spare_m(later) < frame.margin_m);
+        }
+    }
+
+    /// What full braking leaves of the spare gap, and of the gap inside the step, whatever the lag.
+    #[test]
+    fn full_braking_never_lessens_the_spare_gap((frame, now, _) in question()) {
+        let mut state = now;
+        for _ in 0..50 {
+            let before_m = frame.spare_m(state);
+            for k in 1..8 {
+                let gap_m = gap_m(&frame, state, -frame.brake_mps2, frame.noise_mps2, -frame.ahead_brake_mps2,
+                                  frame.step_s * f64::from(k) / 8.0);
+                prop_assert!(gap_m >= before_m - 1e-9);
+            }
+            state = frame.after(state, -frame.brake_mps2);
+            prop_assert!(frame.spare_m(state) >= before_m - 1e-9, "{} {before_m}", frame.spare_m(state));
+        }
+    }
+}
+
+fn shield(frame: Frame) -> Shield {
+    let full_throttle = ControllerSpec::FullThrottle(Default::default());
+    Shield::new(AnyController::built_in(&full_throttle, &EGO, 0), frame)
+}
+
+/// The gap from which full throttle is just let through, to a micrometre.
+fn least_gap_m(frame: Frame, speed_mps: f64, ahead_mps: f64) -> f64 {
+    let (mut low_m, mut high_m) = (0.0, 1000.0);
+    while high_m - low_m > 1e-7 {
+        let gap_m = 0.5 * (low_m + high_m);
+        let command_mps2 = shield(frame).decide(&behind(speed_mps, gap_m, ahead_mps, 0.0)).unwrap();
+        assert!(command_mps2 == -frame.brake_mps2 || command_mps2 == frame.accel_mps2);
+        if command_mps2 > 0.0 { high_m = gap_m } else { low_m = gap_m }
+    }
+    high_m
+}
+
+/// 20 m/s against 15, step 0.1 s: worked out by hand with exact quotients.
+#[test]
+fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
+    let plain = Frame { step_s: 0.1, ..slow_steps() };
+    let least_m = |frame: Frame| least_gap_m(frame, 20.0, 15.0);
+    let demanded_m = |v: f64, w: f64| Kernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(v, w);
+    let near = |found_m: f64, by_hand_m: f64| assert!((found_m - by_hand_m).abs() < 3e-6, "{found_m} {by_hand_m}");
+    // 2.015 m against 1.475 m, and 20.3 m/s behind 14.5.
+    near(least_m(plain), 0.54 + demanded_m(20.3, 14.5));
+    // Seen wrongly: 0.3 m less, 20.2 m/s behind 14.6.
+    let errors = ErrorBounds { gap_m: 0.3, speed_mps: 0.2, ahead_speed_mps: 0.4 };
+    near(least_m(Frame { errors, ..plain }), 0.3 + 0.6 + demanded_m(20.5, 14.1));
+    // Two steps at 20 m/s first, against one that brakes: 4 m against 2.9.
+    near(least_m(Frame { delay_steps: 2, ..plain }), 1.1 + (2.015 - 1.375) + demanded_m(20.3, 13.5));
+    // Half of 3 m/s² in this step; the lag's 0.1 s at 9.5 m/s² more than full braking is still to lose.
+    near(least_m(Frame { share: 0.5, ..plain }), 2.0075 - 1.475 + demanded_m(20.15 + 0.1 * 9.5, 14.5));
+    // Noise of 1 m/s² drives, and takes from the brake.
+    let noisy = Kernel { own_brake_mps2: 7.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(20.4, 14.5);
+    near(least_m(Frame { noise_mps2: 1.0, ..plain }), 2.02 - 1.475 + noisy);
+}
+
+/// Delay and lag go on through the steps: what was decided before is on its way.
+#[test]
+fn commands_under_way_are_counted_on() {
+    let frame = Frame { step_s: 0.1, delay_steps: 1, share: 0.5, ..slow_steps() };
+    let seen = behind(10.0, 100.0, 10.0, 0.0);
+    let mut shield = shield(frame);
+    assert_eq!(shield.decide(&seen).unwrap(), 3.0);
+    assert_eq!((shield.response_mps2, shield.pending.as_slices().0), (0.0, &[3.0][..]));
+    assert_eq!(shield.decide(&seen).unwrap(), 3.0);
+    assert_eq!((shield.response_mps2, shield.pending.as_slices().0), (1.5, &[3.0][..]));
+    let worst = shield.worst_state(&seen).unwrap();
+    assert_eq!((worst.response_mps2, worst.ahead_mps), (2.25, 9.5));
+    assert!((worst.speed_mps - 10.225).abs() < 1e-12 && (worst.gap_m - (100.0 + 0.975 - 1.01125)).abs() < 1e-12);
+}
+
+#[test]
+fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
+    for (spare_m, outside) in [(1e-5 * 0.4, true), (1e-5 * 0.6, false), (-0.1, true)] {
+        let frame = Frame { step_s: 0.1, margin_m: 1e-5, ..slow_steps() };
+        let gap_m = frame.kernel().demanded_gap_m(20.0, 15.0) + spare_m;
+        let mut shield = shield(frame);
+        assert_eq!(shield.decide(&behind(20.0, gap_m, 15.0, 0.0)).unwrap(), -8.0);
+        let expected = Override { first_step: 0, last_step: 0, outside_kernel: outside, rear_conflict: false };
+        assert_eq!(shield.overrides(), [expected]);
+    }
+}
+
+/// It holds 20 m/s for 0.4 s while the own vehicle brakes at 8 m/s² to 16.8 m/s over 7.36 m, then brakes at 6 m/s².
+#[test]
+fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
+    let behind_it = Behind { brake_mps2: 6.0, reaction_s: 0.4 };
+    let conflict = |frame: Frame, rear_gap_m: Option<f64>| {
+        let rear = rear_gap_m.map(|gap_m| Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: 0.0 });
+        let mut shield = shield(frame);
+        assert_eq!(shield.decide(&Observation { behind: rear, ..behind(20.0, 1.0, 10.0, 0.0) }).unwrap(), -8.0);
+        shield.overrides()[0].rear_conflict
+    };
+    let frame = Frame { step_s: 0.1, behind: Some(behind_it), ..slow_steps() };
+    let least_m = 8.0 - 7.36 + 400.0 / 12.0 - 16.8 * 16.8 / 16.0;
+    assert!(conflict(frame, Some(least_m - 1e-9)) && !conflict(frame, Some(least_m + 1e-9)));
+    assert!(!conflict(frame, None) && !conflict(Frame { behind: None, ..frame }, Some(0.1)));
+}
+
+#[test]
+fn overrides_in_successive_steps_are_one() {
+    let frame = Frame { step_s: 0.1, behind: Some(Behind { brake_mps2: 6.0, reaction_s: 0.0 }), ..slow_steps() };
+    let mut shield = shield(frame);
+    let near_m = frame.kernel().demanded_gap_m(20.0, 15.0) + 0.01;
+    let rear = Some(Neighbour { gap_m: 0.1, speed_mps: 30.0, acceleration_mps2: 0.0 });
+    let far = behind(20.0, 500.0, 15.0, 0.0);
+    let near = behind(20.0, near_m, 15.0, 0.0);
+    let outside = behind(20.0, near_m - 1.0, 15.0, 0.0);
+    for seen in [near, outside, Observation { behind: rear, ..near }, far, near, Observation { ahead: None, ..near }] {
+        shield.decide(&seen).unwrap();
+    }
+    let first = Override { first_step: 0, last_step: 2, outside_kernel: true, rear_conflict: true };
+    let second = Override { first_step: 4, last_step: 4, outside_kernel: false, rear_conflict: false };
+    assert_eq!(shield.overrides(), [first, second]);
+}
+
+/// Whoever brakes fully is not overruled; whoever answers with more than can be had is cut to that.
+#[test]
+fn only_what_is_changed_is_an_override() {
+    let frame = Frame { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_steps() };
+    let mut shield = shield(frame);
+    assert_eq!(shield.decide(&behind(20.0, 900.0, 20.0, 0.0)).unwrap(), 1.0, "cut to what there is");
+    let full_brake = Frame { accel_mps2: -2.0, ..frame };
+    let mut braking = self::shield(full_brake);
+    assert_eq!(braking.decide(&behind(20.0, 0.5, 20.0, 0.0)).unwrap(), -2.0);
+    assert_eq!(braking.overrides(), []);
+}
+
+#[test]
+fn settings_are_said_as_they_are_read() {
+    let errors = Some(ErrorBounds { gap_m: 0.5, speed_mps: 0.25, ahead_speed_mps: 1.0 });
+    assert_eq!(ShieldSettings::default().words(), "");
+    let words = ShieldSettings { ahead_brake_mps2: Some(6.0), errors }.words();
+    assert_eq!(words, ",ahead=6,gap-error=0.5,speed-error=0.25,ahead-speed-error=1");
+}

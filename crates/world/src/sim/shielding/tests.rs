@@ -1,0 +1,197 @@
+//! What a shield promises far from the origin and in small steps, and what it may take for granted.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use super::*;
+use crate::control::ControllerSpec;
+use crate::observation::EstimatorKind;
+use crate::scenario::{Brake, Environment, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, built_in};
+use crate::sim::{Outcome, RecordingLevel, RunError, RunOptions, Simulated, simulate};
+use proptest::prelude::*;
+
+/// Two vehicles of one class, the second under test, in steps of `step_s`. The one ahead brakes fully from `onset_s` on, until
+/// both would stand.
+#[derive(Debug, Clone)]
+struct FarAway {
+    position_m: f64,
+    classes: [VehicleClass; 2],
+    speeds_mps: [f64; 2],
+    friction: f64,
+    step_s: f64,
+    substeps: u32,
+    spare_m: f64,
+    onset_s: f64,
+    driver: ControllerSpec,
+}
+
+impl FarAway {
+    /// As it was found: contact at 15 s, at 1 mm/s, from inside the kernel. What braking adds to the position in a step is not
+    /// a whole number of spacings, so that rounding goes the same way in each of 40 000 steps.
+    fn reported(friction: f64, position_m: f64, classes: [VehicleClass; 2]) -> Self {
+        Self {
+            position_m,
+            classes,
+            speeds_mps: [29.7, 29.7],
+            friction,
+            step_s: 2e-4,
+            substeps: 1,
+            spare_m: 20.0,
+            onset_s: 0.0,
+            driver: ControllerSpec::FullThrottle(Default::default()),
+        }
+    }
+
+    fn brakes_mps2(&self) -> [f64; 2] {
+        self.classes.map(|class| class.max_brake_mps2() * self.friction)
+    }
+
+    fn scenario(&self) -> Scenario {
+        let ([ahead, own], [ahead_mps2, own_mps2], [w, v]) = (self.classes, self.brakes_mps2(), self.speeds_mps);
+        let kernel = Kernel { own_brake_mps2: own_mps2, ahead_brake_mps2: ahead_mps2 };
+        let gap_m = kernel.demanded_gap_m(v, w) + self.spare_m;
+        let brake = Brake { onset_s: self.onset_s, rate_mps2: ahead.max_brake_mps2() };
+        let rear_m = self.position_m - ahead.length_m() - gap_m;
+        let duration_s = self.onset_s + (w / ahead_mps2).max((v + 2.0 * self.onset_s) / own_mps2) + 2.0;
+        let spec = ScenarioSpec {
+            version: SCENARIO_VERSION,
+            name: "far away".to_owned(),
+            about: String::new(),
+            duration_s: (duration_s / self.step_s).ceil() * self.step_s,
+            step_s: self.step_s,
+            seed: 0,
+            environment: Environment { friction: self.friction },
+            sensors: Sensors::default(),
+            vehicles: vec![
+                VehicleSpec::new(ahead, self.position_m, w, Driver::Profile(LeadProfile::Brake(brake))),
+                VehicleSpec::new(own, rear_m, v, Driver::UnderTest),
+            ],
+        };
+        Scenario::new(spec).unwrap()
+    }
+
+    fn simulated(&self) -> Simulated {
+        let controller = Shielded { controller: self.driver.clone().into(), settings: ShieldSettings::default() };
+        let options = RunOptions::new(ControllerKind::from(controller)).with_estimator(EstimatorKind::Truth);
+        let options = options.with_dt_s(self.step_s / f64::from(self.substeps));
+        simulate(&Run::new(&self.scenario(), options).unwrap(), RecordingLevel::Summary)
+    }
+}
+
+fn keeps_clear(far: &FarAway) -> Result<(), TestCaseError> {
+    let result = far.simulated();
+    prop_assert_eq!(&result.outcome, &Outcome::NoCollision);
+    prop_assert!(result.interventions.iter().all(|one| !one.outside_kernel), "{:?}", result.interventions);
+    Ok(())
+}
+
+#[test]
+fn rounding_far_from_the_origin_costs_no_contact() {
+    use VehicleClass::{Heavy, Light};
+    let found = [
+        FarAway { spare_m: 1.0, onset_s: 7.0, ..FarAway::reported(0.6, 8e5, [Light, Heavy]) },
+        FarAway::reported(0.6, 8e5, [Light, Heavy]),
+        FarAway::reported(0.5, 8e5, [Light, Heavy]),
+        FarAway { onset_s: 1.0, ..FarAway::reported(0.5, 3e5, [Heavy, Light]) },
+    ];
+    for far in found {
+        for driver in ControllerSpec::built_in() {
+            keeps_clear(&FarAway { driver, ..far.clone() }).unwrap();
+        }
+    }
+}
+
+/// Behind somebody who may accelerate for hours, far from any origin.
+#[test]
+fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
+    let far = FarAway::reported(1.0, 0.0, [VehicleClass::Light; 2]);
+    let refusal = |duration_s: f64| {
+        let long = far.scenario().edited(|spec| {
+            (spec.duration_s, spec.step_s) = (duration_s, 0.01);
+            spec.vehicles[0].driver = Driver::Controller(ControllerSpec::Idm(Default::default()));
+        });
+        let controller = Shielded { controller: far.driver.clone().into(), settings: ShieldSettings::default() };
+        let options = RunOptions::new(ControllerKind::from(controller)).with_estimator(EstimatorKind::Truth);
+        Run::new(&long.unwrap(), options).err()
+    };
+    assert!(refusal(3600.0).is_none());
+    let Some(RunError::Shield { vehicle: 1, why }) = refusal(20_000.0) else { panic!("not refused") };
+    let ShieldRefusal::Rounding { half_m, position_m, most_m } = why else { panic!("{why}") };
+    assert!(2.0 * half_m > most_m && most_m == MOST_MARGIN_M && position_m > 1e8, "{why}");
+}
+
+/// Positions, speeds and steps that the margin counts on are those of the run.
+#[test]
+fn travel_bounds_what_happens() {
+    let controller =
+        |far: &FarAway| Shielded { controller: far.driver.clone().into(), settings: ShieldSettings::default() };
+    for (onset_s, bound_by_kernel) in [(2.0, false), (40.0, true)] {
+        let classes = [VehicleClass::Heavy, VehicleClass::Light];
+        let far = FarAway { onset_s, spare_m: 50.0, ..FarAway::reported(0.6, 1e4, classes) };
+        let scenario = far.scenario();
+        let travel = |dt_s: f64| {
+            let options = RunOptions::new(ControllerKind::from(controller(&far))).with_dt_s(dt_s);
+            let run = Run::new(&scenario, options.with_estimator(EstimatorKind::Truth)).unwrap();
+            run.travel(0, &run.frame(1, &ShieldSettings::default()).unwrap())
+        };
+        let (whole, halves) = (travel(2e-4), travel(1e-4));
+        assert_eq!((whole.steps, whole.substeps), (scenario.steps(), 1));
+        assert_eq!((halves.steps, halves.substeps), (2 * scenario.steps(), 2));
+        let duration_s = scenario.spec().duration_s;
+        let farthest_m = 1e4 + 29.7 * duration_s + 15.0 + (100.0 + 60.0 * 2e-4) * 2e-4;
+        assert!((whole.position_m - farthest_m).abs() < 1e-9, "{}", whole.position_m);
+        let road_m = whole.position_m - scenario.vehicles()[1].position_m;
+        let (in_kernel_mps, at_all_mps) = ((9.0 * road_m + 1.25 * 29.7 * 29.7).sqrt(), 29.7 + 3.0 * duration_s);
+        assert_eq!(in_kernel_mps < at_all_mps, bound_by_kernel);
+        assert!((whole.speed_mps - in_kernel_mps.min(at_all_mps)).abs() < 1e-9, "{}", whole.speed_mps);
+    }
+}
+
+prop_compose! {
+    fn far_away()(
+        position_m in prop_oneof![-1e6..1e6_f64, 5e5..1e6_f64],
+        classes in prop::array::uniform2(prop::sample::select(VehicleClass::ALL.to_vec())),
+        speeds_mps in prop_oneof![
+            (20.0..40.0_f64).prop_map(|both| [both, both]),
+            prop::array::uniform2(prop_oneof![4 => 0.0..40.0_f64, 1 => Just(0.0)]),
+        ],
+        friction in prop_oneof![Just(1.0), 0.2..1.0_f64, 0.2..0.5_f64],
+        step_s in prop_oneof![2 => Just(100), 1 => 10..100_u32, 1 => 1..10_u32].prop_map(|parts| 0.01 / f64::from(parts)),
+        substeps in prop_oneof![2 => Just(1), 1 => 2..4_u32],
+        spare_m in prop_oneof![Just(2e-3), 2e-3..5.0_f64],
+        onset_s in 0.0..4.0_f64,
+        driver in prop_oneof![
+            Just(ControllerSpec::FullThrottle(Default::default())),
+            prop::sample::select(ControllerSpec::built_in()),
+        ],
+    ) -> FarAway {
+        let speeds_mps = speeds_mps.map(|speed| speed * friction.sqrt());
+        FarAway { position_m, classes, speeds_mps, friction, step_s, substeps, spare_m, onset_s, driver }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: ProptestConfig::default().cases / 2, max_shrink_iters: 50, ..ProptestConfig::default() })]
+
+    /// Wherever, in whatever steps, on whatever road, whoever drives.
+    #[test]
+    fn from_inside_the_kernel_nobody_touches_wherever_and_in_whatever_steps(far in far_away()) {
+        keeps_clear(&far)?;
+    }
+}
+
+/// Seeing late and acting late are one thing, one's own as well as that of the vehicle behind.
+#[test]
+fn delays_add_up() {
+    let frame = |reaction_delay_s: f64, actuator_delay_s: f64| {
+        let late = built_in("paper-1").unwrap().edited(|spec| {
+            for vehicle in &mut spec.vehicles[1..] {
+                (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (reaction_delay_s, actuator_delay_s);
+            }
+        });
+        let late = late.unwrap();
+        let run = Run::new(&late, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
+        run.frame(1, &ShieldSettings::default()).unwrap()
+    };
+    let frames = [(0.3, 0.1), (0.1, 0.3), (0.4, 0.0), (0.0, 0.4)].map(|(seeing, acting)| frame(seeing, acting));
+    assert!(frames.iter().all(|other| *other == frames[0]), "{frames:?}");
+    assert_eq!((frames[0].delay_steps, frames[0].behind.map(|behind| behind.reaction_s)), (40, Some(0.4)));
+}

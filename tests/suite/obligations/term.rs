@@ -1,0 +1,109 @@
+//! Terms of a logic in the place of numbers: computing with them writes down what was computed.
+
+use std::cell::RefCell;
+use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
+
+use crumple_world::control::Real;
+
+thread_local! {
+    /// The text of every term of this thread.
+    static TEXTS: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+}
+
+/// A real number in SMT-LIB 2.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Term(usize);
+
+/// A truth value in SMT-LIB 2.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Truth(usize);
+
+fn noted(text: String) -> usize {
+    TEXTS.with_borrow_mut(|texts| {
+        texts.push(text);
+        texts.len() - 1
+    })
+}
+
+fn text(term: usize) -> String {
+    TEXTS.with_borrow(|texts| texts[term].clone())
+}
+
+impl Term {
+    pub(super) fn named(name: &str) -> Self {
+        Self(noted(name.to_owned()))
+    }
+
+    pub(super) fn text(self) -> String {
+        text(self.0)
+    }
+
+    fn of_two(operator: &str, one: Self, other: Self) -> Self {
+        Self(noted(format!("({operator} {} {})", one.text(), other.text())))
+    }
+}
+
+impl Truth {
+    pub(super) fn text(self) -> String {
+        text(self.0)
+    }
+
+    fn of_two(operator: &str, one: usize, other: usize) -> Self {
+        Self(noted(format!("({operator} {} {})", text(one), text(other))))
+    }
+}
+
+macro_rules! operators {
+    ($($trait:ident $method:ident $operator:literal,)*) => {
+        $(impl $trait for Term {
+            type Output = Self;
+            fn $method(self, other: Self) -> Self {
+                Self::of_two($operator, self, other)
+            }
+        })*
+    };
+}
+operators!(Add add "+", Sub sub "-", Mul mul "*", Div div "/",);
+
+impl Neg for Term {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self(noted(format!("(- {})", self.text())))
+    }
+}
+
+impl BitAnd for Truth {
+    type Output = Self;
+    fn bitand(self, other: Self) -> Self {
+        Self::of_two("and", self.0, other.0)
+    }
+}
+
+impl BitOr for Truth {
+    type Output = Self;
+    fn bitor(self, other: Self) -> Self {
+        Self::of_two("or", self.0, other.0)
+    }
+}
+
+impl Real for Term {
+    type Truth = Truth;
+
+    fn of(value: f64) -> Self {
+        let size = format!("{:?}", value.abs());
+        Self(noted(if value < 0.0 { format!("(- {size})") } else { size }))
+    }
+
+    fn above(self, other: Self) -> Truth {
+        Truth::of_two(">", self.0, other.0)
+    }
+
+    fn at_least(self, other: Self) -> Truth {
+        Truth::of_two(">=", self.0, other.0)
+    }
+
+    fn either(truth: Truth, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
+        let (then, otherwise) = (then(), otherwise());
+        Self(noted(format!("(ite {} {} {})", truth.text(), then.text(), otherwise.text())))
+    }
+}

@@ -1,0 +1,85 @@
+//! Each case speaks of the motion it says it speaks of.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+
+fn number(text: &str) -> BigRational {
+    text.parse().unwrap()
+}
+
+/// What is covered up to `t` while braking at `rate` with `stop` to go, to standstill if it comes to that.
+fn covered(rate: &BigRational, stop: &BigRational, t: &BigRational) -> BigRational {
+    let moving = t.min(stop);
+    rate * (stop * moving - moving * moving / number("2"))
+}
+
+/// The polynomials of a pair, with the closed form's p and q as given and r, beside what they have to be worth at a point: from
+/// the motion itself, and from the claims.
+fn cases(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 3]) -> Vec<(Case, BigRational)> {
+    let [b, c, p, q, r] = [b, c, p, q, r].map(number);
+    let [x, y, z] = at;
+    let (xy, xyz) = (x + y, x + y + z);
+    let closing =
+        |a: &BigRational, stop_ahead: &BigRational, t: &BigRational| covered(&b, a, t) - covered(&c, stop_ahead, t);
+    let s_of = |a: &BigRational, stop_ahead: &BigRational| {
+        let (v, w) = (&b * a, &c * stop_ahead);
+        &p * &v * &v + &q * &w * &w
+    };
+    let pair = Pair { b: &b, c: &c, stopping: [&p, &q] };
+    let mut worth = vec![s_of(x, y) - closing(x, y, x.max(y)), s_of(&xyz, x) - closing(&xyz, x, &xy)];
+    let mut all = pair.stops_last().to_vec();
+    if b > c {
+        all.push(pair.brakes_harder());
+        worth.push(closing(&xyz, &xy, &xyz) - closing(&xyz, &xy, x));
+        all.extend(pair.catches_up(&r));
+        let harder = &b - &c;
+        // t = x, A = y, B = z, whoever might stand by then: an identity.
+        let two = number("2");
+        let moving = |rate: &BigRational, stop: &BigRational, t: &BigRational| rate * (stop * t - t * t / &two);
+        let (v, w) = (&b * y, &c * z);
+        let from_turn = x - (&v - &w) / &harder;
+        let demanded = &r * (&v - &w) * (&v - &w);
+        worth.push(demanded - (moving(&b, y, x) - moving(&c, z, x)) - &harder / &two * &from_turn * &from_turn);
+        worth.push(x - (&b * x - &c * &xy) / &harder);
+        let stop_ahead = (&b * x + z) / &c;
+        worth.push(moving(&c, &stop_ahead, y) - moving(&b, x, y));
+        worth.push(closing(x, &xyz, x) - closing(x, &xyz, &xy));
+    } else {
+        all.extend(pair.brakes_softer());
+        worth.push(x * s_of(&xyz, &xy) - &xy * closing(&xyz, &xy, x));
+        worth.push(-closing(&xy, &xyz, x));
+        worth.push(-closing(x, &xyz, &xy));
+        worth.push(-closing(x, &xy, &xy));
+    }
+    assert_eq!(all.len(), worth.len());
+    all.into_iter().zip(worth).collect()
+}
+
+#[test]
+fn each_case_speaks_of_the_motion() {
+    let values = ["0", "1/3", "1", "7/4", "5"].map(number);
+    for (b, c) in [("15/2", "6"), ("8", "5"), ("6", "15/2"), ("6", "6"), ("1/2", "9")] {
+        for x in &values {
+            for y in &values {
+                for z in &values {
+                    // Whatever is claimed: the case says by how much it is short.
+                    for claimed in [["1/15", "-1/12", "1/3"], ["2/7", "-3/11", "5/13"]] {
+                        for (case, worth) in cases(b, c, [x, y, z], claimed) {
+                            let value = case.polynomial.at([x, y, z]);
+                            assert_eq!(value, worth, "{}: {b} {c}, x = {x}, y = {y}, z = {z}", case.fails_where);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_has_to_vanish_is_not_asked_to_be_positive_only() {
+    let one = Polynomial::constant(&number("1"));
+    let nothing = &one - &one;
+    assert!(!Case::zero("", one.clone()).holds() && Case::zero("", nothing.clone()).holds());
+    assert!(Case::nonnegative("", one.clone()).holds() && Case::nonnegative("", nothing).holds());
+    assert!(!Case::nonnegative("", -&one).holds());
+}
