@@ -18,6 +18,7 @@ mod measures;
 mod obligations;
 mod paper;
 mod physics;
+mod policy_files;
 mod report;
 mod retrained;
 mod scenario_files;

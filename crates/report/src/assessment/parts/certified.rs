@@ -12,7 +12,7 @@ use crate::assessment::claims::{
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
-use crumple_search::evidence::{RateConfig, RateInterval, RatePlan, kernel_certificate, shipped_kernels};
+use crumple_search::evidence::{RateConfig, RateInterval, RatePlan, bound, kernel_certificate, shipped_kernels};
 use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
@@ -122,6 +122,9 @@ impl ProofStatus {
             Ok(accepted) => accepted,
             Err(rejection) => return Self::Rejected { reason: rejection.to_string() },
         };
+        if let Err(unbound) = bound(certificate, policy) {
+            return Self::Rejected { reason: unbound.to_string() };
+        }
         Self::Accepted { shown: shown(&accepted), strength: strength(&accepted) }
     }
 }
@@ -198,8 +201,8 @@ fn shown(accepted: &Accepted) -> String {
         Accepted::Rate { at_most, confidence } => {
             format!("at most {:.4} % of runs fail, at confidence {} %", 100.0 * at_most + 5e-5, 100.0 * confidence)
         }
-        Accepted::Reach { verified_share, smallest_gap_m, .. } => format!(
-            "from {:.2} % of the box nobody touches, and no gap is ever smaller than {:.2} m",
+        Accepted::Reach { verified_share, smallest_gap_m, horizon_s, .. } => format!(
+            "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s",
             down(100.0 * verified_share),
             down(*smallest_gap_m)
         ),
@@ -377,7 +380,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[Proof]) -> Vec<Evidence>
     for (place, controller) in plan.controllers.iter().enumerate() {
         let kernels = kernels(controller);
         let proved = |kernel: &Kernel| {
-            let expected = kernel_certificate("", kernel, PAPER_STEP_S, MARGIN_M)?.statement;
+            let expected = kernel_certificate(kernel, PAPER_STEP_S, MARGIN_M)?.statement;
             let is_it = |proof: &&Proof| proof.is_accepted() && proof.kernel.as_ref() == Some(&expected);
             proofs.iter().find(is_it)
         };
@@ -461,7 +464,7 @@ fn count(
 ) -> Result<Proof, AssessError> {
     let rates = RatePlan::new(RateConfig {
         controllers: (controller, against),
-        space: (named.space.name().to_owned(), named.space.clone()),
+        space: named.space.clone(),
         seed: plan.config.seed ^ SEED_APART,
         estimator: plan.config.estimator,
         runs: plan.config.rates.runs,
