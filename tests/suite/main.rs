@@ -12,6 +12,7 @@ mod controllers;
 mod corpora;
 mod engines;
 mod estimation;
+mod forgery;
 mod formulas;
 mod generate;
 mod measures;
