@@ -1,28 +1,37 @@
-//! `crumple check`: accept or reject certificates, by the checker alone.
+//! `crumple check`: accept or reject certificates, by the checker alone; and count again, if asked to.
 
 use std::fs::File;
+use std::hash::{BuildHasher, RandomState};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_verify::{Accepted, Certificate, ParseError, Rejection, Statement, WorkLimit, check_within};
-use serde::Serialize;
+use crumple_verify::{Accepted, Certificate, ParseError, Statement, WorkLimit, check_within};
 
+use super::checked::{self, Checked, Counts};
 use super::simulate::Format;
-use super::{Failure, output, subject};
-use crumple_search::worst_case::is_about;
+use super::{Failure, interrupt, output, progress, subject};
+use crumple_search::evidence::{Rerun, RerunError, Sample, bound, lies_within};
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Scenario;
+use crumple_world::sim::NamedController;
 
 /// Accept or reject certificates with the small checker alone
 #[derive(Args)]
 #[command(after_long_help = "\
 The checker (crate crumple-verify) shares no code with the simulation, the search or the solver: it reads the file and \
-recomputes everything in outward-rounded interval arithmetic. Exit code 1 if a certificate is rejected, or takes more work to \
-check than --work-limit allows, or is not about the scenario named with --scenario; 2 if a file is no certificate.
+recomputes everything in outward-rounded interval arithmetic. What the certificate says it is about (scenario, box, space, \
+controllers) is then derived again from the texts it holds, and compared. Exit code 1 if a certificate is rejected, is not \
+about what it says, takes more work to check than --work-limit allows, is not about the scenario named with --scenario, or \
+counted what --rerun does not find again; 2 if a file is no certificate.
+
+The counts of a rate or a comparison are the maker's word. --rerun draws and simulates them again, all of them or a share \
+of the blocks, chosen here and now: a maker cannot know which.
 
 Examples:
   crumple avoid paper-1 --certificate paper-1.json
-  crumple check paper-1.json --scenario paper-1")]
+  crumple check paper-1.json --scenario paper-1
+  crumple check crumple-rate/certificate.json --rerun
+  crumple check crumple-rate/certificate.json --rerun=10")]
 pub(super) struct Check {
     /// Certificates
     #[arg(required = true, value_name = "CERTIFICATE")]
@@ -33,6 +42,16 @@ pub(super) struct Check {
     /// The policy file of certificates about a policy; the one beside the certificate without it
     #[arg(long, value_name = "F")]
     policy: Option<PathBuf>,
+    /// Draw and simulate counted runs again: all of them, or PERCENT of the blocks they come in
+    #[arg(long, value_name = "PERCENT", num_args = 0..=1, require_equals = true, default_missing_value = "100",
+          value_parser = percent)]
+    rerun: Option<f64>,
+    /// What decides which blocks are made again; nobody may have known it when the certificate was made [default: random]
+    #[arg(long, value_name = "N", requires = "rerun")]
+    rerun_seed: Option<u64>,
+    /// A controller of counted runs that is not built in, for --rerun; may be given twice
+    #[arg(long, value_name = "C", requires = "rerun", value_parser = subject::controller)]
+    controller: Vec<NamedController>,
     /// Billions of operations that checking one certificate may take; the default is some ten minutes of one core
     #[arg(long, value_name = "N", default_value_t = WorkLimit::default().in_billions())]
     work_limit: u64,
@@ -41,50 +60,80 @@ pub(super) struct Check {
     format: Format,
 }
 
-/// One line of `--format json`.
-#[derive(Serialize)]
-struct Report<'a> {
-    certificate: String,
-    accepted: bool,
-    claim: &'static str,
-    scenario: &'a str,
-    smallest_gap_m: Option<f64>,
-    overlap_m: Option<f64>,
-    verified_share: Option<f64>,
-    rate_at_most: Option<f64>,
-    confidence: Option<f64>,
-    rejection: Option<String>,
-    about_scenario: Option<bool>,
-}
-
-impl Check {
-    pub(super) fn run(self) -> Result<(), Failure> {
-        let scenario = self.scenario.as_deref().map(subject::scenario).transpose()?;
-        let read = self.certificates.iter().map(|path| Ok((path, certificate(path)?)));
-        let certificates = read.collect::<Result<Vec<_>, Failure>>()?;
-        let mut text = String::new();
-        let mut refused = Vec::new();
-        for (path, certificate) in &certificates {
-            let policy = self.policy_bytes(certificate, path);
-            let checked = check_within(certificate, policy.as_deref(), WorkLimit::billions(self.work_limit));
-            let about = scenario.as_ref().map(|scenario| is_about(certificate, scenario));
-            if checked.is_err() || about == Some(false) {
-                refused.push(path.display().to_string());
-            }
-            text += &match self.format {
-                Format::Json => {
-                    let report = report(path, certificate, &checked, about);
-                    serde_json::to_string(&report).map_err(Failure::input)? + "\n"
-                }
-                Format::Text => describe(path, certificate, &checked, scenario.as_ref(), about),
-            };
-        }
-        output::print(&text)?;
-        if refused.is_empty() { Ok(()) } else { Err(Failure::Gate(format!("rejected: {}", refused.join(", ")))) }
+fn percent(text: &str) -> Result<f64, String> {
+    match text.trim_end_matches('%').parse::<f64>() {
+        Ok(percent) if percent > 0.0 && percent <= 100.0 => Ok(percent),
+        _ => Err("must be above 0 and at most 100".to_owned()),
     }
 }
 
 impl Check {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let scenario = self.scenario.as_deref().map(subject::scenario).transpose()?;
+        let read = self.certificates.iter().map(|path| Ok((path, certificate(path)?)));
+        let certificates = read.collect::<Result<Vec<_>, Failure>>()?;
+        if self.rerun.is_some() {
+            interrupt::says("nothing was confirmed or refuted".to_owned(), quiet);
+        }
+        let mut all = Vec::new();
+        for (path, certificate) in &certificates {
+            all.push(self.judge(path, certificate, scenario.as_ref(), quiet)?);
+        }
+        output::print(&match self.format {
+            Format::Json => checked::json(&all).map_err(Failure::input)?,
+            Format::Text => checked::text(&all, scenario.as_ref().map(|scenario| scenario.spec().name.as_str())),
+        })?;
+        let refused: Vec<&str> = all.iter().filter(|one| one.is_refused()).map(|one| one.path.as_str()).collect();
+        if refused.is_empty() { Ok(()) } else { Err(Failure::Gate(format!("rejected: {}", refused.join(", ")))) }
+    }
+
+    fn judge<'a>(
+        &self,
+        path: &Path,
+        certificate: &'a Certificate,
+        scenario: Option<&Scenario>,
+        quiet: bool,
+    ) -> Result<Checked<'a>, Failure> {
+        let policy = self.policy_bytes(certificate, path);
+        let limit = WorkLimit::billions(self.work_limit);
+        let accepted = check_within(certificate, policy.as_deref(), limit).map_err(|rejection| rejection.to_string());
+        let accepted = accepted.and_then(|accepted| match bound(certificate, policy.as_deref()) {
+            Ok(()) => Ok(accepted),
+            Err(unbound) => Err(unbound.to_string()),
+        });
+        let counts = match (&accepted, self.rerun) {
+            (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), Some(percent)) => {
+                Some(self.count_again(path, certificate, percent, quiet)?)
+            }
+            (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), None) => Some(Counts::MakersWord),
+            _ => None,
+        };
+        let about = scenario.map(|scenario| lies_within(certificate, scenario, policy.as_deref()));
+        Ok(Checked { path: path.display().to_string(), certificate, accepted, counts, about })
+    }
+
+    fn count_again(
+        &self,
+        path: &Path,
+        certificate: &Certificate,
+        percent: f64,
+        quiet: bool,
+    ) -> Result<Counts, Failure> {
+        let cannot = |error: RerunError| Failure::Input(format!("{}: {error}", path.display()));
+        let rerun = Rerun::new(certificate, &self.controller).map_err(cannot)?;
+        // The keys of a new table's hashes are random: nobody could know them when the certificate was made.
+        let seed = self.rerun_seed.unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
+        let sample = if percent < 100.0 { Sample::Share { percent, seed } } else { Sample::Whole };
+        let bar = progress::bar("counting again", rerun.runs(sample), quiet);
+        let counted = rerun.confirm(sample, &|runs| bar.inc(runs));
+        bar.finish_and_clear();
+        match counted {
+            Ok(confirmation) => Ok(Counts::Confirmed { confirmation, seed: (percent < 100.0).then_some(seed) }),
+            Err(refuted @ RerunError::Refuted { .. }) => Ok(Counts::Refuted { because: refuted.to_string() }),
+            Err(other) => Err(cannot(other)),
+        }
+    }
+
     /// What the checker needs of a policy. The reference policy comes with the program: only its digest, which the checker
     /// computes again, says that it is the one meant.
     fn policy_bytes(&self, certificate: &Certificate, path: &Path) -> Option<Vec<u8>> {
@@ -100,67 +149,4 @@ fn certificate(path: &Path) -> Result<Certificate, Failure> {
         ParseError::Read(source) => Failure::unreadable(path.to_owned(), source),
         other => Failure::Input(format!("{}: {other}", path.display())),
     })
-}
-
-fn report<'a>(
-    path: &Path,
-    certificate: &'a Certificate,
-    checked: &Result<Accepted, Rejection>,
-    about_scenario: Option<bool>,
-) -> Report<'a> {
-    let (mut smallest_gap_m, mut overlap_m, mut verified_share) = (None, None, None);
-    let (mut rate_at_most, mut with_confidence) = (None, None);
-    match *checked {
-        Ok(Accepted::Avoidable { smallest_gap_m: gap_m }) => smallest_gap_m = Some(gap_m),
-        // JSON has no infinity: an overlap of any size.
-        Ok(Accepted::Unavoidable { overlap_m: metres }) => overlap_m = Some(metres).filter(|metres| metres.is_finite()),
-        Ok(Accepted::Rate { at_most, confidence }) => {
-            (rate_at_most, with_confidence) = (Some(at_most), Some(confidence));
-        }
-        Ok(Accepted::Reach { smallest_gap_m: gap_m, verified_share: share, .. }) => {
-            (smallest_gap_m, verified_share) = (Some(gap_m).filter(|gap_m| gap_m.is_finite()), Some(share));
-        }
-        Ok(Accepted::FailsLessOften { confidence }) => with_confidence = Some(confidence),
-        Ok(_) | Err(_) => {}
-    }
-    Report {
-        certificate: path.display().to_string(),
-        accepted: checked.is_ok(),
-        claim: certificate.statement.name(),
-        scenario: &certificate.provenance.scenario,
-        smallest_gap_m,
-        overlap_m,
-        verified_share,
-        rate_at_most,
-        confidence: with_confidence,
-        rejection: checked.as_ref().err().map(ToString::to_string),
-        about_scenario,
-    }
-}
-
-fn describe(
-    path: &Path,
-    certificate: &Certificate,
-    checked: &Result<Accepted, Rejection>,
-    scenario: Option<&Scenario>,
-    about: Option<bool>,
-) -> String {
-    let name = path.display();
-    let mut text = match checked {
-        Ok(accepted) => format!("{name}: accepted: {accepted}\n"),
-        Err(rejection) => format!("{name}: rejected: {} is not proved: {rejection}\n", certificate.statement.name()),
-    };
-    if let (Some(scenario), Some(about)) = (scenario, about) {
-        let verb = if about { "is about" } else { "is NOT about" };
-        text += &format!("  {verb} {}\n", scenario.spec().name);
-    }
-    if checked.is_ok() {
-        if let Statement::Rate(rate) = &certificate.statement {
-            text += &format!("  from {} failures in {} runs, as counted\n", rate.failures, rate.registration.runs);
-        }
-        for assumption in &certificate.assumptions {
-            text += &format!("  assuming that {assumption}\n");
-        }
-    }
-    text
 }

@@ -4,6 +4,7 @@ mod assess;
 mod avoid;
 mod benchmark;
 mod check;
+mod checked;
 mod choice;
 mod failure;
 mod falsify;
@@ -88,7 +89,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Train(command) => command.run(quiet),
         Command::Retrain(command) => command.run(quiet),
         Command::Avoid(command) => command.run(quiet),
-        Command::Check(command) => command.run(),
+        Command::Check(command) => command.run(quiet),
         Command::WorstCase(command) => command.run(quiet),
         Command::Falsify(command) => command.run(quiet),
         Command::Benchmark(command) => command.run(quiet),

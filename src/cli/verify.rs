@@ -129,7 +129,7 @@ impl Rate {
         let is_comparison = self.against.is_some();
         let plan = RatePlan::new(RateConfig {
             controllers: (self.controller, self.against),
-            space: self.space,
+            space: self.space.1,
             seed: self.seed,
             estimator: self.estimator,
             runs,

@@ -49,7 +49,7 @@ fn counted(
     let find = |name: &str| NamedController::find(name, folder).expect("known");
     let config = RateConfig {
         controllers: (find(controller), against.map(find)),
-        space: (space.name().to_owned(), space.clone()),
+        space: space.clone(),
         seed: 9,
         estimator,
         runs: 3000,

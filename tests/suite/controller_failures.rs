@@ -148,7 +148,7 @@ fn paper() -> Space {
 fn rate(controller: NamedController) -> Result<RatePlan, InvalidRate> {
     RatePlan::new(RateConfig {
         controllers: (controller, None),
-        space: ("paper".to_owned(), paper()),
+        space: paper(),
         seed: 1,
         estimator: EstimatorKind::Truth,
         runs: 50,

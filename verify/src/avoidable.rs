@@ -36,7 +36,7 @@ pub(crate) fn check(claim: &Avoidable, work: &Work) -> Result<Accepted, Rejectio
     let smallest_gap_m = smallest_gap_m(claim)?;
     let stated_m = claim.min_gap_m_at_least.unwrap_or(0.0);
     if smallest_gap_m >= stated_m {
-        Ok(Accepted::Avoidable { smallest_gap_m })
+        Ok(Accepted::Avoidable { smallest_gap_m, horizon_s: claim.scene.horizon_s() })
     } else {
         Err(Rejection::SmallestGap { stated_m, smallest_gap_m })
     }

@@ -14,7 +14,7 @@ pub(crate) fn list<'de, const N: usize, D: Deserializer<'de>, T: Deserialize<'de
     from.deserialize_seq(List::<N, T>(PhantomData))
 }
 
-/// A map of at most `N` entries.
+/// A map of at most `N` entries, each name once.
 pub(crate) fn map<'de, const N: usize, D: Deserializer<'de>>(from: D) -> Result<BTreeMap<String, String>, D::Error> {
     from.deserialize_map(Map::<N>)
 }
@@ -52,6 +52,10 @@ impl<'de, const N: usize> Visitor<'de> for Map<N> {
     fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Self::Value, A::Error> {
         let mut map = BTreeMap::new();
         while let Some((name, text)) = entries.next_entry()? {
+            // The last of two entries of one name would silently be the one that counts.
+            if map.contains_key(&name) {
+                return Err(A::Error::custom(format_args!("duplicate key {name:?}")));
+            }
             map.insert(name, text);
             if map.len() > N {
                 return Err(A::Error::invalid_length(N + 1, &self));

@@ -1,4 +1,4 @@
-//! The file.
+//! The file: `docs/certificates.md` in crumple's repository specifies it.
 
 use std::fs::File;
 use std::io::Read;
@@ -7,13 +7,20 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::bounded;
+use crate::canonical;
 use crate::claim::{Held, MOST_EGOS, MOST_STEPS, Scene};
 use crate::kernel::Kernel;
 use crate::rate::{Comparison, Rate};
 use crate::reach::Reach;
 
-/// The only version of the format so far.
-pub const VERSION: u32 = 1;
+/// The version of the format that is written.
+pub const VERSION: u32 = 2;
+/// The first version, which is still read. It binds a statement to nothing: see [`Certificate::is_old`].
+pub const FIRST_VERSION: u32 = 1;
+
+/// What stands beside an accepted rate or comparison whose runs were not made again.
+pub const COUNTS_ARE_THE_MAKERS_WORD: &str =
+    "the counts are the maker's word: `crumple check --rerun` draws and simulates again";
 
 /// Longest file that is read, in bytes.
 pub const MOST_BYTES: usize = 64 << 20;
@@ -22,9 +29,9 @@ pub const MOST_BYTES: usize = 64 << 20;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Certificate {
-    /// Version of the format: 1.
+    /// Version of the format: 2, or 1 for old files.
     pub version: u32,
-    /// Where the file comes from. Nothing is concluded from it.
+    /// What the statement is about, and which program wrote it.
     pub provenance: Provenance,
     /// What is taken for granted: exactly what the statement needs, each once.
     pub assumptions: Vec<Assumption>,
@@ -32,16 +39,28 @@ pub struct Certificate {
     pub statement: Statement,
 }
 
-/// Where a certificate comes from.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// What a statement is about: a scenario, a box around one, or a space that runs are drawn from.
+///
+/// In version 2 its text is part of the certificate, its hash is checked, and whoever can read such texts can compare them with the
+/// numbers of the statement, as `crumple check` does. A kernel is about no one scenario: there these fields are absent. In version 1
+/// nothing was concluded from any of them.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
     /// Version of the program that wrote it.
     pub crumple: String,
-    /// Name of the scenario, or what else the statement speaks about.
+    /// Name of the scenario, or of the space.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub scenario: String,
-    /// SHA-256 of the scenario file, in hexadecimal; empty if there is none.
+    /// SHA-256 of `scenario_text`, in hexadecimal.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub scenario_sha256: String,
+    /// The scenario or space as a file, in TOML. Since version 2.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scenario_text: Option<String>,
+    /// The ranges around the scenario as a file, in TOML, if the statement is about a box. Since version 2.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub box_text: Option<String>,
 }
 
 /// What a statement takes for granted about the world.
@@ -226,8 +245,16 @@ pub enum ParseError {
     #[error("is not a certificate: {0}")]
     Form(#[from] serde_json::Error),
     /// It has a version that is not known here.
-    #[error("has version {0} in field `version`, and only version {VERSION} is known")]
+    #[error("has version {0} in field `version`, and only versions {FIRST_VERSION} and {VERSION} are known")]
     Version(u32),
+    /// It says the same as another text: fields in another order, numbers with more digits than they need, defaults spelled out.
+    #[error("is not in canonical form from line {line} column {column} on: only whitespace between tokens may differ")]
+    Canonical {
+        /// Where it departs from what this crate would write, from 1.
+        line: usize,
+        /// Likewise.
+        column: usize,
+    },
 }
 
 impl Certificate {
@@ -259,7 +286,44 @@ impl Certificate {
             return Err(ParseError::TooLong);
         }
         let certificate: Self = serde_json::from_str(text)?;
-        if certificate.version == VERSION { Ok(certificate) } else { Err(ParseError::Version(certificate.version)) }
+        match certificate.version {
+            // Its readers were lenient, and files are left that were written by hand.
+            FIRST_VERSION => Ok(certificate),
+            VERSION => match canonical::departure(text, &certificate.canonical()) {
+                None => Ok(certificate),
+                Some((line, column)) => Err(ParseError::Canonical { line, column }),
+            },
+            other => Err(ParseError::Version(other)),
+        }
+    }
+
+    /// The one text of this certificate, but for whitespace between tokens.
+    #[must_use]
+    pub fn canonical(&self) -> String {
+        // Structs of strings and finite numbers always have a JSON form.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+
+    /// SHA-256 of the canonical form, in hexadecimal: what to cite it by.
+    #[must_use]
+    pub fn digest(&self) -> String {
+        canonical::sha256(self.canonical())
+    }
+
+    /// What acceptance by this crate alone leaves open, if it does.
+    #[must_use]
+    pub fn caveat(&self) -> Option<&'static str> {
+        match &self.statement {
+            Statement::Rate(_) | Statement::Comparison(_) => Some(COUNTS_ARE_THE_MAKERS_WORD),
+            _ => None,
+        }
+    }
+
+    /// Whether it is of the first version, in which nothing binds the statement to a scenario, a box, a space or the runs that were
+    /// counted. Its mathematics is checked all the same.
+    #[must_use]
+    pub fn is_old(&self) -> bool {
+        self.version == FIRST_VERSION
     }
 
     /// Reads a certificate from a file or any other source.

@@ -116,6 +116,12 @@ impl Scene {
         Ok(())
     }
 
+    /// N h, to the nanosecond: the claim is about no later time.
+    #[must_use]
+    pub fn horizon_s(&self) -> f64 {
+        seconds(self.step_s, self.steps)
+    }
+
     /// N + 1.
     pub(crate) fn instants(&self) -> u64 {
         u64::from(self.steps) + 1
@@ -136,6 +142,11 @@ impl Scene {
             Err(Rejection::invalid(field(), "must last for all N steps"))
         }
     }
+}
+
+/// Some steps in seconds, to the nanosecond.
+pub(crate) fn seconds(step_s: f64, steps: u32) -> f64 {
+    (step_s * f64::from(steps) * 1e9).round() / 1e9
 }
 
 fn check_range(of: &str, fields: &[(&str, f64)]) -> Result<(), Rejection> {

@@ -10,7 +10,7 @@
 //! 5. [`kernel`]: from which states contact can be avoided for ever; [`polynomial`] is its arithmetic;
 //! 6. [`rate`]: what counted failures show;
 //! 7. [`reach`]: where a learned policy can take a whole box of starts;
-//! 8. [`certificate`]: the file; [`work`]: how long it may keep the checker busy.
+//! 8. [`certificate`]: the file; [`scope`]: how far what it says reaches; [`work`]: how long it may keep the checker busy.
 //!
 //! # What is claimed
 //! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test; behind them, perhaps, a follower
@@ -24,7 +24,8 @@
 //!
 //! # What is assumed
 //! What the certificate lists as [`Assumption`]s, and has to list. The numbers are those in the file, read as the nearest
-//! 64-bit floating-point numbers; that they describe the scenario named there is not checked here. Motion is that of real
+//! 64-bit floating-point numbers; that they describe the scenario whose text is in the file is not checked here, but by `crumple
+//! check`. Motion is that of real
 //! numbers: a simulator rounds, by about 1e-12 m. The rest is trust in this crate, its compiler, and IEEE 754 arithmetic.
 //!
 //! # Checking by hand
@@ -49,14 +50,16 @@
 //! }"#;
 //! let certificate = crumple_verify::Certificate::from_json(text)?;
 //! match crumple_verify::check(&certificate) {
-//!     Ok(crumple_verify::Accepted::Unavoidable { overlap_m }) => assert!((overlap_m - 0.96).abs() < 1e-12),
+//!     Ok(crumple_verify::Accepted::Unavoidable { overlap_m, .. }) => assert!((overlap_m - 0.96).abs() < 1e-12),
 //!     other => panic!("{other:?}"),
 //! }
 //! # Ok::<(), crumple_verify::ParseError>(())
 //! ```
 
 pub mod avoidable;
+mod binding;
 mod bounded;
+mod canonical;
 pub mod certificate;
 pub mod claim;
 pub mod interval;
@@ -65,6 +68,7 @@ pub mod motion;
 pub mod polynomial;
 pub mod rate;
 pub mod reach;
+pub mod scope;
 pub mod unavoidable;
 pub mod work;
 
@@ -76,6 +80,7 @@ pub use interval::Interval;
 pub use kernel::Kernel;
 pub use rate::{Comparison, Rate, Registration};
 pub use reach::Reach;
+pub use scope::Scope;
 use work::Work;
 pub use work::WorkLimit;
 
@@ -85,13 +90,17 @@ pub use work::WorkLimit;
 pub enum Accepted {
     /// With the stated profile nobody touches.
     Avoidable {
-        /// No gap is ever smaller, in metres.
+        /// No gap is ever smaller, in metres...
         smallest_gap_m: f64,
+        /// ... within this time from the start, in seconds.
+        horizon_s: f64,
     },
     /// Whatever the egos do, somebody touches.
     Unavoidable {
-        /// Whatever they do, two vehicles would overlap by at least this if they could, in metres.
+        /// Whatever they do, two vehicles would overlap by at least this if they could, in metres...
         overlap_m: f64,
+        /// ... within this time from the start, in seconds.
+        horizon_s: f64,
     },
     /// The stated kernel is exactly the set of states that can be kept free of contact.
     Kernel,
@@ -113,34 +122,42 @@ pub enum Accepted {
         verified_share: f64,
         /// Share of the cells of which a member is known to touch.
         falsified_share: f64,
-        /// No gap is ever smaller in the verified ones, in metres.
+        /// No gap is ever smaller in the verified ones, in metres...
         smallest_gap_m: f64,
+        /// ... within this time from the start, in seconds.
+        horizon_s: f64,
+        /// Whether somebody drives behind.
+        has_follower: bool,
     },
 }
 
 impl std::fmt::Display for Accepted {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Avoidable { smallest_gap_m } => {
-                write!(formatter, "avoidable: on the stated profile no gap is ever smaller than {smallest_gap_m} m")
-            }
-            Self::Unavoidable { overlap_m } => {
-                write!(formatter, "unavoidable: whatever is done, two vehicles would overlap by {overlap_m} m or more")
-            }
+            Self::Avoidable { smallest_gap_m, horizon_s } => write!(
+                formatter,
+                "avoidable: on the stated profile no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s"
+            ),
+            Self::Unavoidable { overlap_m, horizon_s } => write!(
+                formatter,
+                "unavoidable: whatever is done, two vehicles would overlap by {overlap_m} m or more within {horizon_s} s"
+            ),
             Self::Kernel => formatter
                 .write_str("kernel: full braking keeps every state of it free of contact, and nothing any other"),
             Self::Rate { at_most, confidence } => {
-                write!(formatter, "rate: at most {at_most} at confidence {confidence}")
+                write!(formatter, "rate: at most {at_most} at confidence {confidence}, if its counts are right")
             }
-            Self::FailsLessOften { confidence } => {
-                write!(formatter, "comparison: the first controller fails less often, at confidence {confidence}")
-            }
-            // Shares are lower bounds: rounded down.
-            Self::Reach { verified_share, falsified_share, smallest_gap_m } => write!(
+            Self::FailsLessOften { confidence } => write!(
                 formatter,
-                "reach: in {:.2} % of the box no gap is ever smaller than {smallest_gap_m} m; {:.2} % of it is in cells with a \
-                 start that ends in contact",
+                "comparison: the first controller fails less often, at confidence {confidence}, if its counts are right"
+            ),
+            // Shares are lower bounds: rounded down.
+            Self::Reach { verified_share, falsified_share, smallest_gap_m, horizon_s, has_follower } => write!(
+                formatter,
+                "reach: in {:.2} % of the box's volume no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s, {}; \
+                 {:.2} % of it is in cells with a start that ends in contact",
                 (1e4 * verified_share).floor() / 1e2,
+                if *has_follower { "with a vehicle behind" } else { "with nobody behind" },
                 (1e4 * falsified_share).floor() / 1e2
             ),
         }
@@ -261,6 +278,9 @@ pub fn check_within(certificate: &Certificate, policy: Option<&[u8]>, limit: Wor
     if !certificate.lists_its_assumptions() {
         return Err(Rejection::Assumptions { needed: certificate.statement.assumptions() });
     }
+    if !certificate.is_old() {
+        binding::check(certificate)?;
+    }
     let work = &Work::within(limit);
     match &certificate.statement {
         Statement::Avoidable(claim) => avoidable::check(claim, work),
@@ -268,6 +288,6 @@ pub fn check_within(certificate: &Certificate, policy: Option<&[u8]>, limit: Wor
         Statement::Kernel(claim) => kernel::check(claim, work),
         Statement::Rate(claim) => rate::check_rate(claim, work),
         Statement::Comparison(claim) => rate::check_comparison(claim, work),
-        Statement::Reach(claim) => reach::check(claim, policy, work),
+        Statement::Reach(claim) => reach::check(claim, policy, certificate.is_old(), work),
     }
 }

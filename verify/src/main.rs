@@ -42,10 +42,11 @@ fn judge(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
     match check_within(&certificate, certificate.policy_bytes(path, policy).as_deref(), limit) {
         Ok(accepted) => {
             println!("{name}: accepted: {accepted}");
-            // Whoever wrote the file chose these words: nothing in them may steer a terminal.
-            let [scenario, crumple] =
-                [&certificate.provenance.scenario, &certificate.provenance.crumple].map(|text| text.escape_debug());
-            println!("  scenario {scenario} of crumple {crumple}");
+            println!("  {}", certificate.scope().to_string().replace('\n', "\n  "));
+            println!("  version {}, SHA-256 of its canonical form {}", certificate.version, certificate.digest());
+            if let Some(caveat) = certificate.caveat() {
+                println!("  {caveat}");
+            }
             for assumption in &certificate.assumptions {
                 println!("  assuming that {assumption}");
             }

@@ -21,14 +21,17 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use crate::bounded;
+use crate::canonical;
 use crate::work::Work;
 use crate::{Accepted, Rejection};
 
 /// Most runs a certificate may speak about: evaluating its tail takes as many multiplications.
 pub const MOST_RUNS: u64 = 100_000_000;
+
+/// Most blocks that they may come in.
+pub const MOST_BLOCKS: u64 = 10_000;
 
 /// Most entries of a registered configuration.
 const MOST_ENTRIES: usize = 10_000;
@@ -46,15 +49,20 @@ pub struct Registration {
     pub runs: u64,
     /// γ, above 1/2, read as the nearest floating-point number.
     pub confidence: f64,
+    /// How many runs make a block, for which the certificate holds a hash; the last block may be shorter. Since version 2.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub block_runs: Option<u64>,
 }
+
+/// What a certificate holds of a block of runs: what was counted in it, and a hash that only who has made the runs can know.
+pub type Block<T> = (T, String);
 
 impl Registration {
     /// SHA-256 of the registration as compact JSON, fields in the order of this type, in hexadecimal.
     #[must_use]
     pub fn digest(&self) -> String {
         // A struct of strings and numbers always has a JSON form.
-        let json = serde_json::to_vec(self).unwrap_or_default();
-        Sha256::digest(json).iter().map(|byte| format!("{byte:02x}")).collect()
+        canonical::sha256(serde_json::to_vec(self).unwrap_or_default())
     }
 }
 
@@ -70,6 +78,13 @@ pub struct Rate {
     pub failures: u64,
     /// p₀, read as the nearest floating-point number.
     pub rate_at_most: f64,
+    /// For each block of runs, in order: how many failed, and its hash. Since version 2.
+    #[serde(
+        default,
+        skip_serializing_if = "Vec::is_empty",
+        deserialize_with = "bounded::list::<{ MOST_BLOCKS as usize }, _, _>"
+    )]
+    pub blocks: Vec<Block<u64>>,
 }
 
 /// The claim that the first of two controllers fails less often than the second, in the same draws.
@@ -84,11 +99,22 @@ pub struct Comparison {
     pub only_first_failed: u64,
     /// d - k, the runs in which the second fails and the first does not.
     pub only_second_failed: u64,
+    /// For each block of runs, in order: in how many only the first failed and in how many only the second, and its hash. Since
+    /// version 2.
+    #[serde(
+        default,
+        skip_serializing_if = "Vec::is_empty",
+        deserialize_with = "bounded::list::<{ MOST_BLOCKS as usize }, _, _>"
+    )]
+    pub blocks: Vec<Block<[u64; 2]>>,
 }
 
 pub(crate) fn check_rate(claim: &Rate, work: &Work) -> Result<Accepted, Rejection> {
     let registration = &claim.registration;
     check_registration(registration, &claim.registration_sha256)?;
+    if claim.failures >= registration.runs {
+        return Err(Rejection::invalid("failures", "every run failed: no bound on the rate follows"));
+    }
     if !(claim.rate_at_most > 0.0 && claim.rate_at_most < 1.0) {
         return Err(Rejection::invalid("rate_at_most", "must be between 0 and 1"));
     }
@@ -121,6 +147,41 @@ fn check_registration(registration: &Registration, published: &str) -> Result<()
         return Err(Rejection::invalid("registration.confidence", "must be between 1/2 and 1"));
     }
     Ok(())
+}
+
+pub(crate) fn check_blocks_of_rate(claim: &Rate) -> Result<(), Rejection> {
+    let counts = claim.blocks.iter().map(|(failures, sha256)| (*failures, 0, sha256.as_str()));
+    check_blocks(&claim.registration, counts, [claim.failures, 0])
+}
+
+pub(crate) fn check_blocks_of_comparison(claim: &Comparison) -> Result<(), Rejection> {
+    let counts = claim.blocks.iter().map(|([first, second], sha256)| (*first, *second, sha256.as_str()));
+    check_blocks(&claim.registration, counts, [claim.only_first_failed, claim.only_second_failed])
+}
+
+/// Whether blocks cover the runs, and what was counted in them adds up to what is claimed.
+fn check_blocks<'a>(
+    registration: &Registration,
+    blocks: impl ExactSizeIterator<Item = (u64, u64, &'a str)>,
+    claimed: [u64; 2],
+) -> Result<(), Rejection> {
+    let block_runs = registration.block_runs.filter(|&block_runs| block_runs > 0);
+    let block_runs = block_runs.ok_or_else(|| Rejection::invalid("registration.block_runs", "must be positive"))?;
+    if blocks.len() as u64 != registration.runs.div_ceil(block_runs) {
+        return Err(Rejection::invalid("blocks", "must cover all runs"));
+    }
+    let (mut sums, mut left) = ([0_u64; 2], registration.runs);
+    for (index, (first, second, sha256)) in blocks.enumerate() {
+        let runs = left.min(block_runs);
+        if first.saturating_add(second) > runs {
+            return Err(Rejection::invalid(format!("blocks[{index}]"), "counts more runs than it has"));
+        }
+        if !canonical::is_sha256(sha256) {
+            return Err(Rejection::invalid(format!("blocks[{index}]"), "has no SHA-256"));
+        }
+        (sums, left) = ([sums[0].saturating_add(first), sums[1].saturating_add(second)], left - runs);
+    }
+    if sums == claimed { Ok(()) } else { Err(Rejection::invalid("blocks", "do not add up to what is claimed")) }
 }
 
 fn check_rare(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<(), Rejection> {

@@ -53,7 +53,7 @@ pub(crate) fn check(Unavoidable { scene, branches }: &Unavoidable, work: &Work) 
         check_branch(scene, branch, index)
     });
     let overlap_m = overlaps_m.try_fold(f64::INFINITY, |least_m, overlap_m| Ok(overlap_m?.min(least_m)))?;
-    Ok(Accepted::Unavoidable { overlap_m })
+    Ok(Accepted::Unavoidable { overlap_m, horizon_s: scene.horizon_s() })
 }
 
 /// The overlap in metres that branch number `index` proves; infinite if no profile fires there at all.

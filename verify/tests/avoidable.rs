@@ -45,7 +45,7 @@ fn calm() -> (Scene, Vec<Vec<Held<f64>>>) {
 #[test]
 fn a_calm_stop_is_accepted_and_each_fault_is_named() {
     let (scene, witness) = calm();
-    let Ok(Accepted::Avoidable { smallest_gap_m }) = check(&certificate(&scene, witness.clone())) else {
+    let Ok(Accepted::Avoidable { smallest_gap_m, .. }) = check(&certificate(&scene, witness.clone())) else {
         panic!("{:?}", check(&certificate(&scene, witness)));
     };
     assert!(smallest_gap_m > 0.1, "{smallest_gap_m}");
@@ -98,7 +98,7 @@ fn a_near_miss_inside_a_step_is_seen() {
     };
     // The gap is gap - 2 t + 2 t², at least gap - 0.5.
     let witness = vec![vec![Held(1, -4.0)]];
-    let Ok(Accepted::Avoidable { smallest_gap_m }) = check(&certificate(&scene(0.51), witness.clone())) else {
+    let Ok(Accepted::Avoidable { smallest_gap_m, .. }) = check(&certificate(&scene(0.51), witness.clone())) else {
         panic!("not accepted");
     };
     assert!((smallest_gap_m - 0.01).abs() < 1e-12);
@@ -142,7 +142,7 @@ proptest! {
             least_m = least_m.min(drive(&scene, &member, &profiles).min_gap_m);
         }
         match accepted {
-            Ok(Accepted::Avoidable { smallest_gap_m }) => prop_assert!(smallest_gap_m <= least_m + 1e-9),
+            Ok(Accepted::Avoidable { smallest_gap_m, .. }) => prop_assert!(smallest_gap_m <= least_m + 1e-9),
             Ok(other) => prop_assert!(false, "{other}"),
             Err(Rejection::MayTouch { gap_m, .. }) => {
                 // For a point nothing is lost but the bow inside a step: at most the larger acceleration over h² / 8.

@@ -127,7 +127,8 @@ fn files_that_are_no_certificates_say_where() {
     let text = serde_json::to_string_pretty(&avoidable_file()).unwrap();
     assert!(Certificate::from_json(&text).is_ok());
     for (from, to, expected) in [
-        ("\"version\": 1", "\"version\": 2", "version 2"),
+        ("\"version\": 1", "\"version\": 3", "version 3"),
+        ("\"version\": 1", "\"version\": 2", "is not in canonical form from line 2 column 4 on"),
         ("\"max_brake_mps2\": 5.0", "\"max_brake_mps2\": 1e400", "line"),
         ("\"max_brake_mps2\": 5.0", "\"max_brake_mps2\": NaN", "line"),
         ("\"max_brake_mps2\": 5.0", "\"max_brake_mps2\": null", "line"),

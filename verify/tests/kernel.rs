@@ -7,7 +7,7 @@ use num_rational::BigRational;
 
 fn checked(kernel: &Kernel) -> Result<Accepted, Rejection> {
     let statement = Statement::Kernel(kernel.clone());
-    let nobody = Provenance { crumple: String::new(), scenario: String::new(), scenario_sha256: String::new() };
+    let nobody = Provenance::default();
     let mut certificate =
         Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement };
     let text = serde_json::to_string(&certificate).unwrap();

@@ -7,18 +7,18 @@ use crumple_verify::rate::tail_at_most;
 use crumple_verify::{Accepted, Certificate, Comparison, Provenance, Rate, Registration, Rejection, Statement, check};
 
 fn checked(statement: Statement) -> Result<Accepted, Rejection> {
-    let nobody = Provenance { crumple: String::new(), scenario: String::new(), scenario_sha256: String::new() };
+    let nobody = Provenance::default();
     check(&Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement })
 }
 
 fn registration(runs: u64, confidence: f64) -> Registration {
     let configuration = BTreeMap::from([("controller".to_owned(), "policy".to_owned())]);
-    Registration { configuration, runs, confidence }
+    Registration { configuration, runs, confidence, block_runs: None }
 }
 
 fn rate(failures: u64, runs: u64, rate_at_most: f64, confidence: f64) -> Rate {
     let registration = registration(runs, confidence);
-    Rate { registration_sha256: registration.digest(), registration, failures, rate_at_most }
+    Rate { registration_sha256: registration.digest(), registration, failures, rate_at_most, blocks: Vec::new() }
 }
 
 fn is_shown(rate: Rate) -> bool {
@@ -95,6 +95,7 @@ fn the_better_of_two_is_told_by_the_draws_that_tell_them_apart() {
             registration: registration.clone(),
             only_first_failed,
             only_second_failed,
+            blocks: Vec::new(),
         };
         checked(Statement::Comparison(comparison)).is_ok()
     };

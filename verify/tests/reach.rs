@@ -288,7 +288,7 @@ fn sha256(bytes: &[u8]) -> String {
 
 fn certificate(claim: Reach) -> Certificate {
     let statement = Statement::Reach(claim);
-    let nobody = Provenance { crumple: String::new(), scenario: String::new(), scenario_sha256: String::new() };
+    let nobody = Provenance::default();
     Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement }
 }
 
@@ -296,8 +296,12 @@ fn certificate(claim: Reach) -> Certificate {
 fn a_claim_is_derived_again() {
     let bytes = reference();
     match check_with(&certificate(claim()), Some(&bytes)) {
-        Ok(Accepted::Reach { verified_share, falsified_share, smallest_gap_m }) => {
-            assert_eq!((verified_share, falsified_share), (1.0 / 64.0, 0.5));
+        Ok(Accepted::Reach { verified_share, falsified_share, smallest_gap_m, .. }) => {
+            // Volumes: the middle of a range is rounded.
+            assert!(
+                (0.0..1e-12).contains(&(1.0 / 64.0 - verified_share))
+                    && (0.0..1e-12).contains(&(0.5 - falsified_share))
+            );
             assert!(smallest_gap_m > 3.0);
         }
         other => panic!("{other:?}"),
@@ -358,7 +362,10 @@ fn what_survives_a_change_is_true() {
                 _ => {}
             }
         }
-        assert!(verified >= claim.verified_share_at_least && falsified >= claim.falsified_share_at_least, "{change}");
+        // Version 1 took every cut for one in equal halves.
+        let is_enough = |found: f64, stated: f64| found + 1e-9 >= stated;
+        assert!(is_enough(verified, claim.verified_share_at_least), "{change}");
+        assert!(is_enough(falsified, claim.falsified_share_at_least), "{change}");
     }
     println!("{accepted} accepted, {rejected} rejected");
     assert!(accepted > 10 && rejected > accepted, "{accepted} accepted, {rejected} rejected");

@@ -1,7 +1,7 @@
 //! Reach statements that make no sense are refused, each with the name of what is wrong.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use crumple_verify::reach::{Actor, Cell, Layer, Ranges, Reach};
+use crumple_verify::reach::{Actor, Cell, Dimension, Layer, Ranges, Reach};
 use crumple_verify::{Interval, Rejection};
 
 fn actor() -> Actor {
@@ -91,4 +91,78 @@ fn a_network_that_can_overflow_is_refused() {
         bytes[8 + length + from..][..4].copy_from_slice(&3e38_f32.to_le_bytes());
     }
     assert_eq!(Actor::from_bytes(&bytes).unwrap_err(), "can leave single precision in layer 0");
+}
+
+/// The volume of a part, not the number of cuts: in a range of a few floating-point numbers the middle is rounded.
+#[test]
+fn shares_are_volumes_and_not_counts_of_cuts() {
+    let ulps = |n: u64| f64::from_bits(16.0_f64.to_bits() + n);
+    let cut = Cell::Cut(Dimension::GapAheadM);
+    let shares = |gap_ahead_m: Interval, partition: Vec<Cell>| -> Vec<f64> {
+        let claim = Reach { ranges: Ranges { gap_ahead_m, ..claim().ranges }, partition, ..claim() };
+        claim.leaves().unwrap().into_iter().map(|(_, _, share)| share).collect()
+    };
+    // Three numbers apart: the middle is one or two of them away from the lower end.
+    let thirds = shares(Interval::new(16.0, ulps(3)).unwrap(), vec![cut, Cell::Verified, Cell::Undecided]);
+    let mut sorted = thirds.clone();
+    sorted.sort_by(f64::total_cmp);
+    assert!(sorted[0] <= 1.0 / 3.0 && sorted[0] > 0.333 && sorted[1] <= 2.0 / 3.0 && sorted[1] > 0.666, "{thirds:?}");
+    let halves =
+        shares(Interval::new(2.0, 18.0).unwrap(), vec![cut, cut, Cell::Verified, Cell::Undecided, Cell::Verified]);
+    assert_eq!(halves, [0.25, 0.25, 0.5], "equal halves are exact");
+    let rounded = shares(Interval::new(15.3, 16.7).unwrap(), vec![cut, Cell::Verified, Cell::Undecided]);
+    assert!(
+        rounded.iter().all(|share| (share - 0.5).abs() < 1e-12) && rounded.iter().sum::<f64>() <= 1.0,
+        "{rounded:?}"
+    );
+}
+
+/// A policy file with another header.
+fn with_header(change: impl Fn(&mut String, &mut String)) -> Vec<u8> {
+    let bytes = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap();
+    let length = u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
+    let listing = std::str::from_utf8(&bytes[8..8 + length]).unwrap().trim_end().to_owned();
+    let value: serde_json::Value = serde_json::from_str(&listing).unwrap();
+    let written = value["__metadata__"]["crumple_policy"].as_str().unwrap().to_owned();
+    let (mut description, mut header) = (written.clone(), listing);
+    change(&mut description, &mut header);
+    let quoted = |text: &str| serde_json::to_string(text).unwrap();
+    let header = header.replacen(&quoted(&written), &quoted(&description), 1);
+    [&(header.len() as u64).to_le_bytes(), header.as_bytes(), &bytes[8 + length..]].concat()
+}
+
+#[test]
+fn what_the_simulator_does_not_drive_with_is_refused() {
+    assert!(Actor::from_bytes(&with_header(|_, _| ())).is_ok());
+    type Change = fn(&mut String, &mut String);
+    fn replace(text: &mut String, from: &str, to: &str) {
+        assert!(text.contains(from), "{from} in {text}");
+        *text = text.replacen(from, to, 1);
+    }
+    let changes: [(&str, Change); 12] = [
+        ("version 2 is not known", |text, _| replace(text, "\"version\":1", "\"version\":2")),
+        ("missing field `version`", |text, _| replace(text, "\"version\":1,", "")),
+        ("unknown field `colour`", |text, _| replace(text, "\"version\":1", "\"version\":1,\"colour\":3")),
+        ("duplicate field `limit`", |text, _| replace(text, "\"limit\":", "\"limit\":1,\"limit\":")),
+        ("duplicate key", |text, _| replace(text, "\"training\":{", "\"training\":{\"a\":1,\"a\":2,")),
+        ("estimator: \"lidar\" is not known", |text, _| replace(text, "\"kalman\"", "\"lidar\"")),
+        ("finite and in order", |text, _| replace(text, "\"low_mps2\":-7.5", "\"low_mps2\":7.5")),
+        ("unknown field `note`", |_, header| replace(header, "\"crumple_policy\"", "\"note\":\"\",\"crumple_policy\"")),
+        ("duplicate key \"actor.0.bias\"", |_, header| {
+            let twice = "\"actor.0.bias\":{\"dtype\":\"F32\",\"shape\":[0],\"data_offsets\":[0,0]},\"actor.0.bias\"";
+            replace(header, "\"actor.0.bias\"", twice);
+        }),
+        ("tensor \"more\" is not part", |_, header| {
+            let more = "\"more\":{\"dtype\":\"F32\",\"shape\":[0],\"data_offsets\":[0,0]},\"actor.0.bias\"";
+            replace(header, "\"actor.0.bias\"", more);
+        }),
+        ("unknown field `sparse`", |_, header| replace(header, "\"dtype\"", "\"sparse\":true,\"dtype\"")),
+        ("bytes that belong to none", |_, header| replace(header, "\"data_offsets\":[0,", "\"data_offsets\":[4,")),
+    ];
+    for (said, change) in changes {
+        let error = Actor::from_bytes(&with_header(change)).unwrap_err();
+        assert!(error.contains(said), "{said}: {error}");
+    }
+    let longer = [with_header(|_, _| ()), vec![0; 4]].concat();
+    assert!(Actor::from_bytes(&longer).unwrap_err().contains("bytes that belong to none"));
 }

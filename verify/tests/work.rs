@@ -55,7 +55,8 @@ fn others() -> Vec<Certificate> {
         "ego_brake_mps2": "6", "leader_brake_mps2": "6", "step_s": "1/100", "margin_m": "1/1000000",
         "stopping_own_squared": "1/12", "stopping_ahead_squared": "-1/12"
     });
-    let registration = crumple_verify::Registration { configuration: [].into(), runs: 1_000_000, confidence: 0.999 };
+    let registration =
+        crumple_verify::Registration { configuration: [].into(), runs: 1_000_000, confidence: 0.999, block_runs: None };
     let registered = |field: &str, k: u64, other: &str, value: Value| {
         json!({
             "registration": serde_json::to_value(&registration).unwrap(), "registration_sha256": registration.digest(),

@@ -1,6 +1,7 @@
 //! The command line as a user meets it: what it prints where, what it writes, and how it ends.
 
 mod bad_input;
+mod certificates;
 pub(crate) mod falsify;
 mod reports;
 mod retrain;

@@ -61,7 +61,9 @@ fn the_papers_collisions_were_avoidable() {
             assert_eq!(replayed.outcome, Outcome::NoCollision, "{name}");
         }
         let certificate = certify(&Family::point(&scenario), escape).expect("accepted");
-        assert!(matches!(check(&certificate), Accepted::Avoidable { smallest_gap_m } if smallest_gap_m > gap_m - 0.3));
+        assert!(
+            matches!(check(&certificate), Accepted::Avoidable { smallest_gap_m, .. } if smallest_gap_m > gap_m - 0.3)
+        );
         assert!(is_about(&certificate, &scenario));
         assert!(!is_about(&certificate, &scenario.edited(|s| s.vehicles[1].position_m += 0.001).unwrap()));
     }
@@ -156,7 +158,7 @@ fn no_controller_contradicts_a_verdict() {
                 for (name, kept_m) in kept_m {
                     assert!(kept_m <= 0.0, "{seed}: {name} survives what nobody can");
                 }
-                assert!(matches!(check(certificate), Accepted::Unavoidable { overlap_m } if overlap_m > 0.0));
+                assert!(matches!(check(certificate), Accepted::Unavoidable { overlap_m, .. } if overlap_m > 0.0));
                 assert!(is_about(certificate, &scenario));
             }
             AvoidanceVerdict::Undecided(reason) => undecided.push((seed, reason.clone())),

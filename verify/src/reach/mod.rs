@@ -35,12 +35,14 @@ pub mod form;
 pub mod members;
 mod ranges;
 pub mod relax;
+mod volume;
 pub mod window;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use crate::bounded;
+use crate::canonical::sha256;
+use crate::claim::seconds;
 use crate::work::Work;
 use crate::{Accepted, Rejection};
 pub use actor::{Actor, Layer, OBSERVED};
@@ -78,9 +80,9 @@ pub struct Reach {
     /// How it is cut: a cut is followed by all of its lower half, then all of its upper half.
     #[serde(deserialize_with = "bounded::list::<MOST_CELLS, _, _>")]
     pub partition: Vec<Cell>,
-    /// Share of the box's volume in which nobody touches.
+    /// Share of the box's volume in which nobody touches. Version 1 took each cut for half of what was cut.
     pub verified_share_at_least: f64,
-    /// Share of the box's volume in cells with a point from which somebody touches.
+    /// Share of the box's volume, likewise, in cells with a point from which somebody touches.
     pub falsified_share_at_least: f64,
     /// No gap of a verified member is ever smaller, in metres.
     pub min_gap_m_at_least: f64,
@@ -183,41 +185,48 @@ impl Reach {
         Ok(Scene { actor, ranges, follower_ttc_s, observation_error, step_s, steps, decision_steps, stop_at_doubt })
     }
 
-    /// The cells that are not cut, with their ranges and shares of the volume.
+    /// N h, to the nanosecond: the claim is about no later time.
+    #[must_use]
+    pub fn horizon_s(&self) -> f64 {
+        seconds(self.step_s, self.steps)
+    }
+
+    /// The cells that are not cut, with their ranges and lower bounds of their shares of the volume, exact where every cut was
+    /// one in equal halves.
     ///
     /// # Errors
     /// [`Rejection`] if the cuts do not make a partition.
     pub fn leaves(&self) -> Result<Vec<(Cell, Ranges, f64)>, Rejection> {
-        let mut pending = vec![(self.ranges, 0)];
+        let mut pending = vec![(self.ranges, 0, 1.0)];
         let mut leaves = Vec::new();
         if self.partition.len() > MOST_CELLS {
             return Err(Rejection::invalid("partition", "has too many cells"));
         }
         for (index, &cell) in self.partition.iter().enumerate() {
             let invalid = |problem| Rejection::invalid(format!("partition[{index}]"), problem);
-            let (ranges, cuts) = pending.pop().ok_or_else(|| invalid("is one cell too many"))?;
+            let (ranges, cuts, share) = pending.pop().ok_or_else(|| invalid("is one cell too many"))?;
             if let Cell::Cut(dimension) = cell {
                 let [lower, upper] = ranges.halves(dimension).ok_or_else(|| invalid("cuts what is a single number"))?;
                 if cuts == MOST_CUTS {
                     return Err(invalid("cuts too often"));
                 }
-                pending.extend([(upper, cuts + 1), (lower, cuts + 1)]);
+                let share_of = |half: &Ranges| volume::share_of_cut(share, half.get(dimension), ranges.get(dimension));
+                let shares = [&upper, &lower].map(share_of);
+                pending.extend([(upper, cuts + 1, shares[0]), (lower, cuts + 1, shares[1])]);
             } else {
-                leaves.push((cell, ranges, 0.5_f64.powi(cuts as i32)));
+                leaves.push((cell, ranges, share));
             }
         }
         if pending.is_empty() { Ok(leaves) } else { Err(Rejection::invalid("partition", "ends too early")) }
     }
 }
 
-/// SHA-256 in hexadecimal.
-pub(crate) fn digest(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
-}
+/// What version 1 states of shares may exceed their volume by this much: it counted cuts, and the middle of a range is rounded.
+const COUNTED_CUTS: f64 = 1e-9;
 
-pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>, work: &Work) -> Result<Accepted, Rejection> {
+pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>, is_old: bool, work: &Work) -> Result<Accepted, Rejection> {
     let policy = policy.ok_or_else(|| Rejection::Policy { problem: "is not there".to_owned() })?;
-    let found = digest(policy);
+    let found = sha256(policy);
     if found != claim.policy_sha256 {
         return Err(Rejection::Policy { problem: format!("has the digest {found}, not `policy_sha256`") });
     }
@@ -227,25 +236,29 @@ pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>, work: &Work) -> Result
     let verdicts = judged(&scene, &leaves, work);
     // Whether it was too much does not depend on which thread was first to notice.
     work.spend(0)?;
-    let (mut verified_share, mut falsified_share, mut smallest_gap_m) = (0.0, 0.0, f64::INFINITY);
-    for (index, (&(cell, _, share), verdict)) in leaves.iter().zip(verdicts).enumerate() {
+    let [verified_share, falsified_share] = claim.shares()?;
+    let mut smallest_gap_m = f64::INFINITY;
+    for (index, verdict) in verdicts.into_iter().enumerate() {
         let gap_m = verdict.map_err(|problem| Rejection::Leaf { leaf: index, problem })?;
-        match cell {
-            Cell::Verified => (verified_share, smallest_gap_m) = (verified_share + share, gap_m.min(smallest_gap_m)),
-            Cell::Falsified(_) => falsified_share += share,
-            _ => {}
-        }
+        smallest_gap_m = smallest_gap_m.min(gap_m);
     }
+    let spare = if is_old { COUNTED_CUTS } else { 0.0 };
     let stated = [
-        ("verified_share_at_least", claim.verified_share_at_least, verified_share),
-        ("falsified_share_at_least", claim.falsified_share_at_least, falsified_share),
+        ("verified_share_at_least", claim.verified_share_at_least, verified_share + spare),
+        ("falsified_share_at_least", claim.falsified_share_at_least, falsified_share + spare),
         ("min_gap_m_at_least", claim.min_gap_m_at_least, smallest_gap_m),
     ];
     let is_more = |(_, stated, found): &&(_, f64, f64)| stated.partial_cmp(found).is_none_or(std::cmp::Ordering::is_gt);
     if let Some((field, ..)) = stated.iter().find(is_more) {
         return Err(Rejection::invalid(*field, "is more than is proved"));
     }
-    Ok(Accepted::Reach { verified_share, falsified_share, smallest_gap_m })
+    Ok(Accepted::Reach {
+        verified_share,
+        falsified_share,
+        smallest_gap_m,
+        horizon_s: claim.horizon_s(),
+        has_follower: claim.follower_ttc_s.is_some(),
+    })
 }
 
 /// For each leaf the smallest gap that is proved, or what stands against it; on all cores, in order.

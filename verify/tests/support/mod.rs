@@ -254,7 +254,7 @@ pub fn branches(scene: &Scene) -> impl Strategy<Value = Branch> + use<> {
 
 /// A statement with the assumptions it needs.
 pub fn certificate(statement: Statement) -> Certificate {
-    let provenance = Provenance { crumple: "0".into(), scenario: "a test".into(), scenario_sha256: String::new() };
+    let provenance = Provenance { crumple: "0".into(), scenario: "a test".into(), ..Provenance::default() };
     Certificate { version: 1, provenance, assumptions: statement.assumptions(), statement }
 }
 

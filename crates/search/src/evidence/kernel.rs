@@ -13,7 +13,7 @@ pub fn shipped_kernels() -> Vec<(String, Certificate)> {
     let certificates = pairs.filter_map(|(own, ahead)| {
         let kernel = Kernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
         let name = format!("{}-behind-{}", own.name(), ahead.name());
-        let certificate = kernel_certificate(&name, &kernel, PAPER_STEP_S, MARGIN_M)?;
+        let certificate = kernel_certificate(&kernel, PAPER_STEP_S, MARGIN_M)?;
         Some((name, certificate))
     });
     certificates.collect()
@@ -23,22 +23,19 @@ pub fn shipped_kernels() -> Vec<(String, Certificate)> {
 ///
 /// Numbers are taken as they are printed: 7.5 is 15/2, and 0.01 is 1/100.
 #[must_use]
-pub fn kernel_certificate(about: &str, kernel: &Kernel, step_s: f64, margin_m: f64) -> Option<Certificate> {
+pub fn kernel_certificate(kernel: &Kernel, step_s: f64, margin_m: f64) -> Option<Certificate> {
     let [b, c, h, m] = [kernel.own_brake_mps2, kernel.ahead_brake_mps2, step_s, margin_m].map(Quotient::of);
     let (b, c) = (b?, c?);
     let harder = b.minus(c)?;
-    Some(certificate(
-        about,
-        Statement::Kernel(crumple_verify::Kernel {
-            ego_brake_mps2: b.to_string(),
-            leader_brake_mps2: c.to_string(),
-            step_s: h?.to_string(),
-            margin_m: m?.to_string(),
-            stopping_own_squared: b.half_reciprocal()?.to_string(),
-            stopping_ahead_squared: format!("-{}", c.half_reciprocal()?),
-            catching_up_squared: if harder.over > 0 { Some(harder.half_reciprocal()?.to_string()) } else { None },
-        }),
-    ))
+    Some(certificate(Statement::Kernel(crumple_verify::Kernel {
+        ego_brake_mps2: b.to_string(),
+        leader_brake_mps2: c.to_string(),
+        step_s: h?.to_string(),
+        margin_m: m?.to_string(),
+        stopping_own_squared: b.half_reciprocal()?.to_string(),
+        stopping_ahead_squared: format!("-{}", c.half_reciprocal()?),
+        catching_up_squared: if harder.over > 0 { Some(harder.half_reciprocal()?.to_string()) } else { None },
+    })))
 }
 
 /// A quotient of whole numbers in lowest terms.

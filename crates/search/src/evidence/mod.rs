@@ -3,31 +3,31 @@
 //!
 //! This side proposes; `crumple_verify` decides. No certificate is written that it has not accepted.
 
+mod binding;
+mod block;
 mod interval;
 mod kernel;
 pub mod rare;
 mod rate;
 mod rate_folder;
 mod reach;
+mod rerun;
+mod starts;
 
+pub use binding::{Unbound, bound, lies_within};
+pub use block::CountedBlock;
 pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use rate::{InvalidRate, RateConfig, RateError, RatePlan, Tally};
 pub use rate_folder::{RateCount, RateFolderError};
 pub use reach::{BoxSpec, Doubts, InvalidBox, Partition, RangesSpec, ReachPlan, Shares};
+pub use rerun::{Confirmation, Rerun, RerunError, Sample};
 
-use crumple_verify::{Certificate, Provenance, Statement};
+use crumple_verify::{Certificate, Statement};
 
-/// A statement as a certificate of this program, with the assumptions it needs.
-fn certificate(about: &str, statement: Statement) -> Certificate {
-    Certificate {
-        version: crumple_verify::certificate::VERSION,
-        provenance: Provenance {
-            crumple: env!("CARGO_PKG_VERSION").to_owned(),
-            scenario: about.to_owned(),
-            scenario_sha256: String::new(),
-        },
-        assumptions: statement.assumptions(),
-        statement,
-    }
+use crate::worst_case::certificate_about;
+
+/// A statement about no scenario as a certificate of this program, with the assumptions it needs.
+fn certificate(statement: Statement) -> Certificate {
+    certificate_about(String::new(), None, None, statement)
 }

@@ -1,6 +1,7 @@
 //! Counting failures for a claim about their rate: registered before the first run, counted in order, resumable.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use crumple_verify::rate::{MOST_RUNS, tail_at_most};
 use crumple_verify::{Certificate, Comparison, Rate, Registration, Statement};
@@ -8,31 +9,39 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{Beta, ContinuousCDF};
 
-use super::certificate;
+use super::block::{CountedBlock, Ending};
+use crate::worst_case::certificate_about;
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::space::{Space, file};
-use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate_batch};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 
-/// Runs that are drawn and simulated together.
-const BLOCK: u64 = 1000;
+/// Runs that are drawn and simulated together, or some more.
+const TOGETHER: u64 = 1000;
+/// A block of runs that has a hash is no shorter than this...
+const SHORTEST_BLOCK: u64 = 100;
+/// ... and there are no more than this.
+const MOST_BLOCKS: u64 = 1000;
 
 /// What is to be counted: one controller, or two on the same draws.
 pub struct RatePlan {
     drivers: Vec<NamedController>,
     space: Space,
+    /// The space as a file.
+    space_text: String,
     seed: u64,
     estimator: EstimatorKind,
     registration: Registration,
+    block_runs: u64,
 }
 
 /// What a plan is made of.
 pub struct RateConfig {
     /// The controller; a second one to compare it with.
     pub controllers: (NamedController, Option<NamedController>),
-    /// What runs are drawn from, and its name.
-    pub space: (String, Space),
+    /// What runs are drawn from.
+    pub space: Space,
     /// Seed of all draws.
     pub seed: u64,
     /// What the vehicles under test look through.
@@ -74,6 +83,9 @@ pub enum InvalidRate {
     /// The space cannot be written down.
     #[error("the space cannot be written as TOML: {0}")]
     Space(#[from] toml::ser::Error),
+    /// The space has no middle.
+    #[error("the space: {0}")]
+    Nominal(#[from] InvalidField),
 }
 
 /// Why a run of a plan cannot be made.
@@ -112,6 +124,8 @@ pub struct Tally {
     pub only_first_failed: u64,
     /// Runs in which only the second failed.
     pub only_second_failed: u64,
+    /// The blocks that these runs make, in order.
+    pub blocks: Vec<CountedBlock>,
 }
 
 impl RatePlan {
@@ -120,7 +134,7 @@ impl RatePlan {
     /// # Errors
     /// [`InvalidRate`] if no claim could come of it.
     pub fn new(parts: RateConfig) -> Result<Self, InvalidRate> {
-        let RateConfig { controllers, space: (space_name, space), seed, estimator, runs, confidence } = parts;
+        let RateConfig { controllers, space, seed, estimator, runs, confidence } = parts;
         if !(1..=MOST_RUNS).contains(&runs) {
             return Err(InvalidRate::Runs { found: runs });
         }
@@ -129,20 +143,23 @@ impl RatePlan {
         }
         // A nominal scenario that is none says so when the first run is drawn.
         if space.scenario(&space.nominal()).is_ok_and(|nominal| !nominal.has_vehicle_under_test()) {
-            return Err(InvalidRate::NobodyUnderTest { space: space_name });
+            return Err(InvalidRate::NobodyUnderTest { space: space.name().to_owned() });
         }
         let drivers: Vec<NamedController> = std::iter::once(controllers.0).chain(controllers.1).collect();
         if let Some(unknown) = drivers.iter().find(|driver| driver.kind.identity().is_none()) {
             return Err(InvalidRate::NoIdentity { controller: unknown.name.clone() });
         }
+        let space_text = file::to_toml(&space)?;
+        let horizon_s = space.scenario(&space.nominal())?.spec().duration_s;
         let failure = drivers.iter().map(NamedController::failure).max().unwrap_or_default();
         let mut configuration = BTreeMap::from([
             ("crumple".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("estimator".to_owned(), estimator.name().to_owned()),
             ("failure".to_owned(), failure.to_owned()),
+            ("horizon_s".to_owned(), horizon_s.to_string()),
             ("seed".to_owned(), seed.to_string()),
-            ("space".to_owned(), space_name),
-            ("space_sha256".to_owned(), sha256(file::to_toml(&space)?)),
+            ("space".to_owned(), space.name().to_owned()),
+            ("space_sha256".to_owned(), sha256(&space_text)),
         ]);
         for (place, driver) in ["controller", "against"].into_iter().zip(&drivers) {
             configuration.insert(place.to_owned(), driver.name.clone());
@@ -153,8 +170,9 @@ impl RatePlan {
                 configuration.insert(format!("{place}_policy_sha256"), policy.digest());
             }
         }
-        let registration = Registration { configuration, runs, confidence };
-        Ok(Self { drivers, space, seed, estimator, registration })
+        let block_runs = runs.div_ceil(MOST_BLOCKS).max(SHORTEST_BLOCK);
+        let registration = Registration { configuration, runs, confidence, block_runs: Some(block_runs) };
+        Ok(Self { drivers, space, space_text, seed, estimator, registration, block_runs })
     }
 
     /// What must be on record before the first run.
@@ -169,38 +187,85 @@ impl RatePlan {
         Tally { registration_sha256: self.registration.digest(), ..Tally::default() }
     }
 
-    /// Makes the next block of runs and adds them to `tally`; nothing once all are made.
+    /// Makes the next runs, some blocks of them, and adds them to `tally`; nothing once all are made.
     ///
     /// # Errors
     /// [`RateError`] names the draw that could not be run; `tally` is then as it was.
     pub fn count_block(&self, tally: &mut Tally) -> Result<(), RateError> {
-        let indices: Vec<u64> = (tally.runs..(tally.runs + BLOCK).min(self.registration.runs)).collect();
+        let together = self.block_runs * (TOGETHER / self.block_runs).max(1);
+        let end = (tally.runs + together).min(self.registration.runs);
+        let counted = self.count(tally.runs..end)?;
+        tally.runs = end;
+        for block in counted {
+            tally.failures += block.failures;
+            tally.only_first_failed += block.only_first_failed;
+            tally.only_second_failed += block.only_second_failed;
+            tally.blocks.push(block);
+        }
+        Ok(())
+    }
+
+    /// Whether what was counted before is whole blocks that add up.
+    #[must_use]
+    pub(super) fn is_sound(&self, tally: &Tally) -> bool {
+        let sum = |of: fn(&CountedBlock) -> u64| tally.blocks.iter().map(of).fold(0, u64::saturating_add);
+        let whole = tally.runs == self.registration.runs || tally.runs.is_multiple_of(self.block_runs);
+        whole
+            && tally.runs <= self.registration.runs
+            && tally.blocks.len() as u64 == tally.runs.div_ceil(self.block_runs)
+            && sum(|block| block.failures) == tally.failures
+            && sum(|block| block.only_first_failed) == tally.only_first_failed
+            && sum(|block| block.only_second_failed) == tally.only_second_failed
+    }
+
+    /// Whether it is of one controller.
+    pub(super) fn is_of_one(&self) -> bool {
+        self.drivers.len() == 1
+    }
+
+    /// How many blocks there are.
+    #[must_use]
+    pub fn blocks(&self) -> u64 {
+        self.registration.runs.div_ceil(self.block_runs)
+    }
+
+    /// The runs of a block.
+    #[must_use]
+    pub fn runs_of(&self, block: u64) -> Range<u64> {
+        let at = |block: u64| block.saturating_mul(self.block_runs).min(self.registration.runs);
+        at(block)..at(block.saturating_add(1))
+    }
+
+    /// Makes the runs of a block, whatever was made before.
+    ///
+    /// # Errors
+    /// [`RateError`] names the draw that could not be run.
+    pub fn count_again(&self, block: u64) -> Result<CountedBlock, RateError> {
+        Ok(self.count(self.runs_of(block))?.pop().unwrap_or_default())
+    }
+
+    /// Makes runs, which begin where a block begins: a count for each block.
+    fn count(&self, runs: Range<u64>) -> Result<Vec<CountedBlock>, RateError> {
+        let indices: Vec<u64> = runs.collect();
         let draw = |&index: &u64| self.space.draw(self.seed, index).map_err(|source| RateError::Draw { index, source });
         let scenarios = indices.par_iter().map(draw).collect::<Result<Vec<_>, _>>()?;
-        let failed = |driver: &NamedController| {
+        let endings = |driver: &NamedController| {
             let options = RunOptions::new(driver.kind.clone()).with_estimator(self.estimator);
             let runs = scenarios.iter().zip(&indices).map(|(scenario, &index)| {
                 Run::new(scenario, options.clone()).map_err(|source| RateError::Run { index, source })
             });
             let runs = runs.collect::<Result<Vec<_>, _>>()?;
-            Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome != Outcome::NoCollision))
+            Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| Ending::of(&result)))
         };
-        let failed = self.drivers.iter().map(failed).collect::<Result<Vec<_>, RateError>>()?;
-        tally.runs += indices.len() as u64;
-        match failed.as_slice() {
-            [first, second] => {
-                for pair in first.iter().zip(second) {
-                    match pair {
-                        (true, true) => tally.failures += 1,
-                        (true, false) => tally.only_first_failed += 1,
-                        (false, true) => tally.only_second_failed += 1,
-                        (false, false) => {}
-                    }
-                }
-            }
-            alone => tally.failures += alone.iter().flatten().filter(|&&failed| failed).count() as u64,
-        }
-        Ok(())
+        let endings = self.drivers.iter().map(endings).collect::<Result<Vec<_>, RateError>>()?;
+        let registered = self.registration.digest();
+        let places: Vec<usize> = (0..indices.len()).collect();
+        let counted = places.chunks(self.block_runs as usize).map(|places| {
+            let first = places.first().and_then(|&place| indices.get(place)).copied().unwrap_or_default();
+            let of_run = |&place: &usize| endings.iter().filter_map(|of| of.get(place)).collect::<Vec<&Ending>>();
+            CountedBlock::of(&registered, first, places.iter().map(of_run))
+        });
+        Ok(counted.collect())
     }
 
     /// What a full tally shows. For one controller the lowest rate that is accepted, to nine digits.
@@ -208,19 +273,25 @@ impl RatePlan {
     pub fn certificate(&self, tally: &Tally) -> Certificate {
         let registration = self.registration.clone();
         let registration_sha256 = registration.digest();
-        let about = registration.configuration.get("space").cloned().unwrap_or_default();
         let statement = if self.drivers.len() == 2 {
             Statement::Comparison(Comparison {
                 registration,
                 registration_sha256,
                 only_first_failed: tally.only_first_failed,
                 only_second_failed: tally.only_second_failed,
+                blocks: tally
+                    .blocks
+                    .iter()
+                    .map(|block| ([block.only_first_failed, block.only_second_failed], block.sha256.clone()))
+                    .collect(),
             })
         } else {
             let rate_at_most = upper_bound(tally.failures, registration.runs, registration.confidence);
-            Statement::Rate(Rate { registration, registration_sha256, failures: tally.failures, rate_at_most })
+            let blocks = tally.blocks.iter().map(|block| (block.failures, block.sha256.clone())).collect();
+            Statement::Rate(Rate { registration, registration_sha256, failures: tally.failures, rate_at_most, blocks })
         };
-        certificate(&about, statement)
+        let (name, text) = (self.space.name().to_owned(), self.space_text.clone());
+        certificate_about(name, Some(text), None, statement)
     }
 }
 
@@ -247,7 +318,7 @@ mod tests {
         let contender = |name: &str| NamedController::from(ControllerSpec::named(name).unwrap());
         RatePlan::new(RateConfig {
             controllers: (contender(controller), against.map(contender)),
-            space: ("paper".to_owned(), built_in_space("paper").unwrap()),
+            space: built_in_space("paper").unwrap(),
             seed: 3,
             estimator: EstimatorKind::Truth,
             runs,

@@ -31,7 +31,7 @@ pub enum RateFolderError {
         path: PathBuf,
     },
     /// What was counted is of another registration.
-    #[error("{}: registration_sha256: not of this registration", path.display())]
+    #[error("{}: not of this registration, or counts of blocks that do not add up to it", path.display())]
     OtherTally {
         /// What was counted.
         path: PathBuf,
@@ -99,7 +99,7 @@ impl RatePlan {
         }
         let path = count.progress_path();
         if let Some(Counted { program, tally }) = read(&path)?.filter(|_| resume) {
-            if tally.registration_sha256 != count.tally.registration_sha256 || tally.runs > self.registration().runs {
+            if tally.registration_sha256 != count.tally.registration_sha256 || !self.is_sound(&tally) {
                 return Err(RateFolderError::OtherTally { path });
             }
             // A count that is complete is no longer half done, and may be read.
@@ -168,10 +168,10 @@ mod tests {
     fn a_count_goes_on_only_in_the_build_that_began_it() {
         let plan = RatePlan::new(RateConfig {
             controllers: (ControllerSpec::named("idm").unwrap().into(), None),
-            space: ("paper".to_owned(), built_in_space("paper").unwrap()),
+            space: built_in_space("paper").unwrap(),
             seed: 3,
             estimator: EstimatorKind::Truth,
-            runs: 20,
+            runs: 200,
             confidence: 0.9,
         })
         .unwrap();
@@ -192,14 +192,17 @@ mod tests {
             plan.register_in(folder.path(), true).err().map(|error| error.to_string())
         };
         let other = ("program", Some(Value::from("0".repeat(64))));
-        let half = ("runs", Some(Value::from(10)));
+        let half = ("runs", Some(Value::from(100)));
+        let blocks = ("blocks", Some(Value::from(vec![whole["blocks"][0].clone()])));
         let place = path.display();
         assert_eq!(error(std::slice::from_ref(&other)), None, "a complete count may be read");
-        for part in [[other, half.clone()], [("program", None), half.clone()]] {
+        for part in [[other, half.clone(), blocks.clone()], [("program", None), half.clone(), blocks.clone()]] {
             assert_eq!(error(&part).unwrap(), format!("{place}: {OTHER_BUILD}"));
         }
-        assert_eq!(error(&[half]), None);
-        assert!(error(&[("runs", Some(Value::from(21)))]).unwrap().ends_with("not of this registration"));
+        assert_eq!(error(&[half.clone(), blocks]), None);
+        for unsound in [half, ("runs", Some(Value::from(201))), ("failures", Some(Value::from(7)))] {
+            assert!(error(&[unsound]).unwrap().contains("not of this registration"));
+        }
         let damaged = error(&[("runs", None)]).unwrap();
         assert!(damaged.starts_with(&format!("{place}: missing field `runs`")), "{damaged}");
         assert!(matches!(plan.register_in(folder.path(), false), Err(RateFolderError::Taken { .. })));

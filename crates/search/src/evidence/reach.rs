@@ -13,12 +13,12 @@ use rand::RngExt;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::certificate;
-use crumple_world::control::ControllerSpec;
+use super::starts::Starts;
+use crate::worst_case::certificate_about;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::{Brake, Driver, InvalidField, LeadProfile, Scenario, built_in};
+use crumple_world::scenario::{Brake, Driver, InvalidField, LeadProfile, Scenario, built_in, file};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// Covers what a simulator in double precision rounds, in metres, m/s and m/s².
@@ -27,7 +27,7 @@ const ROUNDING: f64 = 1e-9;
 const STARTS: u64 = 16;
 
 /// A box of starts as a file states it: a scenario, and ranges of what differs from it.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BoxSpec {
     /// Version of the file format: 1.
@@ -37,11 +37,11 @@ pub struct BoxSpec {
     pub about: String,
     /// A built-in scenario: a leader that brakes, a vehicle under test, and at most one follower with the baseline.
     pub scenario: String,
-    /// What varies.
-    pub ranges: RangesSpec,
     /// Largest error of each of the eight numbers that are observed, in metres, m/s and m/s². Default: none to speak of.
     #[serde(default = "exact")]
     pub observation_error: [f64; 8],
+    /// What varies. Behind the numbers, as tables are in TOML.
+    pub ranges: RangesSpec,
 }
 
 fn exact() -> [f64; 8] {
@@ -49,7 +49,7 @@ fn exact() -> [f64; 8] {
 }
 
 /// Ranges of what may differ from the scenario. Each is a number or `{ low = …, high = … }`.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 #[expect(missing_docs, reason = "each is what its name says, in the unit that its name says")]
 pub struct RangesSpec {
@@ -76,6 +76,9 @@ pub enum InvalidBox {
     /// A range is not one that can be claimed about.
     #[error("ranges.{0}")]
     Ranges(String),
+    /// Scenario or box cannot be written down.
+    #[error("cannot be written as TOML: {0}")]
+    Unwritable(#[from] toml::ser::Error),
     /// The policy does not fit.
     #[error("the policy {0}")]
     Policy(String),
@@ -90,6 +93,8 @@ pub enum InvalidBox {
 /// What is to be cut.
 pub struct ReachPlan {
     scenario: Scenario,
+    /// The scenario and the box as files.
+    texts: [String; 2],
     policy: Arc<Policy>,
     bytes: Vec<u8>,
     actor: Actor,
@@ -144,6 +149,13 @@ struct Node {
 }
 
 impl BoxSpec {
+    /// A box around a scenario, in which the true state is seen.
+    #[must_use]
+    pub fn around(scenario: &str, ranges: RangesSpec) -> Self {
+        let (about, scenario) = (String::new(), scenario.to_owned());
+        Self { version: 1, about, scenario, observation_error: exact(), ranges }
+    }
+
     /// Reads a box from TOML text.
     ///
     /// # Errors
@@ -162,57 +174,10 @@ impl ReachPlan {
     pub fn new(policy: Arc<Policy>, spec: &BoxSpec) -> Result<Self, InvalidBox> {
         let wrong = |why: &str| InvalidBox::Scenario(why.to_owned());
         let scenario = built_in(&spec.scenario).ok_or_else(|| wrong("is no built-in one"))?;
-        let vehicles = scenario.vehicles();
-        let [leader, ego, rest @ ..] = vehicles else { return Err(wrong("has too few vehicles")) };
-        let Driver::Profile(LeadProfile::Brake(brake)) = &leader.driver else {
-            return Err(wrong("the leader must brake at a constant rate"));
-        };
-        let is_plain = vehicles.iter().all(|v| {
-            v.acceleration_noise_mps2 == 0.0
-                && v.reaction_delay_s == 0.0
-                && v.actuator_lag_s == 0.0
-                && v.actuator_delay_s == 0.0
-                && v.jerk_limit_mps3.is_none()
-        });
-        if ego.driver != Driver::UnderTest || !is_plain {
-            return Err(wrong(
-                "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk",
-            ));
-        }
-        let follower_ttc_s = match rest {
-            [] => None,
-            [follower] => match &follower.driver {
-                Driver::Controller(ControllerSpec::Baseline(aeb)) => Some(aeb.ttc_s),
-                _ => return Err(wrong("the follower must drive with the baseline")),
-            },
-            _ => return Err(wrong("has too many vehicles")),
-        };
+        let starts = Starts::new(&scenario, spec)?;
         let action = policy.header().action;
-        if action.low_mps2 < -scenario.usable_brake_mps2(1) || action.high_mps2 > ego.max_accel_mps2() {
+        if !starts.allows([action.low_mps2, action.high_mps2]) {
             return Err(InvalidBox::Policy("asks for more than the vehicle can do".to_owned()));
-        }
-        let step_s = scenario.spec().step_s;
-        let or = |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
-        let of_follower =
-            |range, value: fn(&crumple_world::scenario::VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
-        let given = &spec.ranges;
-        let onset_s = or(given.onset_s, brake.onset_s);
-        let ranges = Ranges {
-            gap_ahead_m: or(given.gap_ahead_m, scenario.initial_gap_m(1).unwrap_or(0.0)),
-            gap_behind_m: or(given.gap_behind_m, scenario.initial_gap_m(2).unwrap_or(0.0)),
-            leader_speed_mps: or(given.leader_speed_mps, leader.speed_mps),
-            ego_speed_mps: or(given.ego_speed_mps, ego.speed_mps),
-            follower_speed_mps: of_follower(given.follower_speed_mps, |v| v.speed_mps),
-            leader_brake_mps2: or(given.leader_brake_mps2, brake.rate_mps2),
-            follower_brake_mps2: or(
-                given.follower_brake_mps2,
-                rest.first().map_or(0.0, |_| scenario.usable_brake_mps2(2)),
-            ),
-            onset_steps: Interval::new(onset_s.low() / step_s, onset_s.high() / step_s)
-                .ok_or_else(|| InvalidBox::Ranges("onset_s: too large".to_owned()))?,
-        };
-        if ranges.leader_brake_mps2.high() > scenario.usable_brake_mps2(0) {
-            return Err(InvalidBox::Ranges("leader_brake_mps2: harder than the leader can brake".to_owned()));
         }
         let bytes = policy.to_bytes().map_err(|error| InvalidBox::Policy(error.to_string()))?;
         let actor = Actor::from_bytes(&bytes).map_err(InvalidBox::Policy)?;
@@ -220,18 +185,19 @@ impl ReachPlan {
         let claim = Reach {
             policy_file: format!("policy-{}.safetensors", digest.get(..12).unwrap_or_default()),
             policy_sha256: digest,
-            step_s,
-            steps: scenario.steps() as u32,
-            follower_ttc_s,
+            step_s: starts.step_s,
+            steps: starts.steps,
+            follower_ttc_s: starts.follower_ttc_s,
             observation_error: spec.observation_error,
-            ranges,
+            ranges: starts.ranges,
             partition: Vec::new(),
             verified_share_at_least: 0.0,
             falsified_share_at_least: 0.0,
             min_gap_m_at_least: 0.0,
         };
         claim.scene(&actor).map_err(|rejection| InvalidBox::Ranges(rejection.to_string()))?;
-        let plan = Self { scenario, policy, bytes, actor, claim };
+        let texts = [file::to_toml(&scenario)?, toml::to_string(spec)?];
+        let plan = Self { scenario, texts, policy, bytes, actor, claim };
         // Whatever else is wrong with a start shows here.
         plan.touches(&[0.5; 8])?;
         Ok(plan)
@@ -322,18 +288,14 @@ impl ReachPlan {
 
     fn concluded(&self, nodes: &[Node], mut shares: Vec<Shares>, gap_m: f64, begin: Instant) -> Partition {
         let (mut doubts, mut partition) = (Doubts::default(), Vec::new());
-        let (mut verified, mut falsified) = (0.0, 0.0);
         // Lower halves first, as the certificate wants them.
-        let mut pending = vec![(0_usize, 1.0_f64)];
-        while let Some((number, volume)) = pending.pop() {
+        let mut pending = vec![0_usize];
+        while let Some(number) = pending.pop() {
             let node = &nodes[number];
             partition.push(node.cell);
             match node.cell {
-                Cell::Cut(_) => {
-                    pending.extend(node.halves.iter().flat_map(|&lower| [lower + 1, lower].map(|n| (n, volume / 2.0))))
-                }
-                Cell::Verified => verified += volume,
-                Cell::Falsified(_) => falsified += volume,
+                Cell::Cut(_) => pending.extend(node.halves.iter().flat_map(|&lower| [lower + 1, lower])),
+                Cell::Verified | Cell::Falsified(_) => {}
                 Cell::Undecided => match node.reached.and_then(|reached| reached.doubt) {
                     Some(Doubt::MayTouch { pair: 0, .. }) => doubts.ahead += 1,
                     Some(Doubt::MayTouch { .. }) => doubts.behind += 1,
@@ -341,19 +303,21 @@ impl ReachPlan {
                 },
             }
         }
-        if let Some(last) = shares.last_mut() {
-            (last.falsified, last.undecided) = (falsified, 1.0 - verified - falsified);
-            last.seconds = begin.elapsed().as_secs_f64();
-        }
-        let claim = Reach {
+        let mut claim = Reach {
             partition,
-            verified_share_at_least: verified,
-            falsified_share_at_least: falsified,
             // Whole micrometres: what another version rounds otherwise is still proved.
             min_gap_m_at_least: if gap_m.is_finite() { (gap_m * 1e6).floor() / 1e6 } else { 0.0 },
             ..self.claim.clone()
         };
-        let certificate = certificate(&self.scenario.spec().name, Statement::Reach(claim));
+        // As the checker will find them: volumes, rounded down where a cut was not one in equal halves.
+        let [verified, falsified] = claim.shares().unwrap_or_default();
+        (claim.verified_share_at_least, claim.falsified_share_at_least) = (verified, falsified);
+        if let Some(last) = shares.last_mut() {
+            (last.verified, last.falsified, last.undecided) = (verified, falsified, 1.0 - verified - falsified);
+            last.seconds = begin.elapsed().as_secs_f64();
+        }
+        let ([scenario, starts], name) = (self.texts.clone(), self.scenario.spec().name.clone());
+        let certificate = certificate_about(name, Some(scenario), Some(starts), Statement::Reach(claim));
         Partition { certificate, shares, doubts }
     }
 
@@ -415,7 +379,7 @@ mod tests {
         assert_eq!(partition.certificate, plan.partition(6, |_| ()).unwrap().certificate);
         let Statement::Reach(claim) = &partition.certificate.statement else { panic!("reach") };
         match check_with(&partition.certificate, Some(plan.policy_bytes())).unwrap() {
-            Accepted::Reach { verified_share, falsified_share, smallest_gap_m } => {
+            Accepted::Reach { verified_share, falsified_share, smallest_gap_m, .. } => {
                 assert_eq!(verified_share, claim.verified_share_at_least);
                 assert_eq!(falsified_share, claim.falsified_share_at_least);
                 let spare_m = smallest_gap_m - claim.min_gap_m_at_least;

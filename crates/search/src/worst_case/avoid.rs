@@ -261,7 +261,7 @@ pub fn certify(family: &Family, escape: &Escape) -> Result<Certificate, Reason> 
     let stating = |least_m| certificate::avoidable(family.centre(), &situation, &escape.acceleration_mps2, least_m);
     let rejected = |rejection: crumple_verify::Rejection| Reason::Rejected { why: rejection.to_string() };
     let least_m = match crumple_verify::check(&stating(None)?).map_err(rejected)? {
-        Accepted::Avoidable { smallest_gap_m } => Some(smallest_gap_m),
+        Accepted::Avoidable { smallest_gap_m, .. } => Some(smallest_gap_m),
         _ => None,
     };
     let certificate = stating(least_m)?;

@@ -9,6 +9,7 @@ use super::family::Family;
 use super::multipliers::{Multipliers, Proof, SURELY, Weighted};
 use super::reason::Reason;
 use super::situation::Situation;
+use crumple_world::digest::sha256;
 use crumple_world::scenario::{Scenario, file};
 
 /// The scene that a certificate about a situation speaks of.
@@ -46,7 +47,7 @@ pub(super) fn avoidable(
 ) -> Result<Certificate, Reason> {
     let witness = acceleration_mps2.iter().map(|each| held(each)).collect();
     let statement = Avoidable { scene: scene(situation), witness, min_gap_m_at_least };
-    wrapped(scenario, Statement::Avoidable(statement))
+    wrapped(scenario, situation, Statement::Avoidable(statement))
 }
 
 /// The certificate that there is no escape; none if the search has not closed every branch.
@@ -56,21 +57,39 @@ pub(super) fn unavoidable(
     search: &Search<'_>,
 ) -> Result<Option<Certificate>, Reason> {
     let Some(branches) = branches(situation, search) else { return Ok(None) };
-    wrapped(scenario, Statement::Unavoidable(Unavoidable { scene: scene(situation), branches })).map(Some)
+    wrapped(scenario, situation, Statement::Unavoidable(Unavoidable { scene: scene(situation), branches })).map(Some)
 }
 
-fn wrapped(scenario: &Scenario, statement: Statement) -> Result<Certificate, Reason> {
-    let mut assumptions = statement.assumptions();
-    if scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 > 0.0) {
-        assumptions.push(Assumption::NoiseOfSeed);
+fn wrapped(scenario: &Scenario, situation: &Situation, statement: Statement) -> Result<Certificate, Reason> {
+    let unwritable = |error: toml::ser::Error| Reason::Unwritable { why: error.to_string() };
+    let text = file::to_toml(scenario).map_err(unwritable)?;
+    let ranges = situation.ranges.as_ref().map(toml::to_string).transpose().map_err(unwritable)?;
+    let mut certificate = certificate_about(scenario.spec().name.clone(), Some(text), ranges, statement);
+    certificate.assumptions.extend(relies_on_noise(scenario).then_some(Assumption::NoiseOfSeed));
+    Ok(certificate)
+}
+
+/// Whether the leader's accelerations hold noise, which is that of the scenario's seed.
+fn relies_on_noise(scenario: &Scenario) -> bool {
+    scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 > 0.0)
+}
+
+/// A statement as a certificate of this program, with the assumptions it needs: about a scenario or space with this name and
+/// text, and perhaps a box around it.
+pub(crate) fn certificate_about(
+    scenario: String,
+    scenario_text: Option<String>,
+    box_text: Option<String>,
+    statement: Statement,
+) -> Certificate {
+    let scenario_sha256 = scenario_text.as_ref().map(sha256).unwrap_or_default();
+    let crumple = env!("CARGO_PKG_VERSION").to_owned();
+    Certificate {
+        version: crumple_verify::certificate::VERSION,
+        provenance: Provenance { crumple, scenario, scenario_sha256, scenario_text, box_text },
+        assumptions: statement.assumptions(),
+        statement,
     }
-    let text = file::to_toml(scenario).map_err(|error| Reason::Unwritable { why: error.to_string() })?;
-    let provenance = Provenance {
-        crumple: env!("CARGO_PKG_VERSION").to_owned(),
-        scenario: scenario.spec().name.clone(),
-        scenario_sha256: crumple_world::digest::sha256(text),
-    };
-    Ok(Certificate { version: crumple_verify::certificate::VERSION, provenance, assumptions, statement })
 }
 
 /// Branches that close every firing: one for each early firing, and one for all late ones.
@@ -157,13 +176,27 @@ fn count(steps: usize) -> u32 {
     u32::try_from(steps).unwrap_or(u32::MAX)
 }
 
-/// Whether a certificate's claim is about a scenario: the same scene, whatever the file says of its origin, and nothing in the
-/// scenario that the claim does not model.
+/// Whether a certificate's claim is about a scenario: the same scene or a box that holds it, whatever the file says of its origin,
+/// nothing in the scenario that the claim does not model, and noise only if it says that it relies on its seed.
 #[must_use]
 pub fn is_about(certificate: &Certificate, scenario: &Scenario) -> bool {
-    let Some(claimed) = certificate.statement.scene() else { return false };
     let Ok(situation) = Situation::new(&Family::point(scenario)) else { return false };
-    let is_modelled = match &certificate.statement {
+    let covers = |claimed: &Scene| covers(claimed, &scene(&situation));
+    models(certificate, scenario, &situation) && certificate.statement.scene().is_some_and(covers)
+}
+
+/// Whether a certificate's claim is about exactly this family: no other scene and no smaller or larger box.
+pub(crate) fn is_exactly(certificate: &Certificate, family: &Family) -> bool {
+    let Ok(situation) = Situation::new(family) else { return false };
+    models(certificate, family.centre(), &situation) && certificate.statement.scene() == Some(&scene(&situation))
+}
+
+/// Whether there is nothing in a scenario that the claim does not model.
+fn models(certificate: &Certificate, scenario: &Scenario, situation: &Situation) -> bool {
+    if relies_on_noise(scenario) && !certificate.assumptions.contains(&Assumption::NoiseOfSeed) {
+        return false;
+    }
+    match &certificate.statement {
         // Whatever follows, and however late the vehicles under test answer: a proof speaks of all of them.
         Statement::Unavoidable(_) => situation.proof_caveat.is_none(),
         Statement::Avoidable(claim) => {
@@ -176,8 +209,7 @@ pub fn is_about(certificate: &Certificate, scenario: &Scenario) -> bool {
                 && situation.egos.iter().zip(&claim.witness).all(waits)
         }
         _ => false,
-    };
-    is_modelled && covers(claimed, &scene(&situation))
+    }
 }
 
 /// Whether everything of `inner` lies in `outer`.

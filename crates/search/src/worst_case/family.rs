@@ -34,6 +34,7 @@ pub struct Family {
     centre: Scenario,
     low: Scenario,
     high: Scenario,
+    ranges: Vec<FieldRange>,
 }
 
 /// Why ranges make no box.
@@ -77,7 +78,7 @@ impl Family {
     /// One scenario.
     #[must_use]
     pub fn point(scenario: &Scenario) -> Self {
-        Self { centre: scenario.clone(), low: scenario.clone(), high: scenario.clone() }
+        Self { centre: scenario.clone(), low: scenario.clone(), high: scenario.clone(), ranges: Vec::new() }
     }
 
     /// A scenario with ranges.
@@ -106,13 +107,24 @@ impl Family {
             }
         }
         let [centre, low, high] = specs;
-        Ok(Self { centre: Scenario::new(centre)?, low: Scenario::new(low)?, high: Scenario::new(high)? })
+        Ok(Self {
+            centre: Scenario::new(centre)?,
+            low: Scenario::new(low)?,
+            high: Scenario::new(high)?,
+            ranges: ranges.ranges.clone(),
+        })
     }
 
     /// The scenario in the middle.
     #[must_use]
     pub fn centre(&self) -> &Scenario {
         &self.centre
+    }
+
+    /// Its ranges; none if it is a single scenario. Around [`Family::centre`] they make this family.
+    #[must_use]
+    pub fn ranges(&self) -> Option<Ranges> {
+        (!self.is_point()).then(|| Ranges { version: 1, ranges: self.ranges.clone() })
     }
 
     /// The scenarios with every position and speed least and most, and the leader's script likewise.

@@ -36,6 +36,7 @@ mod witness;
 pub use attack::{Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, attack, hunt};
 pub use avoid::{AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, avoid, avoid_all, certify};
 pub use certificate::is_about;
+pub(crate) use certificate::{certificate_about, is_exactly};
 pub(crate) use descent::{Descent, Limits, Pace};
 pub use family::{Family, FamilyError, FieldRange, Ranges};
 pub use reason::Reason;

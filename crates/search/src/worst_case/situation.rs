@@ -8,7 +8,7 @@
 use crumple_verify::claim::MOST_EGOS;
 use crumple_verify::{Follower, Interval};
 
-use super::family::Family;
+use super::family::{Family, Ranges};
 use super::reason::Reason;
 use super::scripted::{Leader, between};
 use crumple_world::control::ControllerSpec;
@@ -56,6 +56,8 @@ pub(super) struct Situation {
     pub(super) follower: Option<Follower>,
     /// Whether it stands for more than one scenario.
     pub(super) is_box: bool,
+    /// The ranges of those scenarios, if it does.
+    pub(super) ranges: Option<Ranges>,
     /// Why an escape that was found may be none; the replay decides where it can.
     pub(super) escape_caveat: Option<Reason>,
     /// Why a proof would not be about this scenario.
@@ -133,6 +135,7 @@ impl Situation {
             egos,
             follower,
             is_box: !family.is_point(),
+            ranges: family.ranges(),
             escape_caveat,
             proof_caveat,
         })

@@ -12,7 +12,7 @@ use crate::assessment::claims::{
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
-use crumple_search::evidence::{RateConfig, RateInterval, RatePlan, kernel_certificate, shipped_kernels};
+use crumple_search::evidence::{RateConfig, RateInterval, RatePlan, bound, kernel_certificate, shipped_kernels};
 use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
@@ -130,6 +130,9 @@ impl ProofStatus {
             Ok(accepted) => accepted,
             Err(rejection) => return Self::Rejected { reason: rejection.to_string() },
         };
+        if let Err(unbound) = bound(certificate, policy) {
+            return Self::Rejected { reason: unbound.to_string() };
+        }
         Self::Accepted { shown: shown(&accepted), strength: strength(&accepted, &certificate.statement, counts_others) }
     }
 }
@@ -211,8 +214,8 @@ fn shown(accepted: &Accepted) -> String {
         Accepted::Rate { at_most, confidence } => {
             format!("at most {:.4} % of runs fail, at confidence {} %", 100.0 * at_most + 5e-5, 100.0 * confidence)
         }
-        Accepted::Reach { verified_share, smallest_gap_m, .. } => format!(
-            "from {:.2} % of the box nobody touches, and no gap is ever smaller than {:.2} m",
+        Accepted::Reach { verified_share, smallest_gap_m, horizon_s, .. } => format!(
+            "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s",
             down(100.0 * verified_share),
             down(*smallest_gap_m)
         ),
@@ -402,7 +405,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[Proof]) -> Vec<Evidence>
     for (place, controller) in plan.controllers.iter().enumerate() {
         let kernels = kernels(controller);
         let proved = |kernel: &Kernel| {
-            let expected = kernel_certificate("", kernel, PAPER_STEP_S, MARGIN_M)?.statement;
+            let expected = kernel_certificate(kernel, PAPER_STEP_S, MARGIN_M)?.statement;
             let is_it = |proof: &&Proof| proof.is_accepted() && proof.kernel.as_ref() == Some(&expected);
             proofs.iter().find(is_it)
         };
@@ -494,7 +497,7 @@ fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result
     let Counted { name, space, controller, against } = counted;
     let rates = RatePlan::new(RateConfig {
         controllers: (controller, against),
-        space: (space.space.name().to_owned(), space.space.clone()),
+        space: space.space.clone(),
         seed: plan.config.seed ^ SEED_APART,
         estimator: plan.config.estimator,
         runs: plan.config.rates.runs,
@@ -512,17 +515,37 @@ fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result
     })?;
     let certificate = Certificate::from_json(&text).map_err(|error| AssessError::Certificate(error.to_string()))?;
     let mut proof = proof(plan, name, &certificate, None)?;
-    // Counts that do not show that one controller fails less often are no proof, and none that was tampered with.
-    if let (Statement::Comparison(two), false) = (&certificate.statement, proof.is_accepted()) {
-        let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
-        let registration = &two.registration;
-        proof.status = ProofStatus::NothingShown {
-            counted: format!("only the first failed in {only_first} runs, only the second in {only_second}"),
-            strength: Strength::CountedInVain {
-                confidence_percent: Rounded::down(100.0 * registration.confidence),
-                runs: registration.runs,
-            },
-        };
+    if let Some(status) = in_vain(&certificate.statement).filter(|_| !proof.is_accepted()) {
+        proof.status = status;
     }
     Ok(proof)
+}
+
+/// What becomes of counts that were made here and do not show what they were to show: they are no proof, and none that was
+/// tampered with.
+fn in_vain(statement: &Statement) -> Option<ProofStatus> {
+    match statement {
+        Statement::Comparison(two) => {
+            let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
+            let Registration { runs, confidence, .. } = two.registration;
+            Some(ProofStatus::NothingShown {
+                counted: format!("only the first failed in {only_first} runs, only the second in {only_second}"),
+                strength: Strength::CountedInVain { confidence_percent: Rounded::down(100.0 * confidence), runs },
+            })
+        }
+        Statement::Rate(rate) => {
+            let Registration { runs, confidence, .. } = rate.registration;
+            let lower = RateInterval::exact(rate.failures, runs, 2.0 * confidence - 1.0).lower;
+            Some(ProofStatus::NothingShown {
+                counted: format!("{} of {runs} runs failed", rate.failures),
+                strength: Strength::Between {
+                    lower_percent: Rounded::down(100.0 * lower),
+                    upper_percent: Rounded::new(100.0),
+                    confidence_percent: Rounded::down(100.0 * confidence),
+                    runs,
+                },
+            })
+        }
+        _ => None,
+    }
 }

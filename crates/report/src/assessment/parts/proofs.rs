@@ -5,9 +5,8 @@ use maud::{Markup, html};
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::certified::{self, Proof, SpeaksOf};
-use crate::assessment::ProofStatus;
-use crate::assessment::claims::{Claim, Domain, Evidence};
+use super::certified::{self, Proof, ProofStatus, SpeaksOf};
+use crate::assessment::claims::{Claim, Domain, Evidence, Strength};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
@@ -112,6 +111,23 @@ impl Proofs {
         table
     }
 
+    /// How surely all bounds hold at once, if there are several: what each leaves open is added up.
+    fn joint_confidence(&self) -> Option<String> {
+        let open = |proof: &Proof| match &proof.status {
+            ProofStatus::Accepted {
+                strength:
+                    Some(Strength::Between { confidence_percent, .. } | Strength::Counted { confidence_percent, .. }),
+                ..
+            } => Some(100.0 - confidence_percent.value()),
+            _ => None,
+        };
+        let open: Vec<f64> = self.certificates.iter().filter_map(open).collect();
+        let together = Rounded::<4>::down((100.0 - open.iter().sum::<f64>()).max(0.0));
+        (open.len() > 1).then(|| {
+            format!("all {} bounds of rates and comparisons hold at once at confidence {together} %, the sum of what each leaves open", open.len())
+        })
+    }
+
     /// For each kind of statement what its certificates take for granted.
     fn assumptions(&self) -> Vec<String> {
         let mut lines: Vec<String> = Vec::new();
@@ -124,6 +140,7 @@ impl Proofs {
                 lines.push(format!("{} assumes that {}", proof.statement, all.join("; that ")));
             }
         }
+        lines.extend(self.joint_confidence());
         lines.extend(self.conditions.iter().map(|condition| format!("a shield needs besides: {condition}")));
         lines
     }

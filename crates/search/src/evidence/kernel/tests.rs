@@ -108,7 +108,7 @@ fn what_is_certified_is_what_the_shield_computes() {
     let speeds = || (0..=60).chain([75, 100, 140]).map(quarter);
     for (b, c) in [(7.5, 7.5), (7.5, 6.0), (6.0, 7.5), (6.0, 6.0), (8.0, 5.0), (0.25, 30.0), (30.0, 0.5)] {
         let limits = Kernel { own_brake_mps2: b, ahead_brake_mps2: c };
-        let certificate = kernel_certificate("any", &limits, 0.01, 1e-6).unwrap();
+        let certificate = kernel_certificate(&limits, 0.01, 1e-6).unwrap();
         assert_eq!(check(&certificate), Ok(Accepted::Kernel));
         let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };
         let shield = Kernel { own_brake_mps2: exact(b), ahead_brake_mps2: exact(c) };
@@ -125,7 +125,7 @@ proptest! {
     #[test]
     fn any_pair_is_proved(b in 0.001..30.0_f64, c in 0.001..30.0_f64, v in 0.0..100.0_f64, part in 0.0..2.0_f64) {
         let kernel = Kernel { own_brake_mps2: b, ahead_brake_mps2: c };
-        let certificate = kernel_certificate("any", &kernel, 0.01, 1e-6).unwrap();
+        let certificate = kernel_certificate(&kernel, 0.01, 1e-6).unwrap();
         prop_assert_eq!(check(&certificate), Ok(Accepted::Kernel));
         let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };
         let number = |text: &str| {

@@ -134,7 +134,7 @@ fn splitting_agrees_with_counting_on_the_road() {
     let estimator = EstimatorKind::Kalman;
     let count = RatePlan::new(RateConfig {
         controllers: (controller.clone(), None),
-        space: ("paper".to_owned(), space.clone()),
+        space: space.clone(),
         seed: 1,
         estimator,
         runs: COUNTED,

@@ -1,0 +1,215 @@
+//! Whether a certificate is about what it says it is about.
+//!
+//! The checker knows numbers, and the hash of a text. Here the text is read as the scenario, box or space that it is, what the
+//! statement should say about it is derived again, and the two are compared number by number. Nothing here adds to what is proved;
+//! it refuses what is proved of something else.
+
+use std::path::Path;
+
+use crumple_verify::reach::Actor;
+use crumple_verify::{Certificate, Reach, Registration, Statement};
+
+use super::reach::BoxSpec;
+use super::starts::Starts;
+use super::{InvalidRate, RateConfig, RatePlan};
+use crate::worst_case::{Family, FamilyError, Ranges, is_about, is_exactly};
+use crumple_world::control::ControllerSpec;
+use crumple_world::digest::sha256;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::file::FileError;
+use crumple_world::scenario::space::{self, Space};
+use crumple_world::scenario::{Scenario, built_in, built_in_names, file};
+use crumple_world::sim::NamedController;
+
+/// Why a certificate is not about what it says.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Unbound {
+    /// A text that it needs is not there.
+    #[error("`{field}` is missing")]
+    Missing {
+        /// Which.
+        field: &'static str,
+    },
+    /// The text of a scenario or space is none.
+    #[error(transparent)]
+    Text(#[from] FileError),
+    /// The text of a box is none.
+    #[error("provenance.box_text: {0}")]
+    BoxText(#[from] toml::de::Error),
+    /// The ranges make no box around the scenario.
+    #[error("provenance.box_text: {0}")]
+    Family(#[from] FamilyError),
+    /// The box is none that can be claimed about.
+    #[error("provenance.box_text: {0}")]
+    Box(#[from] super::InvalidBox),
+    /// A registration of which nothing can be claimed.
+    #[error(transparent)]
+    Rate(#[from] InvalidRate),
+    /// Two places say different things.
+    #[error("`{field}` {problem}")]
+    Differs {
+        /// Where.
+        field: &'static str,
+        /// What it is not.
+        problem: &'static str,
+    },
+}
+
+/// Checks that the numbers of a statement are those of the texts that it is bound to. A policy's file is needed for a statement about
+/// one.
+///
+/// Of a certificate of version 1, which is bound to nothing, only this: if it carries the hash of a built-in scenario, it is about it.
+///
+/// # Errors
+/// [`Unbound`] says what is not.
+pub fn bound(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), Unbound> {
+    if certificate.is_old() {
+        let carried = &certificate.provenance.scenario_sha256;
+        let hash = |scenario: &Scenario| file::to_toml(scenario).map(sha256).unwrap_or_default();
+        let claimed = built_in_names().iter().filter_map(|(name, _)| built_in(name)).find(|one| hash(one) == *carried);
+        let is_of_it = |scenario: &Scenario| lies_within(certificate, scenario, policy);
+        return if claimed.as_ref().is_none_or(is_of_it) { Ok(()) } else { Err(other_scene()) };
+    }
+    match &certificate.statement {
+        Statement::Kernel(_) => Ok(()),
+        Statement::Reach(claim) => is_of_box(certificate, claim, policy),
+        Statement::Rate(claim) => is_registered(certificate, &claim.registration),
+        Statement::Comparison(claim) => is_registered(certificate, &claim.registration),
+        // All others are about a scene.
+        _ => {
+            let scenario = scenario_of(certificate)?;
+            let family = match &certificate.provenance.box_text {
+                None => Family::point(&scenario),
+                Some(text) => Family::new(&scenario, &toml::from_str::<Ranges>(text)?)?,
+            };
+            if is_exactly(certificate, &family) { Ok(()) } else { Err(other_scene()) }
+        }
+    }
+}
+
+/// Whether a scenario is one of those that a claim is about. For a claim about a box of starts, its own start has to be in the box
+/// and all else the same.
+#[must_use]
+pub fn lies_within(certificate: &Certificate, scenario: &Scenario, policy: Option<&[u8]>) -> bool {
+    let Statement::Reach(claim) = &certificate.statement else { return is_about(certificate, scenario) };
+    Starts::of(scenario).is_ok_and(|starts| {
+        let contains = |dimension| {
+            let (outer, inner) = (claim.ranges.get(dimension), starts.ranges.get(dimension));
+            outer.contains(inner.low()) && outer.contains(inner.high())
+        };
+        is_same_run(claim, &starts)
+            && may_drive(policy, &starts)
+            && crumple_verify::reach::Dimension::ALL.into_iter().all(contains)
+    })
+}
+
+fn differs(field: &'static str, problem: &'static str) -> Unbound {
+    Unbound::Differs { field, problem }
+}
+
+fn other_scene() -> Unbound {
+    differs("statement", "is not about the scenario, or box around it, of `provenance`")
+}
+
+fn scenario_of(certificate: &Certificate) -> Result<Scenario, Unbound> {
+    let text = certificate.provenance.scenario_text.as_ref();
+    let text = text.ok_or(Unbound::Missing { field: "provenance.scenario_text" })?;
+    let scenario = file::from_toml(text, Path::new("provenance.scenario_text"))?;
+    if scenario.spec().name == certificate.provenance.scenario {
+        Ok(scenario)
+    } else {
+        Err(differs("provenance.scenario", "is not the name in `scenario_text`"))
+    }
+}
+
+fn is_same_run(claim: &Reach, starts: &Starts) -> bool {
+    (claim.step_s, claim.steps, claim.follower_ttc_s) == (starts.step_s, starts.steps, starts.follower_ttc_s)
+}
+
+/// Whether the vehicle can do whatever the policy asks for; the checker has looked at the policy, and found it whole.
+fn may_drive(policy: Option<&[u8]>, starts: &Starts) -> bool {
+    policy.and_then(|bytes| Actor::from_bytes(bytes).ok()).is_some_and(|actor| starts.allows(actor.action_mps2))
+}
+
+fn is_of_box(certificate: &Certificate, claim: &Reach, policy: Option<&[u8]>) -> Result<(), Unbound> {
+    let scenario = scenario_of(certificate)?;
+    let text = certificate.provenance.box_text.as_ref();
+    let spec = BoxSpec::from_toml(text.ok_or(Unbound::Missing { field: "provenance.box_text" })?)?;
+    if spec.scenario != certificate.provenance.scenario {
+        return Err(differs("provenance.box_text", "is around another scenario"));
+    }
+    let starts = Starts::new(&scenario, &spec)?;
+    if !is_same_run(claim, &starts)
+        || claim.ranges != starts.ranges
+        || claim.observation_error != spec.observation_error
+    {
+        return Err(other_scene());
+    }
+    if may_drive(policy, &starts) {
+        Ok(())
+    } else {
+        Err(differs("policy_file", "asks for more than the vehicle can do"))
+    }
+}
+
+/// The space of a registration, from the text in the certificate.
+pub(super) fn space_of(certificate: &Certificate) -> Result<Space, Unbound> {
+    let text = certificate.provenance.scenario_text.as_ref();
+    let text = text.ok_or(Unbound::Missing { field: "provenance.scenario_text" })?;
+    let space = space::file::from_toml(text, Path::new("provenance.scenario_text"))?;
+    if space.name() == certificate.provenance.scenario {
+        Ok(space)
+    } else {
+        Err(differs("provenance.scenario", "is not the name in `scenario_text`"))
+    }
+}
+
+/// The plan that a registration is of, if `controllers` are its controllers.
+pub(super) fn plan_of(
+    certificate: &Certificate,
+    registration: &Registration,
+    controllers: (NamedController, Option<NamedController>),
+) -> Result<RatePlan, Unbound> {
+    let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
+    let estimator = EstimatorKind::ALL.into_iter().find(|one| one.name() == of("estimator"));
+    let estimator = estimator.ok_or_else(|| differs("registration.configuration.estimator", "is none there is"))?;
+    let seed = of("seed").parse().map_err(|_| differs("registration.configuration.seed", "is no whole number"))?;
+    let (runs, confidence) = (registration.runs, registration.confidence);
+    let space = space_of(certificate)?;
+    Ok(RatePlan::new(RateConfig { controllers, space, seed, estimator, runs, confidence })?)
+}
+
+/// The controllers that a registration names, if all are built in: a name in a certificate is never taken for that of a file.
+pub(super) fn built_in_controllers(registration: &Registration) -> Option<(NamedController, Option<NamedController>)> {
+    let find = |name: &String| {
+        let inner = name.rsplit(':').next()?;
+        ControllerSpec::parse(inner)?.ok()?;
+        NamedController::find(name, Path::new("")).ok()
+    };
+    let first = find(registration.configuration.get("controller")?)?;
+    let second = registration.configuration.get("against");
+    match second {
+        None => Some((first, None)),
+        Some(name) => Some((first, Some(find(name)?))),
+    }
+}
+
+fn is_registered(certificate: &Certificate, registration: &Registration) -> Result<(), Unbound> {
+    let space = space_of(certificate)?;
+    let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
+    let text = space::file::to_toml(&space).unwrap_or_default();
+    if sha256(text) != of("space_sha256") {
+        return Err(differs("provenance.scenario_text", "is not the space as it is written by this program"));
+    }
+    // Another release may know other controllers by the same names.
+    if of("crumple") != env!("CARGO_PKG_VERSION") {
+        return Ok(());
+    }
+    let Some(controllers) = built_in_controllers(registration) else { return Ok(()) };
+    if plan_of(certificate, registration, controllers)?.registration() == registration {
+        Ok(())
+    } else {
+        Err(differs("registration", "is not that of the controllers and space that it names"))
+    }
+}

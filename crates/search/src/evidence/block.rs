@@ -1,0 +1,63 @@
+//! A block of counted runs, and a hash of what came of each, by which it is known when it is made again.
+
+use serde::{Deserialize, Serialize};
+
+use crumple_world::digest::Sha256;
+use crumple_world::sim::{Outcome, Simulated};
+
+/// What begins the bytes of which a block's hash is made.
+const HASHED: &str = "crumple runs 2\n";
+
+/// What was counted in a block of runs.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CountedBlock {
+    /// Runs in which the controller failed; of two, both.
+    pub failures: u64,
+    /// Of two controllers: runs in which only the first failed.
+    pub only_first_failed: u64,
+    /// Runs in which only the second failed.
+    pub only_second_failed: u64,
+    /// SHA-256 of what came of each run, which nobody knows who has not made them: see `docs/certificates.md`.
+    pub sha256: String,
+}
+
+/// What came of a run, for hashing: how it ended, when, and the smallest gap, as bits.
+pub(super) struct Ending {
+    failed: bool,
+    bytes: [u8; 17],
+}
+
+impl Ending {
+    pub(super) fn of(result: &Simulated) -> Self {
+        let (kind, at_s) = match &result.outcome {
+            Outcome::NoCollision => (0, 0.0),
+            Outcome::Collision(contact) => (1, contact.time_s),
+            Outcome::ControllerFailed(failed) => (2, failed.time_s),
+        };
+        let smallest_m = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min);
+        let mut bytes = [kind; 17];
+        bytes[1..9].copy_from_slice(&at_s.to_bits().to_le_bytes());
+        bytes[9..].copy_from_slice(&smallest_m.to_bits().to_le_bytes());
+        Self { failed: kind != 0, bytes }
+    }
+}
+
+impl CountedBlock {
+    /// Counts runs, each with how it ended for each controller, beginning with run number `first` of a registration.
+    pub(super) fn of<'a>(registered: &str, first: u64, runs: impl Iterator<Item = Vec<&'a Ending>>) -> Self {
+        let mut block = Self::default();
+        let mut hash = Sha256::default().with(HASHED).with(registered).with(first.to_le_bytes());
+        for endings in runs {
+            endings.iter().for_each(|ending| hash.update(ending.bytes));
+            match endings.iter().map(|ending| ending.failed).collect::<Vec<_>>().as_slice() {
+                [true, true] | [true] => block.failures += 1,
+                [true, false] => block.only_first_failed += 1,
+                [false, true] => block.only_second_failed += 1,
+                _ => {}
+            }
+        }
+        block.sha256 = hash.hexadecimal();
+        block
+    }
+}

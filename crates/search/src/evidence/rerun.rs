@@ -1,0 +1,249 @@
+//! Counting again: what makes the counts of a certificate more than their maker's word.
+//!
+//! A certificate holds a hash of what came of each block of runs. Whoever checks it draws and simulates again, all blocks or a sample
+//! that is chosen after the file was fixed, and compares counts and hashes. A maker who had changed k runs has changed at least
+//! ⌈k/b⌉ of the m blocks of b runs, so a sample of s blocks misses them with probability C(m - a, s)/C(m, s) at most, a = ⌈k/b⌉.
+
+use crumple_verify::{Certificate, Registration, Statement};
+use rayon::prelude::*;
+
+use super::binding::{self, Unbound};
+use super::{CountedBlock, RateError, RatePlan};
+use crumple_world::digest::Sha256;
+use crumple_world::sim::NamedController;
+
+/// Which blocks are counted again.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Sample {
+    /// All of them.
+    Whole,
+    /// Some.
+    Share {
+        /// In percent of the blocks; at least one block is counted.
+        percent: f64,
+        /// What decides which; nobody may have known it when the certificate was made.
+        seed: u64,
+    },
+}
+
+/// Why counts could not be confirmed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RerunError {
+    /// It counts nothing.
+    #[error("a certificate of kind `{0}` counts no runs")]
+    NothingCounted(&'static str),
+    /// Another release counted.
+    #[error("`registration.configuration.crumple` is {counted}, this is {}: only the release that counted can count again", env!("CARGO_PKG_VERSION"))]
+    OtherRelease {
+        /// The one that counted.
+        counted: String,
+    },
+    /// It is of version 1.
+    #[error("version 1 holds neither the space that runs were drawn from nor a hash of what came of them: count again")]
+    NoBlocks,
+    /// The controllers are not at hand.
+    #[error(
+        "`registration.configuration.{place}` names no built-in controller, and no file that was given is the one counted"
+    )]
+    NoController {
+        /// Which.
+        place: &'static str,
+    },
+    /// What is registered is not what would be counted again.
+    #[error("`registration` is not that of the controllers and space that it names")]
+    OtherRegistration,
+    /// The certificate is not about what it says.
+    #[error(transparent)]
+    Unbound(#[from] Unbound),
+    /// A run cannot be made.
+    #[error(transparent)]
+    Run(#[from] RateError),
+    /// The counts are not right.
+    #[error("blocks[{block}], runs {first} to {last}: {problem}")]
+    Refuted {
+        /// Which block.
+        block: u64,
+        /// Its first run.
+        first: u64,
+        /// Its last run.
+        last: u64,
+        /// What is not as stated.
+        problem: String,
+    },
+}
+
+/// A certificate of counts, with all that is needed to count again.
+pub struct Rerun {
+    plan: RatePlan,
+    stated: Vec<Stated>,
+    /// SHA-256 of the certificate: part of what decides the sample.
+    digest: String,
+}
+
+/// What a certificate states of a block; of a rate, the second number is 0.
+struct Stated {
+    counts: [u64; 2],
+    sha256: String,
+}
+
+/// What was counted again, and found to be as stated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Confirmation {
+    /// Blocks that were counted again.
+    pub blocks: u64,
+    /// Of so many.
+    pub of_blocks: u64,
+    /// Runs that were made again.
+    pub runs: u64,
+    /// Of so many.
+    pub of_runs: u64,
+    /// Runs of a block.
+    pub block_runs: u64,
+}
+
+impl Confirmation {
+    /// Whether everything was counted again.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        self.blocks == self.of_blocks
+    }
+
+    /// The least chance with which this would have caught a maker who changed what came of `forged` runs, wherever they were.
+    #[must_use]
+    pub fn chance_of_catching(&self, forged: u64) -> f64 {
+        let changed = forged.div_ceil(self.block_runs.max(1)).min(self.of_blocks);
+        let missed = (0..changed).map(|i| {
+            let left = self.of_blocks.saturating_sub(self.blocks).saturating_sub(i);
+            left as f64 / (self.of_blocks - i) as f64
+        });
+        1.0 - missed.product::<f64>()
+    }
+}
+
+impl Rerun {
+    /// Prepares to count again. Controllers that are not built in have to be among `given`.
+    ///
+    /// # Errors
+    /// [`RerunError`] if it cannot be done.
+    pub fn new(certificate: &Certificate, given: &[NamedController]) -> Result<Self, RerunError> {
+        let (registration, stated): (&Registration, Vec<Stated>) = match &certificate.statement {
+            Statement::Rate(claim) => {
+                let blocks = claim.blocks.iter();
+                (
+                    &claim.registration,
+                    blocks.map(|(k, sha256)| Stated { counts: [*k, 0], sha256: sha256.clone() }).collect(),
+                )
+            }
+            Statement::Comparison(claim) => {
+                let blocks = claim.blocks.iter();
+                (&claim.registration, blocks.map(|(k, sha256)| Stated { counts: *k, sha256: sha256.clone() }).collect())
+            }
+            other => return Err(RerunError::NothingCounted(other.name())),
+        };
+        if certificate.is_old() {
+            return Err(RerunError::NoBlocks);
+        }
+        let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
+        if of("crumple") != env!("CARGO_PKG_VERSION") {
+            return Err(RerunError::OtherRelease { counted: of("crumple").escape_debug().to_string() });
+        }
+        let find = |place: &'static str| {
+            let identity = of(match place {
+                "controller" => "controller_sha256",
+                _ => "against_sha256",
+            });
+            let is_it = |one: &&NamedController| one.kind.identity().as_deref() == Some(identity);
+            // It goes by the name under which it was counted.
+            given.iter().find(is_it).map(|one| NamedController { name: of(place).to_owned(), kind: one.kind.clone() })
+        };
+        let controllers = match binding::built_in_controllers(registration) {
+            Some(controllers) => controllers,
+            None => {
+                let first = find("controller").ok_or(RerunError::NoController { place: "controller" })?;
+                let second = match registration.configuration.get("against") {
+                    None => None,
+                    Some(_) => Some(find("against").ok_or(RerunError::NoController { place: "against" })?),
+                };
+                (first, second)
+            }
+        };
+        let plan = binding::plan_of(certificate, registration, controllers)?;
+        if plan.registration() != registration || plan.blocks() != stated.len() as u64 {
+            return Err(RerunError::OtherRegistration);
+        }
+        Ok(Self { plan, stated, digest: certificate.digest() })
+    }
+
+    /// How many runs a sample holds.
+    #[must_use]
+    pub fn runs(&self, sample: Sample) -> u64 {
+        self.sampled(sample).into_iter().map(|block| self.runs_of(block)).sum()
+    }
+
+    fn runs_of(&self, block: u64) -> u64 {
+        let runs = self.plan.runs_of(block);
+        runs.end - runs.start
+    }
+
+    /// Counts a sample again; `progress` hears of the runs of each block that is done.
+    ///
+    /// # Errors
+    /// [`RerunError::Refuted`] names the first block of the sample that is not as stated.
+    pub fn confirm(&self, sample: Sample, progress: &(dyn Fn(u64) + Sync)) -> Result<Confirmation, RerunError> {
+        let blocks = self.sampled(sample);
+        let judged = blocks.par_iter().map(|&block| {
+            let found = self.plan.count_again(block)?;
+            progress(self.runs_of(block));
+            self.compare(block, &found)
+        });
+        // The first in order, whichever thread was first.
+        judged.collect::<Vec<_>>().into_iter().collect::<Result<(), RerunError>>()?;
+        Ok(Confirmation {
+            blocks: blocks.len() as u64,
+            of_blocks: self.plan.blocks(),
+            runs: blocks.iter().map(|&block| self.runs_of(block)).sum(),
+            of_runs: self.plan.registration().runs,
+            block_runs: self.runs_of(0),
+        })
+    }
+
+    /// The blocks of a sample, in order: those whose hashes with the seed and the certificate are the smallest.
+    fn sampled(&self, sample: Sample) -> Vec<u64> {
+        let all = 0..self.plan.blocks();
+        let Sample::Share { percent, seed } = sample else { return all.collect() };
+        let most = self.plan.blocks();
+        let wanted = ((percent / 100.0 * most as f64).ceil() as u64).clamp(1, most) as usize;
+        let lot = |block: u64| {
+            Sha256::default().with(seed.to_le_bytes()).with(&self.digest).with(block.to_le_bytes()).finish()
+        };
+        let mut order: Vec<([u8; 32], u64)> = all.map(|block| (lot(block), block)).collect();
+        order.sort_unstable();
+        let mut blocks: Vec<u64> = order.into_iter().take(wanted).map(|(_, block)| block).collect();
+        blocks.sort_unstable();
+        blocks
+    }
+
+    fn compare(&self, block: u64, found: &CountedBlock) -> Result<(), RerunError> {
+        let is_rate = self.plan.is_of_one();
+        let counts = if is_rate { [found.failures, 0] } else { [found.only_first_failed, found.only_second_failed] };
+        let Some(stated) = self.stated.get(block as usize) else { return Err(RerunError::OtherRegistration) };
+        let runs = self.plan.runs_of(block);
+        let refuted = |problem: String| {
+            Err(RerunError::Refuted { block, first: runs.start, last: runs.end.saturating_sub(1), problem })
+        };
+        match (stated.counts, counts) {
+            (stated, found) if stated != found && is_rate => {
+                refuted(format!("{} failed when they were made again, not {}", found[0], stated[0]))
+            }
+            (stated, found) if stated != found => refuted(format!(
+                "made again, only the first failed in {} and only the second in {}, not in {} and {}",
+                found[0], found[1], stated[0], stated[1]
+            )),
+            _ if stated.sha256 != found.sha256 => {
+                refuted("made again, they did not end as they are said to".to_owned())
+            }
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! What a box says about everything but the policy: where all members start, and what else is the same for all of them.
+
+use crumple_verify::Interval;
+use crumple_verify::reach::Ranges;
+
+use super::reach::{BoxSpec, InvalidBox, RangesSpec};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
+
+/// A scenario with ranges in place of some of its numbers, as the checker knows it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Starts {
+    pub(super) step_s: f64,
+    pub(super) steps: u32,
+    pub(super) follower_ttc_s: Option<f64>,
+    pub(super) ranges: Ranges,
+    /// What the vehicle under test can do: hardest braking, negative, and acceleration, in m/s².
+    able_mps2: [f64; 2],
+}
+
+impl Starts {
+    /// The starts of a box around a scenario.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] if the scenario has more to it than the checker knows of.
+    pub(super) fn new(scenario: &Scenario, spec: &BoxSpec) -> Result<Self, InvalidBox> {
+        let wrong = |why: &str| InvalidBox::Scenario(why.to_owned());
+        let vehicles = scenario.vehicles();
+        let [leader, ego, rest @ ..] = vehicles else { return Err(wrong("has too few vehicles")) };
+        let Driver::Profile(LeadProfile::Brake(brake)) = &leader.driver else {
+            return Err(wrong("the leader must brake at a constant rate"));
+        };
+        let is_plain = vehicles.iter().all(|v| {
+            v.acceleration_noise_mps2 == 0.0
+                && v.reaction_delay_s == 0.0
+                && v.actuator_lag_s == 0.0
+                && v.actuator_delay_s == 0.0
+                && v.jerk_limit_mps3.is_none()
+        });
+        if ego.driver != Driver::UnderTest || !is_plain {
+            return Err(wrong(
+                "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk",
+            ));
+        }
+        let follower_ttc_s = match rest {
+            [] => None,
+            [follower] => match &follower.driver {
+                Driver::Controller(ControllerSpec::Baseline(aeb)) => Some(aeb.ttc_s),
+                _ => return Err(wrong("the follower must drive with the baseline")),
+            },
+            _ => return Err(wrong("has too many vehicles")),
+        };
+        let step_s = scenario.spec().step_s;
+        let or = |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
+        let of_follower = |range, value: fn(&VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
+        let given = &spec.ranges;
+        let onset_s = or(given.onset_s, brake.onset_s);
+        let ranges = Ranges {
+            gap_ahead_m: or(given.gap_ahead_m, scenario.initial_gap_m(1).unwrap_or(0.0)),
+            gap_behind_m: or(given.gap_behind_m, scenario.initial_gap_m(2).unwrap_or(0.0)),
+            leader_speed_mps: or(given.leader_speed_mps, leader.speed_mps),
+            ego_speed_mps: or(given.ego_speed_mps, ego.speed_mps),
+            follower_speed_mps: of_follower(given.follower_speed_mps, |v| v.speed_mps),
+            leader_brake_mps2: or(given.leader_brake_mps2, brake.rate_mps2),
+            follower_brake_mps2: or(
+                given.follower_brake_mps2,
+                rest.first().map_or(0.0, |_| scenario.usable_brake_mps2(2)),
+            ),
+            onset_steps: Interval::new(onset_s.low() / step_s, onset_s.high() / step_s)
+                .ok_or_else(|| InvalidBox::Ranges("onset_s: too large".to_owned()))?,
+        };
+        if ranges.leader_brake_mps2.high() > scenario.usable_brake_mps2(0) {
+            return Err(InvalidBox::Ranges("leader_brake_mps2: harder than the leader can brake".to_owned()));
+        }
+        let able_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
+        Ok(Self { step_s, steps: scenario.steps() as u32, follower_ttc_s, ranges, able_mps2 })
+    }
+
+    /// The one start of a scenario.
+    ///
+    /// # Errors
+    /// [`InvalidBox`], likewise.
+    pub(super) fn of(scenario: &Scenario) -> Result<Self, InvalidBox> {
+        Self::new(scenario, &BoxSpec::around(&scenario.spec().name, RangesSpec::default()))
+    }
+
+    /// Whether the vehicle under test can do whatever a policy with these bounds asks for.
+    pub(super) fn allows(&self, [low_mps2, high_mps2]: [f64; 2]) -> bool {
+        low_mps2 >= self.able_mps2[0] && high_mps2 <= self.able_mps2[1]
+    }
+}

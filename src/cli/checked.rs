@@ -1,0 +1,254 @@
+//! What `crumple check` says of certificates it has checked.
+
+use crumple_search::evidence::Confirmation;
+use crumple_verify::certificate::COUNTS_ARE_THE_MAKERS_WORD;
+use crumple_verify::{Accepted, Certificate, Statement};
+use crumple_world::scenario::space::{built_in_space, file as space_file};
+use crumple_world::scenario::{built_in, file};
+use serde::Serialize;
+
+/// A certificate and what was found.
+pub(super) struct Checked<'a> {
+    /// Its file.
+    pub(super) path: String,
+    pub(super) certificate: &'a Certificate,
+    /// What is proved, or why nothing is.
+    pub(super) accepted: Result<Accepted, String>,
+    /// What the counts are worth, if it counts.
+    pub(super) counts: Option<Counts>,
+    /// Whether it is about the scenario that was asked for, if one was.
+    pub(super) about: Option<bool>,
+}
+
+/// What the counts of a certificate are worth: each is a strength of its own.
+pub(super) enum Counts {
+    /// Nobody counted again.
+    MakersWord,
+    /// Some or all runs were made again, with the stated results.
+    Confirmed {
+        confirmation: Confirmation,
+        /// What decided the sample, if it was one.
+        seed: Option<u64>,
+    },
+    /// They are wrong.
+    Refuted { because: String },
+}
+
+impl Counts {
+    fn name(&self) -> &'static str {
+        match self {
+            Self::MakersWord => "makers_word",
+            Self::Confirmed { confirmation, .. } if confirmation.is_whole() => "confirmed",
+            Self::Confirmed { .. } => "confirmed_by_sample",
+            Self::Refuted { .. } => "refuted",
+        }
+    }
+
+    fn words(&self) -> String {
+        match self {
+            Self::MakersWord => COUNTS_ARE_THE_MAKERS_WORD.to_owned(),
+            Self::Refuted { because } => format!("counted again, and refuted: {because}"),
+            Self::Confirmed { confirmation, .. } if confirmation.is_whole() => format!(
+                "confirmed: all {} runs were drawn and simulated again here, and each ended as it is said to",
+                confirmation.of_runs
+            ),
+            Self::Confirmed { confirmation, seed } => {
+                let Confirmation { blocks, of_blocks, runs, of_runs, .. } = confirmation;
+                let chances = catches(confirmation).map(|(forged, chance)| {
+                    format!("{forged} forged runs with a chance of {:.2} %", (1e4 * chance).floor() / 1e2)
+                });
+                format!(
+                    "confirmed by a sample: {blocks} of {of_blocks} blocks, {runs} of {of_runs} runs ({:.2} %), were drawn and \
+                     simulated again here, and each ended as it is said to. Chosen with seed {}, after the file was fixed, this \
+                     catches, wherever they are, at least {}",
+                    (1e4 * *runs as f64 / *of_runs as f64).floor() / 1e2,
+                    seed.unwrap_or_default(),
+                    chances.join(", ")
+                )
+            }
+        }
+    }
+}
+
+/// How surely a confirmation would have caught a maker of one, of a hundredth and of a tenth of all runs.
+fn catches(confirmation: &Confirmation) -> [(u64, f64); 3] {
+    [1, confirmation.of_runs.div_ceil(100), confirmation.of_runs.div_ceil(10)]
+        .map(|forged| (forged, confirmation.chance_of_catching(forged)))
+}
+
+impl Checked<'_> {
+    /// Whether anything speaks against it.
+    pub(super) fn is_refused(&self) -> bool {
+        self.accepted.is_err() || self.about == Some(false) || matches!(self.counts, Some(Counts::Refuted { .. }))
+    }
+
+    /// The confidence of an accepted bound.
+    fn confidence(&self) -> Option<f64> {
+        match self.accepted {
+            Ok(Accepted::Rate { confidence, .. } | Accepted::FailsLessOften { confidence }) => Some(confidence),
+            _ => None,
+        }
+    }
+
+    /// Whether the scenario or space that it is about is the built-in one of that name; none if there is no such one, or it is
+    /// bound to none.
+    fn is_built_in(&self) -> Option<bool> {
+        let provenance = &self.certificate.provenance;
+        let text = provenance.scenario_text.as_ref().filter(|_| !self.certificate.is_old())?;
+        let built_in = match &self.certificate.statement {
+            Statement::Rate(_) | Statement::Comparison(_) => {
+                space_file::to_toml(&built_in_space(&provenance.scenario)?)
+            }
+            _ => file::to_toml(&built_in(&provenance.scenario)?),
+        };
+        Some(built_in.is_ok_and(|built_in| built_in == *text))
+    }
+
+    fn text(&self, scenario: Option<&str>) -> String {
+        let Self { path, certificate, accepted, counts, about } = self;
+        let mut text = match accepted {
+            Ok(accepted) => format!("{path}: accepted: {accepted}\n"),
+            Err(rejection) => {
+                format!("{path}: rejected: {} is not proved: {rejection}\n", certificate.statement.name())
+            }
+        };
+        if let (Some(scenario), Some(about)) = (scenario, about) {
+            let verb = if *about { "is about" } else { "is NOT about" };
+            text += &format!("  {verb} {scenario}\n");
+        }
+        if accepted.is_err() {
+            return text;
+        }
+        if let Statement::Rate(rate) = &certificate.statement {
+            text += &format!("  from {} failures in {} runs, as counted\n", rate.failures, rate.registration.runs);
+        }
+        text += &counts.iter().map(|counts| format!("  {}\n", counts.words())).collect::<String>();
+        text += &certificate.scope().to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
+        match self.is_built_in() {
+            Some(true) => text += "  which is the built-in one of that name\n",
+            Some(false) => text += "  which is NOT the built-in one of that name\n",
+            None => {}
+        }
+        for assumption in &certificate.assumptions {
+            text += &format!("  assuming that {assumption}\n");
+        }
+        let old = if certificate.is_old() { ", an old one: docs/certificates.md says what it leaves open" } else { "" };
+        text + &format!("  version {}{old}; SHA-256 {}\n", certificate.version, certificate.digest())
+    }
+}
+
+/// At least how surely all accepted bounds hold together, if there are several: at most the sum of what each leaves open is open.
+fn joint_confidence(all: &[Checked<'_>]) -> Option<(usize, f64)> {
+    let open: Vec<f64> = all.iter().filter_map(Checked::confidence).map(|confidence| 1.0 - confidence).collect();
+    (open.len() > 1)
+        .then(|| (open.len(), (1.0 - open.iter().fold(0.0, |sum: f64, one| (sum + one).next_up())).max(0.0)))
+}
+
+/// For a reader.
+pub(super) fn text(all: &[Checked<'_>], scenario: Option<&str>) -> String {
+    let mut text: String = all.iter().map(|one| one.text(scenario)).collect();
+    if let Some((bounds, confidence)) = joint_confidence(all) {
+        // Rounded down.
+        let percent = (confidence * 1e8).floor() / 1e6;
+        text += &format!(
+            "together: all {bounds} bounds hold at once at confidence {percent} % (the sum of what each leaves open)\n"
+        );
+    }
+    text
+}
+
+/// One line of `--format json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    certificate: &'a str,
+    accepted: bool,
+    claim: &'static str,
+    version: u32,
+    sha256: String,
+    scenario: &'a str,
+    is_built_in: Option<bool>,
+    horizon_s: Option<f64>,
+    scope: Vec<String>,
+    smallest_gap_m: Option<f64>,
+    overlap_m: Option<f64>,
+    verified_share: Option<f64>,
+    rate_at_most: Option<f64>,
+    confidence: Option<f64>,
+    joint_confidence: Option<f64>,
+    counts: Option<&'static str>,
+    rerun: Option<RerunReport>,
+    rejection: Option<String>,
+    about_scenario: Option<bool>,
+}
+
+/// What was counted again.
+#[derive(Serialize)]
+struct RerunReport {
+    runs: u64,
+    of_runs: u64,
+    blocks: u64,
+    of_blocks: u64,
+    seed: Option<u64>,
+    /// Pairs of a number of forged runs and the least chance of having caught them.
+    catches: [(u64, f64); 3],
+}
+
+/// One object a certificate.
+pub(super) fn json(all: &[Checked<'_>]) -> Result<String, serde_json::Error> {
+    let joint_confidence = joint_confidence(all).map(|(_, confidence)| confidence);
+    let lines = all.iter().map(|one| Ok(serde_json::to_string(&report(one, joint_confidence))? + "\n"));
+    lines.collect()
+}
+
+fn report<'a>(one: &'a Checked<'_>, joint_confidence: Option<f64>) -> Report<'a> {
+    let Checked { path, certificate, accepted, counts, about } = one;
+    let (mut smallest_gap_m, mut overlap_m, mut verified_share, mut rate_at_most) = (None, None, None, None);
+    // JSON has no infinity: an overlap of any size.
+    let finite = |value: f64| Some(value).filter(|value| value.is_finite());
+    match *accepted {
+        Ok(Accepted::Avoidable { smallest_gap_m: gap_m, .. }) => smallest_gap_m = Some(gap_m),
+        Ok(Accepted::Unavoidable { overlap_m: metres, .. }) => overlap_m = finite(metres),
+        Ok(Accepted::Rate { at_most, .. }) => rate_at_most = Some(at_most),
+        Ok(Accepted::Reach { smallest_gap_m: gap_m, verified_share: share, .. }) => {
+            (smallest_gap_m, verified_share) = (finite(gap_m), Some(share));
+        }
+        _ => {}
+    }
+    let scope = certificate.scope();
+    let refuted = match counts {
+        Some(Counts::Refuted { because }) => Some(because.clone()),
+        _ => None,
+    };
+    let rerun = match counts {
+        Some(Counts::Confirmed { confirmation, seed }) => Some(RerunReport {
+            runs: confirmation.runs,
+            of_runs: confirmation.of_runs,
+            blocks: confirmation.blocks,
+            of_blocks: confirmation.of_blocks,
+            seed: *seed,
+            catches: catches(confirmation),
+        }),
+        _ => None,
+    };
+    Report {
+        certificate: path,
+        accepted: accepted.is_ok() && refuted.is_none(),
+        claim: certificate.statement.name(),
+        version: certificate.version,
+        sha256: certificate.digest(),
+        scenario: &certificate.provenance.scenario,
+        is_built_in: one.is_built_in(),
+        horizon_s: scope.horizon_s.and_then(finite),
+        scope: scope.to_string().lines().map(str::to_owned).collect(),
+        smallest_gap_m,
+        overlap_m,
+        verified_share,
+        rate_at_most,
+        confidence: one.confidence(),
+        joint_confidence: joint_confidence.filter(|_| one.confidence().is_some()),
+        counts: counts.as_ref().map(Counts::name),
+        rerun,
+        rejection: accepted.as_ref().err().cloned().or(refuted),
+        about_scenario: *about,
+    }
+}

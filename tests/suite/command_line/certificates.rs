@@ -1,0 +1,230 @@
+//! `crumple check` and what a forger meets there.
+
+use crumple_verify::{Certificate, Registration, Statement};
+use crumple_world::control::ControllerSpec;
+use crumple_world::digest::sha256;
+use crumple_world::scenario::{built_in, file};
+use serde_json::{Value, json};
+use std::path::Path;
+
+use super::{code, crumple, folder, objects, stderr, stdout};
+
+fn read(folder: &Path, name: &str) -> Certificate {
+    Certificate::from_json(&std::fs::read_to_string(folder.join(name)).unwrap()).unwrap()
+}
+
+fn write(folder: &Path, name: &str, certificate: &Certificate) {
+    std::fs::write(folder.join(name), certificate.canonical()).unwrap();
+}
+
+/// 300 runs of idm that nobody fails in, in `DIR/certificate.json`.
+fn count(folder: &Path, out: &str, more: &[&str]) {
+    let arguments = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "300", "--out", out];
+    let output = crumple(folder, &[&arguments[..], &["--confidence", "0.99"], more].concat());
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+}
+
+#[test]
+fn counts_are_the_makers_word_until_they_are_counted_again() {
+    let folder = folder();
+    count(folder.path(), "idm", &[]);
+    let check = |arguments: &[&str]| crumple(folder.path(), &[&["check"], arguments].concat());
+    let said = check(&["idm/certificate.json"]);
+    assert!(stdout(&said).contains("if its counts are right"), "{}", stdout(&said));
+    assert!(stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
+    let said = check(&["idm/certificate.json", "--rerun"]);
+    assert_eq!(code(&said), 0);
+    assert!(stdout(&said).contains("confirmed: all 300 runs were drawn and simulated again here"), "{}", stdout(&said));
+    assert!(!stdout(&said).contains("maker's word"));
+
+    // What never fails is said to be the baseline, which nearly always does: whole as a file, and false.
+    let mut forged = read(folder.path(), "idm/certificate.json");
+    let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
+    let identity = ControllerSpec::named("baseline").unwrap().identity();
+    rate.registration.configuration.insert("controller".to_owned(), "baseline".to_owned());
+    rate.registration.configuration.insert("controller_sha256".to_owned(), identity);
+    rate.registration_sha256 = rate.registration.digest();
+    write(folder.path(), "forged.json", &forged);
+    let said = check(&["forged.json"]);
+    assert!(code(&said) == 0 && stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
+    for rerun in ["--rerun", "--rerun=1"] {
+        let said = check(&["forged.json", rerun]);
+        assert_eq!(code(&said), 1, "{rerun}");
+        assert!(stdout(&said).contains("counted again, and refuted: blocks["), "{}", stdout(&said));
+        assert!(stdout(&said).contains("failed when they were made again, not 0"), "{}", stdout(&said));
+    }
+    // Counts that are right with hashes of other runs.
+    let mut hashes = read(folder.path(), "idm/certificate.json");
+    let Statement::Rate(rate) = &mut hashes.statement else { panic!("a rate") };
+    rate.blocks[1].1 = sha256("another run");
+    write(folder.path(), "hashes.json", &hashes);
+    let said = check(&["hashes.json", "--rerun", "--format", "json"]);
+    let report = &objects(&said)[0];
+    assert_eq!((code(&said), &report["accepted"], &report["counts"]), (1, &false.into(), &"refuted".into()));
+    assert!(report["rejection"].as_str().unwrap().contains("runs 100 to 199"), "{report}");
+}
+
+#[test]
+fn a_sample_is_chosen_afterwards_and_says_what_it_would_have_caught() {
+    let folder = folder();
+    count(folder.path(), "idm", &[]);
+    let sampled = |more: &[&str]| {
+        let output = crumple(folder.path(), &[&["check", "idm/certificate.json", "--rerun=50"], more].concat());
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        output
+    };
+    let report = &objects(&sampled(&["--rerun-seed", "7", "--format", "json"]))[0];
+    assert_eq!(report["counts"], "confirmed_by_sample");
+    let rerun = &report["rerun"];
+    let numbers = ["runs", "of_runs", "blocks", "of_blocks", "seed"].map(|field| rerun[field].as_u64().unwrap());
+    assert_eq!(numbers, [200, 300, 2, 3, 7]);
+    // One forged run is in one of three blocks, two of which were made again.
+    assert!((rerun["catches"][0][1].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9, "{report}");
+    let text = sampled(&[]);
+    for words in [
+        "2 of 3 blocks, 200 of 300 runs (66.66 %)",
+        "after the file was fixed",
+        "1 forged runs with a chance of 66.66 %",
+    ] {
+        assert!(stdout(&text).contains(words), "{words}: {}", stdout(&text));
+    }
+    assert_eq!(code(&crumple(folder.path(), &["check", "idm/certificate.json", "--rerun=0"])), 2);
+}
+
+#[test]
+fn several_bounds_are_said_to_hold_at_once() {
+    let folder = folder();
+    count(folder.path(), "one", &[]);
+    count(folder.path(), "two", &["--seed", "8"]);
+    let arguments = ["check", "one/certificate.json", "two/certificate.json"];
+    let both = crumple(folder.path(), &arguments);
+    assert!(stdout(&both).contains("together: all 2 bounds hold at once at confidence 98 %"), "{}", stdout(&both));
+    let reports = objects(&crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat()));
+    assert!(reports.iter().all(|one| (one["joint_confidence"].as_f64().unwrap() - 0.98).abs() < 1e-9), "{reports:?}");
+    let alone = crumple(folder.path(), &arguments[..2]);
+    assert!(!stdout(&alone).contains("together"));
+}
+
+#[test]
+fn a_genuine_statement_cannot_carry_another_scenario() {
+    let folder = folder();
+    for name in ["paper-1", "paper-2"] {
+        assert_eq!(code(&crumple(folder.path(), &["avoid", name, "--certificate", &format!("{name}.json")])), 0);
+    }
+    let said = crumple(folder.path(), &["check", "paper-1.json"]);
+    for words in [
+        "no gap is ever smaller than",
+        " m for 15 s\n",
+        "for 15 s from the start and no longer",
+        "behind: front bumper",
+        "which is the built-in one of that name",
+    ] {
+        assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
+    }
+    let [one, two] = ["paper-1.json", "paper-2.json"].map(|name| read(folder.path(), name));
+    let swapped = Certificate { provenance: one.provenance.clone(), ..two.clone() };
+    let mut renamed = two.clone();
+    renamed.provenance.scenario = "paper-1".to_owned();
+    let mut old = swapped.clone();
+    old.version = 1;
+    (old.provenance.scenario_text, old.provenance.box_text) = (None, None);
+    let mut empty = two.clone();
+    empty.provenance.scenario_sha256 = String::new();
+    for (name, forged) in [("swapped", swapped), ("renamed", renamed), ("old", old), ("empty", empty)] {
+        write(folder.path(), "forged.json", &forged);
+        let said = crumple(folder.path(), &["check", "forged.json"]);
+        assert_eq!(code(&said), 1, "{name}: {}", stdout(&said));
+    }
+    // Of version 1, genuine: read, checked, and said to be old.
+    let mut old = one;
+    old.version = 1;
+    (old.provenance.scenario_text, old.provenance.box_text) = (None, None);
+    write(folder.path(), "old.json", &old);
+    let said = crumple(folder.path(), &["check", "old.json", "--scenario", "paper-1"]);
+    assert!(code(&said) == 0 && stdout(&said).contains("version 1, an old one"), "{}", stdout(&said));
+    // What goes by the name of a built-in scenario and is another is said to be.
+    let edited = built_in("paper-1").unwrap().edited(|spec| spec.vehicles[0].position_m += 1.0).unwrap();
+    std::fs::write(folder.path().join("mine.toml"), file::to_toml(&edited).unwrap()).unwrap();
+    assert_eq!(code(&crumple(folder.path(), &["avoid", "mine.toml", "--certificate", "mine.json"])), 0);
+    let said = crumple(folder.path(), &["check", "mine.json"]);
+    assert!(stdout(&said).contains("which is NOT the built-in one of that name"), "{}", stdout(&said));
+}
+
+#[test]
+fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
+    let folder = folder();
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/certificates/reach-paper-1.json");
+    let said = crumple(folder.path(), &["check", file, "--scenario", "paper-1"]);
+    assert_eq!(code(&said), 0, "{}", stdout(&said));
+    for words in [
+        "is about paper-1",
+        "with a vehicle behind",
+        " m for 15 s",
+        "leader: 15.3 to 16.7 m ahead",
+        "of the box's volume",
+    ] {
+        assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
+    }
+    let other = crumple(folder.path(), &["check", file, "--scenario", "paper-2"]);
+    assert!(code(&other) == 1 && stdout(&other).contains("is NOT about paper-2"), "{}", stdout(&other));
+    // Shorter, without anybody behind, or from elsewhere: no longer what its box says.
+    let genuine = read(Path::new(""), file);
+    let with = |change: &dyn Fn(&mut crumple_verify::Reach)| {
+        let mut forged = genuine.clone();
+        let Statement::Reach(claim) = &mut forged.statement else { panic!("reach") };
+        change(claim);
+        forged.assumptions = forged.statement.assumptions();
+        write(folder.path(), "forged.json", &forged);
+        let said = crumple(folder.path(), &["check", "forged.json"]);
+        (code(&said), stdout(&said).to_owned())
+    };
+    let other = crumple_verify::Interval::new(15.4, 16.7).unwrap();
+    for (code, said) in [
+        with(&|claim| claim.steps = 10),
+        with(&|claim| claim.follower_ttc_s = None),
+        with(&|claim| claim.ranges.gap_ahead_m = other),
+        with(&|claim| claim.observation_error = [0.0; 8]),
+    ] {
+        assert!(code == 1 && said.contains("is not about the scenario, or box around it, of `provenance`"), "{said}");
+    }
+}
+
+#[test]
+fn noise_that_is_not_assumed_is_noticed() {
+    let folder = folder();
+    let noisy = built_in("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).unwrap();
+    std::fs::write(folder.path().join("noisy.toml"), file::to_toml(&noisy).unwrap()).unwrap();
+    assert_eq!(code(&crumple(folder.path(), &["avoid", "noisy.toml", "--certificate", "noisy.json"])), 0);
+    let check = |name: &str| code(&crumple(folder.path(), &["check", name, "--scenario", "noisy.toml"]));
+    assert_eq!(check("noisy.json"), 0);
+    let mut silent = read(folder.path(), "noisy.json");
+    assert_eq!(silent.assumptions.pop(), Some(crumple_verify::Assumption::NoiseOfSeed));
+    write(folder.path(), "silent.json", &silent);
+    assert_eq!(check("silent.json"), 1);
+    assert_eq!(code(&crumple(folder.path(), &["check", "silent.json"])), 1, "its own text says that there is noise");
+    silent.version = 1;
+    (silent.provenance.scenario_text, silent.provenance.scenario_sha256) = (None, String::new());
+    write(folder.path(), "old.json", &silent);
+    assert_eq!(check("old.json"), 1);
+}
+
+#[test]
+fn a_key_that_occurs_twice_is_no_certificate() {
+    let folder = folder();
+    count(folder.path(), "idm", &[]);
+    let text = std::fs::read_to_string(folder.path().join("idm/certificate.json")).unwrap();
+    for (name, from) in [("controller", "\"controller\":"), ("version", "\"version\":"), ("failures", "\"failures\":")]
+    {
+        let twice = text.replacen(from, &format!("{from} \"policy\", {from}"), 1);
+        assert_ne!(twice, text);
+        std::fs::write(folder.path().join("twice.json"), twice).unwrap();
+        let said = crumple(folder.path(), &["check", "twice.json"]);
+        assert_eq!(code(&said), 2, "{name}");
+        assert!(stderr(&said).contains("twice.json: is not a certificate: "), "{}", stderr(&said));
+    }
+    // The digest of a registration with a key that stands twice would be that of another.
+    let registration = std::fs::read_to_string(folder.path().join("idm/registration.json")).unwrap();
+    let twice = registration.replacen("\"controller\":", "\"controller\": \"policy\", \"controller\":", 1);
+    assert!(serde_json::from_str::<Registration>(&twice).unwrap_err().to_string().contains("duplicate key"));
+    assert_eq!(registration.parse::<Value>().unwrap()["block_runs"], json!(100));
+}

@@ -1,0 +1,204 @@
+//! A campaign of forgeries: of thousands of certificates that were changed as a forger would change them, none is accepted for more than
+//! the genuine one shows. `FORGERIES=26000` tries so many, a fifth of which come out as they were; it is what `.ci/run` asks for.
+
+mod changes;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crumple_search::evidence::{
+    BoxSpec, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, Sample, bound, lies_within, shipped_kernels,
+};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Family, avoid, certify};
+use crumple_verify::{Accepted, Certificate, Statement, WorkLimit, check_within};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::space::built_in_space;
+use crumple_world::scenario::{Scenario, built_in};
+use crumple_world::sim::NamedController;
+use rand::SeedableRng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rayon::prelude::*;
+
+use changes::{Forged, Genuine, forged};
+
+/// What becomes of a forged certificate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Verdict {
+    /// It is refused.
+    Refused,
+    /// It is accepted, and the original implies what it claims.
+    Implied,
+    /// It is accepted, is about another subject than the original, or of version 1 and about none, and its proof is whole.
+    OfAnother,
+    /// It is accepted, and claims of the original's subject what the original does not show.
+    Forgery,
+}
+
+/// What becomes of a forged certificate, if counts are counted again.
+fn judged(genuine: &Genuine, shown: &Accepted, forged: &Forged) -> Verdict {
+    let Ok(certificate) = Certificate::from_json(&forged.text) else { return Verdict::Refused };
+    let policy = forged.policy.as_deref();
+    // What costs least comes first.
+    if bound(&certificate, policy).is_err() {
+        return Verdict::Refused;
+    }
+    let Ok(_) = check_within(&certificate, policy, WorkLimit::billions(50)) else { return Verdict::Refused };
+    match Rerun::new(&certificate, &[]).and_then(|rerun| rerun.confirm(Sample::Whole, &|_| ())) {
+        Ok(_) | Err(RerunError::NothingCounted(_)) => {}
+        Err(_) => return Verdict::Refused,
+    }
+    if is_implied(&genuine.certificate, shown, &certificate) {
+        return Verdict::Implied;
+    }
+    // Version 1 is about numbers of its own, all of which the checker has looked at; only what it leaves out could mislead.
+    let is_of_it = if certificate.is_old() {
+        let is_about = |scenario: &Scenario| lies_within(&certificate, scenario, policy);
+        !assumes_as_much(&genuine.certificate, &certificate) && genuine.scenario.as_ref().is_some_and(is_about)
+    } else {
+        is_of_same_subject(&genuine.certificate, &certificate)
+    };
+    if is_of_it { Verdict::Forgery } else { Verdict::OfAnother }
+}
+
+fn assumes_as_much(original: &Certificate, claimed: &Certificate) -> bool {
+    original.assumptions.iter().all(|assumption| claimed.assumptions.contains(assumption))
+}
+
+/// Whether two certificates of version 2 speak of the same: the same texts, and the same policy.
+fn is_of_same_subject(one: &Certificate, other: &Certificate) -> bool {
+    let policy = |certificate: &Certificate| match &certificate.statement {
+        Statement::Reach(claim) => claim.policy_sha256.clone(),
+        _ => String::new(),
+    };
+    one.provenance.scenario_text == other.provenance.scenario_text
+        && one.provenance.box_text == other.provenance.box_text
+        && policy(one) == policy(other)
+}
+
+/// Whether what is claimed follows from a certificate and from what the checker says that it shows.
+fn is_implied(original: &Certificate, shown: &Accepted, claimed: &Certificate) -> bool {
+    // Version 1 speaks of no subject: its numbers are all that it says.
+    let is_of_it = claimed.is_old() || is_of_same_subject(original, claimed);
+    assumes_as_much(original, claimed)
+        && is_of_it
+        && match (&original.statement, &claimed.statement, shown) {
+            (Statement::Avoidable(one), Statement::Avoidable(other), Accepted::Avoidable { smallest_gap_m, .. }) => {
+                one.scene == other.scene && other.min_gap_m_at_least.unwrap_or(0.0) <= *smallest_gap_m
+            }
+            (Statement::Unavoidable(one), Statement::Unavoidable(other), _) => one.scene == other.scene,
+            (Statement::Kernel(one), Statement::Kernel(other), _) => {
+                // The theorem is for every step and margin.
+                let (step_s, margin_m) = (one.step_s.clone(), one.margin_m.clone());
+                *one == crumple_verify::Kernel { step_s, margin_m, ..other.clone() }
+            }
+            // The counts were counted again: what they show of the rate is the checker's.
+            (Statement::Rate(one), Statement::Rate(other), _) => {
+                (&one.registration, one.failures) == (&other.registration, other.failures)
+            }
+            (Statement::Comparison(one), Statement::Comparison(other), _) => {
+                let counts = |claim: &crumple_verify::Comparison| (claim.only_first_failed, claim.only_second_failed);
+                one.registration == other.registration && counts(one) == counts(other)
+            }
+            (
+                Statement::Reach(one),
+                Statement::Reach(other),
+                Accepted::Reach { verified_share, falsified_share, smallest_gap_m, .. },
+            ) => {
+                (one.ranges, one.steps, one.step_s, one.follower_ttc_s)
+                    == (other.ranges, other.steps, other.step_s, other.follower_ttc_s)
+                    && one.policy_sha256 == other.policy_sha256
+                    && one.observation_error.iter().zip(&other.observation_error).all(|(one, other)| one >= other)
+                    && other.verified_share_at_least <= *verified_share + 1e-9
+                    && other.falsified_share_at_least <= *falsified_share + 1e-9
+                    && other.min_gap_m_at_least <= *smallest_gap_m
+            }
+            _ => false,
+        }
+}
+
+fn of_scene(scenario: &Scenario) -> Genuine {
+    let certificate = match avoid(scenario, AvoidOptions::default()).expect("options fit").verdict {
+        AvoidanceVerdict::Avoidable(escape) => certify(&Family::point(scenario), &escape).expect("accepted"),
+        AvoidanceVerdict::Unavoidable(certificate) => *certificate,
+        AvoidanceVerdict::Undecided(reason) => panic!("{reason}"),
+    };
+    Genuine { certificate, policy: None, scenario: Some(scenario.clone()) }
+}
+
+fn counted(controller: &str, against: Option<&str>, runs: u64) -> Genuine {
+    let find = |name: &str| NamedController::from(ControllerSpec::named(name).expect("built in"));
+    let plan = RatePlan::new(RateConfig {
+        controllers: (find(controller), against.map(find)),
+        space: built_in_space("paper").expect("built in"),
+        seed: 5,
+        estimator: EstimatorKind::Truth,
+        runs,
+        confidence: 0.99,
+    })
+    .expect("a plan");
+    let mut tally = plan.tally();
+    while tally.runs < runs {
+        plan.count_block(&mut tally).expect("runs");
+    }
+    Genuine { certificate: plan.certificate(&tally), policy: None, scenario: None }
+}
+
+fn reach(policy: Arc<Policy>) -> Genuine {
+    let text = "version = 1\nscenario = \"paper-2\"\n[ranges]\ngap_ahead_m = { low = 15.9, high = 16.1 }";
+    let plan = ReachPlan::new(policy, &BoxSpec::from_toml(text).expect("a box")).expect("a plan");
+    let certificate = plan.partition(1, |_| ()).expect("cut").certificate;
+    Genuine { certificate, policy: Some(plan.policy_bytes().to_vec()), scenario: built_in("paper-2") }
+}
+
+/// One of every kind, two of most.
+fn genuine() -> Vec<Genuine> {
+    let paper = built_in("paper-1").expect("built in");
+    let close = paper.edited(|spec| spec.vehicles[1].speed_mps = 60.0).expect("valid");
+    let noisy = paper.edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).expect("valid");
+    let mut all = vec![of_scene(&paper), of_scene(&close), of_scene(&noisy)];
+    all.extend([counted("idm", None, 200), counted("idm", Some("baseline"), 150)]);
+    all.extend([reach(Policy::reference()), reach(Policy::retrained())]);
+    let kernel = |(_, certificate)| Genuine { certificate, policy: None, scenario: None };
+    all.extend(shipped_kernels().into_iter().take(2).map(kernel));
+    all
+}
+
+#[test]
+fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
+    let wanted: u64 = std::env::var("FORGERIES").ok().and_then(|text| text.parse().ok()).unwrap_or(1000);
+    let begin = std::time::Instant::now();
+    let genuine = genuine();
+    let shown: Vec<Accepted> = genuine
+        .iter()
+        .map(|one| {
+            bound(&one.certificate, one.policy.as_deref()).expect("bound");
+            check_within(&one.certificate, one.policy.as_deref(), WorkLimit::default()).expect("accepted")
+        })
+        .collect();
+    let kinds: std::collections::BTreeSet<_> = genuine.iter().map(|one| one.certificate.statement.name()).collect();
+    assert_eq!(kinds.len(), 6, "of every kind: {kinds:?}");
+    let tried = (0..wanted).into_par_iter().map(|index| {
+        let which = index as usize % genuine.len();
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(index);
+        let forged = forged(&genuine[which], &genuine, &mut random);
+        let kind = genuine[which].certificate.statement.name();
+        // It may have come out as it was, or as another of the genuine ones.
+        let read = Certificate::from_json(&forged.text).ok();
+        if genuine.iter().any(|one| Some(&one.certificate) == read.as_ref() && one.policy == forged.policy) {
+            return (kind, None);
+        }
+        let verdict = judged(&genuine[which], &shown[which], &forged);
+        assert_ne!(verdict, Verdict::Forgery, "{index}: {kind}: {}: {}", forged.change, forged.text);
+        (kind, Some(verdict))
+    });
+    let mut counts: BTreeMap<String, u64> = BTreeMap::new();
+    for (kind, verdict) in tried.collect::<Vec<_>>() {
+        *counts.entry(format!("{kind}: {verdict:?}")).or_default() += 1;
+    }
+    let changed: u64 = counts.iter().filter(|(name, _)| !name.ends_with("None")).map(|(_, count)| count).sum();
+    println!("{changed} changed ones in {:.1} s: {counts:?}", begin.elapsed().as_secs_f64());
+    let refused: u64 = counts.iter().filter(|(name, _)| name.ends_with("Refused)")).map(|(_, count)| count).sum();
+    assert!(refused > wanted / 2, "{counts:?}");
+}

@@ -1,0 +1,125 @@
+//! What ties a statement of version 2 to what it says it is about.
+//!
+//! The texts of scenario, box and space are in the certificate and their hash is checked here; that the numbers of the statement are
+//! those of the texts is for a reader of such texts to compare, and `crumple check` does. A rate's space and program are stated twice,
+//! and have to be the same. What does not belong to a kind of statement is refused, so that nothing stands in a certificate that was
+//! not looked at.
+
+use crate::canonical::{is_sha256, sha256};
+use crate::certificate::{Assumption, Certificate, Provenance, Statement};
+use crate::rate::Registration;
+use crate::{Rejection, rate};
+
+/// Entries that every registration has, and those of a second controller.
+const ENTRIES: [&str; 9] = [
+    "controller",
+    "controller_sha256",
+    "crumple",
+    "estimator",
+    "failure",
+    "horizon_s",
+    "seed",
+    "space",
+    "space_sha256",
+];
+const ENTRIES_OF_TWO: [&str; 2] = ["against", "against_sha256"];
+/// Entries of controllers that are learned policies.
+const POLICIES: [&str; 2] = ["controller_policy_sha256", "against_policy_sha256"];
+
+/// Checks all that version 2 adds.
+pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
+    let provenance = &certificate.provenance;
+    let mut order = certificate.statement.assumptions();
+    order.extend(certificate.assumptions.contains(&Assumption::NoiseOfSeed).then_some(Assumption::NoiseOfSeed));
+    if certificate.assumptions != order {
+        return Err(Rejection::invalid("assumptions", "are not in the order of their definition"));
+    }
+    match &certificate.statement {
+        Statement::Kernel(_) => absent(provenance, "must be absent: a kernel is about no one scenario"),
+        Statement::Reach(claim) => {
+            has_source(provenance)?;
+            if provenance.box_text.is_none() {
+                return Err(Rejection::invalid("provenance.box_text", "is missing"));
+            }
+            let expected = format!("policy-{}.safetensors", claim.policy_sha256.get(..12).unwrap_or_default());
+            if !is_sha256(&claim.policy_sha256) || claim.policy_file != expected {
+                return Err(Rejection::invalid("policy_file", "is not named after `policy_sha256`"));
+            }
+            Ok(())
+        }
+        Statement::Rate(claim) => {
+            is_of_space(provenance, &claim.registration, false)?;
+            rate::check_blocks_of_rate(claim)
+        }
+        Statement::Comparison(claim) => {
+            is_of_space(provenance, &claim.registration, true)?;
+            rate::check_blocks_of_comparison(claim)
+        }
+        // All others are about a scene.
+        _ => has_source(provenance),
+    }
+}
+
+fn absent(provenance: &Provenance, problem: &'static str) -> Result<(), Rejection> {
+    let Provenance { scenario, scenario_sha256, scenario_text, box_text, .. } = provenance;
+    let given = [
+        ("provenance.scenario", !scenario.is_empty()),
+        ("provenance.scenario_sha256", !scenario_sha256.is_empty()),
+        ("provenance.scenario_text", scenario_text.is_some()),
+        ("provenance.box_text", box_text.is_some()),
+    ];
+    match given.into_iter().find(|(_, is_given)| *is_given) {
+        Some((field, _)) => Err(Rejection::invalid(field, problem)),
+        None => Ok(()),
+    }
+}
+
+/// A name, a text and its hash.
+fn has_source(provenance: &Provenance) -> Result<(), Rejection> {
+    if provenance.scenario.is_empty() {
+        return Err(Rejection::invalid("provenance.scenario", "is missing"));
+    }
+    let text = provenance.scenario_text.as_ref();
+    let text = text.ok_or_else(|| Rejection::invalid("provenance.scenario_text", "is missing"))?;
+    if provenance.scenario_sha256 != sha256(text) {
+        return Err(Rejection::invalid("provenance.scenario_sha256", "is not the digest of `scenario_text`"));
+    }
+    Ok(())
+}
+
+/// The registration names the space of the provenance, and nothing that is not known here.
+fn is_of_space(provenance: &Provenance, registration: &Registration, two: bool) -> Result<(), Rejection> {
+    has_source(provenance)?;
+    if provenance.box_text.is_some() {
+        return Err(Rejection::invalid("provenance.box_text", "must be absent: runs are drawn from a space"));
+    }
+    let place = |key: &str| format!("registration.configuration.{key}");
+    let entries = &registration.configuration;
+    let needed = || ENTRIES.iter().chain(ENTRIES_OF_TWO.iter().filter(|_| two));
+    if let Some(key) = needed().find(|key| entries.get(**key).is_none_or(String::is_empty)) {
+        return Err(Rejection::invalid(place(key), "is missing"));
+    }
+    let may_be = |key: &str| needed().chain(POLICIES.iter().take(if two { 2 } else { 1 })).any(|known| *known == key);
+    if let Some(key) = entries.keys().find(|key| !may_be(key)) {
+        return Err(Rejection::invalid(place(key), "is not known"));
+    }
+    if let Some((key, _)) = entries.iter().find(|(key, value)| key.ends_with("_sha256") && !is_sha256(value)) {
+        return Err(Rejection::invalid(place(key), "is no SHA-256"));
+    }
+    if entries.get("seed").is_none_or(|seed| seed.parse::<u64>().map(|read| read.to_string()).as_ref() != Ok(seed)) {
+        return Err(Rejection::invalid(place("seed"), "must be a whole number"));
+    }
+    let is_positive = |text: &String| text.parse::<f64>().is_ok_and(|value| value > 0.0 && value.is_finite());
+    if !entries.get("horizon_s").is_some_and(is_positive) {
+        return Err(Rejection::invalid(place("horizon_s"), "must be a positive number"));
+    }
+    let twice = [
+        ("crumple", &provenance.crumple, "is not that of `provenance`"),
+        ("space", &provenance.scenario, "is not `provenance.scenario`"),
+        ("space_sha256", &provenance.scenario_sha256, "is not `provenance.scenario_sha256`"),
+    ];
+    match twice.into_iter().find(|(key, value, _)| entries.get(*key) != Some(*value)) {
+        Some((key, _, problem)) => Err(Rejection::invalid(place(key), problem)),
+        None => Ok(()),
+    }
+}

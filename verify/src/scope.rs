@@ -1,0 +1,183 @@
+//! How far a claim reaches: until when, for which vehicles, within which limits. What is printed of a claim without these says too
+//! much: "no gap is ever smaller" may have been about the first four seconds.
+
+use std::fmt;
+
+use crate::certificate::{Certificate, Statement};
+use crate::claim::{Ego, Held, Scene};
+use crate::interval::Interval;
+use crate::kernel::Kernel;
+use crate::rate::Registration;
+use crate::reach::{Dimension, Reach};
+
+/// What a statement is about, in words, and nothing of what it claims.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scope {
+    /// The time that it covers, in seconds; infinite if it holds for ever, none if it does not say.
+    pub horizon_s: Option<f64>,
+    /// The scenario, box or space, and how it is bound to it.
+    pub about: String,
+    /// Each vehicle present, front to rear, with where it may start and what it does or may do.
+    pub vehicles: Vec<String>,
+    /// Within which limits else.
+    pub limits: Vec<String>,
+}
+
+impl Certificate {
+    /// How far its claim reaches.
+    #[must_use]
+    pub fn scope(&self) -> Scope {
+        let mut scope = match &self.statement {
+            Statement::Avoidable(claim) => of_scene(&claim.scene),
+            Statement::Unavoidable(claim) => of_scene(&claim.scene),
+            Statement::Kernel(claim) => of_kernel(claim),
+            Statement::Rate(claim) => of_runs(&claim.registration),
+            Statement::Comparison(claim) => of_runs(&claim.registration),
+            Statement::Reach(claim) => of_reach(claim),
+        };
+        scope.about = self.about();
+        scope
+    }
+
+    fn about(&self) -> String {
+        let (name, sha256) = (&self.provenance.scenario, &self.provenance.scenario_sha256);
+        // Whoever wrote the file chose the name: nothing in it may steer a terminal.
+        let name = name.escape_debug();
+        if self.is_old() {
+            return format!("`{name}` by its own word: version 1 binds a statement to nothing");
+        }
+        match &self.statement {
+            Statement::Kernel(_) => "any two vehicles with these limits".to_owned(),
+            Statement::Rate(_) | Statement::Comparison(_) => format!("space `{name}`, SHA-256 {sha256}"),
+            _ if self.provenance.box_text.is_some() => format!("a box around scenario `{name}`, SHA-256 {sha256}"),
+            _ => format!("scenario `{name}`, SHA-256 {sha256}"),
+        }
+    }
+}
+
+impl fmt::Display for Scope {
+    /// Some lines, none of them empty.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { horizon_s, about, vehicles, limits } = self;
+        writeln!(out, "about {about}")?;
+        match horizon_s {
+            Some(f64::INFINITY) => write!(out, "for ever")?,
+            Some(horizon_s) => write!(out, "for {horizon_s} s from the start and no longer")?,
+            None => write!(out, "for how long is not said")?,
+        }
+        vehicles.iter().chain(limits).try_for_each(|line| write!(out, "\n{line}"))
+    }
+}
+
+/// A number, or the ends of a range.
+fn range(of: Interval) -> String {
+    if of.low() == of.high() { of.low().to_string() } else { format!("{} to {}", of.low(), of.high()) }
+}
+
+fn of_scene(scene: &Scene) -> Scope {
+    let leader = &scene.leader;
+    let script = &leader.acceleration_mps2;
+    let ends = |held: &Held<Interval>| [held.1.low(), held.1.high()];
+    let hull = script.iter().map(ends).reduce(|hull, ends| [hull[0].min(ends[0]), hull[1].max(ends[1])]);
+    let script = match hull.and_then(|[low, high]| Interval::new(low, high)) {
+        Some(accelerations) => format!("a script of {} pieces at {} m/s²", script.len(), range(accelerations)),
+        None => "no script".to_owned(),
+    };
+    let start = |position_m: Interval, speed_mps: Interval| {
+        format!("front bumper at {} m, {} m/s", range(position_m), range(speed_mps))
+    };
+    let mut vehicles =
+        vec![format!("leader: {}, {} m long, {script}", start(leader.position_m, leader.speed_mps), leader.length_m)];
+    vehicles.extend(scene.egos.iter().map(|ego| {
+        let Ego { position_m, length_m, speed_mps, max_brake_mps2, max_accel_mps2 } = ego;
+        format!(
+            "under test: {}, {length_m} m long, brakes at up to {max_brake_mps2} and accelerates at up to {max_accel_mps2} m/s²",
+            start(*position_m, *speed_mps)
+        )
+    }));
+    vehicles.push(match &scene.follower {
+        Some(follower) => format!(
+            "behind: {}, brakes at {} m/s² from {} steps after its time to collision falls below {} s",
+            start(follower.position_m, follower.speed_mps),
+            range(follower.brake_mps2),
+            follower.reaction_steps,
+            follower.ttc_s
+        ),
+        None => "behind: nobody".to_owned(),
+    });
+    let limits = vec![format!("{} steps of {} s", scene.steps, scene.step_s)];
+    Scope { horizon_s: Some(scene.horizon_s()), about: String::new(), vehicles, limits }
+}
+
+fn of_kernel(kernel: &Kernel) -> Scope {
+    // Texts of a file: nothing in them may steer a terminal.
+    let [b, c, step_s, margin_m] =
+        [&kernel.ego_brake_mps2, &kernel.leader_brake_mps2, &kernel.step_s, &kernel.margin_m]
+            .map(|text| text.escape_debug());
+    let vehicles = vec![
+        format!("ahead: never brakes harder than {c} m/s², and does not reverse"),
+        format!("own: can brake at {b} m/s² from every decision on"),
+        "behind: not considered".to_owned(),
+    ];
+    let limits = vec![format!(
+        "for any step and margin, {step_s} s and {margin_m} m among them; real numbers, the true state, neither lag nor delay"
+    )];
+    Scope { horizon_s: Some(f64::INFINITY), about: String::new(), vehicles, limits }
+}
+
+fn of_runs(registration: &Registration) -> Scope {
+    let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str).escape_debug();
+    let horizon_s = registration.configuration.get("horizon_s").and_then(|text| text.parse().ok());
+    let controller = |place: &str| {
+        format!(
+            "under test: {}, SHA-256 {}, seeing through {}",
+            of(place),
+            of(&format!("{place}_sha256")),
+            of("estimator")
+        )
+    };
+    let mut vehicles = vec![controller("controller")];
+    if registration.configuration.contains_key("against") {
+        vehicles.push(controller("against"));
+    }
+    let (runs, seed, failure) = (registration.runs, of("seed"), of("failure"));
+    let limits = vec![format!("{runs} runs drawn with seed {seed}; a failure is: {failure}")];
+    Scope { horizon_s, about: String::new(), vehicles, limits }
+}
+
+fn of_reach(claim: &Reach) -> Scope {
+    let of = |dimension| range(claim.ranges.get(dimension));
+    let onset = claim.ranges.onset_steps;
+    let onset_s = match Interval::new(onset.low() * claim.step_s, onset.high() * claim.step_s) {
+        Some(onset_s) => range(onset_s),
+        None => "no time".to_owned(),
+    };
+    let mut vehicles = vec![
+        format!(
+            "leader: {} m ahead, {} m/s, brakes at {} m/s² from {onset_s} s on",
+            of(Dimension::GapAheadM),
+            of(Dimension::LeaderSpeedMps),
+            of(Dimension::LeaderBrakeMps2)
+        ),
+        format!(
+            "under test: {} m/s, driven by the policy with SHA-256 {}",
+            of(Dimension::EgoSpeedMps),
+            claim.policy_sha256.escape_debug()
+        ),
+    ];
+    vehicles.push(match claim.follower_ttc_s {
+        Some(ttc_s) => format!(
+            "behind: {} m behind, {} m/s, brakes at {} m/s² once its time to collision falls below {ttc_s} s",
+            of(Dimension::GapBehindM),
+            of(Dimension::FollowerSpeedMps),
+            of(Dimension::FollowerBrakeMps2)
+        ),
+        None => "behind: nobody".to_owned(),
+    });
+    let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);
+    let limits = vec![format!(
+        "{} steps of {} s; what is observed is off by {largest:e} at most (m, m/s, m/s²)",
+        claim.steps, claim.step_s
+    )];
+    Scope { horizon_s: Some(claim.horizon_s()), about: String::new(), vehicles, limits }
+}
