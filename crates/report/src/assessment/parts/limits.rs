@@ -76,7 +76,7 @@ impl Limits {
             assumptions.push(limit(
                 "Runs of given certificates came out as these say",
                 "The checker holds what follows from the counts against them; that the runs were made, and came out so, is their \
-                 author's word. What was counted for this report was counted by it.",
+                 author's word until `crumple check --rerun` has made them again. What was counted for this report was counted by it.",
             ));
         }
         if plan.config.paper {
