@@ -31,6 +31,7 @@ the best escape found from each scenario (see avoid), and with every certificate
   everyday_draws = 200                     # drives in `traffic`, where braking needs a cause
   seed = 0
   scenarios = [\"episodes\"]                 # scenario files, and folders of them, relative to this file
+  recordings = [\"platoon.csv\"]             # whose braking episodes are scenarios too (see import)
   search = { spaces = [\"paper\", \"high-risk\"], budget = 400 }
   rates = { runs = 4000, confidence = 0.999 }
   certificates = [\"escape.json\"]           # to be checked again

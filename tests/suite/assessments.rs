@@ -339,3 +339,30 @@ fn a_count_in_vain_is_not_outweighed() {
         "{standing:?}"
     );
 }
+
+/// A recording is as good as the scenarios that an import makes of it.
+#[test]
+fn a_recording_is_assessed_as_its_episodes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/recordings/synthetic-platoon.csv");
+    fs::copy(recording, folder.path().join("platoon.csv")).expect("copied");
+    let with = |rest: &str| {
+        let path = folder.path().join("a.toml");
+        fs::write(&path, format!("version = 1\ncontrollers = [\"idm\"]\npaper = false\n{rest}")).expect("writes");
+        AssessmentPlan::load(&path).map_err(|error| error.to_string())
+    };
+    let small = "draws = 0\neveryday_draws = 0\ndistributions = []\nsearch = { spaces = [] }\nrates = { runs = 0 }\n";
+    let gate = "[[gates]]\nrequire = \"no-contact-in-traffic\"\ncontroller = \"idm\"\n";
+    let plan = with(&format!("recordings = [\"platoon.csv\"]\n{small}{gate}")).expect("valid");
+    let found = assess(&plan, &Store::none(), None, &|_| {}).expect("runs");
+    let traffic = found.traffic.as_ref().expect("a part");
+    assert_eq!(
+        (traffic.scenarios.len(), found.summary.gates[0].holds),
+        (1, true),
+        "{}",
+        found.summary.gates[0].because
+    );
+    assert!(found.command_files.iter().any(|file| file.file.starts_with("scenarios/openacc")));
+    let refused = with("recordings = [\"gone.csv\"]\n").expect_err("refused");
+    assert!(refused.contains("a.toml:4: recordings: ") && refused.contains("gone.csv"), "{refused}");
+}

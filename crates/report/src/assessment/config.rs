@@ -52,6 +52,10 @@ pub struct AssessConfig {
     /// Scenario files, and folders of them, relative to the configuration file. Default none.
     #[serde(default)]
     pub scenarios: Vec<PathBuf>,
+    /// Recordings of traffic, relative to the configuration file: each braking episode in them is one scenario more, as
+    /// `crumple import` makes it. Default none.
+    #[serde(default)]
+    pub recordings: Vec<PathBuf>,
     /// How failures are searched for.
     #[serde(default)]
     pub search: SearchConfig,
@@ -155,6 +159,7 @@ impl Default for AssessConfig {
             everyday_draws: default_everyday_draws(),
             seed: 0,
             scenarios: Vec::new(),
+            recordings: Vec::new(),
             search: SearchConfig::default(),
             rates: RatesConfig::default(),
             certificates: None,

@@ -17,7 +17,7 @@ pub enum Gate {
         /// The controller.
         controller: String,
     },
-    /// A controller collides in none of the scenarios from files.
+    /// A controller collides in none of the scenarios from files and recordings.
     NoContactInTraffic {
         /// The controller.
         controller: String,
@@ -118,8 +118,8 @@ impl Gate {
             }
             Self::RateNotAbove { .. } if config.draws == 0 => Some(("require", "needs `draws` above 0".to_owned())),
             Self::RateNotAbove { space, .. } => space_problem(space, config),
-            Self::NoContactInTraffic { .. } if config.scenarios.is_empty() => {
-                Some(("require", "needs `scenarios`".to_owned()))
+            Self::NoContactInTraffic { .. } if config.scenarios.is_empty() && config.recordings.is_empty() => {
+                Some(("require", "needs `scenarios` or `recordings`".to_owned()))
             }
             Self::NeedlessBrakingAtMost { percent, .. } | Self::LeftBehindAtMost { percent, .. } => {
                 share_problem(*percent).or_else(needs_drives)

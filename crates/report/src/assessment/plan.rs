@@ -14,6 +14,7 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
+use crumple_world::recording::{Dropped, ImportOptions, Imported, ImportedScenario, import};
 use crumple_world::scenario::file;
 use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
 use crumple_world::scenario::{Scenario, built_in_names};
@@ -34,6 +35,8 @@ pub struct AssessmentPlan {
     pub(super) subject: usize,
     /// Scenarios from files, in order of their paths, with the path as the configuration reaches it.
     pub(super) traffic: Vec<(PathBuf, Scenario)>,
+    /// What of recordings is no scenario.
+    pub(super) left_out: Vec<Dropped>,
     /// By whose law failures are counted, with the name in the configuration.
     pub(super) distributions: Vec<NamedSpace>,
     /// Where failures are searched for.
@@ -96,7 +99,8 @@ impl AssessmentPlan {
         };
         let (distributions, spaces) = (known(&config.distributions()), known(&config.searched()));
         let (subject, certificates) = (subject(&controllers), shipped(&controllers));
-        Self { subject, config, controllers, traffic: Vec::new(), distributions, spaces, certificates }
+        let (traffic, left_out) = (Vec::new(), Vec::new());
+        Self { subject, config, controllers, traffic, left_out, distributions, spaces, certificates }
     }
 
     /// An assessment of controllers of one's own, beside those that the configuration names. The argument is about the
@@ -259,7 +263,8 @@ impl Loading<'_> {
                 return Err(self.wrong(&format!("gates[{index}].{field}"), problem));
             }
         }
-        let traffic = self.traffic(&config)?;
+        let Imported { scenarios: recorded, dropped: left_out, .. } = self.recorded(&config)?;
+        let traffic = self.traffic(&config, recorded)?;
         let spaces = self.spaces("search.spaces", &config.searched())?;
         let distributions = self.spaces("distributions", &config.distributions())?;
         let clash = distributions
@@ -270,8 +275,16 @@ impl Loading<'_> {
             return Err(self.wrong("distributions", problem));
         }
         let given = config.certificates.clone();
-        let mut plan =
-            AssessmentPlan { config, controllers, subject, traffic, distributions, spaces, certificates: Vec::new() };
+        let mut plan = AssessmentPlan {
+            config,
+            controllers,
+            subject,
+            traffic,
+            left_out,
+            distributions,
+            spaces,
+            certificates: Vec::new(),
+        };
         plan.certificates = match given {
             None if plan.config.paper => shipped(&plan.controllers),
             None => Vec::new(),
@@ -331,7 +344,23 @@ impl Loading<'_> {
         Ok(controllers)
     }
 
-    fn traffic(&self, config: &AssessConfig) -> Result<Vec<(PathBuf, Scenario)>, ConfigError> {
+    /// What recordings hold.
+    fn recorded(&self, config: &AssessConfig) -> Result<Imported, ConfigError> {
+        let wrong = |problem: String| self.wrong("recordings", problem);
+        let paths: Vec<_> = config.recordings.iter().map(|named| self.folder.join(named)).collect();
+        let imported = import(&paths, &ImportOptions::default()).map_err(|error| wrong(error.to_string()))?;
+        match imported.sources.iter().find(|source| source.scenarios == 0) {
+            Some(empty) => Err(wrong(format!("{}: no braking episode that makes a scenario", empty.path.display()))),
+            None => Ok(imported),
+        }
+    }
+
+    /// The scenarios from files, and those of recordings.
+    fn traffic(
+        &self,
+        config: &AssessConfig,
+        recorded: Vec<ImportedScenario>,
+    ) -> Result<Vec<(PathBuf, Scenario)>, ConfigError> {
         let mut traffic = Vec::new();
         for (index, named) in config.scenarios.iter().enumerate() {
             let field = format!("scenarios[{index}]");
@@ -350,6 +379,7 @@ impl Loading<'_> {
             }
             traffic.extend(found);
         }
+        traffic.extend(recorded.into_iter().map(|found| (PathBuf::from(found.file_name), found.scenario)));
         let mut names: Vec<_> = built_in_names().iter().map(|(name, _)| (*name).to_owned()).collect();
         for (found_at, scenario) in &traffic {
             let name = &scenario.spec().name;

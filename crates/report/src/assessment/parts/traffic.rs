@@ -27,6 +27,8 @@ const ANCHOR: &str = "traffic";
 pub struct Traffic {
     /// One entry a scenario.
     pub scenarios: Vec<ScenarioCases>,
+    /// What of recordings is no scenario, and why.
+    pub left_out: Vec<String>,
     /// Those shown in detail.
     #[serde(skip)]
     closest_first: Vec<usize>,
@@ -60,7 +62,8 @@ impl Traffic {
                 None => drawn,
             };
         }
-        Ok(Some(Self { scenarios, closest_first }))
+        let left_out = plan.left_out.iter().map(ToString::to_string).collect();
+        Ok(Some(Self { scenarios, left_out, closest_first }))
     }
 
     /// What these runs say.
@@ -71,6 +74,10 @@ impl Traffic {
     /// The scenarios as a domain.
     pub(in crate::assessment) fn domain(&self) -> Domain {
         scenarios::domain(&self.scenarios, ANCHOR)
+    }
+
+    fn left_out_words(&self) -> String {
+        format!("left out of the recordings: {}", self.left_out.len())
     }
 
     fn overview(&self) -> Table {
@@ -115,7 +122,7 @@ fn words(case: &Case) -> String {
     }
 }
 
-const INTRODUCTION: &str = "Each scenario the configuration names, under every controller: the smallest gap ahead of or \
+const INTRODUCTION: &str = "Each scenario that the configuration names, and each braking episode of its recordings, under every controller: the smallest gap ahead of or \
     behind a vehicle under test, or the first contact. \"Closing\" is a run that ended while two vehicles still approached \
     each other: the scenario was over before its story was.";
 
@@ -130,6 +137,9 @@ impl Part for Traffic {
             p { (INTRODUCTION) }
             p { (WHAT_REGRET_IS) " It was looked for in the scenarios shown in detail." }
             (self.overview().html())
+            @if !self.left_out.is_empty() {
+                details { summary { (self.left_out_words()) } ul { @for line in &self.left_out { li { (line) } } } }
+            }
             p {
                 @if telling.len() < self.scenarios.len() {
                     "Details of the " (telling.len()) " of " (self.scenarios.len()) " scenarios in which somebody came closest:"
@@ -150,6 +160,11 @@ impl Part for Traffic {
     }
 
     fn markdown(&self) -> String {
-        format!("{INTRODUCTION}\n\n{WHAT_REGRET_IS}\n\n{}", self.overview().markdown())
+        let lines = self.left_out.iter().map(|line| format!("- {line}\n")).collect::<String>();
+        let left_out = match self.left_out.is_empty() {
+            true => String::new(),
+            false => format!("\n{}:\n\n{lines}", self.left_out_words()),
+        };
+        format!("{INTRODUCTION}\n\n{WHAT_REGRET_IS}\n\n{}{left_out}", self.overview().markdown())
     }
 }
