@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use super::output;
 use crumple_report::assessment::ConfigError;
 use crumple_search::disk::DiskError;
+use crumple_search::work::WorkError;
 use crumple_world::recording::RecordingError;
 use crumple_world::scenario::file::FileError;
 use crumple_world::sim::RunError;
@@ -68,6 +69,15 @@ impl From<DiskError> for Failure {
         match error.source.kind() {
             io::ErrorKind::AlreadyExists => Self::input(error),
             _ => Self::Environment(error),
+        }
+    }
+}
+
+impl From<WorkError> for Failure {
+    fn from(error: WorkError) -> Self {
+        match error {
+            WorkError::Disk(error) => error.into(),
+            other => Self::input(other),
         }
     }
 }

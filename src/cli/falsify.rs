@@ -8,7 +8,6 @@ use super::simulate::Format;
 use super::{Failure, choice, interrupt, output, progress, subject};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, CampaignError, Progress};
-use crumple_search::work::WorkError;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
@@ -132,7 +131,8 @@ fn space(name: &str) -> Result<Space, Failure> {
 impl From<CampaignError> for Failure {
     fn from(error: CampaignError) -> Self {
         match error {
-            CampaignError::Disk(error) | CampaignError::Work(WorkError::Disk(error)) => error.into(),
+            CampaignError::Disk(error) => error.into(),
+            CampaignError::Work(error) => error.into(),
             other => Self::input(other),
         }
     }

@@ -9,6 +9,7 @@ mod choice;
 mod failure;
 mod falsify;
 mod finding;
+mod fsck;
 mod import;
 mod interrupt;
 mod list;
@@ -64,6 +65,7 @@ enum Command {
     Check(check::Check),
     Benchmark(benchmark::Measure),
     Verify(verify::Verify),
+    Fsck(fsck::Fsck),
     List(list::List),
 }
 
@@ -94,6 +96,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Falsify(command) => command.run(quiet),
         Command::Benchmark(command) => command.run(quiet),
         Command::Verify(command) => command.run(quiet),
+        Command::Fsck(command) => command.run(),
         Command::List(command) => command.run(),
     };
     match done {

@@ -179,7 +179,7 @@ fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
 impl From<RateFolderError> for Failure {
     fn from(error: RateFolderError) -> Self {
         match error {
-            RateFolderError::Disk(error) => error.into(),
+            RateFolderError::Work(error) => error.into(),
             rejected @ RateFolderError::Rejected { .. } => Self::Gate(rejected.to_string()),
             other => Self::input(other),
         }

@@ -3,7 +3,7 @@
 use crumple_world::scenario::VehicleClass;
 use serde_json::Value;
 
-use super::{assert_refused, by_another_build, code, crumple, folder, names_in, objects, stderr, stdout};
+use super::{assert_refused, code, crumple, folder, names_in, objects, stderr, stdout};
 
 #[test]
 fn a_shield_says_when_it_braked_and_what_that_did_to_the_vehicle_behind() {
@@ -65,23 +65,20 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
     let exact = 1.0 - 0.001_f64.powf(1.0 / 2500.0);
     assert!((at_most / exact - 1.0).abs() < 1e-6, "{at_most} {exact}");
 
-    // As an interrupted count leaves it.
-    std::fs::create_dir(folder.path().join("part")).unwrap();
-    std::fs::write(folder.path().join("part/registration.json"), file("whole/registration.json")).unwrap();
-    let path = folder.path().join("part/progress.json");
-    let mut counted: Value = serde_json::from_str(&file("whole/progress.json")).unwrap();
-    counted["runs"] = 1000.into();
-    counted["blocks"].as_array_mut().unwrap().truncate(10);
-    let progress = counted.to_string();
-    std::fs::write(&path, &progress).unwrap();
-    by_another_build(&path);
-    let refused = count(&["--out", "part", "--resume"]);
-    assert_refused(&refused, "error: part/progress.json: made by another build of crumple");
-    std::fs::write(&path, progress).unwrap();
-    assert_eq!(code(&count(&["--out", "part"])), 2, "not without --resume");
-    assert_eq!(code(&count(&["--out", "part", "--resume", "--seed", "1"])), 2, "something else was registered");
-    assert_eq!(code(&count(&["--out", "part", "--resume"])), 0);
-    assert_eq!(file("part/certificate.json"), file("whole/certificate.json"));
+    assert_eq!(code(&count(&["--out", "whole"])), 2, "not without --resume");
+    assert_refused(&count(&["--out", "whole", "--resume", "--seed", "1"]), "something else was registered");
+    let again = count(&["--out", "whole", "--resume"]);
+    assert_eq!((code(&again), stdout(&again)), (0, stdout(&whole)));
+    let fsck = crumple(folder.path(), &["fsck", "whole"]);
+    assert_eq!((code(&fsck), stdout(&fsck)), (0, "whole: a count, complete; 3 of 3 files are whole\n"));
+    for name in ["registration.json", "progress.json", "certificate.json", "work.json"] {
+        let path = folder.path().join("whole").join(name);
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        assert_refused(&count(&["--out", "whole", "--resume"]), &format!("error: whole/{name}: "));
+        assert_ne!(code(&crumple(folder.path(), &["fsck", "whole"])), 0, "{name}");
+        std::fs::write(&path, bytes).unwrap();
+    }
 }
 
 #[test]

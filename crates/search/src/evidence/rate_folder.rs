@@ -1,54 +1,31 @@
-//! A count in a folder: `registration.json` before the first run, `progress.json` after every block, `certificate.json` once the
-//! checker has accepted it.
+//! A count in a folder: `registration.json` before the first run, `progress.json` every second, `certificate.json` once the
+//! checker has accepted it; `work.json` says of each what it is.
 
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
-use crumple_verify::{Certificate, Registration, Rejection, check};
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use crumple_verify::{Certificate, Rejection, check};
+use serde::Serialize;
 
 use super::{RateError, RatePlan, Tally};
-use crate::disk::{self, DiskError};
-use crate::program::{self, OTHER_BUILD};
+use crate::disk::DiskError;
+use crate::work::{Asked, Work, WorkError};
+
+/// Work that may be lost when a count is interrupted: writing progress down costs milliseconds.
+const BETWEEN: Duration = Duration::from_secs(1);
 
 /// Why a count in a folder stops.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RateFolderError {
-    /// A file or folder cannot be read or written.
+    /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    Disk(#[from] DiskError),
-    /// A count is registered in the folder.
-    #[error("{}: something is registered there: --resume goes on with it", path.display())]
-    Taken {
-        /// The registration.
-        path: PathBuf,
-    },
+    Work(#[from] WorkError),
     /// Another count is registered in the folder.
     #[error("{}: something else was registered", path.display())]
     OtherRegistration {
         /// The registration.
         path: PathBuf,
-    },
-    /// What was counted is of another registration.
-    #[error("{}: not of this registration, or counts of blocks that do not add up to it", path.display())]
-    OtherTally {
-        /// What was counted.
-        path: PathBuf,
-    },
-    /// Another build of crumple counted the runs so far.
-    #[error("{}: {OTHER_BUILD}", path.display())]
-    OtherBuild {
-        /// What was counted.
-        path: PathBuf,
-    },
-    /// A file is not what a count leaves behind.
-    #[error("{}: {problem}", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// Which field, line and column.
-        problem: serde_json::Error,
     },
     /// A run cannot be made.
     #[error(transparent)]
@@ -66,17 +43,7 @@ pub enum RateFolderError {
 /// A count that is on record in a folder.
 pub struct RateCount<'a> {
     plan: &'a RatePlan,
-    folder: PathBuf,
-    tally: Tally,
-}
-
-/// The file `progress.json`.
-#[derive(Serialize, Deserialize)]
-struct Counted {
-    /// [`program::identity`] of the program that counted.
-    #[serde(default)]
-    program: String,
-    #[serde(flatten)]
+    work: Work,
     tally: Tally,
 }
 
@@ -87,30 +54,32 @@ impl RatePlan {
     /// # Errors
     /// [`RateFolderError`] if the folder cannot be used, or holds another count, or another build's.
     pub fn register_in(&self, folder: &Path, resume: bool) -> Result<RateCount<'_>, RateFolderError> {
-        disk::make_folder(folder)?;
-        let mut count = RateCount { plan: self, folder: folder.to_owned(), tally: self.tally() };
-        let path = folder.join("registration.json");
-        match read::<Registration>(&path) {
-            Ok(None) => disk::write_json(&path, self.registration())?,
-            _ if !resume => return Err(RateFolderError::Taken { path }),
-            Ok(Some(found)) if found == *self.registration() => {}
-            Ok(Some(_)) => return Err(RateFolderError::OtherRegistration { path }),
-            Err(error) => return Err(error),
-        }
-        let path = count.progress_path();
-        if let Some(Counted { program, tally }) = read(&path)?.filter(|_| resume) {
-            if tally.registration_sha256 != count.tally.registration_sha256 || !self.is_sound(&tally) {
-                return Err(RateFolderError::OtherTally { path });
+        let path = folder.join(REGISTRATION);
+        let registration = json(&path, self.registration())?;
+        let work = Work::open(folder, Asked { kind: "count", configuration: &registration, resume });
+        let work = work.map_err(|error| match error {
+            WorkError::OtherConfiguration { .. } => RateFolderError::OtherRegistration { path },
+            other => other.into(),
+        })?;
+        work.write(REGISTRATION, &registration)?;
+        let tally = match work.read(PROGRESS)? {
+            None => self.tally(),
+            Some(bytes) => {
+                let tally: Tally = serde_json::from_slice(&bytes)
+                    .map_err(|problem| WorkError::damaged(&work.path(PROGRESS), problem.to_string()))?;
+                if tally.registration_sha256 != self.tally().registration_sha256 || !self.is_sound(&tally) {
+                    return Err(WorkError::damaged(&work.path(PROGRESS), "not of this registration").into());
+                }
+                tally
             }
-            // A count that is complete is no longer half done, and may be read.
-            if tally.runs < self.registration().runs && program != program::identity()? {
-                return Err(RateFolderError::OtherBuild { path });
-            }
-            count.tally = tally;
-        }
-        Ok(count)
+        };
+        Ok(RateCount { plan: self, work, tally })
     }
 }
+
+const REGISTRATION: &str = "registration.json";
+const PROGRESS: &str = "progress.json";
+const CERTIFICATE: &str = "certificate.json";
 
 impl RateCount<'_> {
     /// Counts what is left, and writes the certificate. `progress` hears how many runs are done, before every block.
@@ -118,16 +87,21 @@ impl RateCount<'_> {
     /// # Errors
     /// [`RateFolderError`] if a run cannot be made, a file not written, or nothing is shown.
     pub fn certificate(&mut self, progress: &mut dyn FnMut(u64)) -> Result<Certificate, RateFolderError> {
-        let path = self.progress_path();
+        let path = self.work.path(PROGRESS);
+        let mut written = Instant::now();
         while self.tally.runs < self.plan.registration().runs {
             progress(self.tally.runs);
             self.plan.count_block(&mut self.tally)?;
-            let program = program::identity()?.to_owned();
-            disk::write_json(&path, &Counted { program, tally: self.tally.clone() })?;
+            if written.elapsed() > BETWEEN {
+                self.work.write(PROGRESS, json(&path, &self.tally)?)?;
+                written = Instant::now();
+            }
         }
+        self.work.write(PROGRESS, json(&path, &self.tally)?)?;
         let certificate = self.plan.certificate(&self.tally);
         check(&certificate).map_err(|rejection| RateFolderError::Rejected { path, rejection })?;
-        disk::write_json(&self.certificate_path(), &certificate)?;
+        self.work.write(CERTIFICATE, json(&self.certificate_path(), &certificate)?)?;
+        self.work.finish()?;
         Ok(certificate)
     }
 
@@ -140,18 +114,13 @@ impl RateCount<'_> {
     /// Where the certificate goes.
     #[must_use]
     pub fn certificate_path(&self) -> PathBuf {
-        self.folder.join("certificate.json")
-    }
-
-    fn progress_path(&self) -> PathBuf {
-        self.folder.join("progress.json")
+        self.work.path(CERTIFICATE)
     }
 }
 
-fn read<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, RateFolderError> {
-    let Some(bytes) = disk::read(path)? else { return Ok(None) };
-    let damaged = |problem| RateFolderError::Damaged { path: path.to_owned(), problem };
-    serde_json::from_slice(&bytes).map(Some).map_err(damaged)
+fn json(path: &Path, value: &impl Serialize) -> Result<String, WorkError> {
+    let text = serde_json::to_string_pretty(value).map_err(|error| DiskError::at(path)(error.into()))?;
+    Ok(text + "\n")
 }
 
 #[cfg(test)]
@@ -161,50 +130,64 @@ mod tests {
     use crumple_world::control::ControllerSpec;
     use crumple_world::observation::EstimatorKind;
     use crumple_world::scenario::space::built_in_space;
-    use serde_json::Value;
     use std::fs;
 
-    #[test]
-    fn a_count_goes_on_only_in_the_build_that_began_it() {
-        let plan = RatePlan::new(RateConfig {
+    fn plan(seed: u64) -> RatePlan {
+        RatePlan::new(RateConfig {
             controllers: (ControllerSpec::named("idm").unwrap().into(), None),
             space: built_in_space("paper").unwrap(),
-            seed: 3,
+            seed,
             estimator: EstimatorKind::Truth,
-            runs: 200,
+            runs: 1200,
             confidence: 0.9,
         })
-        .unwrap();
+        .unwrap()
+    }
+
+    /// What was counted of a plan in a folder, as an interruption leaves it.
+    fn interrupted(plan: &RatePlan, change: impl FnOnce(&mut Tally)) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
-        plan.register_in(folder.path(), false).unwrap().certificate(&mut |_| ()).unwrap();
-        let path = folder.path().join("progress.json");
-        let whole: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
-        // What is said of the file when fields of it are others; `None` takes a field away.
-        let error = |fields: &[(&str, Option<Value>)]| {
-            let mut counted = whole.as_object().unwrap().clone();
-            for (field, value) in fields {
-                match value {
-                    Some(value) => counted.insert((*field).to_owned(), value.clone()),
-                    None => counted.remove(*field),
-                };
-            }
-            fs::write(&path, serde_json::to_vec(&counted).unwrap()).unwrap();
-            plan.register_in(folder.path(), true).err().map(|error| error.to_string())
-        };
-        let other = ("program", Some(Value::from("0".repeat(64))));
-        let half = ("runs", Some(Value::from(100)));
-        let blocks = ("blocks", Some(Value::from(vec![whole["blocks"][0].clone()])));
-        let place = path.display();
-        assert_eq!(error(std::slice::from_ref(&other)), None, "a complete count may be read");
-        for part in [[other, half.clone(), blocks.clone()], [("program", None), half.clone(), blocks.clone()]] {
-            assert_eq!(error(&part).unwrap(), format!("{place}: {OTHER_BUILD}"));
+        let mut count = plan.register_in(folder.path(), false).unwrap();
+        plan.count_block(&mut count.tally).unwrap();
+        assert!(count.tally.runs < 1200, "one call does not count them all");
+        change(&mut count.tally);
+        count.work.write(PROGRESS, json(Path::new(PROGRESS), &count.tally).unwrap()).unwrap();
+        folder
+    }
+
+    #[test]
+    fn an_interrupted_count_ends_with_the_same_files() {
+        let (plan, whole) = (plan(3), tempfile::tempdir().unwrap());
+        plan.register_in(whole.path(), false).unwrap().certificate(&mut |_| ()).unwrap();
+        let part = interrupted(&plan, |_| ());
+        let error =
+            |plan: &RatePlan, resume| plan.register_in(part.path(), resume).err().map(|error| error.to_string());
+        assert!(error(&plan, false).unwrap().contains("holds a count already: use --resume"));
+        assert!(error(&self::plan(4), true).unwrap().ends_with("registration.json: something else was registered"));
+        plan.register_in(part.path(), true).unwrap().certificate(&mut |_| ()).unwrap();
+        for name in [REGISTRATION, PROGRESS, CERTIFICATE, crate::work::MANIFEST] {
+            let read = |folder: &Path| fs::read_to_string(folder.join(name)).unwrap();
+            assert_eq!(read(part.path()), read(whole.path()), "{name}");
         }
-        assert_eq!(error(&[half.clone(), blocks]), None);
-        for unsound in [half, ("runs", Some(Value::from(201))), ("failures", Some(Value::from(7)))] {
-            assert!(error(&[unsound]).unwrap().contains("not of this registration"));
+        let read_again = plan.register_in(whole.path(), true).unwrap();
+        assert_eq!((read_again.work.is_complete(), read_again.tally.runs), (true, 1200));
+    }
+
+    /// More runs than were made, other failures, and counts that do not add up, whether the manifest was told of them or not.
+    #[test]
+    fn counts_that_were_not_made_are_not_gone_on_with() {
+        let plan = plan(3);
+        let changes: [fn(&mut Tally); 3] =
+            [|tally| tally.runs = 1201, |tally| tally.failures = u64::MAX, |tally| tally.runs += 1];
+        for change in changes {
+            let folder = interrupted(&plan, change);
+            let error = plan.register_in(folder.path(), true).err().unwrap().to_string();
+            assert!(error.ends_with("progress.json: not of this registration"), "{error}");
         }
-        let damaged = error(&[("runs", None)]).unwrap();
-        assert!(damaged.starts_with(&format!("{place}: missing field `runs`")), "{damaged}");
-        assert!(matches!(plan.register_in(folder.path(), false), Err(RateFolderError::Taken { .. })));
+        let folder = interrupted(&plan, |_| ());
+        let path = folder.path().join(PROGRESS);
+        fs::write(&path, fs::read_to_string(&path).unwrap().replace("\"runs\": 1", "\"runs\": 2")).unwrap();
+        let error = plan.register_in(folder.path(), true).err().unwrap().to_string();
+        assert!(error.ends_with("progress.json: not as it was written"), "{error}");
     }
 }

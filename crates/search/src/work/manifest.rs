@@ -102,6 +102,11 @@ impl Manifest {
         self.files.contains_key(name)
     }
 
+    /// Whether a file has checks of its own.
+    pub(super) fn grows(&self, name: &str) -> bool {
+        self.files.get(name).is_some_and(|states| states.contains(&FileState::Growing))
+    }
+
     /// The folders that files are in, beside that of the manifest itself.
     pub(super) fn folders(&self) -> BTreeSet<&str> {
         self.files.keys().filter_map(|name| name.rsplit_once('/')).map(|(folder, _)| folder).collect()

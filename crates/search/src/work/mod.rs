@@ -341,26 +341,32 @@ pub struct Examined {
     pub is_of_this_build: bool,
     /// Each file, and what is wrong with it.
     pub files: Vec<(String, Result<(), String>)>,
+    /// Files whose records have checks of their own: their readers make them.
+    pub growing: Vec<String>,
 }
 
-/// Looks at everything in a folder of work, changes nothing, and goes on where something is damaged. Files whose records have
-/// checks of their own are said to be whole: their readers check them.
+/// Looks at everything in a folder of work, changes nothing, and goes on where something is damaged.
 ///
 /// # Errors
-/// [`WorkError`] if there is no manifest, or one that is damaged itself.
+/// [`WorkError`] if there is no manifest, or one that is damaged itself, or if the folder is in use.
 pub fn examine(folder: &Path) -> Result<Examined, WorkError> {
     let path = folder.join(MANIFEST);
     let manifest = Manifest::read(&path)?.ok_or_else(|| WorkError::damaged(&path, "the file is missing"))?;
+    let lock = Lock::of(folder)?;
+    if lock.is_none() {
+        return Err(WorkError::InUse { folder: folder.to_owned(), kind: manifest.kind });
+    }
     let examined = |name: String| -> Result<_, WorkError> {
         let bytes = disk::read(&folder.join(&name))?;
         Ok((name.clone(), manifest.check(&name, bytes.as_deref())))
     };
-    let files = manifest.names().into_iter().map(examined).collect::<Result<_, _>>()?;
+    let (growing, whole): (Vec<_>, Vec<_>) = manifest.names().into_iter().partition(|name| manifest.grows(name));
+    let files = whole.into_iter().map(examined).collect::<Result<_, _>>()?;
     let is_of_this_build = match &manifest.program {
         Some(program) => program == program::identity()?,
         None => true,
     };
-    Ok(Examined { complete: manifest.program.is_none(), kind: manifest.kind, is_of_this_build, files })
+    Ok(Examined { complete: manifest.program.is_none(), kind: manifest.kind, is_of_this_build, files, growing })
 }
 
 #[cfg(test)]

@@ -37,7 +37,7 @@ fn another_folders_work_is_refused() {
     assert!(open(Asked { configuration: "runs = 4", ..ASKED }).contains("configured otherwise"));
 }
 
-/// Every bit of every file, every length of it, its absence, and the place of each file with that of another: never believed.
+/// A bit of every byte of every file, every length of it, its absence, and the place of each file with that of another: never believed.
 #[test]
 fn any_damage_names_its_file() {
     let folder = worked();
@@ -54,9 +54,9 @@ fn any_damage_names_its_file() {
     for (name, bytes) in names.iter().zip(&whole) {
         let path = folder.path().join(name);
         let says = |said: String| assert!(said.contains(name), "{name}: {said}");
-        for bit in 0..8 * bytes.len() {
+        for place in 0..bytes.len() {
             let mut damaged = bytes.clone();
-            damaged[bit / 8] ^= 1 << (bit % 8);
+            damaged[place] ^= 1 << (place % 8);
             fs::write(&path, damaged).unwrap();
             says(refused(name));
         }
@@ -129,4 +129,18 @@ fn what_is_left_over_is_neither_overwritten_nor_taken_in() {
     fs::write(folder.path().join("parts/2"), "mine").unwrap();
     let said = Work::open(folder.path(), ASKED).unwrap_err().to_string();
     assert!(said.contains("parts/2: work.json knows no such file"), "{said}");
+}
+
+/// Half done, it is its build's; complete, it is anybody's to read.
+#[test]
+fn half_done_work_of_another_build_is_refused() {
+    let folder = worked();
+    let path = folder.path().join(MANIFEST);
+    let mut manifest = Manifest::read(&path).unwrap().unwrap();
+    assert!(Work::open(folder.path(), ASKED).unwrap().is_complete());
+    manifest.program = Some("0".repeat(64));
+    manifest.write(&path).unwrap();
+    let said = Work::open(folder.path(), ASKED).unwrap_err().to_string();
+    assert!(said.ends_with(OTHER_BUILD), "{said}");
+    assert!(!examine(folder.path()).unwrap().is_of_this_build);
 }

@@ -1,0 +1,63 @@
+//! `crumple fsck`: is what lies in a folder of work what was written there?
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::{Failure, output};
+use crumple_search::work::{Examined, examine};
+
+/// Look at folders of work: is every file what was written there?
+#[derive(Args)]
+#[command(after_long_help = "\
+A folder of `crumple falsify` or `crumple verify rate` holds `work.json`, which says of every file how long it is and its SHA-256. Nothing is \
+changed here, and all that is damaged is named; --resume would stop at the first. What is damaged cannot be gone on from: begin anew in \
+another --out, with the same seed it ends with the same results.
+
+It finds what was cut, edited, moved or lost, on purpose or by accident; not the work of somebody who wrote files and `work.json` anew.
+
+Examples:
+  crumple fsck runs/baseline")]
+pub(super) struct Fsck {
+    /// Folders of campaigns and counts
+    #[arg(required = true, value_name = "DIR")]
+    folders: Vec<PathBuf>,
+}
+
+impl Fsck {
+    pub(super) fn run(self) -> Result<(), Failure> {
+        let (mut text, mut damaged) = (String::new(), Vec::new());
+        for folder in &self.folders {
+            let found = examine(folder)?;
+            text += &described(folder, &found);
+            if found.files.iter().any(|(_, state)| state.is_err()) {
+                damaged.push(folder.display().to_string());
+            }
+        }
+        output::print(&text)?;
+        match damaged.is_empty() {
+            true => Ok(()),
+            false => Err(Failure::Gate(format!("damaged, nothing goes on from there: {}", damaged.join(", ")))),
+        }
+    }
+}
+
+fn described(folder: &Path, found: &Examined) -> String {
+    let state = match (found.complete, found.is_of_this_build) {
+        (true, _) => "complete",
+        (false, true) => "half done, --resume goes on with it",
+        (false, false) => "half done by another build of crumple, which alone goes on with it",
+    };
+    let whole = found.files.iter().filter(|(_, state)| state.is_ok()).count();
+    let mut text =
+        format!("{}: a {}, {state}; {whole} of {} files are whole\n", folder.display(), found.kind, found.files.len());
+    for (name, state) in &found.files {
+        if let Err(problem) = state {
+            text += &format!("  {name}: {problem}\n");
+        }
+    }
+    for name in &found.growing {
+        text += &format!("  {name}: has checks of its own, made when the work goes on\n");
+    }
+    text
+}
