@@ -21,7 +21,7 @@ fn what_was_written_is_read_and_nothing_else_is() {
     let work = Work::open(folder.path(), ASKED).unwrap();
     assert_eq!(work.read("a.json").unwrap().unwrap(), b"second");
     assert_eq!((work.read("c.json").unwrap(), work.is_complete()), (None, true));
-    assert_eq!(work.names(), ["a.json", "deep/b.json"]);
+    assert_eq!(work.locked().names(), ["a.json", "deep/b.json"]);
     fs::write(work.path("c.json"), "left over").unwrap();
     let said = work.read("c.json").unwrap_err().to_string();
     assert!(said.contains("c.json: work.json knows no such file"), "{said}");

@@ -139,27 +139,20 @@ impl ProofStatus {
 
 /// How strongly an accepted statement speaks for the claim that it makes of a controller.
 fn strength(accepted: &Accepted, statement: &Statement, counts_others: bool) -> Option<Strength> {
-    // The certificate bounds a rate from above alone; from below by the same count, at the same confidence, unless others'
-    // contacts are among what it counts.
-    let (lower, runs) = match statement {
-        Statement::Rate(Rate { failures, registration: Registration { runs, confidence, .. }, .. }) => {
-            let failures = if counts_others { 0 } else { *failures };
-            (RateInterval::exact(failures, *runs, 2.0 * confidence - 1.0).lower, *runs)
-        }
-        Statement::Comparison(two) => (0.0, two.registration.runs),
-        _ => (0.0, 0),
-    };
     match accepted {
-        Accepted::Rate { at_most, confidence } => Some(Strength::Between {
-            lower_percent: Rounded::down(100.0 * lower),
-            upper_percent: Rounded::up(100.0 * at_most),
-            confidence_percent: Rounded::down(100.0 * confidence),
-            runs,
-        }),
+        Accepted::Rate { at_most, .. } => match statement {
+            Statement::Rate(rate) => Some(between(rate, *at_most, counts_others)),
+            _ => None,
+        },
         // With little confidence it shows nothing.
         Accepted::FailsLessOften { confidence } => Some(Rounded::down(100.0 * confidence))
             .filter(|percent| percent.value() >= LEAST_CONFIDENCE_PERCENT)
-            .map(|confidence_percent| Strength::Counted { confidence_percent, runs }),
+            .and_then(|confidence_percent| match statement {
+                Statement::Comparison(two) => {
+                    Some(Strength::Counted { confidence_percent, runs: two.registration.runs })
+                }
+                _ => None,
+            }),
         // A cell with a start that ends in contact.
         Accepted::Reach { falsified_share, .. } if *falsified_share > 0.0 => {
             Some(Strength::Refuted { failures: 1, runs: 1 })
@@ -169,6 +162,19 @@ fn strength(accepted: &Accepted, statement: &Statement, counts_others: bool) -> 
             .filter(|percent| percent.value() > 0.0)
             .map(|share_percent| Strength::ProvedIn { share_percent }),
         _ => None,
+    }
+}
+
+/// The bounds that counted runs give: from above as the certificate states it, from below by the same count at the same
+/// confidence, unless others' contacts are among what it counts.
+fn between(rate: &Rate, at_most: f64, counts_others: bool) -> Strength {
+    let Registration { runs, confidence, .. } = rate.registration;
+    let failures = if counts_others { 0 } else { rate.failures };
+    Strength::Between {
+        lower_percent: Rounded::down(100.0 * RateInterval::exact(failures, runs, 2.0 * confidence - 1.0).lower),
+        upper_percent: Rounded::up(100.0 * at_most),
+        confidence_percent: Rounded::down(100.0 * confidence),
+        runs,
     }
 }
 
@@ -515,7 +521,8 @@ fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result
     })?;
     let certificate = Certificate::from_json(&text).map_err(|error| AssessError::Certificate(error.to_string()))?;
     let mut proof = proof(plan, name, &certificate, None)?;
-    if let Some(status) = in_vain(&certificate.statement).filter(|_| !proof.is_accepted()) {
+    let counts_others = counts_others(plan, &certificate.statement);
+    if let Some(status) = in_vain(&certificate.statement, counts_others).filter(|_| !proof.is_accepted()) {
         proof.status = status;
     }
     Ok(proof)
@@ -523,7 +530,7 @@ fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result
 
 /// What becomes of counts that were made here and do not show what they were to show: they are no proof, and none that was
 /// tampered with.
-fn in_vain(statement: &Statement) -> Option<ProofStatus> {
+fn in_vain(statement: &Statement, counts_others: bool) -> Option<ProofStatus> {
     match statement {
         Statement::Comparison(two) => {
             let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
@@ -533,19 +540,10 @@ fn in_vain(statement: &Statement) -> Option<ProofStatus> {
                 strength: Strength::CountedInVain { confidence_percent: Rounded::down(100.0 * confidence), runs },
             })
         }
-        Statement::Rate(rate) => {
-            let Registration { runs, confidence, .. } = rate.registration;
-            let lower = RateInterval::exact(rate.failures, runs, 2.0 * confidence - 1.0).lower;
-            Some(ProofStatus::NothingShown {
-                counted: format!("{} of {runs} runs failed", rate.failures),
-                strength: Strength::Between {
-                    lower_percent: Rounded::down(100.0 * lower),
-                    upper_percent: Rounded::new(100.0),
-                    confidence_percent: Rounded::down(100.0 * confidence),
-                    runs,
-                },
-            })
-        }
+        Statement::Rate(rate) => Some(ProofStatus::NothingShown {
+            counted: format!("{} of {} runs failed", rate.failures, rate.registration.runs),
+            strength: between(rate, 1.0, counts_others),
+        }),
         _ => None,
     }
 }
