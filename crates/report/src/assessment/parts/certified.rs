@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize};
 use crate::assessment::claims::{
     Claim, Domain, Evidence, Known, LEAST_CONFIDENCE_PERCENT, Property, Source, Strength, Subject,
 };
-use crate::assessment::plan::{NamedSpace, file_stem};
+use crate::assessment::plan::NamedSpace;
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
-use crumple_search::evidence::{RateConfig, RateInterval, RatePlan, bound, kernel_certificate, shipped_kernels};
+use crumple_search::evidence::{RateInterval, bound, kernel_certificate, shipped_kernels};
 use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
@@ -167,7 +167,7 @@ fn strength(accepted: &Accepted, statement: &Statement, counts_others: bool) -> 
 
 /// The bounds that counted runs give: from above as the certificate states it, from below by the same count at the same
 /// confidence, unless others' contacts are among what it counts.
-fn between(rate: &Rate, at_most: f64, counts_others: bool) -> Strength {
+pub(super) fn between(rate: &Rate, at_most: f64, counts_others: bool) -> Strength {
     let Registration { runs, confidence, .. } = rate.registration;
     let failures = if counts_others { 0 } else { rate.failures };
     Strength::Between {
@@ -235,14 +235,14 @@ pub(super) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof
         .into_iter()
         .map(|(name, certificate)| proof(plan, name, &certificate, None))
         .collect::<Result<Vec<_>, _>>()?;
-    proofs.extend(counted(plan, work)?);
+    proofs.extend(super::counted::gather(plan, work)?);
     let given = plan.certificates.par_iter();
     let given = given.map(|one| proof(plan, one.name.clone(), &one.certificate, one.policy.as_deref()));
     proofs.extend(given.collect::<Result<Vec<_>, _>>()?);
     Ok(proofs)
 }
 
-fn proof(
+pub(super) fn proof(
     plan: &AssessmentPlan,
     name: String,
     certificate: &Certificate,
@@ -356,7 +356,7 @@ fn space_of<'a>(plan: &'a AssessmentPlan, registration: &Registration) -> Option
 
 /// Whether vehicles that are not under test may touch in the runs of a rate: such a run counts as a failure there, and says
 /// nothing of the controller here.
-fn counts_others(plan: &AssessmentPlan, statement: &Statement) -> bool {
+pub(super) fn counts_others(plan: &AssessmentPlan, statement: &Statement) -> bool {
     match statement {
         Statement::Rate(rate) => space_of(plan, &rate.registration).is_some_and(NamedSpace::others_may_touch),
         _ => false,
@@ -446,104 +446,4 @@ pub(super) fn kernels(controller: &NamedController) -> Vec<Kernel> {
 pub(super) fn kernel_domain(kernels: &[Kernel]) -> Domain {
     let limits = |kernel: &Kernel| [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new);
     Domain::Kernels { limits_mps2: kernels.iter().map(limits).collect() }
-}
-
-/// The seed of counted runs: not that of the draws that are reported elsewhere.
-const SEED_APART: u64 = 0x5eed;
-
-/// What is counted for a certificate: under which name, in which space, of whom, against whom.
-struct Counted<'a> {
-    name: String,
-    space: &'a NamedSpace,
-    controller: NamedController,
-    against: Option<NamedController>,
-}
-
-/// The names of certificates that are made for a report.
-pub(in crate::assessment) fn made_here(plan: &AssessmentPlan) -> Vec<String> {
-    let kernels = shipped_kernels().into_iter().map(|(name, _)| name);
-    kernels.chain(to_be_counted(plan).into_iter().map(|counted| counted.name)).collect()
-}
-
-fn to_be_counted(plan: &AssessmentPlan) -> Vec<Counted<'_>> {
-    if plan.config.rates.runs == 0 {
-        return Vec::new();
-    }
-    let learned = plan.controllers.iter().enumerate().filter(|(_, controller)| controller.policy().is_some());
-    let mut wanted: Vec<(String, NamedController, Option<NamedController>)> =
-        learned.map(|(index, one)| (format!("rate-{}", plan.slug(index)), one.clone(), None)).collect();
-    if let (Some(subject), Some(first)) = (plan.subject(), plan.controllers.first())
-        && plan.subject != 0
-    {
-        wanted.push((
-            format!("{}-against-{}", plan.slug(plan.subject), plan.slug(0)),
-            subject.clone(),
-            Some(first.clone()),
-        ));
-    }
-    // Only what states an identity can be spoken of.
-    wanted.retain(|(_, one, other)| std::iter::once(one).chain(other).all(|of| of.kind.identity().is_some()));
-    let several = plan.distributions.len() > 1;
-    let mut counted = Vec::new();
-    for space in &plan.distributions {
-        for (name, controller, against) in wanted.clone() {
-            let name = if several { format!("{name}-{}", file_stem(space.space.name())) } else { name };
-            counted.push(Counted { name, space, controller, against });
-        }
-    }
-    counted
-}
-
-fn counted(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
-    let proofs = to_be_counted(plan).into_iter().map(|counted| count(plan, work, counted));
-    proofs.collect()
-}
-
-fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result<Proof, AssessError> {
-    let Counted { name, space, controller, against } = counted;
-    let rates = RatePlan::new(RateConfig {
-        controllers: (controller, against),
-        space: space.space.clone(),
-        seed: plan.config.seed ^ SEED_APART,
-        estimator: plan.config.estimator,
-        runs: plan.config.rates.runs,
-        confidence: plan.config.rates.confidence,
-    })?;
-    let text: String = work.store.get(&name, rates.registration(), || {
-        let mut tally = rates.tally();
-        while tally.runs < plan.config.rates.runs {
-            let before = tally.runs;
-            rates.count_block(&mut tally)?;
-            work.did(tally.runs - before);
-        }
-        let text = serde_json::to_string(&rates.certificate(&tally)).map_err(StoreError::encoding)?;
-        Ok::<_, AssessError>(text)
-    })?;
-    let certificate = Certificate::from_json(&text).map_err(|error| AssessError::Certificate(error.to_string()))?;
-    let mut proof = proof(plan, name, &certificate, None)?;
-    let counts_others = counts_others(plan, &certificate.statement);
-    if let Some(status) = in_vain(&certificate.statement, counts_others).filter(|_| !proof.is_accepted()) {
-        proof.status = status;
-    }
-    Ok(proof)
-}
-
-/// What becomes of counts that were made here and do not show what they were to show: they are no proof, and none that was
-/// tampered with.
-fn in_vain(statement: &Statement, counts_others: bool) -> Option<ProofStatus> {
-    match statement {
-        Statement::Comparison(two) => {
-            let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
-            let Registration { runs, confidence, .. } = two.registration;
-            Some(ProofStatus::NothingShown {
-                counted: format!("only the first failed in {only_first} runs, only the second in {only_second}"),
-                strength: Strength::CountedInVain { confidence_percent: Rounded::down(100.0 * confidence), runs },
-            })
-        }
-        Statement::Rate(rate) => Some(ProofStatus::NothingShown {
-            counted: format!("{} of {} runs failed", rate.failures, rate.registration.runs),
-            strength: between(rate, 1.0, counts_others),
-        }),
-        _ => None,
-    }
 }

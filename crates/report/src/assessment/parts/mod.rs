@@ -5,6 +5,7 @@ mod argument;
 mod argument_figure;
 mod certified;
 mod compared;
+mod counted;
 mod distribution;
 mod found;
 mod glossary;
@@ -28,9 +29,9 @@ mod worst_figure;
 
 pub use answer::{Answer, FirstPage};
 pub use argument::{Argument, Element, ElementKind};
-pub(super) use certified::made_here;
 pub use certified::{Proof, ProofStatus, SpeaksOf};
 pub use compared::{Change, Comparison, ComparisonError, Earlier};
+pub(super) use counted::made_here;
 pub use distribution::{Distribution, Distributions, Paired, Percent, Sampled};
 pub use found::{Failure, MethodReached};
 pub use glossary::Glossary;
