@@ -5,29 +5,38 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::{Failure, output};
-use crumple_search::work::{Examined, examine};
+use crumple_search::work::{Examined, Restored, examine, restore};
 
 /// Look at folders of work: is every file what was written there?
 #[derive(Args)]
 #[command(after_long_help = "\
-A folder of `crumple falsify` or `crumple verify rate` holds `work.json`, which says of every file how long it is and its SHA-256. Nothing is \
-changed here, and all that is damaged is named; --resume would stop at the first. What is damaged cannot be gone on from: begin anew in \
-another --out, with the same seed it ends with the same results.
+A folder of `crumple falsify`, `verify rate`, `train` or `retrain` holds `work.json`, which says of every file how long it is and its SHA-256. \
+Nothing is changed here, and all that is damaged is named; --resume would stop at the first.
+
+While work is under way, what only doing it again could make again (checkpoints, counts) is kept twice: as it is, and in the folder `previous` \
+as it was before. --restore goes back to that, where something is damaged; --resume then ends with the same results. What is \
+damaged and was not kept cannot be gone on from: begin anew in another --out, with the same seed it ends with the same results.
 
 It finds what was cut, edited, moved or lost, on purpose or by accident; not the work of somebody who wrote files and `work.json` anew.
 
 Examples:
-  crumple fsck runs/baseline")]
+  crumple fsck runs/baseline
+  crumple fsck --restore runs/seed-3")]
 pub(super) struct Fsck {
-    /// Folders of campaigns and counts
+    /// Folders of campaigns, counts, trainings (a folder a seed) and retrainings
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
+    /// Go back to what was kept, where something is damaged
+    #[arg(long)]
+    restore: bool,
 }
 
 impl Fsck {
     pub(super) fn run(self) -> Result<(), Failure> {
         let (mut text, mut damaged) = (String::new(), Vec::new());
         for folder in &self.folders {
+            let restored = if self.restore { restore(folder)? } else { None };
+            text += &restored.map_or_else(String::new, |restored| back(folder, &restored));
             let found = examine(folder)?;
             text += &described(folder, &found);
             if found.files.iter().any(|(_, state)| state.is_err()) {
@@ -37,9 +46,15 @@ impl Fsck {
         output::print(&text)?;
         match damaged.is_empty() {
             true => Ok(()),
-            false => Err(Failure::Gate(format!("damaged, nothing goes on from there: {}", damaged.join(", ")))),
+            false => Err(Failure::Gate(format!("damaged: {}", damaged.join(", ")))),
         }
     }
+}
+
+/// What was done to go back.
+fn back(folder: &Path, restored: &Restored) -> String {
+    let files = if restored.restored.is_empty() { "nothing else".to_owned() } else { restored.restored.join(", ") };
+    format!("{}: {} damaged; as before again: {files}\n", folder.display(), restored.damaged.join(", "))
 }
 
 fn described(folder: &Path, found: &Examined) -> String {
@@ -55,6 +70,13 @@ fn described(folder: &Path, found: &Examined) -> String {
         if let Err(problem) = state {
             text += &format!("  {name}: {problem}\n");
         }
+    }
+    if found.files.iter().any(|(_, state)| state.is_err()) {
+        text += if found.can_be_restored {
+            "  --restore goes back to what was kept before that\n"
+        } else {
+            "  nothing was kept to go back to: begin anew in another --out\n"
+        };
     }
     for name in &found.growing {
         text += &format!("  {name}: has checks of its own, made when the work goes on\n");

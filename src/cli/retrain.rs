@@ -6,7 +6,7 @@ use clap::{Args, value_parser};
 use indicatif::ProgressBar;
 
 use super::simulate::Format;
-use super::{Failure, output, progress, subject};
+use super::{Failure, interrupt, output, progress, subject};
 use crumple_learn::retrain::{Progress, Report, RetrainError, RetrainingPlan, Settings, training_preset};
 use crumple_learn::rl::TrainingConfig;
 use crumple_search::disk;
@@ -103,13 +103,14 @@ impl Retrain {
                 ..Settings::default()
             },
         };
+        let out = self.out.display();
+        interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
         let bar = progress::line(quiet);
         let report = plan.run(&self.out, self.resume, &mut |state| show(&bar, state));
         bar.finish_and_clear();
         let report = report?;
         let picture = self.out.join("report.svg");
         disk::write(&picture, crumple_report::figures::retraining(&report).document())?;
-        let out = self.out.display();
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
         output::print(&match self.format {
             Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
@@ -163,6 +164,7 @@ impl From<RetrainError> for Failure {
     fn from(error: RetrainError) -> Self {
         match error {
             RetrainError::Disk(error) => error.into(),
+            RetrainError::Work(error) => error.into(),
             RetrainError::Campaign(campaign) => campaign.into(),
             RetrainError::Training(training) => training.into(),
             other => Self::input(other),

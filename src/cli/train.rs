@@ -1,22 +1,19 @@
 //! `crumple train`: learn to drive.
 
 use std::collections::VecDeque;
-use std::fs::{self, File, OpenOptions};
-use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
-use super::output;
-use super::{Failure, progress};
+use super::{Failure, interrupt, output, progress};
 use crumple_learn::rl::{
-    Evaluation, Event, HeldOut, LearningCurve, Observer, Trainer, TrainingConfig, TrainingError, UNSEEN_DRAWS,
-    side_by_side, train, unseen_contacts,
+    Event, HeldOut, LearningCurve, SeedResult, TrainingConfig, TrainingError, TrainingFolder, UNSEEN_DRAWS,
+    finished_trainings, seed_folder, side_by_side,
 };
-use crumple_search::disk::{self, DiskError, Files};
+use crumple_search::disk::{self, Files};
+use crumple_search::work;
 
 /// Train a driving policy by reinforcement learning
 #[derive(Args)]
@@ -28,7 +25,9 @@ Presets:
 
 Every seed gets a folder `seed-N` with `policy.safetensors` (the best policy by evaluation on held-out scenarios, a \
 controller for every other subcommand), `log.jsonl` and `checkpoint.safetensors`. Seeds are trained side by side; each \
-gives the same bytes whatever the number of threads, and whether or not it was interrupted and resumed.
+gives the same bytes whatever the number of threads, and whether or not it was interrupted and resumed. `training.json` \
+and `learning-curve.svg` are about all finished seeds in the folder, which must be trained in the same way; a finished training \
+goes on with --resume and more --episodes. Files are checked when work goes on (see crumple fsck).
 
 Examples:
   crumple train --seed 7
@@ -55,19 +54,7 @@ pub(super) struct Train {
     episodes: Option<u64>,
 }
 
-/// One seed's line in `training.json` and on standard output.
-#[derive(Serialize)]
-struct SeedResult {
-    seed: u64,
-    episodes: u64,
-    best_episode: Option<u64>,
-    #[serde(flatten)]
-    evaluation: Option<Evaluation>,
-    /// Contacts among 1000 draws that took no part in training or selection.
-    unseen_contacts: u64,
-    policy_sha256: String,
-}
-
+/// The file `training.json`: all finished trainings in the folder.
 #[derive(Serialize)]
 struct TrainingResult<'a> {
     version: &'static str,
@@ -82,17 +69,20 @@ impl Train {
             Some(count) => (0..count).collect(),
             None => vec![self.seed.unwrap_or(0)],
         };
-        let folder = |seed: &u64| self.out.join(format!("seed-{seed}"));
+        let folder = |seed: &u64| seed_folder(&self.out, *seed);
         if let Some(taken) = seeds.iter().map(folder).find(|folder| !self.resume && folder.exists()) {
             let taken = taken.display();
             return Err(Failure::Input(format!("{taken} is there already: use --resume, or another --out")));
         }
+        disk::make_folder(&self.out)?;
+        // What cannot stand beside these is known before the work begins.
+        finished_trainings(&self.out, &config)?;
+        let out = self.out.display();
+        interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
         let held_out = HeldOut::new(&config.evaluation, &config.environment);
         let bar = progress::training_bar(config.episodes.saturating_mul(seeds.len() as u64), quiet);
-        let results = side_by_side(&seeds, rayon::current_num_threads(), |seed| {
-            let folder = folder(seed);
-            fs::create_dir_all(&folder).map_err(DiskError::at(&folder))?;
-            let result = train_seed(&config, *seed, &held_out, &folder, self.resume, &bar);
+        let trained = side_by_side(&seeds, rayon::current_num_threads(), |seed| {
+            let result = self.train(&config, *seed, &held_out, &bar);
             if let (Err(failure), true) = (&result, seeds.len() > 1) {
                 bar.suspend(|| output::note(&format!("seed {seed}: {failure}"), quiet));
             }
@@ -101,14 +91,15 @@ impl Train {
         bar.finish_and_clear();
         // A seed that failed takes nothing from the others.
         let (mut done, mut failure) = (Vec::new(), None);
-        for result in results {
+        for result in trained {
             match result {
                 Ok(result) => done.push(result),
                 Err(first) => failure = failure.or(Some(first)),
             }
         }
         if !done.is_empty() {
-            self.write_results(&config, &done, quiet)?;
+            work::exclusively(&self.out, || self.write_results(&config, quiet))?;
+            output::print(&table(&done, config.evaluation.ranking_draws))?;
         }
         failure.map_or(Ok(()), Err)
     }
@@ -125,72 +116,43 @@ impl Train {
         Ok(config)
     }
 
-    fn write_results(&self, config: &TrainingConfig, results: &[SeedResult], quiet: bool) -> Result<(), Failure> {
+    fn train(
+        &self,
+        config: &TrainingConfig,
+        seed: u64,
+        held_out: &HeldOut,
+        bar: &ProgressBar,
+    ) -> Result<SeedResult, Failure> {
+        let training = TrainingFolder::open(&self.out, config, seed, self.resume)?;
+        bar.inc(training.episode());
+        let mut shown = Shown::new(seed, bar);
+        let result = training.train(held_out, &mut |event| shown.event(event))?;
+        bar.inc(config.episodes.saturating_sub(result.episodes));
+        Ok(result)
+    }
+
+    /// Writes what all seeds in the folder have come to, those of earlier commands with these.
+    fn write_results(&self, config: &TrainingConfig, quiet: bool) -> Result<(), Failure> {
+        let (results, logs): (Vec<_>, Vec<_>) = finished_trainings(&self.out, config)?.into_iter().unzip();
         let mut files = Files::default();
-        let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: results };
+        let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: &results };
         let json = serde_json::to_string_pretty(&all).map_err(Failure::input)?;
         files.stage(&self.out.join("training.json"), format!("{json}\n").as_bytes())?;
-        let logs = results
-            .iter()
-            .map(|result| {
-                let path = self.out.join(format!("seed-{}", result.seed)).join(LOG);
-                fs::read_to_string(&path).map_err(DiskError::at(&path))
-            })
-            .collect::<Result<Vec<_>, _>>()?;
         let curve = LearningCurve::from_logs(&config.name, &logs);
         let json = serde_json::to_string_pretty(&curve).map_err(Failure::input)?;
         files.stage(&self.out.join("learning-curve.json"), format!("{json}\n").as_bytes())?;
-        files.stage(
-            &self.out.join("learning-curve.svg"),
-            crumple_report::figures::learning_curve(&curve).document().as_bytes(),
-        )?;
+        let picture = self.out.join("learning-curve.svg");
+        files.stage(&picture, crumple_report::figures::learning_curve(&curve).document().as_bytes())?;
         files.commit()?;
-        let curve = self.out.join("learning-curve.svg");
-        output::note(&format!("wrote {} (and training.json)", curve.display()), quiet);
-        output::print(&table(results, config.evaluation.ranking_draws))
+        let seeds = if results.len() == 1 { "1 seed".to_owned() } else { format!("{} seeds", results.len()) };
+        output::note(&format!("wrote {} (and training.json) of {seeds}", picture.display()), quiet);
+        Ok(())
     }
 }
 
-const LOG: &str = "log.jsonl";
-const CHECKPOINT: &str = "checkpoint.safetensors";
-const POLICY: &str = "policy.safetensors";
-
-fn train_seed(
-    config: &TrainingConfig,
+/// What the progress bar says of a seed.
+struct Shown<'a> {
     seed: u64,
-    held_out: &HeldOut,
-    folder: &Path,
-    resume: bool,
-    bar: &ProgressBar,
-) -> Result<SeedResult, Failure> {
-    let path = folder.join(CHECKPOINT);
-    let earlier = if resume { disk::read(&path)? } else { None };
-    let mut trainer = match earlier {
-        Some(bytes) => Trainer::from_checkpoint(&bytes, config, seed).map_err(|error| match error {
-            TrainingError::Checkpoint(_) => Failure::Input(format!("{}: {error}", path.display())),
-            other => other.into(),
-        })?,
-        None => Trainer::new(config, seed),
-    };
-    let mut scribe = CheckpointWriter::new(folder, &trainer, bar)?;
-    train::<Failure>(&mut trainer, held_out, &mut scribe)?;
-    bar.inc(config.episodes.saturating_sub(trainer.episode()));
-    let policy = Arc::new(trainer.policy()?);
-    Ok(SeedResult {
-        seed,
-        episodes: trainer.episode(),
-        best_episode: trainer.best().map(|best| best.episode),
-        evaluation: trainer.best().map(|best| best.evaluation),
-        unseen_contacts: unseen_contacts(&policy, config.environment.estimator)?,
-        policy_sha256: policy.digest(),
-    })
-}
-
-/// Writes one seed's log and checkpoints, and tells the progress bar.
-struct CheckpointWriter<'a> {
-    seed: u64,
-    folder: &'a Path,
-    log: File,
     bar: &'a ProgressBar,
     rewards: VecDeque<f64>,
     safe_share: Option<f64>,
@@ -199,29 +161,12 @@ struct CheckpointWriter<'a> {
 /// Episodes whose mean reward the progress bar shows.
 const RECENT: usize = 20;
 
-impl<'a> CheckpointWriter<'a> {
-    /// A log that begins empty, or goes on after the entries of the episodes that the training has done.
-    fn new(folder: &'a Path, trainer: &Trainer, bar: &'a ProgressBar) -> Result<Self, Failure> {
-        let (path, episode) = (folder.join(LOG), trainer.episode());
-        let before = if episode > 0 { disk::read(&path)?.unwrap_or_default() } else { Vec::new() };
-        let before = String::from_utf8_lossy(&before);
-        let kept: String = before
-            .split_inclusive('\n')
-            .take_while(|line| {
-                line.ends_with('\n') && crumple_learn::rl::episode_of(line).is_some_and(|e| e <= episode)
-            })
-            .collect();
-        disk::write(&path, kept)?;
-        bar.inc(episode);
-        let log = OpenOptions::new().append(true).open(&path).map_err(DiskError::at(&path))?;
-        Ok(Self { seed: trainer.seed(), folder, log, bar, rewards: VecDeque::new(), safe_share: None })
+impl<'a> Shown<'a> {
+    fn new(seed: u64, bar: &'a ProgressBar) -> Self {
+        Self { seed, bar, rewards: VecDeque::new(), safe_share: None }
     }
-}
 
-impl Observer<Failure> for CheckpointWriter<'_> {
-    fn event(&mut self, event: &Event) -> Result<(), Failure> {
-        let line = serde_json::to_string(event).map_err(Failure::input)?;
-        writeln!(self.log, "{line}").map_err(DiskError::at(&self.folder.join(LOG)))?;
+    fn event(&mut self, event: &Event) {
         match event {
             Event::Episode(record) => {
                 self.rewards.push_back(record.reward);
@@ -240,15 +185,6 @@ impl Observer<Failure> for CheckpointWriter<'_> {
             // The log has it; the bar has no place for it.
             _ => {}
         }
-        Ok(())
-    }
-
-    fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), Failure> {
-        let mut files = Files::default();
-        let policy = trainer.policy()?.to_bytes().map_err(TrainingError::from)?;
-        files.stage(&self.folder.join(POLICY), &policy)?;
-        files.stage(&self.folder.join(CHECKPOINT), &trainer.to_checkpoint()?)?;
-        Ok(files.commit()?)
     }
 }
 
@@ -287,6 +223,7 @@ impl From<TrainingError> for Failure {
         match error {
             diverged @ TrainingError::Diverged { .. } => Self::Gate(diverged.to_string()),
             TrainingError::Disk(error) => error.into(),
+            TrainingError::Work(error) => error.into(),
             other => Self::input(other),
         }
     }

@@ -86,7 +86,10 @@ impl Files {
     pub fn commit(self) -> Result<(), DiskError> {
         let mut folders = BTreeSet::new();
         for (file, path) in self.staged {
-            file.persist(&path).map_err(|error| DiskError::at(&path)(error.error))?;
+            let unfinished = file.into_temp_path();
+            fs::rename(&unfinished, &path).map_err(DiskError::at(&path))?;
+            // It has its name, and nothing is left to be cleared away.
+            let _ = unfinished.keep();
             folders.insert(folder_of(&path).to_owned());
         }
         folders.iter().try_for_each(|folder| sync_folder(folder))
@@ -131,16 +134,60 @@ pub fn remove(path: &Path) -> Result<(), DiskError> {
     }
 }
 
+/// Gives the contents of a file a second name; what had that name is replaced. The file is never without its own.
+///
+/// # Errors
+/// [`DiskError`] if it cannot be done.
+pub fn keep_as(path: &Path, second: &Path) -> Result<(), DiskError> {
+    let name = second.file_name().unwrap_or_default().to_string_lossy();
+    let unfinished = folder_of(second).join(format!("{UNFINISHED}{name}"));
+    let failed = DiskError::at(second);
+    unless_missing(fs::remove_file(&unfinished)).map_err(failed)?;
+    let linked = fs::hard_link(path, &unfinished).or_else(|_| {
+        // Not every file system knows links.
+        fs::copy(path, &unfinished)?;
+        fs::File::open(&unfinished)?.sync_all()
+    });
+    linked.and_then(|()| fs::rename(&unfinished, second)).map_err(failed)?;
+    // Of two names of one file none is moved over the other.
+    unless_missing(fs::remove_file(&unfinished)).map_err(failed)?;
+    sync_folder(folder_of(second))
+}
+
 /// Makes a folder and those it lies in, as far as they are missing.
 ///
 /// # Errors
 /// [`DiskError`] if it cannot be made.
 pub fn make_folder(path: &Path) -> Result<(), DiskError> {
-    if path.is_dir() {
+    if path.as_os_str().is_empty() || path.is_dir() {
         return Ok(());
     }
-    fs::create_dir_all(path).map_err(DiskError::at(path))?;
+    make_folder(folder_of(path))?;
+    match fs::create_dir(path) {
+        // Another process was faster.
+        Err(_) if path.is_dir() => {}
+        made => made.map_err(DiskError::at(path))?,
+    }
     sync_folder(folder_of(path))
+}
+
+/// Removes a folder in which there is nothing but folders, likewise, and does nothing otherwise.
+///
+/// # Errors
+/// [`DiskError`] if it cannot be read.
+pub fn remove_empty_folders(path: &Path) -> Result<(), DiskError> {
+    let Some(entries) = unless_missing(fs::read_dir(path)).map_err(DiskError::at(path))? else { return Ok(()) };
+    for entry in entries {
+        let inner = entry.map_err(DiskError::at(path))?.path();
+        if inner.is_dir() {
+            remove_empty_folders(&inner)?;
+        }
+    }
+    // What is not empty stays.
+    match fs::remove_dir(path) {
+        Ok(()) => sync_folder(folder_of(path)),
+        Err(_) => Ok(()),
+    }
 }
 
 /// The folder that a file lies in.

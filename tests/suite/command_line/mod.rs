@@ -15,7 +15,6 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use crumple_world::control::ControllerSpec;
-use crumple_world::digest::sha256;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
@@ -72,16 +71,6 @@ fn write_changed(path: &Path, text: &str, changes: &[(&str, &str)]) {
         text.replace(from, to)
     });
     std::fs::write(path, changed).expect("writable");
-}
-
-/// Leaves a file as another build of crumple would have.
-fn by_another_build(path: &Path) {
-    let program = sha256(std::fs::read(env!("CARGO_BIN_EXE_crumple")).expect("readable"));
-    let mut bytes = std::fs::read(path).expect("there");
-    let place =
-        bytes.windows(program.len()).position(|found| found == program.as_bytes()).expect("it names the program");
-    bytes[place..place + program.len()].fill(b'0');
-    std::fs::write(path, bytes).expect("writable");
 }
 
 const PAPERS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use super::{assert_refused, by_another_build, code, crumple, folder, stderr, stdout, write_changed};
+use super::{assert_refused, code, crumple, folder, stderr, stdout, write_changed};
 
 /// The default preset on tiny networks, with a checkpoint every ten episodes and no early end.
 fn write_preset(folder: &Path) {
@@ -64,9 +64,44 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
             assert!(through == killed, "seed {seed}: {name}");
         }
     }
-    by_another_build(&checkpoint);
-    let refused = crumple(folder.path(), &[train("killed").as_slice(), &["--resume"]].concat());
-    assert_refused(&refused, "killed/seed-0/checkpoint.safetensors: checkpoint: made by another build of crumple");
+}
+
+/// Whatever order seeds are trained in, and in however many commands, `training.json` is about all of them.
+#[test]
+fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
+    let folder = folder();
+    write_preset(folder.path());
+    let train = |more: &[&str]| {
+        let common = ["train", "--preset", "tiny.toml", "--episodes", "6", "--out", "run"];
+        crumple(folder.path(), &[&common, more].concat())
+    };
+    let json = || {
+        serde_json::from_slice::<serde_json::Value>(&fs::read(folder.path().join("run/training.json")).unwrap())
+            .unwrap()
+    };
+    assert_eq!(code(&train(&["--seed", "5"])), 0);
+    let alone = json();
+    assert_eq!(code(&train(&["--seed", "2"])), 0);
+    let both = json();
+    let seeds: Vec<_> = both["seeds"].as_array().unwrap().iter().map(|seed| seed["seed"].as_u64().unwrap()).collect();
+    assert_eq!(seeds, [2, 5]);
+    assert_eq!(both["seeds"][1], alone["seeds"][0]);
+    let curve = fs::read_to_string(folder.path().join("run/learning-curve.json")).unwrap();
+    assert!(curve.contains("\"seeds\": 2"));
+    write_changed(
+        &folder.path().join("other.toml"),
+        &fs::read_to_string(folder.path().join("tiny.toml")).unwrap(),
+        &[("batch = 8", "batch = 9")],
+    );
+    let other = crumple(folder.path(), &["train", "--preset", "other.toml", "--seed", "7", "--out", "run"]);
+    assert_refused(&other, "run/seed-2/training.toml: the training there has another `learning.batch`: 8 instead of 9");
+    assert!(!folder.path().join("run/seed-7").exists(), "nothing is begun");
+    // What the folder says of how it was trained is a preset, and gives the same policy.
+    let again =
+        crumple(folder.path(), &["train", "--preset", "run/seed-5/training.toml", "--seed", "5", "--out", "again"]);
+    assert_eq!(code(&again), 0, "{}", stderr(&again));
+    let policy = |run: &str| fs::read(folder.path().join(run).join("seed-5/policy.safetensors")).unwrap();
+    assert!(policy("run") == policy("again"));
 }
 
 #[test]

@@ -1,14 +1,14 @@
 //! Draws of a space, classed: which of their contacts were avoidable.
 
 use std::ops::Range;
-use std::path::Path;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::files::{add, read_json, write_json};
+use super::files::{add, advance_json, read_json};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
+use crumple_search::work::{Work, WorkError};
 use crumple_world::digest::{Sha256, sha256};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
@@ -125,7 +125,7 @@ impl Corpus {
 
     /// The corpus in a file, gathered first if it is not there or not complete.
     pub(super) fn at(
-        path: &Path,
+        (work, name): (&Work, &str),
         space: &Space,
         (seed, wanted): (u64, u64),
         witnesses: &[NamedController],
@@ -133,9 +133,10 @@ impl Corpus {
         progress: &mut dyn FnMut(u64),
     ) -> Result<Self, RetrainError> {
         let mut corpus = Self::begin(space, seed)?;
-        if let Some(found) = read_json::<Self>(path)? {
+        if let Some(found) = read_json::<Self>(work, name)? {
             if (found.seed, &found.space_sha256) != (seed, &corpus.space_sha256) {
-                return Err(RetrainError::Folder(format!("{}: draws of another space or seed", path.display())));
+                let problem = "draws of another space or seed".to_owned();
+                return Err(WorkError::Damaged { path: work.path(name), problem }.into());
             }
             corpus = found;
         }
@@ -146,7 +147,7 @@ impl Corpus {
             } else {
                 corpus.seal(space)?;
             }
-            write_json(path, &corpus)?;
+            advance_json(work, name, &corpus)?;
         }
         Ok(corpus)
     }

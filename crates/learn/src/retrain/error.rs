@@ -3,6 +3,7 @@
 use crate::rl::TrainingError;
 use crumple_search::disk::DiskError;
 use crumple_search::falsify::campaign::CampaignError;
+use crumple_search::work::WorkError;
 use crumple_world::policy::PolicyError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::RunError;
@@ -14,7 +15,10 @@ pub enum RetrainError {
     /// A file or folder cannot be read or written.
     #[error(transparent)]
     Disk(#[from] DiskError),
-    /// The folder holds another retraining, or one already, or a file in it is damaged.
+    /// The folder cannot be worked in, or something in it is damaged.
+    #[error(transparent)]
+    Work(#[from] WorkError),
+    /// The folder holds another retraining.
     #[error("{0}")]
     Folder(String),
     /// Hardly anything in the space can be avoided.

@@ -1,12 +1,10 @@
-//! Files of a retraining: each appears whole or not at all.
-
-use std::path::Path;
+//! Files of a retraining.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::RetrainError;
-use crumple_search::disk;
+use crumple_search::work::{Work, WorkError};
 use crumple_world::digest::Sha256;
 use crumple_world::scenario::Scenario;
 
@@ -28,18 +26,20 @@ pub(super) fn to_json(value: &impl Serialize) -> Result<String, RetrainError> {
     Ok(serde_json::to_string_pretty(value).map_err(RetrainError::encoding)? + "\n")
 }
 
-pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), RetrainError> {
-    Ok(disk::write(path, to_json(value)?)?)
+/// Keeps a value that comes of finished steps.
+pub(super) fn write_json(work: &Work, name: &str, value: &impl Serialize) -> Result<(), RetrainError> {
+    Ok(work.write(name, to_json(value)?)?)
 }
 
-/// The bytes of a file that must be there.
-pub(super) fn read_present(path: &Path) -> Result<Vec<u8>, RetrainError> {
-    disk::read(path)?.ok_or_else(|| RetrainError::Folder(format!("{}: the file is missing", path.display())))
+/// Keeps a value that grows step by step, and what it was a step before.
+pub(super) fn advance_json(work: &Work, name: &str, value: &impl Serialize) -> Result<(), RetrainError> {
+    Ok(work.advance(&[(name, to_json(value)?)])?)
 }
 
 /// The value in a file; none if there is no such file.
-pub(super) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, RetrainError> {
-    let Some(bytes) = disk::read(path)? else { return Ok(None) };
-    let damaged = |error| RetrainError::Folder(format!("{}: not what a retraining wrote: {error}", path.display()));
-    serde_json::from_slice(&bytes).map(Some).map_err(damaged)
+pub(super) fn read_json<T: DeserializeOwned>(work: &Work, name: &str) -> Result<Option<T>, RetrainError> {
+    let Some(bytes) = work.read(name)? else { return Ok(None) };
+    let problem = |error: serde_json::Error| format!("not what a retraining wrote: {error}");
+    let damaged = |error| WorkError::Damaged { path: work.path(name), problem: problem(error) };
+    Ok(serde_json::from_slice(&bytes).map(Some).map_err(damaged)?)
 }

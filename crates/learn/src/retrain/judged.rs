@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use super::corpus::Corpus;
-use super::files::{read_json, write_json};
+use super::files::{advance_json, read_json};
 use super::plan::{JUDGED_SEED, RetrainingPlan};
 use crumple_search::evidence::RateInterval;
+use crumple_search::work::Work;
 use crumple_world::sim::{Contact, NamedController};
 
 /// Confidence of the intervals in reports.
@@ -74,13 +75,13 @@ pub(super) fn witnesses(policies: &[NamedController]) -> Vec<NamedController> {
 impl Judged {
     /// The judgement in a file, made first if it is not there or not complete. The first two contenders are compared.
     pub(super) fn at(
-        path: &Path,
+        (work, name): (&Work, &str),
         plan: &RetrainingPlan,
         contenders: &[NamedController],
         progress: &mut dyn FnMut(u64),
     ) -> Result<Self, RetrainError> {
         let (space, wanted) = (&plan.space, plan.settings.judged);
-        let mut judged = match read_json(path)? {
+        let mut judged = match read_json(work, name)? {
             Some(judged) => judged,
             None => Self {
                 corpus: Corpus::begin(space, JUDGED_SEED)?,
@@ -100,7 +101,7 @@ impl Judged {
             } else {
                 corpus.seal(space)?;
             }
-            write_json(path, &judged)?;
+            advance_json(work, name, &judged)?;
         }
         Ok(judged)
     }

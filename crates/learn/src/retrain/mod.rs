@@ -25,7 +25,8 @@
 //! | `judged-on.json` | the draws it was judged on, and what each controller did in them |
 //! | `report.md`, `report.json`, `report.svg` | what each round found, fixed and broke, with the hashes of all these files |
 //! | `rounds/NN/` | the campaign, the candidate and the record of each round |
-//! | `resume.json` | only until it is complete: the program at work, for no other build goes on with it |
+//! | `work.json` | what the others are ([`crumple_search::work`]), and until it is complete the program at work, for no other build goes on with it |
+//! | `previous/` | only until it is complete: what only doing the work again could make again, as it was a step before |
 //!
 //! One seed decides everything, whatever the number of threads and whether or not it was interrupted.
 

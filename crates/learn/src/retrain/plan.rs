@@ -6,11 +6,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::files::{read_json, write_json};
-use super::report::{REPORT, Report};
 use crumple_search::difference;
 use crumple_search::disk;
-use crumple_search::program::{self, OTHER_BUILD};
+use crumple_search::work::{Asked, Work, WorkError};
 
 use crate::rl::{ConfigError, TrainingConfig};
 use crumple_search::falsify::Method;
@@ -159,51 +157,23 @@ impl RetrainingPlan {
         Ok(sha256(self.to_toml()?))
     }
 
-    /// Leaves its file in a folder, or makes sure that the folder is of this plan and of this program; the report, where the
-    /// retraining there is complete.
-    pub(super) fn claim(&self, folder: &Path, resume: bool) -> Result<Option<Report>, RetrainError> {
-        let (path, state) = (folder.join("retrain.toml"), folder.join(STATE));
-        let expected = self.to_toml()?;
-        let program = program::identity()?.to_owned();
-        match disk::read(&path)? {
-            None => {
-                write_json(&state, &State { program })?;
-                disk::write(&path, expected)?;
-                return Ok(None);
+    /// The folder, if it is this plan's or nobody's; where it is another's, the error says in what they differ.
+    pub(super) fn work(&self, folder: &Path, resume: bool) -> Result<Work, RetrainError> {
+        let configuration = self.to_toml()?;
+        let path = folder.join(PLAN);
+        match Work::open(folder, Asked { kind: "retraining", configuration: &configuration, resume }) {
+            Err(WorkError::OtherConfiguration { .. }) => {
+                let found = disk::read(&path)?.unwrap_or_default();
+                let found = String::from_utf8_lossy(&found);
+                Err(RetrainError::Folder(difference::in_toml(&path, "retraining", &found, &configuration)))
             }
-            Some(_) if !resume => {
-                let folder = folder.display();
-                let problem = format!("{folder} holds a retraining already: use --resume, or another --out");
-                return Err(RetrainError::Folder(problem));
-            }
-            Some(found) if found != expected.as_bytes() => {
-                return Err(RetrainError::Folder(difference::in_toml(
-                    &path,
-                    "retraining",
-                    &String::from_utf8_lossy(&found),
-                    &expected,
-                )));
-            }
-            Some(_) => {}
-        }
-        match read_json::<State>(&state)? {
-            Some(found) if found.program == program => Ok(None),
-            None if let Some(report) = read_json(&folder.join(REPORT))? => Ok(Some(report)),
-            _ => Err(RetrainError::Folder(format!("{}: {OTHER_BUILD}", state.display()))),
+            work => Ok(work?),
         }
     }
 }
 
-/// There only until the retraining is complete.
-pub(super) const STATE: &str = "resume.json";
-
-/// That file.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct State {
-    /// [`program::identity`] of the program at work.
-    program: String,
-}
+/// Its file.
+pub(super) const PLAN: &str = "retrain.toml";
 
 #[cfg(test)]
 mod tests {

@@ -1,17 +1,16 @@
 //! What a retraining reached, for programs and for readers.
 
 use std::fmt::Write;
-use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::files::{read_present, to_json};
+use super::files::to_json;
 use super::judged::{CONFIDENCE, Judged, Pairs, Tally};
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, Settings};
 use super::round::{Round, RoundFindings};
 use super::run::{JUDGED_ON, KEPT_ASIDE, POLICY, RETRAINED_ON};
 use super::{RetrainError, Standing};
-use crumple_search::disk;
+use crumple_search::work::Work;
 use crumple_world::digest::sha256;
 
 /// Why a retraining ended.
@@ -87,14 +86,14 @@ pub struct Report {
 impl Report {
     pub(super) fn new(
         plan: &RetrainingPlan,
-        folder: &Path,
+        work: &Work,
         (first_standing, retrained_standing): (Standing, Standing),
         rounds: Vec<Round>,
         ending: Ending,
         judged: Judged,
     ) -> Result<Self, RetrainError> {
         let hash = |name: &str| -> Result<FileHash, RetrainError> {
-            Ok(FileHash { file: name.to_owned(), sha256: sha256(read_present(&folder.join(name))?) })
+            Ok(FileHash { file: name.to_owned(), sha256: sha256(work.read_present(name)?) })
         };
         let files = [POLICY, RETRAINED_ON, "selection.json", KEPT_ASIDE, JUDGED_ON]
             .map(hash)
@@ -129,9 +128,8 @@ impl Report {
         self.rounds.iter().any(|round| round.acceptance.is_accepted())
     }
 
-    pub(super) fn write(&self, folder: &Path) -> Result<(), RetrainError> {
-        disk::write(&folder.join("report.md"), self.to_markdown())?;
-        Ok(disk::write(&folder.join(REPORT), self.to_json()?)?)
+    pub(super) fn write(&self, work: &Work) -> Result<(), RetrainError> {
+        Ok(work.write_all(&[("report.md", self.to_markdown()), (REPORT, self.to_json()?)])?)
     }
 
     /// The text of `report.json`.

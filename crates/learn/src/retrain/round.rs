@@ -1,6 +1,5 @@
 //! One round: search, keep, train on, judge.
 
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -15,9 +14,9 @@ use super::run::{Progress, Show};
 use super::training::LEARNER;
 use super::{RetrainError, Standing};
 use crate::rl::TrainingError;
-use crumple_search::disk;
 use crumple_search::falsify::campaign::{Aim, Campaign};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_search::work::{Work, WorkError};
 use crumple_world::measure::Specification;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, ScenarioSpec, file};
@@ -106,7 +105,7 @@ pub struct Round {
 /// What a round starts from.
 pub(super) struct RoundContext<'a> {
     pub(super) plan: &'a RetrainingPlan,
-    pub(super) folder: &'a Path,
+    pub(super) work: &'a Work,
     pub(super) kept_aside: &'a Corpus,
     pub(super) selection: &'a Corpus,
     pub(super) policy: Arc<Policy>,
@@ -116,11 +115,28 @@ pub(super) struct RoundContext<'a> {
 }
 
 /// The file of a candidate.
-pub(super) const CANDIDATE: &str = "candidate.safetensors";
+const CANDIDATE: &str = "candidate.safetensors";
+/// What the search found.
+const FOUND: &str = "found.json";
+/// The folder of the search.
+const SEARCH: &str = "search";
 
-/// The folder of a round.
-pub(super) fn round_folder(folder: &Path, round: u64) -> PathBuf {
-    folder.join("rounds").join(format!("{round:02}"))
+/// Where a file of a round is in the folder of the retraining.
+pub(super) fn in_round(round: u64, name: &str) -> String {
+    format!("rounds/{round:02}/{name}")
+}
+
+impl Round {
+    /// The candidate that was judged, and no other.
+    pub(super) fn candidate(&self, work: &Work) -> Result<Policy, RetrainError> {
+        let name = in_round(self.round, CANDIDATE);
+        let candidate = Policy::from_bytes(&work.read_present(&name)?)?;
+        if self.candidate_sha256.as_ref() != Some(&candidate.digest()) {
+            let problem = format!("not the policy that {RECORD} judges");
+            return Err(WorkError::Damaged { path: work.path(&name), problem }.into());
+        }
+        Ok(candidate)
+    }
 }
 
 impl RoundContext<'_> {
@@ -128,20 +144,19 @@ impl RoundContext<'_> {
         self.last.map_or(1, |last| last.round + 1)
     }
 
-    pub(super) fn path(&self, name: &str) -> PathBuf {
-        round_folder(self.folder, self.number()).join(name)
+    /// Where a file of this round is in the folder of the retraining.
+    pub(super) fn name(&self, name: &str) -> String {
+        in_round(self.number(), name)
     }
 
     /// Searches for failures; all that was kept is in the result.
     pub(super) fn search(&self, show: &mut Show<'_>) -> Result<RoundFindings, RetrainError> {
-        let path = self.path("found.json");
-        if let Some(found) = read_json(&path)? {
+        if let Some(found) = read_json(self.work, &self.name(FOUND))? {
             return Ok(found);
         }
-        disk::make_folder(&round_folder(self.folder, self.number()))?;
-        disk::write(&self.path("before.safetensors"), self.policy.to_bytes()?)?;
+        self.work.write(&self.name("before.safetensors"), self.policy.to_bytes()?)?;
         let (plan, round) = (self.plan, self.number());
-        let folder = self.path("search");
+        let folder = self.name(SEARCH);
         // Relative to the folder of the counterexamples, so that their recorded verdicts can be replayed.
         let name = "../../before.safetensors".to_owned();
         let campaign = Campaign {
@@ -154,8 +169,9 @@ impl RoundContext<'_> {
             budget: plan.settings.budget,
             seed: plan.search_seed(round),
         };
-        disk::make_folder(&folder)?;
-        let summary = campaign.run(&folder, true, &mut |state| show(Progress::Searching { round, state: *state }))?;
+        let path = self.work.path(&folder);
+        let summary = campaign.run(&path, true, &mut |state| show(Progress::Searching { round, state: *state }))?;
+        self.work.include(&folder)?;
         let classed = |class| summary.counterexamples.iter().filter(move |one| one.avoidability.class() == class);
         let [avoidable, unavoidable, undecided] =
             [AvoidabilityClass::Avoidable, AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided]
@@ -173,7 +189,7 @@ impl RoundContext<'_> {
             draws_avoidable,
             counterexamples,
         };
-        write_json(&path, &found)?;
+        write_json(self.work, &self.name(FOUND), &found)?;
         Ok(found)
     }
 
@@ -199,7 +215,8 @@ impl RoundContext<'_> {
 
     /// The cases so far and those of this round.
     pub(super) fn cases_with(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
-        let read = |name: &String| file::load(&self.path("search").join(name)).map(|scenario| scenario.spec().clone());
+        let search = self.work.path(&self.name(SEARCH));
+        let read = |name: &String| file::load(&search.join(name)).map(|scenario| scenario.spec().clone());
         let counterexamples: Vec<ScenarioSpec> = found
             .counterexamples
             .iter()
@@ -220,7 +237,7 @@ impl RoundContext<'_> {
         let (trained, candidate, problem) = match self.train(cases, show) {
             Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
             Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => {
-                disk::remove(&self.path(LEARNER))?;
+                self.work.remove(&[self.name(LEARNER)])?;
                 let (seed, from_episode) = self.learner_from();
                 let trained = Trained { seed, from_episode, to_episode: 0, best_episode: 0, checkpoints: Vec::new() };
                 (trained, None, Some(diverged.to_string()))
@@ -257,9 +274,9 @@ impl RoundContext<'_> {
             after,
         };
         if let Some(candidate) = &candidate {
-            disk::write(&self.path(CANDIDATE), candidate.to_bytes()?)?;
+            self.work.write(&self.name(CANDIDATE), candidate.to_bytes()?)?;
         }
-        write_json(&self.path(RECORD), &round)?;
+        write_json(self.work, &self.name(RECORD), &round)?;
         Ok(round)
     }
 }
@@ -268,21 +285,21 @@ impl RoundContext<'_> {
 pub(super) const RECORD: &str = "round.json";
 
 /// The avoidable draws that select checkpoints.
-pub(super) fn selection(plan: &RetrainingPlan, folder: &Path, show: &mut Show<'_>) -> Result<Corpus, RetrainError> {
-    gathered(plan, folder, ("selection.json", SELECTION_SEED, plan.training.evaluation.ranking_draws), show)
+pub(super) fn selection(plan: &RetrainingPlan, work: &Work, show: &mut Show<'_>) -> Result<Corpus, RetrainError> {
+    gathered(plan, work, ("selection.json", SELECTION_SEED, plan.training.evaluation.ranking_draws), show)
 }
 
 /// A corpus of the plan in its file.
 pub(super) fn gathered(
     plan: &RetrainingPlan,
-    folder: &Path,
+    work: &Work,
     (name, seed, wanted): (&'static str, u64, u64),
     show: &mut Show<'_>,
 ) -> Result<Corpus, RetrainError> {
     let first =
         NamedController { name: plan.first_name.clone(), kind: ControllerKind::Policy(Arc::clone(&plan.first)) };
     let witnesses = witnesses(&[first]);
-    Corpus::at(&folder.join(name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), &mut |done| {
+    Corpus::at((work, name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), &mut |done| {
         show(Progress::Gathering { what: name, done, wanted });
     })
 }

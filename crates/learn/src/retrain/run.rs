@@ -4,15 +4,15 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::cases::Cases;
-use super::files::{read_json, read_present, write_json};
+use super::files::{read_json, write_json};
 use super::judged::{Judged, witnesses};
-use super::plan::{KEPT_ASIDE_SEED, RetrainingPlan, STATE};
-use super::report::{Ending, Report};
-use super::round::{CANDIDATE, RECORD, Round, RoundContext, RoundFindings, gathered, round_folder, selection};
-use super::training::{forget_checkpoints, forget_learner};
+use super::plan::{KEPT_ASIDE_SEED, PLAN, RetrainingPlan};
+use super::report::{Ending, REPORT, Report};
+use super::round::{RECORD, Round, RoundContext, RoundFindings, gathered, in_round, selection};
+use super::training::{CHECKPOINTS, LEARNER};
 use super::{RetrainError, Standing};
-use crumple_search::disk;
-use crumple_search::falsify::campaign::{self};
+use crumple_search::falsify::campaign;
+use crumple_search::work::WorkError;
 use crumple_world::policy::Policy;
 use crumple_world::sim::{ControllerKind, NamedController};
 
@@ -78,13 +78,15 @@ impl RetrainingPlan {
     /// # Errors
     /// [`RetrainError`] if the folder cannot be used, or holds half-done work of another build, a search or a training fails, or hardly anything in the space is avoidable.
     pub fn run(&self, folder: &Path, resume: bool, show: &mut dyn FnMut(Progress)) -> Result<Report, RetrainError> {
-        disk::make_folder(folder)?;
-        if let Some(report) = self.claim(folder, resume)? {
-            return Ok(report);
+        let work = self.work(folder, resume)?;
+        if work.is_complete() {
+            let report = read_json(&work, REPORT)?;
+            return report.ok_or_else(|| WorkError::missing(&work.path(REPORT)).into());
         }
+        work.write(PLAN, self.to_toml()?)?;
         let wanted = self.settings.kept_aside;
-        let kept_aside = gathered(self, folder, (KEPT_ASIDE, KEPT_ASIDE_SEED, wanted), show)?;
-        let selection = selection(self, folder, show)?;
+        let kept_aside = gathered(self, &work, (KEPT_ASIDE, KEPT_ASIDE_SEED, wanted), show)?;
+        let selection = selection(self, &work, show)?;
         let mut policy = Arc::clone(&self.first);
         let first = Standing::of(&policy, self, &kept_aside)?;
         let mut standing = first.clone();
@@ -96,7 +98,7 @@ impl RetrainingPlan {
             }
             let before = RoundContext {
                 plan: self,
-                folder,
+                work: &work,
                 kept_aside: &kept_aside,
                 selection: &selection,
                 policy: Arc::clone(&policy),
@@ -110,33 +112,31 @@ impl RetrainingPlan {
             }
             cases = before.cases_with(&found)?;
             let number = rounds.len() as u64 + 1;
-            let own = round_folder(folder, number);
-            let round: Round = match read_json(&own.join(RECORD))? {
+            let round: Round = match read_json(&work, &before.name(RECORD))? {
                 Some(round) => round,
                 None => before.finish(found, &cases, show)?,
             };
-            forget_checkpoints(folder, number)?;
-            forget_learner(folder, number - 1)?;
+            work.remove(&[in_round(number, CHECKPOINTS), in_round(number - 1, LEARNER)])?;
             if round.acceptance.is_accepted() {
-                policy = Arc::new(Policy::from_bytes(&read_present(&own.join(CANDIDATE))?)?);
+                policy = Arc::new(round.candidate(&work)?);
                 standing = round.after.clone();
             }
             rounds.push(round);
         };
-        forget_learner(folder, rounds.len() as u64)?;
-        disk::write(&folder.join(POLICY), policy.to_bytes()?)?;
-        write_json(&folder.join(RETRAINED_ON), &cases)?;
+        work.remove(&[in_round(rounds.len() as u64, LEARNER)])?;
+        work.write(POLICY, policy.to_bytes()?)?;
+        write_json(&work, RETRAINED_ON, &cases)?;
         let contender = |name: &str, policy: &Arc<Policy>| NamedController {
             name: name.to_owned(),
             kind: ControllerKind::Policy(Arc::clone(policy)),
         };
         let contenders = witnesses(&[contender(&self.first_name, &self.first), contender(RETRAINED, &policy)]);
-        let judged = Judged::at(&folder.join(JUDGED_ON), self, &contenders, &mut |done| {
+        let judged = Judged::at((&work, JUDGED_ON), self, &contenders, &mut |done| {
             show(Progress::Gathering { what: JUDGED_ON, done, wanted: self.settings.judged });
         })?;
-        let report = Report::new(self, folder, (first, standing), rounds, ending, judged)?;
-        report.write(folder)?;
-        disk::remove(&folder.join(STATE))?;
+        let report = Report::new(self, &work, (first, standing), rounds, ending, judged)?;
+        report.write(&work)?;
+        work.finish()?;
         Ok(report)
     }
 }

@@ -1,21 +1,22 @@
 //! The training of a round.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use super::RetrainError;
 use super::cases::Cases;
-use super::files::{read_json, read_present, write_json};
-use super::round::{Checkpoint, RoundContext, Trained, round_folder};
+use super::files::{read_json, to_json};
+use super::round::{Checkpoint, RoundContext, Trained, in_round};
 use super::run::{Progress, Show};
-use crate::rl::{Blend, Event, HeldOut, Mixed, Observer, PaperDraws, ScenarioSource, Trainer, TrainingConfig, train};
-use crumple_search::disk;
+use crate::rl::{
+    Blend, Event, HeldOut, Mixed, Observer, PaperDraws, ScenarioSource, Trainer, TrainingConfig, TrainingError, train,
+};
+use crumple_search::work::WorkError;
 use crumple_world::policy::Policy;
 
 /// The file of the learner on its way.
 pub(super) const LEARNER: &str = "learner.safetensors";
 /// The list of checkpoints while a training is under way.
-const CHECKPOINTS: &str = "checkpoints.json";
+pub(super) const CHECKPOINTS: &str = "checkpoints.json";
 
 impl RoundContext<'_> {
     /// Seed of the learner and the episodes it has done: one that diverged is followed by another.
@@ -39,19 +40,24 @@ impl RoundContext<'_> {
         let episodes = from_episode + self.plan.settings.episodes;
         let config = TrainingConfig { episodes, ..self.plan.training.clone() };
         let source = self.source(cases)?;
-        let taken_up = |path: &Path, bytes: &[u8], source| {
-            let named = |error| RetrainError::Folder(format!("{}: {error}", path.display()));
+        let taken_up = |name: &str, bytes: &[u8], source| {
+            let path = self.work.path(name);
+            let named = |error: TrainingError| WorkError::Damaged { path, problem: error.to_string() };
             Trainer::from_checkpoint_with(bytes, &config, seed, source).map_err(named)
         };
-        let path = self.path(LEARNER);
-        if let Some(bytes) = disk::read(&path)? {
-            return Ok((taken_up(&path, &bytes, source)?, from_episode));
+        let name = self.name(LEARNER);
+        if let Some(bytes) = self.work.read(&name)? {
+            return Ok((taken_up(&name, &bytes, source)?, from_episode));
         }
         let Some(last) = self.last.filter(|_| from_episode > 0) else {
             return Ok((Trainer::with_source(&config, seed, source).from_policy(&self.policy), from_episode));
         };
-        let path = round_folder(self.folder, last.round).join(LEARNER);
-        let mut trainer = taken_up(&path, &read_present(&path)?, self.source(&self.cases)?)?;
+        let name = in_round(last.round, LEARNER);
+        let mut trainer = taken_up(&name, &self.work.read_present(&name)?, self.source(&self.cases)?)?;
+        if trainer.episode() != from_episode {
+            let problem = format!("of episode {}, and its round ended with {from_episode}", trainer.episode());
+            return Err(WorkError::Damaged { path: self.work.path(&name), problem }.into());
+        }
         trainer.turn_to(source, episodes);
         Ok((trainer, from_episode))
     }
@@ -61,7 +67,7 @@ impl RoundContext<'_> {
         let environment = &self.plan.training.environment;
         let selection = self.selection.scenarios(&self.plan.space)?;
         let held_out = HeldOut::new(&self.plan.training.evaluation, environment).with_ranking(selection);
-        let mut checkpoints: Vec<Checkpoint> = read_json(&self.path(CHECKPOINTS))?.unwrap_or_default();
+        let mut checkpoints: Vec<Checkpoint> = read_json(self.work, &self.name(CHECKPOINTS))?.unwrap_or_default();
         checkpoints.retain(|checkpoint| checkpoint.episode <= trainer.episode() && trainer.episode() > from_episode);
         let mut scribe = CheckpointWriter { before: self, from_episode, checkpoints, show };
         train::<RetrainError>(&mut trainer, &held_out, &mut scribe)?;
@@ -74,16 +80,6 @@ impl RoundContext<'_> {
         };
         Ok((trained, trainer.policy()?))
     }
-}
-
-/// Removes the list that the record holds as well.
-pub(super) fn forget_checkpoints(folder: &Path, round: u64) -> Result<(), RetrainError> {
-    Ok(disk::remove(&round_folder(folder, round).join(CHECKPOINTS))?)
-}
-
-/// Removes what only the next round needed.
-pub(super) fn forget_learner(folder: &Path, round: u64) -> Result<(), RetrainError> {
-    Ok(disk::remove(&round_folder(folder, round).join(LEARNER))?)
 }
 
 /// Writes down how a training goes.
@@ -112,7 +108,13 @@ impl Observer<RetrainError> for CheckpointWriter<'_, '_, '_> {
 
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), RetrainError> {
         // The learner last: what the list has beyond it is cut off.
-        write_json(&self.before.path(CHECKPOINTS), &self.checkpoints)?;
-        Ok(disk::write(&self.before.path(LEARNER), trainer.to_checkpoint()?)?)
+        let before = self.before;
+        let files = [
+            (before.name(CHECKPOINTS), to_json(&self.checkpoints)?.into_bytes()),
+            (before.name(LEARNER), trainer.to_checkpoint()?),
+        ];
+        before.work.advance(&files)?;
+        // The next round goes on from the end of this one, and from nothing before it: that is kept twice.
+        if trainer.is_done() { Ok(before.work.advance(&files)?) } else { Ok(()) }
     }
 }

@@ -14,6 +14,7 @@ mod config;
 mod curve;
 mod environment;
 mod evaluation;
+mod folder;
 mod learner;
 #[cfg(any(test, feature = "oracle"))]
 pub mod oracle;
@@ -30,6 +31,7 @@ pub use config::{
 pub use curve::{CurvePoint, LearningCurve, PERFECT, episode_of};
 pub use environment::{Consequence, Ending, Episode, bounds};
 pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
+pub use folder::{SeedResult, TrainingFolder, finished_trainings, seed_folder};
 pub use learner::{Learner, Losses, Trained};
 pub use replay::{Batch, Replay, Transition};
 pub use seeds::{Event, Observer, side_by_side, train};

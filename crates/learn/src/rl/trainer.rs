@@ -13,6 +13,7 @@ use super::learner::{Learner, Losses};
 use super::replay::{Batch, Replay, Transition};
 use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_search::disk::DiskError;
+use crumple_search::work::WorkError;
 use crumple_world::control::ControllerSpec;
 use crumple_world::policy::{Network, ObservationScaling, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
 use crumple_world::random::{self, Purpose};
@@ -66,7 +67,16 @@ pub enum TrainingError {
     /// What the scenarios are drawn from cannot be written down.
     #[error("the scenarios of the training cannot be written down: {0}")]
     Source(#[from] serde_json::Error),
-    /// The program that trains cannot be read.
+    /// How to train cannot be written down.
+    #[error("the configuration cannot be written as TOML: {0}")]
+    Configuration(toml::ser::Error),
+    /// The folder holds another training.
+    #[error("{0}")]
+    OtherTraining(String),
+    /// The folder cannot be worked in, or something in it is damaged.
+    #[error(transparent)]
+    Work(#[from] WorkError),
+    /// A folder, or the program that trains, cannot be read.
     #[error(transparent)]
     Disk(#[from] DiskError),
 }

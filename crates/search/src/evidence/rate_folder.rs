@@ -93,7 +93,7 @@ impl RateCount<'_> {
             progress(self.tally.runs);
             self.plan.count_block(&mut self.tally)?;
             if written.elapsed() > BETWEEN {
-                self.work.write(PROGRESS, json(&path, &self.tally)?)?;
+                self.work.advance(&[(PROGRESS, json(&path, &self.tally)?)])?;
                 written = Instant::now();
             }
         }

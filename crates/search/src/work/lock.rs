@@ -1,7 +1,7 @@
 //! One process a folder.
 
 use std::fs::{File, TryLockError};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::disk::DiskError;
 
@@ -20,15 +20,29 @@ pub(super) struct Lock {
 impl Lock {
     /// None if another process has it.
     pub(super) fn of(folder: &Path) -> Result<Option<Self>, DiskError> {
-        let path = folder.join(LOCK);
-        let unusable = DiskError::at(&path);
-        let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(unusable)?;
+        let (file, path) = opened(folder)?;
         match file.try_lock() {
             Ok(()) => Ok(Some(Self { _file: file })),
             Err(TryLockError::WouldBlock) => Ok(None),
-            Err(TryLockError::Error(source)) => Err(unusable(source)),
+            Err(TryLockError::Error(source)) => Err(DiskError::at(&path)(source)),
         }
     }
+}
+
+fn opened(folder: &Path) -> Result<(File, PathBuf), DiskError> {
+    let path = folder.join(LOCK);
+    let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(DiskError::at(&path))?;
+    Ok((file, path))
+}
+
+/// Does something short in a folder while no other process does the same: waits until it may.
+///
+/// # Errors
+/// [`DiskError`] if the folder cannot be locked, or what is done has it.
+pub fn exclusively<T, E: From<DiskError>>(folder: &Path, work: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
+    let (file, path) = opened(folder)?;
+    file.lock().map_err(DiskError::at(&path))?;
+    work()
 }
 
 #[cfg(test)]

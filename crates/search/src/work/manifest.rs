@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{UNKNOWN, WorkError};
+use super::{MANIFEST, UNKNOWN, WorkError, generation};
 use crate::disk::{self, DiskError};
 use crumple_world::digest::sha256;
 
@@ -84,8 +84,18 @@ impl Manifest {
         }
     }
 
-    pub(super) fn write(&self, path: &Path) -> Result<(), DiskError> {
-        disk::write(path, self.text().map_err(|error| DiskError::at(path)(error.into()))?)
+    /// Writes it and its second copy; either may be the older one if the process ends in between, and is right all the same, for
+    /// nothing that it says is done before.
+    pub(super) fn write(&self, folder: &Path) -> Result<(), DiskError> {
+        let path = folder.join(MANIFEST);
+        let text = self.text().map_err(|error| DiskError::at(&path)(error.into()))?;
+        disk::write(&path, &text)?;
+        if self.program.is_none() {
+            return Ok(());
+        }
+        let second = generation::manifest_in(folder);
+        second.parent().map_or(Ok(()), disk::make_folder)?;
+        disk::write(&second, text)
     }
 
     /// The file, with its digest in it.
@@ -102,6 +112,26 @@ impl Manifest {
         self.files.contains_key(name)
     }
 
+    /// What a file was last said to be, if it is there as a whole.
+    pub(super) fn state(&self, name: &str) -> Option<FileState> {
+        self.files.get(name)?.last().filter(|state| matches!(state, FileState::Whole { .. })).cloned()
+    }
+
+    /// Takes a file that something else has written to be as it is.
+    pub(super) fn include(&mut self, name: &str, state: FileState) {
+        self.files.insert(name.to_owned(), vec![state]);
+    }
+
+    /// The folders in which there is work of its own.
+    pub(super) fn included(&self) -> Vec<String> {
+        let folder = |name: &String| Some(name.strip_suffix(MANIFEST)?.strip_suffix('/')?.to_owned());
+        self.files.keys().filter_map(folder).collect()
+    }
+
+    pub(super) fn includes(&self, folder: &str) -> bool {
+        self.knows(&format!("{folder}/{MANIFEST}"))
+    }
+
     /// Whether a file has checks of its own.
     pub(super) fn grows(&self, name: &str) -> bool {
         self.files.get(name).is_some_and(|states| states.contains(&FileState::Growing))
@@ -116,6 +146,7 @@ impl Manifest {
     pub(super) fn announce(&mut self, name: &str, to: FileState) -> bool {
         let states = self.files.entry(name.to_owned()).or_insert_with(|| vec![FileState::Absent]);
         if states.as_slice() == std::slice::from_ref(&to) {
+            self.forget_absent(name);
             return false;
         }
         states.push(to);

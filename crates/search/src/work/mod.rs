@@ -5,11 +5,21 @@
 //! moved there; the manifest says beforehand what will be written, so that whatever ends the process leaves a folder that is
 //! either as before a change or as after it. One process works in a folder at a time.
 //!
+//! What only doing the work again could make again, such as the checkpoint of a training, is kept twice while the work lasts: as it
+//! is, and in the folder `previous` as it was before ([`Work::advance`]). `work.json` has its second copy there, too. If one of
+//! them is damaged, [`restore`] goes back to the other. Work may lie in a folder of other work ([`Work::include`]).
+//!
 //! This is integrity, not secrecy: it finds what was cut, edited, moved or left over, on purpose or by accident, but not the work
 //! of somebody who writes files and manifest anew. Who must not be able to do that must not be able to write there.
 
+mod examine;
+mod generation;
 mod lock;
 mod manifest;
+
+pub use examine::{Examined, examine};
+pub use generation::{Restored, restore};
+pub use lock::exclusively;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -94,6 +104,12 @@ pub enum WorkError {
 }
 
 impl WorkError {
+    /// A file that is not there and should be.
+    #[must_use]
+    pub fn missing(path: &Path) -> Self {
+        Self::damaged(path, "the file is missing")
+    }
+
     pub(crate) fn damaged(path: &Path, problem: impl Into<String>) -> Self {
         Self::Damaged { path: path.to_owned(), problem: problem.into() }
     }
@@ -122,10 +138,10 @@ impl Work {
         let lock = Lock::of(folder)?.ok_or_else(|| WorkError::InUse { folder: folder.to_owned(), kind: kind() })?;
         let (path, configuration_sha256) = (folder.join(MANIFEST), sha256(asked.configuration));
         let program = program::identity()?;
-        let manifest = match Manifest::read(&path)? {
+        let manifest = match Manifest::read(&path).map_err(|error| generation::hinted(folder, error))? {
             None => {
                 let manifest = Manifest::new(asked.kind, program, &configuration_sha256);
-                manifest.write(&path)?;
+                manifest.write(folder)?;
                 manifest
             }
             Some(found) if found.kind != asked.kind => {
@@ -142,7 +158,7 @@ impl Work {
             Some(found) => found,
         };
         let work = Self { folder: folder.to_owned(), program, manifest: Mutex::new(manifest), _lock: lock };
-        work.settle()?;
+        work.settle().map_err(|error| generation::hinted(folder, error))?;
         Ok(work)
     }
 
@@ -183,7 +199,7 @@ impl Work {
     /// # Errors
     /// [`WorkError::Damaged`] if they are not what was written, or it is not there.
     pub fn read_present(&self, name: &str) -> Result<Vec<u8>, WorkError> {
-        self.read(name)?.ok_or_else(|| WorkError::damaged(&self.path(name), "the file is missing"))
+        self.read(name)?.ok_or_else(|| WorkError::missing(&self.path(name)))
     }
 
     /// Writes a file, whole or not at all. What is there with the same contents is left alone.
@@ -207,13 +223,57 @@ impl Work {
         })
     }
 
+    /// Writes files that nothing but the work itself could make again, one after the other, and keeps those they replace in
+    /// `previous` until the work is finished. Of the first of its kind, the same is kept.
+    ///
+    /// # Errors
+    /// [`WorkError::Disk`] if one cannot be written; those before it are.
+    pub fn advance(&self, files: &[(impl AsRef<str>, impl AsRef<[u8]>)]) -> Result<(), WorkError> {
+        let replaced: Vec<(&str, String, FileState)> = {
+            let manifest = self.locked();
+            let with_state = files.iter().filter_map(|(name, contents)| {
+                let state = manifest.state(name.as_ref())?;
+                Some((name.as_ref(), contents.as_ref(), state))
+            });
+            let replaced = with_state.filter(|(_, contents, state)| *state != FileState::of(contents));
+            replaced.map(|(name, _, state)| (name, generation::before(name), state)).collect()
+        };
+        let states = replaced.iter().map(|(_, before, state)| (before.as_str(), state.clone()));
+        self.change(states.collect(), |index, path| {
+            let Some((name, ..)) = replaced.get(index) else { return Ok(()) };
+            path.parent().map_or(Ok(()), disk::make_folder)?;
+            disk::keep_as(&self.path(name), path)
+        })?;
+        self.write_all(files)?;
+        let is_single = |name: &str| !replaced.iter().any(|(replaced, ..)| *replaced == name);
+        let single = files.iter().filter(|(name, _)| is_single(name.as_ref()));
+        let doubles: Vec<_> = single.map(|(name, contents)| (generation::before(name.as_ref()), contents)).collect();
+        self.write_all(&doubles)
+    }
+
     /// Removes files, as far as they are there.
     ///
     /// # Errors
     /// [`WorkError::Disk`] if one cannot be removed.
     pub fn remove(&self, names: &[impl AsRef<str>]) -> Result<(), WorkError> {
-        let states = names.iter().map(|name| (name.as_ref(), FileState::Absent));
-        self.change(states.collect(), |_, path| disk::remove(path))
+        let mut earlier: Vec<_> = names.iter().map(|name| generation::before(name.as_ref())).collect();
+        earlier.retain(|name| self.locked().knows(name));
+        let names = names.iter().map(AsRef::as_ref).chain(earlier.iter().map(String::as_str));
+        self.change(names.map(|name| (name, FileState::Absent)).collect(), |_, path| disk::remove(path))
+    }
+
+    /// Takes the work that was finished in a folder of this one, such as `rounds/01/search`, to be part of it: from now on its
+    /// files are checked with those of this one.
+    ///
+    /// # Errors
+    /// [`WorkError`] if there is no work, or its manifest cannot be read or that of this one not be written.
+    pub fn include(&self, folder: &str) -> Result<(), WorkError> {
+        let name = format!("{folder}/{MANIFEST}");
+        let path = self.path(&name);
+        let bytes = disk::read(&path)?.ok_or_else(|| WorkError::missing(&path))?;
+        let mut manifest = self.locked();
+        manifest.include(&name, FileState::of(&bytes));
+        Ok(manifest.write(&self.folder)?)
     }
 
     /// A file whose records have checks of their own: the manifest says that it may be there, and no more.
@@ -231,9 +291,12 @@ impl Work {
     /// # Errors
     /// [`WorkError::Disk`] if the manifest cannot be written.
     pub fn finish(&self) -> Result<(), WorkError> {
+        let earlier: Vec<_> = self.locked().names().into_iter().filter(|name| generation::is_of_it(name)).collect();
+        self.remove(&earlier)?;
         let mut manifest = self.locked();
         manifest.program = None;
-        Ok(manifest.write(&self.path(MANIFEST))?)
+        manifest.write(&self.folder)?;
+        Ok(generation::forget(&self.folder)?)
     }
 
     /// Announces changes, makes those that are any, and knows from then on that they were made.
@@ -249,7 +312,7 @@ impl Work {
         let changes: Vec<_> = announced.filter(|(.., is_change)| *is_change).collect();
         if !changes.is_empty() {
             manifest.program = Some(self.program.to_owned());
-            manifest.write(&self.path(MANIFEST))?;
+            manifest.write(&self.folder)?;
         }
         for (index, name, _) in changes {
             make(index, &self.path(name))?;
@@ -270,7 +333,7 @@ impl Work {
         let folder = name.rsplit_once('/').map(|(folder, _)| folder);
         match folder.filter(|folder| !manifest.folders().contains(folder)) {
             None => Ok(()),
-            Some(folder) => match files_in(&self.path(folder))?.first() {
+            Some(folder) => match files_in(&self.path(folder))?.iter().find(|path| !self.is_second_manifest(path)) {
                 Some(left_over) => Err(WorkError::damaged(left_over, UNKNOWN)),
                 None => Ok(()),
             },
@@ -280,14 +343,14 @@ impl Work {
     /// Finds out how far the last change came, and that everything else is as it was written.
     fn settle(&self) -> Result<(), WorkError> {
         let mut manifest = self.locked();
-        for folder in std::iter::once("").chain(manifest.folders()) {
+        for folder in std::iter::once("").chain(manifest.folders()).filter(|folder| !manifest.includes(folder)) {
             let files = files_in(&self.path(folder))?;
             let name =
                 |path: &Path| path.strip_prefix(&self.folder).is_ok_and(|name| manifest.knows(&name.to_string_lossy()));
             for path in files {
                 if disk::is_unfinished(&path) {
                     disk::remove(&path)?;
-                } else if !folder.is_empty() && !name(&path) {
+                } else if !folder.is_empty() && !name(&path) && !self.is_second_manifest(&path) {
                     return Err(WorkError::damaged(&path, UNKNOWN));
                 }
             }
@@ -298,7 +361,15 @@ impl Work {
             let bytes = disk::read(&path)?;
             manifest.settle(&name, bytes.as_deref()).map_err(|problem| WorkError::damaged(&path, problem))?;
         }
+        for folder in manifest.included() {
+            let folder = self.path(&folder);
+            examine(&folder)?.first_damage(&folder).map_or(Ok(()), Err)?;
+        }
         Ok(())
+    }
+
+    fn is_second_manifest(&self, path: &Path) -> bool {
+        path == generation::manifest_in(&self.folder)
     }
 
     fn locked(&self) -> std::sync::MutexGuard<'_, Manifest> {
@@ -323,45 +394,6 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
     }
     files.sort_unstable();
     Ok(files)
-}
-
-/// What is found in a folder of work that is only looked at.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Examined {
-    /// What kind of work it is.
-    pub kind: String,
-    /// Whether it was finished.
-    pub complete: bool,
-    /// Whether this build may go on with it, or read it.
-    pub is_of_this_build: bool,
-    /// Each file, and what is wrong with it.
-    pub files: Vec<(String, Result<(), String>)>,
-    /// Files whose records have checks of their own: their readers make them.
-    pub growing: Vec<String>,
-}
-
-/// Looks at everything in a folder of work, changes nothing, and goes on where something is damaged.
-///
-/// # Errors
-/// [`WorkError`] if there is no manifest, or one that is damaged itself, or if the folder is in use.
-pub fn examine(folder: &Path) -> Result<Examined, WorkError> {
-    let path = folder.join(MANIFEST);
-    let manifest = Manifest::read(&path)?.ok_or_else(|| WorkError::damaged(&path, "the file is missing"))?;
-    let lock = Lock::of(folder)?;
-    if lock.is_none() {
-        return Err(WorkError::InUse { folder: folder.to_owned(), kind: manifest.kind });
-    }
-    let examined = |name: String| -> Result<_, WorkError> {
-        let bytes = disk::read(&folder.join(&name))?;
-        Ok((name.clone(), manifest.check(&name, bytes.as_deref())))
-    };
-    let (growing, whole): (Vec<_>, Vec<_>) = manifest.names().into_iter().partition(|name| manifest.grows(name));
-    let files = whole.into_iter().map(examined).collect::<Result<_, _>>()?;
-    let is_of_this_build = match &manifest.program {
-        Some(program) => program == program::identity()?,
-        None => true,
-    };
-    Ok(Examined { complete: manifest.program.is_none(), kind: manifest.kind, is_of_this_build, files, growing })
 }
 
 #[cfg(test)]

@@ -87,7 +87,7 @@ fn an_end_between_announcement_and_change_loses_one_change_at_most() {
             let mut manifest = work.locked();
             assert!(manifest.announce("a.json", FileState::of(b"third")));
             manifest.program = Some(work.program.to_owned());
-            manifest.write(&work.path(MANIFEST)).unwrap();
+            manifest.write(folder.path()).unwrap();
         }
         if is_made {
             fs::write(folder.path().join("a.json"), "third").unwrap();
@@ -139,8 +139,71 @@ fn half_done_work_of_another_build_is_refused() {
     let mut manifest = Manifest::read(&path).unwrap().unwrap();
     assert!(Work::open(folder.path(), ASKED).unwrap().is_complete());
     manifest.program = Some("0".repeat(64));
-    manifest.write(&path).unwrap();
+    manifest.write(folder.path()).unwrap();
     let said = Work::open(folder.path(), ASKED).unwrap_err().to_string();
     assert!(said.ends_with(OTHER_BUILD), "{said}");
     assert!(!examine(folder.path()).unwrap().is_of_this_build);
+}
+
+/// Whatever single file is damaged, there is a way back to one generation, whole and fitting together; unless both are damaged.
+#[test]
+fn what_is_damaged_goes_back_to_what_was_before() {
+    let begun = |generations: u64| {
+        let folder = tempfile::tempdir().unwrap();
+        let work = Work::open(folder.path(), ASKED).unwrap();
+        work.write("plan.json", "made again by nobody").unwrap();
+        for generation in 1..=generations {
+            work.advance(&[("log", format!("log {generation}")), ("deep/state", format!("state {generation}"))])
+                .unwrap();
+        }
+        folder
+    };
+    for generations in [1, 2, 5] {
+        for name in [MANIFEST, "log", "deep/state"] {
+            let folder = begun(generations);
+            assert_eq!(restore(folder.path()).unwrap(), None, "nothing is damaged");
+            fs::write(folder.path().join(name), "damaged").unwrap();
+            let said = Work::open(folder.path(), ASKED).err().unwrap().to_string();
+            assert!(said.contains(name) && said.contains("`crumple fsck --restore"), "{said}");
+            let restored = restore(folder.path()).unwrap().unwrap();
+            assert_eq!(restored.damaged, [name]);
+            let work = Work::open(folder.path(), ASKED).unwrap();
+            let read = |name| String::from_utf8(work.read_present(name).unwrap()).unwrap();
+            let back = if name == MANIFEST { generations } else { generations.saturating_sub(1).max(1) };
+            assert_eq!((read("log"), read("deep/state")), (format!("log {back}"), format!("state {back}")));
+            work.advance(&[("log", "next"), ("deep/state", "next")]).unwrap();
+            work.finish().unwrap();
+            assert!(!folder.path().join("previous").exists(), "what is finished is kept once");
+        }
+    }
+    let folder = begun(2);
+    for name in ["log", "previous/log"] {
+        fs::write(folder.path().join(name), "damaged").unwrap();
+    }
+    assert!(restore(folder.path()).unwrap_err().to_string().ends_with("previous/log: not as it was written"));
+    let folder = begun(2);
+    fs::write(folder.path().join("plan.json"), "damaged").unwrap();
+    assert!(restore(folder.path()).unwrap_err().to_string().ends_with("plan.json: not as it was written"));
+}
+
+/// Of work that lies in other work, every file and the manifest belong to both.
+#[test]
+fn damage_in_what_is_included_is_damage() {
+    for name in ["a.json", "deep/b.json", MANIFEST] {
+        let folder = tempfile::tempdir().unwrap();
+        let work = Work::open(folder.path(), ASKED).unwrap();
+        let inner = Work::open(&folder.path().join("rounds/01"), ASKED).unwrap();
+        inner.write_all(&[("a.json", "a"), ("deep/b.json", "b")]).unwrap();
+        inner.finish().unwrap();
+        drop(inner);
+        work.include("rounds/01").unwrap();
+        work.write("rounds/found.json", "beside it").unwrap();
+        drop(work);
+        let open = || Work::open(folder.path(), ASKED).map(|_| ()).map_err(|error| error.to_string());
+        open().unwrap();
+        fs::write(folder.path().join("rounds/01").join(name), "{}").unwrap();
+        assert!(open().unwrap_err().contains(&format!("rounds/01/{name}: ")));
+        let seen = examine(folder.path()).unwrap().files.into_iter().find(|(_, state)| state.is_err());
+        assert_eq!(seen.unwrap().0, format!("rounds/01/{name}"));
+    }
 }

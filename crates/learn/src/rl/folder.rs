@@ -1,0 +1,195 @@
+//! A training in a folder: kept so that an interruption loses little, and damage is known.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::config::TrainingConfig;
+use super::curve::episode_of;
+use super::evaluation::{Evaluation, HeldOut, unseen_contacts};
+use super::seeds::{Event, Observer, train};
+use super::trainer::{Trainer, TrainingError};
+use crumple_search::difference;
+use crumple_search::disk::{self, DiskError};
+use crumple_search::work::{Asked, MANIFEST, Work, WorkError};
+
+/// How it was trained: a file as `--preset` takes it.
+const CONFIGURATION: &str = "training.toml";
+const LOG: &str = "log.jsonl";
+const CHECKPOINT: &str = "checkpoint.safetensors";
+const POLICY: &str = "policy.safetensors";
+const RESULT: &str = "result.json";
+
+/// What the training of one seed came to: the file `result.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SeedResult {
+    /// The seed.
+    pub seed: u64,
+    /// Episodes done.
+    pub episodes: u64,
+    /// The episode after which the policy was taken.
+    pub best_episode: Option<u64>,
+    /// How it did then.
+    #[serde(flatten)]
+    pub evaluation: Option<Evaluation>,
+    /// Contacts among draws that took no part in training or selection: [`super::UNSEEN_DRAWS`] of them.
+    pub unseen_contacts: u64,
+    /// SHA-256 of the policy file.
+    pub policy_sha256: String,
+}
+
+/// The training of one seed, in its folder.
+#[derive(Debug)]
+pub struct TrainingFolder<'a> {
+    work: Work,
+    config: &'a TrainingConfig,
+    trainer: Trainer,
+    log: String,
+}
+
+/// Where the training of a seed is kept among those of `out`.
+#[must_use]
+pub fn seed_folder(out: &Path, seed: u64) -> PathBuf {
+    out.join(format!("seed-{seed}"))
+}
+
+impl<'a> TrainingFolder<'a> {
+    /// Begins the training of a seed in its folder in `out`; where `resume` says so, goes on with what is there.
+    ///
+    /// # Errors
+    /// [`TrainingError`] if the folder is in use, holds another training, or another build's, or anything there is damaged.
+    pub fn open(out: &Path, config: &'a TrainingConfig, seed: u64, resume: bool) -> Result<Self, TrainingError> {
+        let work = opened(out, config, seed, resume)?;
+        let (checkpoint, path) = (work.read(CHECKPOINT)?, work.path(CHECKPOINT));
+        let trainer = match checkpoint {
+            Some(bytes) => Trainer::from_checkpoint(&bytes, config, seed).map_err(|error| match error {
+                TrainingError::Checkpoint(problem) => WorkError::Damaged { path, problem }.into(),
+                other => other,
+            })?,
+            None => Trainer::new(config, seed),
+        };
+        let before = work.read(LOG)?.unwrap_or_default();
+        let is_done = |line: &&str| episode_of(line).is_some_and(|episode| episode <= trainer.episode());
+        // The log is written before the checkpoint: what it has beyond that is done again.
+        let log = match trainer.episode() {
+            0 => String::new(),
+            _ => String::from_utf8_lossy(&before).split_inclusive('\n').take_while(is_done).collect(),
+        };
+        Ok(Self { work, config, trainer, log })
+    }
+
+    /// Episodes that are done.
+    #[must_use]
+    pub fn episode(&self) -> u64 {
+        self.trainer.episode()
+    }
+
+    /// Trains to the end, and tells `watch` of everything on the way.
+    ///
+    /// # Errors
+    /// [`TrainingError`] if the training diverges or a file cannot be written.
+    pub fn train(
+        mut self,
+        held_out: &HeldOut,
+        watch: &mut (dyn FnMut(&Event) + Send),
+    ) -> Result<SeedResult, TrainingError> {
+        let configuration = text_of(self.config)?;
+        let known = if self.work.is_complete() { self.work.read(CONFIGURATION)? } else { None };
+        if known.is_some_and(|known| known == configuration.as_bytes()) {
+            return result_in(&self.work);
+        }
+        self.work.write(CONFIGURATION, configuration)?;
+        let mut keeper = Keeper { work: &self.work, log: self.log, watch };
+        train::<TrainingError>(&mut self.trainer, held_out, &mut keeper)?;
+        let policy = Arc::new(self.trainer.policy()?);
+        let result = SeedResult {
+            seed: self.trainer.seed(),
+            episodes: self.trainer.episode(),
+            best_episode: self.trainer.best().map(|best| best.episode),
+            evaluation: self.trainer.best().map(|best| best.evaluation),
+            unseen_contacts: unseen_contacts(&policy, self.config.environment.estimator)?,
+            policy_sha256: policy.digest(),
+        };
+        self.work.write(RESULT, serde_json::to_string_pretty(&result)? + "\n")?;
+        self.work.finish()?;
+        Ok(result)
+    }
+}
+
+/// Keeps one seed's log and checkpoints.
+struct Keeper<'a> {
+    work: &'a Work,
+    log: String,
+    watch: &'a mut (dyn FnMut(&Event) + Send),
+}
+
+impl Observer<TrainingError> for Keeper<'_> {
+    fn event(&mut self, event: &Event) -> Result<(), TrainingError> {
+        self.log += &serde_json::to_string(event)?;
+        self.log.push('\n');
+        (self.watch)(event);
+        Ok(())
+    }
+
+    fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), TrainingError> {
+        let (policy, checkpoint) = (trainer.policy()?.to_bytes()?, trainer.to_checkpoint()?);
+        Ok(self.work.advance(&[(LOG, self.log.as_bytes()), (POLICY, &policy), (CHECKPOINT, &checkpoint)])?)
+    }
+}
+
+/// The finished trainings of a configuration in a folder, in the order of their seeds, each with its log.
+///
+/// Trainings that are under way, here or in another process, are left out.
+///
+/// # Errors
+/// [`TrainingError`] if a training was configured otherwise, or a file of one is damaged.
+pub fn finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Vec<(SeedResult, String)>, TrainingError> {
+    let mut seeds = Vec::new();
+    for entry in fs::read_dir(out).map_err(DiskError::at(out))? {
+        let name = entry.map_err(DiskError::at(out))?.file_name();
+        let seed = name.to_str().and_then(|name| name.strip_prefix("seed-")?.parse::<u64>().ok());
+        seeds.extend(seed.filter(|&seed| seed_folder(out, seed).join(MANIFEST).is_file()));
+    }
+    seeds.sort_unstable();
+    let mut finished = Vec::new();
+    for seed in seeds {
+        let work = match opened(out, config, seed, true) {
+            Err(TrainingError::Work(WorkError::InUse { .. } | WorkError::OtherBuild { .. })) => continue,
+            work => work?,
+        };
+        if work.is_complete() {
+            let log = String::from_utf8_lossy(&work.read_present(LOG)?).into_owned();
+            finished.push((result_in(&work)?, log));
+        }
+    }
+    Ok(finished)
+}
+
+/// The work of a seed; of an error that it was configured otherwise, in what.
+fn opened(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Result<Work, TrainingError> {
+    let folder = seed_folder(out, seed);
+    // A training may be made longer.
+    let configuration = format!("seed = {seed}\n{}", text_of(&TrainingConfig { episodes: 0, ..config.clone() })?);
+    let path = folder.join(CONFIGURATION);
+    match Work::open(&folder, Asked { kind: "training", configuration: &configuration, resume }) {
+        Err(WorkError::OtherConfiguration { .. }) => {
+            let found = String::from_utf8_lossy(&disk::read(&path)?.unwrap_or_default()).into_owned();
+            let episodes = TrainingConfig::parse(&found).map_or(config.episodes, |found| found.episodes);
+            let expected = text_of(&TrainingConfig { episodes, ..config.clone() })?;
+            Err(TrainingError::OtherTraining(difference::in_toml(&path, "training", &found, &expected)))
+        }
+        work => Ok(work?),
+    }
+}
+
+fn text_of(config: &TrainingConfig) -> Result<String, TrainingError> {
+    toml::to_string(config).map_err(TrainingError::Configuration)
+}
+
+fn result_in(work: &Work) -> Result<SeedResult, TrainingError> {
+    let bytes = work.read_present(RESULT)?;
+    let damaged = |error: serde_json::Error| WorkError::Damaged { path: work.path(RESULT), problem: error.to_string() };
+    Ok(serde_json::from_slice(&bytes).map_err(damaged)?)
+}

@@ -1,0 +1,75 @@
+//! Looking at work without changing it.
+
+use std::path::Path;
+
+use super::lock::Lock;
+use super::manifest::Manifest;
+use super::{MANIFEST, WorkError, generation};
+use crate::{disk, program};
+
+/// What is found in a folder of work that is only looked at.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Examined {
+    /// What kind of work it is.
+    pub kind: String,
+    /// Whether it was finished.
+    pub complete: bool,
+    /// Whether this build may go on with it, or read it.
+    pub is_of_this_build: bool,
+    /// Each file, and what is wrong with it.
+    pub files: Vec<(String, Result<(), String>)>,
+    /// Whether something is damaged and [`super::restore`] has a way back.
+    pub can_be_restored: bool,
+    /// Files whose records have checks of their own: their readers make them.
+    pub growing: Vec<String>,
+}
+
+impl Examined {
+    /// The first file that is not as it was written, as an error.
+    pub(super) fn first_damage(&self, folder: &Path) -> Option<WorkError> {
+        let problem = |(name, found): &(String, Result<(), String>)| {
+            let problem = found.as_ref().err()?;
+            Some(WorkError::damaged(&folder.join(name), problem))
+        };
+        self.files.iter().find_map(problem)
+    }
+}
+
+/// Looks at everything in a folder of work and in those it includes, changes nothing, and goes on where something is damaged.
+///
+/// # Errors
+/// [`WorkError`] if there is no manifest, or one that is damaged itself, or if the folder is in use.
+pub fn examine(folder: &Path) -> Result<Examined, WorkError> {
+    let path = folder.join(MANIFEST);
+    let found = Manifest::read(&path).and_then(|found| found.ok_or_else(|| WorkError::missing(&path)));
+    let manifest = found.map_err(|error| generation::hinted(folder, error))?;
+    if Lock::of(folder)?.is_none() {
+        return Err(WorkError::InUse { folder: folder.to_owned(), kind: manifest.kind });
+    }
+    let found = examined(folder, &manifest)?;
+    let is_damaged = found.files.iter().any(|(_, state)| state.is_err());
+    Ok(Examined { can_be_restored: is_damaged && generation::can_be_restored(folder), ..found })
+}
+
+/// What is found of a manifest's files.
+pub(super) fn examined(folder: &Path, manifest: &Manifest) -> Result<Examined, WorkError> {
+    let state = |name: String| -> Result<_, WorkError> {
+        let bytes = disk::read(&folder.join(&name))?;
+        Ok((name.clone(), manifest.check(&name, bytes.as_deref())))
+    };
+    let (growing, whole): (Vec<_>, Vec<_>) = manifest.names().into_iter().partition(|name| manifest.grows(name));
+    let mut files = whole.into_iter().map(state).collect::<Result<Vec<_>, _>>()?;
+    for included in manifest.included() {
+        let found = match examine(&folder.join(&included)) {
+            Err(WorkError::Damaged { .. }) => continue, // Its manifest is one of the files above.
+            found => found?,
+        };
+        files.extend(found.files.into_iter().map(|(name, state)| (format!("{included}/{name}"), state)));
+    }
+    let is_of_this_build = match &manifest.program {
+        Some(program) => program == program::identity()?,
+        None => true,
+    };
+    let (kind, complete) = (manifest.kind.clone(), manifest.program.is_none());
+    Ok(Examined { kind, complete, is_of_this_build, files, can_be_restored: false, growing })
+}

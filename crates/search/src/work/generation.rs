@@ -1,0 +1,127 @@
+//! What was there before, kept until the work is finished.
+
+use std::path::{Path, PathBuf};
+
+use super::examine::examined;
+use super::lock::Lock;
+use super::manifest::{FileState, Manifest};
+use super::{MANIFEST, WorkError};
+use crate::disk::{self, DiskError};
+
+/// The folder of the generation before.
+const PREVIOUS: &str = "previous";
+
+/// Where a file is kept as it was before.
+pub(super) fn before(name: &str) -> String {
+    format!("{PREVIOUS}/{name}")
+}
+
+/// Whether a file is one of the generation before.
+pub(super) fn is_of_it(name: &str) -> bool {
+    name.strip_prefix(PREVIOUS).is_some_and(|rest| rest.starts_with('/'))
+}
+
+/// Where the second copy of the manifest is.
+pub(super) fn manifest_in(folder: &Path) -> PathBuf {
+    folder.join(PREVIOUS).join(MANIFEST)
+}
+
+/// Nothing is left of a generation that nobody needs any more.
+pub(super) fn forget(folder: &Path) -> Result<(), DiskError> {
+    disk::remove(&manifest_in(folder))?;
+    disk::remove_empty_folders(&folder.join(PREVIOUS))
+}
+
+/// Whether something is damaged and there is a way back.
+pub(super) fn can_be_restored(folder: &Path) -> bool {
+    plan(folder).is_ok_and(|plan| plan.is_some())
+}
+
+/// The error, and the way back where there is one.
+pub(super) fn hinted(folder: &Path, error: WorkError) -> WorkError {
+    match error {
+        WorkError::Damaged { path, problem } if can_be_restored(folder) => {
+            let way = format!("`crumple fsck --restore {}` goes back to what was kept before it", folder.display());
+            WorkError::Damaged { path, problem: format!("{problem}; {way}") }
+        }
+        other => other,
+    }
+}
+
+/// What was put back.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Restored {
+    /// What was damaged.
+    pub damaged: Vec<String>,
+    /// What is as it was before, for the same work to be done again from there: all that was kept, so that it fits together.
+    pub restored: Vec<String>,
+}
+
+/// How to go back.
+struct Plan {
+    manifest: Manifest,
+    damaged: Vec<String>,
+    /// Name and contents.
+    files: Vec<(String, Vec<u8>)>,
+}
+
+/// How to go back; none if nothing is damaged.
+fn plan(folder: &Path) -> Result<Option<Plan>, WorkError> {
+    let path = folder.join(MANIFEST);
+    let (manifest, is_damaged) = match Manifest::read(&path) {
+        Ok(Some(manifest)) => (manifest, false),
+        missing_or_damaged => match Manifest::read(&manifest_in(folder))? {
+            Some(second) => (second, true),
+            None => {
+                missing_or_damaged?;
+                return Err(WorkError::missing(&path));
+            }
+        },
+    };
+    let mut damaged = if is_damaged { vec![MANIFEST.to_owned()] } else { Vec::new() };
+    for (name, found) in examined(folder, &manifest)?.files {
+        match found {
+            Err(_) if is_of_it(&name) => {}
+            Err(_) if manifest.state(&before(&name)).is_some() => damaged.push(name),
+            Err(problem) => return Err(WorkError::damaged(&folder.join(name), problem)),
+            Ok(()) => {}
+        }
+    }
+    if damaged.is_empty() {
+        return Ok(None);
+    }
+    let mut files = Vec::new();
+    // What is only in the manifest is put right by the manifest.
+    let is_needed = damaged.iter().any(|name| name != MANIFEST);
+    for name in manifest.names().into_iter().filter(|name| is_needed && is_of_it(name)) {
+        let path = folder.join(&name);
+        let bytes = disk::read(&path)?;
+        manifest.check(&name, bytes.as_deref()).map_err(|problem| WorkError::damaged(&path, problem))?;
+        if let (Some(bytes), Some(name)) = (bytes, name.strip_prefix(PREVIOUS).and_then(|name| name.strip_prefix('/')))
+        {
+            files.push((name.to_owned(), bytes));
+        }
+    }
+    Ok(Some(Plan { manifest, damaged, files }))
+}
+
+/// Goes back to what was kept before, where something is damaged; none if nothing is.
+///
+/// # Errors
+/// [`WorkError`] if the folder is in use or cannot be written, or something is damaged of which nothing was kept.
+pub fn restore(folder: &Path) -> Result<Option<Restored>, WorkError> {
+    let Some(_lock) = Lock::of(folder)? else {
+        return Err(WorkError::InUse { folder: folder.to_owned(), kind: "work".to_owned() });
+    };
+    let Some(Plan { mut manifest, damaged, files }) = plan(folder)? else { return Ok(None) };
+    for (name, bytes) in &files {
+        manifest.announce(name, FileState::of(bytes));
+    }
+    manifest.write(folder)?;
+    for (name, bytes) in &files {
+        disk::write(&folder.join(name), bytes)?;
+        manifest.made(name);
+    }
+    manifest.write(folder)?;
+    Ok(Some(Restored { damaged, restored: files.into_iter().map(|(name, _)| name).collect() }))
+}
