@@ -10,6 +10,7 @@ mod command_line;
 mod controller_failures;
 mod controllers;
 mod corpora;
+mod damage;
 mod engines;
 mod estimation;
 mod forgery;

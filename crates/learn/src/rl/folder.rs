@@ -90,11 +90,7 @@ impl<'a> TrainingFolder<'a> {
     ///
     /// # Errors
     /// [`TrainingError`] if the training diverges or a file cannot be written.
-    pub fn train(
-        mut self,
-        held_out: &HeldOut,
-        watch: &mut (dyn FnMut(&Event) + Send),
-    ) -> Result<SeedResult, TrainingError> {
+    pub fn train(mut self, held_out: &HeldOut, watch: &mut dyn FnMut(&Event)) -> Result<SeedResult, TrainingError> {
         let configuration = text_of(self.config)?;
         let known = if self.work.is_complete() { self.work.read(CONFIGURATION)? } else { None };
         if known.is_some_and(|known| known == configuration.as_bytes()) {
@@ -122,7 +118,7 @@ impl<'a> TrainingFolder<'a> {
 struct Keeper<'a> {
     work: &'a Work,
     log: String,
-    watch: &'a mut (dyn FnMut(&Event) + Send),
+    watch: &'a mut dyn FnMut(&Event),
 }
 
 impl Observer<TrainingError> for Keeper<'_> {

@@ -78,31 +78,29 @@ fn plan(folder: &Path) -> Result<Option<Plan>, WorkError> {
             }
         },
     };
-    let mut damaged = if is_damaged { vec![MANIFEST.to_owned()] } else { Vec::new() };
-    for (name, found) in examined(folder, &manifest)?.files {
-        match found {
-            Err(_) if is_of_it(&name) => {}
-            Err(_) if manifest.state(&before(&name)).is_some() => damaged.push(name),
-            Err(problem) => return Err(WorkError::damaged(&folder.join(name), problem)),
-            Ok(()) => {}
-        }
-    }
-    if damaged.is_empty() {
-        return Ok(None);
-    }
+    let found = examined(folder, &manifest)?.files;
+    let mut damaged: Vec<String> =
+        found.iter().filter(|(_, state)| state.is_err()).map(|(name, _)| name.clone()).collect();
+    let is_current = damaged.iter().any(|name| !is_of_it(name));
+    // All that was kept before is put back, so that it fits together; if only that is damaged, it is made again of what there is.
+    let sources = manifest.names().into_iter().filter_map(|kept| {
+        let name = kept.strip_prefix(PREVIOUS)?.strip_prefix('/')?.to_owned();
+        let is_needed = is_current || damaged.contains(&kept);
+        is_needed.then_some(if is_current { (kept, name) } else { (name, kept) })
+    });
     let mut files = Vec::new();
-    // What is only in the manifest is put right by the manifest.
-    let is_needed = damaged.iter().any(|name| name != MANIFEST);
-    for name in manifest.names().into_iter().filter(|name| is_needed && is_of_it(name)) {
-        let path = folder.join(&name);
+    for (from, to) in sources {
+        let path = folder.join(&from);
         let bytes = disk::read(&path)?;
-        manifest.check(&name, bytes.as_deref()).map_err(|problem| WorkError::damaged(&path, problem))?;
-        if let (Some(bytes), Some(name)) = (bytes, name.strip_prefix(PREVIOUS).and_then(|name| name.strip_prefix('/')))
-        {
-            files.push((name.to_owned(), bytes));
-        }
+        manifest.check(&from, bytes.as_deref()).map_err(|problem| WorkError::damaged(&path, problem))?;
+        files.extend(bytes.map(|bytes| (to, bytes)));
     }
-    Ok(Some(Plan { manifest, damaged, files }))
+    let is_kept = |name: &String| files.iter().any(|(to, _)| to == name);
+    if let Some((name, Err(problem))) = found.iter().find(|(name, state)| state.is_err() && !is_kept(name)) {
+        return Err(WorkError::damaged(&folder.join(name), problem));
+    }
+    damaged.extend(is_damaged.then(|| MANIFEST.to_owned()));
+    Ok((!damaged.is_empty()).then_some(Plan { manifest, damaged, files }))
 }
 
 /// Goes back to what was kept before, where something is damaged; none if nothing is.

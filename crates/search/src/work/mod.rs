@@ -139,11 +139,11 @@ impl Work {
         let (path, configuration_sha256) = (folder.join(MANIFEST), sha256(asked.configuration));
         let program = program::identity()?;
         let manifest = match Manifest::read(&path).map_err(|error| generation::hinted(folder, error))? {
-            None => {
-                let manifest = Manifest::new(asked.kind, program, &configuration_sha256);
-                manifest.write(folder)?;
-                manifest
+            None if generation::manifest_in(folder).exists() => {
+                return Err(generation::hinted(folder, WorkError::missing(&path)));
             }
+            // It is written with the first change: what cannot be begun leaves nothing behind.
+            None => Manifest::new(asked.kind, program, &configuration_sha256),
             Some(found) if found.kind != asked.kind => {
                 return Err(WorkError::OtherKind { path, found: found.kind, kind: kind() });
             }

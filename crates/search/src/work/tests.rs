@@ -159,7 +159,7 @@ fn what_is_damaged_goes_back_to_what_was_before() {
         folder
     };
     for generations in [1, 2, 5] {
-        for name in [MANIFEST, "log", "deep/state"] {
+        for name in [MANIFEST, "log", "deep/state", "previous/log"] {
             let folder = begun(generations);
             assert_eq!(restore(folder.path()).unwrap(), None, "nothing is damaged");
             fs::write(folder.path().join(name), "damaged").unwrap();
@@ -169,7 +169,11 @@ fn what_is_damaged_goes_back_to_what_was_before() {
             assert_eq!(restored.damaged, [name]);
             let work = Work::open(folder.path(), ASKED).unwrap();
             let read = |name| String::from_utf8(work.read_present(name).unwrap()).unwrap();
-            let back = if name == MANIFEST { generations } else { generations.saturating_sub(1).max(1) };
+            let back = if [MANIFEST, "previous/log"].contains(&name) {
+                generations
+            } else {
+                generations.saturating_sub(1).max(1)
+            };
             assert_eq!((read("log"), read("deep/state")), (format!("log {back}"), format!("state {back}")));
             work.advance(&[("log", "next"), ("deep/state", "next")]).unwrap();
             work.finish().unwrap();

@@ -1,0 +1,282 @@
+//! What lies on disk is checked, for every kind of work that goes on: flipped, cut, emptied, lost and swapped files are refused by
+//! their names, or the work ends with the same bytes all the same. Nothing is believed.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::Path;
+
+use crumple_learn::retrain::{RetrainingPlan, Settings};
+use crumple_learn::rl::{HeldOut, TrainingConfig, TrainingFolder};
+use crumple_search::evidence::{RateConfig, RatePlan};
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{Aim, Campaign};
+use crumple_search::work::restore;
+use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::space::built_in_space;
+use tempfile::TempDir;
+
+/// Places of each file that are changed, one at a time.
+const FLIPS: usize = 50;
+/// Of so many damages one is gone back from to the end.
+const EVERY: usize = 9;
+
+/// One kind of work: does it in a folder by a seed, or goes on with it; is told how far it is.
+type Working = fn(&Path, u64, &mut dyn FnMut()) -> Result<(), String>;
+
+fn campaign(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
+    let campaign = Campaign {
+        controller: ControllerSpec::named("baseline").unwrap().into(),
+        estimator: EstimatorKind::Truth,
+        space: built_in_space("paper").unwrap(),
+        specification: Specification::NoContact,
+        aim: Aim::default(),
+        method: Method::Uniform,
+        budget: 300,
+        seed,
+    };
+    campaign.run(folder, true, &mut |_| tick()).map(|_| ()).map_err(|error| error.to_string())
+}
+
+fn count(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
+    let plan = RatePlan::new(RateConfig {
+        controllers: (ControllerSpec::named("idm").unwrap().into(), None),
+        space: built_in_space("paper").unwrap(),
+        seed,
+        estimator: EstimatorKind::Truth,
+        runs: 300,
+        confidence: 0.9,
+    });
+    let (plan, error) = (plan.unwrap(), |error: crumple_search::evidence::RateFolderError| error.to_string());
+    plan.register_in(folder, true).map_err(error)?.certificate(&mut |_| tick()).map(|_| ()).map_err(error)
+}
+
+/// A preset on tiny networks.
+fn tiny(text: &str, changes: &[(&str, &str)]) -> TrainingConfig {
+    let small = [("hidden = [64, 64, 64]", "hidden = [8, 8]")];
+    let text = small.iter().chain(changes).fold(text.to_owned(), |text, (from, to)| {
+        assert!(text.contains(from), "{from}");
+        text.replace(from, to)
+    });
+    TrainingConfig::parse(&text).unwrap()
+}
+
+fn training(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
+    let changes = [
+        ("batch = 128", "batch = 8"),
+        ("random_episodes = 20", "random_episodes = 3"),
+        ("every_episodes = 5", "every_episodes = 1"),
+        ("screening_draws = 60", "screening_draws = 2"),
+        ("ranking_draws = 2000", "ranking_draws = 2"),
+        ("master_gap_m = 1.0", "master_gap_m = 0.0"),
+        ("capacity = 100000", "capacity = 200"),
+    ];
+    let mut config = tiny(include_str!("../../crates/learn/src/rl/presets/fast.toml"), &changes);
+    config.episodes = 33;
+    let error = |error: crumple_learn::rl::TrainingError| error.to_string();
+    let training = TrainingFolder::open(folder, &config, seed, true).map_err(error)?;
+    let held_out = HeldOut::new(&config.evaluation, &config.environment);
+    training.train(&held_out, &mut |_| tick()).map(|_| ()).map_err(error)
+}
+
+fn retraining(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
+    let changes = [
+        ("batch = 256", "batch = 8"),
+        ("random_episodes = 200", "random_episodes = 3"),
+        ("every_episodes = 25", "every_episodes = 1"),
+        ("screening_draws = 200", "screening_draws = 2"),
+        ("ranking_draws = 1000", "ranking_draws = 6"),
+        ("capacity = 1000000", "capacity = 200"),
+    ];
+    let plan = RetrainingPlan {
+        first: Policy::reference(),
+        first_name: "policy".to_owned(),
+        space: built_in_space("high-risk").unwrap(),
+        training: tiny(include_str!("../../crates/learn/src/retrain/preset.toml"), &changes),
+        method: Method::Uniform,
+        seed,
+        settings: Settings {
+            rounds: 2,
+            episodes: 22,
+            budget: 10,
+            draws: 15,
+            kept_aside: 6,
+            nominal: 5,
+            judged: 6,
+            ..Settings::default()
+        },
+    };
+    plan.run(folder, true, &mut |_| tick()).map(|_| ()).map_err(|error| error.to_string())
+}
+
+/// A folder, in memory where the system has such: thousands of resumptions need no disk.
+fn scratch() -> TempDir {
+    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
+}
+
+/// All files of a folder by name, but for those that hold nothing.
+fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    fn gather(root: &Path, folder: &Path, found: &mut BTreeMap<String, Vec<u8>>) {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.strip_prefix(root).unwrap().to_str().unwrap().to_owned();
+            if path.is_dir() {
+                gather(root, &path, found);
+            } else if !name.ends_with("work.lock") {
+                found.insert(name, fs::read(path).unwrap());
+            }
+        }
+    }
+    let mut found = BTreeMap::new();
+    gather(folder, folder, &mut found);
+    found
+}
+
+fn write(folder: &Path, files: &BTreeMap<String, Vec<u8>>) {
+    for (name, bytes) in files {
+        let path = folder.join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, bytes).unwrap();
+    }
+}
+
+/// The files that work leaves behind that is stopped at a tick, or never.
+fn left_behind(work: Working, seed: u64, stop: Option<usize>) -> BTreeMap<String, Vec<u8>> {
+    let (folder, mut ticks) = (scratch(), 0);
+    let mut tick = || {
+        ticks += 1;
+        if stop == Some(ticks) {
+            resume_unwind(Box::new("stopped"));
+        }
+    };
+    let ended = catch_unwind(AssertUnwindSafe(|| work(folder.path(), seed, &mut tick)));
+    assert_eq!(ended.is_err(), stop.is_some(), "stopped at {stop:?} of {ticks} ticks");
+    let name = |name: String| name.replace(&format!("seed-{seed}"), "seed-1");
+    files(folder.path()).into_iter().map(|(path, bytes)| (name(path), bytes)).collect()
+}
+
+/// A file changed in every way, each with what was done to it.
+fn changed<'a>(bytes: &'a [u8], other: Option<&'a Vec<u8>>) -> impl Iterator<Item = (String, Option<Vec<u8>>)> + 'a {
+    let flipped = (0..FLIPS.min(8 * bytes.len())).map(|flip| {
+        let bit = flip * (8 * bytes.len() - 1) / (FLIPS - 1).max(1);
+        let mut bytes = bytes.to_vec();
+        bytes[bit / 8] ^= 1 << (bit % 8);
+        (format!("bit {bit} flipped"), Some(bytes))
+    });
+    let cut = [bytes.len() / 2, bytes.len().saturating_sub(1), 0]
+        .map(|to| (format!("cut to {to}"), Some(bytes[..to].to_vec())));
+    let swapped = other.map(|other| ("swapped with another run's".to_owned(), Some(other.clone())));
+    flipped.chain(cut).chain([("lost".to_owned(), None)]).chain(swapped)
+}
+
+/// What became of damage.
+struct Fates {
+    /// Refused by the name of the file.
+    refused: usize,
+    /// Of some of these: gone back to what was kept, and then ended with the same bytes.
+    back: usize,
+}
+
+/// Damages each file of begun work, or of complete work, in every way.
+fn attack(work: Working, stop: Option<usize>) -> Fates {
+    let genuine = left_behind(work, 1, None);
+    let (begun, other) = (left_behind(work, 1, stop), left_behind(work, 2, stop));
+    let (mut refused, mut back, mut same) = (0, 0, 0);
+    let folder = scratch();
+    write(folder.path(), &begun);
+    for (name, bytes) in &begun {
+        let path = folder.path().join(name);
+        for (place, (what, damaged)) in changed(bytes, other.get(name)).enumerate() {
+            match damaged {
+                Some(damaged) if damaged == *bytes => continue,
+                Some(damaged) => fs::write(&path, damaged).unwrap(),
+                None => fs::remove_file(&path).unwrap(),
+            }
+            match work(folder.path(), 1, &mut || {}) {
+                Err(said) => {
+                    let named = said.contains(name) || said.contains(path.parent().unwrap().to_str().unwrap());
+                    assert!(named, "{name}, {what}: refused without its name: {said}");
+                    refused += 1;
+                    if place % EVERY == 0 && goes_back(folder.path(), work, &genuine, &format!("{name}, {what}")) {
+                        back += 1;
+                    }
+                    fs::write(&path, bytes).unwrap();
+                }
+                Ok(()) => {
+                    assert_same(&files(folder.path()), &genuine, &format!("{name}, {what}: believed"));
+                    same += 1;
+                    fs::remove_dir_all(folder.path()).unwrap();
+                    write(folder.path(), &begun);
+                }
+            }
+        }
+    }
+    assert!(files(folder.path()) == begun, "what is refused is not changed");
+    // All of it of another run.
+    let folder = scratch();
+    write(folder.path(), &other);
+    if work(folder.path(), 1, &mut || {}).is_ok() {
+        assert_same(&files(folder.path()), &genuine, "another run's folder: believed");
+    }
+    println!("{} files: {refused} refused, {back} of some of them gone back, {same} the same", begun.len());
+    Fates { refused, back }
+}
+
+/// Whether there is a way back; its end is checked.
+fn goes_back(damaged: &Path, work: Working, genuine: &BTreeMap<String, Vec<u8>>, what: &str) -> bool {
+    let folder = scratch();
+    write(folder.path(), &files(damaged));
+    let seed = folder.path().join("seed-1");
+    let kept = if seed.exists() { &seed } else { folder.path() };
+    if !restore(kept).is_ok_and(|restored| restored.is_some()) {
+        return false;
+    }
+    work(folder.path(), 1, &mut || {}).unwrap_or_else(|said| panic!("{what}: no way back: {said}"));
+    assert_same(&files(folder.path()), genuine, &format!("{what}: gone back"));
+    true
+}
+
+fn assert_same(found: &BTreeMap<String, Vec<u8>>, expected: &BTreeMap<String, Vec<u8>>, what: &str) {
+    let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
+    let finished = |files: &BTreeMap<String, Vec<u8>>| {
+        files
+            .iter()
+            .filter(|(name, _)| !name.starts_with("previous/"))
+            .map(|(name, bytes)| (name.clone(), bytes.clone()))
+            .collect::<BTreeMap<_, _>>()
+    };
+    assert_eq!(names(&finished(found)), names(&finished(expected)), "{what}");
+    for (name, bytes) in finished(found) {
+        assert!(bytes == expected[&name], "{what}: {name} differs in the end");
+    }
+}
+
+/// At some moments, and when it is complete. Whatever is refused of a count or a training is kept twice, but for its configuration.
+#[test]
+fn no_damage_is_believed_in_a_campaign() {
+    for stop in [Some(1), Some(3), None] {
+        assert!(attack(campaign, stop).refused > 100);
+    }
+}
+
+#[test]
+fn no_damage_is_believed_in_a_count() {
+    for stop in [Some(1), None] {
+        assert!(attack(count, stop).refused > 50);
+    }
+}
+
+#[test]
+fn no_damage_is_believed_in_a_training() {
+    assert!(attack(training, Some(30)).back > 15);
+    assert!(attack(training, None).refused > 100);
+}
+
+#[test]
+fn no_damage_is_believed_in_a_retraining() {
+    assert!(attack(retraining, Some(60)).back > 15);
+    assert!(attack(retraining, None).refused > 100);
+}
