@@ -133,6 +133,7 @@ impl Train {
 
     /// Writes what all seeds in the folder have come to, those of earlier commands with these.
     fn write_results(&self, config: &TrainingConfig, quiet: bool) -> Result<(), Failure> {
+        disk::remove_unfinished(&self.out)?;
         let (results, logs): (Vec<_>, Vec<_>) = finished_trainings(&self.out, config)?.into_iter().unzip();
         let mut files = Files::default();
         let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: &results };

@@ -118,7 +118,7 @@ fn scratch() -> TempDir {
 }
 
 /// All files of a folder by name, but for those that hold nothing.
-fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+pub(crate) fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     fn gather(root: &Path, folder: &Path, found: &mut BTreeMap<String, Vec<u8>>) {
         for entry in fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
@@ -239,17 +239,17 @@ fn goes_back(damaged: &Path, work: Working, genuine: &BTreeMap<String, Vec<u8>>,
     true
 }
 
+/// Without what is only there while the work lasts.
+pub(crate) fn finished(files: &BTreeMap<String, Vec<u8>>) -> BTreeMap<String, Vec<u8>> {
+    let kept = files.iter().filter(|(name, _)| !name.contains("previous/"));
+    kept.map(|(name, bytes)| (name.clone(), bytes.clone())).collect()
+}
+
 fn assert_same(found: &BTreeMap<String, Vec<u8>>, expected: &BTreeMap<String, Vec<u8>>, what: &str) {
     let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
-    let finished = |files: &BTreeMap<String, Vec<u8>>| {
-        files
-            .iter()
-            .filter(|(name, _)| !name.starts_with("previous/"))
-            .map(|(name, bytes)| (name.clone(), bytes.clone()))
-            .collect::<BTreeMap<_, _>>()
-    };
-    assert_eq!(names(&finished(found)), names(&finished(expected)), "{what}");
-    for (name, bytes) in finished(found) {
+    let (found, expected) = (finished(found), finished(expected));
+    assert_eq!(names(&found), names(&expected), "{what}");
+    for (name, bytes) in found {
         assert!(bytes == expected[&name], "{what}: {name} differs in the end");
     }
 }

@@ -13,6 +13,8 @@ mod corpora;
 mod damage;
 mod engines;
 mod estimation;
+#[cfg(target_os = "linux")]
+mod faults;
 mod forgery;
 mod formulas;
 mod generate;

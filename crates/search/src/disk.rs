@@ -171,6 +171,28 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
     sync_folder(folder_of(path))
 }
 
+/// Makes the name of a file, and of those beside it, outlast a loss of power.
+///
+/// # Errors
+/// [`DiskError`] if the folder cannot be read or written.
+pub fn sync_names_beside(path: &Path) -> Result<(), DiskError> {
+    sync_folder(folder_of(path))
+}
+
+/// Removes what earlier processes left in a folder of files that they did not finish. Only while no other process writes there.
+///
+/// # Errors
+/// [`DiskError`] if the folder cannot be read or written.
+pub fn remove_unfinished(folder: &Path) -> Result<(), DiskError> {
+    for entry in fs::read_dir(folder).map_err(DiskError::at(folder))? {
+        let path = entry.map_err(DiskError::at(folder))?.path();
+        if is_unfinished(&path) {
+            remove(&path)?;
+        }
+    }
+    Ok(())
+}
+
 /// Removes a folder in which there is nothing but folders, likewise, and does nothing otherwise.
 ///
 /// # Errors

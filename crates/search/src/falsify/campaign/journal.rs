@@ -4,13 +4,15 @@
 //! values; then one record an evaluation, in the order of evaluation, appended batch by batch. Which point
 //! an evaluation was at need not be kept: asking the search again gives the same points, as long as it is told the
 //! same values. A record that was cut short is not used; one that was changed is known by its checksum, and the campaign does
-//! not go on from it. The journal is removed once the campaign is complete: its contents are then in the Parquet files.
+//! not go on from it. Records reach the disk once a second at least: a loss of power takes no more, and what it leaves instead of
+//! them, nothing or zeros to the end, counts as cut short. The journal is removed once the campaign is complete: its contents are then in the Parquet files.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
-use crate::disk::DiskError;
+use crate::disk::{self, DiskError};
 use crumple_world::digest::Sha256;
 use crumple_world::measure::{Braking, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
@@ -37,7 +39,12 @@ pub(super) struct Journal {
     earlier: Option<BufReader<File>>,
     /// Records used or written so far.
     records: u64,
+    /// When records last reached the disk.
+    synced: Instant,
 }
+
+/// Between two times that records are made to reach the disk.
+const BETWEEN: Duration = Duration::from_secs(1);
 
 /// Why an earlier run cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -59,7 +66,16 @@ impl Journal {
         let unusable = DiskError::at(path);
         let mut file = File::create(path).map_err(unusable)?;
         file.write_all(header(identity).as_bytes()).map_err(unusable)?;
-        Ok(Self { file, path: path.to_owned(), identity: identity.to_owned(), earlier: None, records: 0 })
+        file.sync_all().map_err(unusable)?;
+        disk::sync_names_beside(path)?;
+        Ok(Self {
+            file,
+            path: path.to_owned(),
+            identity: identity.to_owned(),
+            earlier: None,
+            records: 0,
+            synced: Instant::now(),
+        })
     }
 
     /// The journal of an earlier run, or an empty one if there is none.
@@ -74,12 +90,22 @@ impl Journal {
         let Some(beyond) = length.checked_sub(HEADER as u64) else { return Self::create(path, identity) };
         let (mut earlier, mut found) = (BufReader::new(File::open(path).map_err(unusable)?), [0; HEADER]);
         earlier.read_exact(&mut found).map_err(unusable)?;
+        if found == [0; HEADER] && is_zero(&mut earlier).map_err(unusable)? {
+            return Self::create(path, identity);
+        }
         if found != header(identity).as_bytes() {
             return Err(JournalError::OtherWork);
         }
         let file = OpenOptions::new().append(true).open(path).map_err(unusable)?;
         file.set_len(length - beyond % RECORD as u64).map_err(unusable)?;
-        Ok(Self { file, path: path.to_owned(), identity: identity.to_owned(), earlier: Some(earlier), records: 0 })
+        Ok(Self {
+            file,
+            path: path.to_owned(),
+            identity: identity.to_owned(),
+            earlier: Some(earlier),
+            records: 0,
+            synced: Instant::now(),
+        })
     }
 
     /// The next verdict of an earlier run.
@@ -90,6 +116,17 @@ impl Journal {
             Ok(()) if checksum == checksum_of(&self.identity, self.records, &body) => {
                 self.records += 1;
                 Ok(Some(decode(&body)))
+            }
+            Ok(())
+                if body == [0; BODY]
+                    && checksum == [0; CHECKSUM]
+                    && is_zero(earlier).map_err(DiskError::at(&self.path))? =>
+            {
+                self.file
+                    .set_len((HEADER + RECORD * self.records as usize) as u64)
+                    .map_err(DiskError::at(&self.path))?;
+                self.earlier = None;
+                Ok(None)
             }
             Ok(()) => Err(JournalError::Damaged { number: self.records + 1 }),
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
@@ -109,7 +146,24 @@ impl Journal {
             bytes.extend(checksum_of(&self.identity, index, &body));
         }
         self.records += verdicts.len() as u64;
-        self.file.write_all(&bytes).map_err(DiskError::at(&self.path))
+        self.file.write_all(&bytes).map_err(DiskError::at(&self.path))?;
+        if self.synced.elapsed() > BETWEEN {
+            self.file.sync_data().map_err(DiskError::at(&self.path))?;
+            self.synced = Instant::now();
+        }
+        Ok(())
+    }
+}
+
+/// Whether there is nothing but zeros to the end.
+fn is_zero(rest: &mut impl Read) -> io::Result<bool> {
+    let mut part = [0; 1 << 12];
+    loop {
+        match rest.read(&mut part)? {
+            0 => return Ok(true),
+            count if part.iter().take(count).any(|&byte| byte != 0) => return Ok(false),
+            _ => {}
+        }
     }
 }
 
@@ -236,5 +290,8 @@ mod tests {
         let (header, [one, two]) = (&whole[..HEADER], [0, 1].map(|at| &whole[HEADER + at * RECORD..][..RECORD]));
         assert!(first_damage(&[header, two, one].concat()).unwrap().starts_with("record 1 is damaged"));
         assert_eq!(first_damage(&header[1..]), None, "it begins anew");
+        assert_eq!(first_damage(&[header, one, &[0; 3 * RECORD + 5]].concat()), None, "what a loss of power leaves");
+        assert_eq!(std::fs::read(&path).unwrap(), [header, one].concat());
+        assert!(first_damage(&[header, one, &[0; RECORD], two].concat()).unwrap().starts_with("record 2 is damaged"));
     }
 }

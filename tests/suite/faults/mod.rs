@@ -1,0 +1,244 @@
+//! Every call of the system that changes a file may fail, be the last one, or be lost with the power: work that goes on afterwards ends
+//! with the same bytes as work that nothing happened to.
+//!
+//! A small library stands between the program and the system (`shim.c`). `FAULTS` says how many calls of each command are tried in
+//! each way, spread over all of them and others for each `FAULTS_SEED`; `FAULTS=all` tries every one.
+
+mod power;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use crate::damage::{files, finished};
+
+/// Calls that are tried in each way, unless `FAULTS` says otherwise.
+const TRIED: usize = 3;
+
+/// A command that keeps work in the folder `run`.
+struct Kept {
+    arguments: &'static [&'static str],
+    /// The preset it trains with.
+    preset: Option<(&'static str, &'static [(&'static str, &'static str)])>,
+}
+
+const CAMPAIGN: Kept =
+    Kept { arguments: &["falsify", "--controller", "baseline", "--space", "paper", "--budget", "60"], preset: None };
+
+const COUNT: Kept = Kept {
+    arguments: &["verify", "rate", "--controller", "idm", "--space", "paper", "--runs", "400", "--confidence", "0.9"],
+    preset: None,
+};
+
+const TRAINING: Kept = Kept {
+    arguments: &["train", "--preset", "tiny.toml", "--seed", "1", "--episodes", "33"],
+    preset: Some((
+        include_str!("../../../crates/learn/src/rl/presets/fast.toml"),
+        &[
+            ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
+            ("batch = 128", "batch = 8"),
+            ("random_episodes = 20", "random_episodes = 3"),
+            ("every_episodes = 5", "every_episodes = 1"),
+            ("screening_draws = 60", "screening_draws = 2"),
+            ("ranking_draws = 2000", "ranking_draws = 2"),
+            ("master_gap_m = 1.0", "master_gap_m = 0.0"),
+            ("capacity = 100000", "capacity = 200"),
+        ],
+    )),
+};
+
+const RETRAINING: Kept = Kept {
+    arguments: &[
+        "retrain",
+        "--preset",
+        "tiny.toml",
+        "--rounds",
+        "2",
+        "--episodes",
+        "12",
+        "--budget",
+        "10",
+        "--draws",
+        "15",
+        "--kept-aside",
+        "6",
+        "--nominal",
+        "5",
+        "--judge",
+        "6",
+        "--seed",
+        "3",
+    ],
+    preset: Some((
+        include_str!("../../../crates/learn/src/retrain/preset.toml"),
+        &[
+            ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
+            ("batch = 256", "batch = 8"),
+            ("random_episodes = 200", "random_episodes = 3"),
+            ("every_episodes = 25", "every_episodes = 1"),
+            ("screening_draws = 200", "screening_draws = 2"),
+            ("ranking_draws = 1000", "ranking_draws = 6"),
+            ("capacity = 1000000", "capacity = 200"),
+        ],
+    )),
+};
+
+/// The files of a folder, by name.
+type Files = BTreeMap<String, Vec<u8>>;
+
+impl Kept {
+    /// A folder in which it can be run.
+    fn place(&self) -> tempfile::TempDir {
+        let place = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
+        if let Some((text, changes)) = self.preset {
+            let text = changes.iter().fold(text.to_owned(), |text, (from, to)| {
+                assert!(text.contains(from), "{from}");
+                text.replace(from, to)
+            });
+            fs::write(place.path().join("tiny.toml"), text).unwrap();
+        }
+        place
+    }
+
+    fn command(&self, place: &Path) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
+        command.args(self.arguments).args(["--resume", "--quiet", "--out"]).arg(place.join("run")).current_dir(place);
+        command.env("RAYON_NUM_THREADS", "1");
+        command
+    }
+
+    /// Goes on, and ends with the files of work that nothing happened to.
+    fn ends_well(&self, place: &Path, genuine: &Files, what: &str) {
+        let ended = self.command(place).output().unwrap();
+        // A gate may fail, as it does without faults.
+        assert!(matches!(ended.status.code(), Some(0 | 1)), "{what}: {}", said(&ended));
+        let found = finished(&files(&place.join("run")));
+        assert_eq!(found.keys().collect::<Vec<_>>(), genuine.keys().collect::<Vec<_>>(), "{what}");
+        for (name, bytes) in &found {
+            assert!(bytes == &genuine[name], "{what}: {name} differs in the end");
+        }
+    }
+
+    /// The files it ends with, and the trace of what it did.
+    fn genuine(&self, shim: &Path) -> (Files, Vec<u8>) {
+        let place = self.place();
+        let trace = place.path().join("trace");
+        let ended = shimmed(&mut self.command(place.path()), shim, &place.path().join("run"))
+            .env("FAULT_TRACE", &trace)
+            .output()
+            .unwrap();
+        assert!(matches!(ended.status.code(), Some(0 | 1)), "{}", said(&ended));
+        let renamed = String::from_utf8_lossy(&fs::read(&trace).unwrap()).matches("\nrename ").count();
+        assert!(renamed > 5, "what it does is seen");
+        (finished(&files(&place.path().join("run"))), fs::read(&trace).unwrap())
+    }
+}
+
+fn said(output: &Output) -> String {
+    format!("{:?}: {}", output.status, String::from_utf8_lossy(&output.stderr))
+}
+
+fn shimmed<'a>(command: &'a mut Command, shim: &Path, under: &Path) -> &'a mut Command {
+    command.env("LD_PRELOAD", shim).env("FAULT_UNDER", under)
+}
+
+/// The library, built with the compiler that links Rust programs.
+fn shim(folder: &Path) -> PathBuf {
+    let library = folder.join("shim.so");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/suite/faults/shim.c");
+    let built = Command::new("cc")
+        .args(["-shared", "-fPIC", "-O1", "-o"])
+        .arg(&library)
+        .arg(source)
+        .args(["-ldl", "-lpthread"])
+        .output();
+    let built = built.unwrap();
+    assert!(built.status.success(), "{}", said(&built));
+    library
+}
+
+/// Which of so many calls are tried: all, or some spread over them.
+fn tried(calls: usize, salt: usize) -> Vec<usize> {
+    let number = |name| std::env::var(name).ok().and_then(|number| number.parse::<usize>().ok());
+    if std::env::var("FAULTS").is_ok_and(|wanted| wanted == "all") {
+        return (1..=calls).collect();
+    }
+    let wanted = number("FAULTS").unwrap_or(TRIED).min(calls);
+    let from = number("FAULTS_SEED").unwrap_or_default().wrapping_add(salt).wrapping_mul(7919);
+    (0..wanted).map(|place| 1 + (place * calls / wanted).wrapping_add(from) % calls).collect()
+}
+
+fn calls(trace: &[u8]) -> usize {
+    let text = String::from_utf8_lossy(trace);
+    text.trim_end().rsplit_once("calls ").unwrap().1.parse().unwrap()
+}
+
+/// A full disk, a disk that fails, and an end without warning, at any call.
+fn survives_faults(kept: &Kept) {
+    let folder = tempfile::tempdir().unwrap();
+    let shim = shim(folder.path());
+    let (genuine, trace) = kept.genuine(&shim);
+    let calls = calls(&trace);
+    for (salt, fault) in ["enospc", "eio", "kill"].into_iter().enumerate() {
+        for at in tried(calls, salt) {
+            let (place, what) = (kept.place(), format!("{fault} at call {at} of {calls}"));
+            let mut command = kept.command(place.path());
+            let faulty = shimmed(&mut command, &shim, &place.path().join("run"))
+                .env("FAULT_AT", at.to_string())
+                .env("FAULT", fault);
+            let ended = faulty.output().unwrap();
+            match (ended.status.code(), fault) {
+                // What was only tidying up may fail.
+                (Some(3), "enospc" | "eio") | (None, "kill") | (Some(0 | 1), _) => {}
+                _ => panic!("{what}: {}", said(&ended)),
+            }
+            if ended.status.code() == Some(3) {
+                assert!(said(&ended).contains("run"), "{what} names no file: {}", said(&ended));
+            }
+            kept.ends_well(place.path(), &genuine, &what);
+        }
+    }
+}
+
+/// The power goes at any call, and what had not been made to reach the disk is gone, or partly gone.
+fn survives_loss_of_power(kept: &Kept) {
+    let folder = tempfile::tempdir().unwrap();
+    let (genuine, trace) = kept.genuine(&shim(folder.path()));
+    let changes = power::changes(&trace);
+    for (salt, loss) in power::Loss::ALL.into_iter().enumerate() {
+        for at in tried(changes.len(), salt) {
+            let place = kept.place();
+            power::disk_after(&changes[..at], loss).write_to(&place.path().join("run"));
+            kept.ends_well(
+                place.path(),
+                &genuine,
+                &format!("power lost at change {at} of {}, {loss:?}", changes.len()),
+            );
+        }
+    }
+}
+
+#[test]
+fn a_campaign_survives_faults_and_loss_of_power() {
+    survives_faults(&CAMPAIGN);
+    survives_loss_of_power(&CAMPAIGN);
+}
+
+#[test]
+fn a_count_survives_faults_and_loss_of_power() {
+    survives_faults(&COUNT);
+    survives_loss_of_power(&COUNT);
+}
+
+#[test]
+fn a_training_survives_faults_and_loss_of_power() {
+    survives_faults(&TRAINING);
+    survives_loss_of_power(&TRAINING);
+}
+
+#[test]
+fn a_retraining_survives_faults_and_loss_of_power() {
+    survives_faults(&RETRAINING);
+    survives_loss_of_power(&RETRAINING);
+}
