@@ -5,8 +5,9 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
 use serde::Serialize;
-use tempfile::NamedTempFile;
+use tempfile::TempPath;
 
 /// A file or folder that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -38,7 +39,15 @@ pub fn is_unfinished(path: &Path) -> bool {
 /// leaves nothing half-written.
 #[derive(Default)]
 pub struct Files {
-    staged: Vec<(NamedTempFile, PathBuf)>,
+    staged: Vec<Staged>,
+}
+
+/// Something that is to have a name.
+struct Staged {
+    /// What has not yet reached the disk.
+    file: Option<fs::File>,
+    unfinished: TempPath,
+    path: PathBuf,
 }
 
 impl Files {
@@ -47,7 +56,7 @@ impl Files {
     /// # Errors
     /// [`DiskError`] if it cannot be written, or if another file is staged for its place: [`io::ErrorKind::AlreadyExists`].
     pub fn stage(&mut self, path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
-        if self.staged.iter().any(|(_, staged)| staged == path) {
+        if self.staged.iter().any(|staged| staged.path == path) {
             let twice = "two results would go there: give scenarios names of their own";
             return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, twice)));
         }
@@ -64,18 +73,35 @@ impl Files {
             builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644));
             let mut file = builder.tempfile_in(folder)?;
             file.write_all(contents.as_ref())?;
-            // Else a loss of power could leave the new name with nothing behind it.
-            file.as_file().sync_all()?;
-            Ok(file)
+            Ok(file.into_parts())
         };
-        let file = stage().map_err(|error: io::Error| {
+        let (file, unfinished) = stage().map_err(|error: io::Error| {
             // The kind alone: the error itself would name a temporary file, of which the caller knows nothing.
             DiskError::at(path)(match error.kind() {
                 io::ErrorKind::NotFound => io::Error::new(io::ErrorKind::NotFound, "there is no such folder"),
                 kind => kind.into(),
             })
         })?;
-        self.staged.push((file, path.to_owned()));
+        self.staged.push(Staged { file: Some(file), unfinished, path: path.to_owned() });
+        Ok(())
+    }
+
+    /// Stages a second name for the contents that a file has now.
+    ///
+    /// # Errors
+    /// [`DiskError`] if it cannot be done.
+    pub fn stage_second(&mut self, of: &Path, path: &Path) -> Result<(), DiskError> {
+        let failed = DiskError::at(path);
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let unfinished = folder_of(path).join(format!("{UNFINISHED}{name}"));
+        unless_missing(fs::remove_file(&unfinished)).map_err(failed)?;
+        let file = match fs::hard_link(of, &unfinished) {
+            Ok(()) => None,
+            // Not every file system knows links.
+            Err(_) => Some(fs::copy(of, &unfinished).and_then(|_| fs::File::open(&unfinished)).map_err(failed)?),
+        };
+        let unfinished = TempPath::try_from_path(unfinished).map_err(failed)?;
+        self.staged.push(Staged { file, unfinished, path: path.to_owned() });
         Ok(())
     }
 
@@ -84,15 +110,21 @@ impl Files {
     /// # Errors
     /// [`DiskError`] names the first file that cannot be moved; those before it are in their places.
     pub fn commit(self) -> Result<(), DiskError> {
+        // Else a loss of power could leave new names with nothing behind them. All at once, for each waits for the disk.
+        self.staged.par_iter().try_for_each(|staged| {
+            let synced = staged.file.as_ref().map_or(Ok(()), fs::File::sync_all);
+            synced.map_err(DiskError::at(&staged.path))
+        })?;
         let mut folders = BTreeSet::new();
-        for (file, path) in self.staged {
-            let unfinished = file.into_temp_path();
+        for Staged { unfinished, path, .. } in self.staged {
             fs::rename(&unfinished, &path).map_err(DiskError::at(&path))?;
-            // It has its name, and nothing is left to be cleared away.
-            let _ = unfinished.keep();
+            // Nothing is left to be cleared away, unless both were names of one file: then neither is moved.
+            if fs::symlink_metadata(&unfinished).is_err() {
+                let _ = unfinished.keep();
+            }
             folders.insert(folder_of(&path).to_owned());
         }
-        folders.iter().try_for_each(|folder| sync_folder(folder))
+        folders.par_iter().try_for_each(|folder| sync_folder(folder))
     }
 }
 
@@ -123,35 +155,18 @@ pub fn read(path: &Path) -> Result<Option<Vec<u8>>, DiskError> {
     unless_missing(fs::read(path)).map_err(DiskError::at(path))
 }
 
-/// Removes a file, if there is one.
+/// Removes files, as far as they are there.
 ///
 /// # Errors
-/// [`DiskError`] if it cannot be removed.
-pub fn remove(path: &Path) -> Result<(), DiskError> {
-    match unless_missing(fs::remove_file(path)).map_err(DiskError::at(path))? {
-        Some(()) => sync_folder(folder_of(path)),
-        None => Ok(()),
+/// [`DiskError`] names the first that cannot be removed.
+pub fn remove(paths: &[impl AsRef<Path>]) -> Result<(), DiskError> {
+    let mut folders = BTreeSet::new();
+    for path in paths.iter().map(AsRef::as_ref) {
+        if unless_missing(fs::remove_file(path)).map_err(DiskError::at(path))?.is_some() {
+            folders.insert(folder_of(path));
+        }
     }
-}
-
-/// Gives the contents of a file a second name; what had that name is replaced. The file is never without its own.
-///
-/// # Errors
-/// [`DiskError`] if it cannot be done.
-pub fn keep_as(path: &Path, second: &Path) -> Result<(), DiskError> {
-    let name = second.file_name().unwrap_or_default().to_string_lossy();
-    let unfinished = folder_of(second).join(format!("{UNFINISHED}{name}"));
-    let failed = DiskError::at(second);
-    unless_missing(fs::remove_file(&unfinished)).map_err(failed)?;
-    let linked = fs::hard_link(path, &unfinished).or_else(|_| {
-        // Not every file system knows links.
-        fs::copy(path, &unfinished)?;
-        fs::File::open(&unfinished)?.sync_all()
-    });
-    linked.and_then(|()| fs::rename(&unfinished, second)).map_err(failed)?;
-    // Of two names of one file none is moved over the other.
-    unless_missing(fs::remove_file(&unfinished)).map_err(failed)?;
-    sync_folder(folder_of(second))
+    folders.iter().try_for_each(|folder| sync_folder(folder))
 }
 
 /// Makes a folder and those it lies in, as far as they are missing.
@@ -187,28 +202,20 @@ pub fn remove_unfinished(folder: &Path) -> Result<(), DiskError> {
     for entry in fs::read_dir(folder).map_err(DiskError::at(folder))? {
         let path = entry.map_err(DiskError::at(folder))?.path();
         if is_unfinished(&path) {
-            remove(&path)?;
+            remove(&[path])?;
         }
     }
     Ok(())
 }
 
-/// Removes a folder in which there is nothing but folders, likewise, and does nothing otherwise.
+/// Removes a folder and all that is in it, if there is one.
 ///
 /// # Errors
-/// [`DiskError`] if it cannot be read.
-pub fn remove_empty_folders(path: &Path) -> Result<(), DiskError> {
-    let Some(entries) = unless_missing(fs::read_dir(path)).map_err(DiskError::at(path))? else { return Ok(()) };
-    for entry in entries {
-        let inner = entry.map_err(DiskError::at(path))?.path();
-        if inner.is_dir() {
-            remove_empty_folders(&inner)?;
-        }
-    }
-    // What is not empty stays.
-    match fs::remove_dir(path) {
-        Ok(()) => sync_folder(folder_of(path)),
-        Err(_) => Ok(()),
+/// [`DiskError`] if it cannot be removed.
+pub fn remove_folder(path: &Path) -> Result<(), DiskError> {
+    match unless_missing(fs::remove_dir_all(path)).map_err(DiskError::at(path))? {
+        Some(()) => sync_folder(folder_of(path)),
+        None => Ok(()),
     }
 }
 

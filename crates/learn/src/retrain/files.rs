@@ -33,7 +33,7 @@ pub(super) fn write_json(work: &Work, name: &str, value: &impl Serialize) -> Res
 
 /// Keeps a value that grows step by step, and what it was a step before.
 pub(super) fn advance_json(work: &Work, name: &str, value: &impl Serialize) -> Result<(), RetrainError> {
-    Ok(work.advance(&[(name, to_json(value)?)])?)
+    Ok(work.advance(name, to_json(value)?)?)
 }
 
 /// The value in a file; none if there is no such file.

@@ -129,7 +129,7 @@ impl Report {
     }
 
     pub(super) fn write(&self, work: &Work) -> Result<(), RetrainError> {
-        Ok(work.write_all(&[("report.md", self.to_markdown()), (REPORT, self.to_json()?)])?)
+        Ok(work.changes().write("report.md", self.to_markdown()).write(REPORT, self.to_json()?).commit()?)
     }
 
     /// The text of `report.json`.

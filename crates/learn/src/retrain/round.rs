@@ -237,7 +237,7 @@ impl RoundContext<'_> {
         let (trained, candidate, problem) = match self.train(cases, show) {
             Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
             Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => {
-                self.work.remove(&[self.name(LEARNER)])?;
+                self.work.changes().remove(&self.name(LEARNER)).commit()?;
                 let (seed, from_episode) = self.learner_from();
                 let trained = Trained { seed, from_episode, to_episode: 0, best_episode: 0, checkpoints: Vec::new() };
                 (trained, None, Some(diverged.to_string()))

@@ -116,15 +116,15 @@ impl RetrainingPlan {
                 Some(round) => round,
                 None => before.finish(found, &cases, show)?,
             };
-            work.remove(&[in_round(number, CHECKPOINTS), in_round(number - 1, LEARNER)])?;
+            work.changes().remove(&in_round(number, CHECKPOINTS)).remove(&in_round(number - 1, LEARNER)).commit()?;
             if round.acceptance.is_accepted() {
                 policy = Arc::new(round.candidate(&work)?);
                 standing = round.after.clone();
             }
             rounds.push(round);
         };
-        work.remove(&[in_round(rounds.len() as u64, LEARNER)])?;
-        work.write(POLICY, policy.to_bytes()?)?;
+        let last = in_round(rounds.len() as u64, LEARNER);
+        work.changes().remove(&last).write(POLICY, policy.to_bytes()?).commit()?;
         write_json(&work, RETRAINED_ON, &cases)?;
         let contender = |name: &str, policy: &Arc<Policy>| NamedController {
             name: name.to_owned(),

@@ -109,12 +109,12 @@ impl Observer<RetrainError> for CheckpointWriter<'_, '_, '_> {
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), RetrainError> {
         // The learner last: what the list has beyond it is cut off.
         let before = self.before;
-        let files = [
-            (before.name(CHECKPOINTS), to_json(&self.checkpoints)?.into_bytes()),
-            (before.name(LEARNER), trainer.to_checkpoint()?),
-        ];
-        before.work.advance(&files)?;
+        let (lists, learner) = (before.name(CHECKPOINTS), before.name(LEARNER));
+        let (checkpoints, bytes) = (to_json(&self.checkpoints)?, trainer.to_checkpoint()?);
+        let keep =
+            || before.work.changes().advance(&lists, checkpoints.as_str()).advance(&learner, bytes.as_slice()).commit();
+        keep()?;
         // The next round goes on from the end of this one, and from nothing before it: that is kept twice.
-        if trainer.is_done() { Ok(before.work.advance(&files)?) } else { Ok(()) }
+        if trainer.is_done() { Ok(keep()?) } else { Ok(()) }
     }
 }

@@ -131,7 +131,9 @@ impl Observer<TrainingError> for Keeper<'_> {
 
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), TrainingError> {
         let (policy, checkpoint) = (trainer.policy()?.to_bytes()?, trainer.to_checkpoint()?);
-        Ok(self.work.advance(&[(LOG, self.log.as_bytes()), (POLICY, &policy), (CHECKPOINT, &checkpoint)])?)
+        let mut changes = self.work.changes();
+        changes.advance(LOG, self.log.as_str()).advance(POLICY, policy).advance(CHECKPOINT, checkpoint);
+        Ok(changes.commit()?)
     }
 }
 

@@ -61,7 +61,7 @@ impl RatePlan {
             WorkError::OtherConfiguration { .. } => RateFolderError::OtherRegistration { path },
             other => other.into(),
         })?;
-        work.write(REGISTRATION, &registration)?;
+        work.write(REGISTRATION, registration)?;
         let tally = match work.read(PROGRESS)? {
             None => self.tally(),
             Some(bytes) => {
@@ -93,14 +93,15 @@ impl RateCount<'_> {
             progress(self.tally.runs);
             self.plan.count_block(&mut self.tally)?;
             if written.elapsed() > BETWEEN {
-                self.work.advance(&[(PROGRESS, json(&path, &self.tally)?)])?;
+                self.work.advance(PROGRESS, json(&path, &self.tally)?)?;
                 written = Instant::now();
             }
         }
-        self.work.write(PROGRESS, json(&path, &self.tally)?)?;
+        let progress = json(&path, &self.tally)?;
         let certificate = self.plan.certificate(&self.tally);
         check(&certificate).map_err(|rejection| RateFolderError::Rejected { path, rejection })?;
-        self.work.write(CERTIFICATE, json(&self.certificate_path(), &certificate)?)?;
+        let certified = json(&self.certificate_path(), &certificate)?;
+        self.work.changes().write(PROGRESS, progress).write(CERTIFICATE, certified).commit()?;
         self.work.finish()?;
         Ok(certificate)
     }

@@ -28,8 +28,7 @@ pub(super) fn manifest_in(folder: &Path) -> PathBuf {
 
 /// Nothing is left of a generation that nobody needs any more.
 pub(super) fn forget(folder: &Path) -> Result<(), DiskError> {
-    disk::remove(&manifest_in(folder))?;
-    disk::remove_empty_folders(&folder.join(PREVIOUS))
+    disk::remove_folder(&folder.join(PREVIOUS))
 }
 
 /// Whether something is damaged and there is a way back.

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{MANIFEST, UNKNOWN, WorkError, generation};
-use crate::disk::{self, DiskError};
+use crate::disk::{self, DiskError, Files};
 use crumple_world::digest::sha256;
 
 /// The version of the file.
@@ -89,13 +89,14 @@ impl Manifest {
     pub(super) fn write(&self, folder: &Path) -> Result<(), DiskError> {
         let path = folder.join(MANIFEST);
         let text = self.text().map_err(|error| DiskError::at(&path)(error.into()))?;
-        disk::write(&path, &text)?;
-        if self.program.is_none() {
-            return Ok(());
+        let mut files = Files::default();
+        files.stage(&path, &text)?;
+        if self.program.is_some() {
+            let second = generation::manifest_in(folder);
+            second.parent().map_or(Ok(()), disk::make_folder)?;
+            files.stage(&second, &text)?;
         }
-        let second = generation::manifest_in(folder);
-        second.parent().map_or(Ok(()), disk::make_folder)?;
-        disk::write(&second, text)
+        files.commit()
     }
 
     /// The file, with its digest in it.
@@ -120,6 +121,11 @@ impl Manifest {
     /// Takes a file that something else has written to be as it is.
     pub(super) fn include(&mut self, name: &str, state: FileState) {
         self.files.insert(name.to_owned(), vec![state]);
+    }
+
+    /// Knows no more of what was kept.
+    pub(super) fn forget_before(&mut self) {
+        self.files.retain(|name, _| !generation::is_of_it(name));
     }
 
     /// The folders in which there is work of its own.

@@ -6,17 +6,19 @@
 //! either as before a change or as after it. One process works in a folder at a time.
 //!
 //! What only doing the work again could make again, such as the checkpoint of a training, is kept twice while the work lasts: as it
-//! is, and in the folder `previous` as it was before ([`Work::advance`]). `work.json` has its second copy there, too. If one of
+//! is, and in the folder `previous` as it was before ([`Changes::advance`]). `work.json` has its second copy there, too. If one of
 //! them is damaged, [`restore`] goes back to the other. Work may lie in a folder of other work ([`Work::include`]).
 //!
 //! This is integrity, not secrecy: it finds what was cut, edited, moved or left over, on purpose or by accident, but not the work
 //! of somebody who writes files and manifest anew. Who must not be able to do that must not be able to write there.
 
+mod changes;
 mod examine;
 mod generation;
 mod lock;
 mod manifest;
 
+pub use changes::Changes;
 pub use examine::{Examined, examine};
 pub use generation::{Restored, restore};
 pub use lock::exclusively;
@@ -159,6 +161,10 @@ impl Work {
         };
         let work = Self { folder: folder.to_owned(), program, manifest: Mutex::new(manifest), _lock: lock };
         work.settle().map_err(|error| generation::hinted(folder, error))?;
+        if work.is_complete() {
+            // It may have ended while that was being removed.
+            generation::forget(folder)?;
+        }
         Ok(work)
     }
 
@@ -202,64 +208,25 @@ impl Work {
         self.read(name)?.ok_or_else(|| WorkError::missing(&self.path(name)))
     }
 
-    /// Writes a file, whole or not at all. What is there with the same contents is left alone.
-    ///
-    /// # Errors
-    /// [`WorkError::Disk`] if it cannot be written.
-    pub fn write(&self, name: &str, contents: impl AsRef<[u8]>) -> Result<(), WorkError> {
-        self.write_all(&[(name, contents)])
+    /// Changes that are announced and made together.
+    pub fn changes(&self) -> Changes<'_> {
+        Changes::of(self)
     }
 
-    /// Writes files, one after the other, each whole or not at all. What is there with the same contents is left alone.
+    /// Writes a file ([`Changes::write`]).
     ///
     /// # Errors
-    /// [`WorkError::Disk`] if one cannot be written; those before it are.
-    pub fn write_all(&self, files: &[(impl AsRef<str>, impl AsRef<[u8]>)]) -> Result<(), WorkError> {
-        let states = files.iter().map(|(name, contents)| (name.as_ref(), FileState::of(contents.as_ref())));
-        self.change(states.collect(), |index, path| {
-            let Some((_, contents)) = files.get(index) else { return Ok(()) };
-            path.parent().map_or(Ok(()), disk::make_folder)?;
-            disk::write(path, contents)
-        })
+    /// [`WorkError`] if something unknown is in its place, or it cannot be written.
+    pub fn write(&self, name: &str, contents: impl Into<Vec<u8>>) -> Result<(), WorkError> {
+        self.changes().write(name, contents).commit()
     }
 
-    /// Writes files that nothing but the work itself could make again, one after the other, and keeps those they replace in
-    /// `previous` until the work is finished. Of the first of its kind, the same is kept.
+    /// Writes a file and keeps what it was before ([`Changes::advance`]).
     ///
     /// # Errors
-    /// [`WorkError::Disk`] if one cannot be written; those before it are.
-    pub fn advance(&self, files: &[(impl AsRef<str>, impl AsRef<[u8]>)]) -> Result<(), WorkError> {
-        let replaced: Vec<(&str, String, FileState)> = {
-            let manifest = self.locked();
-            let with_state = files.iter().filter_map(|(name, contents)| {
-                let state = manifest.state(name.as_ref())?;
-                Some((name.as_ref(), contents.as_ref(), state))
-            });
-            let replaced = with_state.filter(|(_, contents, state)| *state != FileState::of(contents));
-            replaced.map(|(name, _, state)| (name, generation::before(name), state)).collect()
-        };
-        let states = replaced.iter().map(|(_, before, state)| (before.as_str(), state.clone()));
-        self.change(states.collect(), |index, path| {
-            let Some((name, ..)) = replaced.get(index) else { return Ok(()) };
-            path.parent().map_or(Ok(()), disk::make_folder)?;
-            disk::keep_as(&self.path(name), path)
-        })?;
-        self.write_all(files)?;
-        let is_single = |name: &str| !replaced.iter().any(|(replaced, ..)| *replaced == name);
-        let single = files.iter().filter(|(name, _)| is_single(name.as_ref()));
-        let doubles: Vec<_> = single.map(|(name, contents)| (generation::before(name.as_ref()), contents)).collect();
-        self.write_all(&doubles)
-    }
-
-    /// Removes files, as far as they are there.
-    ///
-    /// # Errors
-    /// [`WorkError::Disk`] if one cannot be removed.
-    pub fn remove(&self, names: &[impl AsRef<str>]) -> Result<(), WorkError> {
-        let mut earlier: Vec<_> = names.iter().map(|name| generation::before(name.as_ref())).collect();
-        earlier.retain(|name| self.locked().knows(name));
-        let names = names.iter().map(AsRef::as_ref).chain(earlier.iter().map(String::as_str));
-        self.change(names.map(|name| (name, FileState::Absent)).collect(), |_, path| disk::remove(path))
+    /// As for [`Self::write`].
+    pub fn advance(&self, name: &str, contents: impl Into<Vec<u8>>) -> Result<(), WorkError> {
+        self.changes().advance(name, contents).commit()
     }
 
     /// Takes the work that was finished in a folder of this one, such as `rounds/01/search`, to be part of it: from now on its
@@ -276,49 +243,16 @@ impl Work {
         Ok(manifest.write(&self.folder)?)
     }
 
-    /// A file whose records have checks of their own: the manifest says that it may be there, and no more.
-    ///
-    /// # Errors
-    /// [`WorkError::Disk`] if the manifest cannot be written.
-    pub fn let_grow(&self, name: &str) -> Result<PathBuf, WorkError> {
-        let path = self.path(name);
-        self.change(vec![(name, FileState::Growing)], |_, _| Ok(()))?;
-        Ok(path)
-    }
-
     /// Says that nothing will be changed any more.
     ///
     /// # Errors
     /// [`WorkError::Disk`] if the manifest cannot be written.
     pub fn finish(&self) -> Result<(), WorkError> {
-        let earlier: Vec<_> = self.locked().names().into_iter().filter(|name| generation::is_of_it(name)).collect();
-        self.remove(&earlier)?;
         let mut manifest = self.locked();
+        manifest.forget_before();
         manifest.program = None;
         manifest.write(&self.folder)?;
         Ok(generation::forget(&self.folder)?)
-    }
-
-    /// Announces changes, makes those that are any, and knows from then on that they were made.
-    fn change(
-        &self,
-        files: Vec<(&str, FileState)>,
-        make: impl Fn(usize, &Path) -> Result<(), DiskError>,
-    ) -> Result<(), WorkError> {
-        let mut manifest = self.locked();
-        files.iter().try_for_each(|(name, _)| self.is_free(&manifest, name))?;
-        let announced =
-            files.into_iter().enumerate().map(|(index, (name, to))| (index, name, manifest.announce(name, to)));
-        let changes: Vec<_> = announced.filter(|(.., is_change)| *is_change).collect();
-        if !changes.is_empty() {
-            manifest.program = Some(self.program.to_owned());
-            manifest.write(&self.folder)?;
-        }
-        for (index, name, _) in changes {
-            make(index, &self.path(name))?;
-            manifest.made(name);
-        }
-        Ok(())
     }
 
     /// Where nothing is known of, nothing may lie: neither the file itself nor, in a folder that is new to the work, another.
@@ -349,7 +283,7 @@ impl Work {
                 |path: &Path| path.strip_prefix(&self.folder).is_ok_and(|name| manifest.knows(&name.to_string_lossy()));
             for path in files {
                 if disk::is_unfinished(&path) {
-                    disk::remove(&path)?;
+                    disk::remove(&[path])?;
                 } else if !folder.is_empty() && !name(&path) && !self.is_second_manifest(&path) {
                     return Err(WorkError::damaged(&path, UNKNOWN));
                 }

@@ -8,9 +8,9 @@ const ASKED: Asked<'_> = Asked { kind: "count", configuration: "runs = 3", resum
 fn worked() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let work = Work::open(folder.path(), ASKED).unwrap();
-    work.write_all(&[("a.json", "first"), ("deep/b.json", "b"), ("c.json", "c")]).unwrap();
+    work.changes().write("a.json", "first").write("deep/b.json", "b").write("c.json", "c").commit().unwrap();
     work.write("a.json", "second").unwrap();
-    work.remove(&["c.json"]).unwrap();
+    work.changes().remove("c.json").commit().unwrap();
     work.finish().unwrap();
     folder
 }
@@ -153,8 +153,8 @@ fn what_is_damaged_goes_back_to_what_was_before() {
         let work = Work::open(folder.path(), ASKED).unwrap();
         work.write("plan.json", "made again by nobody").unwrap();
         for generation in 1..=generations {
-            work.advance(&[("log", format!("log {generation}")), ("deep/state", format!("state {generation}"))])
-                .unwrap();
+            let (log, state) = (format!("log {generation}"), format!("state {generation}"));
+            work.changes().advance("log", log).advance("deep/state", state).commit().unwrap();
         }
         folder
     };
@@ -175,7 +175,7 @@ fn what_is_damaged_goes_back_to_what_was_before() {
                 generations.saturating_sub(1).max(1)
             };
             assert_eq!((read("log"), read("deep/state")), (format!("log {back}"), format!("state {back}")));
-            work.advance(&[("log", "next"), ("deep/state", "next")]).unwrap();
+            work.changes().advance("log", "next").advance("deep/state", "next").commit().unwrap();
             work.finish().unwrap();
             assert!(!folder.path().join("previous").exists(), "what is finished is kept once");
         }
@@ -197,7 +197,7 @@ fn damage_in_what_is_included_is_damage() {
         let folder = tempfile::tempdir().unwrap();
         let work = Work::open(folder.path(), ASKED).unwrap();
         let inner = Work::open(&folder.path().join("rounds/01"), ASKED).unwrap();
-        inner.write_all(&[("a.json", "a"), ("deep/b.json", "b")]).unwrap();
+        inner.changes().write("a.json", "a").write("deep/b.json", "b").commit().unwrap();
         inner.finish().unwrap();
         drop(inner);
         work.include("rounds/01").unwrap();

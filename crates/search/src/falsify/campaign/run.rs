@@ -15,7 +15,7 @@ use crate::difference;
 use crate::disk;
 use crate::falsify::counterexample::Examiner;
 use crate::falsify::{Cube, Method};
-use crate::work::{Asked, Work, WorkError};
+use crate::work::{Asked, Changes, Work, WorkError};
 use crumple_world::digest::sha256;
 use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
@@ -81,8 +81,8 @@ impl Campaign {
         if work.is_complete() {
             return Summary::from_json(&String::from_utf8_lossy(&work.read_present(SUMMARY)?));
         }
-        work.write(CONFIGURATION, self.to_toml()?)?;
-        let (journal_path, identity) = (work.let_grow(JOURNAL)?, work.identity());
+        work.changes().write(CONFIGURATION, self.to_toml()?).grow(JOURNAL).commit()?;
+        let (journal_path, identity) = (work.path(JOURNAL), work.identity());
         let journal =
             if resume { Journal::resume(&journal_path, &identity) } else { Journal::create(&journal_path, &identity) };
         let mut journal = journal.map_err(|error| unusable(&journal_path, error))?;
@@ -97,11 +97,12 @@ impl Campaign {
             findings.reached.push(reached);
         }
         let Findings { reached, failures, sample, table } = findings;
-        table.finish()?;
+        // Until all of this is there, the journal is.
+        let mut results = work.changes();
+        table.finish(&mut results)?;
         progress(&state(None, &reached, self.total()));
-        let summary = self.summarise(&space, &nominal, reached, &failures, &sample, &work)?;
-        work.write_all(&[("summary.txt", summary.to_text()), (SUMMARY, summary.to_json()?)])?;
-        work.remove(&[JOURNAL])?;
+        let summary = self.summarise(&space, &nominal, reached, &failures, &sample, &mut results)?;
+        results.write("summary.txt", summary.to_text()).write(SUMMARY, summary.to_json()?).remove(JOURNAL).commit()?;
         work.finish()?;
         Ok(summary)
     }
@@ -221,12 +222,12 @@ impl Campaign {
         reached: Vec<Reached>,
         failures: &Failures,
         sample: &Sample,
-        work: &Work,
+        results: &mut Changes<'_>,
     ) -> Result<Summary, CampaignError> {
         let mut kinds: Vec<_> = failures.kinds.iter().collect();
         kinds.sort_by_key(|kind| std::cmp::Reverse(kind.count()));
         let picks: Vec<_> = kinds.iter().take(MOST_KINDS).flat_map(|kind| kind.picks()).collect();
-        let counterexamples = Examiner::new(self, space)?.examine_all(&picks, work)?;
+        let counterexamples = Examiner::new(self, space)?.examine_all(&picks, results)?;
         let mut all = Coverage::new(space.dimension());
         reached.iter().for_each(|reached| all.join(&reached.coverage));
         let finite = |value: f64| Some(value).filter(|value| value.is_finite());

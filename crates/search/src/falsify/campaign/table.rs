@@ -17,7 +17,7 @@ use parquet::schema::parser::parse_message_type;
 
 use super::{CampaignError, Evaluated};
 use crate::falsify::Method;
-use crate::work::Work;
+use crate::work::{Changes, Work};
 use crumple_world::measure::FirstContact;
 use crumple_world::scenario::space::Space;
 
@@ -39,21 +39,28 @@ impl<'a> Table<'a> {
 
     pub(super) fn add(&mut self, method: Method, evaluated: &Evaluated) -> Result<(), CampaignError> {
         self.rows.push((method, evaluated.clone()));
-        if self.rows.len() == ROWS { self.write() } else { Ok(()) }
-    }
-
-    /// Writes what is left.
-    pub(super) fn finish(mut self) -> Result<(), CampaignError> {
-        if self.rows.is_empty() { Ok(()) } else { self.write() }
-    }
-
-    fn write(&mut self) -> Result<(), CampaignError> {
-        let name = format!("evaluations/part-{:05}.parquet", self.parts);
-        self.parts += 1;
+        if self.rows.len() < ROWS {
+            return Ok(());
+        }
         // A resumed campaign comes by here again, and finds the part as it left it.
-        self.work.write(&name, self.encode().map_err(CampaignError::encoding)?)?;
+        let (name, part) = self.part()?;
+        self.parts += 1;
         self.rows.clear();
+        Ok(self.work.write(&name, part)?)
+    }
+
+    /// What is left, as one of the results.
+    pub(super) fn finish(self, results: &mut Changes<'_>) -> Result<(), CampaignError> {
+        if !self.rows.is_empty() {
+            let (name, part) = self.part()?;
+            results.write(&name, part);
+        }
         Ok(())
+    }
+
+    fn part(&self) -> Result<(String, Vec<u8>), CampaignError> {
+        let name = format!("evaluations/part-{:05}.parquet", self.parts);
+        Ok((name, self.encode().map_err(CampaignError::encoding)?))
     }
 
     fn schema(&self) -> String {

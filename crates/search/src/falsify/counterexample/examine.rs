@@ -10,7 +10,7 @@ use super::shrink::shrink;
 use super::{Avoidability, Changed, Counterexample};
 use crate::falsify::Cube;
 use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind};
-use crate::work::Work;
+use crate::work::Changes;
 use crumple_world::measure::max_delta_v_mps;
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::space::Space;
@@ -50,11 +50,11 @@ impl<'a> Examiner<'a> {
         Ok(Self { campaign, space, cube, nominal: space.point(&space.nominal()) })
     }
 
-    /// Looks at all candidates, keeps the distinct ones and writes them down.
+    /// Looks at all candidates, keeps the distinct ones and has them written down.
     pub(in crate::falsify) fn examine_all(
         &self,
         candidates: &[&'a FailureCandidate],
-        work: &Work,
+        results: &mut Changes<'_>,
     ) -> Result<Vec<Counterexample>, CampaignError> {
         if candidates.is_empty() {
             return Ok(Vec::new());
@@ -79,8 +79,10 @@ impl<'a> Examiner<'a> {
         }
         self.rank(&mut found);
         let text = toml::to_string(&index).map_err(CampaignError::encoding)?;
-        files.push(("counterexamples/expected.toml".to_owned(), text));
-        work.write_all(&files)?;
+        results.write("counterexamples/expected.toml", text);
+        for (name, text) in files {
+            results.write(&name, text);
+        }
         Ok(found)
     }
 
