@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::{Failure, output};
 use crumple_search::work::{Examined, examine};
+use crumple_world::quoted::Terminal;
 
 /// Look at folders of work: is every file what was written there?
 #[derive(Args)]
@@ -49,15 +50,19 @@ fn described(folder: &Path, found: &Examined) -> String {
         (false, false) => "half done by another build of crumple, which alone goes on with it",
     };
     let whole = found.files.iter().filter(|(_, state)| state.is_ok()).count();
-    let mut text =
-        format!("{}: a {}, {state}; {whole} of {} files are whole\n", folder.display(), found.kind, found.files.len());
+    let mut text = format!(
+        "{}: a {}, {state}; {whole} of {} files are whole\n",
+        Terminal(&folder.display().to_string()),
+        Terminal(&found.kind),
+        found.files.len()
+    );
     for (name, state) in &found.files {
         if let Err(problem) = state {
-            text += &format!("  {name}: {problem}\n");
+            text += &format!("  {}: {problem}\n", Terminal(name));
         }
     }
     for name in &found.growing {
-        text += &format!("  {name}: has checks of its own, made when the work goes on\n");
+        text += &format!("  {}: has checks of its own, made when the work goes on\n", Terminal(name));
     }
     text
 }

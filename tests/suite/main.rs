@@ -15,6 +15,7 @@ mod estimation;
 mod forgery;
 mod formulas;
 mod generate;
+mod hostile_names;
 mod measures;
 mod obligations;
 mod paper;
