@@ -15,6 +15,7 @@ mod curve;
 mod environment;
 mod evaluation;
 mod learner;
+mod memory;
 #[cfg(any(test, feature = "oracle"))]
 pub mod oracle;
 mod replay;
