@@ -2,7 +2,7 @@
 
 use std::ffi::OsStr;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -45,12 +45,14 @@ impl Import {
         };
         let imported = import(&self.recordings, &ImportOptions { min_brake })?;
         fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
-        if !self.force {
-            self.check_unedited(&imported)?;
-        }
         let mut files = Files::default();
         for scenario in &imported.scenarios {
-            files.stage(&self.out.join(&scenario.file_name), scenario.toml.as_bytes())?;
+            let path = self.out.join(&scenario.file_name);
+            match disk::read(&path)? {
+                Some(found) if found == scenario.toml.as_bytes() => {}
+                Some(_) if !self.force => return Err(edited(&path)),
+                _ => files.stage(&output::place(&path)?, scenario.toml.as_bytes())?,
+            }
         }
         files.commit()?;
         let others = self.other_scenarios(&imported)?;
@@ -70,18 +72,6 @@ impl Import {
         output::print(&text)
     }
 
-    /// Refuses to overwrite a file that is not what this import would write.
-    fn check_unedited(&self, imported: &Imported) -> Result<(), Failure> {
-        for scenario in &imported.scenarios {
-            let path = self.out.join(&scenario.file_name);
-            if disk::read(&path)?.is_some_and(|found| found != scenario.toml.as_bytes()) {
-                let problem = "is there and says something else: use --force to overwrite it, or another --out";
-                return Err(Failure::Input(format!("{}: {problem}", path.display())));
-            }
-        }
-        Ok(())
-    }
-
     /// Scenario files in the folder that this import did not write, such as those of an earlier one with another threshold.
     fn other_scenarios(&self, imported: &Imported) -> Result<usize, Failure> {
         let entries = fs::read_dir(&self.out).map_err(DiskError::at(&self.out))?;
@@ -90,4 +80,10 @@ impl Import {
         let others = entries.flatten().map(|entry| entry.path()).filter(is_scenario);
         Ok(others.filter(|path| path.file_name().is_some_and(|name| !written(name))).count())
     }
+}
+
+/// A file that is not what this import would write.
+fn edited(path: &Path) -> Failure {
+    let problem = "is there and says something else: use --force to overwrite it, or another --out";
+    Failure::Input(format!("{}: {problem}", path.display()))
 }

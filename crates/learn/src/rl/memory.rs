@@ -70,7 +70,9 @@ mod tests {
         };
         refused(changed(&|config| config.network.hidden = vec![4096; 16]));
         refused(changed(&|config| config.replay.capacity = 100_000_000));
-        refused(changed(&|config| (config.network.hidden, config.learning.batch) = (vec![2048; 8], 65_536)));
+        refused(changed(&|config| {
+            (config.network.hidden, config.learning.batch, config.replay.capacity) = (vec![2048; 8], 65_536, 65_536);
+        }));
         changed(&|config| config.network.hidden = vec![1024; 4]).unwrap();
     }
 }
