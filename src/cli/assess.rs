@@ -7,9 +7,9 @@ use std::{fs, io, process};
 use clap::Args;
 
 use super::output;
-use super::{Failure, progress};
+use super::{Failure, interrupt, progress};
 use crumple_report::assessment::{
-    AssessError, AssessmentPlan, ComparisonError, Earlier, Made, Store, StoreError, assess, files_of_evidence,
+    AssessError, AssessmentPlan, ComparisonError, Earlier, FOLDERS, Made, Store, StoreError, assess, files_of_evidence,
 };
 use crumple_search::disk::{DiskError, Files};
 use crumple_search::program;
@@ -40,11 +40,16 @@ the best escape found from each scenario (see avoid), and with every certificate
   controller = \"policy\"
   than = \"baseline\"
 
+A folder of scenarios may hold 10 000 files and 64 MiB, any other file 3 MiB of TOML, certificates 64 MiB, recordings what import takes.
+
 Other gates: no-contact-in-paper-scenarios, no-contact-in-traffic and no-avoidable-failure (with a space) for a controller, \
 needless-braking-at-most and left-behind-at-most (with percent), string-stable, rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
 
 Evidence is kept in the folder `evidence` of the report, by the hash of everything it depends on: what has not changed is not \
-gathered again, and an assessment that was interrupted goes on where it stopped.")]
+gathered again, and an assessment that was interrupted goes on where it stopped. Each file holds hashes of the program, of what it \
+depends on and of itself: one that was cut, edited or swapped is gathered again. That is integrity, not secrecy: somebody who \
+writes numbers and hashes anew is believed, so do not go on from a folder that others may write to; --fresh believes nothing that is \
+there. Certificates are checked in every run, kept or not.")]
 pub(super) struct Assess {
     /// What to assess; built-in defaults without it
     #[arg(value_name = "FILE.toml")]
@@ -73,7 +78,10 @@ impl Assess {
         let folder = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         let kept = self.out.join("evidence");
         let (identity, begun) = (program::identity()?, Instant::now());
+        check_own_folders(&self.out)?;
         let store = Store::open(&kept, identity, self.fresh)?;
+        let again = if self.fresh { "the same command without --fresh goes on" } else { "the same command goes on" };
+        interrupt::says(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
         let bar = progress::bar("assessing", plan.runs(), quiet);
         let assessment = assess(&plan, &store, against.as_ref(), &|done| bar.set_position(done))?;
         let assessment = assessment.made(made(folder, identity, begun.elapsed()));
@@ -91,6 +99,9 @@ impl Assess {
         files.commit()?;
         for name in earlier.iter().filter(|name| !rendered.iter().any(|(known, _)| known == *name)) {
             let path = self.out.join(name);
+            if !is_below(&self.out, &path) {
+                continue;
+            }
             fs::remove_file(&path).or_else(missing_is_fine).map_err(DiskError::at(&path))?;
         }
         let (pieces, reused) = store.reused();
@@ -112,6 +123,24 @@ impl Assess {
             }
         }
     }
+}
+
+/// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.
+fn check_own_folders(out: &Path) -> Result<(), Failure> {
+    for name in FOLDERS.into_iter().chain(["evidence", "figures"]) {
+        let path = out.join(name.trim_end_matches('/'));
+        if path.is_symlink() {
+            let problem = "is a symbolic link: a report writes and removes files there, and only in its own folder";
+            return Err(Failure::Input(format!("{}: {problem}", path.display())));
+        }
+    }
+    Ok(())
+}
+
+/// Whether no folder between `out` and a file below it leads elsewhere.
+fn is_below(out: &Path, path: &Path) -> bool {
+    let between = path.ancestors().skip(1).take_while(|folder| *folder != out);
+    path.starts_with(out) && between.into_iter().all(|folder| !folder.is_symlink())
 }
 
 /// The commit of the repository that holds what is assessed, marked if files differ from it; none without a repository.

@@ -13,6 +13,7 @@ use crumple_search::disk::Files;
 use crumple_search::worst_case::{
     AvoidOptions, Avoidance, AvoidanceVerdict, Escape, EscapeKind, Family, Ranges, Reason, avoid_all, certify,
 };
+use crumple_world::quoted::Terminal;
 use crumple_world::scenario::{Scenario, file};
 
 /// Say whether anyone could have avoided a collision: by an escape, or by a proof that there is none
@@ -32,6 +33,8 @@ A file of ranges makes a box of the scenario; `avoidable` then means that one pr
   high = 3.2
 Fields are vehicles[i].position_m, vehicles[i].speed_mps and, of a leader that brakes, vehicles[0].driver.brake.rate_mps2 and \
 vehicles[0].driver.brake.onset_s.
+
+At most 20 vehicles may be under test, and 50 000 of them times steps: where nothing can be decided that takes some two minutes.
 
 Examples:
   crumple avoid paper-1
@@ -105,9 +108,8 @@ impl Avoid {
             AvoidanceVerdict::Undecided(reason) => Err(reason.clone()),
         };
         match certificate {
-            Ok(certificate) => {
-                Ok(files.stage(path, serde_json::to_string(&certificate).map_err(Failure::input)? + "\n")?)
-            }
+            Ok(certificate) => Ok(files
+                .stage(&output::place(path)?, serde_json::to_string(&certificate).map_err(Failure::input)? + "\n")?),
             Err(reason) => {
                 // Asked for and not written: that is said even where only errors are wanted.
                 output::note(
@@ -142,7 +144,7 @@ impl Avoid {
 
 fn describe(report: &Report<'_>) -> String {
     let Report { scenario, verdict, escape_min_gap_m, min_gap_bound_m, trigger_time_s, programs, reason, .. } = report;
-    let mut text = format!("{scenario}: {verdict}\n");
+    let mut text = format!("{}: {verdict}\n", Terminal(scenario));
     // Writing to a string cannot fail.
     if let Some(gap_m) = escape_min_gap_m {
         let _ = writeln!(text, "  smallest gap of the escape {:.2} m", (100.0 * gap_m).floor() / 100.0);

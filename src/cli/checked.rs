@@ -3,6 +3,7 @@
 use crumple_search::evidence::Confirmation;
 use crumple_verify::certificate::COUNTS_ARE_THE_MAKERS_WORD;
 use crumple_verify::{Accepted, Certificate, Statement};
+use crumple_world::quoted::Terminal;
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
 use serde::Serialize;
@@ -105,16 +106,17 @@ impl Checked<'_> {
     }
 
     fn text(&self, scenario: Option<&str>) -> String {
-        let Self { path, certificate, accepted, counts, about } = self;
+        let Self { certificate, accepted, counts, about, .. } = self;
+        let path = Terminal(&self.path);
         let mut text = match accepted {
             Ok(accepted) => format!("{path}: accepted: {accepted}\n"),
             Err(rejection) => {
-                format!("{path}: rejected: {} is not proved: {rejection}\n", certificate.statement.name())
+                format!("{path}: rejected: {} is not proved: {}\n", certificate.statement.name(), Terminal(rejection))
             }
         };
         if let (Some(scenario), Some(about)) = (scenario, about) {
             let verb = if *about { "is about" } else { "is NOT about" };
-            text += &format!("  {verb} {scenario}\n");
+            text += &format!("  {verb} {}\n", Terminal(scenario));
         }
         if accepted.is_err() {
             return text;
@@ -122,7 +124,7 @@ impl Checked<'_> {
         if let Statement::Rate(rate) = &certificate.statement {
             text += &format!("  from {} failures in {} runs, as counted\n", rate.failures, rate.registration.runs);
         }
-        text += &counts.iter().map(|counts| format!("  {}\n", counts.words())).collect::<String>();
+        text += &counts.iter().map(|counts| format!("  {}\n", Terminal(&counts.words()))).collect::<String>();
         text += &certificate.scope().to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
         match self.is_built_in() {
             Some(true) => text += "  which is the built-in one of that name\n",

@@ -43,12 +43,10 @@ impl Failure {
         }
     }
 
-    /// Prints the failure to standard error.
+    /// Prints the failure to standard error, in one line: what it quotes of a file cannot look like more than one message.
     pub(super) fn report(&self) {
-        match self {
-            Self::Gate(gate) => output::note(&format!("gate: {gate}"), false),
-            other => output::note(&format!("error: {other}"), false),
-        }
+        let kind = if let Self::Gate(_) = self { "gate" } else { "error" };
+        output::note(&format!("{kind}: {self}"), false);
     }
 }
 

@@ -23,7 +23,8 @@ interrupted, by `kill -9` too, goes on with --resume and ends with the same byte
 was cut, edited, moved or left over is named, and nothing goes on. That is no protection against somebody who writes both anew.
 
 Formulas for --spec are over signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 and \
-v1.jerk_mps3, vehicles counted from the front.
+v1.jerk_mps3, vehicles counted from the front. A formula may have 4000 words and signs, 64 deep, and a space file 3 MiB. \
+An evaluation of --budget takes some 360 bytes of disk, and no memory that lasts: a million needs 360 MB.
 
 Examples:
   crumple falsify --controller baseline --space paper --out runs/baseline

@@ -36,12 +36,12 @@ impl Finding {
         replay: impl FnOnce() -> Result<Simulated, Failure>,
     ) -> Result<(), Failure> {
         if let Some(path) = &self.out {
-            files.stage(path, file::to_toml(scenario).map_err(Failure::input)?.as_bytes())?;
+            files.stage(&output::place(path)?, file::to_toml(scenario).map_err(Failure::input)?.as_bytes())?;
         }
         if let Some(path) = &self.plot {
             let run = replay()?;
             if let Some(trace) = &run.trace {
-                files.stage(path, &simulate::picture(path, scenario, driver, trace, &run.impacts)?)?;
+                files.stage(&output::place(path)?, &simulate::picture(path, scenario, driver, trace, &run.impacts)?)?;
             }
         }
         Ok(())

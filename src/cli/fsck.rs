@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::{Failure, output};
 use crumple_search::work::{Examined, Restored, examine, restore};
+use crumple_world::quoted::Terminal;
 
 /// Look at folders of work: is every file what was written there?
 #[derive(Args)]
@@ -54,7 +55,8 @@ impl Fsck {
 /// What was done to go back.
 fn back(folder: &Path, restored: &Restored) -> String {
     let files = if restored.restored.is_empty() { "nothing else".to_owned() } else { restored.restored.join(", ") };
-    format!("{}: {} damaged; as before again: {files}\n", folder.display(), restored.damaged.join(", "))
+    let text = format!("{}: {} damaged; as before again: {files}", folder.display(), restored.damaged.join(", "));
+    format!("{}\n", Terminal(&text))
 }
 
 fn described(folder: &Path, found: &Examined) -> String {
@@ -64,11 +66,15 @@ fn described(folder: &Path, found: &Examined) -> String {
         (false, false) => "half done by another build of crumple, which alone goes on with it",
     };
     let whole = found.files.iter().filter(|(_, state)| state.is_ok()).count();
-    let mut text =
-        format!("{}: a {}, {state}; {whole} of {} files are whole\n", folder.display(), found.kind, found.files.len());
+    let mut text = format!(
+        "{}: a {}, {state}; {whole} of {} files are whole\n",
+        Terminal(&folder.display().to_string()),
+        Terminal(&found.kind),
+        found.files.len()
+    );
     for (name, state) in &found.files {
         if let Err(problem) = state {
-            text += &format!("  {name}: {problem}\n");
+            text += &format!("  {}: {problem}\n", Terminal(name));
         }
     }
     if found.files.iter().any(|(_, state)| state.is_err()) {
@@ -79,7 +85,7 @@ fn described(folder: &Path, found: &Examined) -> String {
         };
     }
     for name in &found.growing {
-        text += &format!("  {name}: has checks of its own, made when the work goes on\n");
+        text += &format!("  {}: has checks of its own, made when the work goes on\n", Terminal(name));
     }
     text
 }

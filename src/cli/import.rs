@@ -2,13 +2,14 @@
 
 use std::ffi::OsStr;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::Failure;
 use super::output;
-use crumple_search::disk::{DiskError, Files};
+use crumple_search::disk::{self, DiskError, Files};
+use crumple_world::quoted::Terminal;
 use crumple_world::recording::{ImportOptions, Imported, MinBrake, import};
 
 /// Turn braking episodes of recorded platoons into scenario files
@@ -17,7 +18,10 @@ use crumple_world::recording::{ImportOptions, Imported, MinBrake, import};
 Reads two formats, told apart by their first line: OpenACC CSV (speeds and bumper-to-bumper spacings of a platoon), and \
 car-following events (event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps). A braking episode is one \
 in which the leader's speed drops by more than --min-brake times one second within one second. Followers start at the \
-recorded gaps and speeds and are under test; only the last of three or more vehicles is driven by the baseline.")]
+recorded gaps and speeds and are under test; only the last of three or more vehicles is driven by the baseline.
+
+A recording may have 5 million rows, 20 million speeds and gaps, 200 vehicles or 100 000 events; more is refused, with the line. A \
+scenario file that is there already is left alone if it is the same, and nothing is written if one is not, unless with --force.")]
 pub(super) struct Import {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
@@ -28,6 +32,9 @@ pub(super) struct Import {
     /// Folder for the scenario files; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "episodes")]
     out: PathBuf,
+    /// Overwrite scenario files that are there and say something else, such as edited ones
+    #[arg(long)]
+    force: bool,
 }
 
 impl Import {
@@ -40,7 +47,12 @@ impl Import {
         fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
         let mut files = Files::default();
         for scenario in &imported.scenarios {
-            files.stage(&self.out.join(&scenario.file_name), scenario.toml.as_bytes())?;
+            let path = self.out.join(&scenario.file_name);
+            match disk::read(&path)? {
+                Some(found) if found == scenario.toml.as_bytes() => {}
+                Some(_) if !self.force => return Err(edited(&path)),
+                _ => files.stage(&output::place(&path)?, scenario.toml.as_bytes())?,
+            }
         }
         files.commit()?;
         let others = self.other_scenarios(&imported)?;
@@ -54,8 +66,8 @@ impl Import {
         let mut text = String::new();
         for source in &imported.sources {
             let plural = if source.scenarios == 1 { "" } else { "s" };
-            let (path, format) = (source.path.display(), source.format.name());
-            text += &format!("{path}: {} scenario{plural} ({format})\n", source.scenarios);
+            let (path, format) = (source.path.display().to_string(), source.format.name());
+            text += &format!("{}: {} scenario{plural} ({format})\n", Terminal(&path), source.scenarios);
         }
         output::print(&text)
     }
@@ -68,4 +80,10 @@ impl Import {
         let others = entries.flatten().map(|entry| entry.path()).filter(is_scenario);
         Ok(others.filter(|path| path.file_name().is_some_and(|name| !written(name))).count())
     }
+}
+
+/// A file that is not what this import would write.
+fn edited(path: &Path) -> Failure {
+    let problem = "is there and says something else: use --force to overwrite it, or another --out";
+    Failure::Input(format!("{}: {problem}", path.display()))
 }

@@ -14,7 +14,8 @@ pub(super) fn says(message: String, quiet: bool) {
         std::thread::spawn(move || {
             if signals.forever().next().is_some() {
                 // A progress bar may be in the line.
-                super::output::note(&format!("\ninterrupted: {message}"), quiet);
+                super::output::note("", quiet);
+                super::output::note(&format!("interrupted: {message}"), quiet);
                 std::process::exit(INTERRUPTED);
             }
         });

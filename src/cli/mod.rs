@@ -78,8 +78,12 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Err(usage) => {
             // Help and version are not errors; clap prints them to standard output.
             let code = if usage.use_stderr() { 2 } else { 0 };
-            // Nothing can be done about a standard stream that is closed.
-            let _ = usage.print();
+            match usage.use_stderr() {
+                // Without colours: it quotes what was typed, which may hold sequences of its own.
+                true => output::warn(usage.render().to_string().trim_end()),
+                // Nothing can be done about a standard stream that is closed.
+                false => drop(usage.print()),
+            }
             return ExitCode::from(code);
         }
     };

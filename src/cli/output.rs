@@ -1,25 +1,50 @@
-//! Printing: a reader that has gone changes nothing of what a command says by its exit code.
+//! Printing: a reader that has gone changes nothing of what a command says by its exit code, and nothing that a user or a file
+//! named reaches a terminal but as text.
 
+use std::fs;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::Failure;
 use crumple_search::disk::DiskError;
+use crumple_world::quoted::{Lines, Terminal};
 
 /// Prints to standard output. If its reader has gone, nobody misses the rest.
 pub(super) fn print(text: &str) -> Result<(), Failure> {
-    let mut out = io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+    let mut out = io::BufWriter::new(io::stdout().lock());
+    match write!(out, "{}", Lines(text)).and_then(|()| out.flush()) {
         Ok(()) => Ok(()),
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Err(source) => Err(DiskError::at(Path::new("standard output"))(source).into()),
     }
 }
 
-/// Says something on standard error, unless told to be quiet.
+/// Says something on standard error, in one line, unless told to be quiet.
 pub(super) fn note(text: &str, quiet: bool) {
     if !quiet {
-        // A closed standard error leaves nowhere to complain.
-        let _ = writeln!(io::stderr(), "{text}");
+        warn(&Terminal(text).to_string());
     }
+}
+
+/// Says something of several lines on standard error.
+pub(super) fn warn(text: &str) {
+    // A closed standard error leaves nowhere to complain.
+    let _ = writeln!(io::stderr(), "{}", Lines(text));
+}
+
+/// Where a single file goes that the user named. A symbolic link stays, and what it leads to is written; what is no file, such as
+/// a terminal or `/dev/null`, is refused, for files are moved into their places whole and one would be in its place.
+pub(super) fn place(path: &Path) -> Result<PathBuf, Failure> {
+    let Ok(there) = fs::symlink_metadata(path) else { return Ok(path.to_owned()) };
+    let place = match there.is_symlink() {
+        true => fs::canonicalize(path).map_err(|error| {
+            Failure::Input(format!("{}: a symbolic link that leads nowhere: {error}", path.display()))
+        })?,
+        false => path.to_owned(),
+    };
+    let found = fs::metadata(&place).map_err(DiskError::at(path))?;
+    if !found.is_file() && !found.is_dir() {
+        return Err(Failure::Input(format!("{}: is no file, and results are files", path.display())));
+    }
+    Ok(place)
 }

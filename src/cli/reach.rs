@@ -10,13 +10,14 @@ use super::output;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
 use crumple_search::evidence::{BoxSpec, Partition, ReachPlan, Shares};
+use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
 /// From which part of a box of starts a learned policy touches nobody
 #[derive(Args)]
 #[command(after_long_help = "\
 The network, the vehicles and the follower's emergency brake are bounded for all members of a box at once, rounding included. \
-A box that stays undecided is cut in two, again and again. The policy sees the truth, or numbers within the stated errors of it. \
+A box that stays undecided is cut in two, again and again, up to a million boxes, whatever --depth is; the rest stays undecided. The policy sees the truth, or numbers within the stated errors of it. \
 The policy file is written beside the certificate, which `crumple-verify` checks from these two files alone.
 
 Example:
@@ -46,7 +47,7 @@ impl Reach {
         let is_shielded = matches!(self.controller.kind, crumple_world::sim::ControllerKind::Shielded(_));
         let policy = self.controller.policy().filter(|_| !is_shielded);
         let policy = policy.ok_or_else(|| Failure::Input("--controller: must be a learned policy".to_owned()))?;
-        let text = crumple_world::scenario::file::read(&self.starts)?;
+        let text = file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?;
         let plan = ReachPlan::new(policy, &BoxSpec::from_toml(&text).map_err(failed)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
         let told = |now: &Shares| {
@@ -60,8 +61,9 @@ impl Reach {
         if let Some(path) = &self.certificate {
             let mut files = Files::default();
             let text = serde_json::to_string_pretty(&partition.certificate).map_err(Failure::input)? + "\n";
-            files.stage(path, text.as_bytes())?;
-            files.stage(&path.parent().unwrap_or(Path::new("")).join(plan.policy_file()), plan.policy_bytes())?;
+            files.stage(&output::place(path)?, text.as_bytes())?;
+            let policy = path.parent().unwrap_or(Path::new("")).join(plan.policy_file());
+            files.stage(&output::place(&policy)?, plan.policy_bytes())?;
             files.commit()?;
         }
         let Partition { shares, doubts, .. } = &partition;

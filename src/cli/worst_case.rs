@@ -10,6 +10,7 @@ use super::{Failure, choice, subject};
 use crumple_search::disk::Files;
 use crumple_search::worst_case::{Aim, Attack, AttackMethod, Envelope, attack};
 use crumple_world::observation::EstimatorKind;
+use crumple_world::quoted::Terminal;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Find the mildest braking of the leader that makes a controller collide, or the severest impact
@@ -18,7 +19,8 @@ use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptio
 Whatever the leader's script was, another takes its place: braking only, within --max-brake and --jerk. For the baseline \
 that sees the truth, without noise, the answer is exact on a grid of 0.1 s, by enumerating when its brake fires; through the \
 filter it is that, widened until it collides; for any other controller it is the local optimum of sequential convex programming along rollouts. The profile is simulated before it is reported, beside what the last program \
-predicted. A margin is the smallest gap or, after a contact at v m/s, minus v²/10.
+predicted. A margin is the smallest gap or, after a contact at v m/s, minus v²/10. A scenario may have 500 000 vehicles times steps, \
+for it is simulated thousands of times.
 
 Examples:
   crumple worst-case paper-1 --controller baseline
@@ -111,7 +113,7 @@ impl WorstCase {
 
 fn describe(report: &Report<'_>) -> String {
     let Report { scenario, controller, estimator, aim, .. } = report;
-    let mut text = format!("{scenario}: {controller}, estimator {estimator}, {aim}\n");
+    let mut text = format!("{}: {}, estimator {estimator}, {aim}\n", Terminal(scenario), Terminal(controller));
     let (Some(effort), Some(peak), Some(method)) = (report.effort_m2ps3, report.peak_brake_mps2, report.method) else {
         return text + "  no collision found\n";
     };

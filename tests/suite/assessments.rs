@@ -15,7 +15,7 @@ use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
 use crumple_world::sim::NamedController;
 
 /// A small assessment of these controllers on draws of the paper's space, without its scenarios.
-fn config(controllers: &[&str]) -> AssessConfig {
+pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
     let mut config = AssessConfig::default();
     config.controllers = controllers.iter().map(|&name| name.to_owned()).collect();
     config.gates.clear();
@@ -25,7 +25,7 @@ fn config(controllers: &[&str]) -> AssessConfig {
     config
 }
 
-fn run(config: AssessConfig, folder: &Path) -> Assessment {
+pub(crate) fn run(config: AssessConfig, folder: &Path) -> Assessment {
     assess(&AssessmentPlan::new(config, [], folder).expect("valid"), &Store::none(), None, &|_| {}).expect("runs")
 }
 
@@ -368,4 +368,53 @@ fn a_recording_is_assessed_as_its_episodes() {
     assert!(found.command_files.iter().any(|file| file.file.starts_with("scenarios/openacc")));
     let refused = with("recordings = [\"gone.csv\"]\n").expect_err("refused");
     assert!(refused.contains("a.toml:4: recordings: ") && refused.contains("gone.csv"), "{refused}");
+}
+
+/// All evidence on a disk flipped, cut, emptied, removed or swapped: none of it is believed, and the report has the same bytes.
+#[test]
+fn damaged_evidence_is_gathered_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut asked = config(&["baseline", "policy"]);
+    asked.search.spaces = Some(vec!["high-risk".to_owned()]);
+    (asked.draws, asked.search.budget, asked.rates.runs) = (10, 20, 200);
+    let plan = AssessmentPlan::new(asked, [], folder.path()).expect("valid");
+    let kept = folder.path().join("evidence");
+    let gather = || {
+        let store = Store::open(&kept, "this program", false).expect("a folder");
+        let assessment = assess(&plan, &store, None, &|_| {}).expect("runs");
+        (assessment.files().expect("renders"), store.reused())
+    };
+    let (genuine, (pieces, reused)) = gather();
+    assert!(pieces >= 4 && reused == 0, "{pieces} pieces, {reused} reused");
+    assert_eq!(gather().1, (pieces, pieces), "all of it is found again");
+    let entries = fs::read_dir(&kept).expect("there").map(|entry| entry.expect("an entry").path());
+    let mut paths: Vec<_> = entries.collect();
+    paths.sort();
+    let whole: Vec<Vec<u8>> = paths.iter().map(|path| fs::read(path).expect("readable")).collect();
+    assert_eq!(whole.len(), pieces, "a file a piece, and nothing else is left");
+    let mut damages: Vec<(String, Vec<Vec<u8>>)> = Vec::new();
+    let mut damage = |what: String, of: &dyn Fn(usize, &[u8]) -> Vec<u8>| {
+        damages.push((what, whole.iter().enumerate().map(|(index, bytes)| of(index, bytes)).collect()));
+    };
+    for place in 0..6 {
+        damage(format!("flipped at {place} sixths"), &|_, bytes| {
+            let mut bytes = bytes.to_vec();
+            let at = place * (bytes.len() - 1) / 5;
+            bytes[at] ^= 4;
+            bytes
+        });
+    }
+    damage("cut".to_owned(), &|_, bytes| bytes[..bytes.len() - 1].to_vec());
+    damage("emptied".to_owned(), &|_, _| Vec::new());
+    damage("swapped".to_owned(), &|index, _| whole[(index + 1) % whole.len()].clone());
+    for (what, contents) in damages {
+        paths.iter().zip(contents).for_each(|(path, bytes)| fs::write(path, bytes).expect("writes"));
+        let (files, (_, reused)) = gather();
+        assert_eq!(reused, 0, "{what}: believed");
+        assert!(files == genuine, "{what}: another report");
+        let now: Vec<Vec<u8>> = paths.iter().map(|path| fs::read(path).expect("readable")).collect();
+        assert!(now == whole, "{what}: other evidence");
+    }
+    paths.iter().for_each(|path| fs::remove_file(path).expect("there"));
+    assert_eq!(gather(), (genuine, (pieces, 0)));
 }

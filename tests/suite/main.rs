@@ -18,6 +18,7 @@ mod faults;
 mod forgery;
 mod formulas;
 mod generate;
+mod hostile_names;
 mod measures;
 mod obligations;
 mod paper;

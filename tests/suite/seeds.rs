@@ -25,6 +25,13 @@ use crate::generate::{any_scenario, any_test_case};
 /// How many inputs of each sort are generated.
 const OF_EACH: usize = 200;
 
+/// A folder, complete or half done, and up to three changes of its files, of four bytes each.
+fn folder_changes() -> Vec<Vec<u8>> {
+    let mut runner = TestRunner::deterministic();
+    let strategy = prop::collection::vec(any::<u8>(), 0..14);
+    (0..OF_EACH).map(|_| strategy.new_tree(&mut runner).expect("generates").current()).collect()
+}
+
 /// Writes `fuzz/fresh/TARGET/NUMBER`.
 #[test]
 #[ignore = "writes files; fuzz/renew-seeds runs it"]
@@ -37,6 +44,7 @@ fn fresh_seeds() {
             "certificate" => certificates(),
             "recording" => recordings(),
             "stl" => formulas(),
+            "work_folder" => folder_changes(),
             other => panic!("nothing is generated for {other}"),
         };
         let folder = root().join("fuzz/fresh").join(target);

@@ -54,6 +54,18 @@ fn hardly_any_trial_is_left_undecided() {
 }
 
 proptest! {
+    #![proptest_config(cases(48))]
+
+    /// Whatever is done to the files of a campaign's folder, it is not taken for the genuine one.
+    #[test]
+    fn no_changed_folder_is_believed(changes in prop::collection::vec(any::<u8>(), 0..14)) {
+        if let Err(violation) = targets::work_folder(&changes) {
+            panic!("{violation}");
+        }
+    }
+}
+
+proptest! {
     #![proptest_config(cases(256))]
 
     /// Full throttle behind a shield keeps clear of the vehicle ahead.

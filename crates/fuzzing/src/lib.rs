@@ -13,6 +13,7 @@ mod choices;
 mod collection;
 mod collision_search;
 mod driver;
+mod folder;
 mod formula;
 pub mod oracle;
 mod scenario;

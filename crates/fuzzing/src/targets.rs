@@ -5,6 +5,7 @@ use std::path::Path;
 
 use crumple_verify::{Certificate, WorkLimit, check_within};
 
+use super::folder;
 use super::oracle::motion_is_physical;
 use super::{Checked, Crumple, FileFormat, Law, ORACLES, Question, Setup, System, TestCase, Violation};
 use crumple_world::measure::stl::{Formula, Signals, SyntaxProblem, naive_robustness};
@@ -18,13 +19,14 @@ use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 pub type Target = fn(&[u8]) -> Result<(), Violation>;
 
 /// Every target and its name, which is that of its seeds' folder.
-pub const TARGETS: [(&str, Target); 6] = [
+pub const TARGETS: [(&str, Target); 7] = [
     ("scenario", scenario),
     ("scenario_file", scenario_file),
     ("policy_file", policy_file),
     ("certificate", certificate),
     ("recording", recording),
     ("stl", stl),
+    ("work_folder", work_folder),
 ];
 
 /// Most steps times vehicles of a scenario from a file that is run.
@@ -189,6 +191,19 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     let satisfied = formula.is_satisfied(&signals);
     let sign = robustness == 0.0 || satisfied == Ok(robustness > 0.0);
     must(sign, Law::Monitor, text, || format!("robustness {robustness}, satisfied {satisfied:?}"))
+}
+
+/// A folder of a campaign, complete or half done, of which bytes have changed files: it is said to be complete and whole only if it
+/// is the genuine one, and whatever goes on from there ends as the genuine one.
+///
+/// # Errors
+/// A [`Violation`] of [`Law::Folders`].
+pub fn work_folder(bytes: &[u8]) -> Result<(), Violation> {
+    // Where there is no room for temporary files, nothing can be said.
+    match folder::misjudged(bytes) {
+        Ok(Some(finding)) => must(false, Law::Folders, &format!("{bytes:?}"), || finding),
+        Ok(None) | Err(_) => Ok(()),
+    }
 }
 
 fn must(holds: bool, law: Law, input: &str, finding: impl FnOnce() -> String) -> Result<(), Violation> {

@@ -5,6 +5,7 @@ use std::fmt;
 use super::{TestCase, TestedController};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
+use crumple_world::quoted::ShellWord;
 use crumple_world::scenario::Driver;
 use crumple_world::scenario::file::to_toml;
 use crumple_world::sim::AfterContact;
@@ -49,6 +50,8 @@ pub enum Law {
     Certificates,
     /// A text or file is read or refused as documented.
     Reading,
+    /// What lies in a folder of work is what was written there, or is refused.
+    Folders,
 }
 
 impl fmt::Display for Law {
@@ -72,6 +75,7 @@ impl fmt::Display for Law {
             Self::Avoidability => "no driver does what is proved impossible for all",
             Self::Certificates => "the checker accepts what it accepted before it was written and read again",
             Self::Reading => "a file is read, or refused with a reason",
+            Self::Folders => "what lies in a folder of work is what was written there, or is refused",
         })
     }
 }
@@ -113,7 +117,7 @@ impl TestCase {
         let mut scenario = scenario.clone();
         let mut how = Vec::new();
         if as_named {
-            how.push(format!("--controller {name}"));
+            how.push(format!("--controller {}", ShellWord(name)));
         } else if let (TestedController::BuiltIn(spec), EstimatorKind::Truth) = (&setup.controller, setup.estimator) {
             // Drivers of the scenario's own see the truth: they can stand in for a controller under test that does.
             let put = |driver: &mut Driver| {

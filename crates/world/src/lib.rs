@@ -5,6 +5,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`digest`] | SHA-256, as it stands in files and reports |
+//! | [`quoted`] | what users wrote, as it goes out: to a terminal, into Markdown, to a shell |
 //! | [`random`] | seeded streams: one seed decides everything |
 //! | [`observation`] | what a controller may see |
 //! | [`policy`] | the actor network and its file: acting, one state or many |
@@ -21,6 +22,7 @@ pub mod estimate;
 pub mod measure;
 pub mod observation;
 pub mod policy;
+pub mod quoted;
 pub mod random;
 #[cfg(feature = "recording")]
 pub mod recording;

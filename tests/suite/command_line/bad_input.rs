@@ -178,7 +178,7 @@ fn names_and_lists_that_mean_something_else_are_refused() {
     assert_refused(&refused, "at most 8 shields may stand before a controller");
     fs::write(folder.path().join("list.json"), "[1, \"list\", [], 15.0]").unwrap();
     let refused = crumple(folder.path(), &["simulate", "list.json"]);
-    assert_refused(&refused, "list.json:1: a list, where fields with names are wanted");
+    assert_refused(&refused, "list.json:1: invalid type: a list, expected fields with names");
     let space = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
     let first = space.find("[[parameters]]\nname = \"").unwrap() + "[[parameters]]\nname = \"".len();
     let end = first + space[first..].find('"').unwrap();

@@ -3,6 +3,7 @@
 mod bad_input;
 mod certificates;
 pub(crate) mod falsify;
+mod outputs;
 mod reports;
 mod retrain;
 mod train;

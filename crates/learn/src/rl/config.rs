@@ -255,7 +255,8 @@ impl TrainingConfig {
         within("evaluation.every_episodes", self.evaluation.every_episodes as f64, [1.0, 1e9])?;
         within("evaluation.screening_draws", self.evaluation.screening_draws as f64, [1.0, 1e6])?;
         within("evaluation.ranking_draws", self.evaluation.ranking_draws as f64, [0.0, 1e6])?;
-        within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])
+        within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
+        super::memory::check(self)
     }
 }
 

@@ -16,6 +16,7 @@ mod environment;
 mod evaluation;
 mod folder;
 mod learner;
+mod memory;
 #[cfg(any(test, feature = "oracle"))]
 pub mod oracle;
 mod replay;

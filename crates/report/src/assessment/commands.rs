@@ -17,6 +17,7 @@ use super::{AssessmentPlan, StoreError};
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
+use crumple_world::quoted::ShellWord;
 use crumple_world::scenario::file;
 use crumple_world::sim::ControllerKind;
 
@@ -50,9 +51,7 @@ impl Command {
 
     /// The arguments, quoted for a shell.
     pub(super) fn quoted(&self) -> String {
-        // Only a NUL cannot be quoted, and no argument can hold one.
-        let quoted = |word: &String| shlex::try_quote(word).map_or_else(|_| "''".to_owned(), |word| word.into_owned());
-        self.arguments.iter().map(quoted).collect::<Vec<_>>().join(" ")
+        self.arguments.iter().map(|word| ShellWord(word).to_string()).collect::<Vec<_>>().join(" ")
     }
 }
 

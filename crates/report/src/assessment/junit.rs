@@ -3,6 +3,7 @@
 use quick_junit::{NonSuccessKind, Property, Report, SerializeError, TestCase, TestCaseStatus, TestSuite};
 
 use super::{Assessment, GateResult};
+use crumple_world::quoted::Lines;
 
 /// The gates, each a test: a build is red where one does not hold, and for nothing else. What is claimed of each controller
 /// stands among the properties, where it fails no build.
@@ -20,7 +21,7 @@ pub(super) fn xml(assessment: &Assessment) -> Result<String, SerializeError> {
         }
     }
     report.add_test_suite(gates);
-    report.to_string()
+    Ok(Lines(&report.to_string()?).to_string())
 }
 
 fn case(gate: &GateResult) -> TestCase {

@@ -11,6 +11,7 @@ mod commands;
 mod config;
 mod gate;
 mod junit;
+mod markdown;
 mod page;
 mod parts;
 mod plan;
@@ -19,6 +20,8 @@ mod rounded;
 mod store;
 mod table;
 mod work;
+
+use std::path::{Component, Path};
 
 use maud::Markup;
 use schemars::JsonSchema;
@@ -33,6 +36,7 @@ pub use claims::{
 pub use commands::{Command, CommandFile};
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};
 pub use gate::{Gate, GateResult};
+pub use markdown::Markdown;
 pub use parts::{
     Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
     Distributions, EXAMPLE_MPS, Earlier, Element, ElementKind, Failure, FailureMap, FailureMaps, FirstPage, Glossary,
@@ -104,7 +108,7 @@ pub trait Part {
     /// The part as HTML, without its heading.
     fn html(&self) -> Markup;
     /// The part as Markdown, without its heading.
-    fn markdown(&self) -> String;
+    fn markdown(&self) -> Markdown;
 }
 
 /// Why an assessment could not be made.
@@ -314,6 +318,9 @@ impl Assessment {
     }
 }
 
+/// The folders of a report that hold files which another report may not have.
+pub const FOLDERS: [&str; 5] = ["counterexamples/", "certificates/", "controllers/", "spaces/", "scenarios/"];
+
 /// The files that stood beside the evidence of an earlier report, by their paths from its folder: counterexamples,
 /// certificates, and what its commands needed. None of what is no such evidence, and no path that leads out of the folder.
 #[must_use]
@@ -324,8 +331,8 @@ pub fn files_of_evidence(json: &str) -> Vec<String> {
     let failures = searches.flat_map(|search| list(&search["failures"]));
     let files = failures.chain(list(&evidence["proofs"]["certificates"])).chain(list(&evidence["command_files"]));
     let names = files.filter_map(|file| file["file"].as_str().map(str::to_owned));
-    let folders = ["counterexamples/", "certificates/", "controllers/", "spaces/", "scenarios/"];
-    let is_own = |name: &String| folders.iter().any(|folder| name.starts_with(folder)) && !name.contains("..");
+    let is_plain = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+    let is_own = |name: &String| FOLDERS.iter().any(|folder| name.starts_with(folder)) && is_plain(name);
     names.filter(is_own).collect()
 }
 

@@ -3,7 +3,9 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::Assessment;
+use super::markdown::Markdown;
 use crate::draw;
+use crumple_world::quoted::Lines;
 
 const STYLE: &str = include_str!("page.css");
 const TITLE: &str = "Crash test of longitudinal driving controllers";
@@ -41,11 +43,18 @@ pub(super) fn html(assessment: &Assessment) -> String {
             }
         }
     };
-    page.into_string()
+    // A page is text too: what turns the direction of names would turn the verdict beside them.
+    Lines(&page.into_string()).to_string()
 }
 
 pub(super) fn markdown(assessment: &Assessment) -> String {
-    let part = |part: &&dyn super::Part| format!("\n## {}\n\n{}", part.heading().1, part.markdown());
-    let of = |parts: Vec<&dyn super::Part>| parts.iter().map(part).collect::<String>();
-    format!("# {TITLE}\n{}\n# Appendix\n{}", of(assessment.parts()), of(assessment.appendix()))
+    let mut text = Markdown::default();
+    for (heading, parts) in [(TITLE, assessment.parts()), ("Appendix", assessment.appendix())] {
+        text.heading(1, heading);
+        for part in parts {
+            text.heading(2, &part.heading().1);
+            text.part(&part.markdown());
+        }
+    }
+    text.into_string()
 }

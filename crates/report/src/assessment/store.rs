@@ -2,7 +2,10 @@
 //!
 //! Every piece of evidence has a name and depends on stated inputs. It is kept in a file of its own under the SHA-256 of the
 //! program, the name and the inputs, so that whatever changes makes another file, and an assessment that was interrupted goes
-//! on where it stopped. The file holds the hash of what it keeps; one that was altered is gathered again.
+//! on where it stopped. The file holds the hash of what it keeps; one that was cut, edited or swapped is gathered again.
+//!
+//! This is integrity, not secrecy: somebody who writes numbers and hashes anew is believed, whence `--fresh`. Nothing that the
+//! checker can decide is kept: certificates are checked in every run.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -146,7 +149,8 @@ impl Store {
         Ok(value)
     }
 
-    /// A folder in which the evidence of that name is gathered: what an interrupted run left in it is still there.
+    /// A folder in which the evidence of that name is gathered: what an interrupted run left in it is still there, unless all is
+    /// gathered afresh.
     ///
     /// # Errors
     /// [`StoreError`] if it cannot be made.
@@ -156,7 +160,11 @@ impl Store {
             return Ok(Workplace { path: made.path().to_owned(), _temporary: Some(made) });
         };
         let path = folder.join(self.file_stem(name, &sha256(text(inputs)?)));
-        fs::create_dir_all(&path).map_err(DiskError::at(&path))?;
+        // What is gathered afresh rests on nothing that was there.
+        if self.fresh && path.is_dir() {
+            fs::remove_dir_all(&path).map_err(DiskError::at(&path))?;
+        }
+        disk::make_folder(&path)?;
         Ok(Workplace { path, _temporary: None })
     }
 
@@ -230,5 +238,47 @@ mod tests {
         });
         fs::copy(&other, &one).unwrap();
         assert_eq!(get(&store, "inputs", 0.8), 0.8, "evidence from other inputs is not believed");
+    }
+
+    /// Every byte of every file changed, every length of it, its absence, and each other file in its place: none is believed, and what
+    /// is gathered again makes the same file.
+    #[test]
+    fn no_damage_is_believed() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = ["a piece", "another", "a third"];
+        let gather = |name: &str| {
+            let store = Store::open(folder.path(), "program", false).unwrap();
+            let value = store.get::<_, StoreError>(name, &"inputs", || Ok(format!("says {name}"))).unwrap();
+            assert_eq!(value, format!("says {name}"));
+            store.reused() == (1, 1)
+        };
+        names.into_iter().for_each(|name| assert!(!gather(name)));
+        names.into_iter().for_each(|name| assert!(gather(name)));
+        let path = |name: &str| {
+            let store = Store::open(folder.path(), "program", false).unwrap();
+            folder.path().join(store.file_stem(name, &sha256(text(&"inputs").unwrap())) + ".json")
+        };
+        let genuine = names.map(|name| fs::read(path(name)).unwrap());
+        for (name, bytes) in names.into_iter().zip(&genuine) {
+            let path = path(name);
+            let is_gathered_again = |what: &str| {
+                assert!(!gather(name), "{name}, {what}: believed");
+                assert_eq!(fs::read(&path).unwrap(), *bytes, "{name}, {what}: another file");
+            };
+            for place in 0..bytes.len() {
+                let mut changed = bytes.clone();
+                changed[place] ^= 1 << (place % 8);
+                fs::write(&path, changed).unwrap();
+                is_gathered_again("flipped");
+                fs::write(&path, &bytes[..place]).unwrap();
+                is_gathered_again("cut");
+            }
+            for other in genuine.iter().filter(|other| *other != bytes) {
+                fs::write(&path, other).unwrap();
+                is_gathered_again("swapped");
+            }
+            fs::remove_file(&path).unwrap();
+            is_gathered_again("removed");
+        }
     }
 }

@@ -2,6 +2,7 @@
 
 use maud::{Markup, html};
 
+use super::markdown::Markdown;
 use super::prose::prose;
 
 /// A table of text. Cells may carry a mark, so that a reader finds failures without relying on colour.
@@ -105,23 +106,15 @@ impl Table {
         }
     }
 
-    pub(super) fn markdown(&self) -> String {
-        let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
-        let escaped = |text: &str| text.replace('|', "\\|").replace('\n', " ");
-        let mut text = line(self.header.iter().map(|name| escaped(name)).collect());
+    pub(super) fn markdown(&self, out: &mut Markdown) {
         let first = self.rows.first();
-        text += &line(
-            (0..self.header.len())
-                .map(|column| match first.and_then(|row| row.get(column)).map(|cell| cell.mark) {
-                    Some(Mark::Number) => "---:".to_owned(),
-                    _ => "---".to_owned(),
-                })
-                .collect(),
-        );
-        for row in &self.rows {
-            text += &line(row.iter().map(|cell| format!("{}{}", cell.mark.sign(), escaped(&cell.text))).collect());
-        }
-        text
+        let set = |column: usize| match first.and_then(|row| row.get(column)).map(|cell| cell.mark) {
+            Some(Mark::Number) => "---:",
+            _ => "---",
+        };
+        let columns: Vec<_> = (0..self.header.len()).map(set).collect();
+        let cells = |row: &Vec<Cell>| row.iter().map(|cell| cell.mark.sign().to_owned() + &cell.text).collect();
+        out.table(&self.header, &columns, self.rows.iter().map(cells));
     }
 }
 
@@ -133,7 +126,9 @@ mod tests {
     fn what_cells_hold_can_break_neither_form() {
         let mut table = Table::new(&["name", "n"]);
         table.row(vec![Cell::text("a|b<script>\nc"), Cell::number(3)]);
-        assert_eq!(table.markdown(), "| name | n |\n| --- | ---: |\n| a\\|b<script> c | 3 |\n");
+        let mut text = Markdown::default();
+        table.markdown(&mut text);
+        assert_eq!(text.into_string(), "| name | n |\n| --- | ---: |\n| a\\|b\\<script> c | 3 |\n");
         assert!(table.html().into_string().contains("a|b&lt;script&gt;"));
     }
 }

@@ -39,6 +39,7 @@ pub use png::DrawError;
 pub use scale::{Scale, Ticks, drawable, extent, padded, signed};
 pub use theme::{COLOURS, DASHES, Ink, SMALL, STYLE, Stroke, TEXT};
 
+use crumple_world::quoted::Lines;
 use label::printable;
 use path::Px;
 
@@ -88,7 +89,8 @@ impl Svg {
     /// The figure as a file: an SVG document on a white ground.
     #[must_use]
     pub fn document(&self) -> String {
-        format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n", self.element(true).into_string())
+        let element = self.element(true).into_string();
+        format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n", Lines(&element))
     }
 
     /// The figure as a PNG file on a white ground, `scale` pixels to a unit, usually [`PNG_SCALE`].

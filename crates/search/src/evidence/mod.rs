@@ -20,7 +20,7 @@ pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use rate::{InvalidRate, RateConfig, RateError, RatePlan, Tally};
 pub use rate_folder::{RateCount, RateFolderError};
-pub use reach::{BoxSpec, Doubts, InvalidBox, Partition, RangesSpec, ReachPlan, Shares};
+pub use reach::{BoxSpec, Doubts, InvalidBox, MOST_BOXES, Partition, RangesSpec, ReachPlan, Shares};
 pub use rerun::{Confirmation, Rerun, RerunError, Sample};
 
 use crumple_verify::{Certificate, Statement};

@@ -90,6 +90,9 @@ pub enum InvalidBox {
     Run(#[from] RunError),
 }
 
+/// Most boxes that one is cut into: 300 MB of memory, and as much as the checker takes on. The rest stays undecided.
+pub const MOST_BOXES: usize = 1_000_000;
+
 /// What is to be cut.
 pub struct ReachPlan {
     scenario: Scenario,
@@ -161,7 +164,7 @@ impl BoxSpec {
     /// # Errors
     /// [`InvalidBox`] for text that is no box.
     pub fn from_toml(text: &str) -> Result<Self, InvalidBox> {
-        let spec: Self = toml::from_str(text)?;
+        let spec: Self = file::read_by_name(toml::Deserializer::parse(text)?)?;
         if spec.version == 1 { Ok(spec) } else { Err(InvalidBox::Scenario("only version 1 is known".to_owned())) }
     }
 }
@@ -215,7 +218,7 @@ impl ReachPlan {
         &self.claim.policy_file
     }
 
-    /// Cuts undecided boxes, each at most `depth` times; `told` hears of each depth.
+    /// Cuts undecided boxes, each at most `depth` times and up to [`MOST_BOXES`] in all; `told` hears of each depth.
     ///
     /// # Errors
     /// [`InvalidBox`] if a start of the box is no scenario.
@@ -238,6 +241,7 @@ impl ReachPlan {
                     verified += volume;
                     gap_m = gap_m.min(reached.gaps_m[0]).min(reached.gaps_m[1]);
                 } else if level < depth
+                    && nodes.len() + 1 < MOST_BOXES
                     && let Some((dimension, halves)) = cut(&nodes[node].ranges, &reached)
                 {
                     nodes[node].cell = Cell::Cut(dimension);

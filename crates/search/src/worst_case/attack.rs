@@ -104,6 +104,16 @@ pub enum AttackError {
         /// Its jerk, in m/s³.
         jerk_mps3: f64,
     },
+    /// More than can be simulated thousands of times.
+    #[error(
+        "{vehicles} vehicles over {steps} steps are too much to attack: at most {MOST_VEHICLE_STEPS} vehicles times steps"
+    )]
+    TooLarge {
+        /// Vehicles of the scenario.
+        vehicles: usize,
+        /// Its steps.
+        steps: usize,
+    },
     /// A profile made an invalid scenario.
     #[error(transparent)]
     Scenario(#[from] InvalidField),
@@ -111,6 +121,9 @@ pub enum AttackError {
     #[error(transparent)]
     Run(#[from] RunError),
 }
+
+/// Most vehicles times steps of a scenario that [`attack()`] takes on: a simulation then takes some hundredths of a second.
+pub const MOST_VEHICLE_STEPS: usize = 500_000;
 
 /// Looks for a braking profile of the leader, with at most about `budget` simulations.
 ///
@@ -156,6 +169,10 @@ pub fn hunt(
 ) -> Result<AttackResult, AttackError> {
     if !matches!(scenario.vehicles().first().map(|leader| &leader.driver), Some(Driver::Profile(_))) {
         return Err(AttackError::Leader);
+    }
+    let (vehicles, steps) = (scenario.vehicles().len(), scenario.steps());
+    if vehicles.saturating_mul(steps) > MOST_VEHICLE_STEPS {
+        return Err(AttackError::TooLarge { vehicles, steps });
     }
     let asked_mps2 = envelope.max_brake_mps2;
     let max_brake_mps2 = asked_mps2.min(scenario.usable_brake_mps2(0));

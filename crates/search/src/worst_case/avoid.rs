@@ -62,7 +62,24 @@ pub enum AvoidError {
         /// The scenario's step, in seconds.
         step_s: f64,
     },
+    /// More than can be decided in a minute or two.
+    #[error(
+        "{egos} vehicles under test over {steps} steps are too much to decide: at most {MOST_EGOS}, and {MOST_EGO_STEPS} vehicles times \
+         steps"
+    )]
+    TooLarge {
+        /// Vehicles under test.
+        egos: usize,
+        /// Steps of the scenario.
+        steps: usize,
+    },
 }
+
+/// Most vehicles under test that [`avoid()`] takes on.
+pub const MOST_EGOS: usize = 20;
+
+/// Most vehicles under test times steps that [`avoid()`] takes on: where nothing can be decided, some two minutes and 150 MB.
+pub const MOST_EGO_STEPS: usize = 50_000;
 
 /// What was found out.
 #[derive(Debug, Clone, PartialEq)]
@@ -143,6 +160,7 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
 /// [`AvoidError`] if the options do not fit the scenario.
 pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
     let (cells, first) = cells(family.centre(), options)?;
+    check_size(family.centre())?;
     let situation = match Situation::new(family) {
         Ok(situation) => situation,
         Err(reason) => {
@@ -167,6 +185,16 @@ pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, Av
     let (low_m, high_m) = (search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m), search.bound_m());
     let reason = undecided.unwrap_or(Reason::TooClose { low_m, high_m });
     Ok(found(&situation, &search, (AvoidanceVerdict::Undecided(reason), None)))
+}
+
+/// Whether the programs are ones that can be solved in a minute or two.
+fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
+    let egos = (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).count();
+    let steps = scenario.steps();
+    match egos <= MOST_EGOS && egos.saturating_mul(steps) <= MOST_EGO_STEPS {
+        true => Ok(()),
+        false => Err(AvoidError::TooLarge { egos, steps }),
+    }
 }
 
 /// A verdict, and the largest smallest gap of a replayed escape.

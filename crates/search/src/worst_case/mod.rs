@@ -33,8 +33,11 @@ mod sequential;
 mod situation;
 mod witness;
 
-pub use attack::{Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, attack, hunt};
-pub use avoid::{AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, avoid, avoid_all, certify};
+pub use attack::{Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, MOST_VEHICLE_STEPS, attack, hunt};
+pub use avoid::{
+    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, MOST_EGO_STEPS, MOST_EGOS, avoid, avoid_all,
+    certify,
+};
 pub use certificate::is_about;
 pub(crate) use certificate::{certificate_about, is_exactly};
 pub(crate) use descent::{Descent, Limits, Pace};

@@ -5,8 +5,10 @@ use std::io::{self, Read as _};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use serde::Deserializer;
 use serde::de::DeserializeOwned;
 
+use super::by_name::ByName;
 use super::{InvalidField, Scenario, ScenarioSpec};
 
 /// Why a scenario file could not be read.
@@ -78,8 +80,8 @@ pub fn load(path: &Path) -> Result<Scenario, FileError> {
 /// Reads the scenario file at `path`, or every one in the folder there, in order of their names.
 ///
 /// # Errors
-/// [`FileError`] for the first file that cannot be read, parsed or accepted. Files of a folder that end in neither .toml
-/// nor .json are passed over.
+/// [`FileError`] for the first file that cannot be read, parsed or accepted, and for a folder of more than [`MOST_FILES`] of them
+/// or [`MOST_FOLDER_BYTES`]. Files of a folder that end in neither .toml nor .json are passed over.
 pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     if !path.is_dir() {
         return Ok(vec![(path.to_owned(), load(path)?)]);
@@ -88,22 +90,47 @@ pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     let entries = fs::read_dir(path).map_err(unreadable)?.collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
     let mut files: Vec<_> = entries.iter().map(fs::DirEntry::path).filter(|path| Format::of(path).is_some()).collect();
     files.sort();
+    let bytes: u64 = files.iter().flat_map(fs::metadata).map(|found| found.len()).sum();
+    if files.len() > MOST_FILES || bytes > MOST_FOLDER_BYTES {
+        let most = MOST_FOLDER_BYTES >> 20;
+        let problem = format!("holds more than {MOST_FILES} scenario files, or more than {most} MiB: too much at once");
+        return Err(unreadable(io::Error::new(io::ErrorKind::InvalidData, problem)));
+    }
     files.into_iter().map(|path| load(&path).map(|scenario| (path, scenario))).collect()
 }
 
-/// Most bytes of a text file: ten times a minute of scripted motion at the finest step, and little memory once parsed.
+/// Most scenario files of a folder that are read at once.
+pub const MOST_FILES: usize = 10_000;
+
+/// Most bytes of a folder that is read at once.
+pub const MOST_FOLDER_BYTES: u64 = 64 << 20;
+
+/// Most bytes of a text file: ten times a minute of scripted motion at the finest step. As JSON that takes some 16 MB once parsed.
 pub const MOST_BYTES: u64 = 8 << 20;
+
+/// Most bytes of TOML, of which a parsed one takes up to 80 in memory: 240 MB.
+pub const MOST_TOML_BYTES: u64 = 3 << 20;
 
 /// Reads a text file.
 ///
 /// # Errors
 /// [`FileError::Read`] for one that cannot be read, is not UTF-8 or holds more than [`MOST_BYTES`].
 pub fn read(path: &Path) -> Result<String, FileError> {
+    read_at_most(path, MOST_BYTES)
+}
+
+/// Reads a text file of at most so many bytes.
+///
+/// # Errors
+/// [`FileError::Read`] for one that cannot be read, is not UTF-8 or holds more.
+pub fn read_at_most(path: &Path, most: u64) -> Result<String, FileError> {
     let unreadable = |source| FileError::Read { path: path.to_owned(), source };
     let mut text = String::new();
-    File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_string(&mut text)).map_err(unreadable)?;
-    if text.len() as u64 > MOST_BYTES {
-        let problem = format!("holds more than {} MiB, too much for such a file", MOST_BYTES >> 20);
+    File::open(path)
+        .and_then(|file| file.take(most.saturating_add(1)).read_to_string(&mut text))
+        .map_err(unreadable)?;
+    if text.len() as u64 > most {
+        let problem = format!("holds more than {} MiB, too much for such a file", most >> 20);
         return Err(unreadable(io::Error::new(io::ErrorKind::InvalidData, problem)));
     }
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
@@ -146,11 +173,28 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
         line: error.span().map_or(1, |span| line_at(text, span.start)),
         message: name_field(&field, &plain(error.message())),
     };
+    if text.len() as u64 > MOST_TOML_BYTES {
+        let most = MOST_TOML_BYTES >> 20;
+        let message = format!(
+            "holds more than {most} MiB of TOML, too much to parse: a scenario may be JSON, with up to {} MiB",
+            MOST_BYTES >> 20
+        );
+        return Err(FileError::Syntax { path: path.to_owned(), line: 1, message });
+    }
     let parsed = toml::Deserializer::parse(text).map_err(|error| misread(String::new(), error))?;
-    serde_path_to_error::deserialize(parsed).map_err(|error| misread(error.path().to_string(), error.into_inner()))
+    serde_path_to_error::deserialize(ByName(parsed))
+        .map_err(|error| misread(error.path().to_string(), error.into_inner()))
 }
 
-/// The same from JSON text.
+/// Any type whose structures must have named fields, at every depth: none is taken from a list of values.
+///
+/// # Errors
+/// Those of the deserializer, and one for such a list.
+pub fn read_by_name<'de, T: DeserializeOwned, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
+    T::deserialize(ByName(from))
+}
+
+/// Reads any type from JSON text, with errors that name line and field.
 fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
     let mut parsed = serde_json::Deserializer::from_str(text);
     let misread = |field: String, error: serde_json::Error| FileError::Syntax {
@@ -158,12 +202,7 @@ fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileErr
         line: error.line().max(1),
         message: name_field(&field, error.to_string().split(" at line ").next().unwrap_or_default()),
     };
-    // A list would be taken for the values of the fields in their order.
-    if text.trim_start().starts_with('[') {
-        let message = "a list, where fields with names are wanted".to_owned();
-        return Err(FileError::Syntax { path: path.to_owned(), line: 1, message });
-    }
-    let value = serde_path_to_error::deserialize(&mut parsed)
+    let value = serde_path_to_error::deserialize(ByName(&mut parsed))
         .map_err(|error| misread(error.path().to_string(), error.into_inner()))?;
     parsed.end().map_err(|error| misread(String::new(), error))?;
     Ok(value)
@@ -325,5 +364,91 @@ driver = "under-test"
         let message = from_json(&bad, Path::new("bad.json")).expect_err("negative speed").to_string();
         let line = 1 + bad.lines().position(|l| l.contains("-25.0")).unwrap();
         assert!(message.starts_with(&format!("bad.json:{line}: vehicles[0].speed_mps: must be")), "{message}");
+    }
+
+    /// However deep or long a text is, it is refused in words, and no stack or memory runs out.
+    #[test]
+    fn no_depth_or_length_is_too_much() {
+        let times = |text: &str| text.repeat(100_000);
+        for text in [
+            times("["),
+            format!("{}{}", times("["), times("]")),
+            times("{\"vehicles\":"),
+            format!("{}1{}", times("{\"a\":"), times("}")),
+            format!("{{\"vehicles\": {}", times("[")),
+        ] {
+            assert!(from_json(&text, Path::new("deep.json")).is_err());
+        }
+        for text in [
+            format!("a = {}{}", times("["), times("]")),
+            format!("vehicles = {}", times("[")),
+            format!("a = {}1{}", times("{a="), times("}")),
+            format!("a{} = 1\n", times(".a")),
+            format!("[a{}]\n", times(".a")),
+            format!("[[vehicles{}]]\n", times(".driver")),
+        ] {
+            assert!(from_toml(&text, Path::new("deep.toml")).is_err());
+        }
+        let long = format!("{GOOD}#{}\n", " ".repeat(MOST_TOML_BYTES as usize));
+        let said = error_of(&long);
+        assert!(said.starts_with("bad.toml:1: holds more than 3 MiB of TOML"), "{said}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("long.json");
+        fs::write(&path, " ".repeat(MOST_BYTES as usize + 1)).unwrap();
+        assert!(load(&path).unwrap_err().to_string().ends_with("holds more than 8 MiB, too much for such a file"));
+        let many = folder.path().join("many");
+        fs::create_dir(&many).unwrap();
+        (0..=MOST_FILES).for_each(|number| fs::write(many.join(format!("{number}.toml")), "").unwrap());
+        assert!(load_all(&many).unwrap_err().to_string().contains("more than 10000 scenario files"));
+    }
+
+    /// Every structure of a scenario as a list of its fields' values, one at a time: never read.
+    #[test]
+    fn a_list_is_no_structure_at_any_depth() {
+        use serde_json::Value;
+        fn lists(value: &Value) -> Vec<Value> {
+            let mut all = Vec::new();
+            match value {
+                Value::Object(fields) => {
+                    all.push(Value::Array(fields.values().cloned().collect()));
+                    for (name, field) in fields {
+                        for changed in lists(field) {
+                            let mut fields = fields.clone();
+                            fields.insert(name.clone(), changed);
+                            all.push(Value::Object(fields));
+                        }
+                    }
+                }
+                Value::Array(entries) => {
+                    for (index, entry) in entries.iter().enumerate() {
+                        for changed in lists(entry) {
+                            let mut entries = entries.clone();
+                            entries[index] = changed;
+                            all.push(Value::Array(entries));
+                        }
+                    }
+                }
+                _ => {}
+            }
+            all
+        }
+        let mut tried = 0;
+        for (name, _) in built_in_names() {
+            let whole = serde_json::to_value(built_in(name).unwrap().spec()).unwrap();
+            for (index, changed) in lists(&whole).into_iter().enumerate() {
+                let found = from_json(&changed.to_string(), Path::new("list.json"));
+                assert!(found.is_err(), "{name}, list {index} is read: {changed}");
+                if let Ok(toml) = toml::to_string(&changed) {
+                    assert!(from_toml(&toml, Path::new("list.toml")).is_err(), "{name}, list {index}: {toml}");
+                }
+                tried += 1;
+            }
+        }
+        assert!(tried >= 20, "{tried}");
+        let json = serde_json::to_string_pretty(built_in("paper-1").unwrap().spec()).unwrap();
+        let bad = json.replacen("\"vehicles\": [\n    {", "\"vehicles\": [\n    [1, 2], {", 1);
+        let said = from_json(&bad, Path::new("bad.json")).unwrap_err().to_string();
+        let line = 1 + bad.lines().position(|line| line.contains("[1, 2]")).unwrap();
+        assert_eq!(said, format!("bad.json:{line}: vehicles[0]: invalid type: a list, expected fields with names"));
     }
 }

@@ -3,6 +3,7 @@
 //! [`ScenarioSpec`] is the file: plain data that may hold nonsense. [`Scenario`] is a spec that was found valid; nothing
 //! else constructs one, so whoever holds a `Scenario` need not check it again.
 
+mod by_name;
 mod driver;
 pub mod file;
 mod invalid;

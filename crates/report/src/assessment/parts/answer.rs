@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::certified::seeing;
 use super::{Limits, ScenarioCases, Searches, Summary, Usefulness};
 use crate::assessment::claims::{Claim, Property, Rule, Standing, Strength};
+use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::prose::prose;
 use crate::assessment::{AssessmentPlan, Part};
 use crate::draw::Svg;
@@ -256,15 +257,17 @@ impl Part for FirstPage {
         }
     }
 
-    fn markdown(&self) -> String {
-        let list = |lines: &[String]| lines.iter().map(|line| format!("- {line}\n")).collect::<String>();
-        let assumed: String = self.assumed.iter().map(|line| format!("- {line}\n")).collect();
-        format!(
-            "{FOR_WHOM}\n\n**{}**\n\n{}\n\nAgainst it:\n\n{}\nFor it:\n\n{}\nTaken for granted:\n\n{assumed}",
-            self.question,
-            self.words,
-            list(&self.against),
-            list(&self.speaks_for)
-        )
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(FOR_WHOM);
+        text.paragraph(Inline::strong(&self.question));
+        text.paragraph(self.words.as_str());
+        text.paragraph("Against it:");
+        text.list(self.against.iter().map(String::as_str));
+        text.paragraph("For it:");
+        text.list(self.speaks_for.iter().map(String::as_str));
+        text.paragraph("Taken for granted:");
+        text.list(self.assumed.iter().copied());
+        text
     }
 }

@@ -13,8 +13,10 @@ use super::argument_figure;
 use super::certified::seeing;
 use super::{ClaimRow, Limits, Summary};
 use crate::assessment::claims::{Claim, Property, Standing, Strength};
+use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::table::Mark;
 use crate::assessment::{AssessmentPlan, Part};
+use crumple_world::quoted::Terminal;
 
 /// The argument, its elements in the order of their identifiers' numbers.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
@@ -275,8 +277,8 @@ impl Argument {
 
 impl Element {
     fn write_yaml(&self, out: &mut String) -> std::fmt::Result {
-        // A JSON string is a YAML string too.
-        let quoted = |text: &str| serde_json::Value::from(text).to_string();
+        // A JSON string is a YAML string too, unless it needs two halves for a character.
+        let quoted = |text: &str| serde_json::Value::from(Terminal(text).to_string()).to_string();
         writeln!(out, "{}:\n  text: {}", self.id, quoted(&self.text))?;
         for (key, ids) in [("supportedBy", &self.supported_by), ("inContextOf", &self.in_context_of)] {
             if !ids.is_empty() {
@@ -311,26 +313,29 @@ impl Part for Argument {
         html! { p { (INTRODUCTION) } figure.wide { (argument_figure::draw(self)) } }
     }
 
-    fn markdown(&self) -> String {
-        let mut text = format!("{INTRODUCTION}\n\n");
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(INTRODUCTION);
         if let Some(top) = self.elements.first() {
-            self.outline(top, 0, &mut text);
+            let mut entries = Vec::new();
+            self.outline(top, 0, &mut entries);
+            text.outline(entries);
         }
         text
     }
 }
 
 impl Argument {
-    fn outline(&self, element: &Element, depth: usize, text: &mut String) {
+    fn outline(&self, element: &Element, depth: usize, entries: &mut Vec<(usize, Inline)>) {
         let sign = match (element.defeated, element.undeveloped) {
             (true, _) => "✗ ",
             (_, true) => "◇ ",
             _ => "",
         };
-        *text += &format!("{}- **{}** {sign}{}\n", "  ".repeat(depth), element.id, element.text);
+        entries.push((depth, Inline::strong(&element.id).and(&format!(" {sign}{}", element.text))));
         let below = element.supported_by.iter().chain(&element.in_context_of).filter_map(|id| self.find(id));
         for next in below.chain(self.challenges_to(&element.id)) {
-            self.outline(next, depth + 1, text);
+            self.outline(next, depth + 1, entries);
         }
     }
 }

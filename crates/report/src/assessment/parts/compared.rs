@@ -1,7 +1,6 @@
 //! This assessment beside an earlier one: what got better, worse, new, gone.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -10,10 +9,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::claims::{Claim, Strength};
+use crate::assessment::markdown::Markdown;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{Assessment, EVIDENCE_VERSION, Part};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::digest::sha256;
+use crumple_world::scenario::file::{self, FileError};
 
 /// What changed since an earlier assessment.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
@@ -258,14 +259,19 @@ fn score(strength: &Strength) -> f64 {
     1000.0 * f64::from(strength.rank()) + within
 }
 
+/// Most bytes of the evidence of an earlier assessment: that of the built-in one takes less than one in fifty of it.
+const MOST_BYTES: u64 = 64 << 20;
+
 impl Earlier {
     /// Reads the evidence of an earlier assessment, `assessment.json`.
     ///
     /// # Errors
     /// [`ComparisonError`] if it cannot be read, or is no such evidence.
     pub fn load(path: &Path) -> Result<Self, ComparisonError> {
-        let text =
-            fs::read_to_string(path).map_err(|source| ComparisonError::Read { path: path.to_owned(), source })?;
+        let text = file::read_at_most(path, MOST_BYTES).map_err(|error| match error {
+            FileError::Read { path, source } => ComparisonError::Read { path, source },
+            other => ComparisonError::Read { path: path.to_owned(), source: io::Error::other(other.to_string()) },
+        })?;
         Self::from_json(&text, path)
     }
 
@@ -391,8 +397,13 @@ impl Part for Comparison {
         html! { p { (self.words()) } @if !self.is_empty() { (self.table().html()) } }
     }
 
-    fn markdown(&self) -> String {
-        if self.is_empty() { self.words() + "\n" } else { format!("{}\n\n{}", self.words(), self.table().markdown()) }
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(self.words());
+        if !self.is_empty() {
+            self.table().markdown(&mut text);
+        }
+        text
     }
 }
 

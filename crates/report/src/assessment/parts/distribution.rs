@@ -7,6 +7,7 @@ use serde_json::json;
 
 use crate::assessment::case::{CaseVerdict, smallest};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
+use crate::assessment::markdown::Markdown;
 use crate::assessment::plan::NamedSpace;
 use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
@@ -371,8 +372,12 @@ impl Part for Distributions {
         }
     }
 
-    fn markdown(&self) -> String {
-        let of = |drawn: &Distribution| format!("{}\n\n{}", drawn.introduction(), drawn.table().markdown());
-        self.spaces.iter().map(of).collect::<Vec<_>>().join("\n")
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        for drawn in &self.spaces {
+            text.paragraph(drawn.introduction());
+            drawn.table().markdown(&mut text);
+        }
+        text
     }
 }

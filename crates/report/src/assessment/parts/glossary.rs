@@ -3,6 +3,7 @@
 use maud::{Markup, html};
 
 use crate::assessment::Part;
+use crate::assessment::markdown::Markdown;
 use crate::assessment::table::{Cell, Table};
 
 /// What the words of the report mean.
@@ -50,7 +51,9 @@ impl Part for Glossary {
         html! { (Self::table().html()) }
     }
 
-    fn markdown(&self) -> String {
-        Self::table().markdown()
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        Self::table().markdown(&mut text);
+        text
     }
 }

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::{PaperScenarios, ScenarioCases};
 use crate::assessment::case::Case;
+use crate::assessment::markdown::Markdown;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, Part, Rounded};
@@ -237,8 +238,14 @@ impl Part for Learned {
         }
     }
 
-    fn markdown(&self) -> String {
-        let curve = self.learning_curve.as_ref().map_or(String::new(), |curve| in_words(curve) + "\n\n");
-        format!("{}\n{curve}{INTRODUCTION}\n\n{}", self.origins().markdown(), self.times().markdown())
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        self.origins().markdown(&mut text);
+        if let Some(curve) = &self.learning_curve {
+            text.paragraph(in_words(curve));
+        }
+        text.paragraph(INTRODUCTION);
+        self.times().markdown(&mut text);
+        text
     }
 }

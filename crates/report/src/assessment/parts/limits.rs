@@ -5,6 +5,7 @@ use maud::{Markup, html};
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::plan::GivenCertificate;
 use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::observation::EstimatorKind;
@@ -101,7 +102,13 @@ impl Part for Limits {
         html! { ul { @for limit in &self.assumptions { li { b { (limit.assumed) "." } " " (limit.meaning) } } } }
     }
 
-    fn markdown(&self) -> String {
-        self.assumptions.iter().map(|limit| format!("- **{}.** {}\n", limit.assumed, limit.meaning)).collect()
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.list(
+            self.assumptions
+                .iter()
+                .map(|limit| Inline::strong(&format!("{}.", limit.assumed)).and(&format!(" {}", limit.meaning))),
+        );
+        text
     }
 }

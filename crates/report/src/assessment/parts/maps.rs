@@ -10,6 +10,7 @@ use super::map_cell::{MapCell, MapRow};
 use super::map_grid::{Held, MapAxis, held, scenarios};
 use super::maps_figure;
 use crate::assessment::best::Best;
+use crate::assessment::markdown::Markdown;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part};
@@ -193,8 +194,11 @@ impl Part for FailureMaps {
         }
     }
 
-    fn markdown(&self) -> String {
-        format!("{}\n\n{}", self.introduction(), self.table().markdown())
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(self.introduction());
+        self.table().markdown(&mut text);
+        text
     }
 }
 

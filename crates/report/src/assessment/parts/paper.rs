@@ -9,6 +9,7 @@ use super::{ScenarioCases, scenarios};
 use crate::assessment::best::{Best, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, Motion, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
+use crate::assessment::markdown::Markdown;
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part};
 use crate::draw::Svg;
@@ -129,20 +130,16 @@ impl Part for PaperScenarios {
         }
     }
 
-    fn markdown(&self) -> String {
-        let scenario = |s: &ScenarioCases| {
-            format!(
-                "### {}\n\n{}\n\n{}\n\n{}\n{}\n",
-                s.scenario,
-                s.about,
-                s.best_words(),
-                s.table().markdown(),
-                s.further_measures().markdown()
-            )
-        };
-        format!(
-            "{INTRODUCTION}\n\n{WHAT_REGRET_IS}\n\n{MEASURES}\n\n{}",
-            self.scenarios.iter().map(scenario).collect::<String>()
-        )
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        [INTRODUCTION, WHAT_REGRET_IS, MEASURES].into_iter().for_each(|words| text.paragraph(words));
+        for scenario in &self.scenarios {
+            text.heading(3, &scenario.scenario);
+            text.paragraph(scenario.about.as_str());
+            text.paragraph(scenario.best_words());
+            scenario.table().markdown(&mut text);
+            scenario.further_measures().markdown(&mut text);
+        }
+        text
     }
 }

@@ -7,13 +7,14 @@ use serde::Serialize;
 
 use super::certified::{self, Proof, ProofStatus, SpeaksOf};
 use crate::assessment::claims::{Claim, Domain, Evidence, Strength};
+use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crumple_world::control::Kernel;
 use crumple_world::scenario::VehicleClass;
 
-/// Certificates, each checked in this very run or in one that asked the same.
+/// Certificates, each checked in this very run.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Proofs {
     /// What the shield's kernels demand, one entry a pair of vehicle classes.
@@ -186,12 +187,13 @@ impl Part for Proofs {
         }
     }
 
-    fn markdown(&self) -> String {
-        let lines = self.assumptions().into_iter().map(|line| format!("- {line}\n")).collect::<String>();
-        format!(
-            "{INTRODUCTION}\n\n{}\nCheck again, in the folder of this report: `{RECHECK}`\n\n{}\n{lines}",
-            self.table().markdown(),
-            self.gaps().markdown()
-        )
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(INTRODUCTION);
+        self.table().markdown(&mut text);
+        text.paragraph(Inline::prose("Check again, in the folder of this report: ").and_code(RECHECK));
+        self.gaps().markdown(&mut text);
+        text.list(self.assumptions());
+        text
     }
 }

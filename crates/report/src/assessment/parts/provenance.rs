@@ -4,6 +4,8 @@ use maud::{Markup, html};
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceHash, Part, Store};
 use crumple_world::digest::sha256;
@@ -93,6 +95,11 @@ impl Made {
     }
 }
 
+/// What may be believed of evidence from an earlier run.
+const KEPT: &str = "Evidence may have been kept in the folder `evidence` by an earlier run of this very program on these very \
+    inputs. Its hashes tell what was cut, edited or swapped since; they are no protection against somebody who wrote numbers and \
+    hashes anew. What the checker says of the certificates listed here was said in this run. `crumple assess --fresh` gathers everything again.";
+
 impl Part for Provenance {
     fn heading(&self) -> (&'static str, String) {
         ("provenance", "Provenance".to_owned())
@@ -102,12 +109,17 @@ impl Part for Provenance {
         html! {
             @if let Some(made) = &self.made { p #made { "Made " (made.words()) "." } }
             dl { @for (name, value) in self.lines() { dt { (name) } dd { (value) } } }
+            p { (prose(KEPT)) }
             details { summary { "hashes of the evidence" } (self.hashes().html()) }
         }
     }
 
-    fn markdown(&self) -> String {
-        let made = self.made.iter().map(|made| format!("- made: `{}`\n", made.words()));
-        made.chain(self.lines().into_iter().map(|(name, value)| format!("- {name}: `{value}`\n"))).collect()
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        let made = self.made.iter().map(|made| ("made", made.words()));
+        let lines = made.chain(self.lines());
+        text.paragraph(KEPT);
+        text.list(lines.map(|(name, value)| Inline::prose(&format!("{name}: ")).and_code(value)));
+        text
     }
 }

@@ -13,6 +13,7 @@ use super::found::{Failure, MethodReached, is_own};
 use crate::assessment::case::{Motion, largest, run_cases};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
 use crate::assessment::commands::controller_word;
+use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::prose::prose;
 use crate::assessment::rounded::or_dash;
@@ -438,18 +439,26 @@ impl Part for Searches {
         }
     }
 
-    fn markdown(&self) -> String {
-        let mut text = format!("{INTRODUCTION} {WHERE}\n");
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(format!("{INTRODUCTION} {WHERE}"));
         for space in &self.spaces {
-            text += &format!("\n### Space {}\n\n{}\n\n{}", space.name, space.about, space.table().markdown());
+            text.heading(3, &format!("Space {}", space.name));
+            text.paragraph(space.about.as_str());
+            space.table().markdown(&mut text);
             for search in &space.controllers {
-                let again =
-                    search.command.as_ref().map_or(String::new(), |command| format!(" Search again: `{command}`"));
-                text += &format!("\n{}: {}{again}\n\n", search.controller, search.effort());
-                for failure in &search.failures {
-                    let replay = failure.replay.as_ref().map_or(String::new(), |command| format!(": `{command}`"));
-                    text += &format!("- {}, {}{replay}\n", failure.words(), failure.class_words());
-                }
+                let words = Inline::prose(&format!("{}: {}", search.controller, search.effort()));
+                text.paragraph(match &search.command {
+                    Some(command) => words.and(" Search again: ").and_code(command),
+                    None => words,
+                });
+                text.list(search.failures.iter().map(|failure| {
+                    let words = Inline::prose(&format!("{}, {}", failure.words(), failure.class_words()));
+                    match &failure.replay {
+                        Some(command) => words.and(": ").and_code(command),
+                        None => words,
+                    }
+                }));
             }
         }
         text

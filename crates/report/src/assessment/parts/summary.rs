@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::certified::{kernel_domain, kernels, seeing};
 use super::{Distributions, PaperScenarios, Proofs, Searches, Traffic, Usefulness, WorstProfiles};
 use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, Standing};
+use crate::assessment::markdown::Markdown;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, GateResult, Part, Rounded};
 use crumple_world::observation::EstimatorKind;
@@ -274,16 +275,19 @@ impl Part for Summary {
         }
     }
 
-    fn markdown(&self) -> String {
-        let gates = match self.gates.is_empty() {
-            true => String::new(),
-            false => format!("\n### Gates\n\n{}", self.gate_table().markdown()),
-        };
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
         let (asked, others) = self.columns();
-        let others = match others.is_empty() {
-            true => String::new(),
-            false => format!("\nThe other controllers:\n\n{}", self.table(&others).markdown()),
-        };
-        format!("{}\n{}{others}{gates}", self.names().markdown(), self.table(&asked).markdown())
+        self.names().markdown(&mut text);
+        self.table(&asked).markdown(&mut text);
+        if !others.is_empty() {
+            text.paragraph("The other controllers:");
+            self.table(&others).markdown(&mut text);
+        }
+        if !self.gates.is_empty() {
+            text.heading(3, "Gates");
+            self.gate_table().markdown(&mut text);
+        }
+        text
     }
 }

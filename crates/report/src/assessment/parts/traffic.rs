@@ -9,6 +9,7 @@ use super::{ScenarioCases, scenarios};
 use crate::assessment::best::{Best, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, CaseVerdict, Motion, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
+use crate::assessment::markdown::Markdown;
 use crate::assessment::plan::file_stem;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
@@ -159,12 +160,15 @@ impl Part for Traffic {
         }
     }
 
-    fn markdown(&self) -> String {
-        let lines = self.left_out.iter().map(|line| format!("- {line}\n")).collect::<String>();
-        let left_out = match self.left_out.is_empty() {
-            true => String::new(),
-            false => format!("\n{}:\n\n{lines}", self.left_out_words()),
-        };
-        format!("{INTRODUCTION}\n\n{WHAT_REGRET_IS}\n\n{}{left_out}", self.overview().markdown())
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(INTRODUCTION);
+        text.paragraph(WHAT_REGRET_IS);
+        self.overview().markdown(&mut text);
+        if !self.left_out.is_empty() {
+            text.paragraph(self.left_out_words() + ":");
+            text.list(self.left_out.iter().map(String::as_str));
+        }
+        text
     }
 }

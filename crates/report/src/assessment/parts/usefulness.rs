@@ -9,6 +9,7 @@ use super::distribution::{Draw, run_draws};
 use super::{LineVerdict, Percent};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Words};
+use crate::assessment::markdown::Markdown;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
@@ -345,8 +346,11 @@ impl Part for Usefulness {
         }
     }
 
-    fn markdown(&self) -> String {
-        format!("{}\n\n{}", self.introduction(), self.table().markdown())
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(self.introduction());
+        self.table().markdown(&mut text);
+        text
     }
 }
 
@@ -371,6 +375,6 @@ mod tests {
         assert_eq!(retrained.line, LineVerdict::DoesNotSettle);
         let json = serde_json::to_string(&found).unwrap();
         assert_eq!(serde_json::to_string(&serde_json::from_str::<Usefulness>(&json).unwrap()).unwrap(), json);
-        assert!(found.markdown().contains("| idm |") && found.html().into_string().contains("<svg"));
+        assert!(found.markdown().into_string().contains("| idm |") && found.html().into_string().contains("<svg"));
     }
 }

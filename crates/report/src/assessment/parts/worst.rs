@@ -10,6 +10,7 @@ use crate::assessment::best::Best;
 use crate::assessment::case::{Case, CaseVerdict, Motion, PileUp, run_cases};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
 use crate::assessment::commands::controller_word;
+use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
@@ -270,15 +271,16 @@ impl Part for WorstProfiles {
         }
     }
 
-    fn markdown(&self) -> String {
-        let mut text = self.introduction() + "\n\n";
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(self.introduction());
         if self.found().next().is_some() {
-            text += &format!("{}\n{}\n\n", self.table().markdown(), self.avoidable());
+            self.table().markdown(&mut text);
+            text.paragraph(self.avoidable());
         }
-        for line in self.withstood() {
-            text += &format!("{line}\n\n");
-        }
-        let commands = self.commands().map(|command| format!("- `{command}`\n")).collect::<String>();
-        text + "Commands that find them again:\n\n" + &commands
+        self.withstood().into_iter().for_each(|line| text.paragraph(line));
+        text.paragraph("Commands that find them again:");
+        text.list(self.commands().map(Inline::code));
+        text
     }
 }

@@ -8,6 +8,7 @@ use super::{Aim, CampaignError, Covered, FrontPoint, Region};
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
+use crumple_world::quoted::Terminal;
 
 /// The version of `summary.json`.
 pub(super) const SUMMARY_VERSION: u32 = 1;
@@ -217,9 +218,9 @@ impl Summary {
         writeln!(
             out,
             "{} in `{}`: {}, estimator {}, seed {}",
-            self.controller,
-            self.space,
-            self.specification,
+            Terminal(&self.controller),
+            Terminal(&self.space),
+            Terminal(&self.specification),
             self.estimator.name(),
             self.seed
         )?;

@@ -1,0 +1,260 @@
+//! Markdown being written: blocks with an empty line between them, and no way in for text that is not escaped.
+//!
+//! What goes in is *prose*, as in [`prose`](super::prose): what stands between backticks is code, and nothing else means
+//! anything, whoever wrote it.
+
+use std::fmt::Display;
+
+use crumple_world::quoted::{MarkdownCode, MarkdownText};
+
+/// A text in Markdown.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Markdown {
+    text: String,
+}
+
+/// Words within a line of Markdown, escaped.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Inline {
+    text: String,
+}
+
+impl Inline {
+    /// Words, and code between backticks.
+    pub(super) fn prose(text: &str) -> Self {
+        Self::default().and(text)
+    }
+
+    /// Code, whatever it holds.
+    pub(super) fn code(text: impl Display) -> Self {
+        Self::default().and_code(text)
+    }
+
+    /// In bold.
+    pub(super) fn strong(text: &str) -> Self {
+        Self { text: format!("**{}**", Self::prose(text.trim()).text) }
+    }
+
+    /// With more words behind it.
+    pub(super) fn and(mut self, text: &str) -> Self {
+        for (index, piece) in text.split('`').enumerate() {
+            match index % 2 == 1 && !piece.is_empty() {
+                true => self = self.and_code(piece),
+                false => self.add(piece),
+            }
+        }
+        self
+    }
+
+    /// With code behind it.
+    pub(super) fn and_code(mut self, text: impl Display) -> Self {
+        // Two runs of backticks would be one.
+        if self.text.ends_with('`') {
+            self.text.push(' ');
+        }
+        self.text += &MarkdownCode(&text.to_string()).to_string();
+        self
+    }
+
+    fn add(&mut self, piece: &str) {
+        // Spaces between pieces stay; those that a block begins with mean something.
+        let spaces = piece.len() - piece.trim_start().len();
+        if spaces > 0 && !self.text.is_empty() {
+            self.text.push(' ');
+        }
+        self.text += &MarkdownText(piece).to_string();
+    }
+
+    /// As a cell of a table, which ends at the next bar that is not escaped.
+    pub(super) fn cell(&self) -> String {
+        let mut cell = String::new();
+        let mut backslashes = 0;
+        for letter in self.text.chars() {
+            if letter == '|' && backslashes % 2 == 0 {
+                cell.push('\\');
+            }
+            backslashes = if letter == '\\' { backslashes + 1 } else { 0 };
+            cell.push(letter);
+        }
+        cell
+    }
+}
+
+impl From<&str> for Inline {
+    fn from(text: &str) -> Self {
+        Self::prose(text)
+    }
+}
+
+impl From<String> for Inline {
+    fn from(text: String) -> Self {
+        Self::prose(&text)
+    }
+}
+
+impl Markdown {
+    /// A heading, from 1 for the largest.
+    pub(super) fn heading(&mut self, depth: usize, text: &str) {
+        let Inline { text } = Inline::prose(text);
+        self.block(&format!("{} {text}\n", "#".repeat(depth)));
+    }
+
+    /// A paragraph; none if there are no words.
+    pub(super) fn paragraph(&mut self, words: impl Into<Inline>) {
+        let Inline { text } = words.into();
+        if !text.is_empty() {
+            self.block(&(text + "\n"));
+        }
+    }
+
+    /// A list, each entry so deep in it; none if there are no entries.
+    pub(super) fn outline<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = (usize, I)>) {
+        let line = |(depth, entry): (usize, I)| format!("{}- {}\n", "  ".repeat(depth), entry.into().text);
+        let lines: String = entries.into_iter().map(line).collect();
+        if !lines.is_empty() {
+            self.block(&lines);
+        }
+    }
+
+    /// A flat list.
+    pub(super) fn list<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = I>) {
+        self.outline(entries.into_iter().map(|entry| (0, entry)));
+    }
+
+    /// A table: cells and how each column is set, in the words of Markdown.
+    pub(super) fn table(&mut self, header: &[String], columns: &[&str], rows: impl Iterator<Item = Vec<String>>) {
+        let line = |cells: &[String]| {
+            let cells: Vec<_> = cells.iter().map(|cell| Inline::prose(cell).cell()).collect();
+            format!("| {} |\n", cells.join(" | "))
+        };
+        let rows: String = rows.map(|row| line(&row)).collect();
+        self.block(&format!("{}| {} |\n{rows}", line(header), columns.join(" | ")));
+    }
+
+    /// All blocks of another text.
+    pub(super) fn part(&mut self, other: &Self) {
+        if !other.text.is_empty() {
+            self.block(&other.text);
+        }
+    }
+
+    fn block(&mut self, text: &str) {
+        if !self.text.is_empty() {
+            self.text.push('\n');
+        }
+        self.text += text;
+    }
+
+    /// The text.
+    pub(super) fn into_string(self) -> String {
+        self.text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use pulldown_cmark::{Event, Options, Parser, Tag};
+
+    use super::*;
+
+    fn hostile() -> impl Strategy<Value = String> {
+        let nasty = prop::sample::select(vec![
+            "<script>",
+            "<img src=x onerror=y>",
+            "</td>",
+            "<!--",
+            "&lt;",
+            "<https://x.y>",
+            "[a](http://x.y)",
+            "![a](b)",
+            "[a]: b",
+            "|",
+            "\\",
+            "`",
+            "``",
+            "*",
+            "**",
+            "_",
+            "~~",
+            "$",
+            "\n",
+            "\n\n",
+            "\r\n# ",
+            "\t",
+            "    ",
+            "- ",
+            "1. ",
+            "> ",
+            "---",
+            "===",
+            "\u{1b}[2J",
+            "\u{202e}",
+            "\u{0}",
+            "a",
+            " b ",
+            "é",
+            "[x]",
+            "[^1]",
+        ]);
+        prop::collection::vec(
+            prop_oneof![6 => nasty.prop_map(str::to_owned), 1 => any::<char>().prop_map(String::from)],
+            0..12,
+        )
+        .prop_map(|pieces| pieces.concat())
+    }
+
+    fn document(names: &[String]) -> Markdown {
+        let mut text = Markdown::default();
+        for name in names {
+            text.heading(3, &format!("Space {name}"));
+            text.paragraph(name.as_str());
+            text.paragraph(Inline::strong(&format!("x {name} x")).and(name).and_code(name));
+            text.table(names, &vec!["---"; names.len()], [names.to_vec(), names.to_vec()].into_iter());
+            text.list(names.iter().map(String::as_str));
+            text.paragraph("behind");
+        }
+        text
+    }
+
+    proptest! {
+        /// Whatever the names are, the document has the blocks it was written with, and nothing that somebody else wrote.
+        #[test]
+        fn names_are_words_and_nothing_else(names in prop::collection::vec(hostile(), 1..4)) {
+            let text = document(&names).into_string();
+            let (mut headings, mut tables, mut rows, mut cells, mut items, mut behind) = (0, 0, 0, 0, 0, 0);
+            for event in Parser::new_ext(&text, Options::all()) {
+                match event {
+                    Event::Html(_) | Event::InlineHtml(_) | Event::Rule | Event::HardBreak | Event::FootnoteReference(_)
+                    | Event::InlineMath(_) | Event::DisplayMath(_) | Event::TaskListMarker(_) => {
+                        prop_assert!(false, "{event:?} in {text}");
+                    }
+                    Event::Start(Tag::Link { .. } | Tag::Image { .. } | Tag::HtmlBlock | Tag::CodeBlock(_) | Tag::BlockQuote(_)
+                        | Tag::FootnoteDefinition(_) | Tag::Emphasis | Tag::Strikethrough | Tag::MetadataBlock(_)) => {
+                        prop_assert!(false, "{event:?} in {text}");
+                    }
+                    Event::Start(Tag::Heading { .. }) => headings += 1,
+                    Event::Start(Tag::Table(_)) => tables += 1,
+                    Event::Start(Tag::TableRow) => rows += 1,
+                    Event::Start(Tag::TableCell) => cells += 1,
+                    Event::Start(Tag::Item) => items += 1,
+                    Event::Text(words) if &*words == "behind" => behind += 1,
+                    _ => {}
+                }
+            }
+            let many = names.len();
+            prop_assert_eq!((headings, tables, rows, items), (many, many, 2 * many, many * many), "{}", text);
+            prop_assert_eq!(cells, 3 * many * many, "{}", text);
+            prop_assert!(behind >= many);
+        }
+    }
+
+    #[test]
+    fn code_shows_what_it_holds() {
+        let words = Inline::prose("as in ").and_code("a`|b").and(": `c`");
+        assert_eq!(words.cell(), "as in `` a`\\|b ``: `c`");
+        let mut text = Markdown::default();
+        text.paragraph(words);
+        assert_eq!(text.into_string(), "as in `` a`|b ``: `c`\n");
+    }
+}

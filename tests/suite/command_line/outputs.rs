@@ -1,0 +1,168 @@
+//! Where results go, and what commands refuse to take on.
+
+use std::fs;
+use std::path::Path;
+
+use super::{assert_refused, code, crumple, folder, names_in, stderr};
+
+/// A link stays, and what it leads to is written; what is no file is left alone.
+#[cfg(unix)]
+#[test]
+fn single_results_go_through_links_and_into_files_only() {
+    use std::os::unix::fs::symlink;
+    let folder = folder();
+    let at = |name: &str| folder.path().join(name);
+    fs::create_dir(at("elsewhere")).unwrap();
+    fs::write(at("elsewhere/target.csv"), "old").unwrap();
+    symlink("elsewhere/target.csv", at("link.csv")).unwrap();
+    symlink("elsewhere/nothing.csv", at("dangling.csv")).unwrap();
+    symlink("/dev/null", at("null.csv")).unwrap();
+    let simulate = |trace: &str| crumple(folder.path(), &["simulate", "paper-1", "--trace", trace]);
+    assert_eq!(code(&simulate("link.csv")), 0);
+    assert!(at("link.csv").is_symlink() && fs::read_to_string(at("elsewhere/target.csv")).unwrap().contains("time_s"));
+    assert_refused(&simulate("dangling.csv"), "dangling.csv: a symbolic link that leads nowhere");
+    assert_refused(&simulate("null.csv"), "null.csv: is no file");
+    assert!(at("null.csv").is_symlink() && !Path::new("/dev/null").is_file());
+    assert_eq!(names_in(&at("elsewhere")), ["target.csv"]);
+    symlink("elsewhere/escape.toml", at("escape.toml")).unwrap();
+    fs::write(at("elsewhere/escape.toml"), "old").unwrap();
+    assert_eq!(code(&crumple(folder.path(), &["avoid", "paper-1", "--out", "escape.toml"])), 0);
+    assert!(at("escape.toml").is_symlink() && fs::read_to_string(at("elsewhere/escape.toml")).unwrap() != "old");
+}
+
+#[test]
+fn an_edited_scenario_is_not_imported_over() {
+    let folder = folder();
+    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/recordings/synthetic-platoon.csv");
+    let import = |more: &[&str]| {
+        let arguments = [&["import", recording.to_str().unwrap(), "--out", "episodes"], more].concat();
+        crumple(folder.path(), &arguments)
+    };
+    assert_eq!((code(&import(&[])), code(&import(&[]))), (0, 0), "the same again is no edit");
+    let names = names_in(&folder.path().join("episodes"));
+    let first = folder.path().join("episodes").join(&names[0]);
+    let genuine = fs::read_to_string(&first).unwrap();
+    fs::write(&first, genuine.clone() + "# mine\n").unwrap();
+    assert_refused(&import(&[]), &format!("{}: is there and says something else: use --force", names[0]));
+    assert!(fs::read_to_string(&first).unwrap().ends_with("# mine\n"));
+    assert_eq!(code(&import(&["--force"])), 0);
+    assert_eq!(fs::read_to_string(&first).unwrap(), genuine);
+}
+
+/// An earlier assessment says which files it left; what is elsewhere is not removed, whatever it says and wherever folders lead.
+#[cfg(unix)]
+#[test]
+fn a_report_removes_nothing_that_is_elsewhere() {
+    use std::os::unix::fs::symlink;
+    let folder = folder();
+    let at = |name: &str| folder.path().join(name);
+    for name in ["mine", "report", "report/scenarios", "report/counterexamples"] {
+        fs::create_dir(at(name)).unwrap();
+    }
+    for name in ["mine/a.toml", "mine/b.toml", "report/scenarios/old.toml"] {
+        fs::write(at(name), "precious").unwrap();
+    }
+    symlink("../../mine", at("report/counterexamples/deep")).unwrap();
+    let absolute = at("mine/a.toml").display().to_string();
+    let listed = [
+        "scenarios/../../mine/a.toml",
+        "counterexamples/deep/b.toml",
+        "counterexamples/./../../mine/a.toml",
+        &format!("scenarios/{absolute}"),
+        &absolute,
+        "scenarios/old.toml",
+    ];
+    let files: Vec<_> = listed.iter().map(|file| serde_json::json!({ "file": file })).collect();
+    fs::write(at("report/assessment.json"), serde_json::json!({ "command_files": files }).to_string()).unwrap();
+    let config = "version = 1\ncontrollers = [\"idm\"]\npaper = false\ndraws = 5\neveryday_draws = 0\nrates.runs = 0\n\
+                  distributions = [\"paper\"]\nsearch = { spaces = [] }\ncertificates = []\n";
+    fs::write(at("a.toml"), config).unwrap();
+    let assess = || crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
+    let made = assess();
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    assert_eq!(names_in(&at("mine")), ["a.toml", "b.toml"]);
+    assert!(!at("report/scenarios/old.toml").exists(), "what the report left itself is removed");
+    fs::remove_dir(at("report/scenarios")).unwrap();
+    symlink("../mine", at("report/scenarios")).unwrap();
+    assert_refused(&assess(), "report/scenarios: is a symbolic link");
+    assert_eq!(names_in(&at("mine")), ["a.toml", "b.toml"]);
+}
+
+/// A line of vehicles under test behind a leader that brakes.
+fn line_of(vehicles: usize, duration_s: f64) -> String {
+    let vehicle = |index: usize, driver: &str| {
+        let position_m = 30.0 * (vehicles - index) as f64;
+        format!("[[vehicles]]\nclass = \"light\"\nposition_m = {position_m}\nspeed_mps = 20.0\n{driver}\n")
+    };
+    let leader = vehicle(0, "driver.brake = { onset_s = 1.0, rate_mps2 = 3.0 }");
+    let others: String = (1..=vehicles).map(|index| vehicle(index, "driver = \"under-test\"")).collect();
+    format!("version = 1\nname = \"line\"\nduration_s = {duration_s:?}\n{leader}{others}")
+}
+
+/// More than can be done is refused at once, with the limit.
+#[test]
+fn what_would_take_hours_is_refused_before_it_begins() {
+    let folder = folder();
+    let cases: [(&str, usize, f64, &[&str], &str); 5] = [
+        (
+            "long",
+            1,
+            600.0,
+            &["avoid"],
+            "1 vehicles under test over 60000 steps are too much to decide: at most 20, and 50000",
+        ),
+        (
+            "many",
+            21,
+            2.0,
+            &["avoid"],
+            "21 vehicles under test over 200 steps are too much to decide: at most 20, and 50000",
+        ),
+        (
+            "both",
+            50,
+            500.0,
+            &["worst-case", "--controller", "idm"],
+            "51 vehicles over 50000 steps are too much to attack: at most 500000",
+        ),
+        ("huge", 100, 600.0, &["simulate"], "duration_s: asks for"),
+        ("crowd", 1000, 1.0, &["simulate"], "vehicles: must have 2 to 1000 vehicles, found 1001"),
+    ];
+    for (name, vehicles, duration_s, command, expected) in cases {
+        let file = format!("{name}.toml");
+        fs::write(folder.path().join(&file), line_of(vehicles, duration_s)).unwrap();
+        let begun = std::time::Instant::now();
+        let output = crumple(folder.path(), &[command, &[file.as_str()]].concat());
+        assert_refused(&output, expected);
+        assert!(begun.elapsed().as_secs() < 20, "{name} took {:?}", begun.elapsed());
+    }
+    let deep = format!("{}v1.gap_m > 0{}", "(".repeat(50_000), ")".repeat(50_000));
+    assert_refused(
+        &crumple(folder.path(), &["simulate", "paper-1", "--spec", &deep]),
+        "more than 4000 words and signs",
+    );
+    let nots = "not ".repeat(3000) + "v1.gap_m > 0";
+    assert_refused(&crumple(folder.path(), &["simulate", "paper-1", "--spec", &nots]), "more than 64");
+}
+
+/// Ctrl-C says where what is gathered is kept, and the same command goes on from there.
+#[cfg(unix)]
+#[test]
+fn an_interrupted_assessment_says_how_to_go_on() {
+    let folder = folder();
+    let arguments = ["assess", "--out", "report"];
+    let mut command = super::command(folder.path(), &arguments);
+    let child = command.stderr(std::process::Stdio::piped()).stdout(std::process::Stdio::null()).spawn().unwrap();
+    let kept = folder.path().join("report/evidence");
+    // The handler is set once the folder is there.
+    while !kept.exists() {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(interrupt.success());
+    let ended = child.wait_with_output().unwrap();
+    assert_eq!(code(&ended), 130, "{}", stderr(&ended));
+    let said = "interrupted: what is gathered is kept in report/evidence: the same command goes on";
+    assert!(stderr(&ended).contains(said), "{}", stderr(&ended));
+}
