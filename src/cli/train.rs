@@ -27,7 +27,8 @@ Every seed gets a folder `seed-N` with `policy.safetensors` (the best policy by 
 controller for every other subcommand), `log.jsonl` and `checkpoint.safetensors`. Seeds are trained side by side; each \
 gives the same bytes whatever the number of threads, and whether or not it was interrupted and resumed. `training.json` \
 and `learning-curve.svg` are about all finished seeds in the folder, which must be trained in the same way; a finished training \
-goes on with --resume and more --episodes. Files are checked when work goes on (see crumple fsck).
+goes on with --resume and more --episodes. Files are checked when work goes on (see crumple fsck). A training may take 4 GiB of \
+memory for each seed, as estimated from its networks, batches and replay memory.
 
 Examples:
   crumple train --seed 7

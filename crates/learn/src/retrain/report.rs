@@ -12,6 +12,7 @@ use super::run::{JUDGED_ON, KEPT_ASIDE, POLICY, RETRAINED_ON};
 use super::{RetrainError, Standing};
 use crumple_search::work::Work;
 use crumple_world::digest::sha256;
+use crumple_world::quoted::{MarkdownCode, MarkdownText};
 
 /// Why a retraining ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -160,13 +161,13 @@ impl Report {
     fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
         let Settings { rounds, episodes, budget, draws, kept_aside, nominal, nominal_share, case_share, .. } =
             self.settings;
-        writeln!(out, "# Retraining of `{}` in the space `{}`\n", self.first, self.space)?;
+        writeln!(out, "# Retraining of {} in the space {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
         writeln!(
             out,
-            "At most {rounds} rounds of {episodes} episodes (preset `{}`, seed {}): {:.0} % from the paper's distribution, of the \
+            "At most {rounds} rounds of {episodes} episodes (preset {}, seed {}): {:.0} % from the paper's distribution, of the \
              others {:.0} % cases kept and the rest draws of the space. Each search: {budget} evaluations of `{}` and of each \
              reference search, and {draws} draws. {}\n",
-            self.preset,
+            MarkdownCode(&self.preset),
             self.seed,
             100.0 * nominal_share,
             100.0 * case_share,
@@ -216,7 +217,7 @@ impl Report {
             writeln!(
                 out,
                 "| {} | {} | {} | {} | {:.3} % | {:.3} to {:.3} % |",
-                tally.controller,
+                MarkdownText(&tally.controller),
                 tally.contacts,
                 tally.into_the_leader,
                 tally.contacts - tally.into_the_leader,

@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::file::read_by_name;
 
 /// Version of the preset format this release reads.
 pub const TRAINING_VERSION: u32 = 1;
@@ -207,7 +208,9 @@ impl TrainingConfig {
     /// # Errors
     /// [`ConfigError`] if it does not parse or a field is out of range.
     pub fn parse(text: &str) -> Result<Self, ConfigError> {
-        let config: Self = toml::from_str(text).map_err(|error| ConfigError::Syntax(error.to_string()))?;
+        let syntax = |error: toml::de::Error| ConfigError::Syntax(error.to_string());
+        let parsed = toml::Deserializer::parse(text).map_err(syntax)?;
+        let config: Self = read_by_name(parsed).map_err(syntax)?;
         config.check()?;
         Ok(config)
     }

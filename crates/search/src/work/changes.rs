@@ -107,6 +107,10 @@ impl<'a> Changes<'a> {
         files.commit()?;
         disk::remove(&gone)?;
         changes.iter().for_each(|(name, _)| manifest.made(name));
-        Ok(())
+        // What is done again if it is lost may be as before the change until the next one; what is kept twice may not, for others fit it.
+        match changes.iter().any(|(name, _)| generation::is_of_it(name)) {
+            true => Ok(manifest.write(&work.folder)?),
+            false => Ok(()),
+        }
     }
 }
