@@ -16,6 +16,7 @@ mod forgery;
 mod formulas;
 mod generate;
 mod measures;
+mod networks;
 mod obligations;
 mod paper;
 mod physics;

@@ -70,7 +70,7 @@ pub(super) fn controller_word(kind: &ControllerKind) -> Option<String> {
         ControllerKind::Shielded(shielded) => {
             Some(format!("shield{}:{}", shielded.settings.words(), controller_word(&shielded.controller)?))
         }
-        ControllerKind::Custom(_) => None,
+        ControllerKind::Network(_) | ControllerKind::Custom(_) => None,
     }
 }
 

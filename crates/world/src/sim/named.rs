@@ -4,10 +4,12 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
+use super::controller_file::{self, ControllerFileError};
 use super::{ControllerKind, Shielded};
 use crate::control::{
     BuiltIn, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, RetrainedPolicy, ShieldSettings,
 };
+use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
 
 /// A controller to put under test, and what it is called.
@@ -22,7 +24,7 @@ use crate::policy::{Policy, PolicyError};
 /// ```
 #[derive(Clone)]
 pub struct NamedController {
-    /// A built-in name, or the path of a policy file as it was given.
+    /// A built-in name, or the path of a file as it was given.
     pub name: String,
     /// What drives.
     pub kind: ControllerKind,
@@ -36,7 +38,10 @@ const MOST_SHIELDS: usize = 8;
 #[non_exhaustive]
 pub enum UnknownController {
     /// Neither a built-in name nor a file.
-    #[error("there is no controller `{name}`: there are {known}, policy files, and `shield:` before any of them")]
+    #[error(
+        "there is no controller `{name}`: there are {known}, files of policies, networks and controllers, and \
+         `shield:` before any of them"
+    )]
     Name {
         /// What was asked for.
         name: String,
@@ -61,6 +66,9 @@ pub enum UnknownController {
     /// A file that is no policy.
     #[error(transparent)]
     Policy(#[from] PolicyError),
+    /// A network or a controller file that cannot be used.
+    #[error(transparent)]
+    File(#[from] ControllerFileError),
 }
 
 impl NamedController {
@@ -70,7 +78,8 @@ impl NamedController {
         Self { name: name.to_owned(), kind: ControllerKind::Custom(source) }
     }
 
-    /// The built-in controller of that name, or the policy in a file; a relative path starts at `folder`.
+    /// The built-in controller of that name, or the one in a file; a relative path starts at `folder`. A name that ends in
+    /// `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.toml` a controller file, and any other file a policy.
     ///
     /// A built-in name may be followed by settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
     ///
@@ -79,7 +88,7 @@ impl NamedController {
     /// is seen, and those that are not given are then 0.
     ///
     /// # Errors
-    /// [`UnknownController`] if there is neither, or the file holds no usable policy.
+    /// [`UnknownController`] if there is neither, or the file holds no usable controller.
     pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownController> {
         Self::behind(MOST_SHIELDS, name, folder)
     }
@@ -105,8 +114,15 @@ impl NamedController {
             let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
             return Err(UnknownController::Name { name: name.to_owned(), known: known.join(", ") });
         }
-        let policy = Policy::load(&folder.join(name))?;
-        Ok(Self { name: name.to_owned(), kind: ControllerKind::Policy(Arc::new(policy)) })
+        let path = folder.join(name);
+        let kind = if path.extension().is_some_and(|extension| extension == "toml") {
+            ControllerKind::Network(controller_file::load(&path)?)
+        } else if NetworkFile::is_one(&path) {
+            ControllerKind::Network(controller_file::load_network(&path)?)
+        } else {
+            ControllerKind::Policy(Arc::new(Policy::load(&path)?))
+        };
+        Ok(Self { name: name.to_owned(), kind })
     }
 
     /// The identity, where name and policy do not say what drives: of a controller from outside, and of one that goes by
@@ -122,7 +138,7 @@ impl NamedController {
         if self.kind.is_from_outside() { "vehicles touch, or a controller fails" } else { "vehicles touch" }
     }
 
-    /// The policy, if it is a learned one.
+    /// The policy, if it is one of crumple's own.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
         self.kind.policy()
@@ -140,7 +156,7 @@ fn is_named(kind: &ControllerKind, name: &str) -> bool {
                     && is_named(&shielded.controller, inner)
             })
         }
-        ControllerKind::Custom(_) => false,
+        ControllerKind::Network(_) | ControllerKind::Custom(_) => false,
     }
 }
 

@@ -8,7 +8,8 @@ use super::motion::Motion;
 use super::platoon::Platoon;
 use super::shielding::{ShieldRefusal, Shielded};
 use crate::control::{
-    AnyController, ControllerSource, ControllerSpec, Ego, Frame, Needs, PolicyDriver, Shield, ZeroOrderHold,
+    AnyController, ControllerSource, ControllerSpec, Ego, Frame, Needs, NetworkController, NetworkDriver, PolicyDriver,
+    Shield, ZeroOrderHold,
 };
 use crate::digest::sha256;
 use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
@@ -23,6 +24,8 @@ pub enum ControllerKind {
     BuiltIn(ControllerSpec),
     /// A learned policy.
     Policy(Arc<Policy>),
+    /// A network from outside.
+    Network(Arc<NetworkController>),
     /// Any of these behind a shield.
     Shielded(Arc<Shielded>),
     /// A controller from outside.
@@ -36,6 +39,7 @@ impl ControllerKind {
         match self {
             Self::BuiltIn(spec) => Some(spec.identity()),
             Self::Policy(policy) => Some(policy.digest()),
+            Self::Network(network) => Some(network.identity().to_owned()),
             Self::Shielded(shielded) => {
                 Some(sha256(format!("shield {:?} {}", shielded.settings, shielded.controller.identity()?)))
             }
@@ -48,27 +52,38 @@ impl ControllerKind {
     pub fn interval_s(&self) -> Option<f64> {
         match self {
             Self::Shielded(shielded) => shielded.controller.interval_s(),
+            Self::Network(network) => Some(network.mapping().decision_interval_s),
             Self::Custom(source) => source.interval_s(),
             Self::BuiltIn(_) | Self::Policy(_) => self.policy().map(|policy| policy.header().decision_interval_s),
         }
     }
 
-    /// Its policy, if it is a learned one, behind a shield or not.
+    /// Its policy, if it is one of crumple's own, behind a shield or not.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
         match self {
             Self::BuiltIn(spec) => spec.policy(),
             Self::Policy(policy) => Some(Arc::clone(policy)),
             Self::Shielded(shielded) => shielded.controller.policy(),
-            Self::Custom(_) => None,
+            Self::Network(_) | Self::Custom(_) => None,
         }
     }
 
-    /// Whether it is a controller from outside, behind a shield or not: only these can fail.
+    /// Whether a network drives, crumple's own or one from outside, behind a shield or not.
+    #[must_use]
+    pub fn is_learned(&self) -> bool {
+        match self {
+            Self::Network(_) => true,
+            Self::Shielded(shielded) => shielded.controller.is_learned(),
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Custom(_) => self.policy().is_some(),
+        }
+    }
+
+    /// Whether it is a controller from outside that can fail, behind a shield or not. A network cannot.
     #[must_use]
     pub fn is_from_outside(&self) -> bool {
         match self {
-            Self::BuiltIn(_) | Self::Policy(_) => false,
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) => false,
             Self::Shielded(shielded) => shielded.controller.is_from_outside(),
             Self::Custom(_) => true,
         }
@@ -76,7 +91,7 @@ impl ControllerKind {
 
     fn needs(&self) -> Needs {
         match self {
-            Self::BuiltIn(_) | Self::Policy(_) => Needs::Nothing,
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) => Needs::Nothing,
             Self::Shielded(shielded) => shielded.controller.needs(),
             Self::Custom(source) => source.needs(),
         }
@@ -98,6 +113,12 @@ impl From<ControllerSpec> for ControllerKind {
 impl From<Arc<Policy>> for ControllerKind {
     fn from(policy: Arc<Policy>) -> Self {
         Self::Policy(policy)
+    }
+}
+
+impl From<Arc<NetworkController>> for ControllerKind {
+    fn from(network: Arc<NetworkController>) -> Self {
+        Self::Network(network)
     }
 }
 
@@ -354,6 +375,7 @@ impl<'s> Run<'s> {
         match kind {
             ControllerKind::BuiltIn(spec) => AnyController::built_in(spec, &ego, seed),
             ControllerKind::Policy(policy) => AnyController::Policy(PolicyDriver::new(Arc::clone(policy), &ego)),
+            ControllerKind::Network(network) => AnyController::Network(NetworkDriver::new(Arc::clone(network), &ego)),
             ControllerKind::Shielded(shielded) => {
                 let controller = self.started(index, &shielded.controller);
                 match self.frames.get(index).copied().flatten() {
