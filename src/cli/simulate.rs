@@ -415,6 +415,7 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
             Driver::UnderTest => (*controller).to_owned(),
             Driver::Controller(spec) => spec.words(),
             Driver::Profile(profile) => profile.name().to_owned(),
+            Driver::File(file) => Path::new(file.path()).file_name().unwrap_or_default().to_string_lossy().into_owned(),
         };
         line(format!(
             "  {index:>3}  {:<6} {driver:<20} {:>11} {:>11} {:>15}  {}",

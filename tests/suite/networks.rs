@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::{Policy, Workspace};
-use crumple_world::scenario::{PaperDistribution, Scenario};
+use crumple_world::scenario::controller_file::controller_file_schema;
+use crumple_world::scenario::{PaperDistribution, Scenario, file};
 use crumple_world::sim::{
-    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, Simulated, controller_file_schema, simulate,
-    simulate_batch,
+    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate, simulate_batch,
 };
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -142,16 +142,50 @@ driver = "under-test"
 /// The law that it imitates keeps 10 m and 1.4 s; so it is a controller, and not only numbers that agree.
 #[test]
 fn the_network_of_the_arch_benchmarks_shape_follows() {
-    let scenario = crumple_world::scenario::file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
+    let scenario = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
     let run = Run::new(&scenario, RunOptions::new(kind("acc.toml"))).unwrap();
     let min_gap_m = simulate(&run, RecordingLevel::Summary).vehicles[1].min_gap_m.expect("a vehicle ahead");
     assert!((10.0..26.8).contains(&min_gap_m), "{min_gap_m}");
 }
 
+/// A vehicle that is not under test drives as the same controller would if it were; written elsewhere, the scenario finds it
+/// still, and refuses another in its place.
+#[test]
+fn scenario_files_take_drivers_from_files() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["acc-5x20.onnx", "acc.toml"] {
+        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+    }
+    let text = FOLLOWING.replace("\"under-test\"", "{ file = { path = \"acc.toml\" } }");
+    let path = folder.path().join("following.toml");
+    fs::write(&path, &text).unwrap();
+    let scenario = file::load(&path).unwrap_or_else(|error| panic!("{error}"));
+    let under_test = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
+    let truth = |controller: ControllerKind| {
+        RunOptions::new(controller).with_estimator(crumple_world::observation::EstimatorKind::Truth)
+    };
+    let run = |scenario, controller| simulate(&Run::new(scenario, truth(controller)).unwrap(), RecordingLevel::Trace);
+    let driven = run(&scenario, kind("reference.onnx"));
+    assert_eq!(driven, run(&under_test, kind("acc.toml")));
+    let batch = [Run::new(&scenario, truth(kind("ppo.zip"))).unwrap()];
+    assert_eq!(simulate_batch(&batch, RecordingLevel::Trace, |_, simulated| simulated), [driven]);
+
+    let written = file::to_toml(&scenario).unwrap();
+    let again = file::from_toml(&written, Path::new("elsewhere/following.toml")).unwrap();
+    assert_eq!(again, scenario);
+    assert_eq!(file::to_toml(&again).unwrap(), written);
+    let controller = fs::read_to_string(corpus().join("acc.toml")).unwrap();
+    fs::write(folder.path().join("acc.toml"), controller.replace("1.4 #", "1.5 #")).unwrap();
+    let error = file::from_toml(&written, &path).expect_err("another controller").to_string();
+    assert!(error.contains("vehicles[1].driver.file.path: ") && error.contains("is wanted"), "{error}");
+    let error = file::from_toml(&text.replace("acc.toml", "none.toml"), &path).expect_err("no file").to_string();
+    assert!(error.contains("following.toml:15: vehicles[1].driver.file.path: there is no file"), "{error}");
+}
+
 /// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
 #[test]
 fn the_schema_of_controller_files_is_committed() {
-    assert_committed("crates/world/src/sim/controller.schema.json", &controller_file_schema());
+    assert_committed("crates/world/src/scenario/controller.schema.json", &controller_file_schema());
 }
 
 #[test]

@@ -3,6 +3,7 @@
 //! [`ScenarioSpec`] is the file: plain data that may hold nonsense. [`Scenario`] is a spec that was found valid; nothing
 //! else constructs one, so whoever holds a `Scenario` need not check it again.
 
+pub mod controller_file;
 mod driver;
 pub mod file;
 mod invalid;
@@ -13,9 +14,11 @@ mod speed_dip;
 mod validate;
 mod vehicle;
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
-pub use driver::Driver;
+pub use driver::{Driver, FileDriver};
 pub use invalid::short;
 pub use invalid::{InvalidField, Problem, Range};
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
@@ -128,6 +131,24 @@ impl Default for Sensors {
 pub struct Scenario {
     spec: ScenarioSpec,
     steps: usize,
+}
+
+impl ScenarioSpec {
+    /// Reads the controllers that drive from files, whose paths start at `folder`. A scenario whose drivers were not read
+    /// is not valid.
+    ///
+    /// # Errors
+    /// [`InvalidField`] names the first that cannot be read.
+    pub fn read_drivers(&mut self, folder: &Path) -> Result<(), InvalidField> {
+        for (index, vehicle) in self.vehicles.iter_mut().enumerate() {
+            if let Driver::File(file) = &mut vehicle.driver {
+                let field = || format!("vehicles[{index}].driver.file.path");
+                file.read(folder)
+                    .map_err(|why| InvalidField { field: field(), problem: Problem::DriverFile { why } })?;
+            }
+        }
+        Ok(())
+    }
 }
 
 impl Scenario {

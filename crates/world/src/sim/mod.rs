@@ -1,7 +1,6 @@
 //! How it happens: exact motion, contact by root finding, and two engines with one meaning.
 
 mod actuator;
-mod controller_file;
 mod lockstep;
 mod motion;
 mod named;
@@ -14,9 +13,6 @@ mod shielding;
 mod stepper;
 mod trace;
 
-#[cfg(feature = "schema")]
-pub use controller_file::controller_file_schema;
-pub use controller_file::{CONTROLLER_FILE_VERSION, ControllerFile, ControllerFileError};
 pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
 pub use named::{NamedController, UnknownController};

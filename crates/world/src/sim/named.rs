@@ -4,13 +4,12 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::controller_file::{self, ControllerFileError};
 use super::{ControllerKind, Shielded};
 use crate::control::{
     BuiltIn, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, RetrainedPolicy, ShieldSettings,
 };
-use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
+use crate::scenario::controller_file::{ControllerFileError, FileController};
 
 /// A controller to put under test, and what it is called.
 ///
@@ -68,7 +67,16 @@ pub enum UnknownController {
     Policy(#[from] PolicyError),
     /// A network or a controller file that cannot be used.
     #[error(transparent)]
-    File(#[from] ControllerFileError),
+    File(ControllerFileError),
+}
+
+impl From<ControllerFileError> for UnknownController {
+    fn from(error: ControllerFileError) -> Self {
+        match error {
+            ControllerFileError::Policy(error) => Self::Policy(error),
+            other => Self::File(other),
+        }
+    }
 }
 
 impl NamedController {
@@ -78,8 +86,8 @@ impl NamedController {
         Self { name: name.to_owned(), kind: ControllerKind::Custom(source) }
     }
 
-    /// The built-in controller of that name, or the one in a file; a relative path starts at `folder`. A name that ends in
-    /// `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.toml` a controller file, and any other file a policy.
+    /// The built-in controller of that name, or the one in a file; a relative path starts at `folder`
+    /// ([`FileController::load`]).
     ///
     /// A built-in name may be followed by settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
     ///
@@ -114,15 +122,7 @@ impl NamedController {
             let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
             return Err(UnknownController::Name { name: name.to_owned(), known: known.join(", ") });
         }
-        let path = folder.join(name);
-        let kind = if path.extension().is_some_and(|extension| extension == "toml") {
-            ControllerKind::Network(controller_file::load(&path)?)
-        } else if NetworkFile::is_one(&path) {
-            ControllerKind::Network(controller_file::load_network(&path)?)
-        } else {
-            ControllerKind::Policy(Arc::new(Policy::load(&path)?))
-        };
-        Ok(Self { name: name.to_owned(), kind })
+        Ok(Self { name: name.to_owned(), kind: FileController::load(&folder.join(name))?.into() })
     }
 
     /// The identity, where name and policy do not say what drives: of a controller from outside, and of one that goes by

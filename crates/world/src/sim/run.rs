@@ -8,13 +8,14 @@ use super::motion::Motion;
 use super::platoon::Platoon;
 use super::shielding::{ShieldRefusal, Shielded};
 use crate::control::{
-    AnyController, ControllerSource, ControllerSpec, Ego, Frame, Needs, NetworkController, NetworkDriver, PolicyDriver,
-    Shield, ZeroOrderHold,
+    AnyController, ControllerFailure, ControllerSource, ControllerSpec, Ego, Frame, Needs, NetworkController,
+    NetworkDriver, PolicyDriver, Shield, ZeroOrderHold,
 };
 use crate::digest::sha256;
 use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
 use crate::observation::{EstimatorKind, Neighbour, Observation};
 use crate::policy::Policy;
+use crate::scenario::controller_file::FileController;
 use crate::scenario::{Driver, LeadProfile, MOST_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple};
 
 /// What drives the vehicles under test.
@@ -119,6 +120,15 @@ impl From<Arc<Policy>> for ControllerKind {
 impl From<Arc<NetworkController>> for ControllerKind {
     fn from(network: Arc<NetworkController>) -> Self {
         Self::Network(network)
+    }
+}
+
+impl From<FileController> for ControllerKind {
+    fn from(controller: FileController) -> Self {
+        match controller {
+            FileController::Policy(policy) => Self::Policy(policy),
+            FileController::Network(network) => Self::Network(network),
+        }
     }
 }
 
@@ -280,6 +290,10 @@ impl<'s> Run<'s> {
             let kind = match &spec.driver {
                 Driver::Profile(_) => continue,
                 Driver::Controller(spec) => &ControllerKind::BuiltIn(spec.clone()),
+                Driver::File(file) => match file.controller() {
+                    Some(controller) => &controller.clone().into(),
+                    None => continue,
+                },
                 Driver::UnderTest => &run.options.controller,
             };
             if let Some(interval_s) = kind.interval_s() {
@@ -366,6 +380,10 @@ impl<'s> Run<'s> {
             Driver::Controller(spec) => {
                 ActiveDriver::Controller(AnyController::built_in(spec, &self.ego(index), self.scenario.spec().seed))
             }
+            Driver::File(file) => ActiveDriver::Controller(match file.controller() {
+                Some(controller) => self.started(index, &controller.clone().into()),
+                None => AnyController::NotStarted(ControllerFailure::Died { message: "it was not read".to_owned() }),
+            }),
             Driver::UnderTest => ActiveDriver::Controller(self.started(index, &self.options.controller)),
         }
     }

@@ -4,6 +4,7 @@
 //! What else there may be in a graph is refused by the name of its operator and its node.
 
 mod chain;
+mod constants;
 mod model;
 
 use super::{FeedForward, NetworkError};

@@ -1,13 +1,15 @@
-//! Controller files: what a network from outside sees, and what its answer means.
+//! Controllers in files: policies, networks, and controller files, which say what a network sees and what its answer means.
 
+use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
 use serde::Deserialize;
 
+use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{Input, InvalidMapping, Mapping, NetworkController, Output};
 use crate::network::{NetworkError, NetworkFile};
-use crate::scenario::file::{FileError, line_in_toml, parse_toml, read};
+use crate::policy::{Policy, PolicyError};
 
 /// Version of the format of controller files that this release reads.
 pub const CONTROLLER_FILE_VERSION: u32 = 1;
@@ -55,6 +57,9 @@ pub enum ControllerFileError {
     /// The file cannot be read or parsed, or says something wrong.
     #[error(transparent)]
     File(#[from] FileError),
+    /// The policy cannot be used.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
     /// The network cannot be used.
     #[error(transparent)]
     Network(#[from] NetworkError),
@@ -82,8 +87,49 @@ pub enum ControllerFileError {
 /// Names under which statistics of normalised observations are usually saved.
 const STATISTICS: [&str; 2] = ["vecnormalize.pkl", "vec_normalize.pkl"];
 
+/// A controller that was read from a file.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum FileController {
+    /// A policy of crumple's own.
+    Policy(Arc<Policy>),
+    /// A network from outside.
+    Network(Arc<NetworkController>),
+}
+
+impl FileController {
+    /// Reads a controller. A name that ends in `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.toml` a
+    /// controller file, and any other file a policy.
+    ///
+    /// # Errors
+    /// [`ControllerFileError`] if there is no such file, or it holds no usable controller.
+    pub fn load(path: &Path) -> Result<Self, ControllerFileError> {
+        if path.extension().is_some_and(|extension| extension == "toml") {
+            load(path).map(Self::Network)
+        } else if NetworkFile::is_one(path) {
+            load_network(path).map(Self::Network)
+        } else {
+            Ok(Self::Policy(Arc::new(Policy::load(path)?)))
+        }
+    }
+
+    /// SHA-256, in hexadecimal, of everything that decides how it drives.
+    #[must_use]
+    pub fn identity(&self) -> String {
+        match self {
+            Self::Policy(policy) => policy.digest(),
+            Self::Network(network) => network.identity().to_owned(),
+        }
+    }
+}
+
+/// Whether there is an ordinary file: a scenario may name anything, and reading some things does not end.
+pub(super) fn is_ordinary(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|found| found.is_file())
+}
+
 /// A network in a file of its own, which sees and answers what crumple's own policies do.
-pub(super) fn load_network(path: &Path) -> Result<Arc<NetworkController>, ControllerFileError> {
+fn load_network(path: &Path) -> Result<Arc<NetworkController>, ControllerFileError> {
     let file = NetworkFile::load(path)?;
     let shown = || path.display().to_string();
     let is_beside = |name: &&&str| path.with_file_name(**name).exists();
@@ -98,7 +144,7 @@ pub(super) fn load_network(path: &Path) -> Result<Arc<NetworkController>, Contro
 }
 
 /// The controller of a controller file.
-pub(super) fn load(path: &Path) -> Result<Arc<NetworkController>, ControllerFileError> {
+fn load(path: &Path) -> Result<Arc<NetworkController>, ControllerFileError> {
     let text = read(path)?;
     let file: ControllerFile = parse_toml(&text, path)?;
     let wrong = |InvalidMapping { field, problem }| FileError::Syntax {
