@@ -18,6 +18,7 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::Deserialize;
 
+use crate::command_line::{code, crumple};
 use crate::schema::{assert_committed, validate};
 
 fn corpus() -> PathBuf {
@@ -269,6 +270,60 @@ fn networks_that_need_a_controller_file_say_so() {
     fs::write(folder.path().join("vecnormalize.pkl"), "").unwrap();
     let error = NamedController::find("m.zip", folder.path()).expect_err("normalised").to_string();
     assert!(error.contains("beside it lies `vecnormalize.pkl`"), "{error}");
+}
+
+/// Runs an example of `examples/controllers` where Python has what it needs; whether it did.
+fn example(script: &str, needs: &str, arguments: &[&str], folder: &Path) -> bool {
+    let python = |arguments: &[&str]| {
+        let mut python = std::process::Command::new("python3");
+        python.args(arguments).current_dir(folder).env("PYTHONDONTWRITEBYTECODE", "1").output()
+    };
+    if !python(&["-c", &format!("import {needs}")]).is_ok_and(|found| found.status.success()) {
+        println!("skipped {script}: python3 has not all of {needs}");
+        return false;
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/controllers").join(script);
+    let done = python(&[&[script.to_str().unwrap()], arguments].concat()).unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    true
+}
+
+#[test]
+fn the_examples_make_controllers() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenario = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
+    let drive = |name: &str| {
+        let controller = NamedController::find(name, folder.path()).unwrap_or_else(|error| panic!("{error}"));
+        simulate(&Run::new(&scenario, RunOptions::new(controller.kind)).unwrap(), RecordingLevel::Summary).outcome
+    };
+    if example("export_onnx.py", "torch, onnx, onnxscript", &["follower.onnx"], folder.path()) {
+        assert!(drive("follower.onnx").is_safe());
+    }
+    if example("train_sb3.py", "stable_baselines3", &["follower.zip", "150"], folder.path()) {
+        drive("follower.zip");
+    }
+}
+
+/// A campaign goes on with the network that began it, whatever its file is called meanwhile, and with no other.
+#[test]
+fn a_campaign_goes_on_by_the_identity_of_a_network() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["acc-5x20.onnx", "acc.toml"] {
+        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+    }
+    let campaign = |resume: &[&str]| {
+        let asked = ["falsify", "--controller", "acc.toml", "--space", "high-risk", "--budget", "30", "--out", "out"];
+        crumple(folder.path(), &[&asked, resume].concat())
+    };
+    let first = campaign(&[]);
+    assert!(first.status.success() || code(&first) == 1, "{}", String::from_utf8_lossy(&first.stderr));
+    let summary = fs::read(folder.path().join("out/summary.json")).unwrap();
+    assert_eq!(code(&campaign(&["--resume"])), code(&first));
+    assert_eq!(fs::read(folder.path().join("out/summary.json")).unwrap(), summary);
+    let text = fs::read_to_string(corpus().join("acc.toml")).unwrap();
+    fs::write(folder.path().join("acc.toml"), text.replace("1.4 #", "1.5 #")).unwrap();
+    let other = campaign(&["--resume"]);
+    assert_eq!(code(&other), 2, "{}", String::from_utf8_lossy(&other.stderr));
 }
 
 /// Cut off, with bits turned over, with lengths and counts that lie: one clear error or a network, and soon.

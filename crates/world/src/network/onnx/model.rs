@@ -218,7 +218,9 @@ fn tensor(bytes: &[u8]) -> Result<(String, Tensor), NetworkError> {
         return Err(damaged(format!("constant `{name}` has a shape that there is not")));
     };
     let numbers = match (kind, raw) {
-        _ if is_elsewhere => Numbers::Other("lies in another file, which is not read".to_owned()),
+        _ if is_elsewhere => Numbers::Other(
+            "lies in another file, which is not read: save all in one (PyTorch: external_data=False)".to_owned(),
+        ),
         (1, Some(raw)) => Numbers::Real(unpacked(Value::Bytes(raw), Value::floats)?),
         (11, Some(raw)) => Numbers::Real(unpacked(Value::Bytes(raw), Value::doubles)?),
         (1 | 11, None) => Numbers::Real(reals),
