@@ -326,9 +326,35 @@ fn a_campaign_goes_on_by_the_identity_of_a_network() {
     assert_eq!(code(&other), 2, "{}", String::from_utf8_lossy(&other.stderr));
 }
 
-/// Cut off, with bits turned over, with lengths and counts that lie: one clear error or a network, and soon.
+/// What lies beside a report makes the same controllers, so that its commands show what it says.
+#[test]
+fn a_report_of_networks_can_be_replayed_from_its_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["ppo.zip", "acc-5x20.onnx", "acc.toml"] {
+        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+    }
+    let config = "version = 1\ncontrollers = [\"baseline\", \"ppo.zip\", \"shield:acc.toml\"]\ndraws = 20\n\
+                  search = { spaces = [\"paper\"], budget = 20 }\n";
+    fs::write(folder.path().join("a.toml"), config).unwrap();
+    let assessed = crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
+    assert_eq!(code(&assessed), 0, "{}", String::from_utf8_lossy(&assessed.stderr));
+    let report = folder.path().join("report");
+    let there = |name: &str| {
+        let identity = kind(name).identity().unwrap();
+        let path = format!("controllers/{}.toml", &identity[..16]);
+        assert_eq!(NamedController::find(&path, &report).unwrap().kind.identity(), Some(identity));
+        path
+    };
+    let words = [there("ppo.zip"), there("acc.toml")];
+    let replay = fs::read_to_string(report.join("replay.sh")).unwrap();
+    assert!(words.iter().all(|word| replay.contains(word)), "{replay}");
+}
+
+/// Cut off, with bits turned over, with lengths and counts that lie: one clear error or a network, and soon. `DAMAGES` says how
+/// many of each kind.
 #[test]
 fn damaged_files_are_refused_and_nothing_worse() {
+    let damages: usize = std::env::var("DAMAGES").map_or(150, |count| count.parse().expect("a number"));
     let mut stream = Xoshiro256PlusPlus::seed_from_u64(20);
     for file in ["reference.onnx", "acc-5x20.onnx", "leaky-40-clip.onnx", "ppo.zip", "sac.zip", "td3.zip"] {
         let whole = fs::read(corpus().join(file)).unwrap();
@@ -339,13 +365,13 @@ fn damaged_files_are_refused_and_nothing_worse() {
             assert!(begun.elapsed() < Duration::from_secs(1), "{file}");
             if let Err(error) = &read {
                 let said = error.to_string();
-                assert!(said.len() < 400 && !said.contains('\n'), "{said}");
+                assert!(said.len() < 1000 && !said.chars().any(char::is_control), "{said:?}");
             }
             read.is_err()
         };
         assert!(!read(&whole));
         let mut refused = 0;
-        for _ in 0..150 {
+        for _ in 0..damages {
             assert!(read(&whole[..stream.random_range(0..whole.len())]), "{file} cut off");
             let (mut turned, mut lies) = (whole.clone(), whole.clone());
             // What says how long and how many there is stands at the start of an ONNX file, at the end of an archive.
@@ -354,6 +380,6 @@ fn damaged_files_are_refused_and_nothing_worse() {
             lies[stream.random_range(near)] = [0x00, 0x7f, 0x80, 0xff][stream.random_range(0..4)];
             refused += usize::from(read(&turned)) + usize::from(read(&lies));
         }
-        println!("{file}: {refused} of 300 changed files refused");
+        println!("{file}: {refused} of {} changed files refused", 2 * damages);
     }
 }

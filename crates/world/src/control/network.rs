@@ -14,7 +14,7 @@ use crate::policy::Workspace;
 /// that could overflow within them is refused.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NetworkController {
-    network: FeedForward,
+    file: NetworkFile,
     mapping: Mapping,
     identity: String,
 }
@@ -26,7 +26,7 @@ impl NetworkController {
     /// [`InvalidMapping`] if the mapping is wrong, or does not fit the network.
     pub fn new(file: NetworkFile, mapping: Mapping) -> Result<Self, InvalidMapping> {
         mapping.check()?;
-        let NetworkFile { network, sha256: file_sha256 } = file;
+        let network = &file.network;
         if mapping.width() != network.inputs() {
             let problem = format!("there are {}, and the network takes {} numbers", mapping.width(), network.inputs());
             let field = if mapping.history == 1 { "inputs" } else { "history" };
@@ -40,8 +40,8 @@ impl NetworkController {
         let refused = |error: crate::network::NetworkError| InvalidMapping::new("network", error.to_string());
         network.answer_ranges(&limits.repeat(mapping.history)).map_err(refused)?;
         let written = serde_json::to_string(&mapping).map_err(|e| InvalidMapping::new("inputs", e.to_string()))?;
-        let identity = sha256(format!("network {file_sha256} {written}"));
-        Ok(Self { network, mapping, identity })
+        let identity = sha256(format!("network {} {written}", file.sha256));
+        Ok(Self { file, mapping, identity })
     }
 
     /// A network that sees and answers what crumple's own policies do.
@@ -61,10 +61,8 @@ impl NetworkController {
             ));
         }
         let controller = Self::new(file, mapping)?;
-        match controller
-            .network
-            .answer_ranges(&controller.mapping.inputs.iter().map(super::Input::limits).collect::<Vec<_>>())
-        {
+        let limits: Vec<_> = controller.mapping.inputs.iter().map(super::Input::limits).collect();
+        match controller.file.network.answer_ranges(&limits) {
             Ok(ranges) if ranges.iter().all(|[low, high]| *low >= -1.0 && *high <= 1.0) => Ok(controller),
             _ => refused("nothing in it keeps its answer from -1 to 1, as tanh or a clip would".to_owned()),
         }
@@ -73,7 +71,13 @@ impl NetworkController {
     /// The network.
     #[must_use]
     pub fn network(&self) -> &FeedForward {
-        &self.network
+        &self.file.network
+    }
+
+    /// The network's file.
+    #[must_use]
+    pub fn file(&self) -> &NetworkFile {
+        &self.file
     }
 
     /// What it sees, and what its answer means.
@@ -90,8 +94,8 @@ impl NetworkController {
 
     /// The accelerations for `batch` rows of what is seen.
     fn act(&self, rows: &[f32], batch: usize, space: &mut Workspace) -> impl Iterator<Item = f64> {
-        let width = self.network.outputs();
-        let answers = self.network.answers(rows, batch, space).chunks_exact(width);
+        let width = self.file.network.outputs();
+        let answers = self.file.network.answers(rows, batch, space).chunks_exact(width);
         answers
             .map(|row| self.mapping.acceleration_mps2(row.get(self.mapping.output.answer).copied().unwrap_or(f32::NAN)))
     }

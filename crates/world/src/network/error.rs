@@ -29,7 +29,7 @@ pub enum NetworkError {
     #[error("a network's file ends in .onnx, or in .zip for a model of Stable-Baselines3")]
     Extension,
     /// It is too large.
-    #[error("the file has more than {MOST_BYTES} bytes")]
+    #[error("the file has more than {MOST_BYTES} bytes, too many for a network")]
     TooLarge,
     /// It has too many numbers.
     #[error("the network has more than {MOST_PARAMETERS} weights and biases")]
@@ -69,6 +69,11 @@ pub enum NetworkError {
         /// Index of the step, from 0.
         step: usize,
     },
+}
+
+/// What a file says, as it may stand in a message: on one line, without control characters, and not too long.
+pub(super) fn shown(said: &str) -> String {
+    said.chars().take(200).flat_map(char::escape_debug).collect()
 }
 
 impl NetworkError {

@@ -23,6 +23,7 @@ mod wire;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
+use std::sync::Arc;
 
 pub use crate::policy::Elementwise;
 pub use error::NetworkError;
@@ -47,6 +48,9 @@ pub struct NetworkFile {
     pub network: FeedForward,
     /// SHA-256 of the file, in hexadecimal.
     pub sha256: String,
+    /// The file itself, to be laid beside what is said of it.
+    bytes: Arc<[u8]>,
+    format: Format,
 }
 
 impl NetworkFile {
@@ -66,14 +70,28 @@ impl NetworkFile {
         let unreadable = |source| NetworkError::Read { path: path.to_owned(), source };
         let mut bytes = Vec::new();
         File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes)).map_err(unreadable)?;
+        Self::of(&bytes, format).map_err(in_file)
+    }
+
+    fn of(bytes: &[u8], format: Format) -> Result<Self, NetworkError> {
         if bytes.len() as u64 > MOST_BYTES {
-            return Err(in_file(NetworkError::TooLarge));
+            return Err(NetworkError::TooLarge);
         }
         let network = match format {
-            Format::Onnx => onnx::read(&bytes),
-            Format::StableBaselines => sb3::read(&bytes),
+            Format::Onnx => onnx::read(bytes),
+            Format::StableBaselines => sb3::read(bytes),
         };
-        Ok(Self { network: network.map_err(in_file)?, sha256: crate::digest::sha256(&bytes) })
+        Ok(Self { network: network?, sha256: crate::digest::sha256(bytes), bytes: bytes.into(), format })
+    }
+
+    /// A name for the file that says what is in it, and the file.
+    pub(crate) fn named(&self) -> (String, Arc<[u8]>) {
+        let extension = match self.format {
+            Format::Onnx => "onnx",
+            Format::StableBaselines => "zip",
+        };
+        let digits = self.sha256.get(..16).unwrap_or(&self.sha256);
+        (format!("{digits}.{extension}"), Arc::clone(&self.bytes))
     }
 
     /// Reads a network from the bytes of an ONNX file.
@@ -81,7 +99,7 @@ impl NetworkFile {
     /// # Errors
     /// [`NetworkError`], as for [`Self::load`].
     pub fn from_onnx(bytes: &[u8]) -> Result<Self, NetworkError> {
-        Ok(Self { network: onnx::read(bytes)?, sha256: crate::digest::sha256(bytes) })
+        Self::of(bytes, Format::Onnx)
     }
 
     /// Reads the actor of a model saved by Stable-Baselines3.
@@ -89,10 +107,11 @@ impl NetworkFile {
     /// # Errors
     /// [`NetworkError`], as for [`Self::load`].
     pub fn from_sb3(bytes: &[u8]) -> Result<Self, NetworkError> {
-        Ok(Self { network: sb3::read(bytes)?, sha256: crate::digest::sha256(bytes) })
+        Self::of(bytes, Format::StableBaselines)
     }
 }
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Format {
     Onnx,
     StableBaselines,

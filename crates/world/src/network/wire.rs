@@ -10,6 +10,9 @@ const FORM: &str = "ONNX file";
 /// Most whole numbers of a repeated field: they make shapes, not weights.
 const MOST_INTEGERS: usize = 4096;
 
+/// Longest name of anything, in bytes.
+const LONGEST_NAME: usize = 300;
+
 /// A field's value.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Value<'a> {
@@ -33,6 +36,10 @@ impl<'a> Value<'a> {
 
     pub(super) fn text(self) -> Result<String, NetworkError> {
         let text = std::str::from_utf8(self.bytes()?).map_err(|_| damaged("text that is not UTF-8"))?;
+        // Names are said in messages.
+        if text.len() > LONGEST_NAME || text.chars().any(char::is_control) {
+            return Err(damaged(&format!("a name of more than {LONGEST_NAME} bytes or with control characters")));
+        }
         Ok(text.to_owned())
     }
 

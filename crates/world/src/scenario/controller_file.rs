@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{Input, InvalidMapping, Mapping, NetworkController, Output};
@@ -15,7 +15,7 @@ use crate::policy::{Policy, PolicyError};
 pub const CONTROLLER_FILE_VERSION: u32 = 1;
 
 /// A controller file as it is written: `docs/controllers.md`.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[cfg_attr(feature = "schema", schemars(title = "crumple controller, version 1"))]
 #[serde(deny_unknown_fields)]
@@ -121,6 +121,32 @@ impl FileController {
             Self::Network(network) => network.identity().to_owned(),
         }
     }
+}
+
+/// A controller file and its network, by the names under which they make the same controller; the controller file first.
+///
+/// # Errors
+/// None in practice; the serializer's error is passed on rather than hidden.
+pub fn files_of(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2], toml::ser::Error> {
+    let Mapping { decision_interval_s, history, newest_first, inputs, output } = controller.mapping().clone();
+    let (network, bytes) = controller.file().named();
+    let file = ControllerFile {
+        version: CONTROLLER_FILE_VERSION,
+        network: network.clone(),
+        decision_interval_s,
+        history,
+        newest_first,
+        inputs,
+        output,
+    };
+    Ok([(file_name(controller), toml::to_string(&file)?.into_bytes()), (network, bytes.to_vec())])
+}
+
+/// The name that [`files_of`] gives the controller file.
+#[must_use]
+pub fn file_name(controller: &NetworkController) -> String {
+    let identity = controller.identity();
+    format!("{}.toml", identity.get(..16).unwrap_or(identity))
 }
 
 /// Whether there is an ordinary file: a scenario may name anything, and reading some things does not end.

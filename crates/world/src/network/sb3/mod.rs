@@ -13,6 +13,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::archive::Archive;
+use super::error::shown;
 use super::pickle::Pickle;
 use super::{Elementwise, FeedForward, NetworkError, Step};
 use space::BoxSpace;
@@ -55,8 +56,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<FeedForward, NetworkError> {
     if data.len() > MOST_DATA_BYTES {
         return unsupported(format!("its member `data` has more than {MOST_DATA_BYTES} bytes"));
     }
-    let data: Data =
-        serde_json::from_slice(data).map_err(|error| NetworkError::damaged("member `data`", error.to_string()))?;
+    let data: Data = serde_json::from_slice(data)
+        .map_err(|error| NetworkError::damaged("member `data`", shown(&error.to_string())))?;
     let actor = Actor::of(&data.policy_class)?;
     let observed = space::of(&data.observation_space, "observation_space")?;
     let actions = space::of(&data.action_space, "action_space")?;
@@ -85,7 +86,9 @@ impl Actor {
             ("stable_baselines3.sac.policies", "SACPolicy") => Ok(Self::SoftActorCritic),
             ("stable_baselines3.td3.policies", "TD3Policy") => Ok(Self::Deterministic),
             _ => unsupported(format!(
-                "its policy `{module}.{name}` is not followed: PPO, A2C, SAC, TD3 and DDPG with MlpPolicy are"
+                "its policy `{}.{}` is not followed: PPO, A2C, SAC, TD3 and DDPG with MlpPolicy are",
+                shown(module),
+                shown(name)
             )),
         }
     }
@@ -165,7 +168,7 @@ fn activation(told: &Value, actor: Actor) -> Result<Option<Elementwise>, Network
     let said = said.as_str().unwrap_or_default();
     let name = said.trim_end_matches("'>").rsplit('.').next().unwrap_or_default();
     if !said.contains("torch.nn.modules.") {
-        return unsupported(format!("its activation function `{said}` is not one of PyTorch's"));
+        return unsupported(format!("its activation function `{}` is not one of PyTorch's", shown(said)));
     }
     Ok(Some(match name {
         "Tanh" => Elementwise::Tanh,
@@ -174,6 +177,6 @@ fn activation(told: &Value, actor: Actor) -> Result<Option<Elementwise>, Network
         "LeakyReLU" => Elementwise::LeakyRelu { slope: 0.01 },
         "ELU" => Elementwise::Elu { alpha: 1.0 },
         "Identity" => return Ok(None),
-        _ => return unsupported(format!("its activation function `{name}` is not followed")),
+        _ => return unsupported(format!("its activation function `{}` is not followed", shown(name))),
     }))
 }

@@ -3,6 +3,7 @@
 use serde_json::Value;
 
 use super::super::NetworkError;
+use super::super::error::shown;
 use super::super::pickle::{Id, Object, Pickle};
 
 /// A box of numbers.
@@ -32,7 +33,10 @@ pub(super) fn of(value: &Value, field: &str) -> Result<BoxSpace, NetworkError> {
         return unsupported(format!("its {field} is not one of Gymnasium's"));
     };
     if !(module.ends_with("spaces.box") && name == "Box") {
-        return unsupported(format!("its {field} is `{name}`, and only Box, of a fixed count of numbers, is followed"));
+        return unsupported(format!(
+            "its {field} is `{}`, and only Box, of a fixed count of numbers, is followed",
+            shown(name)
+        ));
     }
     let bound = |name: &str| {
         let array = call.state.and_then(|state| pickle.entry(state, name)).and_then(|id| numbers(&pickle, id));
