@@ -78,6 +78,21 @@ fn four_dimensions_go_into_an_old_gemm_and_what_is_subtracted_is_not_lost() {
     assert_eq!(answer(&model(6, &[1, 1, 1, 3], &nodes, &constants), &[2.0, 3.0, 4.0]), [321.5, 0.0]);
 }
 
+/// MATLAB writes a fully connected layer as a convolution, too.
+#[test]
+fn a_convolution_over_the_whole_input_is_a_product() {
+    let convolved = |shape: &[u8], pads: u8| {
+        let pads = [field(1, b"pads"), small(8, pads), small(8, 0)].concat();
+        let nodes = [node("Conv", &["x", "w", "b"], "a", &[pads]), node("Flatten", &["a"], "y", &[])];
+        let w = constant("w", &[2, 1, 1, 3], &[1.0, 10.0, 100.0, -1.0, -2.0, -3.0]);
+        model(8, shape, &nodes, &[w, constant("b", &[2], &[0.5, 0.25])])
+    };
+    assert_eq!(answer(&convolved(&[1, 1, 1, 3], 0), &[1.0, 2.0, 3.0]), [321.5, -13.75]);
+    for refused in [convolved(&[1, 1, 1, 4], 0), convolved(&[1, 1, 1, 3], 1)] {
+        assert!(refusal(&refused).starts_with("node `conv` (Conv): only a kernel over the whole input"));
+    }
+}
+
 #[test]
 fn a_constant_is_spread_as_numpy_does_or_refused() {
     let add = |constant_shape: &[u8], count: usize| {

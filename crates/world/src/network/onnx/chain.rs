@@ -90,6 +90,7 @@ impl Chain {
         match node.operator.as_str() {
             "Gemm" => self.gemm(&node)?,
             "MatMul" => self.product(&node)?,
+            "Conv" => self.whole_convolution(&node)?,
             "Add" => self.add(&node, 1.0)?,
             "Sub" => self.subtract(&node)?,
             "Mul" => {
@@ -231,6 +232,37 @@ impl Chain {
             }
         }
         let shape = if is_left { vec![outputs, 1] } else { vec![1, outputs] };
+        self.push(weights, biases, shape);
+        Ok(())
+    }
+
+    /// A convolution whose kernel is as large as what it is laid over: a product with a matrix, as MATLAB writes it.
+    fn whole_convolution(&mut self, node: &Node) -> Result<(), String> {
+        let constant = self.constant(node, 1)?;
+        let all = |name: &str, wanted: i64| {
+            node.attributes.get(name).is_none_or(|value| value.integers.iter().all(|&number| number == wanted))
+        };
+        let is_whole = match (constant.shape.as_slice(), self.shape.as_slice()) {
+            ([_, kernel @ ..], [1, image @ ..]) => kernel == image && !kernel.is_empty(),
+            _ => false,
+        };
+        let is_plain = all("pads", 0) && all("dilations", 1) && integer(node, "group").is_none_or(|group| group == 1);
+        if !is_whole || !is_plain || node.attributes.contains_key("auto_pad") || node.inputs.first() != Some(&self.now)
+        {
+            return Err("only a kernel over the whole input, without padding, is followed".to_owned());
+        }
+        let [outputs, inputs] = matrix_shape(&constant.shape)?;
+        let numbers = constant.real()?;
+        self.admit(numbers.len(), outputs)?;
+        let weights = oriented(numbers, [outputs, inputs], true).into_owned();
+        let biases = match node.inputs.get(2).filter(|name| !name.is_empty()) {
+            Some(_) => self.constant(node, 2)?.real()?.to_vec(),
+            None => vec![0.0; outputs],
+        };
+        let mut shape = vec![1; self.shape.len()];
+        if let Some(channels) = shape.get_mut(1) {
+            *channels = outputs;
+        }
         self.push(weights, biases, shape);
         Ok(())
     }
