@@ -46,7 +46,8 @@ impl Reach {
         let failed = |error: crumple_search::evidence::InvalidBox| Failure::Input(format!("{place}: {error}"));
         let is_shielded = matches!(self.controller.kind, crumple_world::sim::ControllerKind::Shielded(_));
         let policy = self.controller.policy().filter(|_| !is_shielded);
-        let policy = policy.ok_or_else(|| Failure::Input("--controller: must be a learned policy".to_owned()))?;
+        let policy = policy
+            .ok_or_else(|| Failure::Input("--controller: must be a learned policy of crumple's own".to_owned()))?;
         let text = file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?;
         let plan = ReachPlan::new(policy, &BoxSpec::from_toml(&text).map_err(failed)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);

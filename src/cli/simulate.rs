@@ -44,7 +44,7 @@ pub(super) struct Simulate {
     #[arg(required = true, value_name = "SCENARIO")]
     scenarios: Vec<String>,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
-    /// as in `acc-aeb,ttc_s=2.0`, or a policy file
+    /// as in `acc-aeb,ttc_s=2.0`, or the file of a policy, a network or a controller
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = subject::controller)]
     controller: NamedController,
     /// What the vehicles under test look through
@@ -418,6 +418,7 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
             Driver::UnderTest => (*controller).to_owned(),
             Driver::Controller(spec) => spec.words(),
             Driver::Profile(profile) => profile.name().to_owned(),
+            Driver::File(file) => Path::new(file.path()).file_name().unwrap_or_default().to_string_lossy().into_owned(),
         };
         line(format!(
             "  {index:>3}  {:<6} {driver:<20} {:>11} {:>11} {:>15}  {}",

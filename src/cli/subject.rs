@@ -38,7 +38,7 @@ pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
     Ok((name_or_path.to_owned(), space))
 }
 
-/// A built-in controller or a policy file, for clap.
+/// A built-in controller or the one in a file, for clap.
 pub(super) fn controller(name: &str) -> Result<NamedController, String> {
     NamedController::find(name, Path::new("")).map_err(|error| error.to_string())
 }

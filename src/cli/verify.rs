@@ -59,7 +59,7 @@ Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
   crumple verify rate --controller policy --space high-risk --rare")]
 struct Rate {
-    /// Controller of the vehicles under test (see `crumple list controllers`), or a policy file
+    /// Controller of the vehicles under test (see `crumple list controllers`), or the file of one
     #[arg(long, value_name = "C", value_parser = subject::controller)]
     controller: NamedController,
     /// Another controller on the same draws: show that the first fails less often

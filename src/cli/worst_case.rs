@@ -31,7 +31,7 @@ pub(super) struct WorstCase {
     #[arg(value_name = "SCENARIO")]
     scenario: String,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
-    /// as in `acc-aeb,ttc_s=2.0`, or a policy file
+    /// as in `acc-aeb,ttc_s=2.0`, or the file of a policy, a network or a controller
     #[arg(long, value_name = "C", value_parser = subject::controller)]
     controller: NamedController,
     /// What the vehicles under test look through

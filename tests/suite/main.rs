@@ -20,6 +20,7 @@ mod formulas;
 mod generate;
 mod hostile_names;
 mod measures;
+mod networks;
 mod obligations;
 mod paper;
 mod physics;

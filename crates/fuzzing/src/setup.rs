@@ -102,7 +102,7 @@ impl Setup {
     pub fn is_learned(&self) -> bool {
         match &self.controller {
             TestedController::BuiltIn(spec) => spec.policy().is_some(),
-            TestedController::Named(FoundController(found)) => found.policy().is_some(),
+            TestedController::Named(FoundController(found)) => found.kind.is_learned(),
             TestedController::Opinionated(_) => false,
         }
     }

@@ -9,6 +9,7 @@
 //! | [`random`] | seeded streams: one seed decides everything |
 //! | [`observation`] | what a controller may see |
 //! | [`policy`] | the actor network and its file: acting, one state or many |
+//! | [`network`] | networks from outside: ONNX, Stable-Baselines3 |
 //! | [`control`] | who decides: one trait, one table, one file for each controller |
 //! | [`scenario`] | what may happen: vehicles, drivers, lead profiles, the file format, the paper's scenarios |
 //! | [`estimate`] | what the ego knows: sensors and the Kalman filter |
@@ -20,6 +21,7 @@ pub mod control;
 pub mod digest;
 pub mod estimate;
 pub mod measure;
+pub mod network;
 pub mod observation;
 pub mod policy;
 pub mod quoted;

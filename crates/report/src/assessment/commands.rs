@@ -1,7 +1,7 @@
 //! What a reader types to see again what the report shows, in the folder of the report, with the files that takes.
 //!
-//! Every word is quoted for a shell. Policies and spaces that are not built in lie in the folder, policies under their hashes,
-//! so that neither a name nor a folder elsewhere matters. A controller from outside has no name on a command line.
+//! Every word is quoted for a shell. Policies, networks and spaces that are not built in lie in the folder, policies and networks
+//! under their hashes, so that neither a name nor a folder elsewhere matters. A controller from code has no name on a command line.
 
 use std::ffi::OsStr;
 use std::fmt;
@@ -14,11 +14,12 @@ use serde::{Deserialize, Serialize};
 use super::parts::scenario_file;
 use super::plan::{NamedSpace, file_stem};
 use super::{AssessmentPlan, StoreError};
+use crumple_world::control::NetworkController;
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::quoted::ShellWord;
-use crumple_world::scenario::file;
+use crumple_world::scenario::{controller_file, file};
 use crumple_world::sim::ControllerKind;
 
 /// A command line of crumple; its arguments by themselves, its text quoted for a shell.
@@ -69,7 +70,22 @@ pub(super) fn controller_word(kind: &ControllerKind) -> Option<String> {
         ControllerKind::Shielded(shielded) => {
             Some(format!("shield{}:{}", shielded.settings.words(), controller_word(&shielded.controller)?))
         }
+        ControllerKind::Network(network) => Some(network_path(&controller_file::file_name(network))),
         ControllerKind::Custom(_) => None,
+    }
+}
+
+/// Where a file of a network lies, from the folder of the report.
+fn network_path(name: &str) -> String {
+    format!("controllers/{name}")
+}
+
+/// The network from outside that drives, behind a shield or not.
+fn network(kind: &ControllerKind) -> Option<&NetworkController> {
+    match kind {
+        ControllerKind::Network(network) => Some(network),
+        ControllerKind::Shielded(shielded) => network(&shielded.controller),
+        _ => None,
     }
 }
 
@@ -121,6 +137,11 @@ impl AssessmentPlan {
                 && word.ends_with(&policy_file(&policy))
             {
                 add(policy_file(&policy), policy.to_bytes().map_err(StoreError::encoding)?);
+            }
+        }
+        for network in self.controllers.iter().filter_map(|controller| network(&controller.kind)) {
+            for (name, contents) in controller_file::files_of(network).map_err(StoreError::encoding)? {
+                add(network_path(&name), contents);
             }
         }
         for own in self.distributions.iter().chain(&self.spaces).filter(|named| !named.is_built_in()) {

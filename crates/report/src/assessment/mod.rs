@@ -227,7 +227,7 @@ impl AssessmentPlan {
         // A search has a method and two reference searches.
         let searches = 3 * self.spaces.len() as u64 * self.config.search.budget;
         let each = scenarios + self.config.draws * self.distributions.len() as u64 + searches + parts::BUDGET as u64;
-        let learned = self.controllers.iter().filter(|controller| controller.policy().is_some()).count() as u64;
+        let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
         let counted = self.distributions.len() as u64 * (learned + 1);
         driven + controllers.saturating_mul(each) + counted.saturating_mul(self.config.rates.runs)

@@ -201,7 +201,7 @@ pub(super) fn file_stem(name: &str) -> String {
 /// The first learned controller without a shield, or else the last one.
 fn subject(controllers: &[NamedController]) -> usize {
     let is_bare = |controller: &NamedController| {
-        controller.policy().is_some() && !matches!(controller.kind, ControllerKind::Shielded(_))
+        controller.kind.is_learned() && !matches!(controller.kind, ControllerKind::Shielded(_))
     };
     controllers.iter().position(is_bare).unwrap_or(controllers.len().saturating_sub(1))
 }

@@ -81,6 +81,8 @@ macro_rules! define {
             $($(#[$doc])* $rule($rule),)*
             /// A learned policy.
             Policy(PolicyDriver),
+            /// A network from outside.
+            Network(NetworkDriver),
             /// Any controller behind a shield.
             Shielded(Shield),
             /// A controller from outside.
@@ -95,6 +97,7 @@ macro_rules! define {
                 match self {
                     $(Self::$rule(controller) => controller.decide(seen),)*
                     Self::Policy(controller) => controller.decide(seen),
+                    Self::Network(controller) => controller.decide(seen),
                     Self::Shielded(controller) => controller.decide(seen),
                     Self::Custom(controller) => controller.decide(seen),
                     Self::NotStarted(failure) => Err(failure.clone()),

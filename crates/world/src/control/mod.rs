@@ -46,8 +46,11 @@ mod baseline;
 mod built_in;
 mod constant_brake;
 mod idm;
+mod mapping;
 mod match_leader;
+mod network;
 mod policy;
+mod quantity;
 mod settings;
 mod shield;
 mod source;
@@ -58,8 +61,11 @@ pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
 pub use built_in::{AnyController, BuiltIn, ControllerSpec, InvalidSetting, Role};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use idm::{Idm, IdmSettings};
+pub use mapping::{Input, InvalidMapping, Mapping, Output, Squash};
 pub use match_leader::MatchLeader;
+pub use network::{NetworkController, NetworkDriver};
 pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy};
+pub use quantity::Quantity;
 pub use settings::{Field, NoSettings, Settings};
 pub use shield::{
     Behind, ErrorBounds, Frame, Kernel, MARGIN_M, MOST_MARGIN_M, Override, Real, Shield, ShieldSettings, ShieldState,

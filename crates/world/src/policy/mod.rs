@@ -3,6 +3,7 @@
 //! Acting is plain single-precision arithmetic in a fixed order: a state gets the same bits alone or among
 //! others, and on any machine. No learning framework is needed to drive.
 
+mod elementwise;
 mod file;
 mod header;
 mod network;
@@ -11,9 +12,10 @@ mod simd;
 
 use std::sync::{Arc, LazyLock};
 
+pub use elementwise::Elementwise;
 pub use file::PolicyError;
 pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE};
-use network::Acting;
+pub(crate) use network::Acting;
 pub use network::{Network, Workspace};
 pub use product::{Left, Panels, Right, multiply_vector, with_hands_ready};
 pub use simd::InSimd;

@@ -1,5 +1,6 @@
 //! A fully connected network: rectified hidden layers, a linear output.
 
+use super::elementwise::Elementwise;
 use super::product::{Left, Panels, Right, multiply_vector};
 
 /// Shape and parameters of a network.
@@ -124,15 +125,19 @@ impl Network {
 }
 
 /// A network whose weights are laid out for acting.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Acting {
-    layers: Vec<ActingLayer>,
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Acting {
+    steps: Vec<ActingStep>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
-enum ActingLayer {
-    Many(Panels, usize),
-    One(Vec<f32>, f32),
+enum ActingStep {
+    /// A product with a matrix, its negative elements turned into 0 if `rectified`.
+    Many { panels: Panels, outputs: usize, rectified: bool },
+    /// A product with a vector.
+    One { weights: Vec<f32>, bias: f32 },
+    /// Something done to each number of rows of this width.
+    Each(Elementwise, usize),
 }
 
 /// Working space of an acting network.
@@ -145,34 +150,58 @@ pub struct Workspace {
 impl Acting {
     pub(super) fn new(network: &Network) -> Self {
         let last = network.layers().len() - 1;
-        let layer = |(index, layer): (usize, Layer)| {
+        let mut acting = Self::default();
+        for (index, layer) in network.layers().enumerate() {
             let parameters = network.parameters();
             let (weights, biases) = (&parameters[layer.weights()], &parameters[layer.biases()]);
-            if layer.outputs == 1 && index == last {
-                ActingLayer::One(weights.to_vec(), biases[0])
-            } else {
-                let shape = [layer.inputs, layer.outputs];
-                ActingLayer::Many(Panels::of(Right::Rows(weights), Some(biases), shape), layer.outputs)
+            acting.push_product(weights, biases, layer.inputs, index == last, index != last);
+        }
+        acting
+    }
+
+    /// Appends a product with a matrix of one row an input. The last one of a network with one answer is a sum of its own,
+    /// so it cannot be `rectified`.
+    pub(crate) fn push_product(
+        &mut self,
+        weights: &[f32],
+        biases: &[f32],
+        inputs: usize,
+        is_last: bool,
+        rectified: bool,
+    ) {
+        self.steps.push(match biases {
+            [bias] if is_last => ActingStep::One { weights: weights.to_vec(), bias: *bias },
+            _ => {
+                let outputs = biases.len();
+                let panels = Panels::of(Right::Rows(weights), Some(biases), [inputs, outputs]);
+                ActingStep::Many { panels, outputs, rectified }
             }
-        };
-        Self { layers: network.layers().enumerate().map(layer).collect() }
+        });
+    }
+
+    /// Appends what is done to each of `width` numbers.
+    pub(crate) fn push_each(&mut self, each: Elementwise, width: usize) {
+        self.steps.push(ActingStep::Each(each, width));
     }
 
     /// Output for `batch` rows of `input`. Each row's bits do not depend on the others.
-    pub(super) fn forward<'w>(&self, input: &[f32], batch: usize, space: &'w mut Workspace) -> &'w [f32] {
+    pub(crate) fn forward<'w>(&self, input: &[f32], batch: usize, space: &'w mut Workspace) -> &'w [f32] {
         space.front.clear();
         space.front.extend_from_slice(input);
-        for (index, layer) in self.layers.iter().enumerate() {
+        for step in &self.steps {
             let Workspace { front, back } = space;
-            match layer {
-                ActingLayer::Many(panels, outputs) => {
+            match step {
+                ActingStep::Many { panels, outputs, rectified } => {
                     back.resize(batch * outputs, 0.0);
-                    let rectified = index + 1 < self.layers.len();
-                    panels.multiply(Left::Rows(front), batch, rectified, back);
+                    panels.multiply(Left::Rows(front), batch, *rectified, back);
                 }
-                ActingLayer::One(weights, bias) => {
+                ActingStep::One { weights, bias } => {
                     back.resize(batch, 0.0);
                     multiply_vector(front, weights, *bias, back);
+                }
+                ActingStep::Each(each, width) => {
+                    each.apply(front, *width);
+                    continue;
                 }
             }
             std::mem::swap(front, back);

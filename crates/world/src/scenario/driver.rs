@@ -1,7 +1,10 @@
 //! Who drives a vehicle: plain data. How each of them drives is in [`crate::control`] and [`super::profile`].
 
+use std::path::{self, Path};
+
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
+use super::controller_file::{FileController, is_ordinary};
 use super::profile::LeadProfile;
 use crate::control::{self, BuiltIn, ControllerSpec, with_controllers};
 
@@ -17,6 +20,67 @@ pub enum Driver {
     Profile(LeadProfile),
     /// A named controller, the same in every run.
     Controller(ControllerSpec),
+    /// A controller from a file.
+    File(FileDriver),
+}
+
+/// A controller from a file, which drives a vehicle in every run.
+#[derive(Debug, Clone)]
+pub struct FileDriver {
+    form: FileForm,
+    controller: Option<FileController>,
+}
+
+/// As a scenario file states it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+struct FileForm {
+    /// The file, from the folder of the scenario's: a policy, a network or a controller file.
+    path: String,
+    /// Identity that the controller must have.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    sha256: Option<String>,
+}
+
+/// Two are equal if they state the same; what was read states its identity.
+impl PartialEq for FileDriver {
+    fn eq(&self, other: &Self) -> bool {
+        self.form == other.form
+    }
+}
+
+impl FileDriver {
+    /// The controller, once it was read.
+    #[must_use]
+    pub fn controller(&self) -> Option<&FileController> {
+        self.controller.as_ref()
+    }
+
+    /// Where it was read from.
+    #[must_use]
+    pub fn path(&self) -> &str {
+        &self.form.path
+    }
+
+    /// Reads the controller, whose path starts at `folder`. From then on it states its identity and where it lies on this
+    /// machine, so that a scenario that is written elsewhere still finds it, and no other.
+    pub(super) fn read(&mut self, folder: &Path) -> Result<(), String> {
+        let path = path::absolute(folder.join(&self.form.path)).map_err(|error| error.to_string())?;
+        if !is_ordinary(&path) {
+            return Err(format!("there is no file {}", path.display()));
+        }
+        let controller = FileController::load(&path).map_err(|error| error.to_string())?;
+        let identity = controller.identity();
+        if let Some(wanted) = self.form.sha256.as_ref().filter(|wanted| **wanted != identity) {
+            return Err(format!("{} has the identity {identity}, and {wanted} is wanted", path.display()));
+        }
+        let path = path.into_os_string().into_string();
+        let path = path.map_err(|path| format!("{} is a path that is not UTF-8", path.display()))?;
+        self.form = FileForm { path, sha256: Some(identity) };
+        self.controller = Some(controller);
+        Ok(())
+    }
 }
 
 macro_rules! define_form {
@@ -43,6 +107,8 @@ macro_rules! define_form {
             Recorded(super::profile::Recorded),
             $($(#[$doc])* $rule(<control::$rule as BuiltIn>::Settings),)*
             $($(#[$policy_doc])* $policy(<control::$known_by as BuiltIn>::Settings),)*
+            /// A controller from a file.
+            File(FileForm),
         }
 
         impl From<DriverForm> for Driver {
@@ -58,6 +124,7 @@ macro_rules! define_form {
                     F::Recorded(profile) => Self::Profile(LeadProfile::Recorded(profile)),
                     $(F::$rule(settings) => Self::Controller(ControllerSpec::$rule(settings)),)*
                     $(F::$policy(settings) => Self::Controller(ControllerSpec::$policy(settings)),)*
+                    F::File(form) => Self::File(FileDriver { form, controller: None }),
                 }
             }
         }
@@ -74,6 +141,7 @@ macro_rules! define_form {
                     Driver::Profile(LeadProfile::Recorded(profile)) => Self::Recorded(profile),
                     $(Driver::Controller(ControllerSpec::$rule(settings)) => Self::$rule(settings),)*
                     $(Driver::Controller(ControllerSpec::$policy(settings)) => Self::$policy(settings),)*
+                    Driver::File(file) => Self::File(file.form),
                 }
             }
         }
@@ -82,13 +150,14 @@ macro_rules! define_form {
 with_controllers!(define_form);
 
 impl Driver {
-    /// The driver's name in files: `under-test`, the profile's or the controller's.
+    /// The driver's name in files: `under-test`, the profile's or the controller's, `file` for one from a file.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
             Self::UnderTest => "under-test",
             Self::Profile(profile) => profile.name(),
             Self::Controller(controller) => controller.name(),
+            Self::File(_) => "file",
         }
     }
 
@@ -96,7 +165,7 @@ impl Driver {
     fn is_default(&self) -> bool {
         match self {
             Self::UnderTest | Self::Profile(LeadProfile::ConstantSpeed) => true,
-            Self::Profile(_) => false,
+            Self::Profile(_) | Self::File(_) => false,
             Self::Controller(controller) => ControllerSpec::named(controller.name()).as_ref() == Some(controller),
         }
     }

@@ -153,11 +153,12 @@ pub fn from_json(text: &str, path: &Path) -> Result<Scenario, FileError> {
 }
 
 fn parse(text: &str, format: Format, path: &Path) -> Result<Scenario, FileError> {
-    let spec: ScenarioSpec = match format {
+    let mut spec: ScenarioSpec = match format {
         Format::Toml => parse_toml(text, path)?,
         Format::Json => parse_json(text, path)?,
     };
-    Scenario::new(spec).map_err(|invalid| {
+    let drivers = spec.read_drivers(path.parent().unwrap_or(Path::new("")));
+    drivers.and_then(|()| Scenario::new(spec)).map_err(|invalid| {
         let span = match format {
             Format::Toml => locate_in_toml(text, &invalid.field),
             Format::Json => locate_in_json(text, &invalid.field),

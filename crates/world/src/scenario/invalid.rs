@@ -118,6 +118,12 @@ pub enum Problem {
         /// Steps times vehicles.
         found: usize,
     },
+    /// A driver from a file that cannot be read, or was not.
+    #[error("{why}")]
+    DriverFile {
+        /// Why not.
+        why: String,
+    },
     /// A seed that a TOML file cannot hold, since its integers are signed.
     #[error("must be at most {limit}, found {found}", limit = i64::MAX)]
     Seed {

@@ -4,6 +4,7 @@
 //! else constructs one, so whoever holds a `Scenario` need not check it again.
 
 mod by_name;
+pub mod controller_file;
 mod driver;
 pub mod file;
 mod invalid;
@@ -14,9 +15,11 @@ mod speed_dip;
 mod validate;
 mod vehicle;
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
-pub use driver::Driver;
+pub use driver::{Driver, FileDriver};
 pub use invalid::short;
 pub use invalid::{InvalidField, Problem, Range};
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
@@ -129,6 +132,24 @@ impl Default for Sensors {
 pub struct Scenario {
     spec: ScenarioSpec,
     steps: usize,
+}
+
+impl ScenarioSpec {
+    /// Reads the controllers that drive from files, whose paths start at `folder`. A scenario whose drivers were not read
+    /// is not valid.
+    ///
+    /// # Errors
+    /// [`InvalidField`] names the first that cannot be read.
+    pub fn read_drivers(&mut self, folder: &Path) -> Result<(), InvalidField> {
+        for (index, vehicle) in self.vehicles.iter_mut().enumerate() {
+            if let Driver::File(file) = &mut vehicle.driver {
+                let field = || format!("vehicles[{index}].driver.file.path");
+                file.read(folder)
+                    .map_err(|why| InvalidField { field: field(), problem: Problem::DriverFile { why } })?;
+            }
+        }
+        Ok(())
+    }
 }
 
 impl Scenario {

@@ -98,6 +98,10 @@ fn check_vehicle(place: &Place<'_>, vehicle: &VehicleSpec) -> Result<(), Invalid
             check_follows_at_once(place, vehicle)
         }
         Driver::Controller(controller) => check_controller(&driver, controller),
+        Driver::File(file) if file.controller().is_none() => driver
+            .at("path")
+            .wrong(Problem::DriverFile { why: "was not read: read the scenario from a file".to_owned() }),
+        Driver::File(_) => Ok(()),
     }
 }
 

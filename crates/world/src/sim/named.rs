@@ -9,6 +9,7 @@ use crate::control::{
     BuiltIn, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, RetrainedPolicy, ShieldSettings,
 };
 use crate::policy::{Policy, PolicyError};
+use crate::scenario::controller_file::{ControllerFileError, FileController};
 
 /// A controller to put under test, and what it is called.
 ///
@@ -22,7 +23,7 @@ use crate::policy::{Policy, PolicyError};
 /// ```
 #[derive(Clone)]
 pub struct NamedController {
-    /// A built-in name, or the path of a policy file as it was given.
+    /// A built-in name, or the path of a file as it was given.
     pub name: String,
     /// What drives.
     pub kind: ControllerKind,
@@ -36,7 +37,10 @@ const MOST_SHIELDS: usize = 8;
 #[non_exhaustive]
 pub enum UnknownController {
     /// Neither a built-in name nor a file.
-    #[error("there is no controller `{name}`: there are {known}, policy files, and `shield:` before any of them")]
+    #[error(
+        "there is no controller `{name}`: there are {known}, files of policies, networks and controllers, and \
+         `shield:` before any of them"
+    )]
     Name {
         /// What was asked for.
         name: String,
@@ -61,6 +65,18 @@ pub enum UnknownController {
     /// A file that is no policy.
     #[error(transparent)]
     Policy(#[from] PolicyError),
+    /// A network or a controller file that cannot be used.
+    #[error(transparent)]
+    File(ControllerFileError),
+}
+
+impl From<ControllerFileError> for UnknownController {
+    fn from(error: ControllerFileError) -> Self {
+        match error {
+            ControllerFileError::Policy(error) => Self::Policy(error),
+            other => Self::File(other),
+        }
+    }
 }
 
 impl NamedController {
@@ -70,7 +86,8 @@ impl NamedController {
         Self { name: name.to_owned(), kind: ControllerKind::Custom(source) }
     }
 
-    /// The built-in controller of that name, or the policy in a file; a relative path starts at `folder`.
+    /// The built-in controller of that name, or the one in a file; a relative path starts at `folder`
+    /// ([`FileController::load`]).
     ///
     /// A built-in name may be followed by settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
     ///
@@ -79,7 +96,7 @@ impl NamedController {
     /// is seen, and those that are not given are then 0.
     ///
     /// # Errors
-    /// [`UnknownController`] if there is neither, or the file holds no usable policy.
+    /// [`UnknownController`] if there is neither, or the file holds no usable controller.
     pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownController> {
         Self::behind(MOST_SHIELDS, name, folder)
     }
@@ -105,8 +122,7 @@ impl NamedController {
             let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
             return Err(UnknownController::Name { name: name.to_owned(), known: known.join(", ") });
         }
-        let policy = Policy::load(&folder.join(name))?;
-        Ok(Self { name: name.to_owned(), kind: ControllerKind::Policy(Arc::new(policy)) })
+        Ok(Self { name: name.to_owned(), kind: FileController::load(&folder.join(name))?.into() })
     }
 
     /// The identity, where name and policy do not say what drives: of a controller from outside, and of one that goes by
@@ -122,7 +138,7 @@ impl NamedController {
         if self.kind.is_from_outside() { "vehicles touch, or a controller fails" } else { "vehicles touch" }
     }
 
-    /// The policy, if it is a learned one.
+    /// The policy, if it is one of crumple's own.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
         self.kind.policy()
@@ -140,7 +156,7 @@ fn is_named(kind: &ControllerKind, name: &str) -> bool {
                     && is_named(&shielded.controller, inner)
             })
         }
-        ControllerKind::Custom(_) => false,
+        ControllerKind::Network(_) | ControllerKind::Custom(_) => false,
     }
 }
 

@@ -8,12 +8,14 @@ use super::motion::Motion;
 use super::platoon::Platoon;
 use super::shielding::{ShieldRefusal, Shielded};
 use crate::control::{
-    AnyController, ControllerSource, ControllerSpec, Ego, Frame, Needs, PolicyDriver, Shield, ZeroOrderHold,
+    AnyController, ControllerFailure, ControllerSource, ControllerSpec, Ego, Frame, Needs, NetworkController,
+    NetworkDriver, PolicyDriver, Shield, ZeroOrderHold,
 };
 use crate::digest::sha256;
 use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
 use crate::observation::{EstimatorKind, Neighbour, Observation};
 use crate::policy::Policy;
+use crate::scenario::controller_file::FileController;
 use crate::scenario::{Driver, LeadProfile, MOST_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple};
 
 /// What drives the vehicles under test.
@@ -23,6 +25,8 @@ pub enum ControllerKind {
     BuiltIn(ControllerSpec),
     /// A learned policy.
     Policy(Arc<Policy>),
+    /// A network from outside.
+    Network(Arc<NetworkController>),
     /// Any of these behind a shield.
     Shielded(Arc<Shielded>),
     /// A controller from outside.
@@ -36,6 +40,7 @@ impl ControllerKind {
         match self {
             Self::BuiltIn(spec) => Some(spec.identity()),
             Self::Policy(policy) => Some(policy.digest()),
+            Self::Network(network) => Some(network.identity().to_owned()),
             Self::Shielded(shielded) => {
                 Some(sha256(format!("shield {:?} {}", shielded.settings, shielded.controller.identity()?)))
             }
@@ -48,27 +53,38 @@ impl ControllerKind {
     pub fn interval_s(&self) -> Option<f64> {
         match self {
             Self::Shielded(shielded) => shielded.controller.interval_s(),
+            Self::Network(network) => Some(network.mapping().decision_interval_s),
             Self::Custom(source) => source.interval_s(),
             Self::BuiltIn(_) | Self::Policy(_) => self.policy().map(|policy| policy.header().decision_interval_s),
         }
     }
 
-    /// Its policy, if it is a learned one, behind a shield or not.
+    /// Its policy, if it is one of crumple's own, behind a shield or not.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
         match self {
             Self::BuiltIn(spec) => spec.policy(),
             Self::Policy(policy) => Some(Arc::clone(policy)),
             Self::Shielded(shielded) => shielded.controller.policy(),
-            Self::Custom(_) => None,
+            Self::Network(_) | Self::Custom(_) => None,
         }
     }
 
-    /// Whether it is a controller from outside, behind a shield or not: only these can fail.
+    /// Whether a network drives, crumple's own or one from outside, behind a shield or not.
+    #[must_use]
+    pub fn is_learned(&self) -> bool {
+        match self {
+            Self::Network(_) => true,
+            Self::Shielded(shielded) => shielded.controller.is_learned(),
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Custom(_) => self.policy().is_some(),
+        }
+    }
+
+    /// Whether it is a controller from outside that can fail, behind a shield or not. A network cannot.
     #[must_use]
     pub fn is_from_outside(&self) -> bool {
         match self {
-            Self::BuiltIn(_) | Self::Policy(_) => false,
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) => false,
             Self::Shielded(shielded) => shielded.controller.is_from_outside(),
             Self::Custom(_) => true,
         }
@@ -76,7 +92,7 @@ impl ControllerKind {
 
     fn needs(&self) -> Needs {
         match self {
-            Self::BuiltIn(_) | Self::Policy(_) => Needs::Nothing,
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) => Needs::Nothing,
             Self::Shielded(shielded) => shielded.controller.needs(),
             Self::Custom(source) => source.needs(),
         }
@@ -98,6 +114,21 @@ impl From<ControllerSpec> for ControllerKind {
 impl From<Arc<Policy>> for ControllerKind {
     fn from(policy: Arc<Policy>) -> Self {
         Self::Policy(policy)
+    }
+}
+
+impl From<Arc<NetworkController>> for ControllerKind {
+    fn from(network: Arc<NetworkController>) -> Self {
+        Self::Network(network)
+    }
+}
+
+impl From<FileController> for ControllerKind {
+    fn from(controller: FileController) -> Self {
+        match controller {
+            FileController::Policy(policy) => Self::Policy(policy),
+            FileController::Network(network) => Self::Network(network),
+        }
     }
 }
 
@@ -259,6 +290,10 @@ impl<'s> Run<'s> {
             let kind = match &spec.driver {
                 Driver::Profile(_) => continue,
                 Driver::Controller(spec) => &ControllerKind::BuiltIn(spec.clone()),
+                Driver::File(file) => match file.controller() {
+                    Some(controller) => &controller.clone().into(),
+                    None => continue,
+                },
                 Driver::UnderTest => &run.options.controller,
             };
             if let Some(interval_s) = kind.interval_s() {
@@ -345,6 +380,10 @@ impl<'s> Run<'s> {
             Driver::Controller(spec) => {
                 ActiveDriver::Controller(AnyController::built_in(spec, &self.ego(index), self.scenario.spec().seed))
             }
+            Driver::File(file) => ActiveDriver::Controller(match file.controller() {
+                Some(controller) => self.started(index, &controller.clone().into()),
+                None => AnyController::NotStarted(ControllerFailure::Died { message: "it was not read".to_owned() }),
+            }),
             Driver::UnderTest => ActiveDriver::Controller(self.started(index, &self.options.controller)),
         }
     }
@@ -354,6 +393,7 @@ impl<'s> Run<'s> {
         match kind {
             ControllerKind::BuiltIn(spec) => AnyController::built_in(spec, &ego, seed),
             ControllerKind::Policy(policy) => AnyController::Policy(PolicyDriver::new(Arc::clone(policy), &ego)),
+            ControllerKind::Network(network) => AnyController::Network(NetworkDriver::new(Arc::clone(network), &ego)),
             ControllerKind::Shielded(shielded) => {
                 let controller = self.started(index, &shielded.controller);
                 match self.frames.get(index).copied().flatten() {

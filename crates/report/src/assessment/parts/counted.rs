@@ -31,7 +31,7 @@ fn to_be_counted(plan: &AssessmentPlan) -> Vec<Counted<'_>> {
     if plan.config.rates.runs == 0 {
         return Vec::new();
     }
-    let learned = plan.controllers.iter().enumerate().filter(|(_, controller)| controller.policy().is_some());
+    let learned = plan.controllers.iter().enumerate().filter(|(_, controller)| controller.kind.is_learned());
     let mut wanted: Vec<(String, NamedController, Option<NamedController>)> =
         learned.map(|(index, one)| (format!("rate-{}", plan.slug(index)), one.clone(), None)).collect();
     if let (Some(subject), Some(first)) = (plan.subject(), plan.controllers.first())

@@ -99,7 +99,7 @@ impl FailureMaps {
         let first = plan.controllers.first().map(|controller| controller.name.as_str());
         let shown = plan.controllers.iter().zip(&touched);
         let shown =
-            shown.filter(|(controller, _)| Some(controller.name.as_str()) == first || controller.policy().is_some());
+            shown.filter(|(controller, _)| Some(controller.name.as_str()) == first || controller.kind.is_learned());
         Ok(Some(Self {
             space: SPACE.to_owned(),
             held: held(&space, (across, up)),

@@ -58,7 +58,7 @@ impl PaperScenarios {
             })
             .collect();
         // The first controller, and the first learned one or else the second.
-        let learned = (1..plan.controllers.len()).find(|&index| plan.controllers[index].policy().is_some());
+        let learned = (1..plan.controllers.len()).find(|&index| plan.controllers[index].kind.is_learned());
         let beside =
             [Some(0), learned.or(Some(1))].into_iter().flatten().filter(|&index| index < plan.controllers.len());
         Ok(Some(Self { scenarios, beside: beside.collect() }))

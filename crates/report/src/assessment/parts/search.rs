@@ -367,7 +367,7 @@ impl Search {
 
 /// Those whose failures are drawn: the first controller and the learned ones.
 fn is_drawn(plan: &AssessmentPlan, index: usize, controller: &NamedController) -> bool {
-    index == 0 || index == plan.subject || controller.policy().is_some()
+    index == 0 || index == plan.subject || controller.kind.is_learned()
 }
 
 fn draw(

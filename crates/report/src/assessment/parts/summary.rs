@@ -88,7 +88,7 @@ impl Summary {
         let rows = rows(plan, found, ledger);
         let subject = plan.subject().map(|subject| subject.name.clone());
         let is_asked = |&index: &usize| {
-            index == 0 || index == plan.subject || plan.controllers.get(index).is_some_and(|one| one.policy().is_some())
+            index == 0 || index == plan.subject || plan.controllers.get(index).is_some_and(|one| one.kind.is_learned())
         };
         let asked = (0..controllers.len()).filter(is_asked).collect();
         Self { subject, controllers, named: named(plan, found), claims: rows, gates: Vec::new(), asked }
@@ -155,6 +155,9 @@ fn what_drives(kind: &ControllerKind) -> String {
     match kind {
         ControllerKind::BuiltIn(spec) => spec.summary().to_owned(),
         ControllerKind::Policy(policy) => format!("a learned policy with hidden layers {:?}", policy.header().hidden),
+        ControllerKind::Network(network) => {
+            format!("a network from outside with layers {}", network.network().shape())
+        }
         ControllerKind::Shielded(shielded) => {
             format!(
                 "behind a shield, which brakes fully where no way out would be left: {}",

@@ -250,10 +250,14 @@ fn together(invalid: &InvalidField) -> bool {
 
 fn base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
     match base {
-        Base::Inline(spec) => Scenario::new((**spec).clone()).map_err(|InvalidField { field, problem }| InvalidSpace {
-            field: format!("base.{field}"),
-            problem: problem.to_string(),
-        }),
+        Base::Inline(spec) => {
+            let mut spec = (**spec).clone();
+            let in_base = |InvalidField { field, problem }: InvalidField| InvalidSpace {
+                field: format!("base.{field}"),
+                problem: problem.to_string(),
+            };
+            spec.read_drivers(folder).and_then(|()| Scenario::new(spec)).map_err(in_base)
+        }
         Base::Named(name) => match built_in(name) {
             Some(scenario) => Ok(scenario),
             None if Path::new(name).extension().is_none() => {

@@ -5,7 +5,9 @@ use pulp::Arch;
 use super::followers::Followers;
 use super::leaders::Leaders;
 use super::view::View;
-use crate::control::{self, AnyController, Controller, ControllerFailure, PolicyDriver, with_controllers};
+use crate::control::{
+    self, AnyController, Controller, ControllerFailure, NetworkDriver, PolicyDriver, with_controllers,
+};
 use crate::observation::Observation;
 use crate::sim::run::ActiveDriver;
 
@@ -18,6 +20,7 @@ macro_rules! define {
             Followers(Followers),
             $($(#[$doc])* $rule(Vec<control::$rule>),)*
             Policy(Vec<PolicyDriver>),
+            Network(Vec<NetworkDriver>),
             /// Drivers of several kinds, or from outside.
             Mixed(Vec<ActiveDriver<'s>>),
         }
@@ -46,6 +49,7 @@ macro_rules! define {
                 let drivers = unless_all!(drivers, C(AnyController::Idm(one)) => one, all => Self::Followers(all.into()));
                 $(let drivers = unless_all!(drivers, C(AnyController::$rule(one)) => one, all => Self::$rule(all));)*
                 let drivers = unless_all!(drivers, C(AnyController::Policy(one)) => one, all => Self::Policy(all));
+                let drivers = unless_all!(drivers, C(AnyController::Network(one)) => one, all => Self::Network(all));
                 Self::Mixed(drivers)
             }
 
@@ -71,6 +75,7 @@ macro_rules! define {
                     }
                     $(Self::$rule(all) => Controller::decide_together(all, see, commands, failed),)*
                     Self::Policy(all) => Controller::decide_together(all, see, commands, failed),
+                    Self::Network(all) => Controller::decide_together(all, see, commands, failed),
                     Self::Mixed(drivers) => {
                         for (run, (command, driver)) in commands.iter_mut().zip(drivers).enumerate() {
                             let seen = see(run);
@@ -95,6 +100,7 @@ macro_rules! define {
                     Self::Followers(followers) => followers.swap_remove(run),
                     $(Self::$rule(all) => drop(all.swap_remove(run)),)*
                     Self::Policy(all) => drop(all.swap_remove(run)),
+                    Self::Network(all) => drop(all.swap_remove(run)),
                     Self::Mixed(all) => drop(all.swap_remove(run)),
                 }
             }

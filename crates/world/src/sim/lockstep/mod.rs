@@ -92,6 +92,7 @@ fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
     let under_test = match &run.options().controller {
         ControllerKind::BuiltIn(spec) => spec.name(),
         ControllerKind::Policy(_) => "policy",
+        ControllerKind::Network(_) => "network",
         ControllerKind::Shielded(_) => "shielded",
         ControllerKind::Custom(_) => "custom",
     };

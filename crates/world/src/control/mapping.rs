@@ -1,0 +1,297 @@
+//! What a controller from outside sees of an observation, and what its answer means.
+
+use serde::{Deserialize, Serialize};
+
+use super::Quantity;
+use crate::observation::Observation;
+use crate::policy::{ActionBounds, ObservationScaling};
+
+/// Beyond plus and minus this a number that a network sees is cut, unless its input says otherwise.
+const FARTHEST: f64 = 1e6;
+
+/// Most inputs of a mapping, and most decisions that it looks back on.
+const MOST_INPUTS: usize = 4096;
+const MOST_HISTORY: usize = 1000;
+
+/// Time between the decisions of crumple's own policies, in seconds.
+const OWN_INTERVAL_S: f64 = 0.1;
+
+/// One number that a controller sees: (quantity - offset) / scale, cut to lie between low and high; or a constant.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Input {
+    /// What is seen; either this or a constant.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quantity: Option<Quantity>,
+    /// A number that is always the same, such as a set speed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub constant: Option<f64>,
+    /// Subtracted, in the unit of the quantity.
+    #[serde(default)]
+    pub offset: f64,
+    /// Divided by, in the unit of the quantity; not 0.
+    #[serde(default = "one")]
+    pub scale: f64,
+    /// The least that the controller sees.
+    #[serde(default = "least")]
+    pub low: f64,
+    /// The most that the controller sees.
+    #[serde(default = "most")]
+    pub high: f64,
+    /// The quantity where there is no such vehicle, before offset and scale. Without it, a vehicle 80 m away that drives as
+    /// fast as the own one stands in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub absent: Option<f64>,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn least() -> f64 {
+    -FARTHEST
+}
+
+fn most() -> f64 {
+    FARTHEST
+}
+
+/// What is done to an answer before it is scaled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Squash {
+    /// Its tanh is taken.
+    Tanh,
+}
+
+/// What an answer means: offset + scale x answer, cut to lie between low and high.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Output {
+    /// Which of the answers it is, from 0.
+    #[serde(default)]
+    pub answer: usize,
+    /// What is done to the answer before it is scaled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub squash: Option<Squash>,
+    /// Multiplied with, in m/s².
+    #[serde(default = "one")]
+    pub scale_mps2: f64,
+    /// Added, in m/s².
+    #[serde(default)]
+    pub offset_mps2: f64,
+    /// The least acceleration, in m/s².
+    pub low_mps2: f64,
+    /// The highest acceleration, in m/s².
+    pub high_mps2: f64,
+}
+
+/// What a controller from outside sees, when it is asked, and what its answer means.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Mapping {
+    /// Time between decisions, in seconds.
+    pub decision_interval_s: f64,
+    /// Decisions of which it sees the inputs: 1 for the present ones alone. Before there are as many, the first stands in.
+    pub history: usize,
+    /// Whether the present inputs come first; otherwise they come last.
+    pub newest_first: bool,
+    /// What it sees, in order.
+    pub inputs: Vec<Input>,
+    /// What it answers.
+    pub output: Output,
+}
+
+/// What is wrong with a mapping.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{field}: {problem}")]
+pub struct InvalidMapping {
+    /// The field, as a path: `inputs[2].scale`.
+    pub field: String,
+    /// What is wrong with it.
+    pub problem: String,
+}
+
+impl InvalidMapping {
+    pub(super) fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self { field: field.into(), problem: problem.into() }
+    }
+}
+
+impl Mapping {
+    /// That of crumple's own policies: the paper's eight numbers, and an answer from -1 to 1.
+    #[must_use]
+    pub fn own() -> Self {
+        use Quantity as Q;
+        let ObservationScaling { offset, scale, limit, empty_gap_m } = ObservationScaling::default();
+        let ActionBounds { low_mps2, high_mps2 } = ActionBounds::default();
+        let order = [
+            Q::GapAheadM,
+            Q::GapBehindM,
+            Q::SpeedAheadMps,
+            Q::SpeedMps,
+            Q::SpeedBehindMps,
+            Q::AccelerationAheadMps2,
+            Q::AccelerationMps2,
+            Q::AccelerationBehindMps2,
+        ];
+        let input = |(quantity, (offset, scale))| Input {
+            quantity: Some(quantity),
+            constant: None,
+            offset,
+            scale,
+            low: -limit,
+            high: limit,
+            absent: matches!(quantity, Q::GapAheadM | Q::GapBehindM).then_some(empty_gap_m),
+        };
+        Self {
+            decision_interval_s: OWN_INTERVAL_S,
+            history: 1,
+            newest_first: false,
+            inputs: order.into_iter().zip(offset.into_iter().zip(scale)).map(input).collect(),
+            output: Output {
+                answer: 0,
+                squash: None,
+                scale_mps2: 0.5 * (high_mps2 - low_mps2),
+                offset_mps2: 0.5 * (low_mps2 + high_mps2),
+                low_mps2,
+                high_mps2,
+            },
+        }
+    }
+
+    /// Numbers that a controller sees at each decision.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.inputs.len() * self.history
+    }
+
+    /// Whether it can be driven with.
+    ///
+    /// # Errors
+    /// [`InvalidMapping`] names the first field that is wrong.
+    pub fn check(&self) -> Result<(), InvalidMapping> {
+        let positive = |value: f64| value.is_finite() && value > 0.0;
+        if !positive(self.decision_interval_s) {
+            let problem = format!("must be positive, found {}", self.decision_interval_s);
+            return Err(InvalidMapping::new("decision_interval_s", problem));
+        }
+        if !(1..=MOST_HISTORY).contains(&self.history) {
+            let problem = format!("must be from 1 to {MOST_HISTORY}, found {}", self.history);
+            return Err(InvalidMapping::new("history", problem));
+        }
+        if !(1..=MOST_INPUTS).contains(&self.inputs.len()) {
+            let problem = format!("must be 1 to {MOST_INPUTS}, found {}", self.inputs.len());
+            return Err(InvalidMapping::new("inputs", problem));
+        }
+        for (index, input) in self.inputs.iter().enumerate() {
+            input
+                .check()
+                .map_err(|(field, problem)| InvalidMapping::new(format!("inputs[{index}]{field}"), problem))?;
+        }
+        self.output.check().map_err(|(field, problem)| InvalidMapping::new(format!("output.{field}"), problem))
+    }
+
+    /// What the controller sees of an observation, after everything else in `into`.
+    #[inline]
+    pub fn see(&self, seen: &Observation, last_answer_mps2: f64, into: &mut Vec<f32>) {
+        into.extend(self.inputs.iter().map(|input| input.of(seen, last_answer_mps2) as f32));
+    }
+
+    /// The acceleration that an answer means, in m/s²; the least for what is no number.
+    #[must_use]
+    #[inline]
+    pub fn acceleration_mps2(&self, answer: f32) -> f64 {
+        let Output { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
+        let answer = match squash {
+            Some(Squash::Tanh) => libm::tanhf(answer),
+            None => answer,
+        };
+        let wanted_mps2 = offset_mps2 + scale_mps2 * f64::from(answer);
+        if wanted_mps2 > high_mps2 {
+            high_mps2
+        } else if wanted_mps2 >= low_mps2 {
+            wanted_mps2
+        } else {
+            low_mps2
+        }
+    }
+}
+
+impl Input {
+    fn check(&self) -> Result<(), (&'static str, String)> {
+        let finite = [(".offset", self.offset), (".scale", self.scale), (".low", self.low), (".high", self.high)];
+        let given = [(".constant", self.constant), (".absent", self.absent)];
+        let given = given.into_iter().filter_map(|(field, value)| Some((field, value?)));
+        if let Some((field, value)) = finite.into_iter().chain(given).find(|(_, value)| !value.is_finite()) {
+            return Err((field, format!("must be a finite number, found {value}")));
+        }
+        match (self.quantity, self.constant) {
+            (None, None) => return Err(("", "says neither a quantity nor a constant".to_owned())),
+            (Some(_), Some(_)) => {
+                return Err((".constant", "an input is a quantity or a constant, not both".to_owned()));
+            }
+            (Some(quantity), None) if self.absent.is_some() && !quantity.is_of_another() => {
+                return Err((".absent", "is for what is seen of another vehicle".to_owned()));
+            }
+            (None, Some(_)) if self.absent.is_some() => {
+                return Err((".absent", "a constant is always there".to_owned()));
+            }
+            _ => {}
+        }
+        if self.scale == 0.0 {
+            return Err((".scale", "must not be 0".to_owned()));
+        }
+        if self.low > self.high {
+            return Err((".low", format!("must not be above high, {}", self.high)));
+        }
+        Ok(())
+    }
+
+    /// The least and the most that the controller sees of it.
+    #[must_use]
+    pub fn limits(&self) -> [f64; 2] {
+        match self.constant {
+            Some(constant) => [self.scaled(constant); 2],
+            None => [self.low, self.high],
+        }
+    }
+
+    #[inline]
+    fn scaled(&self, value: f64) -> f64 {
+        let scaled = (value - self.offset) / self.scale;
+        let scaled = if scaled.is_nan() { 0.0 } else { scaled };
+        let scaled = if scaled < self.low { self.low } else { scaled };
+        if scaled > self.high { self.high } else { scaled }
+    }
+
+    #[inline]
+    fn of(&self, seen: &Observation, last_answer_mps2: f64) -> f64 {
+        let value = match (self.constant, self.quantity) {
+            (Some(constant), _) => constant,
+            (None, Some(quantity)) => quantity.of(seen, last_answer_mps2, self.absent),
+            (None, None) => 0.0,
+        };
+        self.scaled(value)
+    }
+}
+
+impl Output {
+    fn check(&self) -> Result<(), (&'static str, String)> {
+        let numbers = [
+            ("scale_mps2", self.scale_mps2),
+            ("offset_mps2", self.offset_mps2),
+            ("low_mps2", self.low_mps2),
+            ("high_mps2", self.high_mps2),
+        ];
+        if let Some((field, value)) = numbers.into_iter().find(|(_, value)| !value.is_finite()) {
+            return Err((field, format!("must be a finite number, found {value}")));
+        }
+        if self.low_mps2 >= self.high_mps2 {
+            return Err(("low_mps2", format!("must be below high_mps2, {}", self.high_mps2)));
+        }
+        Ok(())
+    }
+}

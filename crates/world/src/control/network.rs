@@ -1,0 +1,207 @@
+//! A network from outside at the wheel.
+
+use std::sync::Arc;
+
+use super::{Controller, ControllerFailure, Ego, InvalidMapping, Mapping};
+use crate::digest::sha256;
+use crate::network::{FeedForward, NetworkFile};
+use crate::observation::Observation;
+use crate::policy::Workspace;
+
+/// A network, what it sees, and what its answer means.
+///
+/// Like a policy of crumple's own it cannot fail to answer: what it sees is cut to the limits of its inputs, and a network
+/// that could overflow within them is refused.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NetworkController {
+    file: NetworkFile,
+    mapping: Mapping,
+    identity: String,
+}
+
+impl NetworkController {
+    /// A network with a mapping.
+    ///
+    /// # Errors
+    /// [`InvalidMapping`] if the mapping is wrong, or does not fit the network.
+    pub fn new(file: NetworkFile, mapping: Mapping) -> Result<Self, InvalidMapping> {
+        mapping.check()?;
+        let network = &file.network;
+        if mapping.width() != network.inputs() {
+            let problem = format!("there are {}, and the network takes {} numbers", mapping.width(), network.inputs());
+            let field = if mapping.history == 1 { "inputs" } else { "history" };
+            return Err(InvalidMapping::new(field, problem));
+        }
+        if mapping.output.answer >= network.outputs() {
+            let problem = format!("must be below {}, the number of the network's answers", network.outputs());
+            return Err(InvalidMapping::new("output.answer", problem));
+        }
+        let limits: Vec<_> = mapping.inputs.iter().map(super::Input::limits).collect();
+        let refused = |error: crate::network::NetworkError| InvalidMapping::new("network", error.to_string());
+        network.answer_ranges(&limits.repeat(mapping.history)).map_err(refused)?;
+        let written = serde_json::to_string(&mapping).map_err(|e| InvalidMapping::new("inputs", e.to_string()))?;
+        let identity = sha256(format!("network {} {written}", file.sha256));
+        Ok(Self { file, mapping, identity })
+    }
+
+    /// A network that sees and answers what crumple's own policies do.
+    ///
+    /// # Errors
+    /// [`InvalidMapping`] if it sees other numbers, or does not answer with one from -1 to 1.
+    pub fn with_own_mapping(file: NetworkFile) -> Result<Self, InvalidMapping> {
+        const ASK: &str =
+            "write a controller file that says what it sees and what its answer means (docs/controllers.md)";
+        let mapping = Mapping::own();
+        let (inputs, outputs) = (file.network.inputs(), file.network.outputs());
+        let refused = |problem: String| Err(InvalidMapping::new("network", format!("{problem}: {ASK}")));
+        if inputs != mapping.width() || outputs != 1 {
+            return refused(format!(
+                "it makes {outputs} of {inputs} numbers, where crumple's own policies make 1 of {}",
+                mapping.width()
+            ));
+        }
+        let controller = Self::new(file, mapping)?;
+        let limits: Vec<_> = controller.mapping.inputs.iter().map(super::Input::limits).collect();
+        match controller.file.network.answer_ranges(&limits) {
+            Ok(ranges) if ranges.iter().all(|[low, high]| *low >= -1.0 && *high <= 1.0) => Ok(controller),
+            _ => refused("nothing in it keeps its answer from -1 to 1, as tanh or a clip would".to_owned()),
+        }
+    }
+
+    /// The network.
+    #[must_use]
+    pub fn network(&self) -> &FeedForward {
+        &self.file.network
+    }
+
+    /// The network's file.
+    #[must_use]
+    pub fn file(&self) -> &NetworkFile {
+        &self.file
+    }
+
+    /// What it sees, and what its answer means.
+    #[must_use]
+    pub fn mapping(&self) -> &Mapping {
+        &self.mapping
+    }
+
+    /// SHA-256, in hexadecimal, of its file and its mapping.
+    #[must_use]
+    pub fn identity(&self) -> &str {
+        &self.identity
+    }
+
+    /// The accelerations for `batch` rows of what is seen.
+    fn act(&self, rows: &[f32], batch: usize, space: &mut Workspace) -> impl Iterator<Item = f64> {
+        let width = self.file.network.outputs();
+        let answers = self.file.network.answers(rows, batch, space).chunks_exact(width);
+        answers
+            .map(|row| self.mapping.acceleration_mps2(row.get(self.mapping.output.answer).copied().unwrap_or(f32::NAN)))
+    }
+}
+
+/// Asks a network once every decision interval and holds its answer in between.
+pub struct NetworkDriver {
+    controller: Arc<NetworkController>,
+    interval_steps: u32,
+    steps_to_decision: u32,
+    held_mps2: f64,
+    /// What it saw at its last decisions, if it looks back; empty before the first.
+    history: Vec<f32>,
+    rows: Vec<f32>,
+    space: Workspace,
+}
+
+impl NetworkDriver {
+    /// A network that drives a vehicle.
+    #[must_use]
+    pub fn new(controller: Arc<NetworkController>, ego: &Ego) -> Self {
+        let interval_steps = (controller.mapping.decision_interval_s / ego.step_s).round().max(1.0) as u32;
+        Self {
+            controller,
+            interval_steps,
+            steps_to_decision: 0,
+            held_mps2: 0.0,
+            history: Vec::new(),
+            rows: Vec::new(),
+            space: Workspace::default(),
+        }
+    }
+
+    /// Whether a decision is due at this step; counts the step.
+    fn is_due(&mut self) -> bool {
+        let due = self.steps_to_decision == 0;
+        if due {
+            self.steps_to_decision = self.interval_steps;
+        }
+        self.steps_to_decision -= 1;
+        due
+    }
+
+    /// Appends what the network sees now.
+    fn see(&mut self, seen: &Observation, rows: &mut Vec<f32>) {
+        let Mapping { history, newest_first, .. } = self.controller.mapping;
+        if history == 1 {
+            return self.controller.mapping.see(seen, self.held_mps2, rows);
+        }
+        let width = self.controller.mapping.inputs.len();
+        if self.history.is_empty() {
+            self.controller.mapping.see(seen, self.held_mps2, &mut self.history);
+            self.history = self.history.repeat(history);
+        } else {
+            self.history.drain(..width);
+            self.controller.mapping.see(seen, self.held_mps2, &mut self.history);
+        }
+        if newest_first {
+            rows.extend(self.history.rchunks_exact(width).flatten());
+        } else {
+            rows.extend_from_slice(&self.history);
+        }
+    }
+}
+
+impl Controller for NetworkDriver {
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        if self.is_due() {
+            let mut rows = std::mem::take(&mut self.rows);
+            rows.clear();
+            self.see(seen, &mut rows);
+            let Self { controller, space, .. } = self;
+            let answer_mps2 = controller.act(&rows, 1, space).next();
+            self.held_mps2 = answer_mps2.unwrap_or(self.controller.mapping.output.low_mps2);
+            self.rows = rows;
+        }
+        Ok(self.held_mps2)
+    }
+
+    /// Those whose decision is due decide in one matrix product for each run of equal networks.
+    fn decide_together(
+        all: &mut [Self],
+        mut see: impl FnMut(usize) -> Observation,
+        commands_mps2: &mut [f64],
+        _failed: &mut Vec<(usize, ControllerFailure)>,
+    ) {
+        let (mut due, mut rows) = (Vec::new(), Vec::new());
+        for (index, driver) in all.iter_mut().enumerate() {
+            let observation = see(index);
+            if driver.is_due() {
+                due.push((index, Arc::clone(&driver.controller)));
+                driver.see(&observation, &mut rows);
+            }
+        }
+        let mut rows = rows.as_slice();
+        let mut space = Workspace::default();
+        for alike in due.chunk_by(|(_, a), (_, b)| Arc::ptr_eq(a, b)) {
+            let controller = &alike[0].1;
+            let (now, later) = rows.split_at(alike.len() * controller.mapping.width());
+            rows = later;
+            for ((index, _), answer_mps2) in alike.iter().zip(controller.act(now, alike.len(), &mut space)) {
+                all[*index].held_mps2 = answer_mps2;
+            }
+        }
+        for (command_mps2, driver) in commands_mps2.iter_mut().zip(all) {
+            *command_mps2 = driver.held_mps2;
+        }
+    }
+}

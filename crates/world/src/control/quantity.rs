@@ -1,0 +1,96 @@
+//! What a controller from outside can be shown of an observation.
+
+use serde::{Deserialize, Serialize};
+
+use crate::observation::{Neighbour, Observation};
+use crate::policy::ObservationScaling;
+
+/// Something that can be seen, in the unit that its name ends with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Quantity {
+    /// Own speed.
+    SpeedMps,
+    /// Own acceleration over the last step.
+    AccelerationMps2,
+    /// Bumper gap to the vehicle ahead.
+    GapAheadM,
+    /// Speed of the vehicle ahead.
+    SpeedAheadMps,
+    /// Speed of the vehicle ahead less the own one: negative where the gap closes.
+    RelativeSpeedAheadMps,
+    /// Acceleration of the vehicle ahead.
+    AccelerationAheadMps2,
+    /// Bumper gap to the vehicle ahead, by the own speed; at standstill by 0.01 m/s.
+    TimeGapAheadS,
+    /// 1 if there is a vehicle ahead, else 0.
+    IsAhead,
+    /// Bumper gap to the vehicle behind.
+    GapBehindM,
+    /// Speed of the vehicle behind.
+    SpeedBehindMps,
+    /// Speed of the vehicle behind less the own one: positive where the gap closes.
+    RelativeSpeedBehindMps,
+    /// Acceleration of the vehicle behind.
+    AccelerationBehindMps2,
+    /// Bumper gap to the vehicle behind, by its speed; at standstill by 0.01 m/s.
+    TimeGapBehindS,
+    /// 1 if there is a vehicle behind, else 0.
+    IsBehind,
+    /// What the controller answered last; 0 before its first answer.
+    LastAnswerMps2,
+}
+
+impl Quantity {
+    /// Whether it is seen of a vehicle that may not be there.
+    pub(super) fn is_of_another(self) -> bool {
+        use Quantity as Q;
+        !matches!(self, Q::SpeedMps | Q::AccelerationMps2 | Q::LastAnswerMps2 | Q::IsAhead | Q::IsBehind)
+    }
+
+    #[inline]
+    pub(super) fn of(self, seen: &Observation, last_answer_mps2: f64, absent: Option<f64>) -> f64 {
+        use Quantity as Q;
+        /// Gap over speed; standing vehicles count as creeping ones.
+        fn time_gap_s(gap_m: f64, speed_mps: f64) -> f64 {
+            gap_m / if speed_mps > 0.01 { speed_mps } else { 0.01 }
+        }
+        let own_mps = seen.speed_mps;
+        let neighbour = match self {
+            Q::SpeedMps => return own_mps,
+            Q::AccelerationMps2 => return seen.acceleration_mps2,
+            Q::LastAnswerMps2 => return last_answer_mps2,
+            Q::IsAhead => return f64::from(u8::from(seen.ahead.is_some())),
+            Q::IsBehind => return f64::from(u8::from(seen.behind.is_some())),
+            Q::GapAheadM
+            | Q::SpeedAheadMps
+            | Q::RelativeSpeedAheadMps
+            | Q::AccelerationAheadMps2
+            | Q::TimeGapAheadS => seen.ahead,
+            Q::GapBehindM
+            | Q::SpeedBehindMps
+            | Q::RelativeSpeedBehindMps
+            | Q::AccelerationBehindMps2
+            | Q::TimeGapBehindS => seen.behind,
+        };
+        let there = match (neighbour, absent) {
+            (Some(there), _) => there,
+            (None, Some(absent)) => return absent,
+            (None, None) => Neighbour {
+                gap_m: ObservationScaling::default().empty_gap_m,
+                speed_mps: own_mps,
+                acceleration_mps2: 0.0,
+            },
+        };
+        match self {
+            Q::SpeedAheadMps | Q::SpeedBehindMps => there.speed_mps,
+            Q::RelativeSpeedAheadMps | Q::RelativeSpeedBehindMps => there.speed_mps - own_mps,
+            Q::AccelerationAheadMps2 | Q::AccelerationBehindMps2 => there.acceleration_mps2,
+            Q::TimeGapAheadS => time_gap_s(there.gap_m, own_mps),
+            Q::TimeGapBehindS => time_gap_s(there.gap_m, there.speed_mps),
+            _ => there.gap_m,
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! Zip archives whose members are stored as they are, which is how Python's `zipfile` and PyTorch write them.
+
+use std::cell::Cell;
+
+use super::NetworkError;
+
+const FORM: &str = "zip archive";
+
+/// Most members of an archive.
+const MOST_MEMBERS: usize = 4096;
+
+/// The members of an archive.
+#[derive(Debug)]
+pub(super) struct Archive<'a> {
+    bytes: &'a [u8],
+    members: Vec<Member>,
+}
+
+#[derive(Debug)]
+struct Member {
+    name: String,
+    method: u16,
+    is_encrypted: bool,
+    crc: u32,
+    size: u64,
+    header: u64,
+    /// Whether its checksum was found to be right.
+    is_checked: Cell<bool>,
+}
+
+fn damaged(problem: impl Into<String>) -> NetworkError {
+    NetworkError::damaged(FORM, problem)
+}
+
+/// Numbers of two, four and eight bytes from a place on.
+struct Reader<'a>(&'a [u8]);
+
+impl<'a> Reader<'a> {
+    fn at(bytes: &'a [u8], place: u64) -> Result<Self, NetworkError> {
+        let place = usize::try_from(place).unwrap_or(usize::MAX);
+        bytes.get(place..).map(Self).ok_or_else(|| damaged("it points beyond its end"))
+    }
+
+    fn take(&mut self, count: usize) -> Result<&'a [u8], NetworkError> {
+        let (taken, rest) = self.0.split_at_checked(count).ok_or_else(|| damaged("it is cut off"))?;
+        self.0 = rest;
+        Ok(taken)
+    }
+
+    fn number(&mut self, bytes: usize) -> Result<u64, NetworkError> {
+        Ok(self.take(bytes)?.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte)))
+    }
+
+    fn signature(&mut self, wanted: &[u8; 4]) -> Result<(), NetworkError> {
+        if self.take(4)? == wanted { Ok(()) } else { Err(damaged("a part of it is not where it should be")) }
+    }
+}
+
+impl<'a> Archive<'a> {
+    pub(super) fn read(bytes: &'a [u8]) -> Result<Self, NetworkError> {
+        // The end is found from behind: a comment of at most 65 535 bytes may follow it.
+        let earliest = bytes.len().saturating_sub(22 + 0xffff);
+        let end = (earliest..bytes.len().saturating_sub(21)).rev().find(|&at| bytes[at..].starts_with(b"PK\x05\x06"));
+        let end = end.ok_or_else(|| damaged("it has no end: it may be cut off"))?;
+        let mut record = Reader(&bytes[end..]);
+        record.take(10)?;
+        let (mut count, _size, mut start) = (record.number(2)?, record.number(4)?, record.number(4)?);
+        // The larger form of the end, to which a pointer lies right before the smaller one.
+        if let Some(pointer) = end.checked_sub(20)
+            && bytes[pointer..].starts_with(b"PK\x06\x07")
+        {
+            let mut locator = Reader(&bytes[pointer + 8..]);
+            let mut record = Reader::at(bytes, locator.number(8)?)?;
+            record.signature(b"PK\x06\x06")?;
+            record.take(28)?;
+            (count, _, start) = (record.number(8)?, record.number(8)?, record.number(8)?);
+        }
+        let mut directory = Reader::at(bytes, start)?;
+        let count = usize::try_from(count).unwrap_or(usize::MAX);
+        if count > MOST_MEMBERS {
+            return Err(damaged(format!("it has more than {MOST_MEMBERS} members")));
+        }
+        let members = (0..count).map(|_| Member::read(&mut directory)).collect::<Result<_, _>>()?;
+        Ok(Self { bytes, members })
+    }
+
+    /// Whether a member's name ends so.
+    pub(super) fn has_ending(&self, ending: &str) -> bool {
+        self.members.iter().any(|member| member.name.ends_with(ending))
+    }
+
+    /// The name of the only member whose name ends so.
+    pub(super) fn only_ending(&self, ending: &str) -> Result<&str, NetworkError> {
+        let mut found = self.members.iter().filter(|member| member.name.ends_with(ending));
+        match (found.next(), found.next()) {
+            (Some(one), None) => Ok(&one.name),
+            (None, _) => Err(damaged(format!("it has no member `{ending}`"))),
+            (Some(_), Some(_)) => Err(damaged(format!("it has several members `{ending}`"))),
+        }
+    }
+
+    /// What a member holds.
+    pub(super) fn member(&self, name: &str) -> Result<&'a [u8], NetworkError> {
+        let mut found = self.members.iter().filter(|member| member.name == name);
+        let member = found.next().ok_or_else(|| damaged(format!("it has no member `{name}`")))?;
+        if found.next().is_some() {
+            return Err(damaged(format!("it has several members `{name}`")));
+        }
+        if member.method != 0 || member.is_encrypted {
+            let problem =
+                format!("member `{name}` is compressed or encrypted; save the model anew, or zip it with `zip -0`");
+            return Err(NetworkError::Unsupported(problem));
+        }
+        let mut header = Reader::at(self.bytes, member.header)?;
+        header.signature(b"PK\x03\x04")?;
+        header.take(22)?;
+        let lengths = [header.number(2)?, header.number(2)?];
+        header.take((lengths[0] + lengths[1]) as usize)?;
+        let contents = header.take(usize::try_from(member.size).unwrap_or(usize::MAX))?;
+        if !member.is_checked.get() && crc32(contents) != member.crc {
+            return Err(damaged(format!("member `{name}` is not what its checksum says")));
+        }
+        member.is_checked.set(true);
+        Ok(contents)
+    }
+}
+
+impl Member {
+    fn read(directory: &mut Reader<'_>) -> Result<Self, NetworkError> {
+        directory.signature(b"PK\x01\x02")?;
+        directory.take(4)?;
+        let (flags, method) = (directory.number(2)?, directory.number(2)? as u16);
+        directory.take(4)?;
+        let crc = directory.number(4)? as u32;
+        let (stored, mut size) = (directory.number(4)?, directory.number(4)?);
+        let lengths = [directory.number(2)?, directory.number(2)?, directory.number(2)?].map(|length| length as usize);
+        directory.take(8)?;
+        let mut header = directory.number(4)?;
+        let name = String::from_utf8_lossy(directory.take(lengths[0])?).into_owned();
+        let mut extras = Reader(directory.take(lengths[1])?);
+        directory.take(lengths[2])?;
+        while extras.0.len() >= 4 {
+            let (kind, length) = (extras.number(2)?, extras.number(2)? as usize);
+            let mut extra = Reader(extras.take(length)?);
+            // What does not fit into four bytes stands here, in this order.
+            if kind == 1 {
+                const ELSEWHERE: u64 = 0xffff_ffff;
+                if size == ELSEWHERE {
+                    size = extra.number(8)?;
+                }
+                if stored == ELSEWHERE {
+                    extra.number(8)?;
+                }
+                if header == ELSEWHERE {
+                    header = extra.number(8)?;
+                }
+            }
+        }
+        Ok(Self { name, method, is_encrypted: flags & 1 != 0, crc, size, header, is_checked: Cell::new(false) })
+    }
+}
+
+/// CRC-32, as it stands in zip archives.
+fn crc32(bytes: &[u8]) -> u32 {
+    const TABLE: [u32; 256] = {
+        let mut table = [0_u32; 256];
+        let mut index = 0;
+        while index < 256 {
+            let (mut value, mut bit) = (index as u32, 0);
+            while bit < 8 {
+                value = if value & 1 == 1 { value >> 1 ^ 0xedb8_8320 } else { value >> 1 };
+                bit += 1;
+            }
+            table[index] = value;
+            index += 1;
+        }
+        table
+    };
+    !bytes.iter().fold(!0, |crc, &byte| crc >> 8 ^ TABLE[usize::from((crc as u8) ^ byte)])
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_checksum_is_the_published_one() {
+        assert_eq!(super::crc32(b"123456789"), 0xcbf4_3926);
+    }
+}

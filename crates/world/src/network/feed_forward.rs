@@ -1,0 +1,210 @@
+//! A network of products and of things done to each number, one after the other.
+
+use super::{Elementwise, MOST_PARAMETERS, MOST_STEPS, NetworkError, WIDEST_LAYER};
+use crate::policy::{Acting, Workspace};
+
+/// h W + b.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Linear {
+    /// W, row after row: one row an input.
+    pub weights: Vec<f32>,
+    /// b, one an output.
+    pub biases: Vec<f32>,
+}
+
+/// What a network does next.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Step {
+    /// A product with a matrix.
+    Linear(Linear),
+    /// Something done to each number.
+    Each(Elementwise),
+}
+
+/// A fully connected network.
+///
+/// ```
+/// use crumple_world::network::{Elementwise, FeedForward, Linear, Step};
+/// use crumple_world::policy::Workspace;
+///
+/// let layer = Linear { weights: vec![1.0, -2.0], biases: vec![0.5] };
+/// let network = FeedForward::new(2, vec![Step::Linear(layer), Step::Each(Elementwise::Relu)]).unwrap();
+/// let mut space = Workspace::default();
+/// assert_eq!(network.answers(&[3.0, 1.0, 0.0, 1.0], 2, &mut space), [1.5, 0.0]);
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct FeedForward {
+    /// Numbers between the steps, from the inputs to the answers.
+    widths: Vec<usize>,
+    steps: Vec<Step>,
+    acting: Acting,
+}
+
+impl FeedForward {
+    /// A network of steps that fit each other.
+    ///
+    /// # Errors
+    /// [`NetworkError::Step`] for a step that does not fit, and for a number that is not finite; otherwise for a network that
+    /// is too large.
+    pub fn new(inputs: usize, steps: Vec<Step>) -> Result<Self, NetworkError> {
+        if !(1..=WIDEST_LAYER).contains(&inputs) || steps.len() > MOST_STEPS {
+            let problem = format!(
+                "{inputs} inputs and {} steps: at most {WIDEST_LAYER} and {MOST_STEPS} are allowed",
+                steps.len()
+            );
+            return Err(NetworkError::Unsupported(problem));
+        }
+        let mut widths = vec![inputs];
+        let (mut width, mut parameters) = (inputs, 0_usize);
+        for (index, step) in steps.iter().enumerate() {
+            width = checked(step, width).map_err(|problem| NetworkError::Step { step: index, problem })?;
+            widths.push(width);
+            if let Step::Linear(linear) = step {
+                parameters = parameters.saturating_add(linear.weights.len() + linear.biases.len());
+            }
+        }
+        if parameters > MOST_PARAMETERS {
+            return Err(NetworkError::TooManyParameters);
+        }
+        let acting = laid_out(&steps, &widths);
+        Ok(Self { widths, steps, acting })
+    }
+
+    /// Numbers it sees.
+    #[must_use]
+    pub fn inputs(&self) -> usize {
+        self.widths.first().copied().unwrap_or_default()
+    }
+
+    /// Numbers it answers with.
+    #[must_use]
+    pub fn outputs(&self) -> usize {
+        self.widths.last().copied().unwrap_or_default()
+    }
+
+    /// What it does, in order.
+    #[must_use]
+    pub fn steps(&self) -> &[Step] {
+        &self.steps
+    }
+
+    /// The widths of its layers, in words: `5-20-20-1`.
+    #[must_use]
+    pub fn shape(&self) -> String {
+        let products = self.steps.iter().zip(&self.widths[1..]);
+        let layers = products.filter(|(step, _)| matches!(step, Step::Linear(_))).map(|(_, width)| *width);
+        std::iter::once(self.inputs()).chain(layers).map(|width| width.to_string()).collect::<Vec<_>>().join("-")
+    }
+
+    /// Its answers to `batch` rows of inputs. Each row's bits do not depend on the others.
+    #[must_use]
+    pub fn answers<'w>(&self, inputs: &[f32], batch: usize, space: &'w mut Workspace) -> &'w [f32] {
+        self.acting.forward(inputs, batch, space)
+    }
+
+    /// Where each answer can lie if each input lies between its limits, but for rounding.
+    ///
+    /// # Errors
+    /// [`NetworkError::Overflow`] if some sum on the way could leave single precision: then an answer may be no number.
+    pub fn answer_ranges(&self, inputs: &[[f64; 2]]) -> Result<Vec<[f64; 2]>, NetworkError> {
+        // Half of the range is left for rounding.
+        let highest = 0.5 * f64::from(f32::MAX);
+        let fits = |range: &[f64; 2]| range.iter().all(|bound| bound.abs() <= highest);
+        let mut ranges = inputs.to_vec();
+        ranges.resize(self.inputs(), [0.0, 0.0]);
+        if !ranges.iter().all(fits) {
+            return Err(NetworkError::Overflow { step: 0 });
+        }
+        for (step, of) in self.steps.iter().enumerate() {
+            let next = match of {
+                Step::Linear(linear) => linear.ranges(&ranges, highest),
+                Step::Each(each) => {
+                    Some(ranges.iter().enumerate().map(|(index, range)| each.range(index, *range)).collect())
+                }
+            };
+            ranges = next.filter(|next| next.iter().all(fits)).ok_or(NetworkError::Overflow { step })?;
+        }
+        Ok(ranges)
+    }
+}
+
+impl Linear {
+    /// Where each sum can lie; none if some part of one could be larger than `highest`.
+    fn ranges(&self, inputs: &[[f64; 2]], highest: f64) -> Option<Vec<[f64; 2]>> {
+        let start = |bias: &f32| [f64::from(*bias), f64::from(*bias), f64::from(bias.abs())];
+        let mut sums: Vec<[f64; 3]> = self.biases.iter().map(start).collect();
+        for (input, row) in inputs.iter().zip(self.weights.chunks_exact(self.biases.len().max(1))) {
+            for ([low, high, size], weight) in sums.iter_mut().zip(row) {
+                let ends = input.map(|end| end * f64::from(*weight));
+                *low += ends[0].min(ends[1]);
+                *high += ends[0].max(ends[1]);
+                *size += ends[0].abs().max(ends[1].abs());
+            }
+        }
+        sums.into_iter().map(|[low, high, size]| (size <= highest).then_some([low, high])).collect()
+    }
+}
+
+/// How many numbers a step answers with that is given `width`.
+fn checked(step: &Step, width: usize) -> Result<usize, String> {
+    let finite = |numbers: &[f32]| {
+        let all = numbers.iter().all(|number| number.is_finite());
+        if all { Ok(()) } else { Err("holds a number that is not finite".to_owned()) }
+    };
+    match step {
+        Step::Linear(Linear { weights, biases }) => {
+            let outputs = biases.len();
+            if !(1..=WIDEST_LAYER).contains(&outputs) {
+                return Err(format!("a layer must be 1 to {WIDEST_LAYER} wide, found {outputs}"));
+            }
+            if outputs.checked_mul(width) != Some(weights.len()) {
+                return Err(format!("{} weights cannot take {width} numbers to {outputs}", weights.len()));
+            }
+            finite(weights)?;
+            finite(biases)?;
+            return Ok(outputs);
+        }
+        Step::Each(each) => {
+            if let Some(found) = each.width().filter(|&found| found != width) {
+                return Err(format!("{found} operands for {width} numbers"));
+            }
+            match each {
+                Elementwise::Add(numbers) | Elementwise::Multiply(numbers) => finite(numbers)?,
+                Elementwise::Divide(numbers) => {
+                    finite(numbers)?;
+                    if numbers.contains(&0.0) {
+                        return Err("divides by 0".to_owned());
+                    }
+                }
+                Elementwise::Clip { low, high }
+                    if low.len() != high.len() || !low.iter().zip(high).all(|(low, high)| low <= high) =>
+                {
+                    return Err("a lower limit above the upper one".to_owned());
+                }
+                Elementwise::LeakyRelu { slope: number } | Elementwise::Elu { alpha: number } => finite(&[*number])?,
+                _ => {}
+            }
+        }
+    }
+    Ok(width)
+}
+
+/// The steps as they are done: a rectification behind a product inside it.
+fn laid_out(steps: &[Step], widths: &[usize]) -> Acting {
+    let last = steps.iter().rposition(|step| matches!(step, Step::Linear(_)));
+    let mut acting = Acting::default();
+    let mut is_done = false;
+    for (index, (step, &width)) in steps.iter().zip(widths).enumerate() {
+        match step {
+            Step::Linear(Linear { weights, biases }) => {
+                let is_last = last == Some(index);
+                is_done =
+                    steps.get(index + 1) == Some(&Step::Each(Elementwise::Relu)) && !(is_last && biases.len() == 1);
+                acting.push_product(weights, biases, width, is_last, is_done);
+            }
+            Step::Each(_) if is_done => is_done = false,
+            Step::Each(each) => acting.push_each(each.clone(), width),
+        }
+    }
+    acting
+}

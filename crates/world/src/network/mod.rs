@@ -1,0 +1,131 @@
+//! Networks from outside: fully connected, layers of any width, read by readers of its own.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | `feed_forward` | the network itself, and acting with it, one state or many |
+//! | `wire` | the encoding of protocol buffers |
+//! | `onnx` | ONNX: a straight chain of a few operators |
+//! | `archive` | zip archives of stored members |
+//! | `pickle` | what a pickle builds, as dead data: nothing in it is called |
+//! | `sb3` | models saved by Stable-Baselines3 |
+//!
+//! What a file asks for is done in the order in which it asks, in single precision: products as crumple's own policies
+//! are multiplied, everything else number by number. Only what is added to a product right behind it becomes its bias.
+
+mod archive;
+mod error;
+mod feed_forward;
+mod onnx;
+mod pickle;
+mod sb3;
+mod wire;
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use std::sync::Arc;
+
+pub use crate::policy::Elementwise;
+pub use error::NetworkError;
+pub use feed_forward::{FeedForward, Linear, Step};
+
+/// Largest file that is read, in bytes.
+const MOST_BYTES: u64 = 64 << 20;
+
+/// Most weights and biases of a network.
+const MOST_PARAMETERS: usize = 8 << 20;
+
+/// Widest layer that is accepted.
+const WIDEST_LAYER: usize = 1 << 14;
+
+/// Most steps of a network.
+const MOST_STEPS: usize = 256;
+
+/// A network as it lies in a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NetworkFile {
+    /// The network.
+    pub network: FeedForward,
+    /// SHA-256 of the file, in hexadecimal.
+    pub sha256: String,
+    /// The file itself, to be laid beside what is said of it.
+    bytes: Arc<[u8]>,
+    format: Format,
+}
+
+impl NetworkFile {
+    /// Whether a file of this name is taken for a network: it ends in `.onnx`, or `.zip` for a model of Stable-Baselines3.
+    #[must_use]
+    pub fn is_one(path: &Path) -> bool {
+        Format::of(path).is_some()
+    }
+
+    /// Reads a network.
+    ///
+    /// # Errors
+    /// [`NetworkError`] for a file that cannot be read, is damaged, or holds something else than a network that can be followed.
+    pub fn load(path: &Path) -> Result<Self, NetworkError> {
+        let in_file = |reason| NetworkError::InFile { path: path.to_owned(), reason: Box::new(reason) };
+        let format = Format::of(path).ok_or_else(|| in_file(NetworkError::Extension))?;
+        let unreadable = |source| NetworkError::Read { path: path.to_owned(), source };
+        let mut bytes = Vec::new();
+        File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes)).map_err(unreadable)?;
+        Self::of(&bytes, format).map_err(in_file)
+    }
+
+    fn of(bytes: &[u8], format: Format) -> Result<Self, NetworkError> {
+        if bytes.len() as u64 > MOST_BYTES {
+            return Err(NetworkError::TooLarge);
+        }
+        let network = match format {
+            Format::Onnx => onnx::read(bytes),
+            Format::StableBaselines => sb3::read(bytes),
+        };
+        Ok(Self { network: network?, sha256: crate::digest::sha256(bytes), bytes: bytes.into(), format })
+    }
+
+    /// A name for the file that says what is in it, and the file.
+    pub(crate) fn named(&self) -> (String, Arc<[u8]>) {
+        let extension = match self.format {
+            Format::Onnx => "onnx",
+            Format::StableBaselines => "zip",
+        };
+        let digits = self.sha256.get(..16).unwrap_or(&self.sha256);
+        (format!("{digits}.{extension}"), Arc::clone(&self.bytes))
+    }
+
+    /// Reads a network from the bytes of an ONNX file.
+    ///
+    /// # Errors
+    /// [`NetworkError`], as for [`Self::load`].
+    pub fn from_onnx(bytes: &[u8]) -> Result<Self, NetworkError> {
+        Self::of(bytes, Format::Onnx)
+    }
+
+    /// Reads the actor of a model saved by Stable-Baselines3.
+    ///
+    /// # Errors
+    /// [`NetworkError`], as for [`Self::load`].
+    pub fn from_sb3(bytes: &[u8]) -> Result<Self, NetworkError> {
+        Self::of(bytes, Format::StableBaselines)
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Onnx,
+    StableBaselines,
+}
+
+impl Format {
+    fn of(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()? {
+            "onnx" => Some(Self::Onnx),
+            "zip" => Some(Self::StableBaselines),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

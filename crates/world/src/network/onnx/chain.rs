@@ -1,0 +1,334 @@
+//! From the nodes of a graph to the steps of a network.
+
+use std::collections::HashMap;
+use std::rc::Rc;
+
+use super::super::{Elementwise, FeedForward, Linear, MOST_PARAMETERS, MOST_STEPS, NetworkError, Step, WIDEST_LAYER};
+use super::constants::{constant, float, integer, matrix_shape, oriented, spread};
+use super::model::{Model, Node, Numbers, Tensor, is_ordinary};
+
+/// The network of a graph that is a straight chain.
+pub(super) fn network(model: Model) -> Result<FeedForward, NetworkError> {
+    let Model { opset, nodes, constants, inputs, outputs } = model;
+    let given: Vec<_> = inputs.into_iter().filter(|(name, _)| !constants.contains_key(name)).collect();
+    let [(input, shape)] = given.as_slice() else {
+        let names: Vec<_> = given.iter().map(|(name, _)| name.as_str()).collect();
+        let problem = format!("the graph has {} inputs ({}), and one is wanted", names.len(), names.join(", "));
+        return Err(NetworkError::Unsupported(problem));
+    };
+    let Some(shape) = shape.clone() else {
+        return Err(NetworkError::Unsupported(format!("the graph does not say the shape of its input `{input}`")));
+    };
+    let count = shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
+    let Some(count) = count.filter(|&count| count <= WIDEST_LAYER) else {
+        let problem = format!("the graph's input `{input}` has more than {WIDEST_LAYER} numbers");
+        return Err(NetworkError::Unsupported(problem));
+    };
+    let mut chain = Chain { opset, constants, now: input.clone(), shape, parameters: 0, steps: Vec::new() };
+    for (index, node) in nodes.into_iter().enumerate() {
+        let name = if node.name.is_empty() { index.to_string() } else { format!("`{}`", node.name) };
+        let operator = node.operator.clone();
+        chain.follow(node).map_err(|problem| NetworkError::Node { node: name, operator, problem })?;
+    }
+    match outputs.as_slice() {
+        [output] if *output == chain.now => FeedForward::new(count, chain.steps),
+        [output] => Err(NetworkError::Unsupported(format!(
+            "the graph answers with `{output}`, and its chain ends in `{}`",
+            chain.now
+        ))),
+        more => {
+            let problem = format!("the graph has {} answers ({}), and one is wanted", more.len(), more.join(", "));
+            Err(NetworkError::Unsupported(problem))
+        }
+    }
+}
+
+/// The chain as far as it was followed.
+struct Chain {
+    opset: i64,
+    constants: HashMap<String, Rc<Tensor>>,
+    /// Name of what the last node gave.
+    now: String,
+    /// Its shape, a batch counted as 1.
+    shape: Vec<usize>,
+    /// Weights and biases so far.
+    parameters: usize,
+    steps: Vec<Step>,
+}
+
+/// Which of two factors is the constant.
+enum Constant {
+    Left(Rc<Tensor>),
+    Right(Rc<Tensor>),
+}
+
+impl Chain {
+    fn follow(&mut self, node: Node) -> Result<(), String> {
+        if !is_ordinary(&node.domain) {
+            return Err(format!("the operators of `{}` are not followed", node.domain));
+        }
+        let [output] = node.outputs.as_slice() else {
+            return Err(format!("it has {} answers, and one is wanted", node.outputs.len()));
+        };
+        let output = output.clone();
+        if node.operator == "Constant" {
+            let constant = constant(node)?;
+            self.constants.insert(output, Rc::new(constant));
+            return Ok(());
+        }
+        if node.operator == "Identity" && node.inputs.first().is_some_and(|name| self.constants.contains_key(name)) {
+            let constant = self.constant(&node, 0)?;
+            self.constants.insert(output, constant);
+            return Ok(());
+        }
+        if self.steps.len() >= MOST_STEPS {
+            return Err(format!("the network has more than {MOST_STEPS} steps"));
+        }
+        if node.inputs.iter().filter(|name| **name == self.now).count() != 1 {
+            return Err(format!("it does not take `{}` once, so the graph is no straight chain", self.now));
+        }
+        match node.operator.as_str() {
+            "Gemm" => self.gemm(&node)?,
+            "MatMul" => self.product(&node)?,
+            "Conv" => self.whole_convolution(&node)?,
+            "Add" => self.add(&node, 1.0)?,
+            "Sub" => self.subtract(&node)?,
+            "Mul" => {
+                let factors = self.operands(&node)?;
+                self.steps.push(Step::Each(Elementwise::Multiply(factors)));
+            }
+            "Div" if node.inputs.first() == Some(&self.now) => {
+                let divisors = self.operands(&node)?;
+                self.steps.push(Step::Each(Elementwise::Divide(divisors)));
+            }
+            "Relu" => self.each(Elementwise::Relu),
+            "LeakyRelu" => self.each(Elementwise::LeakyRelu { slope: float(&node, "alpha", 0.01) }),
+            "Elu" => self.each(Elementwise::Elu { alpha: float(&node, "alpha", 1.0) }),
+            "Tanh" => self.each(Elementwise::Tanh),
+            "Sigmoid" => self.each(Elementwise::Sigmoid),
+            "Clip" => self.clip(&node)?,
+            "Identity" => {}
+            "Flatten" => self.shape = vec![1, self.count()],
+            "Reshape" => self.reshape(&node)?,
+            _ => return Err("this operator is not followed".to_owned()),
+        }
+        self.now = output;
+        Ok(())
+    }
+
+    fn count(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    fn each(&mut self, what: Elementwise) {
+        self.steps.push(Step::Each(what));
+    }
+
+    /// The constant at one of the node's inputs.
+    fn constant(&self, node: &Node, place: usize) -> Result<Rc<Tensor>, String> {
+        let name = node.inputs.get(place).filter(|name| !name.is_empty()).ok_or("it lacks an input")?;
+        let constant = self.constants.get(name);
+        constant.cloned().ok_or_else(|| format!("its input `{name}` is no constant, so the graph is no straight chain"))
+    }
+
+    /// The constant of an operator of two factors.
+    fn factor(&self, node: &Node) -> Result<Constant, String> {
+        if node.inputs.first() == Some(&self.now) {
+            self.constant(node, 1).map(Constant::Right)
+        } else {
+            self.constant(node, 0).map(Constant::Left)
+        }
+    }
+
+    /// One number of the node's constant for each number there is, spread out as the operator does.
+    fn operands(&self, node: &Node) -> Result<Vec<f32>, String> {
+        let (Constant::Left(constant) | Constant::Right(constant)) = self.factor(node)?;
+        let numbers = constant.real()?;
+        let mut shape = constant.shape.clone();
+        // Before opset 7 an axis said where the constant's first dimension belongs.
+        if self.opset < 7
+            && let Some(axis) = integer(node, "axis").and_then(|axis| usize::try_from(axis).ok())
+        {
+            shape.resize(self.shape.len().saturating_sub(axis).max(shape.len()), 1);
+        }
+        spread(numbers, &shape, &self.shape)
+    }
+
+    /// Takes in a product with a matrix of so many weights, before they are copied.
+    fn admit(&mut self, weights: usize, outputs: usize) -> Result<(), String> {
+        self.parameters = self.parameters.saturating_add(weights).saturating_add(outputs);
+        if self.parameters > MOST_PARAMETERS || outputs > WIDEST_LAYER {
+            return Err(format!("more than {MOST_PARAMETERS} weights and biases, or more than {WIDEST_LAYER} outputs"));
+        }
+        Ok(())
+    }
+
+    /// A product with rows of the present numbers.
+    fn push(&mut self, weights: Vec<f32>, biases: Vec<f32>, shape: Vec<usize>) {
+        self.steps.push(Step::Linear(Linear { weights, biases }));
+        self.shape = shape;
+    }
+
+    fn product(&mut self, node: &Node) -> Result<(), String> {
+        let (constant, transposed) = match self.factor(node)? {
+            Constant::Right(constant) => (constant, false),
+            Constant::Left(constant) => (constant, true),
+        };
+        let [rows, columns] = matrix_shape(&constant.shape)?;
+        let taken = if transposed { columns } else { rows };
+        // The present numbers must be one row, or for a constant on the left one column.
+        let is_vector = match (transposed, self.shape.as_slice()) {
+            (false, [.., last]) => *last == self.count(),
+            (true, [.., before, _]) => *before == self.count(),
+            (true, [_]) => true,
+            (_, []) => false,
+        };
+        if !is_vector || taken != self.count() {
+            return Err(format!("a matrix of {rows} by {columns} against numbers of shape {:?}", self.shape));
+        }
+        let outputs = if transposed { rows } else { columns };
+        let numbers = constant.real()?;
+        self.admit(numbers.len(), outputs)?;
+        let weights = oriented(numbers, [rows, columns], transposed).into_owned();
+        let rank = self.shape.len();
+        let mut shape = vec![1; rank.max(1)];
+        let at = if transposed && rank > 1 { rank - 2 } else { shape.len() - 1 };
+        shape[at] = outputs;
+        self.push(weights, vec![0.0; outputs], shape);
+        Ok(())
+    }
+
+    /// α A B + β C. Before opset 7, A of four dimensions counts as a row.
+    fn gemm(&mut self, node: &Node) -> Result<(), String> {
+        let (alpha, beta) = (float(node, "alpha", 1.0), float(node, "beta", 1.0));
+        let is_set = |name: &str| integer(node, name).is_some_and(|value| value != 0);
+        let (constant, is_left) = match self.factor(node)? {
+            Constant::Right(constant) => (constant, false),
+            Constant::Left(constant) => (constant, true),
+        };
+        let shape @ [rows, columns] = matrix_shape(&constant.shape)?;
+        // With the constant on the left, its rows are the outputs.
+        let transposed = is_set(if is_left { "transA" } else { "transB" }) != is_left;
+        let (inputs, outputs) = if transposed { (columns, rows) } else { (rows, columns) };
+        if inputs != self.count() {
+            return Err(format!("a matrix of {rows} by {columns} against {} numbers", self.count()));
+        }
+        let numbers = constant.real()?;
+        self.admit(numbers.len(), outputs)?;
+        let mut weights = oriented(numbers, shape, transposed).into_owned();
+        if alpha != 1.0 {
+            weights.iter_mut().for_each(|weight| *weight *= alpha);
+        }
+        let mut biases = vec![0.0; outputs];
+        if node.inputs.get(2).is_some_and(|name| !name.is_empty()) {
+            let constant = self.constant(node, 2)?;
+            let numbers = constant.real()?;
+            if numbers.len() != outputs && numbers.len() != 1 {
+                return Err(format!("{} numbers are added to {outputs}", numbers.len()));
+            }
+            for (index, bias) in biases.iter_mut().enumerate() {
+                let number = numbers.get(if numbers.len() == 1 { 0 } else { index }).copied().unwrap_or_default();
+                *bias = if beta == 1.0 { number } else { beta * number };
+            }
+        }
+        let shape = if is_left { vec![outputs, 1] } else { vec![1, outputs] };
+        self.push(weights, biases, shape);
+        Ok(())
+    }
+
+    /// A convolution whose kernel is as large as what it is laid over: a product with a matrix, as MATLAB writes it.
+    fn whole_convolution(&mut self, node: &Node) -> Result<(), String> {
+        let constant = self.constant(node, 1)?;
+        let all = |name: &str, wanted: i64| {
+            node.attributes.get(name).is_none_or(|value| value.integers.iter().all(|&number| number == wanted))
+        };
+        let is_whole = match (constant.shape.as_slice(), self.shape.as_slice()) {
+            ([_, kernel @ ..], [1, image @ ..]) => kernel == image && !kernel.is_empty(),
+            _ => false,
+        };
+        let is_plain = all("pads", 0) && all("dilations", 1) && integer(node, "group").is_none_or(|group| group == 1);
+        if !is_whole || !is_plain || node.attributes.contains_key("auto_pad") || node.inputs.first() != Some(&self.now)
+        {
+            return Err("only a kernel over the whole input, without padding, is followed".to_owned());
+        }
+        let [outputs, inputs] = matrix_shape(&constant.shape)?;
+        let numbers = constant.real()?;
+        self.admit(numbers.len(), outputs)?;
+        let weights = oriented(numbers, [outputs, inputs], true).into_owned();
+        let biases = match node.inputs.get(2).filter(|name| !name.is_empty()) {
+            Some(_) => self.constant(node, 2)?.real()?.to_vec(),
+            None => vec![0.0; outputs],
+        };
+        let mut shape = vec![1; self.shape.len()];
+        if let Some(channels) = shape.get_mut(1) {
+            *channels = outputs;
+        }
+        self.push(weights, biases, shape);
+        Ok(())
+    }
+
+    /// Adds `sign` times a constant: to the biases of a product right before, else as a step.
+    fn add(&mut self, node: &Node, sign: f32) -> Result<(), String> {
+        let operands: Vec<f32> = self.operands(node)?.into_iter().map(|number| sign * number).collect();
+        match self.steps.last_mut() {
+            Some(Step::Linear(Linear { biases, .. })) if biases.iter().all(|bias| *bias == 0.0) => *biases = operands,
+            _ => self.steps.push(Step::Each(Elementwise::Add(operands))),
+        }
+        Ok(())
+    }
+
+    fn subtract(&mut self, node: &Node) -> Result<(), String> {
+        if node.inputs.first() == Some(&self.now) {
+            return self.add(node, -1.0);
+        }
+        let operands = self.operands(node)?;
+        self.steps.push(Step::Each(Elementwise::Multiply(vec![-1.0; operands.len()])));
+        self.steps.push(Step::Each(Elementwise::Add(operands)));
+        Ok(())
+    }
+
+    /// Limits are attributes before opset 11, inputs since.
+    fn clip(&mut self, node: &Node) -> Result<(), String> {
+        let limit = |place: usize, name: &str, open: f32| -> Result<f32, String> {
+            if self.opset < 11 {
+                return Ok(float(node, name, open));
+            }
+            if node.inputs.get(place).is_none_or(String::is_empty) {
+                return Ok(open);
+            }
+            let constant = self.constant(node, place)?;
+            let [limit] = constant.real()? else { return Err("a limit that is not one number".to_owned()) };
+            Ok(*limit)
+        };
+        let (low, high) = (limit(1, "min", f32::NEG_INFINITY)?, limit(2, "max", f32::INFINITY)?);
+        let count = self.count();
+        self.each(Elementwise::Clip { low: vec![low; count], high: vec![high; count] });
+        Ok(())
+    }
+
+    fn reshape(&mut self, node: &Node) -> Result<(), String> {
+        let constant = self.constant(node, 1)?;
+        let Numbers::Whole(wanted) = &constant.numbers else { return Err("a shape that is not whole".to_owned()) };
+        let keeps_zero = integer(node, "allowzero").is_some_and(|value| value != 0);
+        let mut shape = Vec::new();
+        for (index, &size) in wanted.iter().enumerate() {
+            shape.push(match size {
+                0 if !keeps_zero => self.shape.get(index).copied(),
+                -1 => Some(1),
+                size => usize::try_from(size).ok(),
+            });
+        }
+        let shape: Option<Vec<usize>> = shape.into_iter().collect();
+        let mut shape = shape.ok_or_else(|| format!("to shape {wanted:?}"))?;
+        let count = shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size)).filter(|&count| count > 0);
+        let missing = count.and_then(|count| self.count().checked_div(count)).unwrap_or(0);
+        if let Some(open) = wanted.iter().position(|&size| size == -1) {
+            shape[open] = missing;
+        }
+        if shape.iter().product::<usize>() != self.count() || wanted.len() > 8 {
+            return Err(format!("{} numbers to shape {wanted:?}", self.count()));
+        }
+        self.shape = shape;
+        Ok(())
+    }
+}

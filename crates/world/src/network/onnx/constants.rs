@@ -1,0 +1,85 @@
+//! Constants of a graph, in the forms in which its operators take them.
+
+use std::borrow::Cow;
+
+use super::super::MOST_PARAMETERS;
+use super::model::{Node, Numbers, Tensor};
+
+/// The constant that a node is.
+pub(super) fn constant(node: Node) -> Result<Tensor, String> {
+    let mut attributes = node.attributes;
+    if let Some(tensor) = attributes.remove("value").and_then(|value| value.tensor) {
+        return Ok(tensor);
+    }
+    let one = |name: &str| attributes.get(name);
+    let real = |shape, numbers| Tensor { shape, numbers: Numbers::Real(numbers) };
+    let whole = |shape, numbers| Tensor { shape, numbers: Numbers::Whole(numbers) };
+    if let Some(number) = one("value_float").and_then(|value| value.float) {
+        return Ok(real(vec![], vec![number]));
+    }
+    if let Some(number) = one("value_int").and_then(|value| value.integer) {
+        return Ok(whole(vec![], vec![number]));
+    }
+    if let Some(value) = one("value_floats") {
+        return Ok(real(vec![value.floats.len()], value.floats.clone()));
+    }
+    if let Some(value) = one("value_ints") {
+        return Ok(whole(vec![value.integers.len()], value.integers.clone()));
+    }
+    Err("a constant that is not written as numbers".to_owned())
+}
+
+pub(super) fn float(node: &Node, name: &str, otherwise: f32) -> f32 {
+    node.attributes.get(name).and_then(|value| value.float).unwrap_or(otherwise)
+}
+
+pub(super) fn integer(node: &Node, name: &str) -> Option<i64> {
+    node.attributes.get(name).and_then(|value| value.integer)
+}
+
+/// The two dimensions of a matrix: those beyond count as 1, unless they are not.
+pub(super) fn matrix_shape(shape: &[usize]) -> Result<[usize; 2], String> {
+    match shape {
+        [rows, columns @ ..] if !columns.is_empty() => {
+            let [first, rest @ ..] = columns else { return Err("a constant that is no matrix".to_owned()) };
+            let columns = rest.iter().try_fold(*first, |product, &size| product.checked_mul(size));
+            columns.map(|columns| [*rows, columns]).ok_or_else(|| "a constant that is too large".to_owned())
+        }
+        _ => Err(format!("a constant of shape {shape:?}, which is no matrix")),
+    }
+}
+
+/// A matrix with one row an input.
+pub(super) fn oriented(numbers: &[f32], [rows, columns]: [usize; 2], transposed: bool) -> Cow<'_, [f32]> {
+    if !transposed {
+        return Cow::Borrowed(numbers);
+    }
+    Cow::Owned(
+        (0..columns).flat_map(|column| numbers.iter().skip(column).step_by(columns).take(rows).copied()).collect(),
+    )
+}
+
+/// Numbers of one shape, repeated until they have another: as NumPy broadcasts.
+pub(super) fn spread(numbers: &[f32], from: &[usize], to: &[usize]) -> Result<Vec<f32>, String> {
+    let refused = || Err(format!("a constant of shape {from:?} against numbers of shape {to:?}"));
+    let excess = from.len().saturating_sub(to.len());
+    let count: usize = to.iter().product();
+    if from.iter().take(excess).any(|&size| size != 1) || count > MOST_PARAMETERS {
+        return refused();
+    }
+    let from_aligned: Vec<usize> =
+        std::iter::repeat_n(1, to.len().saturating_sub(from.len())).chain(from.iter().skip(excess).copied()).collect();
+    if from_aligned.iter().zip(to).any(|(&from, &to)| from != 1 && from != to) {
+        return refused();
+    }
+    let place = |mut index: usize| {
+        let (mut place, mut stride) = (0, 1);
+        for (&from, &to) in from_aligned.iter().zip(to).rev() {
+            place += if from == 1 { 0 } else { index % to * stride };
+            index /= to;
+            stride *= from;
+        }
+        place
+    };
+    (0..count).map(|index| numbers.get(place(index)).copied().ok_or_else(|| "too few numbers".to_owned())).collect()
+}

@@ -1,0 +1,306 @@
+//! The few messages of an ONNX file that a chain needs, by the field numbers of `onnx.proto3`.
+
+use std::collections::HashMap;
+use std::rc::Rc;
+
+use super::super::wire::{Message, Value};
+use super::super::{MOST_PARAMETERS, NetworkError};
+
+/// Most nodes of a graph, and most of anything else that it or a node has many of.
+const MOST_PARTS: usize = 1000;
+
+/// Most dimensions of a tensor.
+const MOST_DIMENSIONS: usize = 8;
+
+/// A model: its graph, and the version of the operators in it.
+pub(super) struct Model {
+    pub(super) opset: i64,
+    pub(super) nodes: Vec<Node>,
+    pub(super) constants: HashMap<String, Rc<Tensor>>,
+    /// Inputs with their shapes, a batch and whatever has no size counted as 1.
+    pub(super) inputs: Vec<(String, Option<Vec<usize>>)>,
+    pub(super) outputs: Vec<String>,
+}
+
+/// A node of a graph.
+#[derive(Default)]
+pub(super) struct Node {
+    pub(super) name: String,
+    pub(super) operator: String,
+    pub(super) domain: String,
+    pub(super) inputs: Vec<String>,
+    pub(super) outputs: Vec<String>,
+    pub(super) attributes: HashMap<String, Attribute>,
+}
+
+/// What a node is told beside its inputs.
+#[derive(Default)]
+pub(super) struct Attribute {
+    pub(super) float: Option<f32>,
+    pub(super) integer: Option<i64>,
+    pub(super) integers: Vec<i64>,
+    pub(super) floats: Vec<f32>,
+    pub(super) tensor: Option<Tensor>,
+}
+
+/// A constant.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Tensor {
+    pub(super) shape: Vec<usize>,
+    pub(super) numbers: Numbers,
+}
+
+/// What a constant holds.
+#[derive(Debug, Clone)]
+pub(super) enum Numbers {
+    /// Numbers to calculate with; those of double precision are rounded to single.
+    Real(Vec<f32>),
+    /// Whole numbers, for shapes.
+    Whole(Vec<i64>),
+    /// Something that is not read: why it cannot be used.
+    Other(String),
+}
+
+impl Default for Numbers {
+    fn default() -> Self {
+        Self::Real(Vec::new())
+    }
+}
+
+impl Tensor {
+    /// The numbers to calculate with.
+    pub(super) fn real(&self) -> Result<&[f32], String> {
+        match &self.numbers {
+            Numbers::Real(numbers) => Ok(numbers),
+            Numbers::Whole(_) => Err("holds whole numbers where a network's numbers are wanted".to_owned()),
+            Numbers::Other(why) => Err(why.clone()),
+        }
+    }
+}
+
+fn damaged(problem: impl Into<String>) -> NetworkError {
+    NetworkError::damaged("ONNX file", problem)
+}
+
+impl Model {
+    pub(super) fn read(bytes: &[u8]) -> Result<Self, NetworkError> {
+        let (mut opset, mut graph) = (None, None);
+        let mut rest = Message(bytes);
+        while let Some((field, value)) = rest.next()? {
+            match field {
+                7 => graph = Some(value.bytes()?),
+                8 => opset = operator_set(value.bytes()?)?.or(opset),
+                _ => {}
+            }
+        }
+        let opset = opset.ok_or_else(|| damaged("it does not say its opset"))?;
+        let graph = graph.ok_or_else(|| damaged("it holds no graph"))?;
+        let mut model =
+            Self { opset, nodes: Vec::new(), constants: HashMap::new(), inputs: Vec::new(), outputs: Vec::new() };
+        let mut numbers = 0;
+        let mut rest = Message(graph);
+        while let Some((field, value)) = rest.next()? {
+            match field {
+                1 => model.nodes.push(Node::read(value.bytes()?)?),
+                5 => {
+                    let (name, tensor) = tensor(value.bytes()?)?;
+                    if let Numbers::Real(held) = &tensor.numbers {
+                        numbers += held.len();
+                    }
+                    if numbers > MOST_PARAMETERS {
+                        return Err(NetworkError::TooManyParameters);
+                    }
+                    model.constants.insert(name, Rc::new(tensor));
+                }
+                11 => model.inputs.push(value_info(value.bytes()?)?),
+                12 => model.outputs.push(value_info(value.bytes()?)?.0),
+                15 => {
+                    return Err(NetworkError::Unsupported(
+                        "the graph has a sparse constant, which is not read".to_owned(),
+                    ));
+                }
+                _ => {}
+            }
+            let parts = [model.nodes.len(), model.constants.len(), model.inputs.len(), model.outputs.len()];
+            if parts.iter().any(|&parts| parts > MOST_PARTS) {
+                let problem = format!("the graph has more than {MOST_PARTS} nodes, constants, inputs or answers");
+                return Err(NetworkError::Unsupported(problem));
+            }
+        }
+        Ok(model)
+    }
+}
+
+/// The version of the ordinary operators; none for another set.
+fn operator_set(bytes: &[u8]) -> Result<Option<i64>, NetworkError> {
+    let (mut domain, mut version) = (String::new(), 0);
+    let mut rest = Message(bytes);
+    while let Some((field, value)) = rest.next()? {
+        match field {
+            1 => domain = value.text()?,
+            2 => version = value.integer()?,
+            _ => {}
+        }
+    }
+    Ok(is_ordinary(&domain).then_some(version))
+}
+
+/// Whether a domain is that of the ordinary operators.
+pub(super) fn is_ordinary(domain: &str) -> bool {
+    domain.is_empty() || domain == "ai.onnx"
+}
+
+impl Node {
+    fn read(bytes: &[u8]) -> Result<Self, NetworkError> {
+        let mut node = Self::default();
+        let mut rest = Message(bytes);
+        while let Some((field, value)) = rest.next()? {
+            match field {
+                1 => node.inputs.push(value.text()?),
+                2 => node.outputs.push(value.text()?),
+                3 => node.name = value.text()?,
+                4 => node.operator = value.text()?,
+                5 => {
+                    let (name, attribute) = attribute(value.bytes()?)?;
+                    node.attributes.insert(name, attribute);
+                }
+                7 => node.domain = value.text()?,
+                _ => {}
+            }
+            if node.inputs.len().max(node.outputs.len()).max(node.attributes.len()) > MOST_PARTS {
+                return Err(damaged(format!("a node of more than {MOST_PARTS} inputs, answers or attributes")));
+            }
+        }
+        Ok(node)
+    }
+}
+
+fn attribute(bytes: &[u8]) -> Result<(String, Attribute), NetworkError> {
+    let (mut name, mut attribute) = (String::new(), Attribute::default());
+    let mut rest = Message(bytes);
+    while let Some((field, value)) = rest.next()? {
+        match field {
+            1 => name = value.text()?,
+            2 => attribute.float = Some(value.float()?),
+            3 => attribute.integer = Some(value.integer()?),
+            5 => attribute.tensor = Some(tensor(value.bytes()?)?.1),
+            7 => value.floats(&mut attribute.floats)?,
+            8 => value.integers(&mut attribute.integers)?,
+            _ => {}
+        }
+    }
+    Ok((name, attribute))
+}
+
+/// A constant and its name.
+fn tensor(bytes: &[u8]) -> Result<(String, Tensor), NetworkError> {
+    let (mut name, mut dims, mut kind) = (String::new(), Vec::new(), 0);
+    let (mut reals, mut wholes, mut raw, mut is_elsewhere) = (Vec::new(), Vec::new(), None, false);
+    let mut rest = Message(bytes);
+    while let Some((field, value)) = rest.next()? {
+        match field {
+            1 => value.integers(&mut dims)?,
+            2 => kind = value.integer()?,
+            4 => value.floats(&mut reals)?,
+            7 => value.integers(&mut wholes)?,
+            8 => name = value.text()?,
+            9 => raw = Some(value.bytes()?),
+            10 => value.doubles(&mut reals)?,
+            13 => is_elsewhere = true,
+            14 => is_elsewhere |= value.integer()? != 0,
+            _ => {}
+        }
+    }
+    let shape: Option<Vec<usize>> = dims.iter().map(|&dim| usize::try_from(dim).ok()).collect();
+    let shape = shape.filter(|shape| shape.len() <= MOST_DIMENSIONS);
+    let count = shape.as_ref().and_then(|shape| shape.iter().try_fold(1_usize, |count, &dim| count.checked_mul(dim)));
+    let (Some(shape), Some(count)) = (shape, count) else {
+        return Err(damaged(format!("constant `{name}` has a shape that there is not")));
+    };
+    let numbers = match (kind, raw) {
+        _ if is_elsewhere => Numbers::Other(
+            "lies in another file, which is not read: save all in one (PyTorch: external_data=False)".to_owned(),
+        ),
+        (1, Some(raw)) => Numbers::Real(unpacked(Value::Bytes(raw), Value::floats)?),
+        (11, Some(raw)) => Numbers::Real(unpacked(Value::Bytes(raw), Value::doubles)?),
+        (1 | 11, None) => Numbers::Real(reals),
+        (7, None) => Numbers::Whole(wholes),
+        (7, Some(raw)) => {
+            let (values, _) = raw.as_chunks::<8>();
+            Numbers::Whole(values.iter().map(|&bytes| i64::from_le_bytes(bytes)).collect())
+        }
+        (other, _) => Numbers::Other(format!(
+            "holds numbers of kind {other}, of which 1 (single) and 11 (double precision) are read"
+        )),
+    };
+    let found = match &numbers {
+        Numbers::Real(numbers) => numbers.len(),
+        Numbers::Whole(numbers) => numbers.len(),
+        Numbers::Other(_) => count,
+    };
+    if found != count {
+        let problem = format!("constant `{name}` of shape {shape:?} holds {found} numbers");
+        return Err(damaged(problem));
+    }
+    Ok((name, Tensor { shape, numbers }))
+}
+
+fn unpacked<'a, T>(
+    value: Value<'a>,
+    into: impl Fn(Value<'a>, &mut Vec<T>) -> Result<(), NetworkError>,
+) -> Result<Vec<T>, NetworkError> {
+    let mut all = Vec::new();
+    into(value, &mut all)?;
+    Ok(all)
+}
+
+/// The name of an input or an answer, and its shape where it is said.
+fn value_info(bytes: &[u8]) -> Result<(String, Option<Vec<usize>>), NetworkError> {
+    let (mut name, mut shape) = (String::new(), None);
+    let mut rest = Message(bytes);
+    while let Some((field, value)) = rest.next()? {
+        match field {
+            1 => name = value.text()?,
+            // Type, of a tensor, its shape.
+            2 => {
+                let tensor = field_of(value.bytes()?, 1)?;
+                let said = tensor.map(|tensor| field_of(tensor, 2)).transpose()?.flatten();
+                shape = said.map(dimensions).transpose()?;
+            }
+            _ => {}
+        }
+    }
+    Ok((name, shape))
+}
+
+fn field_of(bytes: &[u8], wanted: u64) -> Result<Option<&[u8]>, NetworkError> {
+    let mut rest = Message(bytes);
+    while let Some((field, value)) = rest.next()? {
+        if field == wanted {
+            return value.bytes().map(Some);
+        }
+    }
+    Ok(None)
+}
+
+fn dimensions(bytes: &[u8]) -> Result<Vec<usize>, NetworkError> {
+    let mut all = Vec::new();
+    let mut rest = Message(bytes);
+    while let Some((field, value)) = rest.next()? {
+        if field != 1 {
+            continue;
+        }
+        let mut size = 1;
+        let mut dimension = Message(value.bytes()?);
+        while let Some((field, value)) = dimension.next()? {
+            if field == 1 {
+                size = usize::try_from(value.integer()?).unwrap_or(1).max(1);
+            }
+        }
+        if all.len() == MOST_DIMENSIONS {
+            return Err(damaged(format!("an input of more than {MOST_DIMENSIONS} dimensions")));
+        }
+        all.push(size);
+    }
+    Ok(all)
+}

@@ -1,0 +1,361 @@
+//! What a pickle builds, as dead data.
+//!
+//! A pickle is a program that may call anything. Here it only says what it would call: nothing is imported or called, and
+//! whoever reads the result takes from it what it knows. Values lie in one list and refer to each other by their places in
+//! it, so that no nesting, however deep, and no circle costs more than its length.
+
+use std::collections::HashMap;
+
+use super::NetworkError;
+
+/// Most values that a pickle may build.
+const MOST_VALUES: usize = 200_000;
+
+/// The place of a value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Id(usize);
+
+/// A value.
+#[derive(Debug, Clone)]
+pub(super) enum Object<'a> {
+    /// None, a truth value, or a number that is not whole: nothing that is looked at.
+    Other,
+    Integer(i64),
+    Text(&'a str),
+    Bytes(&'a [u8]),
+    Tuple(Vec<Id>),
+    List(Vec<Id>),
+    /// A dictionary, in the order in which it was filled.
+    Dict(Vec<(Id, Id)>),
+    /// Something by the name of its module and its own.
+    Global(&'a str, &'a str),
+    /// What calling something would give.
+    Call(Call),
+    /// Something that lies outside of the pickle, by its description.
+    Outside(Id),
+}
+
+/// What calling something would give, and what is then done to it.
+#[derive(Debug, Clone)]
+pub(super) struct Call {
+    pub(super) of: Id,
+    pub(super) arguments: Id,
+    pub(super) state: Option<Id>,
+    pub(super) items: Vec<(Id, Id)>,
+}
+
+/// All values of a pickle.
+pub(super) struct Pickle<'a> {
+    values: Vec<Object<'a>>,
+    pub(super) top: Id,
+}
+
+impl<'a> Pickle<'a> {
+    /// Reads a pickle of protocol 2 to 5.
+    pub(super) fn read(bytes: &'a [u8]) -> Result<Self, NetworkError> {
+        let mut machine = Machine { rest: bytes, length: bytes.len(), ..Machine::default() };
+        let top = machine.run()?;
+        Ok(Self { values: machine.values, top })
+    }
+
+    pub(super) fn get(&self, id: Id) -> &Object<'a> {
+        self.values.get(id.0).unwrap_or(&Object::Other)
+    }
+
+    pub(super) fn text(&self, id: Id) -> Option<&'a str> {
+        if let Object::Text(text) = self.get(id) { Some(text) } else { None }
+    }
+
+    pub(super) fn integer(&self, id: Id) -> Option<i64> {
+        if let Object::Integer(integer) = self.get(id) { Some(*integer) } else { None }
+    }
+
+    pub(super) fn tuple(&self, id: Id) -> Option<&[Id]> {
+        if let Object::Tuple(members) = self.get(id) { Some(members) } else { None }
+    }
+
+    pub(super) fn global(&self, id: Id) -> Option<(&'a str, &'a str)> {
+        if let Object::Global(module, name) = self.get(id) { Some((module, name)) } else { None }
+    }
+
+    pub(super) fn call(&self, id: Id) -> Option<&Call> {
+        if let Object::Call(call) = self.get(id) { Some(call) } else { None }
+    }
+
+    /// The entries of a dictionary, ordered or not.
+    pub(super) fn entries(&self, id: Id) -> Option<&[(Id, Id)]> {
+        match self.get(id) {
+            Object::Dict(entries) => Some(entries),
+            Object::Call(call) if self.global(call.of) == Some(("collections", "OrderedDict")) => Some(&call.items),
+            _ => None,
+        }
+    }
+
+    /// The last entry of a dictionary under a key.
+    pub(super) fn entry(&self, id: Id, key: &str) -> Option<Id> {
+        self.entries(id)?.iter().rev().find(|(name, _)| self.text(*name) == Some(key)).map(|(_, value)| *value)
+    }
+}
+
+#[derive(Default)]
+struct Machine<'a> {
+    rest: &'a [u8],
+    length: usize,
+    values: Vec<Object<'a>>,
+    stack: Vec<Id>,
+    marks: Vec<usize>,
+    memo: HashMap<usize, Id>,
+}
+
+fn damaged(problem: impl Into<String>) -> NetworkError {
+    NetworkError::damaged("pickle", problem)
+}
+
+impl<'a> Machine<'a> {
+    fn run(&mut self) -> Result<Id, NetworkError> {
+        loop {
+            let at = self.length - self.rest.len();
+            let [operation] = self.array()?;
+            if operation == b'.' {
+                return self.pop();
+            }
+            self.step(operation).map_err(|error| match error {
+                NetworkError::Damaged { form, problem } => {
+                    NetworkError::Damaged { form, problem: format!("{problem} (at byte {at})") }
+                }
+                other => other,
+            })?;
+        }
+    }
+
+    fn step(&mut self, operation: u8) -> Result<(), NetworkError> {
+        match operation {
+            // Protocol and frames, which only say how long something is.
+            0x80 => self.array::<1>().map(drop),
+            0x95 => self.array::<8>().map(drop),
+            b'(' => {
+                self.marks.push(self.stack.len());
+                Ok(())
+            }
+            b'0' => self.pop().map(drop),
+            b'N' | 0x88 | 0x89 => self.push(Object::Other),
+            b'J' => {
+                let bytes = self.array()?;
+                self.push(Object::Integer(i32::from_le_bytes(bytes).into()))
+            }
+            b'K' => {
+                let [byte] = self.array()?;
+                self.push(Object::Integer(byte.into()))
+            }
+            b'M' => {
+                let bytes = self.array()?;
+                self.push(Object::Integer(u16::from_le_bytes(bytes).into()))
+            }
+            0x8a => self.long(),
+            b'G' => {
+                self.array::<8>()?;
+                self.push(Object::Other)
+            }
+            b'X' => self.text(4),
+            0x8c => self.text(1),
+            0x8d => self.text(8),
+            b'B' => self.bytes(4),
+            b'C' => self.bytes(1),
+            0x8e | 0x96 => self.bytes(8),
+            b'}' => self.push(Object::Dict(Vec::new())),
+            b']' => self.push(Object::List(Vec::new())),
+            b')' => self.push(Object::Tuple(Vec::new())),
+            b't' => {
+                let members = self.since_mark()?;
+                self.push(Object::Tuple(members))
+            }
+            b'l' => {
+                let members = self.since_mark()?;
+                self.push(Object::List(members))
+            }
+            0x85..=0x87 => {
+                let count = usize::from(operation - 0x84);
+                let from = self.stack.len().checked_sub(count).ok_or_else(|| damaged("an empty stack"))?;
+                let members = self.stack.split_off(from);
+                self.push(Object::Tuple(members))
+            }
+            b'c' => {
+                let (module, name) = (self.line()?, self.line()?);
+                self.push(Object::Global(module, name))
+            }
+            0x93 => {
+                let (name, module) = (self.pop()?, self.pop()?);
+                match (self.values.get(module.0), self.values.get(name.0)) {
+                    (Some(Object::Text(module)), Some(Object::Text(name))) => {
+                        let global = Object::Global(module, name);
+                        self.push(global)
+                    }
+                    _ => Err(damaged("a name that is no text")),
+                }
+            }
+            // What is called, with what.
+            b'R' | 0x81 => {
+                let (arguments, of) = (self.pop()?, self.pop()?);
+                self.push(Object::Call(Call { of, arguments, state: None, items: Vec::new() }))
+            }
+            b'b' => {
+                let state = self.pop()?;
+                let top = self.top()?;
+                match self.values.get_mut(top.0) {
+                    Some(Object::Call(call)) => call.state = Some(state),
+                    _ => return Err(damaged("a state for what has none")),
+                }
+                Ok(())
+            }
+            b's' => {
+                let (value, key) = (self.pop()?, self.pop()?);
+                self.fill(&[key, value])
+            }
+            b'u' => {
+                let members = self.since_mark()?;
+                self.fill(&members)
+            }
+            b'a' => {
+                let member = self.pop()?;
+                self.lengthen(&[member])
+            }
+            b'e' => {
+                let members = self.since_mark()?;
+                self.lengthen(&members)
+            }
+            b'q' => {
+                let [place] = self.array()?;
+                self.remember(place.into())
+            }
+            b'r' => {
+                let place = u32::from_le_bytes(self.array()?);
+                self.remember(place as usize)
+            }
+            0x94 => self.remember(self.memo.len()),
+            b'h' => {
+                let [place] = self.array()?;
+                self.recall(place.into())
+            }
+            b'j' => {
+                let place = u32::from_le_bytes(self.array()?);
+                self.recall(place as usize)
+            }
+            b'Q' => {
+                let description = self.pop()?;
+                self.push(Object::Outside(description))
+            }
+            other => Err(damaged(format!("the operation {other:#04x}, which is not followed"))),
+        }
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], NetworkError> {
+        let (bytes, rest) = self.rest.split_first_chunk().ok_or_else(|| damaged("it is cut off"))?;
+        self.rest = rest;
+        Ok(*bytes)
+    }
+
+    /// Bytes behind their count.
+    fn counted(&mut self, bytes: usize) -> Result<&'a [u8], NetworkError> {
+        let (count, rest) = self.rest.split_at_checked(bytes).ok_or_else(|| damaged("it is cut off"))?;
+        let count = count.iter().rev().fold(0_u64, |number, &byte| number << 8 | u64::from(byte));
+        let count = usize::try_from(count).unwrap_or(usize::MAX);
+        let (taken, rest) = rest.split_at_checked(count).ok_or_else(|| damaged("a part longer than the whole"))?;
+        self.rest = rest;
+        Ok(taken)
+    }
+
+    fn text(&mut self, bytes: usize) -> Result<(), NetworkError> {
+        let text = std::str::from_utf8(self.counted(bytes)?).map_err(|_| damaged("text that is not UTF-8"))?;
+        self.push(Object::Text(text))
+    }
+
+    fn bytes(&mut self, bytes: usize) -> Result<(), NetworkError> {
+        let bytes = self.counted(bytes)?;
+        self.push(Object::Bytes(bytes))
+    }
+
+    /// A whole number of up to eight bytes; a longer one is nothing that is looked at.
+    fn long(&mut self) -> Result<(), NetworkError> {
+        let bytes = self.counted(1)?;
+        let mut eight = if bytes.last().is_some_and(|byte| byte & 0x80 != 0) { [0xff; 8] } else { [0; 8] };
+        let value = match eight.get_mut(..bytes.len()) {
+            Some(low) => {
+                low.copy_from_slice(bytes);
+                Object::Integer(i64::from_le_bytes(eight))
+            }
+            None => Object::Bytes(bytes),
+        };
+        self.push(value)
+    }
+
+    fn line(&mut self) -> Result<&'a str, NetworkError> {
+        let end = self.rest.iter().position(|&byte| byte == b'\n').ok_or_else(|| damaged("a line without end"))?;
+        let line = std::str::from_utf8(&self.rest[..end]).map_err(|_| damaged("a name that is not UTF-8"))?;
+        self.rest = &self.rest[end + 1..];
+        Ok(line)
+    }
+
+    fn push(&mut self, value: Object<'a>) -> Result<(), NetworkError> {
+        if self.values.len() >= MOST_VALUES {
+            return Err(damaged(format!("more than {MOST_VALUES} values")));
+        }
+        self.stack.push(Id(self.values.len()));
+        self.values.push(value);
+        Ok(())
+    }
+
+    fn pop(&mut self) -> Result<Id, NetworkError> {
+        self.stack.pop().ok_or_else(|| damaged("an empty stack"))
+    }
+
+    fn top(&self) -> Result<Id, NetworkError> {
+        self.stack.last().copied().ok_or_else(|| damaged("an empty stack"))
+    }
+
+    fn since_mark(&mut self) -> Result<Vec<Id>, NetworkError> {
+        let mark = self.marks.pop().filter(|&mark| mark <= self.stack.len()).ok_or_else(|| damaged("a lost mark"))?;
+        Ok(self.stack.split_off(mark))
+    }
+
+    fn fill(&mut self, members: &[Id]) -> Result<(), NetworkError> {
+        let (pairs, rest) = members.as_chunks::<2>();
+        let top = self.top()?;
+        match self.values.get_mut(top.0) {
+            Some(Object::Dict(items) | Object::Call(Call { items, .. })) if rest.is_empty() => {
+                items.extend(pairs.iter().map(|[key, value]| (*key, *value)));
+                Ok(())
+            }
+            _ => Err(damaged("entries for what is no dictionary")),
+        }
+    }
+
+    fn lengthen(&mut self, members: &[Id]) -> Result<(), NetworkError> {
+        let top = self.top()?;
+        match self.values.get_mut(top.0) {
+            Some(Object::List(list)) => list.extend(members),
+            // A list of a kind of its own: nothing that is looked at.
+            Some(Object::Call(_)) => {}
+            _ => return Err(damaged("members for what is no list")),
+        }
+        Ok(())
+    }
+
+    fn remember(&mut self, place: usize) -> Result<(), NetworkError> {
+        let top = self.top()?;
+        if self.memo.len() >= MOST_VALUES {
+            return Err(damaged(format!("more than {MOST_VALUES} values")));
+        }
+        self.memo.insert(place, top);
+        Ok(())
+    }
+
+    fn recall(&mut self, place: usize) -> Result<(), NetworkError> {
+        let value = *self.memo.get(&place).ok_or_else(|| damaged("a value that was not remembered"))?;
+        // The stack grows, the values do not.
+        if self.stack.len() >= MOST_VALUES {
+            return Err(damaged(format!("more than {MOST_VALUES} values")));
+        }
+        self.stack.push(value);
+        Ok(())
+    }
+}

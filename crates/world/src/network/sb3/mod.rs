@@ -1,0 +1,182 @@
+//! Models saved by Stable-Baselines3: the actor of PPO, A2C, SAC, TD3 and DDPG with fully connected layers.
+//!
+//! What is followed is `model.predict(observation, deterministic=True)`: the mean of PPO and A2C, cut to the space of
+//! actions; of SAC the tanh of the mean, of TD3 and DDPG the answer, both stretched to the space of actions.
+//!
+//! A model saves nothing of the wrappers of its environment. Whether it was trained behind `VecNormalize` can therefore not
+//! be known from its file.
+
+mod space;
+mod weights;
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::archive::Archive;
+use super::error::shown;
+use super::pickle::Pickle;
+use super::{Elementwise, FeedForward, NetworkError, Step};
+use space::BoxSpace;
+use weights::Weights;
+
+/// Longest description of a model, in bytes.
+const MOST_DATA_BYTES: usize = 8 << 20;
+
+/// What is needed of `data`.
+#[derive(Deserialize)]
+struct Data {
+    policy_class: Value,
+    #[serde(default)]
+    policy_kwargs: Value,
+    observation_space: Value,
+    action_space: Value,
+    #[serde(default)]
+    use_sde: bool,
+}
+
+/// How the actor of an algorithm is built.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Actor {
+    /// PPO and A2C: the mean of the actions, cut to their space.
+    OnPolicy,
+    /// SAC: tanh of the mean.
+    SoftActorCritic,
+    /// TD3 and DDPG: tanh is the actor's last layer.
+    Deterministic,
+}
+
+fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
+    Err(NetworkError::Unsupported(problem.into()))
+}
+
+/// Reads the actor of a model.
+pub(super) fn read(bytes: &[u8]) -> Result<FeedForward, NetworkError> {
+    let archive = Archive::read(bytes)?;
+    let data = archive.member("data")?;
+    if data.len() > MOST_DATA_BYTES {
+        return unsupported(format!("its member `data` has more than {MOST_DATA_BYTES} bytes"));
+    }
+    let data: Data = serde_json::from_slice(data)
+        .map_err(|error| NetworkError::damaged("member `data`", shown(&error.to_string())))?;
+    let actor = Actor::of(&data.policy_class)?;
+    let observed = space::of(&data.observation_space, "observation_space")?;
+    let actions = space::of(&data.action_space, "action_space")?;
+    let weights = Weights::read(archive.member("policy.pth")?)?;
+    let mut steps = actor.steps(&weights, &data)?;
+    if let Some(Step::Linear(last)) = steps.iter().rev().find(|step| matches!(step, Step::Linear(_)))
+        && last.biases.len() != actions.low.len()
+    {
+        let problem = format!("its actor has {} answers for {} actions", last.biases.len(), actions.low.len());
+        return Err(NetworkError::damaged("model", problem));
+    }
+    steps.extend(actor.ending(&data, actions));
+    FeedForward::new(observed.low.len(), steps)
+}
+
+impl Actor {
+    /// By the class of the policy.
+    fn of(class: &Value) -> Result<Self, NetworkError> {
+        let bytes = space::serialized(class, "policy_class")?;
+        let pickle = Pickle::read(&bytes)?;
+        let Some((module, name)) = pickle.global(pickle.top) else {
+            return unsupported("its policy is a class of its own, which is not followed");
+        };
+        match (module, name) {
+            ("stable_baselines3.common.policies", "ActorCriticPolicy") => Ok(Self::OnPolicy),
+            ("stable_baselines3.sac.policies", "SACPolicy") => Ok(Self::SoftActorCritic),
+            ("stable_baselines3.td3.policies", "TD3Policy") => Ok(Self::Deterministic),
+            _ => unsupported(format!(
+                "its policy `{}.{}` is not followed: PPO, A2C, SAC, TD3 and DDPG with MlpPolicy are",
+                shown(module),
+                shown(name)
+            )),
+        }
+    }
+
+    /// From the observation to the answer, before it is brought into the space of actions.
+    fn steps(self, weights: &Weights<'_>, data: &Data) -> Result<Vec<Step>, NetworkError> {
+        let told = &data.policy_kwargs;
+        let class = told.get("features_extractor_class").and_then(Value::as_str);
+        if class.is_some_and(|class| !class.contains("FlattenExtractor")) || weights.has_part("features_extractor") {
+            return unsupported("it has a features extractor of its own, which is not followed");
+        }
+        let activation = activation(told, self)?;
+        let mut steps = Vec::new();
+        let mut hidden = |name: &str| -> Result<(), NetworkError> {
+            for layer in weights.sequence(name)? {
+                steps.push(Step::Linear(layer));
+                steps.extend(activation.clone().map(Step::Each));
+            }
+            Ok(())
+        };
+        match self {
+            Self::OnPolicy => {
+                hidden("mlp_extractor.shared_net")?;
+                hidden("mlp_extractor.policy_net")?;
+                steps.push(Step::Linear(weights.layer("action_net")?));
+            }
+            Self::SoftActorCritic => {
+                hidden("actor.latent_pi")?;
+                // With state-dependent noise the mean is cut.
+                let is_cut = weights.has("actor.mu.0.weight");
+                let mean = weights.layer(if is_cut { "actor.mu.0" } else { "actor.mu" })?;
+                let width = mean.biases.len();
+                steps.push(Step::Linear(mean));
+                if is_cut {
+                    let limit = told.get("clip_mean").and_then(Value::as_f64).unwrap_or(2.0) as f32;
+                    steps.push(Step::Each(Elementwise::Clip { low: vec![-limit; width], high: vec![limit; width] }));
+                }
+            }
+            Self::Deterministic => {
+                hidden("actor.mu")?;
+                // The last layer has tanh, whatever the others have.
+                if steps.last().is_some_and(|step| matches!(step, Step::Each(_))) {
+                    steps.pop();
+                }
+            }
+        }
+        if steps.is_empty() { unsupported("its policy has no layers of the names that are known") } else { Ok(steps) }
+    }
+
+    /// From the actor's answer into the space of actions.
+    fn ending(self, data: &Data, actions: BoxSpace) -> Vec<Step> {
+        let is_told = data.policy_kwargs.get("squash_output").and_then(Value::as_bool) == Some(true);
+        let is_squashed = self != Self::OnPolicy || (data.use_sde && is_told);
+        let BoxSpace { low, high } = actions;
+        if !is_squashed {
+            return vec![Step::Each(Elementwise::Clip { low, high })];
+        }
+        let ends = || low.iter().zip(&high).map(|(&low, &high)| (f64::from(low), f64::from(high)));
+        let half: Vec<f32> = ends().map(|(low, high)| (0.5 * (high - low)) as f32).collect();
+        let middle: Vec<f32> = ends().map(|(low, high)| (0.5 * (high + low)) as f32).collect();
+        let mut steps = vec![Step::Each(Elementwise::Tanh)];
+        if half.iter().any(|&half| half != 1.0) {
+            steps.push(Step::Each(Elementwise::Multiply(half)));
+        }
+        if middle.iter().any(|&middle| middle != 0.0) {
+            steps.push(Step::Each(Elementwise::Add(middle)));
+        }
+        steps
+    }
+}
+
+/// What hidden layers do to their numbers; nothing for the identity.
+fn activation(told: &Value, actor: Actor) -> Result<Option<Elementwise>, NetworkError> {
+    let Some(said) = told.get("activation_fn") else {
+        return Ok(Some(if actor == Actor::OnPolicy { Elementwise::Tanh } else { Elementwise::Relu }));
+    };
+    let said = said.as_str().unwrap_or_default();
+    let name = said.trim_end_matches("'>").rsplit('.').next().unwrap_or_default();
+    if !said.contains("torch.nn.modules.") {
+        return unsupported(format!("its activation function `{}` is not one of PyTorch's", shown(said)));
+    }
+    Ok(Some(match name {
+        "Tanh" => Elementwise::Tanh,
+        "ReLU" => Elementwise::Relu,
+        "Sigmoid" => Elementwise::Sigmoid,
+        "LeakyReLU" => Elementwise::LeakyRelu { slope: 0.01 },
+        "ELU" => Elementwise::Elu { alpha: 1.0 },
+        "Identity" => return Ok(None),
+        _ => return unsupported(format!("its activation function `{}` is not followed", shown(name))),
+    }))
+}

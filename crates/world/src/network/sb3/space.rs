@@ -1,0 +1,113 @@
+//! Spaces of observations and actions, from the pickle in which a model keeps them.
+
+use serde_json::Value;
+
+use super::super::NetworkError;
+use super::super::error::shown;
+use super::super::pickle::{Id, Object, Pickle};
+
+/// A box of numbers.
+pub(super) struct BoxSpace {
+    pub(super) low: Vec<f32>,
+    pub(super) high: Vec<f32>,
+}
+
+fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
+    Err(NetworkError::Unsupported(problem.into()))
+}
+
+/// The pickle of a member of `data`.
+pub(super) fn serialized(value: &Value, field: &str) -> Result<Vec<u8>, NetworkError> {
+    let text = value.get(":serialized:").and_then(Value::as_str);
+    let bytes = text.and_then(base64);
+    bytes.ok_or_else(|| NetworkError::damaged("member `data`", format!("{field} holds no serialized object")))
+}
+
+/// The space in a member of `data`, which must be a box.
+pub(super) fn of(value: &Value, field: &str) -> Result<BoxSpace, NetworkError> {
+    let bytes = serialized(value, field)?;
+    let pickle = Pickle::read(&bytes)?;
+    let call = pickle.call(pickle.top);
+    let class = call.and_then(|call| pickle.global(call.of));
+    let (Some(call), Some((module, name))) = (call, class) else {
+        return unsupported(format!("its {field} is not one of Gymnasium's"));
+    };
+    if !(module.ends_with("spaces.box") && name == "Box") {
+        return unsupported(format!(
+            "its {field} is `{}`, and only Box, of a fixed count of numbers, is followed",
+            shown(name)
+        ));
+    }
+    let bound = |name: &str| {
+        let array = call.state.and_then(|state| pickle.entry(state, name)).and_then(|id| numbers(&pickle, id));
+        array.ok_or_else(|| NetworkError::damaged("member `data`", format!("{field} has no readable bound `{name}`")))
+    };
+    let (low, high) = (bound("low")?, bound("high")?);
+    if low.len() != high.len() || low.is_empty() || !low.iter().zip(&high).all(|(low, high)| low < high) {
+        return Err(NetworkError::damaged("member `data`", format!("{field} has bounds that do not fit each other")));
+    }
+    Ok(BoxSpace { low, high })
+}
+
+/// The numbers of a NumPy array, in either of the forms in which it is pickled.
+fn numbers(pickle: &Pickle<'_>, id: Id) -> Option<Vec<f32>> {
+    let call = pickle.call(id)?;
+    let (_, name) = pickle.global(call.of)?;
+    let (bytes, kind) = match name {
+        // bytes, type, shape, order
+        "_frombuffer" => {
+            let [bytes, kind, ..] = pickle.tuple(call.arguments)? else { return None };
+            (*bytes, *kind)
+        }
+        // version, shape, type, order, bytes
+        "_reconstruct" => {
+            let [_, _, kind, _, bytes] = pickle.tuple(call.state?)? else { return None };
+            (*bytes, *kind)
+        }
+        _ => return None,
+    };
+    let Object::Bytes(bytes) = pickle.get(bytes) else { return None };
+    let kind = pickle.call(kind)?;
+    match (pickle.text(*pickle.tuple(kind.arguments)?.first()?)?, is_little(pickle, kind.state)) {
+        ("f4", true) => {
+            let (numbers, rest) = bytes.as_chunks::<4>();
+            rest.is_empty().then(|| numbers.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect())
+        }
+        ("f8", true) => {
+            let (numbers, rest) = bytes.as_chunks::<8>();
+            rest.is_empty().then(|| numbers.iter().map(|&bytes| f64::from_le_bytes(bytes) as f32).collect())
+        }
+        _ => None,
+    }
+}
+
+/// Whether a type's numbers begin with their lowest byte.
+fn is_little(pickle: &Pickle<'_>, state: Option<Id>) -> bool {
+    let order = state.and_then(|state| pickle.tuple(state)).and_then(|state| state.get(1).copied());
+    order.and_then(|order| pickle.text(order)) == Some("<")
+}
+
+/// Bytes written in the 64 letters of RFC 4648, section 4.
+fn base64(text: &str) -> Option<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
+    let (mut bits, mut count) = (0_u32, 0);
+    for letter in text.trim_end().trim_end_matches('=').bytes() {
+        let value = match letter {
+            b'A'..=b'Z' => letter - b'A',
+            b'a'..=b'z' => letter - b'a' + 26,
+            b'0'..=b'9' => letter - b'0' + 52,
+            b'+' => 62,
+            b'/' => 63,
+            b'\n' | b'\r' => continue,
+            _ => return None,
+        };
+        bits = bits << 6 | u32::from(value);
+        count += 6;
+        if count >= 8 {
+            count -= 8;
+            bytes.push((bits >> count) as u8);
+            bits &= (1 << count) - 1;
+        }
+    }
+    Some(bytes)
+}

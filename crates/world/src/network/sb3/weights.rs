@@ -1,0 +1,148 @@
+//! The tensors of a policy: PyTorch's archive of a pickle, and of a member for each storage.
+
+use std::cell::Cell;
+
+use super::super::archive::Archive;
+use super::super::pickle::{Id, Object, Pickle};
+use super::super::{Linear, MOST_PARAMETERS, NetworkError};
+
+/// Deepest sequence of layers that is followed.
+const MOST_LAYERS: usize = 64;
+
+/// The tensors of a policy by name.
+pub(super) struct Weights<'a> {
+    archive: Archive<'a>,
+    folder: String,
+    pickle: Pickle<'a>,
+    /// Numbers that were taken out.
+    taken: Cell<usize>,
+}
+
+/// A tensor as the pickle describes it.
+struct Tensor<'p> {
+    storage: &'p [Id],
+    offset: usize,
+    shape: Vec<usize>,
+    strides: Vec<usize>,
+}
+
+fn damaged(problem: impl Into<String>) -> NetworkError {
+    NetworkError::damaged("member `policy.pth`", problem)
+}
+
+impl<'a> Weights<'a> {
+    pub(super) fn read(bytes: &'a [u8]) -> Result<Self, NetworkError> {
+        let archive = Archive::read(bytes)?;
+        let name = archive.only_ending("/data.pkl")?.to_owned();
+        let folder = name.strip_suffix("data.pkl").unwrap_or_default().to_owned();
+        if archive.has_ending("/byteorder") && archive.member(&format!("{folder}byteorder"))? != b"little" {
+            return Err(NetworkError::Unsupported("its numbers begin with their highest byte".to_owned()));
+        }
+        let pickle = Pickle::read(archive.member(&name)?)?;
+        if pickle.entries(pickle.top).is_none() {
+            return Err(damaged("it holds no tensors by name"));
+        }
+        Ok(Self { archive, folder, pickle, taken: Cell::new(0) })
+    }
+
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.pickle.entry(self.pickle.top, name).is_some()
+    }
+
+    /// Whether some tensor belongs to a part of that name.
+    pub(super) fn has_part(&self, part: &str) -> bool {
+        let names = self.pickle.entries(self.pickle.top).unwrap_or_default().iter();
+        names.filter_map(|(name, _)| self.pickle.text(*name)).any(|name| name.contains(part))
+    }
+
+    /// The layers of a sequence, with one activation after each: `NAME.0`, `NAME.2`, and so on.
+    pub(super) fn sequence(&self, name: &str) -> Result<Vec<Linear>, NetworkError> {
+        let mut layers = Vec::new();
+        while layers.len() < MOST_LAYERS && self.has(&format!("{name}.{}.weight", 2 * layers.len())) {
+            layers.push(self.layer(&format!("{name}.{}", 2 * layers.len()))?);
+        }
+        let prefix = format!("{name}.");
+        let own = self.pickle.entries(self.pickle.top).unwrap_or_default().iter();
+        let found =
+            own.filter_map(|(name, _)| self.pickle.text(*name)).filter(|name| name.starts_with(&prefix)).count();
+        if found == 2 * layers.len() {
+            Ok(layers)
+        } else {
+            let problem =
+                format!("`{name}` holds other layers than fully connected ones with activations between them");
+            Err(NetworkError::Unsupported(problem))
+        }
+    }
+
+    /// A fully connected layer.
+    pub(super) fn layer(&self, name: &str) -> Result<Linear, NetworkError> {
+        let (shape, by_output) = self.tensor(&format!("{name}.weight"))?;
+        let (bias_shape, biases) = self.tensor(&format!("{name}.bias"))?;
+        let ([outputs, inputs], [bias_count]) = (shape.as_slice(), bias_shape.as_slice()) else {
+            return Err(damaged(format!("`{name}` is no fully connected layer")));
+        };
+        if outputs != bias_count {
+            return Err(damaged(format!("`{name}` has {bias_count} biases for {outputs} outputs")));
+        }
+        let weights = (0..*inputs).flat_map(|input| by_output.iter().skip(input).step_by(*inputs).copied()).collect();
+        Ok(Linear { weights, biases })
+    }
+
+    /// A tensor's shape, and its numbers in the order of its dimensions.
+    fn tensor(&self, name: &str) -> Result<(Vec<usize>, Vec<f32>), NetworkError> {
+        let missing = || damaged(format!("it has no tensor `{name}`"));
+        let id = self.pickle.entry(self.pickle.top, name).ok_or_else(missing)?;
+        let tensor = self.described(id).ok_or_else(|| damaged(format!("`{name}` is no tensor")))?;
+        let [_, kind, key, ..] = tensor.storage else { return Err(damaged(format!("`{name}` lies nowhere"))) };
+        let size = match self.pickle.global(*kind) {
+            Some(("torch", "FloatStorage")) => 4,
+            Some(("torch", "DoubleStorage")) => 8,
+            _ => return Err(damaged(format!("`{name}` is of neither single nor double precision"))),
+        };
+        let key = self.pickle.text(*key).ok_or_else(|| damaged(format!("`{name}` lies nowhere")))?;
+        let count = tensor.shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
+        let Some(count) = count.filter(|count| self.taken.get().saturating_add(*count) <= MOST_PARAMETERS) else {
+            return Err(NetworkError::TooManyParameters);
+        };
+        self.taken.set(self.taken.get() + count);
+        let bytes = self.archive.member(&format!("{}data/{key}", self.folder))?;
+        let number = |index: usize| {
+            let at = tensor.place(index)?.checked_mul(size)?;
+            let bytes = bytes.get(at..at.checked_add(size)?)?;
+            Some(match size {
+                4 => f32::from_le_bytes(bytes.try_into().ok()?),
+                _ => f64::from_le_bytes(bytes.try_into().ok()?) as f32,
+            })
+        };
+        let numbers: Option<Vec<f32>> = (0..count).map(number).collect();
+        let numbers = numbers.ok_or_else(|| damaged(format!("`{name}` is larger than what it lies in")))?;
+        Ok((tensor.shape, numbers))
+    }
+
+    /// What a call of PyTorch's function for tensors says: storage, offset, shape and strides.
+    fn described(&self, id: Id) -> Option<Tensor<'_>> {
+        let call = self.pickle.call(id)?;
+        if self.pickle.global(call.of)? != ("torch._utils", "_rebuild_tensor_v2") {
+            return None;
+        }
+        let [storage, offset, shape, strides, ..] = self.pickle.tuple(call.arguments)? else { return None };
+        let Object::Outside(storage) = self.pickle.get(*storage) else { return None };
+        let size = |id: &Id| usize::try_from(self.pickle.integer(*id)?).ok();
+        let shape: Vec<usize> = self.pickle.tuple(*shape)?.iter().map(size).collect::<Option<_>>()?;
+        let strides: Vec<usize> = self.pickle.tuple(*strides)?.iter().map(size).collect::<Option<_>>()?;
+        let fits = shape.len() == strides.len();
+        fits.then_some(Tensor { storage: self.pickle.tuple(*storage)?, offset: size(offset)?, shape, strides })
+    }
+}
+
+impl Tensor<'_> {
+    /// Where number `index` lies in the storage.
+    fn place(&self, mut index: usize) -> Option<usize> {
+        let mut place = self.offset;
+        for (&size, &stride) in self.shape.iter().zip(&self.strides).rev() {
+            place = place.checked_add((index % size).checked_mul(stride)?)?;
+            index /= size;
+        }
+        Some(place)
+    }
+}

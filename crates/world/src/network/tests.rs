@@ -1,0 +1,191 @@
+//! Graphs of a few bytes: what is followed to which numbers, and what is refused by which words.
+
+use super::*;
+use crate::policy::Workspace;
+
+/// A field of bytes.
+fn field(number: u8, bytes: &[u8]) -> Vec<u8> {
+    let mut all = vec![number << 3 | 2];
+    let mut length = bytes.len();
+    while length > 127 {
+        all.push(length as u8 | 128);
+        length >>= 7;
+    }
+    all.push(length as u8);
+    all.extend(bytes);
+    all
+}
+
+/// A field of a small number.
+fn small(number: u8, value: u8) -> Vec<u8> {
+    vec![number << 3, value]
+}
+
+/// A constant of single precision.
+fn constant(name: &str, shape: &[u8], numbers: &[f32]) -> Vec<u8> {
+    let raw: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+    let dims: Vec<u8> = shape.iter().flat_map(|&size| small(1, size)).collect();
+    [dims, small(2, 1), field(8, name.as_bytes()), field(9, &raw)].concat()
+}
+
+/// A node whose name is that of its operator in small letters.
+fn node(operator: &str, inputs: &[&str], output: &str, attributes: &[Vec<u8>]) -> Vec<u8> {
+    let inputs: Vec<u8> = inputs.iter().flat_map(|name| field(1, name.as_bytes())).collect();
+    let attributes: Vec<u8> = attributes.iter().flat_map(|one| field(5, one)).collect();
+    let name = operator.to_lowercase();
+    [inputs, field(2, output.as_bytes()), field(3, name.as_bytes()), field(4, operator.as_bytes()), attributes].concat()
+}
+
+fn whole_attribute(name: &str, value: u8) -> Vec<u8> {
+    [field(1, name.as_bytes()), small(3, value)].concat()
+}
+
+fn shaped(name: &str, shape: &[u8]) -> Vec<u8> {
+    let dims: Vec<u8> = shape.iter().flat_map(|&size| field(1, &small(1, size))).collect();
+    [field(1, name.as_bytes()), field(2, &field(1, &field(2, &dims)))].concat()
+}
+
+/// A model that makes `y` of `x`.
+fn model(opset: u8, shape: &[u8], nodes: &[Vec<u8>], constants: &[Vec<u8>]) -> Vec<u8> {
+    let nodes: Vec<u8> = nodes.iter().flat_map(|one| field(1, one)).collect();
+    let constants: Vec<u8> = constants.iter().flat_map(|one| field(5, one)).collect();
+    let graph = [nodes, constants, field(11, &shaped("x", shape)), field(12, &shaped("y", &[1]))].concat();
+    [field(8, &small(2, opset)), field(7, &graph)].concat()
+}
+
+fn refusal(bytes: &[u8]) -> String {
+    NetworkFile::from_onnx(bytes).expect_err("refused").to_string()
+}
+
+fn answer(bytes: &[u8], inputs: &[f32]) -> Vec<f32> {
+    let file = NetworkFile::from_onnx(bytes).unwrap_or_else(|error| panic!("{error}"));
+    file.network.answers(inputs, 1, &mut Workspace::default()).to_vec()
+}
+
+/// As the official network of the ARCH benchmark is written: opset 6, four dimensions into Gemm, 1 subtracted first.
+#[test]
+fn four_dimensions_go_into_an_old_gemm_and_what_is_subtracted_is_not_lost() {
+    let nodes = [
+        node("Sub", &["x", "ones"], "a", &[]),
+        node("Gemm", &["a", "w", "b"], "c", &[whole_attribute("broadcast", 1)]),
+        node("Relu", &["c"], "y", &[]),
+    ];
+    let constants = [
+        constant("ones", &[1, 1, 1, 3], &[1.0; 3]),
+        constant("w", &[3, 2], &[1.0, -1.0, 10.0, -10.0, 100.0, -100.0]),
+        constant("b", &[2], &[0.5, 0.25]),
+    ];
+    assert_eq!(answer(&model(6, &[1, 1, 1, 3], &nodes, &constants), &[2.0, 3.0, 4.0]), [321.5, 0.0]);
+}
+
+/// MATLAB writes a fully connected layer as a convolution, too.
+#[test]
+fn a_convolution_over_the_whole_input_is_a_product() {
+    let convolved = |shape: &[u8], pads: u8| {
+        let pads = [field(1, b"pads"), small(8, pads), small(8, 0)].concat();
+        let nodes = [node("Conv", &["x", "w", "b"], "a", &[pads]), node("Flatten", &["a"], "y", &[])];
+        let w = constant("w", &[2, 1, 1, 3], &[1.0, 10.0, 100.0, -1.0, -2.0, -3.0]);
+        model(8, shape, &nodes, &[w, constant("b", &[2], &[0.5, 0.25])])
+    };
+    assert_eq!(answer(&convolved(&[1, 1, 1, 3], 0), &[1.0, 2.0, 3.0]), [321.5, -13.75]);
+    for refused in [convolved(&[1, 1, 1, 4], 0), convolved(&[1, 1, 1, 3], 1)] {
+        assert!(refusal(&refused).starts_with("node `conv` (Conv): only a kernel over the whole input"));
+    }
+}
+
+#[test]
+fn a_constant_is_spread_as_numpy_does_or_refused() {
+    let add = |constant_shape: &[u8], count: usize| {
+        let numbers: Vec<f32> = (1..=count).map(|number| number as f32).collect();
+        let nodes = [node("Add", &["c", "x"], "y", &[])];
+        model(13, &[2, 3], &nodes, &[constant("c", constant_shape, &numbers)])
+    };
+    let zeros = [0.0; 6];
+    assert_eq!(answer(&add(&[2, 1], 2), &zeros), [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]);
+    assert_eq!(answer(&add(&[3], 3), &zeros), [1.0, 2.0, 3.0, 1.0, 2.0, 3.0]);
+    assert_eq!(answer(&add(&[1, 1, 1], 1), &zeros), [1.0; 6]);
+    for (shape, count) in [(&[2_u8][..], 2), (&[2, 2, 3], 12), (&[4, 3], 12)] {
+        let said = refusal(&add(shape, count));
+        assert!(said.starts_with("node `add` (Add): a constant of shape"), "{said}");
+    }
+}
+
+#[test]
+fn what_is_not_followed_is_refused_by_operator_and_node() {
+    let w = || constant("w", &[2, 2], &[1.0; 4]);
+    let one = |operator: &str, inputs: &[&str]| model(13, &[2], &[node(operator, inputs, "y", &[])], &[w()]);
+    assert_eq!(refusal(&one("Softmax", &["x"])), "node `softmax` (Softmax): this operator is not followed");
+    let said = refusal(&one("Mul", &["x", "x"]));
+    assert_eq!(said, "node `mul` (Mul): it does not take `x` once, so the graph is no straight chain");
+    let said = refusal(&one("MatMul", &["x", "z"]));
+    assert_eq!(said, "node `matmul` (MatMul): its input `z` is no constant, so the graph is no straight chain");
+    let said = refusal(&one("Div", &["w", "x"]));
+    assert_eq!(said, "node `div` (Div): this operator is not followed");
+    let skip = [node("Relu", &["x"], "a", &[]), node("Tanh", &["x"], "y", &[])];
+    assert!(refusal(&model(13, &[2], &skip, &[])).contains("node `tanh` (Tanh): it does not take `a` once"));
+    let said = refusal(&model(13, &[3], &[node("MatMul", &["x", "w"], "y", &[])], &[w()]));
+    assert_eq!(said, "node `matmul` (MatMul): a matrix of 2 by 2 against numbers of shape [3]");
+    let unfinished = model(13, &[2], &[node("Relu", &["x"], "z", &[])], &[]);
+    assert_eq!(refusal(&unfinished), "the graph answers with `y`, and its chain ends in `z`");
+    assert!(refusal(&model(5, &[2], &[node("Relu", &["x"], "y", &[])], &[])).starts_with("opset 5 is too old"));
+}
+
+#[test]
+fn numbers_that_cannot_be_calculated_with_are_refused() {
+    let with = |numbers: [f32; 4]| {
+        let nodes = [node("MatMul", &["x", "w"], "y", &[])];
+        NetworkFile::from_onnx(&model(13, &[2], &nodes, &[constant("w", &[2, 2], &numbers)]))
+    };
+    assert!(with([1.0, f32::NAN, 0.0, 0.0]).unwrap_err().to_string().contains("not finite"));
+    let large = with([1e37, 0.0, 1e37, 0.0]).unwrap().network;
+    assert!(large.answer_ranges(&[[-1.0, 1.0]; 2]).is_ok());
+    assert!(matches!(large.answer_ranges(&[[-10.0, 10.0]; 2]), Err(NetworkError::Overflow { step: 0 })));
+    let divided = [node("Div", &["x", "w"], "y", &[])];
+    let said = refusal(&model(13, &[2], &divided, &[constant("w", &[2], &[1.0, 0.0])]));
+    assert_eq!(said, "step 0: divides by 0");
+}
+
+/// Where an answer can lie is never narrower than where it lies.
+#[test]
+fn answers_lie_in_their_ranges() {
+    use proptest::prelude::*;
+    let each = [
+        Elementwise::Relu,
+        Elementwise::LeakyRelu { slope: 0.2 },
+        Elementwise::LeakyRelu { slope: -0.5 },
+        Elementwise::Elu { alpha: 0.7 },
+        Elementwise::Elu { alpha: -2.0 },
+        Elementwise::Tanh,
+        Elementwise::Sigmoid,
+        Elementwise::Clip { low: vec![-0.5; 3], high: vec![0.25; 3] },
+        Elementwise::Multiply(vec![-2.0, 0.0, 3.0]),
+        Elementwise::Divide(vec![-2.0, 0.5, 3.0]),
+        Elementwise::Add(vec![-2.0, 0.5, 3.0]),
+    ];
+    let numbers = |count| prop::collection::vec(-2.0..2.0_f32, count);
+    let question = (0..each.len(), numbers(6), numbers(3), numbers(2), numbers(2), 0.0..1.0_f32);
+    proptest!(|((which, weights, biases, low, width, share) in question)| {
+        let steps = vec![Step::Linear(Linear { weights, biases }), Step::Each(each[which].clone())];
+        let network = FeedForward::new(2, steps).unwrap();
+        let limits: Vec<[f64; 2]> =
+            low.iter().zip(&width).map(|(&low, width)| [f64::from(low), f64::from(low + width.abs())]).collect();
+        let at: Vec<f32> = low.iter().zip(&width).map(|(low, width)| low + share * width.abs()).collect();
+        let ranges = network.answer_ranges(&limits).unwrap();
+        for (answer, [low, high]) in network.answers(&at, 1, &mut Workspace::default()).iter().zip(ranges) {
+            prop_assert!((low - 1e-5..=high + 1e-5).contains(&f64::from(*answer)), "{answer} {low} {high}");
+        }
+    });
+}
+
+/// A pickle whose values are nested a million deep, and one that calls something.
+#[test]
+fn pickles_are_read_and_not_run() {
+    let deep = [b"\x80\x02)".to_vec(), vec![0x85; 1_000_000], b".".to_vec()].concat();
+    assert!(pickle::Pickle::read(&deep).is_err_and(|error| error.to_string().contains("more than 200000 values")));
+    let evil = b"\x80\x02cos\nsystem\nX\x04\x00\x00\x00echo\x85R.";
+    let read = pickle::Pickle::read(evil).unwrap();
+    let call = read.call(read.top).unwrap();
+    assert_eq!(read.global(call.of), Some(("os", "system")));
+    let circle = b"\x80\x02]q\x00h\x00a.";
+    assert!(pickle::Pickle::read(circle).is_ok());
+}

@@ -1,0 +1,117 @@
+//! What a network does to each of its numbers between products.
+
+/// A step that changes every number by itself: one operand for each of them where there are operands.
+///
+/// All of it is single-precision arithmetic in one order, with `tanh` and `exp` from `libm`: the same bits on every machine.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Elementwise {
+    /// x + a.
+    Add(Vec<f32>),
+    /// x a.
+    Multiply(Vec<f32>),
+    /// x / a.
+    Divide(Vec<f32>),
+    /// x cut to lie between a low and a high number.
+    Clip {
+        /// The lowest.
+        low: Vec<f32>,
+        /// The highest.
+        high: Vec<f32>,
+    },
+    /// max(0, x).
+    Relu,
+    /// x, times the slope below 0.
+    LeakyRelu {
+        /// The slope.
+        slope: f32,
+    },
+    /// x, below 0 α (eˣ - 1).
+    Elu {
+        /// α.
+        alpha: f32,
+    },
+    /// tanh x.
+    Tanh,
+    /// 1 / (1 + e⁻ˣ).
+    Sigmoid,
+}
+
+impl Elementwise {
+    /// How many numbers it is for; none if for any.
+    #[must_use]
+    pub fn width(&self) -> Option<usize> {
+        match self {
+            Self::Add(operands) | Self::Multiply(operands) | Self::Divide(operands) => Some(operands.len()),
+            Self::Clip { low, .. } => Some(low.len()),
+            _ => None,
+        }
+    }
+
+    /// Changes rows of `width` numbers in place.
+    pub(crate) fn apply(&self, values: &mut [f32], width: usize) {
+        match self {
+            Self::Add(operands) => by_pairs(values, operands, |x, a| x + a),
+            Self::Multiply(operands) => by_pairs(values, operands, |x, a| x * a),
+            Self::Divide(operands) => by_pairs(values, operands, |x, a| x / a),
+            Self::Clip { low, high } => {
+                for row in values.chunks_exact_mut(width.max(1)) {
+                    for ((value, &low), &high) in row.iter_mut().zip(low).zip(high) {
+                        *value = cut(*value, low, high);
+                    }
+                }
+            }
+            Self::Relu => each(values, |x| if x > 0.0 { x } else { 0.0 }),
+            Self::LeakyRelu { slope } => each(values, |x| if x < 0.0 { slope * x } else { x }),
+            Self::Elu { alpha } => each(values, |x| if x < 0.0 { alpha * libm::expm1f(x) } else { x }),
+            Self::Tanh => each(values, libm::tanhf),
+            Self::Sigmoid => each(values, |x| 1.0 / (1.0 + libm::expf(-x))),
+        }
+    }
+
+    /// Where number `index` can end up if it starts between `low` and `high`, but for rounding.
+    pub(crate) fn range(&self, index: usize, [low, high]: [f64; 2]) -> [f64; 2] {
+        let of = |operands: &[f32]| operands.get(index).copied().map_or(f64::NAN, f64::from);
+        let sorted = |a: f64, b: f64| if a <= b { [a, b] } else { [b, a] };
+        let both = |f: &dyn Fn(f64) -> f64| [f(low), f(high)];
+        match self {
+            Self::Add(operands) => both(&|x| x + of(operands)),
+            Self::Multiply(operands) => sorted(low * of(operands), high * of(operands)),
+            Self::Divide(operands) => sorted(low / of(operands), high / of(operands)),
+            Self::Clip { low, high } => both(&|x| x.max(of(low)).min(of(high))),
+            Self::Relu => both(&|x| x.max(0.0)),
+            Self::LeakyRelu { slope } => {
+                let of = |x: f64| if x < 0.0 { f64::from(*slope) * x } else { x };
+                let [a, b] = sorted(of(low), of(high));
+                // A negative slope turns at 0.
+                if low < 0.0 && high > 0.0 { [a.min(0.0), b.max(0.0)] } else { [a, b] }
+            }
+            Self::Elu { alpha } => {
+                let of = |x: f64| if x < 0.0 { f64::from(*alpha) * libm::expm1(x) } else { x };
+                let [a, b] = sorted(of(low), of(high));
+                if low < 0.0 && high > 0.0 { [a.min(0.0), b.max(0.0)] } else { [a, b] }
+            }
+            Self::Tanh => both(&libm::tanh),
+            Self::Sigmoid => both(&|x| 1.0 / (1.0 + libm::exp(-x))),
+        }
+    }
+}
+
+/// A number cut to lie between two; by hand, since of 0 and -0 `f32::max` may give either.
+#[inline]
+fn cut(value: f32, low: f32, high: f32) -> f32 {
+    let value = if value < low { low } else { value };
+    if value > high { high } else { value }
+}
+
+#[inline]
+fn each(values: &mut [f32], change: impl Fn(f32) -> f32) {
+    values.iter_mut().for_each(|value| *value = change(*value));
+}
+
+#[inline]
+fn by_pairs(values: &mut [f32], operands: &[f32], change: impl Fn(f32, f32) -> f32) {
+    for row in values.chunks_exact_mut(operands.len().max(1)) {
+        row.iter_mut().zip(operands).for_each(|(value, &operand)| *value = change(*value, operand));
+    }
+}

@@ -1,0 +1,385 @@
+//! Networks from outside: what they answer, how they drive, and which files are refused. `corpora/controllers/` says how the
+//! files were made.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::slice;
+use std::time::{Duration, Instant};
+
+use crumple_world::network::NetworkFile;
+use crumple_world::policy::{Policy, Workspace};
+use crumple_world::scenario::controller_file::controller_file_schema;
+use crumple_world::scenario::{PaperDistribution, Scenario, file};
+use crumple_world::sim::{
+    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate, simulate_batch,
+};
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use serde::Deserialize;
+
+use crate::command_line::{code, crumple};
+use crate::schema::{assert_committed, validate};
+
+fn corpus() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers")
+}
+
+/// Observations, and what the maker of a network answers to them.
+#[derive(Deserialize)]
+struct Expected {
+    inputs: Vec<Vec<f32>>,
+    answers: Vec<Vec<f64>>,
+}
+
+fn expected(file: &str) -> BTreeMap<String, Expected> {
+    serde_json::from_str(&fs::read_to_string(corpus().join(file)).expect("there")).expect("as it was written")
+}
+
+/// The largest difference of answers, relative to the larger of 1 and the answer.
+fn largest_difference(path: &Path, inputs: &[f32], answers: &[f64]) -> f64 {
+    let network = NetworkFile::load(path).unwrap_or_else(|error| panic!("{error}")).network;
+    let batch = inputs.len() / network.inputs();
+    let mut space = Workspace::default();
+    let together = network.answers(inputs, batch, &mut space).to_vec();
+    assert_eq!(together.len(), answers.len(), "{}", path.display());
+    // Alone each has the same bits.
+    for (row, own) in inputs.chunks_exact(network.inputs()).zip(together.chunks_exact(network.outputs())).take(100) {
+        assert_eq!(network.answers(row, 1, &mut space), own);
+    }
+    let differences =
+        together.iter().zip(answers).map(|(own, other)| (f64::from(*own) - other).abs() / other.abs().max(1.0));
+    differences.fold(0.0, f64::max)
+}
+
+#[test]
+fn networks_answer_as_their_makers_do() {
+    for (file, expected) in expected("networks.json").into_iter().chain(expected("models.json")) {
+        let (inputs, answers) = (expected.inputs.concat(), expected.answers.concat());
+        let difference = largest_difference(&corpus().join(&file), &inputs, &answers);
+        assert!(difference <= 1e-5, "{file}: {difference:e}");
+    }
+}
+
+/// As many observations as one likes: `make.py oracle DIR`, then this with `CRUMPLE_NETWORKS=DIR`.
+#[test]
+#[ignore = "needs a folder that make.py wrote"]
+fn networks_agree_with_their_makers() {
+    let folder = PathBuf::from(std::env::var("CRUMPLE_NETWORKS").expect("a folder"));
+    let numbers = |path: &Path| -> Vec<f32> {
+        fs::read(path).expect("there").as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect()
+    };
+    let mut paths: Vec<_> = fs::read_dir(folder).expect("there").map(|entry| entry.expect("an entry").path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|extension| extension == "onnx" || extension == "zip"));
+    paths.sort();
+    for path in paths {
+        let beside = |what: &str| numbers(&PathBuf::from(format!("{}.{what}", path.display())));
+        let (inputs, answers) = (beside("inputs"), beside("answers"));
+        let answers: Vec<f64> = answers.into_iter().map(f64::from).collect();
+        let difference = largest_difference(&path, &inputs, &answers);
+        println!("{}: {} answers, {difference:.2e}", path.display(), answers.len());
+        assert!(difference <= 1e-5);
+    }
+}
+
+fn kind(name: &str) -> ControllerKind {
+    NamedController::find(name, &corpus()).unwrap_or_else(|error| panic!("{error}")).kind
+}
+
+fn draws(count: u64) -> Vec<Scenario> {
+    (0..count).map(|index| PaperDistribution { seed: 20 }.draw(index).unwrap()).collect()
+}
+
+fn together(scenarios: &[Scenario], kinds: &[ControllerKind]) -> Vec<Simulated> {
+    let run = |(index, scenario): (usize, _)| {
+        Run::new(scenario, RunOptions::new(kinds[index % kinds.len()].clone())).unwrap()
+    };
+    let runs: Vec<_> = scenarios.iter().enumerate().map(run).collect();
+    simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated)
+}
+
+#[test]
+fn the_reference_policy_written_as_onnx_drives_to_the_same_bits() {
+    let (own, outside) = (ControllerKind::from(Policy::reference()), kind("reference.onnx"));
+    let scenarios = draws(300);
+    assert_eq!(together(&scenarios, slice::from_ref(&own)), together(&scenarios, slice::from_ref(&outside)));
+    for scenario in &scenarios[..20] {
+        let alone = |kind: &ControllerKind| {
+            simulate(&Run::new(scenario, RunOptions::new(kind.clone())).unwrap(), RecordingLevel::Trace)
+        };
+        assert_eq!(alone(&own), alone(&outside));
+    }
+    assert_ne!(own.identity(), outside.identity());
+}
+
+/// Whatever stands beside it in a block, with memory of its last decisions or without.
+#[test]
+fn outside_networks_in_lockstep_drive_as_alone() {
+    let kinds = ["stacked.toml", "acc.toml", "a2c.toml", "sac-gsde.zip", "leaky-40-clip.onnx"].map(kind);
+    let scenarios = draws(100);
+    for (index, simulated) in together(&scenarios, &kinds).into_iter().enumerate() {
+        let run = Run::new(&scenarios[index], RunOptions::new(kinds[index % kinds.len()].clone())).unwrap();
+        assert_eq!(simulate(&run, RecordingLevel::Trace), simulated, "run {index}");
+    }
+}
+
+const FOLLOWING: &str = r#"version = 1
+name = "following"
+duration_s = 60.0
+
+[[vehicles]]
+class = "light"
+position_m = 60.0
+speed_mps = 20.0
+driver.brake-to-speed = { onset_s = 10.0, rate_mps2 = 1.0, final_speed_mps = 12.0 }
+
+[[vehicles]]
+class = "light"
+position_m = 0.0
+speed_mps = 24.0
+driver = "under-test"
+"#;
+
+/// The law that it imitates keeps 10 m and 1.4 s; so it is a controller, and not only numbers that agree.
+#[test]
+fn the_network_of_the_arch_benchmarks_shape_follows() {
+    let scenario = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
+    let run = Run::new(&scenario, RunOptions::new(kind("acc.toml"))).unwrap();
+    let min_gap_m = simulate(&run, RecordingLevel::Summary).vehicles[1].min_gap_m.expect("a vehicle ahead");
+    assert!((10.0..26.8).contains(&min_gap_m), "{min_gap_m}");
+}
+
+/// A vehicle that is not under test drives as the same controller would if it were; written elsewhere, the scenario finds it
+/// still, and refuses another in its place.
+#[test]
+fn scenario_files_take_drivers_from_files() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["acc-5x20.onnx", "acc.toml"] {
+        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+    }
+    let text = FOLLOWING.replace("\"under-test\"", "{ file = { path = \"acc.toml\" } }");
+    let path = folder.path().join("following.toml");
+    fs::write(&path, &text).unwrap();
+    let scenario = file::load(&path).unwrap_or_else(|error| panic!("{error}"));
+    let under_test = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
+    let truth = |controller: ControllerKind| {
+        RunOptions::new(controller).with_estimator(crumple_world::observation::EstimatorKind::Truth)
+    };
+    let run = |scenario, controller| simulate(&Run::new(scenario, truth(controller)).unwrap(), RecordingLevel::Trace);
+    let driven = run(&scenario, kind("reference.onnx"));
+    assert_eq!(driven, run(&under_test, kind("acc.toml")));
+    let batch = [Run::new(&scenario, truth(kind("ppo.zip"))).unwrap()];
+    assert_eq!(simulate_batch(&batch, RecordingLevel::Trace, |_, simulated| simulated), [driven]);
+
+    let written = file::to_toml(&scenario).unwrap();
+    let again = file::from_toml(&written, Path::new("elsewhere/following.toml")).unwrap();
+    assert_eq!(again, scenario);
+    assert_eq!(file::to_toml(&again).unwrap(), written);
+    let controller = fs::read_to_string(corpus().join("acc.toml")).unwrap();
+    fs::write(folder.path().join("acc.toml"), controller.replace("1.4 #", "1.5 #")).unwrap();
+    let error = file::from_toml(&written, &path).expect_err("another controller").to_string();
+    assert!(error.contains("vehicles[1].driver.file.path: ") && error.contains("is wanted"), "{error}");
+    let error = file::from_toml(&text.replace("acc.toml", "none.toml"), &path).expect_err("no file").to_string();
+    assert!(error.contains("following.toml:15: vehicles[1].driver.file.path: there is no file"), "{error}");
+}
+
+/// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
+#[test]
+fn the_schema_of_controller_files_is_committed() {
+    assert_committed("crates/world/src/scenario/controller.schema.json", &controller_file_schema());
+}
+
+#[test]
+fn the_controller_files_of_the_corpus_follow_the_schema() {
+    let schema = controller_file_schema();
+    for name in ["acc.toml", "stacked.toml", "a2c.toml"] {
+        let file: serde_json::Value = toml::from_str(&fs::read_to_string(corpus().join(name)).unwrap()).unwrap();
+        validate(&schema, &schema, &file, name).unwrap();
+    }
+}
+
+#[test]
+fn what_decides_how_a_network_drives_is_its_identity() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::copy(corpus().join("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
+    let text = fs::read_to_string(corpus().join("acc.toml")).unwrap();
+    let identity = |text: &str| {
+        fs::write(folder.path().join("a.toml"), text).unwrap();
+        NamedController::find("a.toml", folder.path()).unwrap().identity_beside_name().expect("not said by its name")
+    };
+    let own = identity(&text);
+    assert_eq!(Some(&own), kind("acc.toml").identity().as_ref());
+    assert_eq!(own, identity(&format!("# a comment\n{text}")));
+    for (was, is) in [("1.4 #", "1.5 #"), ("-7.5", "-7.25"), ("interval_s = 0.1", "interval_s = 0.2")] {
+        assert_ne!(own, identity(&text.replacen(was, is, 1)), "{is}");
+    }
+}
+
+#[test]
+fn controller_files_are_refused_by_file_line_and_field() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::copy(corpus().join("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
+    let text = fs::read_to_string(corpus().join("acc.toml")).unwrap();
+    let cases = [
+        ("version = 1", "version = 2", "a.toml:2: version: version 2 is not supported"),
+        ("interval_s = 0.1", "interval_s = 0", "a.toml:4: decision_interval_s: must be positive, found 0"),
+        ("interval_s = 0.1", "interval = 0.1", "a.toml:4: decision_interval: unknown field"),
+        ("constant = 1.4", "constant = nan", "a.toml:10: inputs[1].constant: must be a finite number"),
+        (
+            "constant = 1.4",
+            "constant = 1.4\nquantity = \"speed_mps\"",
+            "a.toml:10: inputs[1].constant: an input is a quantity or",
+        ),
+        ("constant = 1.4", "scale = 2.0", "a.toml:9: inputs[1]: says neither a quantity nor a constant"),
+        ("\"speed_mps\"", "\"speed\"", "a.toml:13: inputs[2].quantity: unknown variant `speed`"),
+        ("low = 0.0\nhigh = 50.0", "scale = 0.0", "a.toml:14: inputs[2].scale: must not be 0"),
+        ("high = 50.0", "high = -1.0", "a.toml:14: inputs[2].low: must not be above high"),
+        ("high = 50.0", "absent = 1.0", "a.toml:15: inputs[2].absent: is for what is seen of another vehicle"),
+        ("[output]", "[[inputs]]\nconstant = 1\n[output]", "inputs: there are 6, and the network takes 5 numbers"),
+        ("[output]", "[output]\nanswer = 1", "a.toml:30: output.answer: must be below 1"),
+        ("high_mps2 = 3.0", "high_mps2 = -9", "a.toml:30: output.low_mps2: must be below high_mps2"),
+        ("acc-5x20.onnx", "none.onnx", "none.onnx: No such file"),
+        ("acc-5x20.onnx", "a.toml", "a network's file ends in .onnx, or in .zip"),
+    ];
+    for (was, is, said) in cases {
+        assert!(text.contains(was), "{was}");
+        fs::write(folder.path().join("a.toml"), text.replacen(was, is, 1)).unwrap();
+        let error = NamedController::find("a.toml", folder.path()).expect_err(is).to_string();
+        assert!(error.contains(said), "{error}\n  should say\n{said}");
+    }
+}
+
+#[test]
+fn networks_that_need_a_controller_file_say_so() {
+    let refused = |name: &str| NamedController::find(name, &corpus()).expect_err(name).to_string();
+    for (name, said) in [
+        ("acc-5x20.onnx", "it makes 1 of 5 numbers"),
+        ("a2c.zip", "nothing in it keeps its answer from -1 to 1"),
+        ("normalised-64-64-64.onnx", ""),
+    ] {
+        if said.is_empty() {
+            kind(name);
+        } else {
+            let error = refused(name);
+            assert!(error.contains(said) && error.contains("docs/controllers.md"), "{error}");
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    fs::copy(corpus().join("sac-gsde.zip"), folder.path().join("m.zip")).unwrap();
+    assert!(NamedController::find("m.zip", folder.path()).is_ok());
+    fs::write(folder.path().join("vecnormalize.pkl"), "").unwrap();
+    let error = NamedController::find("m.zip", folder.path()).expect_err("normalised").to_string();
+    assert!(error.contains("beside it lies `vecnormalize.pkl`"), "{error}");
+}
+
+/// Runs an example of `examples/controllers` where Python has what it needs; whether it did.
+fn example(script: &str, needs: &str, arguments: &[&str], folder: &Path) -> bool {
+    let python = |arguments: &[&str]| {
+        let mut python = std::process::Command::new("python3");
+        python.args(arguments).current_dir(folder).env("PYTHONDONTWRITEBYTECODE", "1").output()
+    };
+    if !python(&["-c", &format!("import {needs}")]).is_ok_and(|found| found.status.success()) {
+        println!("skipped {script}: python3 has not all of {needs}");
+        return false;
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/controllers").join(script);
+    let done = python(&[&[script.to_str().unwrap()], arguments].concat()).unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    true
+}
+
+#[test]
+fn the_examples_make_controllers() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenario = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
+    let drive = |name: &str| {
+        let controller = NamedController::find(name, folder.path()).unwrap_or_else(|error| panic!("{error}"));
+        simulate(&Run::new(&scenario, RunOptions::new(controller.kind)).unwrap(), RecordingLevel::Summary).outcome
+    };
+    if example("export_onnx.py", "torch, onnx, onnxscript", &["follower.onnx"], folder.path()) {
+        assert!(drive("follower.onnx").is_safe());
+    }
+    if example("train_sb3.py", "stable_baselines3", &["follower.zip", "150"], folder.path()) {
+        drive("follower.zip");
+    }
+}
+
+/// A campaign goes on with the network that began it, whatever its file is called meanwhile, and with no other.
+#[test]
+fn a_campaign_goes_on_by_the_identity_of_a_network() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["acc-5x20.onnx", "acc.toml"] {
+        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+    }
+    let campaign = |resume: &[&str]| {
+        let asked = ["falsify", "--controller", "acc.toml", "--space", "high-risk", "--budget", "30", "--out", "out"];
+        crumple(folder.path(), &[&asked, resume].concat())
+    };
+    let first = campaign(&[]);
+    assert!(first.status.success() || code(&first) == 1, "{}", String::from_utf8_lossy(&first.stderr));
+    let summary = fs::read(folder.path().join("out/summary.json")).unwrap();
+    assert_eq!(code(&campaign(&["--resume"])), code(&first));
+    assert_eq!(fs::read(folder.path().join("out/summary.json")).unwrap(), summary);
+    let text = fs::read_to_string(corpus().join("acc.toml")).unwrap();
+    fs::write(folder.path().join("acc.toml"), text.replace("1.4 #", "1.5 #")).unwrap();
+    let other = campaign(&["--resume"]);
+    assert_eq!(code(&other), 2, "{}", String::from_utf8_lossy(&other.stderr));
+}
+
+/// What lies beside a report makes the same controllers, so that its commands show what it says.
+#[test]
+fn a_report_of_networks_can_be_replayed_from_its_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["ppo.zip", "acc-5x20.onnx", "acc.toml"] {
+        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+    }
+    let config = "version = 1\ncontrollers = [\"baseline\", \"ppo.zip\", \"shield:acc.toml\"]\ndraws = 20\n\
+                  search = { spaces = [\"paper\"], budget = 20 }\n";
+    fs::write(folder.path().join("a.toml"), config).unwrap();
+    let assessed = crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
+    assert_eq!(code(&assessed), 0, "{}", String::from_utf8_lossy(&assessed.stderr));
+    let report = folder.path().join("report");
+    let there = |name: &str| {
+        let identity = kind(name).identity().unwrap();
+        let path = format!("controllers/{}.toml", &identity[..16]);
+        assert_eq!(NamedController::find(&path, &report).unwrap().kind.identity(), Some(identity));
+        path
+    };
+    let words = [there("ppo.zip"), there("acc.toml")];
+    let replay = fs::read_to_string(report.join("replay.sh")).unwrap();
+    assert!(words.iter().all(|word| replay.contains(word)), "{replay}");
+}
+
+/// Cut off, with bits turned over, with lengths and counts that lie: one clear error or a network, and soon. `DAMAGES` says how
+/// many of each kind.
+#[test]
+fn damaged_files_are_refused_and_nothing_worse() {
+    let damages: usize = std::env::var("DAMAGES").map_or(150, |count| count.parse().expect("a number"));
+    let mut stream = Xoshiro256PlusPlus::seed_from_u64(20);
+    for file in ["reference.onnx", "acc-5x20.onnx", "leaky-40-clip.onnx", "ppo.zip", "sac.zip", "td3.zip"] {
+        let whole = fs::read(corpus().join(file)).unwrap();
+        let read = |bytes: &[u8]| {
+            let begun = Instant::now();
+            let read =
+                if file.ends_with("onnx") { NetworkFile::from_onnx(bytes) } else { NetworkFile::from_sb3(bytes) };
+            assert!(begun.elapsed() < Duration::from_secs(1), "{file}");
+            if let Err(error) = &read {
+                let said = error.to_string();
+                assert!(said.len() < 1000 && !said.chars().any(char::is_control), "{said:?}");
+            }
+            read.is_err()
+        };
+        assert!(!read(&whole));
+        let mut refused = 0;
+        for _ in 0..damages {
+            assert!(read(&whole[..stream.random_range(0..whole.len())]), "{file} cut off");
+            let (mut turned, mut lies) = (whole.clone(), whole.clone());
+            // What says how long and how many there is stands at the start of an ONNX file, at the end of an archive.
+            let near = if file.ends_with("onnx") { 0..200 } else { whole.len() - 900..whole.len() };
+            turned[stream.random_range(0..whole.len())] ^= 1 << stream.random_range(0..8);
+            lies[stream.random_range(near)] = [0x00, 0x7f, 0x80, 0xff][stream.random_range(0..4)];
+            refused += usize::from(read(&turned)) + usize::from(read(&lies));
+        }
+        println!("{file}: {refused} of {} changed files refused", 2 * damages);
+    }
+}
