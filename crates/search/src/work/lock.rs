@@ -14,7 +14,7 @@ const LOCK: &str = "work.lock";
 #[derive(Debug)]
 pub(super) struct Lock {
     /// Holds the lock of the operating system.
-    _file: File,
+    file: File,
 }
 
 impl Lock {
@@ -22,10 +22,18 @@ impl Lock {
     pub(super) fn of(folder: &Path) -> Result<Option<Self>, DiskError> {
         let (file, path) = opened(folder)?;
         match file.try_lock() {
-            Ok(()) => Ok(Some(Self { _file: file })),
+            Ok(()) => Ok(Some(Self { file })),
             Err(TryLockError::WouldBlock) => Ok(None),
             Err(TryLockError::Error(source)) => Err(DiskError::at(&path)(source)),
         }
+    }
+}
+
+impl Drop for Lock {
+    /// Closing would not be enough: a child that another thread is starting holds the file open until it is another program.
+    fn drop(&mut self) {
+        // Nothing can be done if it fails, and the end of the process releases it at the latest.
+        let _ = self.file.unlock();
     }
 }
 
@@ -42,6 +50,7 @@ fn opened(folder: &Path) -> Result<(File, PathBuf), DiskError> {
 pub fn exclusively<T, E: From<DiskError>>(folder: &Path, work: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
     let (file, path) = opened(folder)?;
     file.lock().map_err(DiskError::at(&path))?;
+    let _lock = Lock { file };
     work()
 }
 
@@ -54,7 +63,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let lock = Lock::of(folder.path()).unwrap().unwrap();
         assert!(Lock::of(folder.path()).unwrap().is_none());
+        // As a child has it that is about to become another program.
+        let held = lock.file.try_clone().unwrap();
         drop(lock);
         assert!(Lock::of(folder.path()).unwrap().is_some());
+        drop(held);
     }
 }
