@@ -1,11 +1,12 @@
 //! `crumple fsck`: is what lies in a folder of work what was written there?
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::{Failure, output};
-use crumple_search::work::{Examined, Restored, examine, restore};
+use crumple_search::work::{Examined, MANIFEST, Restored, examine, restore};
 use crumple_world::quoted::Terminal;
 
 /// Look at folders of work: is every file what was written there?
@@ -24,7 +25,7 @@ Examples:
   crumple fsck runs/baseline
   crumple fsck --restore runs/seed-3")]
 pub(super) struct Fsck {
-    /// Folders of campaigns, counts, trainings (a folder a seed) and retrainings
+    /// Folders of campaigns, counts, trainings and retrainings
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
     /// Go back to what was kept, where something is damaged
@@ -35,7 +36,8 @@ pub(super) struct Fsck {
 impl Fsck {
     pub(super) fn run(self) -> Result<(), Failure> {
         let (mut text, mut damaged) = (String::new(), Vec::new());
-        for folder in &self.folders {
+        for folder in self.folders.iter().flat_map(|folder| seeds_in(folder)) {
+            let folder = &folder;
             let restored = if self.restore { restore(folder)? } else { None };
             text += &restored.map_or_else(String::new, |restored| back(folder, &restored));
             let found = examine(folder)?;
@@ -52,6 +54,17 @@ impl Fsck {
     }
 }
 
+/// The folders of work in a folder of trainings, one a seed; of any other, itself.
+fn seeds_in(folder: &Path) -> Vec<PathBuf> {
+    let is_seed = |path: &PathBuf| {
+        path.is_dir() && path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("seed-"))
+    };
+    let inner = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut seeds: Vec<PathBuf> = inner.filter(is_seed).collect();
+    seeds.sort_unstable();
+    if seeds.is_empty() || folder.join(MANIFEST).exists() { vec![folder.to_owned()] } else { seeds }
+}
+
 /// What was done to go back.
 fn back(folder: &Path, restored: &Restored) -> String {
     let files = if restored.restored.is_empty() { "nothing else".to_owned() } else { restored.restored.join(", ") };
@@ -60,8 +73,10 @@ fn back(folder: &Path, restored: &Restored) -> String {
 }
 
 fn described(folder: &Path, found: &Examined) -> String {
+    let is_damaged = found.files.iter().any(|(_, state)| state.is_err());
     let state = match (found.complete, found.is_of_this_build) {
         (true, _) => "complete",
+        (false, true) if is_damaged => "half done",
         (false, true) => "half done, --resume goes on with it",
         (false, false) => "half done by another build of crumple, which alone goes on with it",
     };
@@ -77,7 +92,7 @@ fn described(folder: &Path, found: &Examined) -> String {
             text += &format!("  {}: {problem}\n", Terminal(name));
         }
     }
-    if found.files.iter().any(|(_, state)| state.is_err()) {
+    if is_damaged {
         text += if found.can_be_restored {
             "  --restore goes back to what was kept before that\n"
         } else {
@@ -85,7 +100,10 @@ fn described(folder: &Path, found: &Examined) -> String {
         };
     }
     for name in &found.growing {
-        text += &format!("  {}: has checks of its own, made when the work goes on\n", Terminal(name));
+        text += &format!(
+            "  {}: not looked at here: its records have checks of their own, made when the work goes on\n",
+            Terminal(name)
+        );
     }
     text
 }

@@ -148,11 +148,23 @@ pub fn finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Vec<(Se
     for entry in fs::read_dir(out).map_err(DiskError::at(out))? {
         let name = entry.map_err(DiskError::at(out))?.file_name();
         let seed = name.to_str().and_then(|name| name.strip_prefix("seed-")?.parse::<u64>().ok());
-        seeds.extend(seed.filter(|&seed| seed_folder(out, seed).join(MANIFEST).is_file()));
+        seeds.extend(seed.filter(|&seed| seed_folder(out, seed).is_dir()));
     }
     seeds.sort_unstable();
     let mut finished = Vec::new();
     for seed in seeds {
+        let (folder, manifest) = (seed_folder(out, seed), seed_folder(out, seed).join(MANIFEST));
+        if !manifest.exists() {
+            // Another process may be about to begin there.
+            match fs::read_dir(&folder)
+                .map_err(DiskError::at(&folder))?
+                .flatten()
+                .any(|entry| entry.path().extension().is_some_and(|kind| kind == "safetensors"))
+            {
+                true => return Err(WorkError::missing(&manifest).into()),
+                false => continue,
+            }
+        }
         let work = match opened(out, config, seed, true) {
             Err(TrainingError::Work(WorkError::InUse { .. } | WorkError::OtherBuild { .. })) => continue,
             work => work?,

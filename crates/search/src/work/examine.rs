@@ -1,11 +1,12 @@
 //! Looking at work without changing it.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
 use super::lock::Lock;
 use super::manifest::Manifest;
-use super::{MANIFEST, WorkError, generation};
-use crate::{disk, program};
+use super::{MANIFEST, UNKNOWN, WorkError, generation};
+use crate::program;
 
 /// What is found in a folder of work that is only looked at.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -43,7 +44,14 @@ pub fn examine(folder: &Path) -> Result<Examined, WorkError> {
     let path = folder.join(MANIFEST);
     let found = Manifest::read(&path).and_then(|found| found.ok_or_else(|| WorkError::missing(&path)));
     let manifest = found.map_err(|error| generation::hinted(folder, error))?;
-    if Lock::of(folder)?.is_none() {
+    // What cannot be written cannot be at work.
+    let is_free = match Lock::of(folder) {
+        Err(error) if matches!(error.source.kind(), ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied) => {
+            true
+        }
+        lock => lock?.is_some(),
+    };
+    if !is_free {
         return Err(WorkError::InUse { folder: folder.to_owned(), kind: manifest.kind });
     }
     let found = examined(folder, &manifest)?;
@@ -54,11 +62,18 @@ pub fn examine(folder: &Path) -> Result<Examined, WorkError> {
 /// What is found of a manifest's files.
 pub(super) fn examined(folder: &Path, manifest: &Manifest) -> Result<Examined, WorkError> {
     let state = |name: String| -> Result<_, WorkError> {
-        let bytes = disk::read(&folder.join(&name))?;
-        Ok((name.clone(), manifest.check(&name, bytes.as_deref())))
+        match manifest.contents(folder, &name) {
+            Ok(bytes) => Ok((name.clone(), manifest.check(&name, bytes.as_deref()))),
+            Err(WorkError::Damaged { problem, .. }) => Ok((name, Err(problem))),
+            Err(other) => Err(other),
+        }
     };
     let (growing, whole): (Vec<_>, Vec<_>) = manifest.names().into_iter().partition(|name| manifest.grows(name));
     let mut files = whole.into_iter().map(state).collect::<Result<Vec<_>, _>>()?;
+    for stranger in manifest.strangers(folder)? {
+        let name = stranger.strip_prefix(folder).unwrap_or(&stranger).to_string_lossy().into_owned();
+        files.push((name, Err(UNKNOWN.to_owned())));
+    }
     for included in manifest.included() {
         let found = match examine(&folder.join(&included)) {
             Err(WorkError::Damaged { .. }) => continue, // Its manifest is one of the files above.

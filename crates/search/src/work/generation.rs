@@ -9,7 +9,7 @@ use super::{MANIFEST, WorkError};
 use crate::disk::{self, DiskError};
 
 /// The folder of the generation before.
-const PREVIOUS: &str = "previous";
+pub(super) const PREVIOUS: &str = "previous";
 
 /// Where a file is kept as it was before.
 pub(super) fn before(name: &str) -> String {
@@ -90,7 +90,7 @@ fn plan(folder: &Path) -> Result<Option<Plan>, WorkError> {
     let mut files = Vec::new();
     for (from, to) in sources {
         let path = folder.join(&from);
-        let bytes = disk::read(&path)?;
+        let bytes = manifest.contents(folder, &from)?;
         manifest.check(&from, bytes.as_deref()).map_err(|problem| WorkError::damaged(&path, problem))?;
         files.extend(bytes.map(|bytes| (to, bytes)));
     }

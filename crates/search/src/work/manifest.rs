@@ -1,7 +1,9 @@
 //! What a folder of work holds.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -46,6 +48,15 @@ impl FileState {
         Self::Whole { bytes: contents.len() as u64, sha256: sha256(contents) }
     }
 
+    /// Bytes of a file in this state, at most.
+    fn bytes(&self) -> u64 {
+        match self {
+            Self::Absent => 0,
+            Self::Growing => u64::MAX,
+            Self::Whole { bytes, .. } => *bytes,
+        }
+    }
+
     /// Whether a file of these bytes, or none, is in this state.
     fn is(&self, found: Option<&[u8]>) -> bool {
         match (self, found) {
@@ -55,6 +66,23 @@ impl FileState {
             (Self::Whole { sha256: expected, .. }, Some(found)) => sha256(found) == *expected,
             (Self::Whole { .. }, None) => false,
         }
+    }
+}
+
+/// The longest manifest that is read: that of ten thousand files is not a tenth of it.
+const MOST_BYTES: u64 = 64 << 20;
+
+/// The bytes of a regular file of at most so many; none if there is none. What is longer, or a link, a folder or a pipe in its place, is
+/// not what was written, and is not read.
+fn regular(path: &Path, most: u64) -> Result<Option<Vec<u8>>, WorkError> {
+    match fs::symlink_metadata(path) {
+        Ok(found) if !found.is_file() => {
+            Err(WorkError::damaged(path, "no file of its own: work is kept in plain files"))
+        }
+        Ok(found) if found.len() > most => Err(WorkError::damaged(path, "not as it was written: longer than it was")),
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+        Err(source) => Err(DiskError::at(path)(source).into()),
+        Ok(_) => Ok(disk::read(path)?),
     }
 }
 
@@ -72,7 +100,7 @@ impl Manifest {
 
     /// The manifest in a file; none if there is no such file.
     pub(super) fn read(path: &Path) -> Result<Option<Self>, WorkError> {
-        let Some(bytes) = disk::read(path)? else { return Ok(None) };
+        let Some(bytes) = regular(path, MOST_BYTES)? else { return Ok(None) };
         let damaged = |problem: String| WorkError::damaged(path, problem);
         let found: Self = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
         if found.version != VERSION {
@@ -105,12 +133,54 @@ impl Manifest {
         with(sha256(with(String::new())?))
     }
 
+    /// The bytes of a file, unless it cannot be what was written; none if there is no such file.
+    pub(super) fn contents(&self, folder: &Path, name: &str) -> Result<Option<Vec<u8>>, WorkError> {
+        let path = folder.join(name);
+        let longest = |states: &Vec<FileState>| states.iter().map(FileState::bytes).max();
+        match self.files.get(name).and_then(longest) {
+            Some(longest) => regular(&path, longest),
+            None if path.symlink_metadata().is_ok() => Err(WorkError::damaged(&path, UNKNOWN)),
+            None => Ok(None),
+        }
+    }
+
     pub(super) fn names(&self) -> Vec<String> {
         self.files.keys().cloned().collect()
     }
 
     pub(super) fn knows(&self, name: &str) -> bool {
         self.files.contains_key(name)
+    }
+
+    /// Files in the folders of the work of which it knows nothing, and folders that are none of its own. In the first folder anything
+    /// may lie beside the work.
+    pub(super) fn strangers(&self, root: &Path) -> Result<Vec<PathBuf>, DiskError> {
+        let mut strangers = Vec::new();
+        for folder in self.folders().into_iter().filter(|folder| !self.includes(folder)) {
+            let place = root.join(folder);
+            if place.is_symlink() {
+                strangers.push(place);
+                continue;
+            }
+            let is_known = |path: &PathBuf| {
+                let name = path.strip_prefix(root).map(|name| name.to_string_lossy().into_owned());
+                name.is_ok_and(|name| self.knows(&name)) || *path == generation::manifest_in(root)
+            };
+            strangers
+                .extend(files_in(&place)?.into_iter().filter(|path| !is_known(path) && !disk::is_unfinished(path)));
+        }
+        Ok(strangers)
+    }
+
+    /// What a process that was ended had not finished.
+    pub(super) fn unfinished(&self, root: &Path) -> Result<Vec<PathBuf>, DiskError> {
+        let mut unfinished = Vec::new();
+        // The second manifest is written before anything is known to be there.
+        let folders = ["", generation::PREVIOUS].into_iter().chain(self.folders());
+        for folder in folders.filter(|folder| !self.includes(folder)).collect::<BTreeSet<_>>() {
+            unfinished.extend(files_in(&root.join(folder))?.into_iter().filter(|path| disk::is_unfinished(path)));
+        }
+        Ok(unfinished)
     }
 
     /// What a file was last said to be, if it is there as a whole.
@@ -199,4 +269,22 @@ impl Manifest {
             self.files.remove(name);
         }
     }
+}
+
+/// The files in a folder, in order; none if there is no such folder.
+pub(super) fn files_in(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
+    let entries = match fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(source) => return Err(DiskError::at(folder)(source)),
+    };
+    let mut files = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(DiskError::at(folder))?.path();
+        if !path.is_dir() {
+            files.push(path);
+        }
+    }
+    files.sort_unstable();
+    Ok(files)
 }

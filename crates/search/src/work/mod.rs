@@ -30,7 +30,7 @@ use crate::disk::{self, DiskError};
 use crate::program::{self, OTHER_BUILD};
 use crumple_world::digest::{Sha256, sha256};
 use lock::Lock;
-use manifest::{FileState, Manifest};
+use manifest::{FileState, Manifest, files_in};
 
 /// The file that says what the others are.
 pub const MANIFEST: &str = "work.json";
@@ -194,9 +194,10 @@ impl Work {
     /// # Errors
     /// [`WorkError::Damaged`] if they are not what was written.
     pub fn read(&self, name: &str) -> Result<Option<Vec<u8>>, WorkError> {
-        let path = self.path(name);
-        let bytes = disk::read(&path)?;
-        self.locked().check(name, bytes.as_deref()).map_err(|problem| WorkError::damaged(&path, problem))?;
+        let manifest = self.locked();
+        let bytes = manifest.contents(&self.folder, name)?;
+        let damaged = |problem| WorkError::damaged(&self.path(name), problem);
+        manifest.check(name, bytes.as_deref()).map_err(damaged)?;
         Ok(bytes)
     }
 
@@ -267,33 +268,30 @@ impl Work {
         let folder = name.rsplit_once('/').map(|(folder, _)| folder);
         match folder.filter(|folder| !manifest.folders().contains(folder)) {
             None => Ok(()),
-            Some(folder) => match files_in(&self.path(folder))?.iter().find(|path| !self.is_second_manifest(path)) {
-                Some(left_over) => Err(WorkError::damaged(left_over, UNKNOWN)),
-                None => Ok(()),
-            },
+            Some(folder) => {
+                match files_in(&self.path(folder))?.iter().find(|path| **path != generation::manifest_in(&self.folder))
+                {
+                    Some(left_over) => Err(WorkError::damaged(left_over, UNKNOWN)),
+                    None => Ok(()),
+                }
+            }
         }
     }
 
     /// Finds out how far the last change came, and that everything else is as it was written.
     fn settle(&self) -> Result<(), WorkError> {
         let mut manifest = self.locked();
-        for folder in std::iter::once("").chain(manifest.folders()).filter(|folder| !manifest.includes(folder)) {
-            let files = files_in(&self.path(folder))?;
-            let name =
-                |path: &Path| path.strip_prefix(&self.folder).is_ok_and(|name| manifest.knows(&name.to_string_lossy()));
-            for path in files {
-                if disk::is_unfinished(&path) {
-                    disk::remove(&[path])?;
-                } else if !folder.is_empty() && !name(&path) && !self.is_second_manifest(&path) {
-                    return Err(WorkError::damaged(&path, UNKNOWN));
-                }
-            }
+        for path in manifest.unfinished(&self.folder)? {
+            disk::remove(&[path])?;
+        }
+        if let Some(stranger) = manifest.strangers(&self.folder)?.first() {
+            return Err(WorkError::damaged(stranger, UNKNOWN));
         }
         // What checks its own records may be larger than memory, and is read by who does so.
         for name in manifest.names().into_iter().filter(|name| !manifest.grows(name)).collect::<Vec<_>>() {
-            let path = self.path(&name);
-            let bytes = disk::read(&path)?;
-            manifest.settle(&name, bytes.as_deref()).map_err(|problem| WorkError::damaged(&path, problem))?;
+            let bytes = manifest.contents(&self.folder, &name)?;
+            let damaged = |problem| WorkError::damaged(&self.path(&name), problem);
+            manifest.settle(&name, bytes.as_deref()).map_err(damaged)?;
         }
         for folder in manifest.included() {
             let folder = self.path(&folder);
@@ -302,32 +300,10 @@ impl Work {
         Ok(())
     }
 
-    fn is_second_manifest(&self, path: &Path) -> bool {
-        path == generation::manifest_in(&self.folder)
-    }
-
     fn locked(&self) -> std::sync::MutexGuard<'_, Manifest> {
         // Nothing is left half done under this lock, so that a panic elsewhere does not spoil it.
         self.manifest.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-/// The files in a folder, in order; none if there is no such folder.
-fn files_in(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
-    let entries = match std::fs::read_dir(folder) {
-        Ok(entries) => entries,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(source) => return Err(DiskError::at(folder)(source)),
-    };
-    let mut files = Vec::new();
-    for entry in entries {
-        let path = entry.map_err(DiskError::at(folder))?.path();
-        if !path.is_dir() {
-            files.push(path);
-        }
-    }
-    files.sort_unstable();
-    Ok(files)
 }
 
 #[cfg(test)]

@@ -184,10 +184,10 @@ fn what_is_damaged_goes_back_to_what_was_before() {
     for name in ["log", "previous/log"] {
         fs::write(folder.path().join(name), "damaged").unwrap();
     }
-    assert!(restore(folder.path()).unwrap_err().to_string().ends_with("previous/log: not as it was written"));
+    assert!(restore(folder.path()).unwrap_err().to_string().contains("previous/log: not as it was written"));
     let folder = begun(2);
     fs::write(folder.path().join("plan.json"), "damaged").unwrap();
-    assert!(restore(folder.path()).unwrap_err().to_string().ends_with("plan.json: not as it was written"));
+    assert!(restore(folder.path()).unwrap_err().to_string().contains("plan.json: not as it was written"));
 }
 
 /// Of work that lies in other work, every file and the manifest belong to both.
@@ -209,5 +209,48 @@ fn damage_in_what_is_included_is_damage() {
         assert!(open().unwrap_err().contains(&format!("rounds/01/{name}: ")));
         let seen = examine(folder.path()).unwrap().files.into_iter().find(|(_, state)| state.is_err());
         assert_eq!(seen.unwrap().0, format!("rounds/01/{name}"));
+    }
+}
+
+/// A process that ends while it writes the first manifest leaves what nobody knows of, and is in nobody's way.
+#[test]
+fn what_was_not_finished_is_cleared_away() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("previous")).unwrap();
+    for name in [".crumple-unfinished-a", "previous/.crumple-unfinished-b"] {
+        fs::write(folder.path().join(name), "{").unwrap();
+    }
+    let work = Work::open(folder.path(), ASKED).unwrap();
+    work.advance("state", "1").unwrap();
+    assert!(!folder.path().join("previous/.crumple-unfinished-b").exists());
+}
+
+/// What is longer than it was, a link, a pipe or a folder in the place of a file, and files beside those of a folder: none is read, and an
+/// examination names them all.
+#[cfg(unix)]
+#[test]
+fn what_cannot_be_what_was_written_is_not_even_read() {
+    let replaced: [fn(&Path); 4] = [
+        |path| fs::File::create(path).unwrap().set_len(1 << 40).unwrap(),
+        |path| std::os::unix::fs::symlink("/dev/zero", path).unwrap(),
+        |path| fs::create_dir(path).unwrap(),
+        |path| assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success()),
+    ];
+    for name in [MANIFEST, "a.json", "deep/b.json", "deep/left-over.json"] {
+        for replace in replaced {
+            let folder = worked();
+            let path = folder.path().join(name);
+            let _ = fs::remove_file(&path);
+            replace(&path);
+            if name.ends_with("left-over.json") && path.is_dir() {
+                continue;
+            }
+            let said = Work::open(folder.path(), ASKED).err().unwrap().to_string();
+            assert!(said.contains(name), "{name}: {said}");
+            match examine(folder.path()) {
+                Ok(seen) => assert!(seen.files.iter().any(|(file, state)| file == name && state.is_err()), "{name}"),
+                Err(error) => assert!(error.to_string().contains(name)),
+            }
+        }
     }
 }

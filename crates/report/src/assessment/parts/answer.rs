@@ -11,6 +11,7 @@ use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::prose::prose;
 use crate::assessment::{AssessmentPlan, Part};
 use crate::draw::Svg;
+use crumple_world::quoted::Terminal;
 
 /// The answer to the question whether the subject touches others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
@@ -216,10 +217,10 @@ impl FirstPage {
     #[must_use]
     pub fn plain(&self) -> String {
         let list = |head: &str, lines: &[String]| {
-            let lines: String = lines.iter().map(|line| format!("  {line}\n")).collect();
+            let lines: String = lines.iter().map(|line| format!("  {}\n", Terminal(line))).collect();
             if lines.is_empty() { String::new() } else { format!("{head}\n{lines}") }
         };
-        let text = format!("{}\n{}\n", self.question, self.words);
+        let text = format!("{}\n{}\n", Terminal(&self.question), Terminal(&self.words));
         text + &list("against it:", &self.against) + &list("for it:", &self.speaks_for)
     }
 }
