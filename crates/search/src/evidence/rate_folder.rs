@@ -31,10 +31,14 @@ pub enum RateFolderError {
     #[error(transparent)]
     Run(#[from] RateError),
     /// The checker does not accept what the counts would show.
-    #[error("nothing is shown by {}: {rejection}", path.display())]
+    #[error("{failures} of {runs} runs failed, and nothing is shown by {}: {rejection}", path.display())]
     Rejected {
         /// What was counted.
         path: PathBuf,
+        /// Runs that were made.
+        runs: u64,
+        /// Those that failed.
+        failures: u64,
         /// What the checker says.
         rejection: Rejection,
     },
@@ -57,8 +61,10 @@ impl RatePlan {
         let path = folder.join(REGISTRATION);
         let registration = json(&path, self.registration())?;
         let work = Work::open(folder, Asked { kind: "count", configuration: &registration, resume });
+        let found = crumple_world::scenario::file::read_at_most(&path, crumple_world::scenario::file::MOST_TOML_BYTES);
+        let is_registered = found.is_ok_and(|found| found == registration);
         let work = work.map_err(|error| match error {
-            WorkError::OtherConfiguration { .. } => RateFolderError::OtherRegistration { path },
+            WorkError::OtherConfiguration { .. } if !is_registered => RateFolderError::OtherRegistration { path },
             other => other.into(),
         })?;
         work.write(REGISTRATION, registration)?;
@@ -97,11 +103,12 @@ impl RateCount<'_> {
                 written = Instant::now();
             }
         }
-        let progress = json(&path, &self.tally)?;
+        self.work.write(PROGRESS, json(&path, &self.tally)?)?;
         let certificate = self.plan.certificate(&self.tally);
-        check(&certificate).map_err(|rejection| RateFolderError::Rejected { path, rejection })?;
+        let Tally { runs, failures, .. } = self.tally;
+        check(&certificate).map_err(|rejection| RateFolderError::Rejected { path, runs, failures, rejection })?;
         let certified = json(&self.certificate_path(), &certificate)?;
-        self.work.changes().write(PROGRESS, progress).write(CERTIFICATE, certified).commit()?;
+        self.work.write(CERTIFICATE, certified)?;
         self.work.finish()?;
         Ok(certificate)
     }
