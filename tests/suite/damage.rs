@@ -6,6 +6,7 @@ use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::Path;
 
+use crate::tiny;
 use crumple_learn::retrain::{RetrainingPlan, Settings};
 use crumple_learn::rl::{HeldOut, TrainingConfig, TrainingFolder};
 use crumple_search::evidence::{RateConfig, RatePlan};
@@ -54,27 +55,8 @@ fn count(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String>
     plan.register_in(folder, true).map_err(error)?.certificate(&mut |_| tick()).map(|_| ()).map_err(error)
 }
 
-/// A preset on tiny networks.
-fn tiny(text: &str, changes: &[(&str, &str)]) -> TrainingConfig {
-    let small = [("hidden = [64, 64, 64]", "hidden = [8, 8]")];
-    let text = small.iter().chain(changes).fold(text.to_owned(), |text, (from, to)| {
-        assert!(text.contains(from), "{from}");
-        text.replace(from, to)
-    });
-    TrainingConfig::parse(&text).unwrap()
-}
-
 fn training(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
-    let changes = [
-        ("batch = 128", "batch = 8"),
-        ("random_episodes = 20", "random_episodes = 3"),
-        ("every_episodes = 5", "every_episodes = 1"),
-        ("screening_draws = 60", "screening_draws = 2"),
-        ("ranking_draws = 2000", "ranking_draws = 2"),
-        ("master_gap_m = 1.0", "master_gap_m = 0.0"),
-        ("capacity = 100000", "capacity = 200"),
-    ];
-    let mut config = tiny(include_str!("../../crates/learn/src/rl/presets/fast.toml"), &changes);
+    let mut config = TrainingConfig::parse(&tiny::forgetful(&tiny::training())).unwrap();
     config.episodes = 33;
     let error = |error: crumple_learn::rl::TrainingError| error.to_string();
     let training = TrainingFolder::open(folder, &config, seed, true).map_err(error)?;
@@ -83,19 +65,11 @@ fn training(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), Stri
 }
 
 fn retraining(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
-    let changes = [
-        ("batch = 256", "batch = 8"),
-        ("random_episodes = 200", "random_episodes = 3"),
-        ("every_episodes = 25", "every_episodes = 1"),
-        ("screening_draws = 200", "screening_draws = 2"),
-        ("ranking_draws = 1000", "ranking_draws = 6"),
-        ("capacity = 1000000", "capacity = 200"),
-    ];
     let plan = RetrainingPlan {
         first: Policy::reference(),
         first_name: "policy".to_owned(),
         space: built_in_space("high-risk").unwrap(),
-        training: tiny(include_str!("../../crates/learn/src/retrain/preset.toml"), &changes),
+        training: TrainingConfig::parse(&tiny::forgetful(&tiny::retraining())).unwrap(),
         method: Method::Uniform,
         seed,
         settings: Settings {
@@ -113,7 +87,7 @@ fn retraining(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), St
 }
 
 /// A folder, in memory where the system has such: thousands of resumptions need no disk.
-fn scratch() -> TempDir {
+pub(crate) fn scratch() -> TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
 }
 
@@ -240,12 +214,12 @@ fn goes_back(damaged: &Path, work: Working, genuine: &BTreeMap<String, Vec<u8>>,
 }
 
 /// Without what is only there while the work lasts.
-pub(crate) fn finished(files: &BTreeMap<String, Vec<u8>>) -> BTreeMap<String, Vec<u8>> {
+fn finished(files: &BTreeMap<String, Vec<u8>>) -> BTreeMap<String, Vec<u8>> {
     let kept = files.iter().filter(|(name, _)| !name.contains("previous/"));
     kept.map(|(name, bytes)| (name.clone(), bytes.clone())).collect()
 }
 
-fn assert_same(found: &BTreeMap<String, Vec<u8>>, expected: &BTreeMap<String, Vec<u8>>, what: &str) {
+pub(crate) fn assert_same(found: &BTreeMap<String, Vec<u8>>, expected: &BTreeMap<String, Vec<u8>>, what: &str) {
     let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
     let (found, expected) = (finished(found), finished(expected));
     assert_eq!(names(&found), names(&expected), "{what}");

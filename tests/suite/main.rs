@@ -34,4 +34,5 @@ mod seeds;
 mod shield;
 mod spaces;
 mod test_cases;
+mod tiny;
 mod worst_case;

@@ -194,12 +194,13 @@ pub fn sync_names_beside(path: &Path) -> Result<(), DiskError> {
     sync_folder(folder_of(path))
 }
 
-/// Removes what earlier processes left in a folder of files that they did not finish. Only while no other process writes there.
+/// Removes what earlier processes left in a folder, if there is one, of files that they did not finish. Only while no other process
+/// writes there.
 ///
 /// # Errors
 /// [`DiskError`] if the folder cannot be read or written.
 pub fn remove_unfinished(folder: &Path) -> Result<(), DiskError> {
-    for entry in fs::read_dir(folder).map_err(DiskError::at(folder))? {
+    for entry in unless_missing(fs::read_dir(folder)).map_err(DiskError::at(folder))?.into_iter().flatten() {
         let path = entry.map_err(DiskError::at(folder))?.path();
         if is_unfinished(&path) {
             remove(&[path])?;

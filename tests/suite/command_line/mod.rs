@@ -67,11 +67,7 @@ fn names_in(folder: &Path) -> Vec<String> {
 
 /// Writes a text of which each of some passages stands changed.
 fn write_changed(path: &Path, text: &str, changes: &[(&str, &str)]) {
-    let changed = changes.iter().fold(text.to_owned(), |text, (from, to)| {
-        assert!(text.contains(from), "{from}");
-        text.replace(from, to)
-    });
-    std::fs::write(path, changed).expect("writable");
+    std::fs::write(path, crate::tiny::changed(text, changes)).expect("writable");
 }
 
 const PAPERS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];

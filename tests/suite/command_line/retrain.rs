@@ -6,20 +6,8 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::falsify::assert_same;
-use super::{assert_refused, code, command, crumple, folder, killed_at_random, objects, stderr, stdout, write_changed};
-
-/// The preset of the command on tiny networks that learn at once, with a checkpoint of its training every ten episodes.
-fn write_preset(folder: &Path) {
-    let changes = [
-        ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
-        ("batch = 256", "batch = 8"),
-        ("random_episodes = 200", "random_episodes = 3"),
-        ("every_episodes = 25", "every_episodes = 1"),
-        ("screening_draws = 200", "screening_draws = 2"),
-        ("ranking_draws = 1000", "ranking_draws = 6"),
-    ];
-    write_changed(&folder.join("tiny.toml"), include_str!("../../../crates/learn/src/retrain/preset.toml"), &changes);
-}
+use super::{assert_refused, code, command, crumple, folder, killed_at_random, objects, stderr, stdout};
+use crate::tiny;
 
 const RETRAIN: [&str; 20] = [
     "retrain",
@@ -55,7 +43,7 @@ fn sha256(path: &Path) -> String {
 #[test]
 fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
     let folder = folder();
-    write_preset(folder.path());
+    fs::write(folder.path().join("tiny.toml"), tiny::retraining()).unwrap();
     let through = command(folder.path(), &retrain("through", &["--format", "json"]))
         .env("RAYON_NUM_THREADS", "1")
         .output()

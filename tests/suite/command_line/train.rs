@@ -7,20 +7,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use super::{assert_refused, code, crumple, folder, stderr, stdout, write_changed};
-
-/// The default preset on tiny networks, with a checkpoint every ten episodes and no early end.
-fn write_preset(folder: &Path) {
-    let changes = [
-        ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
-        ("batch = 128", "batch = 8"),
-        ("random_episodes = 20", "random_episodes = 3"),
-        ("every_episodes = 5", "every_episodes = 1"),
-        ("screening_draws = 60", "screening_draws = 2"),
-        ("ranking_draws = 2000", "ranking_draws = 2"),
-        ("master_gap_m = 1.0", "master_gap_m = 0.0"),
-    ];
-    write_changed(&folder.join("tiny.toml"), include_str!("../../../crates/learn/src/rl/presets/fast.toml"), &changes);
-}
+use crate::tiny;
 
 const FILES: [&str; 3] = ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"];
 
@@ -31,7 +18,7 @@ fn files(folder: &Path, out: &str, seed: u64) -> [Vec<u8>; 3] {
 #[test]
 fn a_killed_training_goes_on_to_the_same_bytes() {
     let folder = folder();
-    write_preset(folder.path());
+    fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
     let train = |out| ["train", "--preset", "tiny.toml", "--seeds", "2", "--episodes", "45", "--out", out];
     let through = crumple(folder.path(), &train("through"));
     assert_eq!(code(&through), 0, "{}", stderr(&through));
@@ -70,7 +57,7 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
 #[test]
 fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
     let folder = folder();
-    write_preset(folder.path());
+    fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
     let train = |more: &[&str]| {
         let common = ["train", "--preset", "tiny.toml", "--episodes", "6", "--out", "run"];
         crumple(folder.path(), &[&common, more].concat())
@@ -107,7 +94,7 @@ fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
 #[test]
 fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
     let folder = folder();
-    write_preset(folder.path());
+    fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
     let trained =
         crumple(folder.path(), &["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", "6", "--out", "run"]);
     assert_eq!(code(&trained), 0, "{}", stderr(&trained));

@@ -11,7 +11,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use crate::damage::{files, finished};
+use crate::damage::{assert_same, files, scratch};
+use crate::tiny;
 
 /// Calls that are tried in each way, unless `FAULTS` says otherwise.
 const TRIED: usize = 1;
@@ -20,7 +21,7 @@ const TRIED: usize = 1;
 struct Kept {
     arguments: &'static [&'static str],
     /// The preset it trains with.
-    preset: Option<(&'static str, &'static [(&'static str, &'static str)])>,
+    preset: Option<fn() -> String>,
 }
 
 const CAMPAIGN: Kept =
@@ -33,19 +34,7 @@ const COUNT: Kept = Kept {
 
 const TRAINING: Kept = Kept {
     arguments: &["train", "--preset", "tiny.toml", "--seed", "1", "--episodes", "33"],
-    preset: Some((
-        include_str!("../../../crates/learn/src/rl/presets/fast.toml"),
-        &[
-            ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
-            ("batch = 128", "batch = 8"),
-            ("random_episodes = 20", "random_episodes = 3"),
-            ("every_episodes = 5", "every_episodes = 1"),
-            ("screening_draws = 60", "screening_draws = 2"),
-            ("ranking_draws = 2000", "ranking_draws = 2"),
-            ("master_gap_m = 1.0", "master_gap_m = 0.0"),
-            ("capacity = 100000", "capacity = 200"),
-        ],
-    )),
+    preset: Some(tiny::training),
 };
 
 const RETRAINING: Kept = Kept {
@@ -70,18 +59,7 @@ const RETRAINING: Kept = Kept {
         "--seed",
         "3",
     ],
-    preset: Some((
-        include_str!("../../../crates/learn/src/retrain/preset.toml"),
-        &[
-            ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
-            ("batch = 256", "batch = 8"),
-            ("random_episodes = 200", "random_episodes = 3"),
-            ("every_episodes = 25", "every_episodes = 1"),
-            ("screening_draws = 200", "screening_draws = 2"),
-            ("ranking_draws = 1000", "ranking_draws = 6"),
-            ("capacity = 1000000", "capacity = 200"),
-        ],
-    )),
+    preset: Some(tiny::retraining),
 };
 
 /// The files of a folder, by name.
@@ -90,13 +68,9 @@ type Files = BTreeMap<String, Vec<u8>>;
 impl Kept {
     /// A folder in which it can be run.
     fn place(&self) -> tempfile::TempDir {
-        let place = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
-        if let Some((text, changes)) = self.preset {
-            let text = changes.iter().fold(text.to_owned(), |text, (from, to)| {
-                assert!(text.contains(from), "{from}");
-                text.replace(from, to)
-            });
-            fs::write(place.path().join("tiny.toml"), text).unwrap();
+        let place = scratch();
+        if let Some(preset) = self.preset {
+            fs::write(place.path().join("tiny.toml"), tiny::forgetful(&preset())).unwrap();
         }
         place
     }
@@ -113,11 +87,7 @@ impl Kept {
         let ended = self.command(place).output().unwrap();
         // A gate may fail, as it does without faults.
         assert!(matches!(ended.status.code(), Some(0 | 1)), "{what}: {}", said(&ended));
-        let found = finished(&files(&place.join("run")));
-        assert_eq!(found.keys().collect::<Vec<_>>(), genuine.keys().collect::<Vec<_>>(), "{what}");
-        for (name, bytes) in &found {
-            assert!(bytes == &genuine[name], "{what}: {name} differs in the end");
-        }
+        assert_same(&files(&place.join("run")), genuine, what);
     }
 
     /// The files it ends with, and the trace of what it did.
@@ -131,7 +101,7 @@ impl Kept {
         assert!(matches!(ended.status.code(), Some(0 | 1)), "{}", said(&ended));
         let renamed = String::from_utf8_lossy(&fs::read(&trace).unwrap()).matches("\nrename ").count();
         assert!(renamed > 5, "what it does is seen");
-        (finished(&files(&place.path().join("run"))), fs::read(&trace).unwrap())
+        (files(&place.path().join("run")), fs::read(&trace).unwrap())
     }
 }
 

@@ -155,15 +155,11 @@ pub fn finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Vec<(Se
     for seed in seeds {
         let (folder, manifest) = (seed_folder(out, seed), seed_folder(out, seed).join(MANIFEST));
         if !manifest.exists() {
-            // Another process may be about to begin there.
-            match fs::read_dir(&folder)
-                .map_err(DiskError::at(&folder))?
-                .flatten()
-                .any(|entry| entry.path().extension().is_some_and(|kind| kind == "safetensors"))
-            {
-                true => return Err(WorkError::missing(&manifest).into()),
-                false => continue,
+            if [POLICY, CHECKPOINT].iter().any(|name| folder.join(name).exists()) {
+                return Err(WorkError::missing(&manifest).into());
             }
+            // Another process may be about to begin there.
+            continue;
         }
         let work = match opened(out, config, seed, true) {
             Err(TrainingError::Work(WorkError::InUse { .. } | WorkError::OtherBuild { .. })) => continue,

@@ -172,17 +172,6 @@ impl Manifest {
         Ok(strangers)
     }
 
-    /// What a process that was ended had not finished.
-    pub(super) fn unfinished(&self, root: &Path) -> Result<Vec<PathBuf>, DiskError> {
-        let mut unfinished = Vec::new();
-        // The second manifest is written before anything is known to be there.
-        let folders = ["", generation::PREVIOUS].into_iter().chain(self.folders());
-        for folder in folders.filter(|folder| !self.includes(folder)).collect::<BTreeSet<_>>() {
-            unfinished.extend(files_in(&root.join(folder))?.into_iter().filter(|path| disk::is_unfinished(path)));
-        }
-        Ok(unfinished)
-    }
-
     /// What a file was last said to be, if it is there as a whole.
     pub(super) fn state(&self, name: &str) -> Option<FileState> {
         self.files.get(name)?.last().filter(|state| matches!(state, FileState::Whole { .. })).cloned()

@@ -281,8 +281,11 @@ impl Work {
     /// Finds out how far the last change came, and that everything else is as it was written.
     fn settle(&self) -> Result<(), WorkError> {
         let mut manifest = self.locked();
-        for path in manifest.unfinished(&self.folder)? {
-            disk::remove(&[path])?;
+        // The second manifest is written before anything is known to be in its folder.
+        for folder in ["", generation::PREVIOUS].into_iter().chain(manifest.folders()) {
+            if !manifest.includes(folder) {
+                disk::remove_unfinished(&self.path(folder))?;
+            }
         }
         if let Some(stranger) = manifest.strangers(&self.folder)?.first() {
             return Err(WorkError::damaged(stranger, UNKNOWN));

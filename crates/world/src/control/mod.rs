@@ -46,6 +46,7 @@ mod baseline;
 mod built_in;
 mod constant_brake;
 mod idm;
+mod interval;
 mod mapping;
 mod match_leader;
 mod network;

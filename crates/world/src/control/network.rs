@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::interval::Interval;
 use super::{Controller, ControllerFailure, Ego, InvalidMapping, Mapping};
 use crate::digest::sha256;
 use crate::network::{FeedForward, NetworkFile};
@@ -104,8 +105,7 @@ impl NetworkController {
 /// Asks a network once every decision interval and holds its answer in between.
 pub struct NetworkDriver {
     controller: Arc<NetworkController>,
-    interval_steps: u32,
-    steps_to_decision: u32,
+    interval: Interval,
     held_mps2: f64,
     /// What it saw at its last decisions, if it looks back; empty before the first.
     history: Vec<f32>,
@@ -117,26 +117,15 @@ impl NetworkDriver {
     /// A network that drives a vehicle.
     #[must_use]
     pub fn new(controller: Arc<NetworkController>, ego: &Ego) -> Self {
-        let interval_steps = (controller.mapping.decision_interval_s / ego.step_s).round().max(1.0) as u32;
+        let interval = Interval::new(controller.mapping.decision_interval_s, ego.step_s);
         Self {
             controller,
-            interval_steps,
-            steps_to_decision: 0,
+            interval,
             held_mps2: 0.0,
             history: Vec::new(),
             rows: Vec::new(),
             space: Workspace::default(),
         }
-    }
-
-    /// Whether a decision is due at this step; counts the step.
-    fn is_due(&mut self) -> bool {
-        let due = self.steps_to_decision == 0;
-        if due {
-            self.steps_to_decision = self.interval_steps;
-        }
-        self.steps_to_decision -= 1;
-        due
     }
 
     /// Appends what the network sees now.
@@ -163,7 +152,7 @@ impl NetworkDriver {
 
 impl Controller for NetworkDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        if self.is_due() {
+        if self.interval.is_due() {
             let mut rows = std::mem::take(&mut self.rows);
             rows.clear();
             self.see(seen, &mut rows);
@@ -185,7 +174,7 @@ impl Controller for NetworkDriver {
         let (mut due, mut rows) = (Vec::new(), Vec::new());
         for (index, driver) in all.iter_mut().enumerate() {
             let observation = see(index);
-            if driver.is_due() {
+            if driver.interval.is_due() {
                 due.push((index, Arc::clone(&driver.controller)));
                 driver.see(&observation, &mut rows);
             }

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::interval::Interval;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings, Role};
 use crate::observation::Observation;
 use crate::policy::{Policy, Workspace};
@@ -9,8 +10,7 @@ use crate::policy::{Policy, Workspace};
 /// Asks a policy once every decision interval and holds its answer in between.
 pub struct PolicyDriver {
     policy: Arc<Policy>,
-    interval_steps: u32,
-    steps_to_decision: u32,
+    interval: Interval,
     held_mps2: f64,
     space: Workspace,
 }
@@ -19,24 +19,14 @@ impl PolicyDriver {
     /// A policy that drives a vehicle.
     #[must_use]
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
-        let interval_steps = (policy.header().decision_interval_s / ego.step_s).round().max(1.0) as u32;
-        Self { policy, interval_steps, steps_to_decision: 0, held_mps2: 0.0, space: Workspace::default() }
-    }
-
-    /// Whether a decision is due at this step; counts the step.
-    fn is_due(&mut self) -> bool {
-        let due = self.steps_to_decision == 0;
-        if due {
-            self.steps_to_decision = self.interval_steps;
-        }
-        self.steps_to_decision -= 1;
-        due
+        let interval = Interval::new(policy.header().decision_interval_s, ego.step_s);
+        Self { policy, interval, held_mps2: 0.0, space: Workspace::default() }
     }
 }
 
 impl Controller for PolicyDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        if self.is_due() {
+        if self.interval.is_due() {
             self.held_mps2 = self.policy.act(seen, &mut self.space);
         }
         Ok(self.held_mps2)
@@ -52,7 +42,7 @@ impl Controller for PolicyDriver {
         let (mut due, mut seen) = (Vec::new(), Vec::new());
         for (index, driver) in all.iter_mut().enumerate() {
             let observation = see(index);
-            if driver.is_due() {
+            if driver.interval.is_due() {
                 due.push((index, Arc::clone(&driver.policy)));
                 seen.push(observation);
             }

@@ -1,0 +1,46 @@
+//! Presets of trainings that take no time: tiny networks, and a checkpoint every ten episodes.
+
+/// A text of which each of some passages stands changed.
+pub(crate) fn changed(text: &str, changes: &[(&str, &str)]) -> String {
+    changes.iter().fold(text.to_owned(), |text, (from, to)| {
+        assert!(text.contains(from), "{from}");
+        text.replace(from, to)
+    })
+}
+
+/// The default preset of `train`, without an early end.
+pub(crate) fn training() -> String {
+    changed(
+        include_str!("../../crates/learn/src/rl/presets/fast.toml"),
+        &[
+            ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
+            ("batch = 128", "batch = 8"),
+            ("random_episodes = 20", "random_episodes = 3"),
+            ("every_episodes = 5", "every_episodes = 1"),
+            ("screening_draws = 60", "screening_draws = 2"),
+            ("ranking_draws = 2000", "ranking_draws = 2"),
+            ("master_gap_m = 1.0", "master_gap_m = 0.0"),
+        ],
+    )
+}
+
+/// The preset of `retrain`, which learns at once.
+pub(crate) fn retraining() -> String {
+    changed(
+        include_str!("../../crates/learn/src/retrain/preset.toml"),
+        &[
+            ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
+            ("batch = 256", "batch = 8"),
+            ("random_episodes = 200", "random_episodes = 3"),
+            ("every_episodes = 25", "every_episodes = 1"),
+            ("screening_draws = 200", "screening_draws = 2"),
+            ("ranking_draws = 1000", "ranking_draws = 6"),
+        ],
+    )
+}
+
+/// With so small a memory that checkpoints are small, too.
+pub(crate) fn forgetful(preset: &str) -> String {
+    let capacity = preset.lines().find(|line| line.starts_with("capacity = ")).expect("every preset has one");
+    changed(preset, &[(capacity, "capacity = 200")])
+}
