@@ -1,6 +1,7 @@
 //! Avoidability of a scenario, and the reach of an actor.
 
 use std::hint::black_box;
+use std::path::Path;
 use std::sync::Arc;
 
 use crumple_search::evidence::{BoxSpec, ReachPlan};
@@ -23,7 +24,7 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
 }
 
 fn reach(interval_s: f64) -> Figure {
-    let spec = BoxSpec::from_toml(BOX).expect("a box");
+    let spec = BoxSpec::from_toml(BOX, Path::new("box")).expect("a box");
     let plan = ReachPlan::new(Arc::new(widened_reference(interval_s)), &spec).expect("fits");
     let start_s = now_s();
     let verified = 100.0 * plan.partition(0, |_| {}).expect("fits").shares[0].verified;

@@ -107,6 +107,9 @@ impl Assess {
         let (pieces, reused) = store.reused();
         let again =
             if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were there") };
+        for path in store.damaged() {
+            output::note(&format!("{} was damaged, and gathered again", path.display()), quiet);
+        }
         let page = self.out.join("assessment.html");
         output::note(&format!("wrote {} (and .md, .json, .junit.xml, .gsn.yaml){again}", page.display()), quiet);
         let mut said = assessment.first_page.plain();

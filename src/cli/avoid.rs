@@ -1,9 +1,10 @@
 //! `crumple avoid`: could any driver have avoided the collision?
 
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
+use crumple_verify::Certificate;
 use serde::Serialize;
 
 use super::finding::Finding;
@@ -22,7 +23,7 @@ use crumple_world::scenario::{Scenario, file};
 The vehicles under test may accelerate and brake as they like within their limits, knowing the future; the leader follows its \
 script and the vehicle behind them its latched emergency brake. `avoidable` comes with the accelerations that leave the \
 largest smallest gap of those held over steps of --grid, replayed without contact at the scenario's step and at a tenth of it: the \
-best found, for a finer grid may find more. What no driver exceeds is computed, and has no certificate. `unavoidable` comes with a proof \
+best found, for a finer grid may find more. That no driver keeps more than the bound has a certificate of its own. `unavoidable` comes with a proof \
 about every possible driver, accepted by the checker behind `crumple check`. Everything else is `undecided`, with the reason.
 
 A file of ranges makes a box of the scenario; `avoidable` then means that one profile is an escape from all of it:
@@ -57,6 +58,9 @@ pub(super) struct Avoid {
     /// Write what `crumple check` accepts: the escape or the proof
     #[arg(long, value_name = "F.json")]
     certificate: Option<PathBuf>,
+    /// Write what `crumple check` accepts: why nobody keeps more than the bound, where there is an escape
+    #[arg(long, value_name = "F.json")]
+    bound_certificate: Option<PathBuf>,
     #[command(flatten)]
     finding: Finding,
 }
@@ -69,6 +73,7 @@ struct Report<'a> {
     best_min_gap_m: Option<f64>,
     escape_min_gap_m: Option<f64>,
     min_gap_bound_m: Option<f64>,
+    min_gap_bound_is_certified: bool,
     trigger_time_s: Option<f64>,
     effort_m2ps3: Option<f64>,
     escape_is_best_for: Option<&'static str>,
@@ -79,10 +84,10 @@ struct Report<'a> {
 impl Avoid {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let family = self.family()?;
-        let options = AvoidOptions { grid_s: self.grid, escape: self.escape };
+        let options = AvoidOptions { grid_s: self.grid, escape: self.escape, certify_bound: true };
         let avoidance = avoid_all(&family, options).map_err(Failure::input)?;
         let mut files = Files::default();
-        self.write_certificate(&family, &avoidance, &mut files)?;
+        self.stage_certificates(&family, &avoidance, &mut files)?;
         match avoidance.verdict.escape() {
             Some(escape) => {
                 self.finding.write(&escape.scenario, "escape", &mut files, || subject::replay(&escape.scenario))?;
@@ -100,25 +105,15 @@ impl Avoid {
         Family::new(&scenario, &ranges).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))
     }
 
-    fn write_certificate(&self, family: &Family, avoidance: &Avoidance, files: &mut Files) -> Result<(), Failure> {
-        let Some(path) = &self.certificate else { return Ok(()) };
-        let certificate = match &avoidance.verdict {
-            AvoidanceVerdict::Avoidable(escape) => certify(family, escape),
-            AvoidanceVerdict::Unavoidable(certificate) => Ok((**certificate).clone()),
-            AvoidanceVerdict::Undecided(reason) => Err(reason.clone()),
-        };
-        match certificate {
-            Ok(certificate) => Ok(files
-                .stage(&output::place(path)?, serde_json::to_string(&certificate).map_err(Failure::input)? + "\n")?),
-            Err(reason) => {
-                // Asked for and not written: that is said even where only errors are wanted.
-                output::note(
-                    &format!("warning: {} was not written: there is no certificate: {reason}", path.display()),
-                    false,
-                );
-                Ok(())
-            }
+    fn stage_certificates(&self, family: &Family, avoidance: &Avoidance, files: &mut Files) -> Result<(), Failure> {
+        if let Some(path) = &self.certificate {
+            stage(path, answer(family, avoidance).map_err(|reason| reason.to_string()), files)?;
         }
+        if let Some(path) = &self.bound_certificate {
+            let certificate = avoidance.bound_certificate.as_deref().cloned();
+            stage(path, certificate.ok_or_else(|| "no bound was shown of an escape".to_owned()), files)?;
+        }
+        Ok(())
     }
 
     fn report<'a>(&self, scenario: &'a Scenario, avoidance: &'a Avoidance) -> Report<'a> {
@@ -133,6 +128,7 @@ impl Avoid {
             best_min_gap_m: avoidance.best_min_gap_m,
             escape_min_gap_m: escape.map(|escape| escape.min_gap_m),
             min_gap_bound_m: avoidance.min_gap_bound_m,
+            min_gap_bound_is_certified: avoidance.bound_certificate.is_some(),
             trigger_time_s: escape.and_then(|escape| escape.trigger_time_s),
             effort_m2ps3: escape.map(Escape::effort_m2ps3),
             escape_is_best_for: escape.map(|_| self.escape.is_best_for()),
@@ -140,6 +136,30 @@ impl Avoid {
             reason,
         }
     }
+}
+
+/// The certificate of the verdict.
+fn answer(family: &Family, avoidance: &Avoidance) -> Result<Certificate, Reason> {
+    match &avoidance.verdict {
+        AvoidanceVerdict::Avoidable(escape) => certify(family, escape),
+        AvoidanceVerdict::Unavoidable(certificate) => Ok((**certificate).clone()),
+        AvoidanceVerdict::Undecided(reason) => Err(reason.clone()),
+    }
+}
+
+fn stage(path: &Path, certificate: Result<Certificate, String>, files: &mut Files) -> Result<(), Failure> {
+    match certificate {
+        Ok(certificate) => {
+            let text = serde_json::to_string(&certificate).map_err(Failure::input)? + "\n";
+            files.stage(&output::place(path)?, text)?;
+        }
+        // Asked for and not written: that is said even where only errors are wanted.
+        Err(reason) => output::note(
+            &format!("warning: {} was not written: there is no certificate: {reason}", path.display()),
+            false,
+        ),
+    }
+    Ok(())
 }
 
 fn describe(report: &Report<'_>) -> String {
@@ -152,8 +172,9 @@ fn describe(report: &Report<'_>) -> String {
     if let Some(bound_m) = min_gap_bound_m {
         let _ = writeln!(
             text,
-            "  no driver keeps more than {:.2} m, by a computed bound without a certificate",
-            (100.0 * bound_m).ceil() / 100.0
+            "  no driver keeps more than {:.2} m, {}",
+            (100.0 * bound_m).ceil() / 100.0,
+            if report.min_gap_bound_is_certified { "proved" } else { "by a computed bound without a certificate" }
         );
     }
     match (trigger_time_s, escape_min_gap_m) {

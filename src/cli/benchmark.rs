@@ -24,10 +24,10 @@ pub(super) struct Measure {
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Most evaluations of a run
+    /// Most evaluations of a run: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     budget: u32,
-    /// Runs of each specification, with seeds from 0
+    /// Runs of each specification, with seeds from 0: 1 to 10 000
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
     /// Folder for the counterexamples, new or empty: one file each, rechecked from it

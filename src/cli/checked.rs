@@ -173,6 +173,8 @@ struct Report<'a> {
     scope: Vec<String>,
     smallest_gap_m: Option<f64>,
     overlap_m: Option<f64>,
+    gap_bound_m: Option<f64>,
+    afterwards: Option<&'static str>,
     verified_share: Option<f64>,
     rate_at_most: Option<f64>,
     confidence: Option<f64>,
@@ -205,11 +207,15 @@ pub(super) fn json(all: &[Checked<'_>]) -> Result<String, serde_json::Error> {
 fn report<'a>(one: &'a Checked<'_>, joint_confidence: Option<f64>) -> Report<'a> {
     let Checked { path, certificate, accepted, counts, about } = one;
     let (mut smallest_gap_m, mut overlap_m, mut verified_share, mut rate_at_most) = (None, None, None, None);
+    let (mut gap_bound_m, mut afterwards) = (None, None);
     // JSON has no infinity: an overlap of any size.
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     match *accepted {
-        Ok(Accepted::Avoidable { smallest_gap_m: gap_m, .. }) => smallest_gap_m = Some(gap_m),
+        Ok(Accepted::Avoidable { smallest_gap_m: gap_m, afterwards: then, .. }) => {
+            (smallest_gap_m, afterwards) = (Some(gap_m), Some(then.name()));
+        }
         Ok(Accepted::Unavoidable { overlap_m: metres, .. }) => overlap_m = finite(metres),
+        Ok(Accepted::GapBound { gap_m, .. }) => gap_bound_m = Some(gap_m),
         Ok(Accepted::Rate { at_most, .. }) => rate_at_most = Some(at_most),
         Ok(Accepted::Reach { smallest_gap_m: gap_m, verified_share: share, .. }) => {
             (smallest_gap_m, verified_share) = (finite(gap_m), Some(share));
@@ -244,6 +250,8 @@ fn report<'a>(one: &'a Checked<'_>, joint_confidence: Option<f64>) -> Report<'a>
         scope: scope.to_string().lines().map(str::to_owned).collect(),
         smallest_gap_m,
         overlap_m,
+        gap_bound_m,
+        afterwards,
         verified_share,
         rate_at_most,
         confidence: one.confidence(),

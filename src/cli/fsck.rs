@@ -101,7 +101,7 @@ fn described(folder: &Path, found: &Examined) -> String {
     }
     for name in &found.growing {
         text += &format!(
-            "  {}: not looked at here: its records have checks of their own, made when the work goes on\n",
+            "  {}: looked at up to where it was at work.json's last word; records since then have checks of their own, made when the work goes on\n",
             Terminal(name)
         );
     }

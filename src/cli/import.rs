@@ -2,6 +2,7 @@
 
 use std::ffi::OsStr;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -48,8 +49,13 @@ impl Import {
         let mut files = Files::default();
         for scenario in &imported.scenarios {
             let path = self.out.join(&scenario.file_name);
-            match disk::read(&path)? {
-                Some(found) if found == scenario.toml.as_bytes() => {}
+            let said = scenario.toml.as_bytes();
+            let found = match disk::read(&path, said.len() as u64) {
+                Err(error) if error.source.kind() == ErrorKind::FileTooLarge => Some(Vec::new()),
+                found => found?,
+            };
+            match found {
+                Some(found) if found == said => {}
                 Some(_) if !self.force => return Err(edited(&path)),
                 _ => files.stage(&output::place(&path)?, scenario.toml.as_bytes())?,
             }

@@ -1,4 +1,4 @@
-//! Ctrl-C: commands that keep what they have done say how to go on with it.
+//! Signals: Ctrl-C, on which commands that keep what they have done say how to go on with it; and a limit on the size of files.
 
 /// From now on an interruption ends the program at once, with exit code 130 and a message on standard error. Only for commands
 /// that lose nothing by that: whatever they have done is on disk.
@@ -22,6 +22,17 @@ pub(super) fn says(message: String, quiet: bool) {
     }
     #[cfg(not(unix))]
     let _ = (message, quiet);
+}
+
+/// From now on a file that grows beyond what the system allows (`ulimit -f`) is an error, as a full disk is, and not the end of the
+/// program.
+pub(super) fn limits_are_errors() {
+    #[cfg(unix)]
+    {
+        let unread = std::sync::Arc::default();
+        // Where it cannot be set, the program ends as the system has it, and loses nothing either.
+        let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, unread);
+    }
 }
 
 /// Exit code of a command that was interrupted.

@@ -71,6 +71,7 @@ enum Command {
 
 /// Runs the command line with given arguments, the program's name first.
 pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    interrupt::limits_are_errors();
     let command = Arguments::command().mut_subcommands(with_exit_codes);
     let arguments = match command.try_get_matches_from(arguments).and_then(|found| Arguments::from_arg_matches(&found))
     {

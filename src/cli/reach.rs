@@ -29,7 +29,7 @@ pub(super) struct Reach {
     /// The box
     #[arg(long = "box", value_name = "FILE")]
     starts: PathBuf,
-    /// How often one box is cut at most
+    /// How often one box is cut at most: 0 to 40
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(0..=40))]
     depth: u32,
     /// Where the certificate goes
@@ -49,7 +49,7 @@ impl Reach {
         let policy = policy
             .ok_or_else(|| Failure::Input("--controller: must be a learned policy of crumple's own".to_owned()))?;
         let text = file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?;
-        let plan = ReachPlan::new(policy, &BoxSpec::from_toml(&text).map_err(failed)?).map_err(failed)?;
+        let plan = ReachPlan::new(policy, &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
         let told = |now: &Shares| {
             bar.set_position(u64::from(now.depth));

@@ -77,10 +77,10 @@ struct Rate {
     /// Estimate the probability of a rare failure instead of counting: no certificate
     #[arg(long, conflicts_with_all = ["runs", "against", "confidence", "resume"])]
     rare: bool,
-    /// With --rare: runs of a population [default: 500]
+    /// With --rare: runs of a population, 50 to 100 000 [default: 500]
     #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
     samples: Option<u32>,
-    /// With --rare: independent populations [default: 20]
+    /// With --rare: independent populations, 5 to 1000 [default: 20]
     #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(5..=1000))]
     repetitions: Option<u32>,
     /// With --rare: how to print [default: text]

@@ -382,13 +382,13 @@ fn damaged_evidence_is_gathered_again() {
     let gather = || {
         let store = Store::open(&kept, "this program", false).expect("a folder");
         let assessment = assess(&plan, &store, None, &|_| {}).expect("runs");
-        (assessment.files().expect("renders"), store.reused())
+        (assessment.files().expect("renders"), store.reused(), store.damaged().len())
     };
-    let (genuine, (pieces, reused)) = gather();
+    let (genuine, (pieces, reused), _) = gather();
     assert!(pieces >= 4 && reused == 0, "{pieces} pieces, {reused} reused");
     assert_eq!(gather().1, (pieces, pieces), "all of it is found again");
     let entries = fs::read_dir(&kept).expect("there").map(|entry| entry.expect("an entry").path());
-    let mut paths: Vec<_> = entries.collect();
+    let mut paths: Vec<_> = entries.filter(|path| path.extension().is_some_and(|kind| kind == "json")).collect();
     paths.sort();
     let whole: Vec<Vec<u8>> = paths.iter().map(|path| fs::read(path).expect("readable")).collect();
     assert_eq!(whole.len(), pieces, "a file a piece, and nothing else is left");
@@ -409,12 +409,12 @@ fn damaged_evidence_is_gathered_again() {
     damage("swapped".to_owned(), &|index, _| whole[(index + 1) % whole.len()].clone());
     for (what, contents) in damages {
         paths.iter().zip(contents).for_each(|(path, bytes)| fs::write(path, bytes).expect("writes"));
-        let (files, (_, reused)) = gather();
-        assert_eq!(reused, 0, "{what}: believed");
+        let (files, (_, reused), damaged) = gather();
+        assert_eq!((reused, damaged), (0, pieces), "{what}: believed");
         assert!(files == genuine, "{what}: another report");
         let now: Vec<Vec<u8>> = paths.iter().map(|path| fs::read(path).expect("readable")).collect();
         assert!(now == whole, "{what}: other evidence");
     }
     paths.iter().for_each(|path| fs::remove_file(path).expect("there"));
-    assert_eq!(gather(), (genuine, (pieces, 0)));
+    assert_eq!(gather(), (genuine, (pieces, 0), 0));
 }

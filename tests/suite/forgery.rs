@@ -4,6 +4,7 @@
 mod changes;
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 
 use crumple_search::evidence::{
@@ -88,6 +89,9 @@ fn is_implied(original: &Certificate, shown: &Accepted, claimed: &Certificate) -
                 one.scene == other.scene && other.min_gap_m_at_least.unwrap_or(0.0) <= *smallest_gap_m
             }
             (Statement::Unavoidable(one), Statement::Unavoidable(other), _) => one.scene == other.scene,
+            (Statement::GapBound(one), Statement::GapBound(other), Accepted::GapBound { gap_m, .. }) => {
+                one.scene == other.scene && other.gap_m >= *gap_m
+            }
             (Statement::Kernel(one), Statement::Kernel(other), _) => {
                 // The theorem is for every step and margin.
                 let (step_s, margin_m) = (one.step_s.clone(), one.margin_m.clone());
@@ -127,6 +131,12 @@ fn of_scene(scenario: &Scenario) -> Genuine {
     Genuine { certificate, policy: None, scenario: Some(scenario.clone()) }
 }
 
+fn bounded(scenario: &Scenario) -> Genuine {
+    let options = AvoidOptions { certify_bound: true, ..AvoidOptions::default() };
+    let certificate = avoid(scenario, options).expect("options fit").bound_certificate.expect("a bound");
+    Genuine { certificate: *certificate, policy: None, scenario: Some(scenario.clone()) }
+}
+
 fn counted(controller: &str, against: Option<&str>, runs: u64) -> Genuine {
     let find = |name: &str| NamedController::from(ControllerSpec::named(name).expect("built in"));
     let plan = RatePlan::new(RateConfig {
@@ -147,7 +157,7 @@ fn counted(controller: &str, against: Option<&str>, runs: u64) -> Genuine {
 
 fn reach(policy: Arc<Policy>) -> Genuine {
     let text = "version = 1\nscenario = \"paper-2\"\n[ranges]\ngap_ahead_m = { low = 15.9, high = 16.1 }";
-    let plan = ReachPlan::new(policy, &BoxSpec::from_toml(text).expect("a box")).expect("a plan");
+    let plan = ReachPlan::new(policy, &BoxSpec::from_toml(text, Path::new("box")).expect("a box")).expect("a plan");
     let certificate = plan.partition(1, |_| ()).expect("cut").certificate;
     Genuine { certificate, policy: Some(plan.policy_bytes().to_vec()), scenario: built_in("paper-2") }
 }
@@ -158,6 +168,7 @@ fn genuine() -> Vec<Genuine> {
     let close = paper.edited(|spec| spec.vehicles[1].speed_mps = 60.0).expect("valid");
     let noisy = paper.edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).expect("valid");
     let mut all = vec![of_scene(&paper), of_scene(&close), of_scene(&noisy)];
+    all.extend([bounded(&paper), bounded(&built_in("paper-2").expect("built in"))]);
     all.extend([counted("idm", None, 200), counted("idm", Some("baseline"), 150)]);
     all.extend([reach(Policy::reference()), reach(Policy::retrained())]);
     let kernel = |(_, certificate)| Genuine { certificate, policy: None, scenario: None };
@@ -178,7 +189,7 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
         })
         .collect();
     let kinds: std::collections::BTreeSet<_> = genuine.iter().map(|one| one.certificate.statement.name()).collect();
-    assert_eq!(kinds.len(), 6, "of every kind: {kinds:?}");
+    assert_eq!(kinds.len(), 7, "of every kind: {kinds:?}");
     let tried = (0..wanted).into_par_iter().map(|index| {
         let which = index as usize % genuine.len();
         let mut random = Xoshiro256PlusPlus::seed_from_u64(index);

@@ -118,7 +118,8 @@ fn certificates() -> Vec<Vec<u8>> {
 /// The first seconds of a box under the reference policy, short enough for the target to check.
 fn reaches() -> Vec<Certificate> {
     let paper_2 = fs::read_to_string(root().join("corpora/boxes/paper-2.toml")).unwrap();
-    let plan = ReachPlan::new(Policy::reference(), &BoxSpec::from_toml(&paper_2).unwrap()).unwrap();
+    let plan =
+        ReachPlan::new(Policy::reference(), &BoxSpec::from_toml(&paper_2, Path::new("paper-2.toml")).unwrap()).unwrap();
     let whole = plan.partition(0, |_| ()).unwrap().certificate;
     let Statement::Reach(claim) = &whole.statement else { panic!("a statement about reach") };
     let middle = [16.0, 16.0, 25.0, 25.0, 25.0, 3.0, 7.5, 120.0];

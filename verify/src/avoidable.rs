@@ -18,13 +18,21 @@
 //! ```
 //!
 //! The profile is accepted if this is positive for every pair in every step.
+//!
+//! # After the last instant
+//! The script and the profiles end, but the road does not ([`Afterwards`]). Let g be the gaps and v the speeds at the last instant,
+//! and b the limit of an ego's brake, or the brake of a follower that has fired and whose reaction is over. In a frame that moves with
+//! a speed u >= 0, whoever brakes to u and holds it covers (v - u)² / (2 b); if that is less than the gap ahead, it stays behind where the
+//! vehicle ahead was. So nobody touches if that vehicle never falls back in this frame. With u = 0 nobody falls back, for nobody reverses:
+//! it does not matter what the leader does. With u the least of the speeds of leader and egos, no ego falls back that brakes to u at most, nor
+//! a leader that does not brake. A follower that has not fired may do so later, and then falls back; it must not be faster than u.
 
 use crate::certificate::Avoidable;
 use crate::claim::Scene;
 use crate::interval::Interval;
 use crate::motion::{after, expand};
 use crate::work::{OF_INTERVAL, Work};
-use crate::{Accepted, Rejection};
+use crate::{Accepted, Afterwards, Rejection};
 
 /// Operations for one step of one vehicle.
 const A_STEP: u64 = 20 * OF_INTERVAL;
@@ -33,10 +41,10 @@ pub(crate) fn check(claim: &Avoidable, work: &Work) -> Result<Accepted, Rejectio
     claim.scene.check()?;
     work.spend(claim.scene.instants() * claim.scene.vehicles() * A_STEP)?;
     check_profiles(claim)?;
-    let smallest_gap_m = smallest_gap_m(claim)?;
+    let (smallest_gap_m, afterwards) = replayed(claim)?;
     let stated_m = claim.min_gap_m_at_least.unwrap_or(0.0);
     if smallest_gap_m >= stated_m {
-        Ok(Accepted::Avoidable { smallest_gap_m, horizon_s: claim.scene.horizon_s() })
+        Ok(Accepted::Avoidable { smallest_gap_m, horizon_s: claim.scene.horizon_s(), afterwards })
     } else {
         Err(Rejection::SmallestGap { stated_m, smallest_gap_m })
     }
@@ -59,8 +67,8 @@ fn check_profiles(Avoidable { scene, witness, .. }: &Avoidable) -> Result<(), Re
     Ok(())
 }
 
-/// A lower bound of every gap at every time, in metres.
-fn smallest_gap_m(Avoidable { scene, witness, .. }: &Avoidable) -> Result<f64, Rejection> {
+/// A lower bound of every gap at every time, in metres, and what holds from the last instant on.
+fn replayed(Avoidable { scene, witness, .. }: &Avoidable) -> Result<(f64, Afterwards), Rejection> {
     let profiles: Vec<Vec<Interval>> = std::iter::once(expand(&scene.leader.acceleration_mps2).collect())
         .chain(witness.iter().map(|profile| expand(profile).map(Interval::point).collect()))
         .collect();
@@ -95,7 +103,36 @@ fn smallest_gap_m(Avoidable { scene, witness, .. }: &Avoidable) -> Result<f64, R
         }
         before = now;
     }
-    Ok(smallest_m)
+    Ok((smallest_m, afterwards(scene, &line, fires, &before)))
+}
+
+/// What holds from the last instant on, with the positions and speeds of leader and egos and the gaps there.
+fn afterwards(scene: &Scene, line: &[(Interval, Interval)], fires: u32, gaps_m: &[Interval]) -> Afterwards {
+    // None moves more slowly as long as nobody brakes below it.
+    let slowest = Interval::point(line.iter().map(|(_, v)| v.low()).fold(f64::INFINITY, f64::min));
+    let followed = scene.follower.as_ref().map(|follower| {
+        // The last instant means never.
+        let brakes = fires < scene.steps && fires.saturating_add(follower.reaction_steps) <= scene.steps;
+        let brake_mps2 = if brakes { follower.brake_mps2 } else { Interval::ZERO };
+        (scene.follower_mps(follower, fires, scene.steps), brake_mps2)
+    });
+    let egos = scene.egos.iter().zip(line.iter().skip(1));
+    let behind = egos.map(|(ego, (_, v))| (*v, Interval::point(ego.max_brake_mps2))).chain(followed);
+    let behind: Vec<_> = behind.zip(gaps_m).collect();
+    let keep_off = |to_mps: Interval| {
+        behind.iter().all(|&((v, brake_mps2), &gap_m)| {
+            let too_fast_mps = v - to_mps;
+            let covered_m = too_fast_mps.sqr().over(brake_mps2 + brake_mps2);
+            too_fast_mps.high() <= 0.0 || (covered_m - gap_m).high() < 0.0
+        })
+    };
+    if keep_off(Interval::ZERO) {
+        Afterwards::WhateverTheLeaderDoes
+    } else if keep_off(slowest) {
+        Afterwards::IfTheLeaderDoesNotBrake
+    } else {
+        Afterwards::NotShown
+    }
 }
 
 /// The gaps at instant `k`, front to rear, the last one to a follower that fires at `fires`.

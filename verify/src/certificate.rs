@@ -122,6 +122,8 @@ pub enum Statement {
     Avoidable(Avoidable),
     /// With no profile of ego accelerations does nobody touch.
     Unavoidable(Unavoidable),
+    /// With no profile of ego accelerations does every gap stay larger than stated.
+    GapBound(GapBound),
     /// From exactly these states contact can be avoided.
     Kernel(Kernel),
     /// A controller fails at no more than a rate.
@@ -139,6 +141,7 @@ impl Statement {
         match self {
             Self::Avoidable(_) => "avoidable",
             Self::Unavoidable(_) => "unavoidable",
+            Self::GapBound(_) => "gap-bound",
             Self::Kernel(_) => "kernel",
             Self::Rate(_) => "rate",
             Self::Comparison(_) => "comparison",
@@ -152,6 +155,7 @@ impl Statement {
         match self {
             Self::Avoidable(claim) => Some(&claim.scene),
             Self::Unavoidable(claim) => Some(&claim.scene),
+            Self::GapBound(claim) => Some(&claim.scene),
             Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) | Self::Reach(_) => None,
         }
     }
@@ -162,6 +166,7 @@ impl Statement {
         let (scene, about_egos) = match self {
             Self::Avoidable(claim) => (&claim.scene, Assumption::EgoOnProfile),
             Self::Unavoidable(claim) => (&claim.scene, Assumption::EgoWithinLimits),
+            Self::GapBound(claim) => (&claim.scene, Assumption::EgoWithinLimits),
             Self::Kernel(_) => {
                 return vec![Assumption::ExactMotion, Assumption::LeaderWithinLimit, Assumption::EgoCanBrake];
             }
@@ -198,6 +203,19 @@ pub struct Unavoidable {
     /// What it speaks about.
     pub scene: Scene,
     /// A proof for each range of instants at which the follower's brake may fire; one for all if there is no follower.
+    #[serde(deserialize_with = "bounded::list::<{ MOST_STEPS as usize + 1 }, _, _>")]
+    pub branches: Vec<Branch>,
+}
+
+/// A proof that no profile keeps every gap larger than stated.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GapBound {
+    /// What it speaks about.
+    pub scene: Scene,
+    /// Some gap gets as small as this, in metres; not negative.
+    pub gap_m: f64,
+    /// As for [`Unavoidable`].
     #[serde(deserialize_with = "bounded::list::<{ MOST_STEPS as usize + 1 }, _, _>")]
     pub branches: Vec<Branch>,
 }

@@ -19,6 +19,7 @@
 //!
 //! - *Avoidable*: if the egos follow the stated profile, which is within their limits, nobody touches.
 //! - *Unavoidable*: for no accelerations of the egos within their limits, however they are decided, does nobody touch.
+//! - *Gap bound*: for no such accelerations does every gap stay larger than stated.
 //! - *Reach*: driven by the stated network, nobody touches from any start in the parts of the box marked so.
 //! - *Kernel*, *rate*, *fails less often*: about no one scene; said where they are checked.
 //!
@@ -73,7 +74,7 @@ pub mod unavoidable;
 pub mod work;
 
 pub use certificate::{
-    Assumption, Avoidable, Branch, Certificate, ParseError, Provenance, Rows, Statement, Unavoidable,
+    Assumption, Avoidable, Branch, Certificate, GapBound, ParseError, Provenance, Rows, Statement, Unavoidable,
 };
 pub use claim::{Ego, Follower, Held, Leader, Scene};
 pub use interval::Interval;
@@ -94,11 +95,20 @@ pub enum Accepted {
         smallest_gap_m: f64,
         /// ... within this time from the start, in seconds.
         horizon_s: f64,
+        /// What holds after that.
+        afterwards: Afterwards,
     },
     /// Whatever the egos do, somebody touches.
     Unavoidable {
         /// Whatever they do, two vehicles would overlap by at least this if they could, in metres...
         overlap_m: f64,
+        /// ... within this time from the start, in seconds.
+        horizon_s: f64,
+    },
+    /// Whatever the egos do, some gap gets small.
+    GapBound {
+        /// As small as this at least, in metres: what is proved, and no more than stated...
+        gap_m: f64,
         /// ... within this time from the start, in seconds.
         horizon_s: f64,
     },
@@ -131,16 +141,54 @@ pub enum Accepted {
     },
 }
 
+/// What holds once the stated profile has ended without contact.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Afterwards {
+    /// Everybody behind the leader can stop within the gap ahead: nobody need ever touch, whatever the leader does.
+    WhateverTheLeaderDoes,
+    /// Everybody behind the leader can slow down to the slowest ahead: nobody need ever touch if the leader does not brake any more.
+    IfTheLeaderDoesNotBrake,
+    /// Nothing is shown.
+    NotShown,
+}
+
+impl Afterwards {
+    /// Its name in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::WhateverTheLeaderDoes => "whatever-the-leader-does",
+            Self::IfTheLeaderDoesNotBrake => "if-the-leader-does-not-brake",
+            Self::NotShown => "not-shown",
+        }
+    }
+}
+
+impl std::fmt::Display for Afterwards {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(match self {
+            Self::WhateverTheLeaderDoes => "and nobody need touch afterwards, whatever the leader does",
+            Self::IfTheLeaderDoesNotBrake => "and nobody need touch afterwards, if the leader does not brake any more",
+            Self::NotShown => "nothing is shown of what comes afterwards",
+        })
+    }
+}
+
 impl std::fmt::Display for Accepted {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Avoidable { smallest_gap_m, horizon_s } => write!(
+            Self::Avoidable { smallest_gap_m, horizon_s, afterwards } => write!(
                 formatter,
-                "avoidable: on the stated profile no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s"
+                "avoidable: on the stated profile no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s; {afterwards}"
             ),
             Self::Unavoidable { overlap_m, horizon_s } => write!(
                 formatter,
                 "unavoidable: whatever is done, two vehicles would overlap by {overlap_m} m or more within {horizon_s} s"
+            ),
+            Self::GapBound { gap_m, horizon_s } => write!(
+                formatter,
+                "gap bound: whatever is done, some gap gets as small as {gap_m} m within {horizon_s} s"
             ),
             Self::Kernel => formatter
                 .write_str("kernel: full braking keeps every state of it free of contact, and nothing any other"),
@@ -216,6 +264,14 @@ pub enum Rejection {
         /// The lower bound found, in metres.
         sum_m: f64,
     },
+    /// It is not proved that some gap gets as small as stated.
+    #[error("`gap_m` is {stated_m}, and only {gap_m} m is proved")]
+    GapBound {
+        /// What is stated, in metres.
+        stated_m: f64,
+        /// What is proved, in metres.
+        gap_m: f64,
+    },
     /// The policy file is missing, another one, or not usable.
     #[error("the policy file {problem}")]
     Policy {
@@ -285,6 +341,7 @@ pub fn check_within(certificate: &Certificate, policy: Option<&[u8]>, limit: Wor
     match &certificate.statement {
         Statement::Avoidable(claim) => avoidable::check(claim, work),
         Statement::Unavoidable(claim) => unavoidable::check(claim, work),
+        Statement::GapBound(claim) => unavoidable::check_gap_bound(claim, work),
         Statement::Kernel(claim) => kernel::check(claim, work),
         Statement::Rate(claim) => rate::check_rate(claim, work),
         Statement::Comparison(claim) => rate::check_comparison(claim, work),

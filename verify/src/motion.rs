@@ -76,4 +76,10 @@ impl Scene {
         }
         coasting_m + after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).0
     }
+
+    /// The follower's speed in m/s there.
+    pub(crate) fn follower_mps(&self, follower: &Follower, fires: u32, k: u32) -> Interval {
+        let coasts = k.min(fires.saturating_add(follower.reaction_steps));
+        after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).1
+    }
 }

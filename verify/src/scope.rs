@@ -30,6 +30,7 @@ impl Certificate {
         let mut scope = match &self.statement {
             Statement::Avoidable(claim) => of_scene(&claim.scene),
             Statement::Unavoidable(claim) => of_scene(&claim.scene),
+            Statement::GapBound(claim) => of_scene(&claim.scene),
             Statement::Kernel(claim) => of_kernel(claim),
             Statement::Rate(claim) => of_runs(&claim.registration),
             Statement::Comparison(claim) => of_runs(&claim.registration),

@@ -31,11 +31,16 @@
 //! A branch whose sum is L with contact multipliers (front, between, rear) adding up to Y shows more: some contact row is
 //! at least L / Y, so that two vehicles would overlap by that many metres if they could pass through each other.
 //!
+//! # How large a gap nobody keeps
+//! Let G not be negative, and suppose that every gap stays larger than G. Then nobody touches, and each contact row is less than
+//! -G, so that the sum is less than -G Y, for Y > 0. If L >= -G Y over the whole box that cannot be; if this holds in every branch,
+//! or the branch is empty as above, some gap gets as small as G.
+//!
 //! # Why this covers the simulator, and every car
 //! What an ego does there is a measurable acceleration within [-b, A]: held over steps, zero once it stands, late, lagging,
 //! limited in jerk, decided by whatever it sees. Delay, lag and noise of the sensors only take freedom away.
 
-use crate::certificate::{Branch, Rows, Unavoidable};
+use crate::certificate::{Branch, GapBound, Rows, Unavoidable};
 use crate::claim::{Ego, Scene};
 use crate::interval::Interval;
 use crate::work::{OF_INTERVAL, Work};
@@ -45,15 +50,37 @@ use crate::{Accepted, Rejection};
 const AN_INSTANT: u64 = 20 * OF_INTERVAL;
 
 pub(crate) fn check(Unavoidable { scene, branches }: &Unavoidable, work: &Work) -> Result<Accepted, Rejection> {
+    let overlap_m = least_overlap_m(scene, branches, work, closed)?;
+    Ok(Accepted::Unavoidable { overlap_m, horizon_s: scene.horizon_s() })
+}
+
+pub(crate) fn check_gap_bound(claim: &GapBound, work: &Work) -> Result<Accepted, Rejection> {
+    let GapBound { scene, gap_m: stated_m, branches } = claim;
+    if !(*stated_m >= 0.0 && stated_m.is_finite()) {
+        return Err(Rejection::invalid("gap_m", "must be a number that is not negative"));
+    }
+    let gap_m = (-least_overlap_m(scene, branches, work, overlap)?).max(0.0);
+    match gap_m <= *stated_m {
+        true => Ok(Accepted::GapBound { gap_m, horizon_s: scene.horizon_s() }),
+        false => Err(Rejection::GapBound { stated_m: *stated_m, gap_m }),
+    }
+}
+
+/// The least overlap in metres that any branch proves.
+fn least_overlap_m(
+    scene: &Scene,
+    branches: &[Branch],
+    work: &Work,
+    proved_m: impl Fn(&Scene, &Branch, usize) -> Result<f64, Rejection>,
+) -> Result<f64, Rejection> {
     scene.check()?;
     check_tiling(scene, branches)?;
     let a_branch = scene.instants() * scene.vehicles() * AN_INSTANT;
     let mut overlaps_m = branches.iter().enumerate().map(|(index, branch)| {
         work.spend(a_branch)?;
-        check_branch(scene, branch, index)
+        proved_m(scene, branch, index)
     });
-    let overlap_m = overlaps_m.try_fold(f64::INFINITY, |least_m, overlap_m| Ok(overlap_m?.min(least_m)))?;
-    Ok(Accepted::Unavoidable { overlap_m, horizon_s: scene.horizon_s() })
+    overlaps_m.try_fold(f64::INFINITY, |least_m, overlap_m| Ok(overlap_m?.min(least_m)))
 }
 
 /// The overlap in metres that branch number `index` proves; infinite if no profile fires there at all.
@@ -62,13 +89,34 @@ pub(crate) fn check(Unavoidable { scene, branches }: &Unavoidable, work: &Work) 
 /// [`Rejection`] if the scene or the branch makes no sense, or the branch proves nothing.
 pub fn check_branch(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
     scene.check()?;
+    closed(scene, branch, index)
+}
+
+/// The overlap of a branch in which somebody touches.
+fn closed(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
+    let (overlap_m, sum_m) = sum(scene, branch, index)?;
+    if sum_m > 0.0 && overlap_m > 0.0 { Ok(overlap_m) } else { Err(Rejection::Unproved { branch: index, sum_m }) }
+}
+
+/// The overlap that a branch proves; where it is negative, some gap gets as small as that.
+fn overlap(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
+    let (overlap_m, sum_m) = sum(scene, branch, index)?;
+    if overlap_m > f64::NEG_INFINITY { Ok(overlap_m) } else { Err(Rejection::Unproved { branch: index, sum_m }) }
+}
+
+/// The overlap, and the least sum, of a branch.
+fn sum(scene: &Scene, branch: &Branch, index: usize) -> Result<(f64, f64), Rejection> {
     if branch.last < branch.first || branch.last > scene.steps {
         return Err(Rejection::Tiling { branch: index });
     }
     check_rows(scene, branch, index)?;
     let (sum_m, contact) = least_sum(scene, branch);
-    let overlap_m = if contact == Interval::ZERO { f64::INFINITY } else { Interval::point(sum_m).over(contact).low() };
-    if sum_m > 0.0 && overlap_m > 0.0 { Ok(overlap_m) } else { Err(Rejection::Unproved { branch: index, sum_m }) }
+    let overlap_m = match contact == Interval::ZERO {
+        false => Interval::point(sum_m).over(contact).low(),
+        true if sum_m > 0.0 => f64::INFINITY,
+        true => f64::NEG_INFINITY,
+    };
+    Ok((overlap_m, sum_m))
 }
 
 /// The branches cover 0 to N, in order, each instant once; without a follower there is one.

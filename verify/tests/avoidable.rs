@@ -45,10 +45,12 @@ fn calm() -> (Scene, Vec<Vec<Held<f64>>>) {
 #[test]
 fn a_calm_stop_is_accepted_and_each_fault_is_named() {
     let (scene, witness) = calm();
-    let Ok(Accepted::Avoidable { smallest_gap_m, .. }) = check(&certificate(&scene, witness.clone())) else {
+    let Ok(Accepted::Avoidable { smallest_gap_m, afterwards, .. }) = check(&certificate(&scene, witness.clone()))
+    else {
         panic!("{:?}", check(&certificate(&scene, witness)));
     };
     assert!(smallest_gap_m > 0.1, "{smallest_gap_m}");
+    assert_eq!(afterwards, Afterwards::WhateverTheLeaderDoes, "everybody stands");
     let faulty = |change: &dyn Fn(&mut Avoidable)| {
         let mut certificate = certificate(&scene, witness.clone());
         if let Statement::Avoidable(claim) = &mut certificate.statement {
@@ -105,6 +107,41 @@ fn a_near_miss_inside_a_step_is_seen() {
     assert!(check(&certificate(&scene(0.5), witness)).is_err());
 }
 
+/// What holds afterwards is decided by two comparisons: of the stopping distance with the gap, of speeds with each other.
+#[test]
+fn afterwards_is_as_a_closed_form_says() {
+    let afterwards = |gap_m: f64, leader_mps: f64, ego_mps: f64| {
+        let scene = Scene {
+            step_s: 0.5,
+            steps: 2,
+            leader: Leader {
+                position_m: Interval::point(gap_m + 2.0),
+                length_m: 2.0,
+                speed_mps: Interval::point(leader_mps),
+                acceleration_mps2: vec![Held(2, Interval::ZERO)],
+            },
+            egos: vec![Ego {
+                position_m: Interval::ZERO,
+                length_m: 2.0,
+                speed_mps: Interval::point(ego_mps),
+                max_brake_mps2: 5.0,
+                max_accel_mps2: 0.0,
+            }],
+            follower: None,
+        };
+        match check(&certificate(&scene, vec![vec![Held(2, 0.0)]])) {
+            Ok(Accepted::Avoidable { afterwards, .. }) => afterwards,
+            other => panic!("{other:?}"),
+        }
+    };
+    // After a second of the same speed the gap is what it was: v²/10 has to be less.
+    assert_eq!(afterwards(10.01, 10.0, 10.0), Afterwards::WhateverTheLeaderDoes);
+    assert_eq!(afterwards(9.99, 10.0, 10.0), Afterwards::IfTheLeaderDoesNotBrake);
+    // 1 m/s faster, and 1 m further: v - u is 4 m/s, and 1.6 m are covered.
+    assert_eq!(afterwards(1.61 + 4.0, 6.0, 10.0), Afterwards::IfTheLeaderDoesNotBrake);
+    assert_eq!(afterwards(1.59 + 4.0, 6.0, 10.0), Afterwards::NotShown);
+}
+
 /// A scene and a witness of two pieces.
 fn witnessed(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<Held<f64>>>)> {
     (scenes(egos), prop::collection::vec((0.0..=1.0_f64, 0.0..=1.0_f64), egos)).prop_map(|(scene, levels)| {
@@ -126,6 +163,32 @@ fn expanded(witness: &[Vec<Held<f64>>]) -> Vec<Vec<f64>> {
     witness.iter().map(of).collect()
 }
 
+/// The smallest gap of a member if the scene goes on: the leader stops at once or holds its speed, and the others brake to a stop or to
+/// the slowest of all.
+fn kept_m(scene: &Scene, profiles: &[Vec<f64>], afterwards: Afterwards, picks: &mut dyn FnMut() -> f64) -> f64 {
+    const MORE: u32 = 200;
+    let stops = afterwards == Afterwards::WhateverTheLeaderDoes;
+    let mut longer = scene.clone();
+    longer.steps += MORE;
+    longer.leader.acceleration_mps2.push(Held(MORE, Interval::point(if stops { -1000.0 } else { 0.0 })));
+    let member = member(&longer, picks);
+    let ends = drive(scene, &member, profiles);
+    let leader_mps = member.leader_mps2.iter().take(scene.steps as usize);
+    let leader_mps = leader_mps.fold(member.leader[1], |v, a| (v + a * scene.step_s).max(0.0));
+    let speeds: Vec<f64> = ends.egos.iter().map(|path| path.last().unwrap()[1]).collect();
+    let slowest_mps = if stops { 0.0 } else { speeds.iter().copied().fold(leader_mps, f64::min) };
+    let dt = scene.step_s / SUBSTEPS as f64;
+    let mut longer_profiles = profiles.to_vec();
+    for ((profile, mut v), ego) in longer_profiles.iter_mut().zip(speeds).zip(&scene.egos) {
+        for _ in 0..MORE as usize * SUBSTEPS {
+            let a = ((slowest_mps - v) / dt).max(-ego.max_brake_mps2);
+            profile.push(a);
+            v += a * dt;
+        }
+    }
+    drive(&longer, &member, &longer_profiles).min_gap_m
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 4000, max_global_rejects: 100_000, ..ProptestConfig::default() })]
 
@@ -142,7 +205,15 @@ proptest! {
             least_m = least_m.min(drive(&scene, &member, &profiles).min_gap_m);
         }
         match accepted {
-            Ok(Accepted::Avoidable { smallest_gap_m, .. }) => prop_assert!(smallest_gap_m <= least_m + 1e-9),
+            Ok(Accepted::Avoidable { smallest_gap_m, afterwards, .. }) => {
+                prop_assert!(smallest_gap_m <= least_m + 1e-9);
+                if afterwards != Afterwards::NotShown {
+                    let kept_m = kept_m(&scene, &profiles, afterwards, &mut || picks.next().unwrap().round());
+                    // Braking ends with a substep, not when the speed is reached.
+                    let late_m = 9.0 * (scene.step_s / SUBSTEPS as f64).powi(2);
+                    prop_assert!(kept_m > -late_m, "{afterwards}: {kept_m}");
+                }
+            }
             Ok(other) => prop_assert!(false, "{other}"),
             Err(Rejection::MayTouch { gap_m, .. }) => {
                 // For a point nothing is lost but the bow inside a step: at most the larger acceleration over h² / 8.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -147,12 +147,18 @@ pub fn write_json(path: &Path, contents: &impl Serialize) -> Result<(), DiskErro
     write(path, text + "\n")
 }
 
-/// The bytes of a file; none if there is no such file.
+/// The bytes of a file of at most so many; none if there is no such file.
 ///
 /// # Errors
-/// [`DiskError`] if there is one that cannot be read.
-pub fn read(path: &Path) -> Result<Option<Vec<u8>>, DiskError> {
-    unless_missing(fs::read(path)).map_err(DiskError::at(path))
+/// [`DiskError`] if there is one that cannot be read or is longer: [`io::ErrorKind::FileTooLarge`].
+pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
+    let Some(file) = unless_missing(fs::File::open(path)).map_err(DiskError::at(path))? else { return Ok(None) };
+    let mut bytes = Vec::new();
+    match file.take(most.saturating_add(1)).read_to_end(&mut bytes) {
+        Ok(count) if count as u64 > most => Err(DiskError::at(path)(io::ErrorKind::FileTooLarge.into())),
+        Ok(_) => Ok(Some(bytes)),
+        Err(source) => Err(DiskError::at(path)(source)),
+    }
 }
 
 /// Removes files, as far as they are there.

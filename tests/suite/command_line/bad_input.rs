@@ -158,6 +158,18 @@ fn output_that_cannot_be_written_leaves_nothing_behind() {
     assert_eq!(names_in(&folder.path().join("t-paper-2.csv")), [""; 0]);
 }
 
+#[test]
+#[cfg(unix)]
+fn a_file_that_grows_beyond_what_is_allowed_is_an_error() {
+    let folder = folder();
+    let mut limited = std::process::Command::new("sh");
+    limited.args(["-c", "ulimit -f 8; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_crumple")]).current_dir(folder.path());
+    let output = limited.args(["simulate", "paper-1", "--trace", "t.csv"]).output().unwrap();
+    assert_eq!(code(&output), 3, "{output:?}");
+    assert!(stderr(&output).starts_with("error: t.csv: "), "{output:?}");
+    assert_eq!(names_in(folder.path()), [""; 0]);
+}
+
 /// What a command says by its exit code it says whoever reads its output.
 #[test]
 #[cfg(unix)]

@@ -221,7 +221,10 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
     let arguments = ["falsify", "--controller", "policy", "--budget", "50000", "--out", "busy", "--resume"];
     let journal = folder.path().join("busy/evaluations.journal");
     let child = command(folder.path(), &arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-    while fs::metadata(&journal).map_or(0, |data| data.len()) < 10_000 {
+    let manifest = folder.path().join("busy/work.json");
+    let begun = || fs::read_to_string(&manifest).is_ok_and(|text| text.contains("growing"));
+    let empty = "\"bytes\": 0,";
+    while !begun() || fs::read_to_string(&manifest).is_ok_and(|text| text.contains(empty)) {
         sleep(Duration::from_millis(20));
     }
     let second = crumple(folder.path(), &arguments);
@@ -232,12 +235,35 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
     assert_eq!(ended.status.code(), Some(130));
     let said = String::from_utf8(ended.stderr).unwrap();
     assert!(said.contains("interrupted: every evaluation is kept in busy: the same command with --resume"), "{said}");
-    for (place, said) in [(1000, "record 24 is damaged"), (0, "not of this campaign")] {
-        let mut bytes = fs::read(&journal).unwrap();
+    let whole = fs::read(&journal).unwrap();
+    let known: Value = serde_json::from_slice(&fs::read(&manifest).unwrap()).unwrap();
+    let known = &known["files"]["evaluations.journal"][0]["growing"]["bytes"];
+    let known = usize::try_from(known.as_u64().unwrap()).unwrap();
+    assert!(known >= 10_000, "what reached the disk is known");
+    let changed = |place: usize| {
+        let mut bytes = whole.clone();
         bytes[place] ^= 1;
-        fs::write(&journal, bytes).unwrap();
-        let refused = crumple(folder.path(), &arguments);
-        assert_refused(&refused, &format!("busy/evaluations.journal: {said}"));
+        Some(bytes)
+    };
+    let (begins_otherwise, shorter) =
+        (format!("its first {known} bytes are not"), format!("shorter than the {known} bytes"));
+    let mut damages = vec![
+        (changed(0), begins_otherwise.as_str()),
+        (changed(known - 1), begins_otherwise.as_str()),
+        (Some(whole[..known - 1].to_vec()), shorter.as_str()),
+        (None, "the file is missing"),
+    ];
+    if whole.len() >= known + 40 {
+        damages.push((changed(known), "record"));
+    }
+    for (bytes, said) in damages {
+        match bytes {
+            Some(bytes) => fs::write(&journal, bytes).unwrap(),
+            None => fs::remove_file(&journal).unwrap(),
+        }
+        assert_refused(&crumple(folder.path(), &arguments), &format!("busy/evaluations.journal: {said}"));
+        let looked = crumple(folder.path(), &["fsck", "busy"]);
+        assert_eq!(code(&looked), i32::from(said != "record"), "{looked:?}");
     }
 }
 

@@ -103,7 +103,7 @@ fn line_of(vehicles: usize, duration_s: f64) -> String {
 #[test]
 fn what_would_take_hours_is_refused_before_it_begins() {
     let folder = folder();
-    let cases: [(&str, usize, f64, &[&str], &str); 5] = [
+    let cases: [(&str, usize, f64, &[&str], &str); 6] = [
         (
             "long",
             1,
@@ -124,6 +124,13 @@ fn what_would_take_hours_is_refused_before_it_begins() {
             500.0,
             &["worst-case", "--controller", "idm"],
             "51 vehicles over 50000 steps are too much to attack: at most 500000",
+        ),
+        (
+            "often",
+            1,
+            600.0,
+            &["worst-case", "--controller", "idm", "--budget", "1000000"],
+            "1000000 simulations of 2 vehicles over 60000 steps are too many: at most 20000000000 vehicles times steps in all, so 166666",
         ),
         ("huge", 100, 600.0, &["simulate"], "duration_s: asks for"),
         ("crowd", 1000, 1.0, &["simulate"], "vehicles: must have 2 to 1000 vehicles, found 1001"),
@@ -159,6 +166,10 @@ fn an_interrupted_assessment_says_how_to_go_on() {
         std::thread::sleep(std::time::Duration::from_millis(10));
     }
     std::thread::sleep(std::time::Duration::from_millis(300));
+    assert_refused(
+        &crumple(folder.path(), &arguments),
+        "error: report/evidence: another assessment is under way there",
+    );
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());
     let ended = child.wait_with_output().unwrap();

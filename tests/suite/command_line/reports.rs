@@ -81,7 +81,12 @@ fn gates_decide_and_evidence_is_kept() {
     let again = crumple(folder.path(), &["assess", "a.toml", "--out", "two", "--against", "one/assessment.json"]);
     assert_eq!(code(&again), 0, "{again:?}");
     assert!(stdout(&again).contains("0 better, 0 worse, 0 new, 0 gone"), "{again:?}");
+    let mut pieces = fs::read_dir(folder.path().join("two/evidence")).unwrap().map(|entry| entry.unwrap().path());
+    let piece = pieces.find(|path| path.extension().is_some_and(|extension| extension == "json")).unwrap();
+    fs::write(&piece, "{").unwrap();
     let third = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
+    let name = piece.file_name().unwrap().to_string_lossy().into_owned();
+    assert!(stderr(&third).contains(&format!("two/evidence/{name} was damaged, and gathered again")), "{third:?}");
     assert!(stderr(&third).contains("pieces of evidence were there"), "{third:?}");
     let read = |report: &str| {
         let text = fs::read_to_string(folder.path().join(report).join("assessment.json")).unwrap();

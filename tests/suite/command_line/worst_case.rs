@@ -44,7 +44,14 @@ fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is(
     };
     assert!(gap_m("0.02") > gap_m("0.1") + 0.01);
     let words = crumple(folder.path(), &["avoid", "paper-2"]);
-    assert!(stdout(&words).contains("by a computed bound without a certificate"), "{}", stdout(&words));
+    assert!(stdout(&words).contains("no driver keeps more than 9.20 m, proved"), "{}", stdout(&words));
+    let proved = crumple(folder.path(), &["avoid", "paper-2", "--bound-certificate", "bound.json"]);
+    assert_eq!(code(&proved), 0, "{proved:?}");
+    let checked = crumple(folder.path(), &["check", "bound.json", "--scenario", "paper-2"]);
+    assert_eq!(code(&checked), 0, "{checked:?}");
+    assert!(stdout(&checked).contains("whatever is done, some gap gets as small as 9.19"), "{}", stdout(&checked));
+    let other = crumple(folder.path(), &["check", "bound.json", "--scenario", "paper-1"]);
+    assert_eq!(code(&other), 1, "{other:?}");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use crumple_search::worst_case::{
     AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, Family, FieldRange, Ranges, Reason, avoid, avoid_all,
     certify, is_about,
 };
-use crumple_verify::{Accepted, Certificate, Statement};
+use crumple_verify::{Accepted, Certificate, Rejection, Statement};
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in, file};
@@ -19,8 +19,20 @@ use serde_json::Value;
 
 use scenes::{random, scenario_of, small, with_profile};
 
+/// Decided, and where there is an escape its bound is one that the checker accepts, and no smaller one.
 fn decide(scenario: &Scenario) -> Avoidance {
-    avoid(scenario, AvoidOptions::default()).expect("the default grid fits")
+    let options = AvoidOptions { certify_bound: true, ..AvoidOptions::default() };
+    let avoidance = avoid(scenario, options).expect("the default grid fits");
+    let Some(certificate) = &avoidance.bound_certificate else { return avoidance };
+    let bound_m = avoidance.min_gap_bound_m.expect("what is certified");
+    assert!(matches!(check(certificate), Accepted::GapBound { gap_m, .. } if gap_m == bound_m));
+    assert!(is_about(certificate, scenario));
+    let mut stronger = (**certificate).clone();
+    if let Statement::GapBound(claim) = &mut stronger.statement {
+        claim.gap_m = claim.gap_m.next_down();
+    }
+    assert!(matches!(crumple_verify::check(&stronger), Err(Rejection::GapBound { .. })));
+    avoidance
 }
 
 fn run(scenario: &Scenario, controller: &ControllerSpec, estimator: EstimatorKind, parts: f64) -> Simulated {
@@ -49,6 +61,7 @@ fn the_papers_collisions_were_avoidable() {
         let avoidance = decide(&scenario);
         let escape = avoidance.verdict.escape().unwrap_or_else(|| panic!("{name}: {:?}", avoidance.verdict));
         assert!((escape.min_gap_m - gap_m).abs() < 0.2, "{name}: {} m", escape.min_gap_m);
+        assert!(avoidance.bound_certificate.is_some(), "{name}");
         assert!(avoidance.min_gap_bound_m.unwrap() >= escape.min_gap_m, "{name}");
         assert!(avoidance.min_gap_bound_m.unwrap() < gap_m + 0.6, "{name}: {avoidance:?}");
         let fired_s = escape.trigger_time_s.expect("the gap is worth braking for");
@@ -147,6 +160,7 @@ fn no_controller_contradicts_a_verdict() {
             AvoidanceVerdict::Avoidable(escape) => {
                 avoidable += 1;
                 let bound_m = avoidance.min_gap_bound_m.expect("an escape needs a bound");
+                assert!(avoidance.bound_certificate.is_some(), "{seed}: the bound has a certificate");
                 for (name, kept_m) in kept_m {
                     assert!(kept_m <= bound_m + 1e-9, "{seed}: {name} keeps {kept_m} m, and {bound_m} m is the bound");
                 }

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use crumple_search::difference;
-use crumple_search::disk;
 use crumple_search::work::{Asked, Work, WorkError};
 
 use crate::rl::{ConfigError, TrainingConfig};
@@ -160,11 +159,9 @@ impl RetrainingPlan {
     /// The folder, if it is this plan's or nobody's; where it is another's, the error says in what they differ.
     pub(super) fn work(&self, folder: &Path, resume: bool) -> Result<Work, RetrainError> {
         let configuration = self.to_toml()?;
-        let path = folder.join(PLAN);
-        match Work::open(folder, Asked { kind: "retraining", configuration: &configuration, resume }) {
-            Err(WorkError::OtherConfiguration { .. }) => {
-                let found = disk::read(&path)?.unwrap_or_default();
-                let found = String::from_utf8_lossy(&found);
+        let asked = Asked { kind: "retraining", configuration: &configuration, configuration_file: PLAN, resume };
+        match Work::open(folder, asked) {
+            Err(WorkError::OtherConfiguration { path, found, .. }) => {
                 Err(RetrainError::Folder(difference::in_toml(&path, "retraining", &found, &configuration)))
             }
             work => Ok(work?),

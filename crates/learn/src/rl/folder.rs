@@ -12,7 +12,7 @@ use super::evaluation::{Evaluation, HeldOut, unseen_contacts};
 use super::seeds::{Event, Observer, train};
 use super::trainer::{Trainer, TrainingError};
 use crumple_search::difference;
-use crumple_search::disk::{self, DiskError};
+use crumple_search::disk::DiskError;
 use crumple_search::work::{Asked, MANIFEST, Work, WorkError};
 
 /// How it was trained: a file as `--preset` takes it.
@@ -178,10 +178,9 @@ fn opened(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Resul
     let folder = seed_folder(out, seed);
     // A training may be made longer.
     let configuration = format!("seed = {seed}\n{}", text_of(&TrainingConfig { episodes: 0, ..config.clone() })?);
-    let path = folder.join(CONFIGURATION);
-    match Work::open(&folder, Asked { kind: "training", configuration: &configuration, resume }) {
-        Err(WorkError::OtherConfiguration { .. }) => {
-            let found = String::from_utf8_lossy(&disk::read(&path)?.unwrap_or_default()).into_owned();
+    let asked = Asked { kind: "training", configuration: &configuration, configuration_file: CONFIGURATION, resume };
+    match Work::open(&folder, asked) {
+        Err(WorkError::OtherConfiguration { path, found, .. }) => {
             let episodes = TrainingConfig::parse(&found).map_or(config.episodes, |found| found.episodes);
             let expected = text_of(&TrainingConfig { episodes, ..config.clone() })?;
             Err(TrainingError::OtherTraining(difference::in_toml(&path, "training", &found, &expected)))

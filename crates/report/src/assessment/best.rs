@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::work::Work;
 use super::{Case, Rounded, StoreError};
-use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoid};
+use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoid, is_about};
+use crumple_verify::{Accepted, Certificate, check};
 use crumple_world::scenario::{Scenario, file};
 
 /// Whether a contact was avoidable for any driver, and by how much.
@@ -19,6 +20,8 @@ pub enum Best {
         min_gap_m: Rounded<2>,
         /// No driver keeps a larger smallest gap, in metres, rounded up.
         min_gap_bound_m: Option<Rounded<2>>,
+        /// Whether there is a certificate of that, which the checker has accepted.
+        min_gap_bound_is_certified: bool,
         /// When the emergency brake of the follower fires on that profile, in seconds.
         follower_brakes_s: Option<Rounded<2>>,
     },
@@ -32,26 +35,21 @@ pub enum Best {
 }
 
 impl Best {
-    /// What [`Best::of`] says of a scenario, computed only if no earlier run has kept it.
-    pub(super) fn kept(scenario: &Scenario, work: &Work<'_>) -> Result<Self, StoreError> {
-        let text = file::to_toml(scenario).map_err(StoreError::encoding)?;
-        work.store.get(&format!("best of {}", scenario.spec().name), &text, || Ok(Self::of(scenario)))
+    /// The best, without a certificate of its bound.
+    pub(super) fn of(scenario: &Scenario) -> Self {
+        CertifiedBest::find(scenario, AvoidOptions::default()).best
     }
 
-    pub(super) fn of(scenario: &Scenario) -> Self {
-        let undecided = |reason: String| Self::Undecided { reason };
-        let Avoidance { verdict, min_gap_bound_m, .. } = match avoid(scenario, AvoidOptions::default()) {
-            Ok(found) => found,
-            Err(error) => return undecided(error.to_string()),
-        };
+    fn read(Avoidance { verdict, min_gap_bound_m, bound_certificate, .. }: &Avoidance) -> Self {
         match verdict {
             AvoidanceVerdict::Avoidable(escape) => Self::Avoidable {
                 min_gap_m: Rounded::down(escape.min_gap_m),
                 min_gap_bound_m: min_gap_bound_m.map(Rounded::up),
+                min_gap_bound_is_certified: bound_certificate.is_some(),
                 follower_brakes_s: escape.trigger_time_s.map(Rounded::new),
             },
             AvoidanceVerdict::Unavoidable(_) => Self::Unavoidable,
-            AvoidanceVerdict::Undecided(reason) => undecided(reason.to_string()),
+            AvoidanceVerdict::Undecided(reason) => Self::Undecided { reason: reason.to_string() },
         }
     }
 
@@ -70,12 +68,15 @@ impl Best {
     /// In a sentence.
     pub(super) fn words(&self) -> String {
         match self {
-            Self::Avoidable { min_gap_m, min_gap_bound_m, follower_brakes_s } => {
+            Self::Avoidable { min_gap_m, min_gap_bound_m, min_gap_bound_is_certified, follower_brakes_s } => {
                 let fires =
                     follower_brakes_s.map(|time_s| format!(", firing the follower's emergency brake at {time_s} s"));
-                let bound = min_gap_bound_m.map(|bound_m| {
-                    format!("; nobody keeps more than {bound_m} m, by a computed bound without a certificate")
-                });
+                let by = if *min_gap_bound_is_certified {
+                    "and the checker has accepted the proof"
+                } else {
+                    "by a computed bound without a certificate"
+                };
+                let bound = min_gap_bound_m.map(|bound_m| format!("; nobody keeps more than {bound_m} m, {by}"));
                 format!(
                     "Avoidable: the best escape found keeps a smallest gap of {min_gap_m} m{}{}.",
                     fires.unwrap_or_default(),
@@ -99,10 +100,54 @@ impl Best {
     }
 }
 
+/// The best of a scenario, and the certificate of what is said there of every driver.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct CertifiedBest {
+    pub(super) best: Best,
+    pub(super) certificate: Option<Certificate>,
+}
+
+impl CertifiedBest {
+    /// That of a scenario, computed only if no earlier run has kept it: then the checker looks at it again.
+    pub(super) fn kept(scenario: &Scenario, work: &Work<'_>) -> Result<Self, StoreError> {
+        let text = file::to_toml(scenario).map_err(StoreError::encoding)?;
+        let find = || Self::find(scenario, AvoidOptions { certify_bound: true, ..AvoidOptions::default() });
+        let found: Self =
+            work.store.get(&format!("best of {}", scenario.spec().name), &text, || Ok::<_, StoreError>(find()))?;
+        Ok(if found.holds(scenario) { found } else { find() })
+    }
+
+    fn find(scenario: &Scenario, options: AvoidOptions) -> Self {
+        match avoid(scenario, options) {
+            Ok(avoidance) => {
+                let best = Best::read(&avoidance);
+                let certificate = match avoidance.verdict {
+                    AvoidanceVerdict::Unavoidable(certificate) => Some(certificate),
+                    AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Undecided(_) => avoidance.bound_certificate,
+                };
+                Self { best, certificate: certificate.map(|certificate| *certificate) }
+            }
+            Err(error) => Self { best: Best::Undecided { reason: error.to_string() }, certificate: None },
+        }
+    }
+
+    /// Whether what it says of every driver is what its certificate shows.
+    fn holds(&self, scenario: &Scenario) -> bool {
+        let shown = self.certificate.as_ref().map(|certificate| (check(certificate), is_about(certificate, scenario)));
+        match (&self.best, shown) {
+            (Best::Unavoidable, shown) => matches!(shown, Some((Ok(Accepted::Unavoidable { .. }), true))),
+            (Best::Avoidable { min_gap_bound_m: Some(bound_m), min_gap_bound_is_certified: true, .. }, shown) => {
+                matches!(shown, Some((Ok(Accepted::GapBound { gap_m, .. }), true)) if Rounded::up(gap_m) == *bound_m)
+            }
+            (Best::Avoidable { .. } | Best::Undecided { .. }, shown) => shown.is_none(),
+        }
+    }
+}
+
 /// What the numbers are, and how they relate.
 pub(super) const WHAT_REGRET_IS: &str = "The best escape found is a profile for the vehicles under test, from \
     convex programming with knowledge of the future, held over steps of 0.1 s (or finer, where those do not decide), and \
     replayed by the simulation; one on a finer grid may keep more. A controller's regret is its smallest gap less the controller's \
-    own, ahead or behind. The bound beside it comes from the multipliers of those programs and is of every driver, but it is \
-    computed and has no certificate; as far as it holds, regret understates what was lost by no more than the distance between \
+    own, ahead or behind. The bound beside it comes from the multipliers of those programs and is of every driver; where it has a \
+    certificate (`crumple avoid --bound-certificate` writes it, too), regret understates what was lost by no more than the distance between \
     the two.";

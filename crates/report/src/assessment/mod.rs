@@ -177,7 +177,9 @@ pub fn assess(
     let worst_profiles = WorstProfiles::gather(plan, &work)?;
     let failure_maps = FailureMaps::gather(plan, &work)?;
     let usefulness = Usefulness::gather(plan, &work)?;
-    let proofs = Proofs::gather(plan, &work)?;
+    let scenarios = paper_scenarios.iter().flat_map(|paper| &paper.scenarios);
+    let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
+    let proofs = Proofs::gather(plan, &work, scenarios)?;
     let limits = Limits::of(plan);
     let found = Findings {
         paper: paper_scenarios.as_ref(),

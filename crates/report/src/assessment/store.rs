@@ -2,14 +2,15 @@
 //!
 //! Every piece of evidence has a name and depends on stated inputs. It is kept in a file of its own under the SHA-256 of the
 //! program, the name and the inputs, so that whatever changes makes another file, and an assessment that was interrupted goes
-//! on where it stopped. The file holds the hash of what it keeps; one that was cut, edited or swapped is gathered again.
+//! on where it stopped. The file holds the hash of what it keeps; one that was cut, edited or swapped is gathered again, and
+//! named. One assessment at a time works with a folder.
 //!
 //! This is integrity, not secrecy: somebody who writes numbers and hashes anew is believed, whence `--fresh`. Nothing that the
 //! checker can decide is kept: certificates are checked in every run.
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
@@ -17,6 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use super::plan::slug;
 use crumple_search::disk::{self, DiskError};
+use crumple_search::work::Lock;
 use crumple_world::digest::sha256;
 
 /// A piece of evidence: its name, what it depends on, and what it says, as hashes.
@@ -30,6 +32,9 @@ pub struct EvidenceHash {
     pub evidence_sha256: String,
 }
 
+/// The longest file of evidence that is read: the longest of the built-in assessment is not a hundredth of it.
+const MOST_BYTES: u64 = 256 << 20;
+
 /// Where evidence is kept, if it is.
 #[derive(Debug, Default)]
 pub struct Store {
@@ -37,12 +42,14 @@ pub struct Store {
     program: String,
     fresh: bool,
     gathered: Mutex<Gathered>,
+    _lock: Option<Lock>,
 }
 
 #[derive(Debug, Default)]
 struct Gathered {
     hashes: Vec<EvidenceHash>,
     reused: usize,
+    damaged: Vec<PathBuf>,
 }
 
 /// Why evidence cannot be kept.
@@ -52,6 +59,9 @@ pub enum StoreError {
     /// A file or folder cannot be read or written.
     #[error(transparent)]
     Disk(#[from] DiskError),
+    /// Another process is at work there.
+    #[error("{}: another assessment is under way there", .0.display())]
+    InUse(PathBuf),
     /// Evidence, or what it depends on, cannot be encoded.
     #[error("cannot encode a piece of evidence: {0}")]
     Encoding(String),
@@ -104,10 +114,17 @@ impl Store {
     /// `fresh`.
     ///
     /// # Errors
-    /// [`StoreError`] if the folder cannot be made.
+    /// [`StoreError`] if the folder cannot be made, or is in use.
     pub fn open(folder: &Path, program: &str, fresh: bool) -> Result<Self, StoreError> {
         disk::make_folder(folder)?;
-        Ok(Self { folder: Some(folder.to_owned()), program: program.to_owned(), fresh, gathered: Mutex::default() })
+        let lock = Lock::of(folder)?.ok_or_else(|| StoreError::InUse(folder.to_owned()))?;
+        Ok(Self {
+            folder: Some(folder.to_owned()),
+            program: program.to_owned(),
+            fresh,
+            gathered: Mutex::default(),
+            _lock: Some(lock),
+        })
     }
 
     /// The evidence of that name if what it depends on is as it was; otherwise what `gather` says.
@@ -173,8 +190,18 @@ impl Store {
         format!("{}-{}", slug(name), key.get(..16).unwrap_or_default())
     }
 
-    /// The text of the evidence and its value, if the file is what its name says.
+    /// The text of the evidence and its value, if there is a file and it is what its name says.
     fn read<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
+        let found = fs::symlink_metadata(path).ok()?;
+        let is_plain = found.is_file() && found.len() <= MOST_BYTES;
+        let value = is_plain.then(|| self.believed(path, name, inputs_sha256)).flatten();
+        if value.is_none() {
+            self.locked().damaged.push(path.to_owned());
+        }
+        value
+    }
+
+    fn believed<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
         let kept: Kept = serde_json::from_str(&fs::read_to_string(path).ok()?).ok()?;
         let is_asked_for = kept.name == name && kept.inputs_sha256 == inputs_sha256 && kept.program == self.program;
         let is_whole = sha256(&kept.evidence) == kept.evidence_sha256;
@@ -184,16 +211,14 @@ impl Store {
 
     fn note(&self, name: &str, inputs_sha256: String, evidence: &str, reused: bool) {
         let hash = EvidenceHash { name: name.to_owned(), inputs_sha256, evidence_sha256: sha256(evidence) };
-        // Nothing is left half done under this lock, so that a panic elsewhere does not spoil it.
-        let mut gathered = self.gathered.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut gathered = self.locked();
         gathered.hashes.push(hash);
         gathered.reused += usize::from(reused);
     }
 
     /// Hashes of all evidence so far, by name.
     pub(super) fn hashes(&self) -> Vec<EvidenceHash> {
-        let gathered = self.gathered.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        let mut hashes = gathered.hashes.clone();
+        let mut hashes = self.locked().hashes.clone();
         hashes.sort();
         hashes
     }
@@ -201,8 +226,19 @@ impl Store {
     /// How many pieces of evidence there are, and how many of them were kept from earlier.
     #[must_use]
     pub fn reused(&self) -> (usize, usize) {
-        let gathered = self.gathered.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let gathered = self.locked();
         (gathered.hashes.len(), gathered.reused)
+    }
+
+    /// Files that were not what they should have been, whose evidence was gathered again.
+    #[must_use]
+    pub fn damaged(&self) -> Vec<PathBuf> {
+        self.locked().damaged.clone()
+    }
+
+    fn locked(&self) -> MutexGuard<'_, Gathered> {
+        // Nothing is left half done under this lock, so that a panic elsewhere does not spoil it.
+        self.gathered.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -31,12 +31,9 @@ pub enum Unbound {
         /// Which.
         field: &'static str,
     },
-    /// The text of a scenario or space is none.
+    /// The text of a scenario, space or box is none.
     #[error(transparent)]
     Text(#[from] FileError),
-    /// The text of a box is none.
-    #[error("provenance.box_text: {0}")]
-    BoxText(#[from] toml::de::Error),
     /// The ranges make no box around the scenario.
     #[error("provenance.box_text: {0}")]
     Family(#[from] FamilyError),
@@ -81,7 +78,7 @@ pub fn bound(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), Unb
             let scenario = scenario_of(certificate)?;
             let family = match &certificate.provenance.box_text {
                 None => Family::point(&scenario),
-                Some(text) => Family::new(&scenario, &toml::from_str::<Ranges>(text)?)?,
+                Some(text) => Family::new(&scenario, &file::parse_toml::<Ranges>(text, Path::new(BOX_TEXT))?)?,
             };
             if is_exactly(certificate, &family) { Ok(()) } else { Err(other_scene()) }
         }
@@ -127,6 +124,8 @@ fn is_same_run(claim: &Reach, starts: &Starts) -> bool {
     (claim.step_s, claim.steps, claim.follower_ttc_s) == (starts.step_s, starts.steps, starts.follower_ttc_s)
 }
 
+const BOX_TEXT: &str = "provenance.box_text";
+
 /// Whether the vehicle can do whatever the policy asks for; the checker has looked at the policy, and found it whole.
 fn may_drive(policy: Option<&[u8]>, starts: &Starts) -> bool {
     policy.and_then(|bytes| Actor::from_bytes(bytes).ok()).is_some_and(|actor| starts.allows(actor.action_mps2))
@@ -135,7 +134,8 @@ fn may_drive(policy: Option<&[u8]>, starts: &Starts) -> bool {
 fn is_of_box(certificate: &Certificate, claim: &Reach, policy: Option<&[u8]>) -> Result<(), Unbound> {
     let scenario = scenario_of(certificate)?;
     let text = certificate.provenance.box_text.as_ref();
-    let spec = BoxSpec::from_toml(text.ok_or(Unbound::Missing { field: "provenance.box_text" })?)?;
+    let text = text.ok_or(Unbound::Missing { field: BOX_TEXT })?;
+    let spec = BoxSpec::from_toml(text, Path::new(BOX_TEXT))?;
     if spec.scenario != certificate.provenance.scenario {
         return Err(differs("provenance.box_text", "is around another scenario"));
     }

@@ -10,7 +10,6 @@ use serde::Serialize;
 use super::{RateError, RatePlan, Tally};
 use crate::disk::DiskError;
 use crate::work::{Asked, Work, WorkError};
-use crumple_world::scenario::file;
 
 /// Work that may be lost when a count is interrupted: writing progress down costs milliseconds.
 const BETWEEN: Duration = Duration::from_secs(1);
@@ -61,13 +60,9 @@ impl RatePlan {
     pub fn register_in(&self, folder: &Path, resume: bool) -> Result<RateCount<'_>, RateFolderError> {
         let path = folder.join(REGISTRATION);
         let registration = json(&path, self.registration())?;
-        let work = Work::open(folder, Asked { kind: "count", configuration: &registration, resume });
-        let is_registered =
-            |path: &Path| file::read_at_most(path, file::MOST_TOML_BYTES).is_ok_and(|found| found == registration);
-        let work = work.map_err(|error| match error {
-            WorkError::OtherConfiguration { .. } if !is_registered(&path) => {
-                RateFolderError::OtherRegistration { path }
-            }
+        let asked = Asked { kind: "count", configuration: &registration, configuration_file: REGISTRATION, resume };
+        let work = Work::open(folder, asked).map_err(|error| match error {
+            WorkError::OtherConfiguration { path, .. } => RateFolderError::OtherRegistration { path },
             other => other.into(),
         })?;
         work.write(REGISTRATION, registration)?;

@@ -4,6 +4,7 @@
 //! in two along the dimension that accounts for most of what is in doubt. Boxes are independent and are taken depth by
 //! depth, so that the result does not depend on the number of threads.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -18,7 +19,8 @@ use crate::worst_case::certificate_about;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::{Brake, Driver, InvalidField, LeadProfile, Scenario, built_in, file};
+use crumple_world::scenario::file::{self, FileError};
+use crumple_world::scenario::{Brake, Driver, InvalidField, LeadProfile, Scenario, built_in};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// Covers what a simulator in double precision rounds, in metres, m/s and m/s².
@@ -67,9 +69,6 @@ pub struct RangesSpec {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidBox {
-    /// The file is not one of a box.
-    #[error("{0}")]
-    Syntax(#[from] toml::de::Error),
     /// The scenario is not one that can be claimed about.
     #[error("scenario: {0}")]
     Scenario(String),
@@ -159,13 +158,20 @@ impl BoxSpec {
         Self { version: 1, about, scenario, observation_error: exact(), ranges }
     }
 
-    /// Reads a box from TOML text.
+    /// Reads a box from TOML text; `path` only names it in errors.
     ///
     /// # Errors
-    /// [`InvalidBox`] for text that is no box.
-    pub fn from_toml(text: &str) -> Result<Self, InvalidBox> {
-        let spec: Self = file::read_by_name(toml::Deserializer::parse(text)?)?;
-        if spec.version == 1 { Ok(spec) } else { Err(InvalidBox::Scenario("only version 1 is known".to_owned())) }
+    /// [`FileError`] for text that is no box.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
+        let spec: Self = file::parse_toml(text, path)?;
+        match spec.version {
+            1 => Ok(spec),
+            other => Err(FileError::Syntax {
+                path: path.to_owned(),
+                line: file::line_in_toml(text, "version"),
+                message: format!("version: only 1 is known, found {other}"),
+            }),
+        }
     }
 }
 
@@ -372,7 +378,7 @@ mod tests {
 
     fn plan(ranges: &str) -> ReachPlan {
         let text = format!("version = 1\nscenario = \"paper-1\"\n[ranges]\n{ranges}");
-        ReachPlan::new(Policy::reference(), &BoxSpec::from_toml(&text).unwrap()).unwrap()
+        ReachPlan::new(Policy::reference(), &BoxSpec::from_toml(&text, Path::new("paper-2.toml")).unwrap()).unwrap()
     }
 
     #[test]

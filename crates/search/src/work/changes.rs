@@ -1,6 +1,6 @@
 //! Changes to a folder of work: announced together, then made together.
 
-use super::manifest::FileState;
+use super::manifest::{FileState, Prefix};
 use super::{Work, WorkError, generation};
 use crate::disk::{self, Files};
 
@@ -19,7 +19,7 @@ enum Change {
         state: FileState,
     },
     Remove,
-    /// It may be there from now on, and checks its own records.
+    /// It may be there from now on ([`Work::grew`]).
     Grow,
 }
 
@@ -29,7 +29,7 @@ impl Change {
             Self::Write(contents) => FileState::of(contents),
             Self::Keep { state, .. } => state.clone(),
             Self::Remove => FileState::Absent,
-            Self::Grow => FileState::Growing,
+            Self::Grow => FileState::Growing(Prefix::nothing()),
         }
     }
 }
@@ -67,7 +67,8 @@ impl<'a> Changes<'a> {
         self
     }
 
-    /// A file whose records have checks of their own may be there: the manifest says that, and no more.
+    /// A file may be there from now on that grows, and whose records have checks of their own: the manifest knows of it what
+    /// [`Work::grew`] says.
     pub fn grow(&mut self, name: &str) -> &mut Self {
         self.changes.push((name.to_owned(), Change::Grow));
         self

@@ -21,7 +21,7 @@ pub struct Examined {
     pub files: Vec<(String, Result<(), String>)>,
     /// Whether something is damaged and [`super::restore`] has a way back.
     pub can_be_restored: bool,
-    /// Files whose records have checks of their own: their readers make them.
+    /// Those of the files to whose ends records may have been added since that have checks of their own: their readers make them.
     pub growing: Vec<String>,
 }
 
@@ -62,14 +62,15 @@ pub fn examine(folder: &Path) -> Result<Examined, WorkError> {
 /// What is found of a manifest's files.
 pub(super) fn examined(folder: &Path, manifest: &Manifest) -> Result<Examined, WorkError> {
     let state = |name: String| -> Result<_, WorkError> {
-        match manifest.contents(folder, &name) {
-            Ok(bytes) => Ok((name.clone(), manifest.check(&name, bytes.as_deref()))),
+        match manifest.look(folder, &name) {
+            Ok(()) => Ok((name, Ok(()))),
             Err(WorkError::Damaged { problem, .. }) => Ok((name, Err(problem))),
             Err(other) => Err(other),
         }
     };
-    let (growing, whole): (Vec<_>, Vec<_>) = manifest.names().into_iter().partition(|name| manifest.grows(name));
-    let mut files = whole.into_iter().map(state).collect::<Result<Vec<_>, _>>()?;
+    let names = manifest.names();
+    let growing = names.iter().filter(|name| manifest.grows(name)).cloned().collect();
+    let mut files = names.into_iter().map(state).collect::<Result<Vec<_>, _>>()?;
     for stranger in manifest.strangers(folder)? {
         let name = stranger.strip_prefix(folder).unwrap_or(&stranger).to_string_lossy().into_owned();
         files.push((name, Err(UNKNOWN.to_owned())));

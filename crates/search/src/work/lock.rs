@@ -12,14 +12,17 @@ const LOCK: &str = "work.lock";
 ///
 /// The file stays: a process that removed it might remove one that another process is about to lock.
 #[derive(Debug)]
-pub(super) struct Lock {
+pub struct Lock {
     /// Holds the lock of the operating system.
     file: File,
 }
 
 impl Lock {
     /// None if another process has it.
-    pub(super) fn of(folder: &Path) -> Result<Option<Self>, DiskError> {
+    ///
+    /// # Errors
+    /// [`DiskError`] if there is no such folder, or it cannot be written.
+    pub fn of(folder: &Path) -> Result<Option<Self>, DiskError> {
         let (file, path) = opened(folder)?;
         match file.try_lock() {
             Ok(()) => Ok(Some(Self { file })),

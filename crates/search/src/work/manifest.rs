@@ -2,14 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use super::{MANIFEST, UNKNOWN, WorkError, generation};
 use crate::disk::{self, DiskError, Files};
-use crumple_world::digest::sha256;
+use crumple_world::digest::{Sha256, sha256};
 
 /// The version of the file.
 const VERSION: u32 = 1;
@@ -37,11 +37,56 @@ pub(super) struct Manifest {
 pub(super) enum FileState {
     /// It is not there.
     Absent,
-    /// It is there, or not yet, and checks its own records.
-    Growing,
+    /// It begins with this; what follows has come since, and its records have checks of their own.
+    Growing(Prefix),
     /// It has these contents.
     Whole { bytes: u64, sha256: String },
 }
+
+/// The first bytes of a file that grows.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Prefix {
+    /// How many there are.
+    pub bytes: u64,
+    /// Their SHA-256.
+    pub sha256: String,
+}
+
+impl Prefix {
+    /// That of a file of which nothing has to be there.
+    pub(super) fn nothing() -> Self {
+        Self { bytes: 0, sha256: sha256("") }
+    }
+
+    /// Whether a file begins so. Read piece by piece, for it may be larger than memory.
+    fn begins(&self, path: &Path) -> Result<Result<(), String>, DiskError> {
+        let unreadable = DiskError::at(path);
+        let mut file = match fs::File::open(path) {
+            Ok(file) => file.take(self.bytes),
+            Err(error) if error.kind() == ErrorKind::NotFound && self.bytes == 0 => return Ok(Ok(())),
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Err(MISSING.to_owned())),
+            Err(error) => return Err(unreadable(error)),
+        };
+        let (mut digest, mut part, mut left) = (Sha256::default(), vec![0; 1 << 16], self.bytes);
+        loop {
+            match file.read(&mut part).map_err(unreadable)? {
+                0 => break,
+                count => {
+                    digest.update(part.get(..count).unwrap_or_default());
+                    left = left.saturating_sub(count as u64);
+                }
+            }
+        }
+        Ok(match (left, digest.hexadecimal() == self.sha256) {
+            (0, true) => Ok(()),
+            (0, false) => Err(format!("its first {} bytes are not as they were written", self.bytes)),
+            _ => Err(format!("shorter than the {} bytes that were written", self.bytes)),
+        })
+    }
+}
+
+const MISSING: &str = "the file is missing";
 
 impl FileState {
     pub(super) fn of(contents: &[u8]) -> Self {
@@ -52,7 +97,7 @@ impl FileState {
     fn bytes(&self) -> u64 {
         match self {
             Self::Absent => 0,
-            Self::Growing => u64::MAX,
+            Self::Growing(_) => u64::MAX,
             Self::Whole { bytes, .. } => *bytes,
         }
     }
@@ -60,7 +105,8 @@ impl FileState {
     /// Whether a file of these bytes, or none, is in this state.
     fn is(&self, found: Option<&[u8]>) -> bool {
         match (self, found) {
-            (Self::Growing, _) => true,
+            // `Prefix::begins` has looked.
+            (Self::Growing(_), _) => true,
             (Self::Absent, found) => found.is_none(),
             (Self::Whole { bytes, .. }, Some(found)) if *bytes != found.len() as u64 => false,
             (Self::Whole { sha256: expected, .. }, Some(found)) => sha256(found) == *expected,
@@ -70,19 +116,26 @@ impl FileState {
 }
 
 /// The longest manifest that is read: that of ten thousand files is not a tenth of it.
-const MOST_BYTES: u64 = 64 << 20;
+pub(super) const MOST_BYTES: u64 = 64 << 20;
 
-/// The bytes of a regular file of at most so many; none if there is none. What is longer, or a link, a folder or a pipe in its place, is
-/// not what was written, and is not read.
-fn regular(path: &Path, most: u64) -> Result<Option<Vec<u8>>, WorkError> {
+/// How long a file is; none if there is none. A link, a folder or a pipe in its place is not what was written.
+fn plain(path: &Path) -> Result<Option<u64>, WorkError> {
     match fs::symlink_metadata(path) {
         Ok(found) if !found.is_file() => {
             Err(WorkError::damaged(path, "no file of its own: work is kept in plain files"))
         }
-        Ok(found) if found.len() > most => Err(WorkError::damaged(path, "not as it was written: longer than it was")),
+        Ok(found) => Ok(Some(found.len())),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
         Err(source) => Err(DiskError::at(path)(source).into()),
-        Ok(_) => Ok(disk::read(path)?),
+    }
+}
+
+/// The bytes of a plain file of at most so many; none if there is none. What is longer is not read.
+pub(super) fn regular(path: &Path, most: u64) -> Result<Option<Vec<u8>>, WorkError> {
+    match plain(path)? {
+        Some(bytes) if bytes > most => Err(WorkError::damaged(path, "not as it was written: longer than it was")),
+        Some(_) => Ok(disk::read(path, most)?),
+        None => Ok(None),
     }
 }
 
@@ -197,9 +250,22 @@ impl Manifest {
         self.knows(&format!("{folder}/{MANIFEST}"))
     }
 
-    /// Whether a file has checks of its own.
+    /// How a file begins that grows.
+    fn prefix(&self, name: &str) -> Option<&Prefix> {
+        self.files.get(name)?.iter().find_map(|state| match state {
+            FileState::Growing(prefix) => Some(prefix),
+            _ => None,
+        })
+    }
+
+    /// Whether more may follow what is known of a file.
     pub(super) fn grows(&self, name: &str) -> bool {
-        self.files.get(name).is_some_and(|states| states.contains(&FileState::Growing))
+        self.prefix(name).is_some()
+    }
+
+    /// Knows more of a file that grows.
+    pub(super) fn grew(&mut self, name: &str, prefix: Prefix) {
+        self.files.insert(name.to_owned(), vec![FileState::Growing(prefix)]);
     }
 
     /// The folders that files are in, beside that of the manifest itself.
@@ -235,10 +301,23 @@ impl Manifest {
         match states.iter().any(|state| state.is(found)) {
             true => Ok(()),
             false => Err(match found {
-                None => "the file is missing".to_owned(),
+                None => MISSING.to_owned(),
                 Some(_) if states == absent => UNKNOWN.to_owned(),
                 Some(_) => "not as it was written".to_owned(),
             }),
+        }
+    }
+
+    /// Whether a file in the folder is as it was written.
+    pub(super) fn look(&self, folder: &Path, name: &str) -> Result<(), WorkError> {
+        let path = folder.join(name);
+        let damaged = |problem| WorkError::damaged(&path, problem);
+        match self.prefix(name) {
+            Some(prefix) => {
+                plain(&path)?;
+                prefix.begins(&path)?.map_err(damaged)
+            }
+            None => self.check(name, self.contents(folder, name)?.as_deref()).map_err(damaged),
         }
     }
 

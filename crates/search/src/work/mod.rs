@@ -21,7 +21,8 @@ mod manifest;
 pub use changes::Changes;
 pub use examine::{Examined, examine};
 pub use generation::{Restored, restore};
-pub use lock::exclusively;
+pub use lock::{Lock, exclusively};
+pub use manifest::Prefix;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -29,7 +30,6 @@ use std::sync::{Mutex, PoisonError};
 use crate::disk::{self, DiskError};
 use crate::program::{self, OTHER_BUILD};
 use crumple_world::digest::{Sha256, sha256};
-use lock::Lock;
 use manifest::{FileState, Manifest, files_in};
 
 /// The file that says what the others are.
@@ -82,12 +82,14 @@ pub enum WorkError {
         kind: String,
     },
     /// It was configured otherwise.
-    #[error("{}: configuration_sha256: the {kind} there was configured otherwise", path.display())]
+    #[error("{}: the {kind} there was configured otherwise", path.display())]
     OtherConfiguration {
-        /// The manifest.
+        /// The file that says how, or would.
         path: PathBuf,
         /// What kind of work is there.
         kind: String,
+        /// What that file holds; empty if it was not written yet.
+        found: String,
     },
     /// Another build of crumple left it half done.
     #[error("{}: {OTHER_BUILD}", path.display())]
@@ -124,6 +126,8 @@ pub struct Asked<'a> {
     pub kind: &'a str,
     /// Everything that decides its results.
     pub configuration: &'a str,
+    /// The file that says so to readers.
+    pub configuration_file: &'a str,
     /// Whether work that is there is gone on with.
     pub resume: bool,
 }
@@ -151,7 +155,14 @@ impl Work {
             }
             Some(_) if !asked.resume => return Err(WorkError::Taken { folder: folder.to_owned(), kind: kind() }),
             Some(found) if found.configuration_sha256 != configuration_sha256 => {
-                return Err(WorkError::OtherConfiguration { path, kind: kind() });
+                let name = asked.configuration_file;
+                let bytes = found.look(folder, name).and_then(|()| found.contents(folder, name));
+                let found = bytes.map_err(|error| generation::hinted(folder, error))?.unwrap_or_default();
+                return Err(WorkError::OtherConfiguration {
+                    path: folder.join(name),
+                    kind: kind(),
+                    found: String::from_utf8_lossy(&found).into_owned(),
+                });
             }
             // What is complete may be read by any build.
             Some(found) if found.program.as_deref().is_some_and(|found| found != program) => {
@@ -238,9 +249,20 @@ impl Work {
     pub fn include(&self, folder: &str) -> Result<(), WorkError> {
         let name = format!("{folder}/{MANIFEST}");
         let path = self.path(&name);
-        let bytes = disk::read(&path)?.ok_or_else(|| WorkError::missing(&path))?;
+        let bytes = manifest::regular(&path, manifest::MOST_BYTES)?.ok_or_else(|| WorkError::missing(&path))?;
         let mut manifest = self.locked();
         manifest.include(&name, FileState::of(&bytes));
+        Ok(manifest.write(&self.folder)?)
+    }
+
+    /// Says how a file that grows ([`Changes::grow`]) begins from now on: what has reached the disk. Shorter than that, or begun
+    /// otherwise, it is damaged.
+    ///
+    /// # Errors
+    /// [`WorkError::Disk`] if the manifest cannot be written.
+    pub fn grew(&self, name: &str, prefix: Prefix) -> Result<(), WorkError> {
+        let mut manifest = self.locked();
+        manifest.grew(name, prefix);
         Ok(manifest.write(&self.folder)?)
     }
 
@@ -290,8 +312,9 @@ impl Work {
         if let Some(stranger) = manifest.strangers(&self.folder)?.first() {
             return Err(WorkError::damaged(stranger, UNKNOWN));
         }
-        // What checks its own records may be larger than memory, and is read by who does so.
-        for name in manifest.names().into_iter().filter(|name| !manifest.grows(name)).collect::<Vec<_>>() {
+        let (growing, whole): (Vec<_>, Vec<_>) = manifest.names().into_iter().partition(|name| manifest.grows(name));
+        growing.iter().try_for_each(|name| manifest.look(&self.folder, name))?;
+        for name in whole {
             let bytes = manifest.contents(&self.folder, &name)?;
             let damaged = |problem| WorkError::damaged(&self.path(&name), problem);
             manifest.settle(&name, bytes.as_deref()).map_err(damaged)?;

@@ -2,7 +2,8 @@ use std::fs;
 
 use super::*;
 
-const ASKED: Asked<'_> = Asked { kind: "count", configuration: "runs = 3", resume: true };
+const ASKED: Asked<'_> =
+    Asked { kind: "count", configuration: "runs = 3", configuration_file: "count.toml", resume: true };
 
 /// A folder with three files, one of which was changed and one removed.
 fn worked() -> tempfile::TempDir {

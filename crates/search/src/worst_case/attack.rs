@@ -114,6 +114,20 @@ pub enum AttackError {
         /// Its steps.
         steps: usize,
     },
+    /// More simulations than end within an hour.
+    #[error(
+        "{budget} simulations of {vehicles} vehicles over {steps} steps are too many: at most {MOST_VEHICLE_STEPS_IN_ALL} vehicles \
+         times steps in all, so {} here",
+        MOST_VEHICLE_STEPS_IN_ALL / vehicles.saturating_mul(*steps).max(1)
+    )]
+    TooMany {
+        /// Simulations asked for.
+        budget: usize,
+        /// Vehicles of the scenario.
+        vehicles: usize,
+        /// Its steps.
+        steps: usize,
+    },
     /// A profile made an invalid scenario.
     #[error(transparent)]
     Scenario(#[from] InvalidField),
@@ -124,6 +138,9 @@ pub enum AttackError {
 
 /// Most vehicles times steps of a scenario that [`attack()`] takes on: a simulation then takes some hundredths of a second.
 pub const MOST_VEHICLE_STEPS: usize = 500_000;
+
+/// Most vehicles times steps of all simulations of an [`attack()`] together: some minutes of one core.
+pub const MOST_VEHICLE_STEPS_IN_ALL: usize = 20_000_000_000;
 
 /// Looks for a braking profile of the leader, with at most about `budget` simulations.
 ///
@@ -173,6 +190,9 @@ pub fn hunt(
     let (vehicles, steps) = (scenario.vehicles().len(), scenario.steps());
     if vehicles.saturating_mul(steps) > MOST_VEHICLE_STEPS {
         return Err(AttackError::TooLarge { vehicles, steps });
+    }
+    if vehicles.saturating_mul(steps).saturating_mul(budget) > MOST_VEHICLE_STEPS_IN_ALL {
+        return Err(AttackError::TooMany { budget, vehicles, steps });
     }
     let asked_mps2 = envelope.max_brake_mps2;
     let max_brake_mps2 = asked_mps2.min(scenario.usable_brake_mps2(0));

@@ -7,7 +7,7 @@ use super::certificate;
 use super::family::Family;
 use super::program::{Grid, Objective};
 use super::reason::Reason;
-use super::situation::{Side, Situation};
+use super::situation::Situation;
 use super::witness::Escape;
 use crumple_world::scenario::{Scenario, whole_multiple};
 
@@ -19,6 +19,8 @@ pub struct AvoidOptions {
     pub grid_s: Option<f64>,
     /// Which escape to show.
     pub escape: EscapeKind,
+    /// Whether to write down, where there is an escape, why nobody keeps more than the bound.
+    pub certify_bound: bool,
 }
 
 /// Which of all escapes is shown.
@@ -89,9 +91,11 @@ pub struct Avoidance {
     /// The largest smallest gap of the escapes that were found and replayed, in metres: best found, not best there is, for a finer
     /// grid may find a larger one. The escape shown may have less (see [`EscapeKind`]).
     pub best_min_gap_m: Option<f64>,
-    /// No escape has a larger smallest gap, in metres: a bound over every controller, as computed from multipliers of the programs.
-    /// It has no certificate. None if there is no bound, or no escape.
+    /// No escape has a larger smallest gap, in metres: a bound over every controller. With a certificate it is the certified one,
+    /// otherwise as computed from multipliers of the programs. None if there is no bound, or no escape.
     pub min_gap_bound_m: Option<f64>,
+    /// Why nobody keeps more, if it was asked for and could be written down; the checker has accepted it.
+    pub bound_certificate: Option<Box<Certificate>>,
     /// Convex programs solved.
     pub programs: usize,
 }
@@ -165,7 +169,13 @@ pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, Av
         Ok(situation) => situation,
         Err(reason) => {
             let verdict = AvoidanceVerdict::Undecided(reason);
-            return Ok(Avoidance { verdict, best_min_gap_m: None, min_gap_bound_m: None, programs: 0 });
+            return Ok(Avoidance {
+                verdict,
+                best_min_gap_m: None,
+                min_gap_bound_m: None,
+                bound_certificate: None,
+                programs: 0,
+            });
         }
     };
     let mut search = Search::new(&situation);
@@ -178,13 +188,13 @@ pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, Av
             continue;
         }
         undecided = match conclude(family, &situation, &search, options.escape) {
-            Ok(conclusion) => return Ok(found(&situation, &search, conclusion)),
+            Ok(conclusion) => return Ok(found(family, &situation, &search, options, conclusion)),
             Err(reason) => Some(reason),
         };
     }
     let (low_m, high_m) = (search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m), search.bound_m());
     let reason = undecided.unwrap_or(Reason::TooClose { low_m, high_m });
-    Ok(found(&situation, &search, (AvoidanceVerdict::Undecided(reason), None)))
+    Ok(found(family, &situation, &search, options, (AvoidanceVerdict::Undecided(reason), None)))
 }
 
 /// Whether the programs are ones that can be solved in a minute or two.
@@ -200,12 +210,47 @@ fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
 /// A verdict, and the largest smallest gap of a replayed escape.
 type Conclusion = (AvoidanceVerdict, Option<f64>);
 
-fn found(situation: &Situation, search: &Search<'_>, (verdict, best_min_gap_m): Conclusion) -> Avoidance {
-    let bound_m = search.bound_m().min(situation.first_gap_m(Side::Loose));
+fn found(
+    family: &Family,
+    situation: &Situation,
+    search: &Search<'_>,
+    options: AvoidOptions,
+    (verdict, best_min_gap_m): Conclusion,
+) -> Avoidance {
+    let bound_m = search.bound_m();
     // Noise may carry a vehicle beyond what was computed without it.
     let is_noisy = matches!(situation.proof_caveat, Some(Reason::Noise { .. }));
-    let min_gap_bound_m = (bound_m > 0.0 && !is_noisy).then_some(bound_m);
-    Avoidance { verdict, best_min_gap_m, min_gap_bound_m, programs: search.programs }
+    let computed_m = (bound_m > 0.0 && !is_noisy).then_some(bound_m);
+    let is_wanted = options.certify_bound && verdict.escape().is_some() && situation.proof_caveat.is_none();
+    let certified = computed_m.filter(|_| is_wanted).and_then(|bound_m| certified(family, situation, search, bound_m));
+    let (certified_m, bound_certificate) = certified.unzip();
+    Avoidance {
+        verdict,
+        best_min_gap_m,
+        min_gap_bound_m: certified_m.or(computed_m),
+        bound_certificate,
+        programs: search.programs,
+    }
+}
+
+/// A certified bound may be above the computed one by this much, in metres, so that short multipliers are enough.
+const ROOM_M: f64 = 1e-4;
+
+/// A bound that the checker accepts, and its certificate.
+fn certified(
+    family: &Family,
+    situation: &Situation,
+    search: &Search<'_>,
+    computed_m: f64,
+) -> Option<(f64, Box<Certificate>)> {
+    let stating = |gap_m| certificate::gap_bound(family.centre(), situation, search, gap_m).ok()?;
+    let mut certificate = stating(computed_m + ROOM_M)?;
+    let Ok(Accepted::GapBound { gap_m, .. }) = crumple_verify::check(&certificate) else { return None };
+    if let Statement::GapBound(claim) = &mut certificate.statement {
+        claim.gap_m = gap_m;
+    }
+    crumple_verify::check(&certificate).ok()?;
+    Some((gap_m, Box::new(certificate)))
 }
 
 /// The control grids to try, in steps, coarse before fine, and which of them is the first that may give the answer.

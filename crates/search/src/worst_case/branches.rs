@@ -43,12 +43,13 @@ impl<'a> Search<'a> {
         let mut search = Self {
             situation,
             proofs: Vec::new(),
-            bounds_m: vec![situation.first_gap_m(Side::Loose); firings],
+            bounds_m: vec![f64::INFINITY; firings],
             solved: vec![false; firings],
             best: None,
             programs: 0,
             trouble: None,
         };
+        Multipliers::of_start(situation).for_each(|multipliers| search.cut(multipliers));
         if situation.follower.is_some() {
             // Where not even full braking makes the brake fire, there is nothing to solve.
             search.cut(Multipliers::of_firing(situation));

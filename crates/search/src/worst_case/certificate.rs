@@ -1,7 +1,8 @@
 //! What was found, written down so that `crumple-verify` can check it without the engine or the solver.
 
 use crumple_verify::{
-    Assumption, Avoidable, Branch, Certificate, Ego, Held, Interval, Leader, Provenance, Scene, Statement, Unavoidable,
+    Assumption, Avoidable, Branch, Certificate, Ego, GapBound, Held, Interval, Leader, Provenance, Scene, Statement,
+    Unavoidable,
 };
 
 use super::branches::Search;
@@ -56,8 +57,20 @@ pub(super) fn unavoidable(
     situation: &Situation,
     search: &Search<'_>,
 ) -> Result<Option<Certificate>, Reason> {
-    let Some(branches) = branches(situation, search) else { return Ok(None) };
+    let Some(branches) = branches(situation, search, 0.0) else { return Ok(None) };
     wrapped(scenario, situation, Statement::Unavoidable(Unavoidable { scene: scene(situation), branches })).map(Some)
+}
+
+/// The certificate that nobody keeps every gap at `gap_m` or more; none if the search has not shown that in every branch.
+pub(super) fn gap_bound(
+    scenario: &Scenario,
+    situation: &Situation,
+    search: &Search<'_>,
+    gap_m: f64,
+) -> Result<Option<Certificate>, Reason> {
+    let Some(branches) = branches(situation, search, gap_m) else { return Ok(None) };
+    let statement = GapBound { scene: scene(situation), gap_m, branches };
+    wrapped(scenario, situation, Statement::GapBound(statement)).map(Some)
 }
 
 fn wrapped(scenario: &Scenario, situation: &Situation, statement: Statement) -> Result<Certificate, Reason> {
@@ -92,13 +105,14 @@ pub(crate) fn certificate_about(
     }
 }
 
-/// Branches that close every firing: one for each early firing, and one for all late ones.
+/// Branches that close every firing, that is, leave no profile that keeps every gap at `gap_m`: one for each early firing, and one
+/// for all late ones.
 ///
 /// Multipliers that do not use the firing prove nothing but overlap with the follower's motion, and a follower that brakes
 /// later is further ahead: they close all later firings too.
-fn branches(situation: &Situation, search: &Search<'_>) -> Option<Vec<Branch>> {
+fn branches(situation: &Situation, search: &Search<'_>, gap_m: f64) -> Option<Vec<Branch>> {
     let never = situation.never();
-    let closes = |proof: &Proof, firing: usize, fired: bool| proof.infimum(situation, firing, fired) > SURELY;
+    let closes = |proof: &Proof, firing: usize, fired: bool| proof.excess(situation, firing, fired, gap_m) > SURELY;
     let earliest = |proof: &Proof| -> Option<usize> {
         let (mut open, mut closed) = (0, never);
         if !closes(proof, never, false) {
@@ -117,25 +131,25 @@ fn branches(situation: &Situation, search: &Search<'_>) -> Option<Vec<Branch>> {
     for firing in 0..first_late {
         let mut candidates = last_used.into_iter().chain(&search.proofs);
         if let Some(proof) = candidates.find(|proof| closes(proof, firing, true)) {
-            branches.push(branch(situation, proof, [firing, firing], true));
+            branches.push(branch(situation, proof, [firing, firing], true, gap_m));
             last_used = Some(proof);
         } else {
             let standing = [100, 20, 5, 1].map(|spacing| Multipliers::of_standing(situation, firing, spacing));
             let mut standing = standing.into_iter().map(|multipliers| Proof::new(situation, multipliers));
             let proof = standing.find(|proof| closes(proof, firing, true))?;
-            branches.push(branch(situation, &proof, [firing, firing], true));
+            branches.push(branch(situation, &proof, [firing, firing], true, gap_m));
         }
     }
     // Without a follower there is one branch for everything.
-    branches.push(branch(situation, late, [first_late, situation.steps], false));
+    branches.push(branch(situation, late, [first_late, situation.steps], false, gap_m));
     Some(branches)
 }
 
 /// A branch with multipliers as short as the proof survives.
-fn branch(situation: &Situation, proof: &Proof, [first, last]: [usize; 2], fired: bool) -> Branch {
+fn branch(situation: &Situation, proof: &Proof, [first, last]: [usize; 2], fired: bool, gap_m: f64) -> Branch {
     let exact = proof.multipliers(fired);
     let short = rounded(&exact);
-    let holds = Proof::new(situation, short.clone()).infimum(situation, first, fired) > SURELY;
+    let holds = Proof::new(situation, short.clone()).excess(situation, first, fired, gap_m) > SURELY;
     let Multipliers { front, between, rear, speed, fired } = if holds { short } else { exact };
     let rows = |list: Vec<Weighted>| list.into_iter().map(|(step, value)| (count(step), value)).collect();
     Branch {
@@ -198,7 +212,7 @@ fn models(certificate: &Certificate, scenario: &Scenario, situation: &Situation)
     }
     match &certificate.statement {
         // Whatever follows, and however late the vehicles under test answer: a proof speaks of all of them.
-        Statement::Unavoidable(_) => situation.proof_caveat.is_none(),
+        Statement::Unavoidable(_) | Statement::GapBound(_) => situation.proof_caveat.is_none(),
         Statement::Avoidable(claim) => {
             let waits = |(ego, witness): (&super::situation::Ego, &Vec<Held<f64>>)| {
                 let held = witness.iter().flat_map(|Held(steps, value)| std::iter::repeat_n(*value, *steps as usize));

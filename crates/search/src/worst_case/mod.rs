@@ -33,7 +33,10 @@ mod sequential;
 mod situation;
 mod witness;
 
-pub use attack::{Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, MOST_VEHICLE_STEPS, attack, hunt};
+pub use attack::{
+    Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, MOST_VEHICLE_STEPS, MOST_VEHICLE_STEPS_IN_ALL,
+    attack, hunt,
+};
 pub use avoid::{
     AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, MOST_EGO_STEPS, MOST_EGOS, avoid, avoid_all,
     certify,

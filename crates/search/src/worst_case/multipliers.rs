@@ -33,6 +33,20 @@ impl Multipliers {
         Self { between: vec![Vec::new(); egos.saturating_sub(1)], speed: vec![Vec::new(); egos], ..Self::default() }
     }
 
+    /// Only that the gaps were no larger at the start: one for each of them.
+    pub(super) fn of_start(situation: &Situation) -> impl Iterator<Item = Self> {
+        let first = || vec![(0, 1.0)];
+        let none = Self::none(situation);
+        let front = Self { front: first(), ..none.clone() };
+        let rear = situation.follower.as_ref().map(|_| Self { rear: first(), ..none.clone() });
+        let between = (0..none.between.len()).map(move |pair| {
+            let mut multipliers = none.clone();
+            multipliers.between.iter_mut().skip(pair).take(1).for_each(|list| *list = first());
+            multipliers
+        });
+        [Some(front), rear].into_iter().flatten().chain(between)
+    }
+
     /// Only that the brake fires.
     pub(super) fn of_firing(situation: &Situation) -> Self {
         Self { fired: 1.0, ..Self::none(situation) }
@@ -165,6 +179,12 @@ impl Proof {
             total += least(kinks, extra, situation.step_s, [ego.max_brake_mps2, ego.max_accel_mps2]);
         }
         total
+    }
+
+    /// By how much the infimum exceeds what it is at most for a profile that keeps every gap at `gap_m`: where it does at all, there is
+    /// none.
+    pub(super) fn excess(&self, situation: &Situation, firing: usize, fired: bool, gap_m: f64) -> f64 {
+        self.infimum(situation, firing, fired) + gap_m * self.weight
     }
 
     /// What the smallest gap of an escape cannot exceed, in metres; minus infinity if there is none at all.

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::assessment::claims::{
     Claim, Domain, Evidence, Known, LEAST_CONFIDENCE_PERCENT, Property, Source, Strength, Subject,
 };
-use crate::assessment::plan::NamedSpace;
+use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
 use crumple_search::evidence::{RateInterval, bound, kernel_certificate, shipped_kernels};
@@ -225,16 +225,32 @@ fn shown(accepted: &Accepted) -> String {
             down(100.0 * verified_share),
             down(*smallest_gap_m)
         ),
+        Accepted::GapBound { gap_m, horizon_s } => format!(
+            "whatever is done, some gap gets as small as {:.2} m within {horizon_s} s",
+            (100.0 * gap_m).ceil() / 100.0
+        ),
+        Accepted::Unavoidable { overlap_m, horizon_s } => format!(
+            "whatever is done, two vehicles would overlap by {:.2} m or more within {horizon_s} s",
+            down(*overlap_m)
+        ),
         other => other.to_string(),
     }
 }
 
-/// Kernels, counted rates of every learned controller, a comparison with the first controller, and what was given.
-pub(super) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
+/// Kernels, what no driver can do in `scenes`, counted rates of every learned controller, a comparison with the first controller, and
+/// what was given.
+pub(super) fn gather<'a>(
+    plan: &AssessmentPlan,
+    work: &Work<'_>,
+    scenes: impl Iterator<Item = (&'a str, &'a Certificate)>,
+) -> Result<Vec<Proof>, AssessError> {
     let mut proofs = shipped_kernels()
         .into_iter()
         .map(|(name, certificate)| proof(plan, name, &certificate, None))
         .collect::<Result<Vec<_>, _>>()?;
+    let scenes =
+        scenes.map(|(scenario, certificate)| proof(plan, format!("scene-{}", file_stem(scenario)), certificate, None));
+    proofs.extend(scenes.collect::<Result<Vec<_>, _>>()?);
     proofs.extend(super::counted::gather(plan, work)?);
     let given = plan.certificates.par_iter();
     let given = given.map(|one| proof(plan, one.name.clone(), &one.certificate, one.policy.as_deref()));

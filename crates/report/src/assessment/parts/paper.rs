@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{ScenarioCases, scenarios};
-use crate::assessment::best::{Best, WHAT_REGRET_IS};
+use crate::assessment::best::{CertifiedBest, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, Motion, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
 use crate::assessment::markdown::Markdown;
@@ -43,7 +43,8 @@ impl PaperScenarios {
         let all: Vec<&Scenario> = scenarios.iter().collect();
         let cases = run_cases(&all, &plan.controllers, plan.config.estimator, Motion::Kept)?;
         work.did((all.len() * plan.controllers.len()) as u64);
-        let bests = all.par_iter().map(|scenario| Best::kept(scenario, work)).collect::<Result<Vec<_>, _>>()?;
+        let bests =
+            all.par_iter().map(|scenario| CertifiedBest::kept(scenario, work)).collect::<Result<Vec<_>, _>>()?;
         let scenarios = scenarios
             .iter()
             .zip(cases)

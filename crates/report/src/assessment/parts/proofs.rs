@@ -5,6 +5,7 @@ use maud::{Markup, html};
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use super::ScenarioCases;
 use super::certified::{self, Proof, ProofStatus, SpeaksOf};
 use crate::assessment::claims::{Claim, Domain, Evidence, Strength};
 use crate::assessment::markdown::{Inline, Markdown};
@@ -51,11 +52,15 @@ const CONDITIONS: [&str; 4] = [
 ];
 
 impl Proofs {
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
+    pub(in crate::assessment) fn gather<'a>(
+        plan: &AssessmentPlan,
+        work: &Work<'_>,
+        scenarios: impl Iterator<Item = &'a ScenarioCases>,
+    ) -> Result<Self, AssessError> {
         let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
         Ok(Self {
             kernels: pairs.map(|(own, ahead)| KernelGap::of(own, ahead)).collect(),
-            certificates: certified::gather(plan, work)?,
+            certificates: certified::gather(plan, work, scenarios.filter_map(ScenarioCases::certified))?,
             conditions: CONDITIONS,
         })
     }

@@ -1,9 +1,11 @@
 //! All controllers in one scenario: a table, and a figure for each.
 
+use crumple_verify::Certificate;
 use maud::{Markup, html};
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use crate::assessment::best::CertifiedBest;
 use crate::assessment::case::Case;
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject, Words};
 use crate::assessment::rounded::or_dash;
@@ -30,6 +32,9 @@ pub struct ScenarioCases {
     drawn: Scenario,
     #[serde(skip)]
     labels: Vec<String>,
+    /// Of what `best` says of every driver.
+    #[serde(skip)]
+    certificate: Option<Certificate>,
 }
 
 /// What runs say of "no contact" in all these scenarios together, controller after controller. Runs in which others crash
@@ -68,16 +73,22 @@ impl ScenarioCases {
             cases,
             drawn: scenario.clone(),
             labels: vehicle_names(scenario),
+            certificate: None,
         }
     }
 
     /// With the best that a driver could have made of the scenario, and each controller's regret.
-    pub(in crate::assessment) fn with_best(mut self, best: Best) -> Self {
+    pub(in crate::assessment) fn with_best(mut self, CertifiedBest { best, certificate }: CertifiedBest) -> Self {
         for case in &mut self.cases {
             case.regret_m = best.regret_m(case);
         }
-        self.best = Some(best);
+        (self.best, self.certificate) = (Some(best), certificate);
         self
+    }
+
+    /// A certificate of what no driver can do, if there is one, and the name of its scenario.
+    pub(in crate::assessment) fn certified(&self) -> Option<(&str, &Certificate)> {
+        Some((&self.scenario, self.certificate.as_ref()?))
     }
 
     /// The best that a driver could have made of it, in a sentence.

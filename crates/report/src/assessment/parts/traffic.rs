@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{ScenarioCases, scenarios};
-use crate::assessment::best::{Best, WHAT_REGRET_IS};
+use crate::assessment::best::{Best, CertifiedBest, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, CaseVerdict, Motion, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
 use crate::assessment::markdown::Markdown;
@@ -55,7 +55,9 @@ impl Traffic {
         // Motion is kept only where it is drawn: hundreds of traces would not fit in memory.
         let closest_first = most_telling(&scenarios);
         work.did((plan.traffic.len() * plan.controllers.len()) as u64);
-        let best = |&index: &usize| plan.traffic.get(index).map(|(_, scenario)| Best::kept(scenario, work)).transpose();
+        let best = |&index: &usize| {
+            plan.traffic.get(index).map(|(_, scenario)| CertifiedBest::kept(scenario, work)).transpose()
+        };
         let bests = closest_first.par_iter().map(best).collect::<Result<Vec<_>, _>>()?;
         for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, Motion::Kept)?).zip(bests) {
             scenarios[index] = match best {

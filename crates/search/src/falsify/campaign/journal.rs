@@ -5,7 +5,8 @@
 //! an evaluation was at need not be kept: asking the search again gives the same points, as long as it is told the
 //! same values. A record that was cut short is not used; one that was changed is known by its checksum, and the campaign does
 //! not go on from it. Records reach the disk once a second at least: a loss of power takes no more, and what it leaves instead of
-//! them, nothing or zeros to the end, counts as cut short. The journal is removed once the campaign is complete: its contents are then in the Parquet files.
+//! them, nothing or zeros to the end, counts as cut short. How the journal began when it last reached the disk is known to the folder's manifest
+//! ([`Work::grew`](crate::work::Work::grew)), so that nothing before that can be cut off. It is removed once the campaign is complete: its contents are then in the Parquet files.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufReader, Read, Write};
@@ -13,6 +14,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crate::disk::{self, DiskError};
+use crate::work::{Prefix, WorkError};
 use crumple_world::digest::Sha256;
 use crumple_world::measure::{Braking, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
@@ -39,6 +41,8 @@ pub(super) struct Journal {
     earlier: Option<BufReader<File>>,
     /// Records used or written so far.
     records: u64,
+    /// Of all bytes used or written so far.
+    digest: Sha256,
     /// When records last reached the disk.
     synced: Instant,
 }
@@ -46,40 +50,34 @@ pub(super) struct Journal {
 /// Between two times that records are made to reach the disk.
 const BETWEEN: Duration = Duration::from_secs(1);
 
-/// Why an earlier run cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum JournalError {
-    #[error(transparent)]
-    Disk(#[from] DiskError),
-    #[error("not of this campaign: it cannot go on; remove its folder, or use another --out")]
-    OtherWork,
-    #[error(
-        "record {number} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
-         another --out"
-    )]
-    Damaged { number: u64 },
-}
+/// What is said of a journal whose first bytes are of something else.
+const OTHER_WORK: &str = "not of this campaign: it cannot go on; remove its folder, or use another --out";
 
 impl Journal {
     /// An empty journal of work with that identity.
-    pub(super) fn create(path: &Path, identity: &str) -> Result<Self, JournalError> {
+    pub(super) fn create(path: &Path, identity: &str) -> Result<Self, WorkError> {
         let unusable = DiskError::at(path);
         let mut file = File::create(path).map_err(unusable)?;
         file.write_all(header(identity).as_bytes()).map_err(unusable)?;
         file.sync_all().map_err(unusable)?;
         disk::sync_names_beside(path)?;
-        Ok(Self {
+        Ok(Self::of(file, path, identity, None))
+    }
+
+    fn of(file: File, path: &Path, identity: &str, earlier: Option<BufReader<File>>) -> Self {
+        Self {
             file,
             path: path.to_owned(),
             identity: identity.to_owned(),
-            earlier: None,
+            earlier,
             records: 0,
+            digest: Sha256::default().with(header(identity)),
             synced: Instant::now(),
-        })
+        }
     }
 
     /// The journal of an earlier run, or an empty one if there is none.
-    pub(super) fn resume(path: &Path, identity: &str) -> Result<Self, JournalError> {
+    pub(super) fn resume(path: &Path, identity: &str) -> Result<Self, WorkError> {
         let unusable = DiskError::at(path);
         let length = match fs::metadata(path) {
             Ok(data) => data.len(),
@@ -94,27 +92,22 @@ impl Journal {
             return Self::create(path, identity);
         }
         if found != header(identity).as_bytes() {
-            return Err(JournalError::OtherWork);
+            return Err(WorkError::damaged(path, OTHER_WORK));
         }
         let file = OpenOptions::new().append(true).open(path).map_err(unusable)?;
         file.set_len(length - beyond % RECORD as u64).map_err(unusable)?;
-        Ok(Self {
-            file,
-            path: path.to_owned(),
-            identity: identity.to_owned(),
-            earlier: Some(earlier),
-            records: 0,
-            synced: Instant::now(),
-        })
+        Ok(Self::of(file, path, identity, Some(earlier)))
     }
 
     /// The next verdict of an earlier run.
-    pub(super) fn next(&mut self) -> Result<Option<RunVerdict>, JournalError> {
+    pub(super) fn next(&mut self) -> Result<Option<RunVerdict>, WorkError> {
         let Some(earlier) = &mut self.earlier else { return Ok(None) };
         let (mut body, mut checksum) = ([0; BODY], [0; CHECKSUM]);
         match earlier.read_exact(&mut body).and_then(|()| earlier.read_exact(&mut checksum)) {
             Ok(()) if checksum == checksum_of(&self.identity, self.records, &body) => {
                 self.records += 1;
+                self.digest.update(body);
+                self.digest.update(checksum);
                 Ok(Some(decode(&body)))
             }
             Ok(())
@@ -122,13 +115,18 @@ impl Journal {
                     && checksum == [0; CHECKSUM]
                     && is_zero(earlier).map_err(DiskError::at(&self.path))? =>
             {
-                self.file
-                    .set_len((HEADER + RECORD * self.records as usize) as u64)
-                    .map_err(DiskError::at(&self.path))?;
+                self.file.set_len(self.bytes()).map_err(DiskError::at(&self.path))?;
                 self.earlier = None;
                 Ok(None)
             }
-            Ok(()) => Err(JournalError::Damaged { number: self.records + 1 }),
+            Ok(()) => Err(WorkError::damaged(
+                &self.path,
+                format!(
+                    "record {} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
+                     another --out",
+                    self.records + 1
+                ),
+            )),
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
                 self.earlier = None;
                 Ok(None)
@@ -137,8 +135,13 @@ impl Journal {
         }
     }
 
-    /// Appends verdicts; they survive the end of the process, however sudden.
-    pub(super) fn append(&mut self, verdicts: &[RunVerdict]) -> Result<(), DiskError> {
+    /// Of all records used or written so far.
+    fn bytes(&self) -> u64 {
+        HEADER as u64 + RECORD as u64 * self.records
+    }
+
+    /// Appends verdicts; they survive the end of the process, however sudden. What has reached the disk, if anything has.
+    pub(super) fn append(&mut self, verdicts: &[RunVerdict]) -> Result<Option<Prefix>, DiskError> {
         let mut bytes = Vec::with_capacity(verdicts.len() * RECORD);
         for (verdict, index) in verdicts.iter().zip(self.records..) {
             let body = encode(verdict);
@@ -147,11 +150,13 @@ impl Journal {
         }
         self.records += verdicts.len() as u64;
         self.file.write_all(&bytes).map_err(DiskError::at(&self.path))?;
-        if self.synced.elapsed() > BETWEEN {
-            self.file.sync_data().map_err(DiskError::at(&self.path))?;
-            self.synced = Instant::now();
+        self.digest.update(&bytes);
+        if self.synced.elapsed() <= BETWEEN {
+            return Ok(None);
         }
-        Ok(())
+        self.file.sync_data().map_err(DiskError::at(&self.path))?;
+        self.synced = Instant::now();
+        Ok(Some(Prefix { bytes: self.bytes(), sha256: self.digest.clone().hexadecimal() }))
     }
 }
 
@@ -226,6 +231,13 @@ mod tests {
         "1a".repeat(32)
     }
 
+    fn problem(error: WorkError) -> String {
+        match error {
+            WorkError::Damaged { problem, .. } => problem,
+            other => panic!("{other}"),
+        }
+    }
+
     #[test]
     fn verdicts_survive_and_torn_records_do_not() {
         let folder = tempfile::tempdir().unwrap();
@@ -266,13 +278,13 @@ mod tests {
             std::fs::write(&path, bytes).unwrap();
             let mut journal = match Journal::resume(&path, &identity()) {
                 Ok(journal) => journal,
-                Err(error) => return Some(error.to_string()),
+                Err(error) => return Some(problem(error)),
             };
             loop {
                 match journal.next() {
                     Ok(Some(_)) => {}
                     Ok(None) => return None,
-                    Err(error) => return Some(error.to_string()),
+                    Err(error) => return Some(problem(error)),
                 }
             }
         };
@@ -281,7 +293,7 @@ mod tests {
             let mut bytes = whole.clone();
             bytes[bit / 8] ^= 1 << (bit % 8);
             let expected = match (bit / 8).checked_sub(HEADER) {
-                None => JournalError::OtherWork.to_string(),
+                None => OTHER_WORK.to_owned(),
                 Some(beyond) => format!("record {} is damaged", beyond / RECORD + 1),
             };
             assert!(first_damage(&bytes).unwrap().starts_with(&expected));

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::coverage::Coverage;
 use super::failures::{Failures, Kind};
-use super::journal::{Journal, JournalError};
+use super::journal::Journal;
 use super::regions::Sample;
 use super::summary::{
     AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, SUMMARY_VERSION, Summary,
@@ -12,7 +12,6 @@ use super::summary::{
 use super::table::Table;
 use super::{Campaign, CampaignError, Evaluated, FailureKind};
 use crate::difference;
-use crate::disk;
 use crate::falsify::counterexample::Examiner;
 use crate::falsify::{Cube, Method};
 use crate::work::{Asked, Changes, Work, WorkError};
@@ -54,6 +53,7 @@ struct Reached {
 
 /// Everything that is remembered of the evaluations.
 struct Findings<'a> {
+    work: &'a Work,
     reached: Vec<Reached>,
     failures: Failures,
     sample: Sample,
@@ -82,21 +82,20 @@ impl Campaign {
             return Summary::from_json(&String::from_utf8_lossy(&work.read_present(SUMMARY)?));
         }
         work.changes().write(CONFIGURATION, self.to_toml()?).grow(JOURNAL).commit()?;
-        let (journal_path, identity) = (work.path(JOURNAL), work.identity());
-        let journal =
-            if resume { Journal::resume(&journal_path, &identity) } else { Journal::create(&journal_path, &identity) };
-        let mut journal = journal.map_err(|error| unusable(&journal_path, error))?;
+        let (path, identity) = (work.path(JOURNAL), work.identity());
+        let mut journal = if resume { Journal::resume(&path, &identity)? } else { Journal::create(&path, &identity)? };
         let mut findings = Findings {
+            work: &work,
             reached: Vec::new(),
             failures: Failures::new(self.specification.clone()),
             sample: Sample::default(),
             table: Table::new(&space, &work),
         };
         for method in self.methods() {
-            let reached = self.search(method, &space, &mut journal, &journal_path, &mut findings, progress)?;
+            let reached = self.search(method, &space, &mut journal, &mut findings, progress)?;
             findings.reached.push(reached);
         }
-        let Findings { reached, failures, sample, table } = findings;
+        let Findings { reached, failures, sample, table, .. } = findings;
         // Until all of this is there, the journal is.
         let mut results = work.changes();
         table.finish(&mut results)?;
@@ -125,12 +124,10 @@ impl Campaign {
     /// The folder, if it is this campaign's or nobody's; where it is another's, the error says in what they differ.
     fn work(&self, folder: &Path, resume: bool) -> Result<Work, CampaignError> {
         let configuration = self.to_toml()?;
-        let asked = Asked { kind: "campaign", configuration: &configuration, resume };
-        let path = folder.join(CONFIGURATION);
+        let asked =
+            Asked { kind: "campaign", configuration: &configuration, configuration_file: CONFIGURATION, resume };
         match Work::open(folder, asked) {
-            Err(WorkError::OtherConfiguration { .. }) => {
-                let found = disk::read(&path)?.unwrap_or_default();
-                let found = String::from_utf8_lossy(&found);
+            Err(WorkError::OtherConfiguration { path, found, .. }) => {
                 Err(CampaignError::Folder(difference::in_toml(&path, "campaign", &found, &configuration)))
             }
             work => Ok(work?),
@@ -143,7 +140,6 @@ impl Campaign {
         method: Method,
         space: &Space,
         journal: &mut Journal,
-        journal_path: &Path,
         findings: &mut Findings<'_>,
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<Reached, CampaignError> {
@@ -165,13 +161,15 @@ impl Campaign {
             points.truncate(usize::try_from(self.budget - reached.evaluations).unwrap_or(usize::MAX));
             let mut verdicts = Vec::with_capacity(points.len());
             while verdicts.len() < points.len()
-                && let Some(verdict) = journal.next().map_err(|error| unusable(journal_path, error))?
+                && let Some(verdict) = journal.next()?
             {
                 verdicts.push(verdict);
             }
             let known = verdicts.len();
             verdicts.extend(self.evaluate(space, points.get(known..).unwrap_or_default())?);
-            journal.append(verdicts.get(known..).unwrap_or_default())?;
+            if let Some(durable) = journal.append(verdicts.get(known..).unwrap_or_default())? {
+                findings.work.grew(JOURNAL, durable)?;
+            }
             let mut told = Vec::with_capacity(points.len());
             for (point, verdict) in points.into_iter().zip(verdicts) {
                 reached.evaluations += 1;
@@ -286,13 +284,6 @@ impl Campaign {
 const CONFIGURATION: &str = "campaign.toml";
 const JOURNAL: &str = "evaluations.journal";
 const SUMMARY: &str = "summary.json";
-
-fn unusable(journal: &Path, error: JournalError) -> CampaignError {
-    match error {
-        JournalError::Disk(error) => error.into(),
-        unfit => CampaignError::Folder(format!("{}: {unfit}", journal.display())),
-    }
-}
 
 fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> Progress {
     let all = || done.iter().chain(current);
