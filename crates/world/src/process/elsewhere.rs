@@ -1,4 +1,4 @@
-//! Where there are no process groups.
+//! Where there are no process groups, or nobody wants any.
 
 use std::path::Path;
 use std::time::Duration;
@@ -10,7 +10,9 @@ pub(crate) enum Program {}
 
 impl Program {
     pub(crate) fn start(_words: &[String], _folder: &Path) -> Result<Self, ProcessProblem> {
-        Err(ProcessProblem::NotStarted { reason: "processes as controllers need Unix".to_owned() })
+        Err(ProcessProblem::NotStarted {
+            reason: "processes as controllers need Unix, and a build with the feature `process`".to_owned(),
+        })
     }
 
     pub(crate) fn ask(&mut self, _request: &[u8], _within: Duration) -> Result<&[u8], ProcessProblem> {

@@ -55,7 +55,8 @@ struct Group {
 impl Group {
     fn start() -> std::io::Result<Self> {
         let mut shell = Command::new("/bin/sh");
-        shell.args(["-c", WATCH]).process_group(0);
+        // Its name in lists of processes says whose it is.
+        shell.args(["-c", WATCH, &format!("crumple-watchman-{}", std::process::id())]).process_group(0);
         let mut watchman = shell.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
         let lifeline = watchman.stdin.take();
         Ok(Self { watchman, _lifeline: lifeline })
@@ -150,8 +151,7 @@ impl Program {
 
     /// Waits until there is something to read, or to write if that is wanted, and reads it.
     fn listen(&mut self, wants_to_write: bool, end: Instant, within: Duration) -> Result<(), ProcessProblem> {
-        let late = || ProcessProblem::Late { limit_s: within.as_secs_f64() };
-        let left = end.checked_duration_since(Instant::now()).ok_or_else(late)?;
+        let Some(left) = end.checked_duration_since(Instant::now()) else { return Err(self.late(within)) };
         // What does not count is the output once more.
         let input = match &self.input {
             Some(input) if wants_to_write => PollFd::new(input, PollFlags::OUT),
@@ -164,7 +164,7 @@ impl Program {
         let mut pipes = [PollFd::new(&self.output, PollFlags::IN), error, input];
         let left = Timespec { tv_sec: left.as_secs() as i64, tv_nsec: left.subsec_nanos().into() };
         match poll(&mut pipes, Some(&left)) {
-            Ok(0) => return Err(late()),
+            Ok(0) => return Err(self.late(within)),
             Ok(_) | Err(rustix::io::Errno::INTR) => {}
             Err(_) => return Err(ProcessProblem::Closed),
         }
@@ -195,6 +195,14 @@ impl Program {
             Ok(_) | Err(_) => self.error = None,
         }
         false
+    }
+
+    /// Why no answer came. What a program started may hold its output open when it has ended.
+    fn late(&mut self, within: Duration) -> ProcessProblem {
+        match self.child.try_wait() {
+            Ok(Some(status)) => ProcessProblem::Ended { status: in_words(status) },
+            _ => ProcessProblem::Late { limit_s: within.as_secs_f64() },
+        }
     }
 
     /// How a program ended that no longer reads or writes.

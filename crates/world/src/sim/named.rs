@@ -124,8 +124,7 @@ impl NamedController {
             return Ok(spec?.into());
         }
         if let Some(command) = name.strip_prefix(EXEC) {
-            let words =
-                shlex::split(command).ok_or_else(|| UnknownController::Command { command: command.to_owned() })?;
+            let words = words(command).ok_or_else(|| UnknownController::Command { command: command.to_owned() })?;
             let process =
                 ProcessController::new(ProcessSetup::new(words, folder)).map_err(ControllerFileError::Command)?;
             return Ok(Self { name: name.to_owned(), kind: Arc::new(process).into() });
@@ -177,6 +176,15 @@ fn is_named(kind: &ControllerKind, name: &str) -> bool {
         }
         ControllerKind::Network(_) | ControllerKind::Process(_) | ControllerKind::Custom(_) => false,
     }
+}
+
+/// The words of a command as a shell would split them; none for one that does not end.
+fn words(command: &str) -> Option<Vec<String>> {
+    #[cfg(feature = "process")]
+    return shlex::split(command);
+    // Where no process starts, it is one word as well.
+    #[cfg(not(feature = "process"))]
+    Some(vec![command.to_owned()])
 }
 
 /// Settings as they stand between `shield` and the colon: nothing, or each with a comma before it.
