@@ -80,6 +80,13 @@ impl Assess {
         let (identity, begun) = (program::identity()?, Instant::now());
         check_own_folders(&self.out)?;
         let store = Store::open(&kept, identity, self.fresh)?;
+        if let Some(unknown) = plan.without_identity() {
+            let note = format!(
+                "note: `{}` states no identity, so nothing of this assessment is kept for the next",
+                unknown.name
+            );
+            output::note(&note, quiet);
+        }
         let again = if self.fresh { "the same command without --fresh goes on" } else { "the same command goes on" };
         interrupt::says(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
         let bar = progress::bar("assessing", plan.runs(), quiet);

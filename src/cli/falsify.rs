@@ -36,7 +36,7 @@ Examples:
   crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm --spec 'always v1.time_gap_s > 0.3' --expect violated")]
 pub(super) struct Falsify {
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
-    /// as in `acc-aeb,ttc_s=2.0`, or the file of a policy, a network or a controller
+    /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network or a controller, or a command after `exec:`
     #[arg(long, value_name = "C", value_parser = subject::controller)]
     controller: NamedController,
     /// Where to search: a built-in space (see `crumple list spaces`) or a space file
@@ -87,8 +87,11 @@ impl Falsify {
             budget: self.budget,
             seed: self.seed,
         };
-        let again =
-            format!("every evaluation is kept in {}: the same command with --resume goes on", self.out.display());
+        let kept = format!("every evaluation is kept in {}", self.out.display());
+        let again = match campaign.controller.kind.identity() {
+            Some(_) => format!("{kept}: the same command with --resume goes on"),
+            None => format!("{kept}; the controller states no identity, so nothing goes on with them"),
+        };
         interrupt::says(again, quiet);
         let bar = progress::campaign_bar(self.budget.saturating_mul(campaign.methods().len() as u64), quiet);
         let mut show = |state: &Progress| {

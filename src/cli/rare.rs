@@ -38,6 +38,9 @@ fn text(report: &RareReport) -> String {
 fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
     let RareReport { controller, space, estimator, seed, estimate, effort, .. } = report;
     writeln!(out, "{controller} in `{space}`: vehicles touch, estimator {}, seed {seed}", estimator.name())?;
+    if report.nondeterministic {
+        writeln!(out, "  the controller says that it is not deterministic: the same estimate may come out otherwise")?;
+    }
     let Estimate { probability, coefficient_of_variation, interval_95, repetitions, evaluations, levels } = estimate;
     match (probability, coefficient_of_variation, interval_95) {
         (None, ..) if levels.len() == MOST_LEVELS => {

@@ -44,7 +44,7 @@ pub(super) struct Simulate {
     #[arg(required = true, value_name = "SCENARIO")]
     scenarios: Vec<String>,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
-    /// as in `acc-aeb,ttc_s=2.0`, or the file of a policy, a network or a controller
+    /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network or a controller, or a command after `exec:`
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = subject::controller)]
     controller: NamedController,
     /// What the vehicles under test look through
@@ -129,6 +129,9 @@ struct Report<'a> {
     estimator: &'static str,
     dt_s: f64,
     seed: u64,
+    /// The controller says of itself that another run may end otherwise.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    nondeterministic: bool,
     outcome: Outcome,
     vehicles: &'a [VehicleSummary],
     impacts: &'a [Impact],
@@ -271,6 +274,7 @@ impl Simulate {
             estimator: self.estimator.name(),
             dt_s: run.dt_s(),
             seed: spec.seed,
+            nondeterministic: !self.controller.kind.is_deterministic(),
             outcome: result.outcome.clone(),
             vehicles: &result.vehicles,
             impacts: &result.impacts,
@@ -366,6 +370,9 @@ fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
         text += &format!("{}\n", Terminal(line.trim_end()));
     };
     line(format!("{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}"));
+    if report.nondeterministic {
+        line("  the controller says that it is not deterministic: another run may end otherwise".to_owned());
+    }
     match &report.outcome {
         Outcome::ControllerFailed(failed) => line(format!("  CONTROLLER FAILED: {failed}")),
         _ if report.impacts.is_empty() => line("  no collision".to_owned()),

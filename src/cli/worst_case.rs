@@ -31,7 +31,7 @@ pub(super) struct WorstCase {
     #[arg(value_name = "SCENARIO")]
     scenario: String,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
-    /// as in `acc-aeb,ttc_s=2.0`, or the file of a policy, a network or a controller
+    /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network or a controller, or a command after `exec:`
     #[arg(long, value_name = "C", value_parser = subject::controller)]
     controller: NamedController,
     /// What the vehicles under test look through
@@ -60,6 +60,8 @@ struct Report<'a> {
     controller: &'a str,
     estimator: &'static str,
     aim: &'static str,
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    nondeterministic: bool,
     found: bool,
     method: Option<AttackMethod>,
     outcome: Option<Outcome>,
@@ -99,6 +101,7 @@ impl WorstCase {
             controller: &self.controller.name,
             estimator: self.estimator.name(),
             aim: choice::name_of(choice::AIMS, self.aim),
+            nondeterministic: !self.controller.kind.is_deterministic(),
             found: found.is_some(),
             method: found.map(|attack| attack.method),
             outcome: found.map(|attack| attack.outcome.clone()),
@@ -115,6 +118,9 @@ impl WorstCase {
 fn describe(report: &Report<'_>) -> String {
     let Report { scenario, controller, estimator, aim, .. } = report;
     let mut text = format!("{}: {}, estimator {estimator}, {aim}\n", Terminal(scenario), Terminal(controller));
+    if report.nondeterministic {
+        text += "  the controller says that it is not deterministic: another attack may end otherwise\n";
+    }
     let (Some(effort), Some(peak), Some(method)) = (report.effort_m2ps3, report.peak_brake_mps2, report.method) else {
         let Report { evaluations, programs, .. } = report;
         return text + &format!("  no collision found in {evaluations} simulations and {programs} convex programs\n");

@@ -25,6 +25,8 @@ mod obligations;
 mod paper;
 mod physics;
 mod policy_files;
+#[cfg(unix)]
+mod processes;
 mod report;
 mod retrained;
 mod scenario_files;

@@ -10,6 +10,7 @@
 //! | [`observation`] | what a controller may see |
 //! | [`policy`] | the actor network and its file: acting, one state or many |
 //! | [`network`] | networks from outside: ONNX, Stable-Baselines3 |
+//! | [`process`] | programs that are asked line by line, and how they fail |
 //! | [`control`] | who decides: one trait, one table, one file for each controller |
 //! | [`scenario`] | what may happen: vehicles, drivers, lead profiles, the file format, the paper's scenarios |
 //! | [`estimate`] | what the ego knows: sensors and the Kalman filter |
@@ -24,6 +25,7 @@ pub mod measure;
 pub mod network;
 pub mod observation;
 pub mod policy;
+pub mod process;
 pub mod quoted;
 pub mod random;
 #[cfg(feature = "recording")]

@@ -284,7 +284,11 @@ fn a_full_disk_under_standard_output_is_reported() {
 
 /// Starts a command once for each range and kills it after so many milliseconds, at random but the same each time; how many were
 /// still running then.
-fn killed_at_random(folder: &Path, arguments: &[&str], after_ms: impl Iterator<Item = std::ops::Range<u64>>) -> usize {
+pub(crate) fn killed_at_random(
+    folder: &Path,
+    arguments: &[&str],
+    after_ms: impl Iterator<Item = std::ops::Range<u64>>,
+) -> usize {
     let mut moments = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
     let was_killed = |range: std::ops::Range<u64>| {
         let mut child = command(folder, arguments)

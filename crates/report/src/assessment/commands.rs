@@ -62,7 +62,8 @@ impl fmt::Display for Command {
     }
 }
 
-/// The controller as a command in the folder of the report names it; none for one from outside.
+/// The controller as a command in the folder of the report names it; none for a process, whose files lie elsewhere, and for one
+/// from outside.
 pub(super) fn controller_word(kind: &ControllerKind) -> Option<String> {
     match kind {
         ControllerKind::BuiltIn(spec) => Some(spec.words()),
@@ -71,7 +72,7 @@ pub(super) fn controller_word(kind: &ControllerKind) -> Option<String> {
             Some(format!("shield{}:{}", shielded.settings.words(), controller_word(&shielded.controller)?))
         }
         ControllerKind::Network(network) => Some(network_path(&controller_file::file_name(network))),
-        ControllerKind::Custom(_) => None,
+        ControllerKind::Process(_) | ControllerKind::Custom(_) => None,
     }
 }
 

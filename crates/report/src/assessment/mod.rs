@@ -168,7 +168,7 @@ pub fn assess(
     told: &(dyn Fn(u64) + Sync),
 ) -> Result<Assessment, AssessError> {
     let nothing_kept = Store::none();
-    let store = if plan.has_identities() { store } else { &nothing_kept };
+    let store = if plan.without_identity().is_none() { store } else { &nothing_kept };
     let work = Work::new(store, told);
     let paper_scenarios = PaperScenarios::gather(plan, &work)?;
     let distributions = Distributions::gather(plan, &work)?;

@@ -165,9 +165,10 @@ impl AssessmentPlan {
         self.controllers.iter().map(|controller| self.identity(controller)).collect()
     }
 
-    /// Whether evidence about every controller can be told from that about others, and so be kept.
-    pub(super) fn has_identities(&self) -> bool {
-        self.controllers.iter().all(|controller| controller.kind.identity().is_some())
+    /// The first controller that states no identity: evidence about it cannot be told from that about others, so none is kept.
+    #[must_use]
+    pub fn without_identity(&self) -> Option<&NamedController> {
+        self.controllers.iter().find(|controller| controller.kind.identity().is_none())
     }
 
     /// What evidence about one controller depends on: its name, its policy and the estimator.

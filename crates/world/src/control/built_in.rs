@@ -83,6 +83,8 @@ macro_rules! define {
             Policy(PolicyDriver),
             /// A network from outside.
             Network(NetworkDriver),
+            /// A process.
+            Process(ProcessDriver),
             /// Any controller behind a shield.
             Shielded(Shield),
             /// A controller from outside.
@@ -98,6 +100,7 @@ macro_rules! define {
                     $(Self::$rule(controller) => controller.decide(seen),)*
                     Self::Policy(controller) => controller.decide(seen),
                     Self::Network(controller) => controller.decide(seen),
+                    Self::Process(controller) => controller.decide(seen),
                     Self::Shielded(controller) => controller.decide(seen),
                     Self::Custom(controller) => controller.decide(seen),
                     Self::NotStarted(failure) => Err(failure.clone()),

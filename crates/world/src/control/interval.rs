@@ -8,9 +8,16 @@ pub(super) struct Interval {
 }
 
 impl Interval {
-    /// The first decision is due at once.
-    pub(super) fn new(interval_s: f64, step_s: f64) -> Self {
-        Self { steps: (interval_s / step_s).round().max(1.0) as u32, until_decision: 0 }
+    /// The first decision is due at once; without an interval one is due at every step.
+    pub(super) fn new(interval_s: Option<f64>, step_s: f64) -> Self {
+        let steps = interval_s.map_or(1, |interval_s| (interval_s / step_s).round().max(1.0) as u32);
+        Self { steps, until_decision: 0 }
+    }
+
+    /// Whether an interval is so many whole steps.
+    pub(super) fn fits(interval_s: f64, step_s: f64) -> bool {
+        let steps = (interval_s / step_s).round();
+        (1.0..=1e9).contains(&steps) && (steps * step_s - interval_s).abs() <= 1e-9 * interval_s
     }
 
     /// Whether a decision is due at this step; counts the step.

@@ -13,6 +13,9 @@ const FARTHEST: f64 = 1e6;
 const MOST_INPUTS: usize = 4096;
 const MOST_HISTORY: usize = 1000;
 
+/// Largest answer of a process without a controller file either way, in m/s²: no vehicle of a scenario may do more.
+const MOST_PLAIN_MPS2: f64 = 30.0;
+
 /// Time between the decisions of crumple's own policies, in seconds.
 const OWN_INTERVAL_S: f64 = 0.1;
 
@@ -92,8 +95,8 @@ pub struct Output {
 /// What a controller from outside sees, when it is asked, and what its answer means.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Mapping {
-    /// Time between decisions, in seconds.
-    pub decision_interval_s: f64,
+    /// Time between decisions, in seconds; none to decide at every step, or as a process says itself.
+    pub decision_interval_s: Option<f64>,
     /// Decisions of which it sees the inputs: 1 for the present ones alone. Before there are as many, the first stands in.
     pub history: usize,
     /// Whether the present inputs come first; otherwise they come last.
@@ -115,7 +118,7 @@ pub struct InvalidMapping {
 }
 
 impl InvalidMapping {
-    pub(super) fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
+    pub(crate) fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
         Self { field: field.into(), problem: problem.into() }
     }
 }
@@ -147,7 +150,7 @@ impl Mapping {
             absent: matches!(quantity, Q::GapAheadM | Q::GapBehindM).then_some(empty_gap_m),
         };
         Self {
-            decision_interval_s: OWN_INTERVAL_S,
+            decision_interval_s: Some(OWN_INTERVAL_S),
             history: 1,
             newest_first: false,
             inputs: order.into_iter().zip(offset.into_iter().zip(scale)).map(input).collect(),
@@ -158,6 +161,48 @@ impl Mapping {
                 offset_mps2: 0.5 * (low_mps2 + high_mps2),
                 low_mps2,
                 high_mps2,
+            },
+        }
+    }
+
+    /// That of processes without a controller file: everything there is to see in its own unit, and an acceleration as the answer,
+    /// which may be more than any vehicle can do.
+    #[must_use]
+    pub fn plain() -> Self {
+        use Quantity as Q;
+        let order = [
+            Q::GapAheadM,
+            Q::RelativeSpeedAheadMps,
+            Q::AccelerationAheadMps2,
+            Q::SpeedMps,
+            Q::AccelerationMps2,
+            Q::GapBehindM,
+            Q::RelativeSpeedBehindMps,
+            Q::AccelerationBehindMps2,
+            Q::IsAhead,
+            Q::IsBehind,
+        ];
+        let input = |quantity| Input {
+            quantity: Some(quantity),
+            constant: None,
+            offset: 0.0,
+            scale: 1.0,
+            low: least(),
+            high: most(),
+            absent: None,
+        };
+        Self {
+            decision_interval_s: None,
+            history: 1,
+            newest_first: false,
+            inputs: order.map(input).into(),
+            output: Output {
+                answer: 0,
+                squash: None,
+                scale_mps2: 1.0,
+                offset_mps2: 0.0,
+                low_mps2: -MOST_PLAIN_MPS2,
+                high_mps2: MOST_PLAIN_MPS2,
             },
         }
     }
@@ -174,8 +219,8 @@ impl Mapping {
     /// [`InvalidMapping`] names the first field that is wrong.
     pub fn check(&self) -> Result<(), InvalidMapping> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
-        if !positive(self.decision_interval_s) {
-            let problem = format!("must be positive, found {}", self.decision_interval_s);
+        if let Some(interval_s) = self.decision_interval_s.filter(|interval_s| !positive(*interval_s)) {
+            let problem = format!("must be positive, found {interval_s}");
             return Err(InvalidMapping::new("decision_interval_s", problem));
         }
         if !(1..=MOST_HISTORY).contains(&self.history) {
@@ -194,21 +239,21 @@ impl Mapping {
         self.output.check().map_err(|(field, problem)| InvalidMapping::new(format!("output.{field}"), problem))
     }
 
-    /// What the controller sees of an observation, after everything else in `into`.
+    /// What the controller sees of an observation.
     #[inline]
-    pub fn see(&self, seen: &Observation, last_answer_mps2: f64, into: &mut Vec<f32>) {
-        into.extend(self.inputs.iter().map(|input| input.of(seen, last_answer_mps2) as f32));
+    pub fn see(&self, seen: &Observation, last_answer_mps2: f64) -> impl Iterator<Item = f64> {
+        self.inputs.iter().map(move |input| input.of(seen, last_answer_mps2))
     }
 
-    /// The acceleration that an answer means, in m/s²; the least for what is no number.
+    /// The acceleration that a network's answer means, in m/s², cut to its range; the least for what is no number.
     #[must_use]
     #[inline]
     pub fn acceleration_mps2(&self, answer: f32) -> f64 {
-        let Output { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
-        let answer = match squash {
+        let answer = match self.output.squash {
             Some(Squash::Tanh) => libm::tanhf(answer),
             None => answer,
         };
+        let Output { scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
         let wanted_mps2 = offset_mps2 + scale_mps2 * f64::from(answer);
         if wanted_mps2 > high_mps2 {
             high_mps2
@@ -218,9 +263,26 @@ impl Mapping {
             low_mps2
         }
     }
+
+    /// The acceleration that an answer means, and the range that it should not leave, in m/s².
+    #[must_use]
+    pub fn wanted_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
+        let Output { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
+        let answer = match squash {
+            Some(Squash::Tanh) => libm::tanh(answer),
+            None => answer,
+        };
+        (offset_mps2 + scale_mps2 * answer, [low_mps2, high_mps2])
+    }
 }
 
 impl Input {
+    /// What it is called: its quantity, or `constant`.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.quantity.map_or("constant", Quantity::name)
+    }
+
     fn check(&self) -> Result<(), (&'static str, String)> {
         let finite = [(".offset", self.offset), (".scale", self.scale), (".low", self.low), (".high", self.high)];
         let given = [(".constant", self.constant), (".absent", self.absent)];

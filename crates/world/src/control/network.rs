@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::history::History;
 use super::interval::Interval;
 use super::{Controller, ControllerFailure, Ego, InvalidMapping, Mapping};
 use crate::digest::sha256;
@@ -107,8 +108,7 @@ pub struct NetworkDriver {
     controller: Arc<NetworkController>,
     interval: Interval,
     held_mps2: f64,
-    /// What it saw at its last decisions, if it looks back; empty before the first.
-    history: Vec<f32>,
+    history: History<f32>,
     rows: Vec<f32>,
     space: Workspace,
 }
@@ -122,7 +122,7 @@ impl NetworkDriver {
             controller,
             interval,
             held_mps2: 0.0,
-            history: Vec::new(),
+            history: History::default(),
             rows: Vec::new(),
             space: Workspace::default(),
         }
@@ -130,23 +130,9 @@ impl NetworkDriver {
 
     /// Appends what the network sees now.
     fn see(&mut self, seen: &Observation, rows: &mut Vec<f32>) {
-        let Mapping { history, newest_first, .. } = self.controller.mapping;
-        if history == 1 {
-            return self.controller.mapping.see(seen, self.held_mps2, rows);
-        }
-        let width = self.controller.mapping.inputs.len();
-        if self.history.is_empty() {
-            self.controller.mapping.see(seen, self.held_mps2, &mut self.history);
-            self.history = self.history.repeat(history);
-        } else {
-            self.history.drain(..width);
-            self.controller.mapping.see(seen, self.held_mps2, &mut self.history);
-        }
-        if newest_first {
-            rows.extend(self.history.rchunks_exact(width).flatten());
-        } else {
-            rows.extend_from_slice(&self.history);
-        }
+        let Self { controller, history, held_mps2, .. } = self;
+        let now = controller.mapping.see(seen, *held_mps2).map(|value| value as f32);
+        history.look_back(&controller.mapping, now, rows);
     }
 }
 

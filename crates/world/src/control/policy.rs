@@ -19,7 +19,7 @@ impl PolicyDriver {
     /// A policy that drives a vehicle.
     #[must_use]
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
-        let interval = Interval::new(policy.header().decision_interval_s, ego.step_s);
+        let interval = Interval::new(Some(policy.header().decision_interval_s), ego.step_s);
         Self { policy, interval, held_mps2: 0.0, space: Workspace::default() }
     }
 }

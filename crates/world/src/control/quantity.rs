@@ -44,6 +44,29 @@ pub enum Quantity {
 }
 
 impl Quantity {
+    /// The name used in files and by processes.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        use Quantity as Q;
+        match self {
+            Q::SpeedMps => "speed_mps",
+            Q::AccelerationMps2 => "acceleration_mps2",
+            Q::GapAheadM => "gap_ahead_m",
+            Q::SpeedAheadMps => "speed_ahead_mps",
+            Q::RelativeSpeedAheadMps => "relative_speed_ahead_mps",
+            Q::AccelerationAheadMps2 => "acceleration_ahead_mps2",
+            Q::TimeGapAheadS => "time_gap_ahead_s",
+            Q::IsAhead => "is_ahead",
+            Q::GapBehindM => "gap_behind_m",
+            Q::SpeedBehindMps => "speed_behind_mps",
+            Q::RelativeSpeedBehindMps => "relative_speed_behind_mps",
+            Q::AccelerationBehindMps2 => "acceleration_behind_mps2",
+            Q::TimeGapBehindS => "time_gap_behind_s",
+            Q::IsBehind => "is_behind",
+            Q::LastAnswerMps2 => "last_answer_mps2",
+        }
+    }
+
     /// Whether it is seen of a vehicle that may not be there.
     pub(super) fn is_of_another(self) -> bool {
         use Quantity as Q;

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Controller, Ego};
 use crate::observation::Observation;
+use crate::process::ProcessFailure;
 
 /// Why a controller gave no usable answer. The run ends there: a vehicle without a driver does not coast.
 ///
@@ -37,6 +38,9 @@ pub enum ControllerFailure {
         /// The time it had, in seconds.
         limit_s: f64,
     },
+    /// A process failed.
+    #[error(transparent)]
+    Process(Box<ProcessFailure>),
     /// The controller cannot drive, or ended.
     #[error("{message}")]
     Died {

@@ -1,13 +1,14 @@
-//! Controllers in files: policies, networks, and controller files, which say what a network sees and what its answer means.
+//! Controllers in files: policies, networks, and controller files, which say what a network or a process sees and what its answer
+//! means.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
-use crate::control::{Input, InvalidMapping, Mapping, NetworkController, Output};
+use crate::control::{Input, InvalidMapping, Mapping, NetworkController, Output, ProcessController, ProcessSetup};
 use crate::network::{NetworkError, NetworkFile};
 use crate::policy::{Policy, PolicyError};
 
@@ -22,21 +23,41 @@ pub const CONTROLLER_FILE_VERSION: u32 = 1;
 pub struct ControllerFile {
     /// Version of the format: 1.
     pub version: u32,
-    /// The network, as a path from the folder of this file: ONNX, or a model of Stable-Baselines3.
-    pub network: String,
-    /// Time between decisions, in seconds.
-    pub decision_interval_s: f64,
-    /// Decisions of which the network sees the inputs: 1 for the present ones alone. Before there are as many, the first
+    /// The network, as a path from the folder of this file: ONNX, or a model of Stable-Baselines3. Either this or a command.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub network: Option<String>,
+    /// The command that drives: a program and its arguments. It runs in the folder of this file, without a shell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub command: Option<Vec<String>>,
+    /// The files that decide how the command drives, as paths from the folder of this file. Without them nothing of it is kept or
+    /// certified.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub files: Vec<String>,
+    /// Whether the command always answers the same to the same.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deterministic: Option<bool>,
+    /// Time that the command has for its first answer, in seconds: 30 unless it is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start_within_s: Option<f64>,
+    /// Time that it has for each other answer, in seconds: 1 unless it is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub answer_within_s: Option<f64>,
+    /// Time between decisions, in seconds; a command may say it itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub decision_interval_s: Option<f64>,
+    /// Decisions of which the controller sees the inputs: 1 for the present ones alone. Before there are as many, the first
     /// stands in.
     #[serde(default = "one")]
     pub history: usize,
     /// Whether the present inputs come first; otherwise they come last.
     #[serde(default)]
     pub newest_first: bool,
-    /// What the network sees, in order.
-    pub inputs: Vec<Input>,
-    /// What its answer means.
-    pub output: Output,
+    /// What the controller sees, in order; everything there is, for a command without them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inputs: Option<Vec<Input>>,
+    /// What its answer means; an acceleration, for a command without it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub output: Option<Output>,
 }
 
 fn one() -> usize {
@@ -63,6 +84,9 @@ pub enum ControllerFileError {
     /// The network cannot be used.
     #[error(transparent)]
     Network(#[from] NetworkError),
+    /// A command that cannot drive.
+    #[error("{0}")]
+    Command(InvalidMapping),
     /// A network without a controller file that needs one.
     #[error("{path}: {invalid}")]
     NeedsMapping {
@@ -95,6 +119,8 @@ pub enum FileController {
     Policy(Arc<Policy>),
     /// A network from outside.
     Network(Arc<NetworkController>),
+    /// A process.
+    Process(Arc<ProcessController>),
 }
 
 impl FileController {
@@ -105,7 +131,7 @@ impl FileController {
     /// [`ControllerFileError`] if there is no such file, or it holds no usable controller.
     pub fn load(path: &Path) -> Result<Self, ControllerFileError> {
         if path.extension().is_some_and(|extension| extension == "toml") {
-            load(path).map(Self::Network)
+            load(path)
         } else if NetworkFile::is_one(path) {
             load_network(path).map(Self::Network)
         } else {
@@ -113,12 +139,13 @@ impl FileController {
         }
     }
 
-    /// SHA-256, in hexadecimal, of everything that decides how it drives.
+    /// SHA-256, in hexadecimal, of everything that decides how it drives; none for a process of which that is not known.
     #[must_use]
-    pub fn identity(&self) -> String {
+    pub fn identity(&self) -> Option<String> {
         match self {
-            Self::Policy(policy) => policy.digest(),
-            Self::Network(network) => network.identity().to_owned(),
+            Self::Policy(policy) => Some(policy.digest()),
+            Self::Network(network) => Some(network.identity().to_owned()),
+            Self::Process(process) => process.identity().map(str::to_owned),
         }
     }
 }
@@ -132,12 +159,17 @@ pub fn files_of(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2]
     let (network, bytes) = controller.file().named();
     let file = ControllerFile {
         version: CONTROLLER_FILE_VERSION,
-        network: network.clone(),
+        network: Some(network.clone()),
+        command: None,
+        files: Vec::new(),
+        deterministic: None,
+        start_within_s: None,
+        answer_within_s: None,
         decision_interval_s,
         history,
         newest_first,
-        inputs,
-        output,
+        inputs: Some(inputs),
+        output: Some(output),
     };
     Ok([(file_name(controller), toml::to_string(&file)?.into_bytes()), (network, bytes.to_vec())])
 }
@@ -170,7 +202,7 @@ fn load_network(path: &Path) -> Result<Arc<NetworkController>, ControllerFileErr
 }
 
 /// The controller of a controller file.
-fn load(path: &Path) -> Result<Arc<NetworkController>, ControllerFileError> {
+fn load(path: &Path) -> Result<FileController, ControllerFileError> {
     let text = read(path)?;
     let file: ControllerFile = parse_toml(&text, path)?;
     let wrong = |InvalidMapping { field, problem }| FileError::Syntax {
@@ -181,11 +213,63 @@ fn load(path: &Path) -> Result<Arc<NetworkController>, ControllerFileError> {
     if file.version != CONTROLLER_FILE_VERSION {
         let problem =
             format!("version {} is not supported: this release reads {CONTROLLER_FILE_VERSION}", file.version);
-        return Err(wrong(InvalidMapping { field: "version".to_owned(), problem }).into());
+        return Err(wrong(InvalidMapping::new("version", problem)).into());
     }
-    let ControllerFile { network, decision_interval_s, history, newest_first, inputs, output, .. } = file;
-    let mapping = Mapping { decision_interval_s, history, newest_first, inputs, output };
-    mapping.check().map_err(wrong)?;
-    let network = NetworkFile::load(&path.with_file_name("").join(network))?;
-    Ok(Arc::new(NetworkController::new(network, mapping).map_err(wrong)?))
+    let folder = path.with_file_name("");
+    match file.network.clone() {
+        None => {
+            let process = file.process(folder).and_then(ProcessController::new).map_err(wrong)?;
+            Ok(FileController::Process(Arc::new(process)))
+        }
+        Some(network) => {
+            let mapping = file.mapping_of_network().map_err(wrong)?;
+            mapping.check().map_err(wrong)?;
+            let network = NetworkFile::load(&folder.join(network))?;
+            Ok(FileController::Network(Arc::new(NetworkController::new(network, mapping).map_err(wrong)?)))
+        }
+    }
+}
+
+impl ControllerFile {
+    /// What a network sees and answers, all of which has to be said.
+    fn mapping_of_network(self) -> Result<Mapping, InvalidMapping> {
+        let of_commands = [
+            ("command", self.command.is_some()),
+            ("files", !self.files.is_empty()),
+            ("deterministic", self.deterministic.is_some()),
+            ("start_within_s", self.start_within_s.is_some()),
+            ("answer_within_s", self.answer_within_s.is_some()),
+        ];
+        if let Some((field, _)) = of_commands.into_iter().find(|(_, is_given)| *is_given) {
+            return Err(InvalidMapping::new(field, "is not for a network"));
+        }
+        let missing = |field| InvalidMapping::new(field, "is missing, and a network needs it");
+        Ok(Mapping {
+            decision_interval_s: Some(self.decision_interval_s.ok_or_else(|| missing("decision_interval_s"))?),
+            history: self.history,
+            newest_first: self.newest_first,
+            inputs: self.inputs.ok_or_else(|| missing("inputs"))?,
+            output: self.output.ok_or_else(|| missing("output"))?,
+        })
+    }
+
+    /// What a command is started with, sees and answers.
+    fn process(self, folder: PathBuf) -> Result<ProcessSetup, InvalidMapping> {
+        let missing = || InvalidMapping::new("version", "there is neither a `network` nor a `command`");
+        let plain = ProcessSetup::new(self.command.ok_or_else(missing)?, &folder);
+        Ok(ProcessSetup {
+            files: self.files,
+            deterministic: self.deterministic.unwrap_or(plain.deterministic),
+            start_within_s: self.start_within_s.unwrap_or(plain.start_within_s),
+            answer_within_s: self.answer_within_s.unwrap_or(plain.answer_within_s),
+            mapping: Mapping {
+                decision_interval_s: self.decision_interval_s,
+                history: self.history,
+                newest_first: self.newest_first,
+                inputs: self.inputs.unwrap_or(plain.mapping.inputs),
+                output: self.output.unwrap_or(plain.mapping.output),
+            },
+            ..plain
+        })
+    }
 }

@@ -71,7 +71,13 @@ impl FileDriver {
             return Err(format!("there is no file {}", path.display()));
         }
         let controller = FileController::load(&path).map_err(|error| error.to_string())?;
-        let identity = controller.identity();
+        let Some(identity) = controller.identity() else {
+            // Runs with it could be told from runs with another by nothing that the scenario says.
+            return Err(format!(
+                "{} states no identity: the driver of a scenario has to list its `files`, and be deterministic",
+                path.display()
+            ));
+        };
         if let Some(wanted) = self.form.sha256.as_ref().filter(|wanted| **wanted != identity) {
             return Err(format!("{} has the identity {identity}, and {wanted} is wanted", path.display()));
         }

@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 use super::{ControllerKind, Shielded};
 use crate::control::{
-    BuiltIn, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, RetrainedPolicy, ShieldSettings,
+    BuiltIn, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, ProcessController, ProcessSetup,
+    RetrainedPolicy, ShieldSettings,
 };
 use crate::policy::{Policy, PolicyError};
 use crate::scenario::controller_file::{ControllerFileError, FileController};
@@ -32,14 +33,17 @@ pub struct NamedController {
 /// Most shields before one controller: one within another may assume another vehicle ahead, and a name has an end.
 const MOST_SHIELDS: usize = 8;
 
+/// What stands before a command.
+const EXEC: &str = "exec:";
+
 /// Why a name stands for no controller.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UnknownController {
     /// Neither a built-in name nor a file.
     #[error(
-        "there is no controller `{name}`: there are {known}, files of policies, networks and controllers, and \
-         `shield:` before any of them"
+        "there is no controller `{name}`: there are {known}, files of policies, networks and controllers, \
+         commands after `exec:`, and `shield:` before any of them"
     )]
     Name {
         /// What was asked for.
@@ -59,6 +63,12 @@ pub enum UnknownController {
     /// More shields than anybody needs.
     #[error("at most {MOST_SHIELDS} shields may stand before a controller")]
     Shields,
+    /// A command that is no list of words.
+    #[error("`{command}` is no command: a quotation mark or a backslash has nothing after it")]
+    Command {
+        /// What was found.
+        command: String,
+    },
     /// A setting of a built-in controller that is wrong.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
@@ -91,6 +101,8 @@ impl NamedController {
     ///
     /// A built-in name may be followed by settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
     ///
+    /// `exec:COMMAND ARGUMENTS` is a process that runs in `folder`, its words as a shell would split them; none is started here.
+    ///
     /// `shield:C` is controller C behind a shield. `shield,ahead=A:C` assumes that the vehicle ahead never brakes harder than
     /// A m/s² on a dry road, instead of its own limit; `gap-error` (m), `speed-error` and `ahead-speed-error` (m/s) bound what
     /// is seen, and those that are not given are then 0.
@@ -110,6 +122,12 @@ impl NamedController {
         };
         if let Some(spec) = ControllerSpec::parse(name) {
             return Ok(spec?.into());
+        }
+        if let Some(command) = name.strip_prefix(EXEC) {
+            let words = words(command).ok_or_else(|| UnknownController::Command { command: command.to_owned() })?;
+            let process =
+                ProcessController::new(ProcessSetup::new(words, folder)).map_err(ControllerFileError::Command)?;
+            return Ok(Self { name: name.to_owned(), kind: Arc::new(process).into() });
         }
         if let Some((settings, inner)) = name.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
             let settings = shield_settings(settings)?;
@@ -156,8 +174,17 @@ fn is_named(kind: &ControllerKind, name: &str) -> bool {
                     && is_named(&shielded.controller, inner)
             })
         }
-        ControllerKind::Network(_) | ControllerKind::Custom(_) => false,
+        ControllerKind::Network(_) | ControllerKind::Process(_) | ControllerKind::Custom(_) => false,
     }
+}
+
+/// The words of a command as a shell would split them; none for one that does not end.
+fn words(command: &str) -> Option<Vec<String>> {
+    #[cfg(feature = "process")]
+    return shlex::split(command);
+    // Where no process starts, it is one word as well.
+    #[cfg(not(feature = "process"))]
+    Some(vec![command.to_owned()])
 }
 
 /// Settings as they stand between `shield` and the colon: nothing, or each with a comma before it.

@@ -9,7 +9,7 @@ use super::platoon::Platoon;
 use super::shielding::{ShieldRefusal, Shielded};
 use crate::control::{
     AnyController, ControllerFailure, ControllerSource, ControllerSpec, Ego, Frame, Needs, NetworkController,
-    NetworkDriver, PolicyDriver, Shield, ZeroOrderHold,
+    NetworkDriver, PolicyDriver, ProcessController, ProcessDriver, Shield, ZeroOrderHold,
 };
 use crate::digest::sha256;
 use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
@@ -27,6 +27,8 @@ pub enum ControllerKind {
     Policy(Arc<Policy>),
     /// A network from outside.
     Network(Arc<NetworkController>),
+    /// A process.
+    Process(Arc<ProcessController>),
     /// Any of these behind a shield.
     Shielded(Arc<Shielded>),
     /// A controller from outside.
@@ -41,6 +43,7 @@ impl ControllerKind {
             Self::BuiltIn(spec) => Some(spec.identity()),
             Self::Policy(policy) => Some(policy.digest()),
             Self::Network(network) => Some(network.identity().to_owned()),
+            Self::Process(process) => process.identity().map(str::to_owned),
             Self::Shielded(shielded) => {
                 Some(sha256(format!("shield {:?} {}", shielded.settings, shielded.controller.identity()?)))
             }
@@ -48,12 +51,14 @@ impl ControllerKind {
         }
     }
 
-    /// Time between its decisions, in seconds; none if it decides at every step. Starts nothing.
+    /// Time between its decisions, in seconds; none if it decides at every step, or is a process that has yet to say so. Starts
+    /// nothing.
     #[must_use]
     pub fn interval_s(&self) -> Option<f64> {
         match self {
             Self::Shielded(shielded) => shielded.controller.interval_s(),
-            Self::Network(network) => Some(network.mapping().decision_interval_s),
+            Self::Network(network) => network.mapping().decision_interval_s,
+            Self::Process(process) => process.setup().mapping.decision_interval_s,
             Self::Custom(source) => source.interval_s(),
             Self::BuiltIn(_) | Self::Policy(_) => self.policy().map(|policy| policy.header().decision_interval_s),
         }
@@ -66,7 +71,7 @@ impl ControllerKind {
             Self::BuiltIn(spec) => spec.policy(),
             Self::Policy(policy) => Some(Arc::clone(policy)),
             Self::Shielded(shielded) => shielded.controller.policy(),
-            Self::Network(_) | Self::Custom(_) => None,
+            Self::Network(_) | Self::Process(_) | Self::Custom(_) => None,
         }
     }
 
@@ -76,7 +81,7 @@ impl ControllerKind {
         match self {
             Self::Network(_) => true,
             Self::Shielded(shielded) => shielded.controller.is_learned(),
-            Self::BuiltIn(_) | Self::Policy(_) | Self::Custom(_) => self.policy().is_some(),
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Process(_) | Self::Custom(_) => self.policy().is_some(),
         }
     }
 
@@ -86,13 +91,32 @@ impl ControllerKind {
         match self {
             Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) => false,
             Self::Shielded(shielded) => shielded.controller.is_from_outside(),
-            Self::Custom(_) => true,
+            Self::Process(_) | Self::Custom(_) => true,
+        }
+    }
+
+    /// Whether nothing says that it is not deterministic. A process may say so once it was asked.
+    #[must_use]
+    pub fn is_deterministic(&self) -> bool {
+        match self {
+            Self::Shielded(shielded) => shielded.controller.is_deterministic(),
+            Self::Process(process) => process.is_deterministic(),
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Custom(_) => true,
+        }
+    }
+
+    /// Whether its runs can be made in lockstep: a process that does not answer in batches is needed once for each.
+    fn steps_together(&self, ego: impl FnOnce() -> Ego) -> bool {
+        match self {
+            Self::Shielded(shielded) => shielded.controller.steps_together(ego),
+            Self::Process(process) => process.takes_batches(&ego()),
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Custom(_) => true,
         }
     }
 
     fn needs(&self) -> Needs {
         match self {
-            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) => Needs::Nothing,
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Process(_) => Needs::Nothing,
             Self::Shielded(shielded) => shielded.controller.needs(),
             Self::Custom(source) => source.needs(),
         }
@@ -123,11 +147,18 @@ impl From<Arc<NetworkController>> for ControllerKind {
     }
 }
 
+impl From<Arc<ProcessController>> for ControllerKind {
+    fn from(process: Arc<ProcessController>) -> Self {
+        Self::Process(process)
+    }
+}
+
 impl From<FileController> for ControllerKind {
     fn from(controller: FileController) -> Self {
         match controller {
             FileController::Policy(policy) => Self::Policy(policy),
             FileController::Network(network) => Self::Network(network),
+            FileController::Process(process) => Self::Process(process),
         }
     }
 }
@@ -373,6 +404,18 @@ impl<'s> Run<'s> {
         }
     }
 
+    /// Whether it can be made in lockstep with others.
+    pub(super) fn steps_together(&self) -> bool {
+        self.scenario.vehicles().iter().enumerate().all(|(index, vehicle)| match &vehicle.driver {
+            Driver::Profile(_) | Driver::Controller(_) => true,
+            Driver::File(file) => match file.controller() {
+                Some(FileController::Process(process)) => process.takes_batches(&self.ego(index)),
+                _ => true,
+            },
+            Driver::UnderTest => self.options.controller.steps_together(|| self.ego(index)),
+        })
+    }
+
     /// Who drives vehicle `index`.
     pub(super) fn driver(&self, index: usize) -> ActiveDriver<'s> {
         match &self.scenario.vehicles()[index].driver {
@@ -394,6 +437,10 @@ impl<'s> Run<'s> {
             ControllerKind::BuiltIn(spec) => AnyController::built_in(spec, &ego, seed),
             ControllerKind::Policy(policy) => AnyController::Policy(PolicyDriver::new(Arc::clone(policy), &ego)),
             ControllerKind::Network(network) => AnyController::Network(NetworkDriver::new(Arc::clone(network), &ego)),
+            ControllerKind::Process(process) => match ProcessDriver::new(Arc::clone(process), &ego, seed) {
+                Ok(started) => AnyController::Process(started),
+                Err(failure) => AnyController::NotStarted(failure),
+            },
             ControllerKind::Shielded(shielded) => {
                 let controller = self.started(index, &shielded.controller);
                 match self.frames.get(index).copied().flatten() {

@@ -164,6 +164,10 @@ fn what_drives(kind: &ControllerKind) -> String {
                 what_drives(&shielded.controller)
             )
         }
+        ControllerKind::Process(process) => match process.is_deterministic() {
+            true => "a process".to_owned(),
+            false => "a process that is not deterministic: made again, this report may say otherwise".to_owned(),
+        },
         ControllerKind::Custom(_) => "a controller from outside".to_owned(),
     }
 }

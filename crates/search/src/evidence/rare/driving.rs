@@ -58,6 +58,9 @@ pub struct RareReport {
     pub controller: String,
     /// Hash of the policy, if that is what it is.
     pub policy_sha256: Option<String>,
+    /// Whether it says of itself that it is not deterministic: the same estimate may come out otherwise.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub nondeterministic: bool,
     /// What it looked through.
     pub estimator: EstimatorKind,
     /// Name of the space.
@@ -114,19 +117,21 @@ impl RarePlan {
     /// # Errors
     /// [`RareError`] if a run cannot be made.
     pub fn report(&self, pilot: &Splitting, done: &(dyn Fn(u64) + Sync)) -> Result<RareReport, RareError> {
+        let estimate = pilot.estimate(self, done)?;
         Ok(RareReport {
             version: 1,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
             certified: false,
             controller: self.controller.name.clone(),
             policy_sha256: self.controller.policy().map(|policy| policy.digest()),
+            nondeterministic: !self.controller.kind.is_deterministic(),
             estimator: self.estimator,
             space: self.space.name().to_owned(),
             space_sha256: sha256(file::to_toml(&self.space)?),
             failure: self.controller.failure(),
             seed: self.seed,
             effort: self.effort,
-            estimate: pilot.estimate(self, done)?,
+            estimate,
         })
     }
 }

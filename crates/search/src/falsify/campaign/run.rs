@@ -247,6 +247,7 @@ impl Campaign {
             configuration_sha256: sha256(&self.to_toml()?),
             controller: self.controller.name.clone(),
             policy_sha256: self.policy_sha256(),
+            nondeterministic: !self.controller.kind.is_deterministic(),
             estimator: self.estimator,
             space: self.space.name().to_owned(),
             specification: self.specification.to_string(),

@@ -26,6 +26,9 @@ pub struct Summary {
     pub controller: String,
     /// Hash of the policy, if that is what it is.
     pub policy_sha256: Option<String>,
+    /// Whether it says of itself that it is not deterministic: the same campaign may find something else.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub nondeterministic: bool,
     /// What it looked through.
     pub estimator: EstimatorKind,
     /// Name of the space.
@@ -226,6 +229,12 @@ impl Summary {
         )?;
         if self.aim != Aim::default().name() {
             writeln!(out, "  the search was after the {} failures", self.aim)?;
+        }
+        if self.nondeterministic {
+            writeln!(
+                out,
+                "  the controller says that it is not deterministic: the same campaign may find something else"
+            )?;
         }
         if self.falsified {
             let failures = if self.counterexamples.len() == 1 { "failure" } else { "failures" };

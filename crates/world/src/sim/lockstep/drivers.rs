@@ -6,7 +6,7 @@ use super::followers::Followers;
 use super::leaders::Leaders;
 use super::view::View;
 use crate::control::{
-    self, AnyController, Controller, ControllerFailure, NetworkDriver, PolicyDriver, with_controllers,
+    self, AnyController, Controller, ControllerFailure, NetworkDriver, PolicyDriver, ProcessDriver, with_controllers,
 };
 use crate::observation::Observation;
 use crate::sim::run::ActiveDriver;
@@ -21,6 +21,7 @@ macro_rules! define {
             $($(#[$doc])* $rule(Vec<control::$rule>),)*
             Policy(Vec<PolicyDriver>),
             Network(Vec<NetworkDriver>),
+            Process(Vec<ProcessDriver>),
             /// Drivers of several kinds, or from outside.
             Mixed(Vec<ActiveDriver<'s>>),
         }
@@ -50,6 +51,7 @@ macro_rules! define {
                 $(let drivers = unless_all!(drivers, C(AnyController::$rule(one)) => one, all => Self::$rule(all));)*
                 let drivers = unless_all!(drivers, C(AnyController::Policy(one)) => one, all => Self::Policy(all));
                 let drivers = unless_all!(drivers, C(AnyController::Network(one)) => one, all => Self::Network(all));
+                let drivers = unless_all!(drivers, C(AnyController::Process(one)) => one, all => Self::Process(all));
                 Self::Mixed(drivers)
             }
 
@@ -76,6 +78,7 @@ macro_rules! define {
                     $(Self::$rule(all) => Controller::decide_together(all, see, commands, failed),)*
                     Self::Policy(all) => Controller::decide_together(all, see, commands, failed),
                     Self::Network(all) => Controller::decide_together(all, see, commands, failed),
+                    Self::Process(all) => Controller::decide_together(all, see, commands, failed),
                     Self::Mixed(drivers) => {
                         for (run, (command, driver)) in commands.iter_mut().zip(drivers).enumerate() {
                             let seen = see(run);
@@ -101,6 +104,7 @@ macro_rules! define {
                     $(Self::$rule(all) => drop(all.swap_remove(run)),)*
                     Self::Policy(all) => drop(all.swap_remove(run)),
                     Self::Network(all) => drop(all.swap_remove(run)),
+                    Self::Process(all) => drop(all.swap_remove(run)),
                     Self::Mixed(all) => drop(all.swap_remove(run)),
                 }
             }

@@ -64,7 +64,10 @@ pub fn simulate_batch<R: Send>(
     };
     let blocks: Vec<&[usize]> = order
         .chunk_by(|&a, &b| compare_shapes(&runs[a], &runs[b]) == Ordering::Equal)
-        .flat_map(|alike| alike.chunks(alike.len().div_ceil(rayon::current_num_threads()).min(most)))
+        .flat_map(|alike| {
+            let most = if alike.iter().all(|&run| runs[run].steps_together()) { most } else { 1 };
+            alike.chunks(alike.len().div_ceil(rayon::current_num_threads()).min(most))
+        })
         .collect();
     let mut results: Vec<(usize, R)> = blocks
         .into_par_iter()
@@ -93,6 +96,7 @@ fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
         ControllerKind::BuiltIn(spec) => spec.name(),
         ControllerKind::Policy(_) => "policy",
         ControllerKind::Network(_) => "network",
+        ControllerKind::Process(_) => "process",
         ControllerKind::Shielded(_) => "shielded",
         ControllerKind::Custom(_) => "custom",
     };

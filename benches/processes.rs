@@ -1,0 +1,62 @@
+//! Controllers that are processes: time for a decision, from what is seen to the acceleration that is wanted.
+//!
+//! `cargo bench --bench processes`. The item counted is one decision, at every step of 0.01 s; simulating the step is part of its
+//! time, and so is what the process takes. The examples of `examples/controllers` answer, each seeing three numbers; those without
+//! a compiler or interpreter here are left out. One thread; for one core, `taskset -c 0` before it all.
+
+#![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
+
+use std::path::Path;
+use std::process::Command;
+use std::{fs, iter};
+
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Scenario, built_in};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
+use divan::Bencher;
+use divan::counter::ItemsCount;
+
+fn main() {
+    divan::main();
+}
+
+/// How the examples are started, and of how many runs at once.
+const CASES: [(&str, usize); 3] =
+    [("\"python3\", \"follower.py\", \"alone\"", 1), ("\"./follower\"", 1), ("\"python3\", \"follower.py\"", 64)];
+
+/// A controller file that lets a command see what the examples need.
+fn controller(command: &str, folder: &Path) -> Option<NamedController> {
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/controllers");
+    fs::copy(examples.join("follower.py"), folder.join("follower.py")).expect("the example");
+    let mut compiler = Command::new("cc");
+    compiler.args(["-O2", "-lm", "-o", "follower"]).arg(examples.join("follower.c")).arg("-lm").current_dir(folder);
+    let needed =
+        if command.contains("python3") { Command::new("python3").arg("--version").output() } else { compiler.output() };
+    if !needed.is_ok_and(|needed| needed.status.success()) {
+        return None;
+    }
+    let inputs = ["gap_ahead_m", "relative_speed_ahead_mps", "speed_mps"];
+    let inputs: String = inputs.map(|name| format!("[[inputs]]\nquantity = \"{name}\"\n")).concat();
+    let text = format!("version = 1\ncommand = [{command}]\n{inputs}");
+    fs::write(folder.join("controller.toml"), text).expect("writable");
+    Some(NamedController::find("controller.toml", folder).expect("a controller file"))
+}
+
+fn scenario() -> Scenario {
+    built_in("paper-1").expect("built in").edited(|spec| spec.duration_s = 60.0).expect("valid")
+}
+
+#[divan::bench(args = CASES, sample_count = 20)]
+fn decisions(bencher: Bencher<'_, '_>, (command, runs): (&str, usize)) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Some(controller) = controller(command, folder.path()) else { return };
+    let scenario = scenario();
+    let options = RunOptions::new(controller.kind).with_estimator(EstimatorKind::Truth);
+    let runs: Vec<_> =
+        iter::repeat_with(|| Run::new(&scenario, options.clone()).expect("it fits")).take(runs).collect();
+    let threads = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+    let drive = || threads.install(|| simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));
+    // The first two are asked twice.
+    assert!((0..2).all(|_| drive().iter().all(|outcome| outcome.is_safe())), "the examples are safe");
+    bencher.counter(ItemsCount::new(runs.len() * scenario.steps())).bench_local(drive);
+}

@@ -1,0 +1,243 @@
+//! A process that drives one vehicle in one run.
+
+use std::sync::Arc;
+
+use super::{Greeted, ProcessController};
+use crate::control::history::History;
+use crate::control::interval::Interval;
+use crate::control::{Controller, ControllerFailure, Ego, Mapping};
+use crate::observation::Observation;
+use crate::process::ProcessProblem;
+use crate::process::protocol::{self, Ask, AskAll, Reset, Seed};
+
+/// Asks a process once every decision interval and holds its answer in between.
+pub struct ProcessDriver {
+    controller: Arc<ProcessController>,
+    hello: Arc<[u8]>,
+    /// Its own for the run; none if it answers in batches, when one is borrowed for each decision.
+    own: Option<Greeted>,
+    is_batch: bool,
+    /// A second process that is asked the same, in the runs that are checked.
+    second: Option<Greeted>,
+    interval: Interval,
+    step_s: f64,
+    steps: u64,
+    /// When it is asked, and what it then sees.
+    time_s: f64,
+    row: Vec<f64>,
+    history: History<f64>,
+    line: Vec<u8>,
+    held_mps2: f64,
+}
+
+impl ProcessDriver {
+    /// A process that drives a vehicle. `seed` is the scenario's.
+    ///
+    /// # Errors
+    /// [`ControllerFailure`] if it cannot be started, or is not ready.
+    pub fn new(controller: Arc<ProcessController>, ego: &Ego, seed: u64) -> Result<Self, ControllerFailure> {
+        let hello = controller.hello(ego);
+        let first = controller.ready(controller.take(&hello)?, seed)?;
+        let checked = controller.is_to_be_checked(ego.vehicle);
+        let second = checked.then(|| controller.start(&hello).and_then(|second| controller.ready(second, seed)));
+        let is_batch = first.greeting.batch;
+        let interval_s = controller.setup.mapping.decision_interval_s.or(first.greeting.interval_s);
+        let mut driver = Self {
+            own: Some(first),
+            hello,
+            is_batch,
+            second: second.transpose()?,
+            interval: Interval::new(interval_s, ego.step_s),
+            step_s: ego.step_s,
+            steps: 0,
+            time_s: 0.0,
+            row: Vec::new(),
+            history: History::default(),
+            line: Vec::new(),
+            held_mps2: 0.0,
+            controller,
+        };
+        if let Some(interval_s) = interval_s.filter(|interval_s| !Interval::fits(*interval_s, ego.step_s)) {
+            let wanted = format!("a multiple of the scenario's step of {} s", ego.step_s);
+            return Err(driver.failed(ProcessProblem::Interval { interval_s, wanted }, None));
+        }
+        if is_batch && let Some(borrowed) = driver.own.take() {
+            driver.controller.give_back(borrowed);
+        }
+        Ok(driver)
+    }
+
+    /// Looks, if a decision is due at this step; counts the step.
+    fn looks(&mut self, seen: &Observation) -> bool {
+        self.time_s = self.steps as f64 * self.step_s;
+        self.steps += 1;
+        let due = self.interval.is_due();
+        if due {
+            let mapping = &self.controller.setup.mapping;
+            self.row.clear();
+            self.history.look_back(mapping, mapping.see(seen, self.held_mps2), &mut self.row);
+        }
+        due
+    }
+
+    /// Decides on what was seen last, asking for this run alone.
+    fn decides(&mut self) -> Result<(), ControllerFailure> {
+        let mut first = match self.own.take() {
+            Some(own) => own,
+            None if self.is_batch => self.controller.take(&self.hello)?,
+            None => return Err(self.failed(ProcessProblem::Closed, None)),
+        };
+        match self.ask(&mut first) {
+            Ok(answer_mps2) if self.is_batch => {
+                self.controller.give_back(first);
+                self.agree(answer_mps2)
+            }
+            Ok(answer_mps2) => {
+                self.own = Some(first);
+                self.agree(answer_mps2)
+            }
+            Err(problem) => Err(self.failed(problem, Some(first))),
+        }
+    }
+
+    /// Takes an answer, if the second process gives the same.
+    fn agree(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
+        if let Some(mut second) = self.second.take() {
+            match self.ask(&mut second) {
+                Ok(again_mps2) if again_mps2.to_bits() == answer_mps2.to_bits() => self.second = Some(second),
+                Ok(second_mps2) => {
+                    let problem = ProcessProblem::Nondeterministic { first_mps2: answer_mps2, second_mps2 };
+                    let failure = self.failed(problem, Some(second));
+                    return Err(self.controller.refuse(failure));
+                }
+                Err(problem) => return Err(self.failed(problem, Some(second))),
+            }
+        }
+        self.held_mps2 = answer_mps2;
+        Ok(())
+    }
+
+    /// The acceleration that a process answers with, in m/s².
+    fn ask(&mut self, greeted: &mut Greeted) -> Result<f64, ProcessProblem> {
+        let within = self.controller.answer_within();
+        let see = self.row.as_slice();
+        let answer = if self.is_batch {
+            protocol::line(&mut self.line, &AskAll { times_s: &[self.time_s], see: vec![see] })?;
+            protocol::decisions(greeted.program.ask(&self.line, within)?, 1)?.first().copied().unwrap_or(f64::NAN)
+        } else {
+            protocol::line(&mut self.line, &Ask { time_s: self.time_s, see })?;
+            protocol::decision(greeted.program.ask(&self.line, within)?)?
+        };
+        acceleration_mps2(&self.controller.setup.mapping, answer)
+    }
+
+    /// Ends both processes of a run that failed.
+    fn failed(&mut self, problem: ProcessProblem, program: Option<Greeted>) -> ControllerFailure {
+        self.second = None;
+        let program = program.or_else(|| self.own.take());
+        self.controller.failure(problem, program.map(|greeted| greeted.program))
+    }
+}
+
+/// What an answer means, if it is within its range.
+fn acceleration_mps2(mapping: &Mapping, answer: f64) -> Result<f64, ProcessProblem> {
+    let (wanted_mps2, [low_mps2, high_mps2]) = mapping.wanted_mps2(answer);
+    if wanted_mps2.is_nan() {
+        Err(ProcessProblem::NotFinite)
+    } else if (low_mps2..=high_mps2).contains(&wanted_mps2) {
+        Ok(wanted_mps2)
+    } else {
+        Err(ProcessProblem::OutOfRange { answer_mps2: wanted_mps2, low_mps2, high_mps2 })
+    }
+}
+
+impl ProcessController {
+    /// A process at the start of a run. Those that answer in batches have no runs: their answers depend on what they see alone.
+    fn ready(&self, mut greeted: Greeted, seed: u64) -> Result<Greeted, ControllerFailure> {
+        if greeted.greeting.batch {
+            return Ok(greeted);
+        }
+        let mut line = Vec::new();
+        let ready = protocol::line(&mut line, &Reset { reset: Seed { seed } })
+            .and_then(|()| protocol::ready(greeted.program.ask(&line, self.answer_within())?));
+        match ready {
+            Ok(()) => {
+                greeted.program.forget_words();
+                Ok(greeted)
+            }
+            Err(problem) => Err(self.failure(problem, Some(greeted.program))),
+        }
+    }
+
+    /// The accelerations for what several drivers see; none if they have to be asked one by one, since something is wrong.
+    fn answers_mps2(self: &Arc<Self>, drivers: &[&ProcessDriver]) -> Option<Vec<f64>> {
+        let first = drivers.first()?;
+        let mut greeted = self.take(&first.hello).ok()?;
+        let times_s: Vec<f64> = drivers.iter().map(|driver| driver.time_s).collect();
+        let see = drivers.iter().map(|driver| driver.row.as_slice()).collect();
+        let mut line = Vec::new();
+        protocol::line(&mut line, &AskAll { times_s: &times_s, see }).ok()?;
+        let answers =
+            protocol::decisions(greeted.program.ask(&line, self.answer_within()).ok()?, drivers.len()).ok()?;
+        let wanted = answers.into_iter().map(|answer| acceleration_mps2(&self.setup.mapping, answer).ok());
+        let wanted = wanted.collect::<Option<Vec<_>>>()?;
+        self.give_back(greeted);
+        Some(wanted)
+    }
+}
+
+impl Controller for ProcessDriver {
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        if self.looks(seen) {
+            self.decides()?;
+        }
+        Ok(self.held_mps2)
+    }
+
+    /// Those whose decision is due and that answer in batches are asked by one line for each run of equal ones.
+    ///
+    /// Where an answer fails, whose it is shows when each is asked by itself: a run ends as it would have alone.
+    fn decide_together(
+        all: &mut [Self],
+        mut see: impl FnMut(usize) -> Observation,
+        commands_mps2: &mut [f64],
+        failed: &mut Vec<(usize, ControllerFailure)>,
+    ) {
+        let mut due = Vec::new();
+        for (index, driver) in all.iter_mut().enumerate() {
+            if driver.looks(&see(index)) {
+                due.push(index);
+            }
+        }
+        let are_alike = |a: &usize, b: &usize| {
+            let (a, b) = (&all[*a], &all[*b]);
+            Arc::ptr_eq(&a.controller, &b.controller) && a.is_batch && b.is_batch && a.hello == b.hello
+        };
+        let groups: Vec<&[usize]> = due.chunk_by(are_alike).collect();
+        for group in groups {
+            let drivers: Vec<&Self> = group.iter().map(|index| &all[*index]).collect();
+            let together = if drivers.len() > 1 { drivers[0].controller.answers_mps2(&drivers) } else { None };
+            for (place, index) in group.iter().enumerate() {
+                let driver = &mut all[*index];
+                let decided = match together.as_ref().and_then(|answers| answers.get(place)) {
+                    Some(answer_mps2) => driver.agree(*answer_mps2),
+                    None => driver.decides(),
+                };
+                if let Err(failure) = decided {
+                    failed.push((*index, failure));
+                }
+            }
+        }
+        for (command_mps2, driver) in commands_mps2.iter_mut().zip(all) {
+            *command_mps2 = driver.held_mps2;
+        }
+    }
+}
+
+impl Drop for ProcessDriver {
+    fn drop(&mut self) {
+        if let Some(own) = self.own.take() {
+            self.controller.give_back(own);
+        }
+    }
+}

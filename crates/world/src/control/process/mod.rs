@@ -1,0 +1,393 @@
+//! A process at the wheel: what starts it, what it stands for, and the processes that wait for their next run.
+
+mod driver;
+
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read as _};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use serde::Serialize;
+
+pub use self::driver::ProcessDriver;
+use super::{ControllerFailure, Ego, InvalidMapping, Mapping};
+use crate::digest::{Sha256, sha256};
+use crate::process::protocol::{self, Greeting, Hello, Task, VERSION, Vehicle};
+use crate::process::{ProcessFailure, ProcessProblem, Program, shortened};
+use crate::quoted::ShellWord;
+
+/// Most words of a command, files that an identity stands for, and bytes of one of these.
+const MOST_WORDS: usize = 1000;
+const MOST_FILES: usize = 1000;
+const MOST_FILE_BYTES: u64 = 1 << 30;
+
+/// Longest time limit, in seconds.
+const MOST_WITHIN_S: f64 = 3600.0;
+
+/// Starts that may fail one after the other, and starts in all, before none is tried any more.
+const MOST_FAILED_STARTS: u32 = 3;
+const MOST_STARTS: u32 = 10_000;
+
+/// Runs of each vehicle in which a process that says it is deterministic is asked everything twice.
+const CHECKED_RUNS: u32 = 2;
+
+/// A command that drives, what it sees, and what its answer means.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ProcessSetup {
+    /// The program and its arguments, without a shell. A relative path of a program starts at `folder`.
+    pub command: Vec<String>,
+    /// The folder that it runs in.
+    pub folder: PathBuf,
+    /// The files, from `folder`, that decide how it drives; none if that is not known.
+    pub files: Vec<String>,
+    /// Whether the same observations always lead to the same answers, as far as is known before it is asked.
+    pub deterministic: bool,
+    /// What it sees and answers.
+    pub mapping: Mapping,
+    /// The time for its first answer, in seconds.
+    pub start_within_s: f64,
+    /// The time for each other answer, in seconds.
+    pub answer_within_s: f64,
+}
+
+impl ProcessSetup {
+    /// A command with [`Mapping::plain`], of which nothing else is known.
+    #[must_use]
+    pub fn new(command: Vec<String>, folder: &Path) -> Self {
+        Self {
+            command,
+            folder: folder.to_owned(),
+            files: Vec::new(),
+            deterministic: true,
+            mapping: Mapping::plain(),
+            start_within_s: 30.0,
+            answer_within_s: 1.0,
+        }
+    }
+
+    fn check(&self) -> Result<(), InvalidMapping> {
+        let words = &self.command;
+        if !(1..=MOST_WORDS).contains(&words.len()) || words.first().is_none_or(String::is_empty) {
+            return Err(InvalidMapping::new(
+                "command",
+                format!("must be a program and at most {MOST_WORDS} words in all"),
+            ));
+        }
+        if words.iter().any(|word| word.contains('\0')) {
+            return Err(InvalidMapping::new("command", "a word of a command holds no NUL"));
+        }
+        if self.files.len() > MOST_FILES {
+            return Err(InvalidMapping::new(
+                "files",
+                format!("must be at most {MOST_FILES}, found {}", self.files.len()),
+            ));
+        }
+        for (field, within_s) in [("start_within_s", self.start_within_s), ("answer_within_s", self.answer_within_s)] {
+            if !(within_s > 0.0 && within_s <= MOST_WITHIN_S) {
+                let problem = format!("must be above 0 and at most {MOST_WITHIN_S}, found {within_s}");
+                return Err(InvalidMapping::new(field, problem));
+            }
+        }
+        self.mapping.check()?;
+        match self.mapping.output.answer {
+            0 => Ok(()),
+            _ => Err(InvalidMapping::new("output.answer", "must be 0: a process gives one answer")),
+        }
+    }
+}
+
+/// A file that an identity stands for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+struct ListedFile {
+    path: String,
+    sha256: String,
+}
+
+/// A process as a controller.
+///
+/// Processes are started when runs need them, and wait for the next run when one ends; they end with this. At each instant there
+/// are as many as runs under way have vehicles that they drive; of those that answer in batches, as many as there are threads.
+pub struct ProcessController {
+    setup: ProcessSetup,
+    files: Vec<ListedFile>,
+    identity: Option<String>,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    idle: Vec<Greeted>,
+    /// What the first one said of itself.
+    greeting: Option<Greeting>,
+    /// Why none is started any more.
+    refused: Option<ControllerFailure>,
+    starts: u32,
+    failed_in_a_row: u32,
+    /// Runs that were checked, by vehicle.
+    checked: Vec<(usize, u32)>,
+}
+
+/// A process that has introduced itself.
+struct Greeted {
+    program: Program,
+    hello: Arc<[u8]>,
+    greeting: Greeting,
+}
+
+impl ProcessController {
+    /// A process as a controller. Reads the files that its identity stands for, and starts nothing.
+    ///
+    /// # Errors
+    /// [`InvalidMapping`] names the first field that is wrong.
+    pub fn new(setup: ProcessSetup) -> Result<Self, InvalidMapping> {
+        #[derive(Serialize)]
+        struct Identity<'a> {
+            command: &'a [String],
+            files: &'a [ListedFile],
+            mapping: &'a Mapping,
+            answer_within_s: f64,
+        }
+        setup.check()?;
+        let digest = |(index, path): (usize, &String)| match digest(&setup.folder.join(path)) {
+            Ok(sha256) => Ok(ListedFile { path: path.clone(), sha256 }),
+            Err(error) => Err(InvalidMapping::new(format!("files[{index}]"), format!("{path}: {error}"))),
+        };
+        let files = setup.files.iter().enumerate().map(digest).collect::<Result<Vec<_>, _>>()?;
+        let ProcessSetup { command, mapping, answer_within_s, .. } = &setup;
+        let parts = Identity { command, files: &files, mapping, answer_within_s: *answer_within_s };
+        let parts = serde_json::to_string(&parts).map_err(|e| InvalidMapping::new("command", e.to_string()))?;
+        let identity = (!files.is_empty() && setup.deterministic).then(|| sha256(format!("process {parts}")));
+        Ok(Self { setup, files, identity, state: Mutex::default() })
+    }
+
+    /// What it is made of.
+    #[must_use]
+    pub fn setup(&self) -> &ProcessSetup {
+        &self.setup
+    }
+
+    /// SHA-256, in hexadecimal, of its command, its mapping and its files; none if it lists none, or is not deterministic.
+    #[must_use]
+    pub fn identity(&self) -> Option<&str> {
+        self.identity.as_deref()
+    }
+
+    /// Whether nothing says that it is not deterministic: neither its controller file nor, once it was asked, it itself.
+    #[must_use]
+    pub fn is_deterministic(&self) -> bool {
+        self.setup.deterministic && self.state().greeting.as_ref().is_none_or(|greeting| greeting.deterministic)
+    }
+
+    /// Whether one process can answer for many runs at once. Starts one if that is not known yet.
+    pub(crate) fn takes_batches(&self, ego: &Ego) -> bool {
+        if let Some(greeting) = &self.state().greeting {
+            return greeting.batch;
+        }
+        self.take(&self.hello(ego)).is_ok_and(|greeted| {
+            let batch = greeted.greeting.batch;
+            self.give_back(greeted);
+            batch
+        })
+    }
+
+    /// A panic elsewhere leaves nothing half done here.
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn answer_within(&self) -> Duration {
+        Duration::from_secs_f64(self.setup.answer_within_s)
+    }
+
+    /// What a process is told of a vehicle.
+    fn hello(&self, ego: &Ego) -> Arc<[u8]> {
+        let Mapping { history, newest_first, inputs, output, .. } = &self.setup.mapping;
+        let hello = Task {
+            vehicle: Vehicle {
+                index: ego.vehicle,
+                max_brake_mps2: ego.max_brake_mps2,
+                max_accel_mps2: ego.max_accel_mps2,
+                length_m: ego.length_m,
+            },
+            step_s: ego.step_s,
+            inputs: inputs.iter().map(super::Input::name).collect(),
+            history: *history,
+            newest_first: *newest_first,
+            low_mps2: output.low_mps2,
+            high_mps2: output.high_mps2,
+        };
+        let mut line = Vec::new();
+        // Numbers and names can always be written; what could not would be refused by the process.
+        let _ = protocol::line(&mut line, &Hello { crumple: VERSION, hello });
+        line.into()
+    }
+
+    /// A process that knows of the vehicle: one that waits, or else a new one.
+    fn take(&self, hello: &Arc<[u8]>) -> Result<Greeted, ControllerFailure> {
+        let waiting = {
+            let mut state = self.state();
+            if let Some(refused) = &state.refused {
+                return Err(refused.clone());
+            }
+            let known = state.idle.iter().position(|greeted| greeted.hello == *hello);
+            known.map(|place| state.idle.swap_remove(place)).or_else(|| state.idle.pop())
+        };
+        match waiting {
+            Some(greeted) if greeted.hello == *hello => Ok(greeted),
+            Some(other) => self.greet(other.program, hello),
+            None => self.start(hello),
+        }
+    }
+
+    /// A new process.
+    fn start(&self, hello: &Arc<[u8]>) -> Result<Greeted, ControllerFailure> {
+        {
+            let mut state = self.state();
+            if state.starts == MOST_STARTS {
+                drop(state);
+                return Err(self.refuse(self.failure(ProcessProblem::TooManyStarts { starts: MOST_STARTS }, None)));
+            }
+            state.starts += 1;
+        }
+        let changed =
+            |file: &&ListedFile| !digest(&self.setup.folder.join(&file.path)).is_ok_and(|sha256| sha256 == file.sha256);
+        if let Some(ListedFile { path, .. }) = self.files.iter().find(changed) {
+            return Err(self.refuse(self.failure(ProcessProblem::FileChanged { file: shortened(path) }, None)));
+        }
+        let started = Program::start(&self.setup.command, &self.setup.folder)
+            .map_err(|problem| self.failure(problem, None))
+            .and_then(|program| self.greet(program, hello));
+        let mut state = self.state();
+        match &started {
+            Ok(_) => state.failed_in_a_row = 0,
+            Err(failure) => {
+                state.failed_in_a_row += 1;
+                if state.failed_in_a_row == MOST_FAILED_STARTS {
+                    state.refused = Some(failure.clone());
+                }
+            }
+        }
+        started
+    }
+
+    /// Tells a process of a vehicle, and hears what it says of itself.
+    fn greet(&self, mut program: Program, hello: &Arc<[u8]>) -> Result<Greeted, ControllerFailure> {
+        let within = Duration::from_secs_f64(self.setup.start_within_s);
+        let greeting = program.ask(hello, within).and_then(protocol::greeting);
+        match greeting.and_then(|greeting| self.accept(greeting)) {
+            Ok(greeting) => Ok(Greeted { program, hello: Arc::clone(hello), greeting }),
+            Err(problem) => Err(self.failure(problem, Some(program))),
+        }
+    }
+
+    /// What a process says of itself, if it can drive so.
+    fn accept(&self, greeting: Greeting) -> Result<Greeting, ProcessProblem> {
+        let shown = self.setup.mapping.width();
+        if let Some(wanted) = greeting.inputs.filter(|wanted| *wanted != shown as u64) {
+            return Err(ProcessProblem::Inputs { wanted, shown });
+        }
+        if let (Some(interval_s), Some(stated_s)) = (greeting.interval_s, self.setup.mapping.decision_interval_s)
+            && interval_s != stated_s
+        {
+            let wanted = format!("the {stated_s} s of its controller file");
+            return Err(ProcessProblem::Interval { interval_s, wanted });
+        }
+        if !greeting.deterministic && self.identity.is_some() {
+            return Err(ProcessProblem::Undeclared);
+        }
+        let mut state = self.state();
+        match &state.greeting {
+            Some(first) if *first != greeting => Err(ProcessProblem::Changed),
+            Some(_) => Ok(greeting),
+            None => {
+                state.greeting = Some(greeting.clone());
+                Ok(greeting)
+            }
+        }
+    }
+
+    fn give_back(&self, greeted: Greeted) {
+        self.state().idle.push(greeted);
+    }
+
+    /// Whether the next run of a vehicle is one of those that are checked.
+    fn is_to_be_checked(&self, vehicle: usize) -> bool {
+        if !self.is_deterministic() {
+            return false;
+        }
+        let mut state = self.state();
+        let place = state.checked.iter().position(|(known, _)| *known == vehicle).unwrap_or_else(|| {
+            state.checked.push((vehicle, 0));
+            state.checked.len() - 1
+        });
+        let Some((_, runs)) = state.checked.get_mut(place).filter(|(_, runs)| *runs < CHECKED_RUNS) else {
+            return false;
+        };
+        *runs += 1;
+        true
+    }
+
+    /// A failure for good: nothing is started any more.
+    fn refuse(&self, failure: ControllerFailure) -> ControllerFailure {
+        self.state().refused.get_or_insert(failure).clone()
+    }
+
+    /// What is told of a process that failed, which ends.
+    fn failure(&self, problem: ProcessProblem, program: Option<Program>) -> ControllerFailure {
+        let last_words = program.map(Program::end).unwrap_or_default();
+        let command = || {
+            let words: Vec<_> = self.setup.command.iter().map(|word| ShellWord(word).to_string()).collect();
+            shortened(&words.join(" "))
+        };
+        let name = self.state().greeting.as_ref().map(|greeting| greeting.name.clone());
+        ControllerFailure::Process(Box::new(ProcessFailure {
+            controller: name.unwrap_or_else(command),
+            problem,
+            last_words,
+        }))
+    }
+}
+
+impl fmt::Debug for ProcessController {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("ProcessController").field("setup", &self.setup).field("identity", &self.identity).finish()
+    }
+}
+
+/// Two are equal if they start the same.
+impl PartialEq for ProcessController {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.setup, &self.files) == (&other.setup, &other.files)
+    }
+}
+
+impl Drop for ProcessController {
+    fn drop(&mut self) {
+        let state = self.state.get_mut().unwrap_or_else(PoisonError::into_inner);
+        // All at once, so that they part at the same time.
+        state.idle.iter_mut().for_each(|greeted| greeted.program.close_input());
+    }
+}
+
+/// SHA-256, in hexadecimal, of an ordinary file.
+fn digest(path: &Path) -> io::Result<String> {
+    let refused = |problem: &str| io::Error::new(io::ErrorKind::InvalidData, problem.to_owned());
+    if !path.metadata()?.is_file() {
+        return Err(refused("is no ordinary file"));
+    }
+    let mut file = File::open(path)?.take(MOST_FILE_BYTES + 1);
+    let (mut digest, mut chunk, mut length) = (Sha256::default(), vec![0; 1 << 16], 0);
+    loop {
+        let read = file.read(&mut chunk)?;
+        length += read as u64;
+        if length > MOST_FILE_BYTES {
+            return Err(refused("holds more than 1024 MiB"));
+        }
+        match chunk.get(..read) {
+            Some(new @ [_, ..]) => digest.update(new),
+            _ => return Ok(digest.hexadecimal()),
+        }
+    }
+}

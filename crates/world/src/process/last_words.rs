@@ -1,0 +1,65 @@
+//! The last lines of a program's standard error.
+
+use crate::quoted::Terminal;
+
+/// Most lines that are told, most characters of each, and the bytes that are kept to tell them.
+const MOST_LINES: usize = 8;
+const MOST_CHARACTERS: usize = 300;
+const KEPT_BYTES: usize = 8 << 10;
+
+/// What a program said last.
+#[derive(Default)]
+pub(super) struct LastWords(Vec<u8>);
+
+impl LastWords {
+    /// Takes in what it says next.
+    pub(super) fn hear(&mut self, said: &[u8]) {
+        let said = said.get(said.len().saturating_sub(KEPT_BYTES)..).unwrap_or(said);
+        self.0.extend_from_slice(said);
+        if self.0.len() > 2 * KEPT_BYTES {
+            self.0.drain(..self.0.len() - KEPT_BYTES);
+        }
+    }
+
+    /// Forgets what was said until now.
+    pub(super) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// The last lines, in which every character shows as itself.
+    pub(super) fn lines(&self) -> Vec<String> {
+        let kept = self.0.get(self.0.len().saturating_sub(KEPT_BYTES)..).unwrap_or(&self.0);
+        let text = String::from_utf8_lossy(kept);
+        let lines: Vec<_> = text.lines().filter(|line| !line.trim().is_empty()).collect();
+        let told = lines.get(lines.len().saturating_sub(MOST_LINES)..).unwrap_or_default();
+        told.iter().map(|line| shortened(line)).collect()
+    }
+}
+
+/// The beginning of a text of somebody else, in which every character shows as itself.
+pub(crate) fn shortened(text: &str) -> String {
+    let begin: String = text.chars().take(MOST_CHARACTERS).collect();
+    let rest = if begin.len() < text.len() { "…" } else { "" };
+    format!("{}{rest}", Terminal(begin.trim_end()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_lines_are_told_however_much_was_said() {
+        let mut words = LastWords::default();
+        assert!(words.lines().is_empty());
+        for number in 0..20_000 {
+            words.hear(format!("line {number}\u{1b}\n\n").as_bytes());
+            assert!(words.0.len() <= 2 * KEPT_BYTES + 64);
+        }
+        assert_eq!(words.lines().first().map(String::as_str), Some("line 19992\\u001b"));
+        assert_eq!(words.lines().len(), MOST_LINES);
+        words.hear(&vec![b'x'; 1 << 20]);
+        assert_eq!(words.lines(), [format!("{}…", "x".repeat(MOST_CHARACTERS))]);
+        words.clear();
+        assert!(words.lines().is_empty());
+    }
+}

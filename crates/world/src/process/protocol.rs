@@ -1,0 +1,182 @@
+//! The protocol, version 1: lines of JSON, as `docs/controllers.md` tells it.
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::{ProcessProblem, shortened};
+
+/// The version that this release speaks.
+pub(crate) const VERSION: u64 = 1;
+
+/// What a process is told first.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Hello<'a> {
+    pub(crate) crumple: u64,
+    pub(crate) hello: Task<'a>,
+}
+
+/// What it is to do.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Task<'a> {
+    pub(crate) vehicle: Vehicle,
+    pub(crate) step_s: f64,
+    pub(crate) inputs: Vec<&'a str>,
+    pub(crate) history: usize,
+    pub(crate) newest_first: bool,
+    /// The range of its answers as accelerations.
+    pub(crate) low_mps2: f64,
+    pub(crate) high_mps2: f64,
+}
+
+/// The vehicle that it drives.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Vehicle {
+    pub(crate) index: usize,
+    pub(crate) max_brake_mps2: f64,
+    pub(crate) max_accel_mps2: f64,
+    pub(crate) length_m: f64,
+}
+
+/// What it says to that.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Greeting {
+    #[serde(rename = "crumple")]
+    _version: u64,
+    pub(crate) name: String,
+    pub(crate) deterministic: bool,
+    /// Time between its decisions, in seconds.
+    pub(crate) interval_s: Option<f64>,
+    /// Whether it answers many at once, each by itself.
+    #[serde(default)]
+    pub(crate) batch: bool,
+    /// How many numbers it wants to see.
+    pub(crate) inputs: Option<u64>,
+}
+
+/// A run begins.
+#[derive(Serialize)]
+pub(crate) struct Reset {
+    pub(crate) reset: Seed,
+}
+
+#[derive(Serialize)]
+pub(crate) struct Seed {
+    pub(crate) seed: u64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Ready {
+    ready: bool,
+}
+
+/// A decision is due.
+#[derive(Serialize)]
+pub(crate) struct Ask<'a> {
+    pub(crate) time_s: f64,
+    pub(crate) see: &'a [f64],
+}
+
+/// Decisions of several runs are due.
+#[derive(Serialize)]
+pub(crate) struct AskAll<'a> {
+    pub(crate) times_s: &'a [f64],
+    pub(crate) see: Vec<&'a [f64]>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Answer<T> {
+    acceleration_mps2: T,
+}
+
+/// A line of the protocol.
+pub(crate) fn line(into: &mut Vec<u8>, message: &impl Serialize) -> Result<(), ProcessProblem> {
+    into.clear();
+    // Numbers and texts alone: nothing that JSON lacks.
+    serde_json::to_writer(&mut *into, message)
+        .map_err(|error| ProcessProblem::NotStarted { reason: error.to_string() })?;
+    into.push(b'\n');
+    Ok(())
+}
+
+/// What a process says of itself.
+pub(crate) fn greeting(line: &[u8]) -> Result<Greeting, ProcessProblem> {
+    #[derive(Deserialize)]
+    struct Version {
+        crumple: serde_json::Value,
+    }
+    let Version { crumple: found } = read(line)?;
+    if found != VERSION {
+        return Err(ProcessProblem::Version { found: shortened(&found.to_string()) });
+    }
+    let greeting: Greeting = read(line)?;
+    Ok(Greeting { name: shortened(&greeting.name), ..greeting })
+}
+
+/// That it is ready for a run.
+pub(crate) fn ready(line: &[u8]) -> Result<(), ProcessProblem> {
+    match read(line)? {
+        Ready { ready: true } => Ok(()),
+        Ready { ready: false } => Err(no_answer(line, "it is not ready")),
+    }
+}
+
+/// One decision.
+pub(crate) fn decision(line: &[u8]) -> Result<f64, ProcessProblem> {
+    read(line).map(|answer: Answer<f64>| answer.acceleration_mps2)
+}
+
+/// As many decisions as are asked for.
+pub(crate) fn decisions(line: &[u8], asked: usize) -> Result<Vec<f64>, ProcessProblem> {
+    let Answer::<Vec<f64>> { acceleration_mps2: answers } = read(line)?;
+    if answers.len() == asked { Ok(answers) } else { Err(ProcessProblem::Answers { found: answers.len(), asked }) }
+}
+
+fn read<T: DeserializeOwned>(line: &[u8]) -> Result<T, ProcessProblem> {
+    // Serde would take a list for a structure.
+    if line.trim_ascii_start().first() != Some(&b'{') {
+        return Err(no_answer(line, "a line is a JSON object"));
+    }
+    serde_json::from_slice(line).map_err(|error| {
+        // Python and others write these, and JSON has no word for them.
+        let names = |number: &str| line.windows(number.len()).any(|part| part == number.as_bytes());
+        let is_decision = names("\"acceleration_mps2\"");
+        let is_not_finite = ["NaN", "nan", "Infinity", "inf", "number out of range"].into_iter().any(names);
+        if is_decision && (is_not_finite || error.to_string().starts_with("number out of range")) {
+            ProcessProblem::NotFinite
+        } else {
+            no_answer(line, &error.to_string())
+        }
+    })
+}
+
+fn no_answer(line: &[u8], reason: &str) -> ProcessProblem {
+    ProcessProblem::NoAnswer { found: shortened(String::from_utf8_lossy(line).trim_end()), reason: shortened(reason) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn answers_that_are_none_are_told_apart() {
+        let problem = |line: &str| decision(line.as_bytes()).unwrap_err();
+        assert_eq!(decision(b"{\"acceleration_mps2\": -1.5}"), Ok(-1.5));
+        for line in ["NaN", "-Infinity", "nan", "1e999", "[NaN]"] {
+            assert_eq!(problem(&format!("{{\"acceleration_mps2\":{line}}}")), ProcessProblem::NotFinite, "{line}");
+        }
+        for line in ["", "[1.0]", "{}", "{\"acceleration_mps2\":null}", "{\"acceleration_mps2\":1,\"x\":2}", "{\"a"] {
+            assert!(matches!(problem(line), ProcessProblem::NoAnswer { .. }), "{line}");
+        }
+        let all = |line: &str| decisions(line.as_bytes(), 2);
+        assert_eq!(all("{\"acceleration_mps2\":[1,2.5]}"), Ok(vec![1.0, 2.5]));
+        assert_eq!(all("{\"acceleration_mps2\":[1]}"), Err(ProcessProblem::Answers { found: 1, asked: 2 }));
+        assert!(ready(b"{\"ready\":false}").is_err() && ready(b"{\"ready\":true}").is_ok());
+        let version = greeting(b"{\"crumple\":2,\"whatever\":0}").unwrap_err();
+        assert_eq!(version, ProcessProblem::Version { found: "2".to_owned() });
+        assert!(greeting(b"{\"crumple\":1,\"name\":\"a\"}").is_err(), "says not whether it is deterministic");
+        assert!(greeting(b"{\"crumple\":1,\"name\":\"a\",\"deterministic\":true,\"interval\":1}").is_err());
+    }
+}

@@ -1,0 +1,281 @@
+//! A program with pipes, and a watchman that outlives crumple.
+//!
+//! Each program runs in the process group of a shell that does nothing but wait for the end of its input, and then ends the group.
+//! The other end of that input is held by crumple alone and closed by the system when crumple ends, however it ends: so neither the
+//! program nor what it started stays behind. That is so from its first instant, since it is started into the group. What leaves
+//! the group of its own will (`setsid`) is not followed.
+
+use std::io::{ErrorKind, Read as _, Write as _};
+use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
+use std::path::Path;
+use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::ioctl_fionbio;
+use rustix::process::{Pid, Signal, kill_process_group};
+
+use super::ProcessProblem;
+use super::last_words::LastWords;
+
+/// Most bytes of a line.
+const MOST_LINE_BYTES: usize = 1 << 20;
+
+/// Bytes that are read at once.
+const READ_BYTES: usize = 64 << 10;
+
+/// How long a program whose input has ended may take to end by itself, and one that closed its output to have an exit code.
+const GRACE: Duration = Duration::from_millis(200);
+
+/// Ends its process group, itself included, at the end of its input.
+const WATCH: &str = "trap '' HUP INT QUIT TERM; read -r _; kill -s KILL 0";
+
+/// A program that runs.
+pub(crate) struct Program {
+    child: Child,
+    input: Option<ChildStdin>,
+    output: ChildStdout,
+    error: Option<ChildStderr>,
+    received: Vec<u8>,
+    /// Bytes at the start of these that were handed on as a line.
+    handed_on: usize,
+    chunk: Box<[u8]>,
+    last_words: LastWords,
+    group: Group,
+}
+
+/// A process group with its watchman. The group's number is its own as long as the watchman is not waited for.
+struct Group {
+    watchman: Child,
+    /// Held so that the watchman's input ends with crumple.
+    _lifeline: Option<ChildStdin>,
+}
+
+impl Group {
+    fn start() -> std::io::Result<Self> {
+        let mut shell = Command::new("/bin/sh");
+        // Its name in lists of processes says whose it is.
+        shell.args(["-c", WATCH, &format!("crumple-watchman-{}", std::process::id())]).process_group(0);
+        let mut watchman = shell.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
+        let lifeline = watchman.stdin.take();
+        Ok(Self { watchman, _lifeline: lifeline })
+    }
+}
+
+impl Drop for Group {
+    fn drop(&mut self) {
+        // Fails only where nobody of the group is left.
+        let _ = kill_process_group(Pid::from_child(&self.watchman), Signal::KILL);
+        let _ = self.watchman.wait();
+    }
+}
+
+impl Program {
+    /// Starts a program, the first of the words, in a folder.
+    pub(crate) fn start(words: &[String], folder: &Path) -> Result<Self, ProcessProblem> {
+        let failed = |error: std::io::Error| ProcessProblem::NotStarted { reason: error.to_string() };
+        let missing = || ProcessProblem::NotStarted { reason: "there is no command".to_owned() };
+        let (program, arguments) = words.split_first().ok_or_else(missing)?;
+        let group = Group::start().map_err(failed)?;
+        let mut command = if program.contains('/') {
+            // Otherwise it would depend on the system which folder it starts from.
+            Command::new(std::path::absolute(folder.join(program)).map_err(failed)?)
+        } else {
+            Command::new(program)
+        };
+        command.args(arguments).process_group(group.watchman.id() as i32);
+        if folder != Path::new("") {
+            command.current_dir(folder);
+        }
+        let pipes = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = pipes.spawn().map_err(failed)?;
+        let (Some(input), Some(output), Some(error)) = (child.stdin.take(), child.stdout.take(), child.stderr.take())
+        else {
+            return Err(missing());
+        };
+        let program = Self {
+            child,
+            input: Some(input),
+            output,
+            error: Some(error),
+            received: Vec::new(),
+            handed_on: 0,
+            chunk: vec![0; READ_BYTES].into(),
+            last_words: LastWords::default(),
+            group,
+        };
+        program.unblock().map_err(|error| failed(error.into()))?;
+        Ok(program)
+    }
+
+    /// Only crumple's ends: the program's own block as programs expect.
+    fn unblock(&self) -> rustix::io::Result<()> {
+        self.input.as_ref().map_or(Ok(()), |input| ioctl_fionbio(input, true))?;
+        self.error.as_ref().map_or(Ok(()), |error| ioctl_fionbio(error, true))?;
+        ioctl_fionbio(&self.output, true)
+    }
+
+    /// Writes a line, which ends in a line feed, and waits for the line that answers it.
+    pub(crate) fn ask(&mut self, request: &[u8], within: Duration) -> Result<&[u8], ProcessProblem> {
+        let end = Instant::now() + within;
+        self.received.drain(..self.handed_on);
+        self.handed_on = 0;
+        if !self.received.is_empty() {
+            return Err(ProcessProblem::Unasked);
+        }
+        let (mut rest, mut searched) = (request, 0);
+        loop {
+            if let (false, Some(input)) = (rest.is_empty(), &mut self.input) {
+                match input.write(rest) {
+                    Ok(written) => rest = rest.get(written..).unwrap_or_default(),
+                    Err(error) if is_for_later(error.kind()) => {}
+                    Err(_) => return Err(self.gone()),
+                }
+            }
+            self.listen(!rest.is_empty(), end, within)?;
+            let new = self.received.get(searched..).unwrap_or_default();
+            if let Some(length) = new.iter().position(|byte| *byte == b'\n') {
+                if !rest.is_empty() || searched + length + 1 < self.received.len() {
+                    return Err(ProcessProblem::Unasked);
+                }
+                self.handed_on = self.received.len();
+                return Ok(&self.received);
+            }
+            searched = self.received.len();
+            if searched > MOST_LINE_BYTES {
+                return Err(ProcessProblem::TooLong { limit_bytes: MOST_LINE_BYTES });
+            }
+        }
+    }
+
+    /// Waits until there is something to read, or to write if that is wanted, and reads it.
+    fn listen(&mut self, wants_to_write: bool, end: Instant, within: Duration) -> Result<(), ProcessProblem> {
+        let Some(left) = end.checked_duration_since(Instant::now()) else { return Err(self.late(within)) };
+        // What does not count is the output once more.
+        let input = match &self.input {
+            Some(input) if wants_to_write => PollFd::new(input, PollFlags::OUT),
+            _ => PollFd::new(&self.output, PollFlags::IN),
+        };
+        let error = match &self.error {
+            Some(error) => PollFd::new(error, PollFlags::IN),
+            None => PollFd::new(&self.output, PollFlags::IN),
+        };
+        let mut pipes = [PollFd::new(&self.output, PollFlags::IN), error, input];
+        let left = Timespec { tv_sec: left.as_secs() as i64, tv_nsec: left.subsec_nanos().into() };
+        match poll(&mut pipes, Some(&left)) {
+            Ok(0) => return Err(self.late(within)),
+            Ok(_) | Err(rustix::io::Errno::INTR) => {}
+            Err(_) => return Err(ProcessProblem::Closed),
+        }
+        let [output, error, _] = pipes.map(|pipe| !pipe.revents().is_empty());
+        if error {
+            self.hear();
+        }
+        if output {
+            match self.output.read(&mut self.chunk) {
+                Ok(0) => return Err(self.gone()),
+                Ok(read) => self.received.extend_from_slice(self.chunk.get(..read).unwrap_or_default()),
+                Err(error) if is_for_later(error.kind()) => {}
+                Err(_) => return Err(self.gone()),
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads once from standard error; whether there was something.
+    fn hear(&mut self) -> bool {
+        let Some(error) = &mut self.error else { return false };
+        match error.read(&mut self.chunk) {
+            Ok(read) if read > 0 => {
+                self.last_words.hear(self.chunk.get(..read).unwrap_or_default());
+                return true;
+            }
+            Err(error) if is_for_later(error.kind()) => {}
+            Ok(_) | Err(_) => self.error = None,
+        }
+        false
+    }
+
+    /// Why no answer came. What a program started may hold its output open when it has ended.
+    fn late(&mut self, within: Duration) -> ProcessProblem {
+        match self.child.try_wait() {
+            Ok(Some(status)) => ProcessProblem::Ended { status: in_words(status) },
+            _ => ProcessProblem::Late { limit_s: within.as_secs_f64() },
+        }
+    }
+
+    /// How a program ended that no longer reads or writes.
+    fn gone(&mut self) -> ProcessProblem {
+        let end = Instant::now() + GRACE;
+        while Instant::now() < end {
+            match self.child.try_wait() {
+                Ok(Some(status)) => return ProcessProblem::Ended { status: in_words(status) },
+                Ok(None) => thread::sleep(Duration::from_millis(1)),
+                Err(_) => break,
+            }
+        }
+        ProcessProblem::Closed
+    }
+
+    /// Forgets what was said on standard error until now.
+    pub(crate) fn forget_words(&mut self) {
+        self.hear_all();
+        self.last_words.clear();
+    }
+
+    /// Lets the program know that it may end.
+    pub(crate) fn close_input(&mut self) {
+        self.input = None;
+    }
+
+    /// Ends it and all that it started at once; what it said last.
+    pub(crate) fn end(mut self) -> Vec<String> {
+        self.kill();
+        self.hear_all();
+        self.last_words.lines()
+    }
+
+    /// Reads what there is on standard error. There may be no end of it.
+    fn hear_all(&mut self) {
+        let most = 2 * MOST_LINE_BYTES / READ_BYTES;
+        let _ = (0..most).take_while(|_| self.hear()).count();
+    }
+
+    fn kill(&mut self) {
+        let _ = kill_process_group(Pid::from_child(&self.group.watchman), Signal::KILL);
+        // It may have left the group.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
+    /// Waits for its end for a moment.
+    fn part(&mut self) {
+        self.close_input();
+        let end = Instant::now() + GRACE;
+        while self.listen(false, end, GRACE).is_ok() {
+            self.received.clear();
+        }
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        if matches!(self.child.try_wait(), Ok(None)) {
+            self.part();
+        }
+        self.kill();
+    }
+}
+
+fn is_for_later(kind: ErrorKind) -> bool {
+    matches!(kind, ErrorKind::WouldBlock | ErrorKind::Interrupted)
+}
+
+fn in_words(status: ExitStatus) -> String {
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("itself with exit code {code}"),
+        (None, Some(signal)) => format!("signal {signal}"),
+        (None, None) => status.to_string(),
+    }
+}

@@ -1,0 +1,59 @@
+/* A controller as a process: keeps 4 m and 1.4 s to the vehicle ahead, and otherwise 30 m/s. The standard library alone.
+ *
+ *     cc -O2 -o follower follower.c -lm && crumple simulate paper-1 --controller 'exec:./follower'
+ *
+ * A line is as crumple writes it: no spaces, and the fields in the order of the protocol. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { GAP_M, RELATIVE_MPS, SPEED_MPS, SEEN };
+static const char *const names[SEEN] = {"\"gap_ahead_m\"", "\"relative_speed_ahead_mps\"", "\"speed_mps\""};
+static int places[SEEN];
+
+/* The place of an input among those of the hello; -1 if it is not there. */
+static int place_of(const char *inputs, const char *name) {
+    const char *end = strchr(inputs, ']'), *found = strstr(inputs, name);
+    int place = 0;
+    if (!end || !found || found > end) return -1;
+    for (; inputs < found; inputs++) place += *inputs == ',';
+    return place;
+}
+
+static double decide(const char *see) {
+    double seen[SEEN] = {0.0}, wanted_mps2;
+    for (int place = 0; *see && *see != ']'; place++) {
+        char *end;
+        double value = strtod(see + 1, &end);
+        for (int one = 0; one < SEEN; one++)
+            if (places[one] == place) seen[one] = value;
+        see = end;
+    }
+    wanted_mps2 = 0.3 * (seen[GAP_M] - 4.0 - 1.4 * seen[SPEED_MPS]) + 0.9 * seen[RELATIVE_MPS];
+    return fmax(-7.5, fmin(wanted_mps2, fmin(2.0, 30.0 - seen[SPEED_MPS])));
+}
+
+int main(void) {
+    static char line[1 << 16];
+    const char *found;
+    while (fgets(line, sizeof line, stdin)) {
+        if ((found = strstr(line, "\"see\":["))) {
+            printf("{\"acceleration_mps2\":%.17g}\n", decide(found + strlen("\"see\":")));
+        } else if (strstr(line, "\"reset\":")) { /* A run begins: what remembers would forget here. */
+            printf("{\"ready\":true}\n");
+        } else if ((found = strstr(line, "\"inputs\":["))) {
+            for (int one = 0; one < SEEN; one++)
+                if ((places[one] = place_of(found, names[one])) < 0) {
+                    fprintf(stderr, "it does not see %s\n", names[one]);
+                    return 1;
+                }
+            printf("{\"crumple\":1,\"name\":\"follower.c\",\"deterministic\":true}\n");
+        } else {
+            fprintf(stderr, "it does not know %s", line);
+            return 1;
+        }
+        fflush(stdout);
+    }
+    return 0;
+}

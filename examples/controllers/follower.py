@@ -1,0 +1,32 @@
+"""A controller as a process: keeps 4 m and 1.4 s to the vehicle ahead, and otherwise 30 m/s. The standard library alone.
+
+crumple simulate paper-1 --controller 'exec:python3 follower.py'
+"""
+
+import json
+import operator
+import sys
+
+SEEN = "gap_ahead_m", "relative_speed_ahead_mps", "speed_mps"
+
+
+def decide(see):
+    gap_m, relative_mps, speed_mps = pick(see)
+    wanted_mps2 = 0.3 * (gap_m - 4.0 - 1.4 * speed_mps) + 0.9 * relative_mps
+    most_mps2 = 2.0 if speed_mps < 28.0 else 30.0 - speed_mps
+    wanted_mps2 = most_mps2 if wanted_mps2 > most_mps2 else wanted_mps2
+    return wanted_mps2 if wanted_mps2 > -7.5 else -7.5
+
+
+for line in sys.stdin:
+    asked = json.loads(line)
+    if "times_s" in asked:  # Several runs at once, since it says "batch".
+        answer = {"acceleration_mps2": [decide(see) for see in asked["see"]]}
+    elif "time_s" in asked:
+        answer = {"acceleration_mps2": decide(asked["see"])}
+    elif "reset" in asked:  # A run begins: what remembers would forget here, and draw from the seed.
+        answer = {"ready": True}
+    else:
+        pick = operator.itemgetter(*(asked["hello"]["inputs"].index(name) for name in SEEN))
+        answer = {"crumple": 1, "name": "follower.py", "deterministic": True, "batch": "alone" not in sys.argv}
+    print(json.dumps(answer), flush=True)

@@ -1,0 +1,384 @@
+//! Controllers that are processes: what they may do wrong ends runs, and nothing of them stays behind.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use crumple_report::assessment::AssessmentPlan;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::built_in_space;
+use crumple_world::scenario::{Driver, Scenario, built_in, file};
+use crumple_world::sim::{
+    ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate, simulate_batch,
+};
+
+use crate::command_line::falsify::assert_same;
+use crate::command_line::{code, crumple, folder, killed_at_random};
+
+const BAD: &str = include_str!("bad.sh");
+
+/// A folder with `bad.sh`, and with a controller file for what it shall do.
+fn bad(what: &str, files: &str) -> tempfile::TempDir {
+    let folder = folder();
+    fs::write(folder.path().join("bad.sh"), BAD).unwrap();
+    let mark = folder.path().display();
+    let text = format!(
+        "version = 1\ncommand = [\"sh\", \"bad.sh\", \"{what}\", \"{mark}\"]\n{files}\nstart_within_s = 3.0\nanswer_within_s = 0.4\n"
+    );
+    fs::write(folder.path().join("bad.toml"), text).unwrap();
+    folder
+}
+
+const LISTED: &str = "files = [\"bad.sh\"]";
+
+fn find(name: &str, folder: &Path) -> NamedController {
+    NamedController::find(name, folder).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn drive(controller: &ControllerKind, scenario: &Scenario) -> Simulated {
+    let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
+    simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
+}
+
+/// Processes whose command holds a text.
+fn alive(mark: &str) -> Vec<String> {
+    let Ok(all) = fs::read_dir("/proc") else { return Vec::new() };
+    let commands = all.flatten().filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
+    let commands = commands.map(|command| String::from_utf8_lossy(&command).replace('\0', " "));
+    commands.filter(|command| command.contains(mark)).collect()
+}
+
+/// The system ends processes soon, and not at once.
+fn assert_nothing_stays(mark: &str) {
+    let end = Instant::now() + Duration::from_secs(20);
+    while !alive(mark).is_empty() {
+        assert!(Instant::now() < end, "{:?}", alive(mark));
+        sleep(Duration::from_millis(20));
+    }
+}
+
+fn short() -> Scenario {
+    built_in("paper-1").unwrap().edited(|spec| spec.duration_s = 1.0).unwrap()
+}
+
+/// Writes `short.toml`, a space of runs of a second.
+fn write_short_space(folder: &Path) {
+    fs::write(folder.join("base.toml"), file::to_toml(&short()).unwrap()).unwrap();
+    let space = "version = 1\nname = \"short\"\nbase = \"base.toml\"\n\n[[parameters]]\nname = \"gap_m\"\nfield = \"vehicles[1].gap_m\"\n\
+                 unit = \"m\"\ndistribution.uniform = { low = 15.0, high = 40.0 }\n";
+    fs::write(folder.join("short.toml"), space).unwrap();
+}
+
+/// Each ends the run in which it happens, says who, when and why with its last words, and leaves no process.
+#[test]
+fn whatever_a_process_does_wrong_ends_the_run() {
+    let cases = [
+        ("end-early", 0.0, "`sh bad.sh end-early", "ended by itself with exit code 3"),
+        ("sleep-early", 0.0, "`sh bad.sh sleep-early", "gave no answer within 3 s"),
+        ("babble", 0.0, "`sh bad.sh babble", "answered `hello`, which is no answer"),
+        ("list", 0.0, "`sh bad.sh list", "which is no answer: a line is a JSON object"),
+        ("other-version", 0.0, "`sh bad.sh", "speaks version 2 of the protocol, and crumple speaks 1"),
+        ("other-inputs", 0.0, "`sh bad.sh", "wants 7 inputs, and is shown 10"),
+        (
+            "odd-interval",
+            0.0,
+            "`bad`",
+            "decides every 0.015 s, which is not a multiple of the scenario's step of 0.01 s",
+        ),
+        ("not-ready", 0.0, "`bad`", "it is not ready"),
+        ("miscount", 0.0, "`bad`", "gave 2 answers, and was asked for 1"),
+        ("crash", 0.03, "`bad`", "ended by signal 11"),
+        ("end", 0.03, "`bad`", "ended by itself with exit code 7"),
+        ("sleep", 0.03, "`bad`", "gave no answer within 0.4 s"),
+        ("fork", 0.03, "`bad`", "ended by itself with exit code 7"),
+        ("close", 0.03, "`bad`", "closed its pipes"),
+        ("flood", 0.03, "`bad`", "wrote more than 1048576 bytes without the end of a line"),
+        ("chatter", 0.04, "`bad`", "wrote more than it was asked"),
+        ("not-a-number", 0.03, "`bad`", "answered with a number that is not finite"),
+        ("exceed", 0.03, "`bad`", "answered 31 m/s², which is outside its range of -30 to 30 m/s²"),
+        ("leave-out", 0.03, "`bad`", "which is no answer: missing field `acceleration_mps2`"),
+        ("stay", f64::INFINITY, "", ""),
+    ];
+    let scenario = short();
+    for (what, time_s, who, why) in cases {
+        let folder = bad(what, LISTED);
+        let controller = find("bad.toml", folder.path()).kind;
+        match drive(&controller, &scenario).outcome {
+            Outcome::ControllerFailed(failed) => {
+                let said = failed.to_string();
+                assert!(said.contains(who) && said.contains(why), "{what}: {said}");
+                // What is written more than was asked may be seen at once or at the next question.
+                let is_then = (failed.time_s - time_s).abs() < 1e-9 || (what == "chatter" && failed.time_s == 0.03);
+                assert!(failed.vehicle == 1 && is_then, "{what}: {said}");
+                let last = if time_s > 0.0 { format!("said last: will {what}") } else { String::new() };
+                assert!(said.contains(&last), "{what}: {said}");
+                serde_json::to_string(&failed).unwrap();
+            }
+            other => assert!(who.is_empty(), "{what}: {other:?}"),
+        }
+        drop(controller);
+        assert_nothing_stays(&folder.path().display().to_string());
+    }
+    let failed = drive(&find("exec:no-such-command-anywhere", Path::new("")).kind, &scenario).outcome;
+    let said = failed.failed().unwrap().to_string();
+    assert!(said.contains("failed at 0.00 s: `no-such-command-anywhere` cannot be started: No such file"), "{said}");
+    assert!(NamedController::find("exec:sh 'open", Path::new("")).is_err());
+    assert!(NamedController::find("exec:", Path::new("")).is_err());
+}
+
+/// Whoever fails in a batch ends its own run, and no other.
+#[test]
+fn a_failure_in_a_batch_is_of_one_run() {
+    let Some(folder) = with_python() else { return };
+    let text = fs::read_to_string(folder.path().join("follower.py")).unwrap();
+    let picky =
+        text.replace("    wanted_mps2 =", "    if gap_m < 9.0:\n        return float('nan')\n    wanted_mps2 =");
+    fs::write(folder.path().join("picky.py"), picky).unwrap();
+    let controller = find("exec:python3 picky.py", folder.path()).kind;
+    let scenarios = draws(40);
+    let together = in_lockstep(&controller, &scenarios);
+    let failed = together.iter().filter(|one| one.outcome.failed().is_some()).count();
+    assert!((1..40).contains(&failed), "{failed}");
+    for (scenario, together) in scenarios.iter().zip(together) {
+        assert_eq!(drive(&controller, scenario), together);
+    }
+}
+
+fn draws(count: u64) -> Vec<Scenario> {
+    let space = built_in_space("high-risk").unwrap();
+    (0..count).map(|index| space.draw(3, index).unwrap().edited(|spec| spec.duration_s = 3.0).unwrap()).collect()
+}
+
+fn in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<Simulated> {
+    let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
+    let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
+    simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated)
+}
+
+const EXAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/controllers");
+
+/// A folder with the examples; none where Python is not there, with a message.
+fn with_python() -> Option<tempfile::TempDir> {
+    if !Command::new("python3").arg("--version").output().is_ok_and(|found| found.status.success()) {
+        println!("skipped: there is no python3");
+        return None;
+    }
+    let folder = folder();
+    for name in ["follower.py", "follower.toml", "follower.c"] {
+        fs::copy(Path::new(EXAMPLES).join(name), folder.path().join(name)).unwrap();
+    }
+    Some(folder)
+}
+
+/// Python in batches, Python run by run, and C answer the same, in both engines.
+#[test]
+fn the_examples_drive_alike() {
+    let Some(folder) = with_python() else { return };
+    let mut commands = vec!["exec:python3 follower.py", "exec:python3 follower.py alone"];
+    let compiled =
+        Command::new("cc").args(["-O2", "-o", "follower", "follower.c", "-lm"]).current_dir(folder.path()).output();
+    match compiled {
+        Ok(compiled) if compiled.status.success() => commands.push("exec:./follower"),
+        _ => println!("skipped follower.c: there is no C compiler"),
+    }
+    let scenarios = draws(30);
+    let first = in_lockstep(&find(commands[0], folder.path()).kind, &scenarios);
+    for command in commands {
+        let controller = find(command, folder.path()).kind;
+        assert_eq!(in_lockstep(&controller, &scenarios), first, "{command}");
+        assert_eq!(drive(&controller, &scenarios[3]), first[3], "{command}");
+    }
+    assert!(drive(&find("follower.toml", folder.path()).kind, &built_in("paper-1").unwrap()).outcome.is_safe());
+}
+
+/// Asked twice, each of its first runs; from then on it is not started any more.
+#[test]
+fn who_is_not_what_he_claims_is_caught_within_two_runs() {
+    for (what, caught_in_run) in [("differ", 0), ("remember", 1)] {
+        let folder = bad(what, LISTED);
+        let controller = find("bad.toml", folder.path()).kind;
+        for run in 0..4 {
+            let outcome = drive(&controller, &short()).outcome;
+            let said = outcome.failed().map(ToString::to_string).unwrap_or_default();
+            let is_caught = said.contains("says that it is deterministic, and answered -1.");
+            assert_eq!(is_caught, run >= caught_in_run, "{what} {run}: {said}");
+        }
+    }
+}
+
+#[test]
+fn who_says_that_he_is_not_deterministic_is_marked() {
+    let own = bad("admit", LISTED);
+    let failed = drive(&find("bad.toml", own.path()).kind, &short()).outcome;
+    assert!(failed.failed().unwrap().to_string().contains("its controller file has to say `deterministic = false`"));
+    let folder = bad("admit", &format!("{LISTED}\ndeterministic = false"));
+    let simulated = crumple(folder.path(), &["simulate", "paper-1", "--controller", "bad.toml", "--format", "json"]);
+    let report: serde_json::Value = serde_json::from_slice(&simulated.stdout).unwrap();
+    assert_eq!(report["nondeterministic"], true, "{report}");
+    let text = crumple(folder.path(), &["simulate", "paper-1", "--controller", "exec:sh bad.sh admit"]);
+    let text = String::from_utf8(text.stdout).unwrap();
+    assert!(text.contains("the controller says that it is not deterministic"), "{text}");
+    write_short_space(folder.path());
+    let search = ["falsify", "--controller", "bad.toml", "--space", "short.toml", "--budget", "3", "--format", "json"];
+    let summary = crumple(folder.path(), &search);
+    let summary: serde_json::Value = serde_json::from_slice(&summary.stdout).unwrap();
+    assert_eq!(summary["nondeterministic"], true);
+}
+
+#[test]
+fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
+    let folder = bad("be good", "");
+    let refused = |arguments: &[&str]| {
+        let output = crumple(folder.path(), arguments);
+        assert_eq!(code(&output), 2, "{arguments:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    for controller in ["bad.toml", "exec:sh bad.sh"] {
+        let said = refused(&["falsify", "--controller", controller, "--resume"]);
+        assert!(said.contains("states no identity"), "{said}");
+        let said = refused(&["verify", "rate", "--controller", controller, "--runs", "5"]);
+        assert!(said.contains("states no identity"), "{said}");
+    }
+    let text = file::to_toml(&short()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
+    fs::write(folder.path().join("driven.toml"), text).unwrap();
+    let said = refused(&["simulate", "driven.toml"]);
+    assert!(said.contains("states no identity: the driver of a scenario has to list its `files`"), "{said}");
+    let config = "version = 1\npaper = false\ncontrollers = [\"idm\", \"exec:sh bad.sh\"]\n";
+    fs::write(folder.path().join("a.toml"), config).unwrap();
+    let plan = AssessmentPlan::load(&folder.path().join("a.toml")).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(plan.without_identity().map(|unknown| unknown.name.as_str()), Some("exec:sh bad.sh"));
+}
+
+/// A process that drives traffic drives as it would under test.
+#[test]
+fn a_scenario_may_have_a_process_as_a_driver() {
+    let folder = bad("be good", LISTED);
+    let text = file::to_toml(&short()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
+    let driven = file::from_toml(&text, &folder.path().join("driven.toml")).unwrap_or_else(|error| panic!("{error}"));
+    assert!(matches!(&driven.vehicles()[1].driver, Driver::File(_)));
+    let under_test = drive(&find("bad.toml", folder.path()).kind, &short());
+    assert_eq!(
+        drive(&ControllerKind::BuiltIn(crumple_world::control::ControllerSpec::named("idm").unwrap()), &driven),
+        under_test
+    );
+}
+
+#[test]
+fn controller_files_of_commands_are_refused_by_file_line_and_field() {
+    let folder = bad("be good", LISTED);
+    let whole = fs::read_to_string(folder.path().join("bad.toml")).unwrap();
+    let cases = [
+        ("command = [\"sh\", ", "command = [] # ", "bad.toml:2: command: must be a program"),
+        ("[\"bad.sh\"]", "[\"none.sh\"]", "bad.toml:3: files[0]: none.sh: No such file"),
+        ("[\"bad.sh\"]", "[\".\"]", "bad.toml:3: files[0]: .: is no ordinary file"),
+        ("answer_within_s = 0.4", "answer_within_s = 0", "bad.toml:5: answer_within_s: must be above 0"),
+        ("version = 1", "version = 1\nnetwork = \"a.onnx\"", "bad.toml:3: command: is not for a network"),
+        (
+            "files",
+            "[output]\nanswer = 1\nlow_mps2 = -1\nhigh_mps2 = 1\n[[inputs]]\nconstant = 1 #",
+            "bad.toml:4: output.answer: must be 0",
+        ),
+        ("command", "# ", "bad.toml:1: version: there is neither a `network` nor a `command`"),
+    ];
+    for (was, is, said) in cases {
+        assert!(whole.contains(was), "{was}");
+        let mut text = whole.replacen(was, is, 1);
+        if is.starts_with("[output]") {
+            text = text.replace("start_within_s", "# ").replace("answer_within_s", "# ");
+        }
+        fs::write(folder.path().join("bad.toml"), text).unwrap();
+        let error = NamedController::find("bad.toml", folder.path()).expect_err(is).to_string();
+        assert!(error.contains(said), "{error}\n  should say\n{said}");
+    }
+}
+
+/// What decides how it drives is its identity; and while it is used, its files stay what they were.
+#[test]
+fn the_identity_of_a_process_is_that_of_its_files() {
+    let folder = bad("be good", LISTED);
+    let path = folder.path().join("bad.sh");
+    let controller = find("bad.toml", folder.path()).kind;
+    assert_eq!(controller.identity(), find("bad.toml", folder.path()).kind.identity());
+    fs::write(&path, format!("{BAD}\n# changed\n")).unwrap();
+    assert_ne!(controller.identity(), find("bad.toml", folder.path()).kind.identity());
+    let said = drive(&controller, &short()).outcome.failed().unwrap().to_string();
+    assert!(said.contains("cannot be started again: bad.sh has changed since it was read"), "{said}");
+}
+
+/// The system closes the watchmen's pipes, however crumple ends.
+#[cfg(target_os = "linux")]
+#[test]
+fn nothing_stays_behind_a_kill() {
+    let folder = bad("sleep", LISTED);
+    let mark = folder.path().display().to_string();
+    let text = fs::read_to_string(folder.path().join("bad.toml")).unwrap().replace("0.4", "600.0");
+    fs::write(folder.path().join("bad.toml"), text).unwrap();
+    let mut killed = Command::new(env!("CARGO_BIN_EXE_crumple"))
+        .current_dir(folder.path())
+        .args(["simulate", "paper-1", "--controller", "bad.toml"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let watchmen = format!("crumple-watchman-{}", killed.id());
+    // Its own process and the one that lingers, of each of two that are asked the same.
+    let end = Instant::now() + Duration::from_secs(60);
+    while alive(&mark).len() < 3 {
+        assert!(Instant::now() < end, "{:?}", alive(&mark));
+        sleep(Duration::from_millis(20));
+    }
+    assert_eq!(alive(&watchmen).len(), 2);
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    assert_nothing_stays(&mark);
+    assert_nothing_stays(&watchmen);
+}
+
+/// Runs follow each other in one process a vehicle and thread, and those that fail leave nothing either.
+#[cfg(target_os = "linux")]
+#[test]
+fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
+    let Some(folder) = with_python() else { return };
+    let mark = folder.path().display().to_string();
+    write_short_space(folder.path());
+    let text = fs::read_to_string(folder.path().join("follower.toml")).unwrap();
+    let alone = text.replace("\"follower.py\"]\nfiles", &format!("\"follower.py\", \"alone\", \"{mark}\"]\nfiles"));
+    fs::write(folder.path().join("alone.toml"), alone).unwrap();
+    fs::write(folder.path().join("bad.sh"), BAD).unwrap();
+    let crash = format!("version = 1\ncommand = [\"sh\", \"bad.sh\", \"end\", \"{mark}\"]\nfiles = [\"bad.sh\"]\n");
+    fs::write(folder.path().join("crash.toml"), crash).unwrap();
+    for (controller, runs) in [("alone.toml", "10000"), ("crash.toml", "200")] {
+        // Four for each process, of which there are four at most: two threads, and in the first runs one besides each.
+        let script = "ulimit -n 64; exec \"$0\" \"$@\"";
+        let count = ["verify", "rate", "--controller", controller, "--space", "short.toml", "--estimator", "truth"];
+        let mut counted = Command::new("sh");
+        counted.args(["-c", script, env!("CARGO_BIN_EXE_crumple")]).args(count);
+        counted.args(["--runs", runs, "--confidence", "0.9", "--out", runs]);
+        counted.env("RAYON_NUM_THREADS", "2").current_dir(folder.path());
+        let counted = counted.output().unwrap();
+        let said = String::from_utf8_lossy(&counted.stderr).into_owned() + &String::from_utf8_lossy(&counted.stdout);
+        let expected = if controller == "crash.toml" { "every run failed" } else { "0 failures, of 10000 runs" };
+        assert!(said.contains(expected), "{said}");
+        assert_nothing_stays(&mark);
+    }
+}
+
+/// Killed at any moment, a campaign goes on to the same bytes.
+#[test]
+fn a_campaign_with_a_process_goes_on_after_a_kill() {
+    let Some(folder) = with_python() else { return };
+    let text = fs::read_to_string(folder.path().join("follower.toml")).unwrap();
+    let alone = crate::tiny::changed(&text, &[("\"follower.py\"]\nfiles", "\"follower.py\", \"alone\"]\nfiles")]);
+    fs::write(folder.path().join("alone.toml"), alone).unwrap();
+    let campaign = ["falsify", "--controller", "alone.toml", "--budget", "200", "--seed", "5", "--estimator", "truth"];
+    let through = crumple(folder.path(), &[&campaign[..], &["--out", "through"]].concat());
+    assert_eq!(code(&through), 0, "{}", String::from_utf8_lossy(&through.stderr));
+    let resume = [&campaign[..], &["--out", "killed", "--resume"]].concat();
+    let killed = killed_at_random(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
+    assert!(killed >= 2, "killed {killed} times");
+    let ended = crumple(folder.path(), &resume);
+    assert_eq!((code(&ended), ended.stdout), (0, through.stdout), "{}", String::from_utf8_lossy(&ended.stderr));
+    assert_same(&folder.path().join("through"), &folder.path().join("killed"));
+}
