@@ -140,6 +140,8 @@ impl Train {
         if !self.space.is_empty() {
             config.spaces.clone_from(&self.space);
         }
+        // What cannot be drawn from is known before a folder is made.
+        config.source().map_err(Failure::input)?;
         Ok(config)
     }
 
