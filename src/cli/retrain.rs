@@ -11,7 +11,7 @@ use crumple_learn::retrain::{Progress, Report, RetrainError, RetrainingPlan, Set
 use crumple_learn::rl::TrainingConfig;
 use crumple_search::disk;
 use crumple_search::falsify::Method;
-use crumple_world::scenario::space::Space;
+use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Retrain a policy: search for failures, train on those that could have been avoided, accept what breaks nothing
@@ -19,8 +19,9 @@ use crumple_world::sim::{ControllerKind, NamedController};
 #[command(after_long_help = "\
 Each round searches for contacts of the policy, keeps those that somebody could have avoided, trains on with them mixed into \
 the paper's distribution and draws of the space, and judges the best checkpoint. It is accepted only if nothing that was \
-safe in the paper's scenarios and distribution fails and the contacts in a corpus kept aside do not rise. It ends after \
---rounds, or when a search finds nothing avoidable, and then judges the result on draws that had no part in it.
+safe in the paper's scenarios and distribution fails, the contacts in a corpus kept aside do not rise, and in none of the \
+--regression spaces it is worse beyond chance: by contacts, and where `idm` drives without fault also by hard braking without \
+cause and vehicles left behind (McNemar's exact one-sided test on the same draws, p below 0.01). It ends after --rounds, or when a search finds nothing avoidable, and then judges the result on draws that had no part in it.
 
 The folder holds the policy, the corpora it was retrained, accepted and judged on, a report (report.md, report.json) with \
 their hashes, and each round. A retraining that was interrupted, by `kill -9` too, goes on with --resume and ends with the \
@@ -28,6 +29,7 @@ same bytes, on any number of threads. It exits with 1 if no round was accepted.
 
 Examples:
   crumple retrain --out runs/retrained
+  crumple retrain --regression none
   crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 --judge 20000
   crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
 pub(super) struct Retrain {
@@ -61,6 +63,13 @@ pub(super) struct Retrain {
     /// Draws of the paper's distribution, likewise
     #[arg(long, value_name = "N", default_value_t = Settings::default().nominal, value_parser = value_parser!(u64).range(1..=1_000_000))]
     nominal: u64,
+    /// A space in which no round may make the policy worse, built-in or a file; may be given several times, `none` is none of them
+    /// [default: all built-in spaces]
+    #[arg(long, value_name = "S")]
+    regression: Vec<String>,
+    /// Draws of each of them
+    #[arg(long, value_name = "N", default_value_t = Settings::default().regression, value_parser = value_parser!(u64).range(1..=10_000))]
+    regression_draws: u64,
     /// Avoidable draws on which the result is judged
     #[arg(long, value_name = "N", default_value_t = Settings::default().judged, value_parser = value_parser!(u64).range(1..=10_000_000))]
     judge: u64,
@@ -85,10 +94,13 @@ impl Retrain {
         let first = self.policy.policy().filter(|_| !is_shielded);
         let first =
             first.ok_or_else(|| Failure::Input(format!("--policy: `{name}` is no policy that can be trained on")))?;
+        let regression = regression_spaces(&self.regression)?;
+        let regression_draws = if regression.is_empty() { 0 } else { self.regression_draws };
         let plan = RetrainingPlan {
             first,
             first_name: name.clone(),
             space: self.space.1,
+            regression,
             training: training(&self.preset)?,
             method: self.method,
             seed: self.seed,
@@ -99,6 +111,7 @@ impl Retrain {
                 draws: self.draws,
                 kept_aside: self.kept_aside,
                 nominal: self.nominal,
+                regression: regression_draws,
                 judged: self.judge,
                 ..Settings::default()
             },
@@ -127,6 +140,36 @@ fn gate(report: &Report) -> Result<(), Failure> {
     }
     Err(Failure::Gate(format!("no round was accepted: `{}` is as it was", report.first)))
 }
+
+/// The spaces of these names and files; without any, all that are built in.
+fn regression_spaces(names: &[String]) -> Result<Vec<Space>, Failure> {
+    if names.is_empty() {
+        return Ok(BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect());
+    }
+    if names.iter().any(|name| name == "none") {
+        let alone = names.len() == 1;
+        return if alone {
+            Ok(Vec::new())
+        } else {
+            Err(Failure::Input("--regression: `none` stands alone".to_owned()))
+        };
+    }
+    if names.len() > MOST_REGRESSION_SPACES {
+        return Err(Failure::Input(format!("--regression: {MOST_REGRESSION_SPACES} spaces are the most")));
+    }
+    let mut spaces: Vec<Space> = Vec::new();
+    for name in names {
+        let (_, space) = subject::space(name).map_err(|error| Failure::Input(format!("--regression: {error}")))?;
+        if spaces.iter().any(|known| known.name() == space.name()) {
+            return Err(Failure::Input(format!("--regression: two spaces are called `{}`", space.name())));
+        }
+        spaces.push(space);
+    }
+    Ok(spaces)
+}
+
+/// Most regression spaces.
+const MOST_REGRESSION_SPACES: usize = 32;
 
 /// The preset of that name, or the one in a file.
 fn training(name: &str) -> Result<TrainingConfig, Failure> {

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::{Failure, interrupt, output, progress};
 use crumple_learn::rl::{
-    Event, HeldOut, LearningCurve, SeedResult, TrainingConfig, TrainingError, TrainingFolder, UNSEEN_DRAWS,
+    Event, HeldOut, LearningCurve, SeedResult, SpaceShare, TrainingConfig, TrainingError, TrainingFolder, UNSEEN_DRAWS,
     finished_trainings, seed_folder, side_by_side,
 };
 use crumple_search::disk::{self, Files};
@@ -22,22 +22,36 @@ Presets:
   fast       masters the paper's task within a minute a seed (default)
   paper-net  the paper's networks and reward, changed only where needed to converge
   paper      the paper's setting, literally: hours, and no promise
+  road       safe in emergencies and of use in traffic: all built-in spaces, TD3, costs for discomfort and for being in the way
+
+The algorithm is DDPG, and TD3 where a preset says so (Fujimoto, van Hoof and Meger 2018): `[td3]` with `twin_critic = true` for \
+two critics of which the smaller is believed, `actor_every = 2` for an actor that learns every second time, `target_noise = 0.1` \
+and `target_noise_limit = 0.3` for noise on target actions. `road` and the preset of `crumple retrain` are TD3. A preset of one's own \
+is a file like the committed ones (schema: crates/learn/src/rl/training.schema.json), with rewards (`[environment]` and \
+`[environment.costs]`), what is seen (`[environment.observation]`) and spaces (`[[spaces]]`). Policies of other algorithms come \
+from outside (docs/controllers.md).
 
 Every seed gets a folder `seed-N` with `policy.safetensors` (the best policy by evaluation on held-out scenarios, a \
 controller for every other subcommand), `log.jsonl` and `checkpoint.safetensors`. Seeds are trained side by side; each \
 gives the same bytes whatever the number of threads, and whether or not it was interrupted and resumed. `training.json` \
 and `learning-curve.svg` are about all finished seeds in the folder, which must be trained in the same way; a finished training \
 goes on with --resume and more --episodes. Files are checked when work goes on (see crumple fsck). A training may take 4 GiB of \
-memory for each seed, as estimated from its networks, batches and replay memory.
+memory for each seed, as estimated from its networks, batches and replay memory. A seed that diverges, or of which no checkpoint \
+is better than the untrained network, is said to: it leaves no policy of the untrained network behind, and the exit code is 1.
 
 Examples:
   crumple train --seed 7
   crumple train --seeds 30 --out runs/fast
+  crumple train --preset road --space traffic=0.5 --space high-risk=0.3 --space wet.toml=0.2
   crumple simulate paper-1 --controller runs/fast/seed-3/policy.safetensors")]
 pub(super) struct Train {
-    /// How to train: fast, paper-net or paper, or a TOML file like theirs
+    /// How to train: fast, paper-net, paper or road, or a TOML file like theirs
     #[arg(long, value_name = "PRESET", default_value = "fast")]
     preset: String,
+    /// Draw episodes from this space, built-in or a file, with a weight relative to others (1 by default); may be given several
+    /// times, and replaces the preset's
+    #[arg(long, value_name = "S[=WEIGHT]", value_parser = space_share)]
+    space: Vec<SpaceShare>,
     /// Train this seed [default: 0]
     #[arg(long, value_name = "N", conflicts_with = "seeds")]
     seed: Option<u64>,
@@ -53,6 +67,15 @@ pub(super) struct Train {
     /// Episodes at most, instead of the preset's
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     episodes: Option<u64>,
+}
+
+/// `traffic`, or `wet.toml=0.2`.
+fn space_share(words: &str) -> Result<SpaceShare, String> {
+    let (space, weight) = match words.rsplit_once('=') {
+        Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is no weight"))?),
+        None => (words, 1.0),
+    };
+    Ok(SpaceShare { space: space.to_owned(), weight })
 }
 
 /// The file `training.json`: all finished trainings in the folder.
@@ -80,7 +103,7 @@ impl Train {
         finished_trainings(&self.out, &config)?;
         let out = self.out.display();
         interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
-        let held_out = HeldOut::new(&config.evaluation, &config.environment);
+        let held_out = HeldOut::of(&config)?;
         let bar = progress::training_bar(config.episodes.saturating_mul(seeds.len() as u64), quiet);
         let trained = side_by_side(&seeds, rayon::current_num_threads(), |seed| {
             let result = self.train(&config, *seed, &held_out, &bar);
@@ -102,7 +125,7 @@ impl Train {
             work::exclusively(&self.out, || self.write_results(&config, quiet))?;
             output::print(&table(&done, config.evaluation.ranking_draws))?;
         }
-        failure.map_or(Ok(()), Err)
+        failure.map_or_else(|| gate(&done), Err)
     }
 
     fn config(&self) -> Result<TrainingConfig, Failure> {
@@ -114,6 +137,11 @@ impl Train {
             TrainingConfig::preset(&self.preset).map_err(Failure::input)?
         };
         config.episodes = self.episodes.unwrap_or(config.episodes);
+        if !self.space.is_empty() {
+            config.spaces.clone_from(&self.space);
+        }
+        // What cannot be drawn from is known before a folder is made.
+        config.source().map_err(Failure::input)?;
         Ok(config)
     }
 
@@ -150,6 +178,19 @@ impl Train {
         output::note(&format!("wrote {} (and training.json) of {seeds}", picture.display()), quiet);
         Ok(())
     }
+}
+
+/// Every seed has learned something.
+fn gate(results: &[SeedResult]) -> Result<(), Failure> {
+    let unlearned = results.iter().filter(|result| !result.has_learned());
+    let seeds: Vec<_> = unlearned.map(|result| result.seed.to_string()).collect();
+    if seeds.is_empty() {
+        return Ok(());
+    }
+    let seeds = seeds.join(", ");
+    Err(Failure::Gate(format!(
+        "no checkpoint was better than the untrained network, and no policy is kept: seed {seeds}"
+    )))
 }
 
 /// What the progress bar says of a seed.
@@ -213,7 +254,7 @@ fn table(results: &[SeedResult], ranking_draws: u64) -> String {
             paper[2],
             format!("{}/{UNSEEN_DRAWS}", result.unseen_contacts),
             found.smallest_gap_m,
-            result.policy_sha256.get(..12).unwrap_or_default()
+            result.policy_sha256.as_ref().and_then(|digest| digest.get(..12)).unwrap_or("none: nothing learned")
         );
     }
     text + "held out, unseen: contacts in draws that select the policy, and in draws that had no part in it; gap: smallest \

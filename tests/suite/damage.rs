@@ -69,6 +69,7 @@ fn retraining(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), St
         first: Policy::reference(),
         first_name: "policy".to_owned(),
         space: built_in_space("high-risk").unwrap(),
+        regression: vec![built_in_space("traffic").unwrap()],
         training: TrainingConfig::parse(&tiny::forgetful(&tiny::retraining())).unwrap(),
         method: Method::Uniform,
         seed,
@@ -79,6 +80,7 @@ fn retraining(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), St
             draws: 15,
             kept_aside: 6,
             nominal: 5,
+            regression: 4,
             judged: 6,
             ..Settings::default()
         },

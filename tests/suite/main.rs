@@ -37,4 +37,5 @@ mod shield;
 mod spaces;
 mod test_cases;
 mod tiny;
+mod training_schema;
 mod worst_case;

@@ -91,6 +91,61 @@ fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
     assert!(policy("run") == policy("again"));
 }
 
+/// A training on spaces says so in its policy, and a space that is none is refused before anything is written.
+#[test]
+fn episodes_are_drawn_from_spaces_by_name_and_file() {
+    let folder = folder();
+    fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
+    fs::write(
+        folder.path().join("wet.toml"),
+        "version = 1\nname = \"wet\"\nbase = \"paper-1\"\n[[parameters]]\nname = \"friction\"\nfield = \
+         \"environment.friction\"\nunit = \"1\"\ndistribution.uniform = { low = 0.5, high = 1.0 }\n",
+    )
+    .unwrap();
+    let train = |out: &str, spaces: &[&str]| {
+        let common = ["train", "--preset", "tiny.toml", "--episodes", "6", "--seed", "4", "--out", out];
+        let spaces = spaces.iter().flat_map(|space| ["--space", space]);
+        crumple(folder.path(), &common.into_iter().chain(spaces).collect::<Vec<_>>())
+    };
+    let of_paper = train("paper", &[]);
+    let of_spaces = train("spaces", &["wet.toml=3", "steady"]);
+    assert!([0, 1].contains(&code(&of_spaces)), "{}", stderr(&of_spaces));
+    assert!([0, 1].contains(&code(&of_paper)), "{}", stderr(&of_paper));
+    let said = fs::read_to_string(folder.path().join("spaces/seed-4/training.toml")).unwrap();
+    assert!(said.contains("space = \"wet.toml\"") && said.contains("weight = 3.0"), "{said}");
+    let log = |out: &str| fs::read(folder.path().join(out).join("seed-4/log.jsonl")).unwrap();
+    assert!(log("paper") != log("spaces"));
+    for (space, reason) in [
+        ("nowhere", "spaces: `nowhere` is neither a built-in space"),
+        ("steady=0", "spaces: the weight of `steady` must be between"),
+        ("steady=much", "`much` is no weight"),
+        ("paper-3.toml", "paper-3.toml"),
+    ] {
+        assert_refused(&train("refused", &[space]), reason);
+        assert!(!folder.path().join("refused/seed-4").exists());
+    }
+}
+
+/// Rates of 0 learn nothing: no checkpoint is better than the untrained network.
+#[test]
+fn what_learned_nothing_leaves_no_policy_and_is_no_success() {
+    let folder = folder();
+    let still = tiny::changed(
+        &tiny::training(),
+        &[("actor_rate = 1e-4", "actor_rate = 0.0"), ("critic_rate = 1e-3", "critic_rate = 0.0")],
+    );
+    fs::write(folder.path().join("still.toml"), still).unwrap();
+    let train = ["train", "--preset", "still.toml", "--episodes", "6", "--out", "run"];
+    let trained = crumple(folder.path(), &train);
+    assert_eq!(code(&trained), 1, "{}", stderr(&trained));
+    assert!(stderr(&trained).contains("no checkpoint was better than the untrained network"), "{}", stderr(&trained));
+    assert!(stdout(&trained).contains("none: nothing learned"), "{}", stdout(&trained));
+    let seed = folder.path().join("run/seed-0");
+    assert!(!seed.join("policy.safetensors").exists() && seed.join("result.json").exists());
+    let again = crumple(folder.path(), &[&train[..], &["--resume"]].concat());
+    assert_eq!((code(&again), stdout(&again)), (1, stdout(&trained)));
+}
+
 #[test]
 fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
     let folder = folder();

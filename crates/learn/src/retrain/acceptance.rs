@@ -5,6 +5,8 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::Standing;
+use super::regression::{InSpace, SIGNIFICANCE};
+use crumple_search::evidence::Discordant;
 
 /// What became of a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,6 +42,20 @@ pub enum RejectionReason {
         before: usize,
         /// Its own.
         after: usize,
+    },
+    /// It touches vehicles more often in a regression space, beyond chance.
+    Worse {
+        /// Name of the space.
+        space: String,
+        /// The draws in which one of the two policies does, and the other does not.
+        contacts: Discordant,
+    },
+    /// It is less often of use in a regression space in which `idm` always is, beyond chance.
+    LessUseful {
+        /// Name of the space.
+        space: String,
+        /// The draws in which one of the two policies is of no use, and the other is.
+        drives: Discordant,
     },
     /// It is the policy before it: no checkpoint was better.
     Unchanged,
@@ -89,8 +105,9 @@ fn missing<'a, T: PartialEq>(one: &'a [T], other: &'a [T]) -> impl Iterator<Item
     one.iter().filter(|item| !other.contains(item))
 }
 
-/// Accepts a candidate if nothing of the paper's scenarios and distribution that was safe fails, and the contacts in the
-/// draws kept aside do not rise.
+/// Accepts a candidate if nothing of the paper's scenarios and distribution that was safe fails, the contacts in the draws kept
+/// aside do not rise, and it is worse in no regression space: by McNemar's exact one-sided test on the same draws
+/// ([`Discordant`]), at [`SIGNIFICANCE`] for each space and property.
 #[must_use]
 pub fn rule(before: &Standing, after: &Standing) -> Acceptance {
     let mut objections = Vec::new();
@@ -102,11 +119,32 @@ pub fn rule(before: &Standing, after: &Standing) -> Acceptance {
     if !draws.is_empty() {
         objections.push(RejectionReason::Nominal { draws });
     }
+    for of in &after.regression {
+        if let Some(was) = before.regression.iter().find(|was| was.space == of.space) {
+            objections.extend(regressions(was, of));
+        }
+    }
     let (before, after) = (before.kept_aside.len(), after.kept_aside.len());
     if after > before {
         objections.push(RejectionReason::KeptAside { before, after });
     }
     if objections.is_empty() { Acceptance::Accepted } else { Acceptance::Rejected { objections } }
+}
+
+/// What is worse in one space.
+fn regressions(before: &InSpace, after: &InSpace) -> impl Iterator<Item = RejectionReason> {
+    let contacts = discordant(&before.contacts, &after.contacts);
+    let drives = before.of_no_use.as_ref().zip(after.of_no_use.as_ref()).map(|(was, is)| discordant(was, is));
+    let is_worse = |of: &Discordant| of.is_worse(SIGNIFICANCE);
+    let space = || after.space.clone();
+    let worse = Some(contacts).filter(is_worse).map(|contacts| RejectionReason::Worse { space: space(), contacts });
+    let less = drives.filter(is_worse).map(|drives| RejectionReason::LessUseful { space: space(), drives });
+    worse.into_iter().chain(less)
+}
+
+/// Of two lists of failed draws, those that are in one alone.
+pub(super) fn discordant(before: &[u64], after: &[u64]) -> Discordant {
+    Discordant { new: missing(after, before).count() as u64, fixed: missing(before, after).count() as u64 }
 }
 
 impl Acceptance {
@@ -135,6 +173,18 @@ impl fmt::Display for RejectionReason {
             Self::Paper { scenarios } => write!(out, "new contact in {}", scenarios.join(", ")),
             Self::Nominal { draws } => write!(out, "{} new contacts in draws of the paper's distribution", draws.len()),
             Self::KeptAside { before, after } => write!(out, "{after} contacts kept aside instead of {before}"),
+            Self::Worse { space, contacts: of } => {
+                let Discordant { new, fixed } = of;
+                write!(out, "in {space} {new} new contacts and {fixed} fixed (p = {:.1e})", of.p_value())
+            }
+            Self::LessUseful { space, drives: of } => {
+                let Discordant { new, fixed } = of;
+                write!(
+                    out,
+                    "in {space} of no use in {new} more drives and in {fixed} no longer (p = {:.1e})",
+                    of.p_value()
+                )
+            }
             Self::Unchanged => out.write_str("no checkpoint was better"),
             Self::Diverged { problem } => write!(out, "the training diverged: {problem}"),
         }
@@ -152,6 +202,7 @@ mod tests {
             paper: paper.iter().map(|&name| name.to_owned()).collect(),
             nominal: nominal.to_vec(),
             kept_aside: kept_aside.to_vec(),
+            regression: Vec::new(),
         }
     }
 
@@ -174,6 +225,33 @@ mod tests {
         assert_eq!(objections(standing(&[], &[5], &[])), [RejectionReason::Nominal { draws: vec![5] }]);
         assert_eq!(objections(standing(&[], &[], &[1, 2, 3, 4])), [RejectionReason::KeptAside { before: 3, after: 4 }]);
         assert_eq!(objections(standing(&["paper-1 (kalman)"], &[5], &[1, 2, 3, 4])).len(), 3);
+    }
+
+    #[test]
+    fn one_space_cannot_be_traded_for_another() {
+        let in_spaces = |high_risk: &[u64], of_no_use: &[u64]| {
+            let space = |name: &str, contacts: &[u64], of_no_use| InSpace {
+                space: name.to_owned(),
+                draws: 100,
+                contacts: contacts.to_vec(),
+                of_no_use,
+            };
+            let traffic = space("traffic", &[], Some(of_no_use.to_vec()));
+            Standing { regression: vec![space("high-risk", high_risk, None), traffic], ..standing(&[], &[], &[1, 2]) }
+        };
+        let before = in_spaces(&[1, 2, 3], &[5]);
+        let ruled = |after: &Standing| match rule(&before, after) {
+            Acceptance::Accepted => Vec::new(),
+            Acceptance::Rejected { objections } => objections,
+        };
+        let better =
+            |high_risk: &[u64], of_no_use: &[u64]| Standing { kept_aside: vec![], ..in_spaces(high_risk, of_no_use) };
+        assert!(ruled(&better(&[4, 5, 6, 7], &[5, 6])).is_empty(), "within chance");
+        let many: Vec<u64> = (10..30).collect();
+        let contacts = Discordant { new: 20, fixed: 3 };
+        assert_eq!(ruled(&better(&many, &[])), [RejectionReason::Worse { space: "high-risk".to_owned(), contacts }]);
+        let drives = Discordant { new: 20, fixed: 1 };
+        assert_eq!(ruled(&better(&[], &many)), [RejectionReason::LessUseful { space: "traffic".to_owned(), drives }]);
     }
 
     proptest! {

@@ -9,9 +9,10 @@
 //! 3. **Train on.** The learner goes on with its networks and its memory, on a mixture of the paper's distribution, draws of
 //!    the space, and all cases kept so far. Of its checkpoints the best on a selection of avoidable draws is the candidate.
 //! 4. **Judge.** The candidate drives the paper's scenarios, draws of the paper's distribution, and a corpus kept aside. It is
-//!    accepted only if nothing of the paper's that was safe fails and the contacts kept aside do not rise ([`rule`]).
+//!    accepted only if nothing of the paper's that was safe fails, the contacts kept aside do not rise, and in no regression
+//!    space it is worse beyond chance ([`rule`]).
 //!
-//! Four sets of draws never meet: training, selection, kept aside (acceptance), and judged, which is drawn after the
+//! Sets of draws never meet: training, selection, kept aside and of regression spaces (acceptance), and judged, which is drawn after the
 //! last round and decides nothing. A rejected candidate is not taken over, but its learner goes on.
 //!
 //! The folder of a retraining:
@@ -37,6 +38,7 @@ mod error;
 mod files;
 mod judged;
 mod plan;
+mod regression;
 mod report;
 mod round;
 mod run;
@@ -49,6 +51,7 @@ pub use corpus::{CORPUS_VERSION, Corpus};
 pub use error::RetrainError;
 pub use judged::{Judged, Pairs, Tally};
 pub use plan::{RETRAIN_VERSION, RetrainingPlan, Settings, training_preset};
+pub use regression::{InSpace, SIGNIFICANCE};
 pub use report::{Ending, FileHash, Report};
 pub use round::{Checkpoint, Round, RoundFindings, Trained};
 pub use run::Progress;

@@ -29,6 +29,8 @@ pub struct RetrainingPlan {
     pub first_name: String,
     /// Where failures are looked for.
     pub space: Space,
+    /// Spaces in none of which a round may make the policy worse, each with a name of its own.
+    pub regression: Vec<Space>,
     /// How the learner learns. Its number of episodes is replaced by the settings'; its screening draws are of the paper's
     /// distribution, and its ranking draws are avoidable draws of the space.
     pub training: TrainingConfig,
@@ -56,6 +58,9 @@ pub struct Settings {
     pub kept_aside: u64,
     /// Draws of the paper's distribution, likewise.
     pub nominal: u64,
+    /// Draws of each regression space, likewise.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub regression: u64,
     /// Avoidable draws on which the result is judged at the end.
     pub judged: u64,
     /// Share of the training episodes that are drawn from the paper's distribution.
@@ -73,11 +78,17 @@ impl Default for Settings {
             draws: 1000,
             kept_aside: 2000,
             nominal: 10_000,
+            regression: 1000,
             judged: 10_000,
             nominal_share: 0.2,
             case_share: 0.2,
         }
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_zero(count: &u64) -> bool {
+    *count == 0
 }
 
 const PRESET: &str = include_str!("preset.toml");
@@ -102,6 +113,15 @@ struct PlanFile<'a> {
     settings: Settings,
     training: &'a TrainingConfig,
     space: &'a SpaceSpec,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    regression: Vec<NamedHash<'a>>,
+}
+
+/// A space by name and hash.
+#[derive(Serialize)]
+struct NamedHash<'a> {
+    space: &'a str,
+    sha256: String,
 }
 
 /// Seeds of the sets of draws that are the same for every retraining in a space, so that results can be compared.
@@ -109,6 +129,7 @@ pub(super) const SELECTION_SEED: u64 = 0x0073_656c_6563_7465;
 pub(super) const KEPT_ASIDE_SEED: u64 = 0x006b_6570_7461_7364;
 pub(super) const JUDGED_SEED: u64 = 0x006a_7564_6765_6420;
 pub(super) const NOMINAL_SEED: u64 = 0x006e_6f6d_696e_616c;
+pub(super) const REGRESSION_SEED: u64 = 0x0072_6567_7265_7373;
 
 /// Indices of derived seeds: searches count from one, trainings from the other.
 const SEARCHES: u64 = 1 << 32;
@@ -134,6 +155,8 @@ impl RetrainingPlan {
     /// # Errors
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, RetrainError> {
+        let hash = |space: &Space| serde_json::to_string(space.spec()).map(sha256).map_err(RetrainError::encoding);
+        let named = |space| Ok(NamedHash { space: Space::name(space), sha256: hash(space)? });
         let file = PlanFile {
             version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION"),
@@ -144,6 +167,7 @@ impl RetrainingPlan {
             settings: self.settings,
             training: &self.training,
             space: self.space.spec(),
+            regression: self.regression.iter().map(named).collect::<Result<_, RetrainError>>()?,
         };
         toml::to_string(&file).map_err(RetrainError::encoding)
     }

@@ -4,9 +4,11 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
+use super::acceptance::{Change, discordant};
 use super::files::to_json;
 use super::judged::{CONFIDENCE, Judged, Pairs, Tally};
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, Settings};
+use super::regression::SIGNIFICANCE;
 use super::round::{Round, RoundFindings};
 use super::run::{JUDGED_ON, KEPT_ASIDE, POLICY, RETRAINED_ON};
 use super::{RetrainError, Standing};
@@ -183,8 +185,10 @@ impl Report {
             "\nA change reads: contacts of the policy before the round → of the candidate (fixed, new). *Cases* are all avoidable \
              scenarios kept up to the round, *kept aside* are {kept_aside} avoidable draws of the space, *paper-1..3* the paper's \
              scenarios, each through the filter and with the true state, *paper's draws* {nominal} draws of its distribution. A \
-             round is accepted if nothing new fails in the last two columns and contacts kept aside do not rise.\n"
+             round is accepted if nothing new fails in the last two columns, contacts kept aside do not rise, and the candidate is \
+             worse in no regression space beyond chance.\n"
         )?;
+        self.write_regression(out)?;
         out.push_str("## Files\n\n| file | SHA-256 |\n|---|---|\n");
         for FileHash { file, sha256 } in &self.files {
             writeln!(out, "| `{file}` | `{sha256}` |")?;
@@ -238,6 +242,36 @@ impl Report {
             }
             None => Ok(()),
         }
+    }
+
+    /// What became of the first policy's failures in regression spaces.
+    fn write_regression(&self, out: &mut String) -> std::fmt::Result {
+        if self.first_standing.regression.is_empty() {
+            return Ok(());
+        }
+        writeln!(
+            out,
+            "## Regression spaces\n\nWorse beyond chance: McNemar's exact one-sided test on the same draws, p below {SIGNIFICANCE} for \
+             each space and column. A drive is of no use if it ends in contact, with braking harder than 4 m/s² where less than \
+             3 m/s² had a cause, or with the vehicle left behind; this counts where `idm` always is of use.\n\n\
+             | space | draws | contacts | of no use |\n|---|---|---|---|"
+        )?;
+        for (was, is) in self.first_standing.regression.iter().zip(&self.retrained_standing.regression) {
+            let told = |was: &[u64], is: &[u64]| {
+                format!("{} (p = {:.2})", Change::between(was, is), discordant(was, is).p_value())
+            };
+            let drives = was.of_no_use.as_ref().zip(is.of_no_use.as_ref());
+            writeln!(
+                out,
+                "| {} | {} | {} | {} |",
+                MarkdownText(&is.space),
+                is.draws,
+                told(&was.contacts, &is.contacts),
+                drives.map_or("–".to_owned(), |(was, is)| told(was, is))
+            )?;
+        }
+        out.push('\n');
+        Ok(())
     }
 
     fn write_rounds(&self, out: &mut String) -> std::fmt::Result {

@@ -10,6 +10,7 @@ use super::corpus::{Corpus, classes, drive};
 use super::files::{read_json, write_json};
 use super::judged::witnesses;
 use super::plan::{RetrainingPlan, SELECTION_SEED};
+use super::regression::Regression;
 use super::run::{Progress, Show};
 use super::training::LEARNER;
 use super::{RetrainError, Standing};
@@ -108,6 +109,7 @@ pub(super) struct RoundContext<'a> {
     pub(super) work: &'a Work,
     pub(super) kept_aside: &'a Corpus,
     pub(super) selection: &'a Corpus,
+    pub(super) regression: &'a Regression,
     pub(super) policy: Arc<Policy>,
     pub(super) standing: Standing,
     pub(super) cases: Cases,
@@ -246,7 +248,7 @@ impl RoundContext<'_> {
         };
         show(Progress::Judging { round: self.number() });
         let after = match &candidate {
-            Some(candidate) => Standing::of(candidate, self.plan, self.kept_aside)?,
+            Some(candidate) => Standing::of(candidate, self.plan, self.kept_aside, self.regression)?,
             None => self.standing.clone(),
         };
         let is_new = candidate.as_ref().is_some_and(|candidate| candidate.network() != self.policy.network());

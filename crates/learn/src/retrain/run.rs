@@ -7,6 +7,7 @@ use super::cases::Cases;
 use super::files::{read_json, write_json};
 use super::judged::{Judged, witnesses};
 use super::plan::{KEPT_ASIDE_SEED, PLAN, RetrainingPlan};
+use super::regression::Regression;
 use super::report::{Ending, REPORT, Report};
 use super::round::{RECORD, Round, RoundContext, RoundFindings, gathered, in_round, selection};
 use super::training::{CHECKPOINTS, LEARNER};
@@ -88,7 +89,8 @@ impl RetrainingPlan {
         let kept_aside = gathered(self, &work, (KEPT_ASIDE, KEPT_ASIDE_SEED, wanted), show)?;
         let selection = selection(self, &work, show)?;
         let mut policy = Arc::clone(&self.first);
-        let first = Standing::of(&policy, self, &kept_aside)?;
+        let regression = Regression::new(self)?;
+        let first = Standing::of(&policy, self, &kept_aside, &regression)?;
         let mut standing = first.clone();
         let mut cases = Cases::none(&self.space)?;
         let mut rounds: Vec<Round> = Vec::new();
@@ -101,6 +103,7 @@ impl RetrainingPlan {
                 work: &work,
                 kept_aside: &kept_aside,
                 selection: &selection,
+                regression: &regression,
                 policy: Arc::clone(&policy),
                 standing: standing.clone(),
                 cases: cases.clone(),

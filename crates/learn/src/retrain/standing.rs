@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::RetrainError;
 use super::corpus::{Corpus, drive};
 use super::plan::{NOMINAL_SEED, RetrainingPlan};
+use super::regression::{InSpace, Regression};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in, built_in_names};
@@ -22,11 +23,19 @@ pub struct Standing {
     pub nominal: Vec<u64>,
     /// Draws kept aside, by index.
     pub kept_aside: Vec<u64>,
+    /// Draws of each regression space.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub regression: Vec<InSpace>,
 }
 
 impl Standing {
     /// Drives a policy through all of it.
-    pub(super) fn of(policy: &Arc<Policy>, plan: &RetrainingPlan, kept_aside: &Corpus) -> Result<Self, RetrainError> {
+    pub(super) fn of(
+        policy: &Arc<Policy>,
+        plan: &RetrainingPlan,
+        kept_aside: &Corpus,
+        regression: &Regression,
+    ) -> Result<Self, RetrainError> {
         let controller = ControllerKind::Policy(Arc::clone(policy));
         let touched = |scenarios: &[Scenario], estimator| -> Result<Vec<usize>, RetrainError> {
             let contacts = drive(scenarios, &controller, estimator)?;
@@ -47,6 +56,6 @@ impl Standing {
         let indices: Vec<u64> = kept_aside.indices().collect();
         let aside = touched(&kept_aside.scenarios(&plan.space)?, plan.estimator())?;
         let kept_aside = aside.into_iter().filter_map(|place| indices.get(place).copied()).collect();
-        Ok(Self { paper, nominal, kept_aside })
+        Ok(Self { paper, nominal, kept_aside, regression: regression.driven_by(&controller)? })
     }
 }

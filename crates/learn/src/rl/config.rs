@@ -1,8 +1,14 @@
 //! The training configuration: what a preset file states.
 
+use std::sync::Arc;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::blend::{self, SpaceShare};
+use super::observation::ObservationConfig;
+use super::reward::CostConfig;
+use super::source::ScenarioSource;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::read_by_name;
 
@@ -41,6 +47,9 @@ pub struct TrainingConfig {
     pub td3: Td3Config,
     /// How checkpoints are judged.
     pub evaluation: EvaluationConfig,
+    /// Spaces that episodes are drawn from; without any, the paper's distribution.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub spaces: Vec<SpaceShare>,
 }
 
 /// The Markov decision process (paper, section "Markov decision process").
@@ -62,6 +71,12 @@ pub struct EnvironmentConfig {
     pub time_limit: TimeLimit,
     /// Highest acceleration the actor can choose, in m/s²; the lowest is -7.5.
     pub max_accel_mps2: f64,
+    /// What a step costs beside; nothing in the paper. A policy file that was made without costs states none.
+    #[serde(default, skip_serializing_if = "CostConfig::is_free")]
+    pub costs: CostConfig,
+    /// What the agent sees. A policy file states its scaling anyway, and here only what is not the default.
+    #[serde(default, skip_serializing_if = "ObservationConfig::is_default")]
+    pub observation: ObservationConfig,
 }
 
 /// What the end of an episode's time means.
@@ -160,15 +175,30 @@ pub struct EvaluationConfig {
     pub screening_draws: u64,
     /// Held-out draws that rank a policy which survives all of those; without any, no policy counts as having mastered the task.
     pub ranking_draws: u64,
+    /// Held-out draws of the built-in space `traffic`, in which a policy that is ranked must be of use besides; 0 for none.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub useful_draws: u64,
     /// Training ends once a policy survives all of these too and keeps this distance everywhere, in metres; 0 never ends it.
     pub master_gap_m: f64,
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_zero(count: &u64) -> bool {
+    *count == 0
+}
+
+/// JSON Schema of a training configuration.
+#[must_use]
+pub fn json_schema() -> serde_json::Value {
+    schemars::schema_for!(TrainingConfig).to_value()
+}
+
 /// The presets by name.
-pub const PRESETS: [(&str, &str); 3] = [
+pub const PRESETS: [(&str, &str); 4] = [
     ("fast", include_str!("presets/fast.toml")),
     ("paper", include_str!("presets/paper.toml")),
     ("paper-net", include_str!("presets/paper-net.toml")),
+    ("road", include_str!("presets/road.toml")),
 ];
 
 /// Why a configuration cannot be trained with.
@@ -176,7 +206,7 @@ pub const PRESETS: [(&str, &str); 3] = [
 #[non_exhaustive]
 pub enum ConfigError {
     /// No such preset.
-    #[error("there is no preset `{0}`; there are fast, paper, paper-net")]
+    #[error("there is no preset `{0}`; there are fast, paper, paper-net, road")]
     Unknown(String),
     /// The text does not parse.
     #[error("{0}")]
@@ -215,6 +245,14 @@ impl TrainingConfig {
         Ok(config)
     }
 
+    /// What its episodes are drawn from.
+    ///
+    /// # Errors
+    /// [`ConfigError`] if a space cannot be found, read, or trained on.
+    pub fn source(&self) -> Result<Arc<dyn ScenarioSource>, ConfigError> {
+        blend::source(&self.spaces)
+    }
+
     /// Whether it can be trained with.
     ///
     /// # Errors
@@ -235,6 +273,9 @@ impl TrainingConfig {
         within("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;
         within("environment.reward_scale", self.environment.reward_scale, [1e-9, 1e3])?;
         within("environment.max_accel_mps2", self.environment.max_accel_mps2, [0.1, 30.0])?;
+        let terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
+        terms.map(|(field, value, range)| within(field, value, range)).collect::<Result<(), _>>()?;
+        self.environment.observation.check()?;
         within("network.hidden", self.network.hidden.len() as f64, [1.0, 16.0])?;
         for &width in &self.network.hidden {
             within("network.hidden", width as f64, [1.0, 4096.0])?;
@@ -258,6 +299,7 @@ impl TrainingConfig {
         within("evaluation.every_episodes", self.evaluation.every_episodes as f64, [1.0, 1e9])?;
         within("evaluation.screening_draws", self.evaluation.screening_draws as f64, [1.0, 1e6])?;
         within("evaluation.ranking_draws", self.evaluation.ranking_draws as f64, [0.0, 1e6])?;
+        within("evaluation.useful_draws", self.evaluation.useful_draws as f64, [0.0, 1e4])?;
         within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
         super::memory::check(self)
     }

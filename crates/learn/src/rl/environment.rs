@@ -1,6 +1,7 @@
 //! The paper's Markov decision process on the simulator (section "Markov decision process").
 
 use super::config::{EnvironmentConfig, TimeLimit};
+use super::reward::Earnings;
 use crumple_world::policy::{ActionBounds, ObservationScaling, STATE};
 use crumple_world::sim::{RecordingLevel, Run, Stepper};
 
@@ -45,6 +46,7 @@ pub struct Episode<'r, 's> {
     config: EnvironmentConfig,
     discount: f64,
     scaling: ObservationScaling,
+    earnings: Earnings,
     bounds: ActionBounds,
     steps: usize,
     settled_steps: usize,
@@ -56,11 +58,13 @@ impl<'r, 's> Episode<'r, 's> {
     /// An episode on a run with one vehicle under test behind the leader. `discount` is that of one decision.
     #[must_use]
     pub fn new(run: &'r Run<'s>, config: &EnvironmentConfig, discount: f64) -> Self {
+        let stepper = Stepper::new(run, RecordingLevel::Summary);
         Self {
-            stepper: Stepper::new(run, RecordingLevel::Summary),
+            earnings: Earnings::new(&stepper, run.scenario().spec().step_s),
+            stepper,
             config: config.clone(),
             discount,
-            scaling: ObservationScaling::default(),
+            scaling: config.observation.scaling(),
             bounds: bounds(config),
             steps: run.scenario().steps(),
             settled_steps: (SETTLED_S / run.scenario().spec().step_s).round() as usize,
@@ -77,12 +81,13 @@ impl<'r, 's> Episode<'r, 's> {
     /// Holds an action, between -1 and 1, until the next decision.
     pub fn decide(&mut self, action: f32) -> Consequence {
         let acceleration_mps2 = self.bounds.acceleration_mps2(action);
-        let mut reward = 0.0;
+        let (mut reward, mut of_last_step) = (0.0, 0.0);
         let mut ending = Ending::None;
         for _ in 0..self.config.decision_steps {
             self.stepper.command(EGO, acceleration_mps2);
             self.stepper.step();
-            reward += if self.stepper.has_touched() { self.config.contact_reward } else { self.config.step_reward };
+            of_last_step = self.earnings.of_step(&self.stepper, &self.config);
+            reward += of_last_step;
             let at_rest = self.stepper.motion().iter().all(|motion| motion.speed_mps == 0.0);
             self.standing_steps = if at_rest { self.standing_steps + 1 } else { 0 };
             ending = if self.stepper.has_touched() {
@@ -102,8 +107,9 @@ impl<'r, 's> Episode<'r, 's> {
         let mut to_learn = reward;
         if ending == Ending::AtRest {
             let steps_left = (self.steps - self.stepper.steps_made()) as f64;
-            self.undiscounted += steps_left * self.config.step_reward;
-            to_learn += self.discount * self.value_of_standing(steps_left / f64::from(self.config.decision_steps));
+            self.undiscounted += steps_left * of_last_step;
+            let decisions_left = steps_left / f64::from(self.config.decision_steps);
+            to_learn += self.discount * self.value_of_standing(of_last_step, decisions_left);
         }
         let over = matches!(ending, Ending::Contact | Ending::AtRest)
             || (ending == Ending::TimeOver && self.config.time_limit == TimeLimit::End);
@@ -115,9 +121,10 @@ impl<'r, 's> Episode<'r, 's> {
         }
     }
 
-    /// Discounted reward of standing still for the decisions that are left, or for ever if the time limit is no end.
-    fn value_of_standing(&self, decisions_left: f64) -> f64 {
-        let each = self.config.step_reward * f64::from(self.config.decision_steps);
+    /// Discounted reward of standing still for the decisions that are left, or for ever if the time limit is no end, where each
+    /// step earns the same.
+    fn value_of_standing(&self, step_reward: f64, decisions_left: f64) -> f64 {
+        let each = step_reward * f64::from(self.config.decision_steps);
         let for_ever = each / (1.0 - self.discount);
         match self.config.time_limit {
             TimeLimit::Truncation => for_ever,

@@ -4,14 +4,19 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::config::{EnvironmentConfig, EvaluationConfig};
+use super::config::{EnvironmentConfig, EvaluationConfig, TrainingConfig};
+use super::trainer::TrainingError;
+use super::useful::{Traffic, UsefulDriving};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
-use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
+use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 
 /// Seed of the held-out draws: the same for every training, and never a seed of training draws.
 const HELD_OUT_SEED: u64 = 0x0068_656c_646f_7574;
+
+/// Seed of the held-out draws of traffic.
+const USEFUL_SEED: u64 = 0x0075_7365_6675_6c20;
 
 /// The scenarios of all evaluations.
 #[derive(Debug, Clone)]
@@ -22,6 +27,7 @@ pub struct HeldOut {
     /// How many of the paper's scenarios, in order, a policy must survive to be ranked.
     paper_needed: usize,
     environment: EnvironmentConfig,
+    traffic: Option<Traffic>,
 }
 
 /// The paper's scenarios.
@@ -40,16 +46,26 @@ pub struct Evaluation {
     pub ranking_contacts: Option<u64>,
     /// Smallest gap between any two vehicles over everything that was driven, in metres.
     pub smallest_gap_m: f64,
+    /// What a ranked policy did in everyday traffic; none if it was not ranked, or there are no such draws.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub useful: Option<UsefulDriving>,
+    /// Share of ranking draws that ended in contact, and what was at [fault](UsefulDriving::fault) in traffic, added up; none as above.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub both_sides: Option<f64>,
 }
 
 impl Evaluation {
-    /// Orders evaluations; greater is better: first safety where it was tested, then paper-3, then the margin.
+    /// Orders evaluations; greater is better: first safety where it was tested (with usefulness, where that was), then paper-3, then the margin.
     #[must_use]
     pub fn score(&self) -> [f64; 5] {
         let safe = |is: bool| f64::from(u8::from(is));
         [
             self.safe_share + safe(self.paper_safe[0]) + safe(self.paper_safe[1]),
-            self.ranking_contacts.map_or(f64::NEG_INFINITY, |contacts| -(contacts as f64)),
+            match (self.both_sides, self.ranking_contacts) {
+                (Some(both_sides), _) => -both_sides,
+                (None, Some(contacts)) => -(contacts as f64),
+                (None, None) => f64::NEG_INFINITY,
+            },
             safe(self.paper_safe[2]),
             self.smallest_gap_m,
             self.mean_reward,
@@ -77,7 +93,27 @@ impl HeldOut {
             ranking: draw(first..first + evaluation.ranking_draws).collect(),
             paper_needed: 2,
             environment: environment.clone(),
+            traffic: None,
         }
+    }
+
+    /// What a configuration asks for: where it trains on spaces, ranking draws are of these; where it wants a policy that is of use,
+    /// so are draws of traffic.
+    ///
+    /// # Errors
+    /// [`TrainingError`] if its spaces cannot be drawn from.
+    pub fn of(config: &TrainingConfig) -> Result<Self, TrainingError> {
+        let (evaluation, environment) = (&config.evaluation, &config.environment);
+        let mut held_out = Self::new(evaluation, environment);
+        if !config.spaces.is_empty() {
+            let source = config.source()?;
+            let draws = (0..evaluation.ranking_draws).map(|index| source.draw(HELD_OUT_SEED, index));
+            held_out.ranking = draws.collect::<Result<_, _>>()?;
+        }
+        if evaluation.useful_draws > 0 {
+            held_out.traffic = Some(Traffic::new(USEFUL_SEED, evaluation.useful_draws, environment.estimator)?);
+        }
+        Ok(held_out)
     }
 
     /// With other scenarios for the ranking, which only policies reach that survive all three of the paper's.
@@ -110,6 +146,8 @@ impl HeldOut {
             mean_reward: draws.iter().map(|run| self.reward(run)).sum::<f64>() / draws.len().max(1) as f64,
             ranking_contacts: None,
             smallest_gap_m: smallest_gap_m.min(smallest(&draws)),
+            useful: None,
+            both_sides: None,
         };
         let is_paper_safe = paper_safe.iter().take(self.paper_needed).all(|&safe| safe);
         if safe == draws.len() && is_paper_safe && !self.ranking.is_empty() {
@@ -117,6 +155,11 @@ impl HeldOut {
             let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
             evaluation.ranking_contacts = Some(contacts as u64);
             evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(smallest(&ranked));
+            if let Some(traffic) = &self.traffic {
+                let useful = traffic.driven_by(&ControllerKind::Policy(Arc::clone(policy)))?;
+                evaluation.useful = Some(useful);
+                evaluation.both_sides = Some(contacts as f64 / ranked.len() as f64 + useful.fault());
+            }
         }
         Ok(evaluation)
     }

@@ -36,8 +36,16 @@ pub struct SeedResult {
     pub evaluation: Option<Evaluation>,
     /// Contacts among draws that took no part in training or selection: [`super::UNSEEN_DRAWS`] of them.
     pub unseen_contacts: u64,
-    /// SHA-256 of the policy file.
-    pub policy_sha256: String,
+    /// SHA-256 of the policy file; none if no checkpoint was better than the untrained network, which is not kept.
+    pub policy_sha256: Option<String>,
+}
+
+impl SeedResult {
+    /// Whether any checkpoint was better than the untrained network.
+    #[must_use]
+    pub fn has_learned(&self) -> bool {
+        self.policy_sha256.is_some()
+    }
 }
 
 /// The training of one seed, in its folder.
@@ -62,13 +70,15 @@ impl<'a> TrainingFolder<'a> {
     /// [`TrainingError`] if the folder is in use, holds another training, or another build's, or anything there is damaged.
     pub fn open(out: &Path, config: &'a TrainingConfig, seed: u64, resume: bool) -> Result<Self, TrainingError> {
         let work = opened(out, config, seed, resume)?;
-        let (checkpoint, path) = (work.read(CHECKPOINT)?, work.path(CHECKPOINT));
+        let (checkpoint, path, source) = (work.read(CHECKPOINT)?, work.path(CHECKPOINT), config.source()?);
         let trainer = match checkpoint {
-            Some(bytes) => Trainer::from_checkpoint(&bytes, config, seed).map_err(|error| match error {
-                TrainingError::Checkpoint(problem) => WorkError::Damaged { path, problem }.into(),
-                other => other,
-            })?,
-            None => Trainer::new(config, seed),
+            Some(bytes) => {
+                Trainer::from_checkpoint_with(&bytes, config, seed, source).map_err(|error| match error {
+                    TrainingError::Checkpoint(problem) => WorkError::Damaged { path, problem }.into(),
+                    other => other,
+                })?
+            }
+            None => Trainer::with_source(config, seed, source),
         };
         let before = work.read(LOG)?.unwrap_or_default();
         let is_done = |line: &&str| episode_of(line).is_some_and(|episode| episode <= trainer.episode());
@@ -98,7 +108,13 @@ impl<'a> TrainingFolder<'a> {
         }
         self.work.write(CONFIGURATION, configuration)?;
         let mut keeper = Keeper { work: &self.work, log: self.log, watch };
-        train::<TrainingError>(&mut self.trainer, held_out, &mut keeper)?;
+        let trained = train::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
+        let has_learned = self.trainer.best().is_some_and(|best| best.episode > 0);
+        if !has_learned && matches!(trained, Ok(()) | Err(TrainingError::Diverged { .. })) {
+            // What an untrained network does is no result of a training.
+            self.work.changes().remove(POLICY).commit()?;
+        }
+        trained?;
         let policy = Arc::new(self.trainer.policy()?);
         let result = SeedResult {
             seed: self.trainer.seed(),
@@ -106,7 +122,7 @@ impl<'a> TrainingFolder<'a> {
             best_episode: self.trainer.best().map(|best| best.episode),
             evaluation: self.trainer.best().map(|best| best.evaluation),
             unseen_contacts: unseen_contacts(&policy, self.config.environment.estimator)?,
-            policy_sha256: policy.digest(),
+            policy_sha256: has_learned.then(|| policy.digest()),
         };
         self.work.write(RESULT, serde_json::to_string_pretty(&result)? + "\n")?;
         self.work.finish()?;

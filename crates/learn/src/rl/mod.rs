@@ -9,6 +9,7 @@
 
 mod adam;
 mod backprop;
+mod blend;
 mod checkpoint;
 mod config;
 mod curve;
@@ -17,27 +18,34 @@ mod evaluation;
 mod folder;
 mod learner;
 mod memory;
+mod observation;
 #[cfg(any(test, feature = "oracle"))]
 pub mod oracle;
 mod replay;
+mod reward;
 mod seeds;
 mod source;
 mod trainer;
+mod useful;
 
 pub use adam::Adam;
+pub use blend::{SpaceShare, WeightedSpaces};
 pub use config::{
     ConfigError, EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS,
-    ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
+    ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig, json_schema,
 };
 pub use curve::{CurvePoint, LearningCurve, PERFECT, episode_of};
 pub use environment::{Consequence, Ending, Episode, bounds};
 pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
 pub use folder::{SeedResult, TrainingFolder, finished_trainings, seed_folder};
 pub use learner::{Learner, Losses, Trained};
+pub use observation::{Inputs, ObservationConfig, Scale};
 pub use replay::{Batch, Replay, Transition};
+pub use reward::CostConfig;
 pub use seeds::{Event, Observer, side_by_side, train};
 pub use source::{Blend, Mixed, PaperDraws, ScenarioSource};
 pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
+pub use useful::UsefulDriving;
 
 #[cfg(test)]
 mod tests;

@@ -6,7 +6,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-use super::config::{TimeLimit, TrainingConfig};
+use super::config::{ConfigError, TimeLimit, TrainingConfig};
 use super::environment::{Ending, Episode, bounds};
 use super::evaluation::{Evaluation, HeldOut};
 use super::learner::{Learner, Losses};
@@ -15,7 +15,7 @@ use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_search::disk::DiskError;
 use crumple_search::work::WorkError;
 use crumple_world::control::ControllerSpec;
-use crumple_world::policy::{Network, ObservationScaling, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
+use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::{InvalidField, PAPER_STEP_S};
 use crumple_world::sim::{Run, RunError, RunOptions};
@@ -44,6 +44,9 @@ pub enum TrainingError {
         /// Largest value that can be right.
         largest_value: f64,
     },
+    /// It cannot be trained so.
+    #[error(transparent)]
+    Unusable(#[from] ConfigError),
     /// The agent cannot be trained on a scenario that was drawn.
     #[error("scenario `{name}` cannot be trained on: {problem}")]
     Unsuited {
@@ -290,7 +293,8 @@ impl Trainer {
             TimeLimit::Truncation => discounted,
             TimeLimit::End => discounted.min(steps as f64 * environment.step_reward),
         };
-        let largest_value = environment.reward_scale * paid.max(-environment.contact_reward);
+        let most_cost = environment.costs.largest().max(1.0);
+        let largest_value = environment.reward_scale * most_cost * paid.max(-environment.contact_reward);
         let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
         // The rectifier turns NaN into 0, so a network can be broken while its outputs look sound.
         let is_whole =
@@ -340,7 +344,7 @@ impl Trainer {
             version: POLICY_VERSION,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
             hidden: self.config.network.hidden.clone(),
-            observation: ObservationScaling::default(),
+            observation: self.config.environment.observation.scaling(),
             action: bounds(&self.config.environment),
             decision_interval_s: f64::from(self.config.environment.decision_steps) * PAPER_STEP_S,
             estimator: self.config.environment.estimator,

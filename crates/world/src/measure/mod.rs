@@ -33,7 +33,7 @@ pub use specification::{Braking, FirstContact, RunVerdict, Specification, Specif
 pub use usefulness::{
     CAUSE_LASTS_S, EASY_BRAKE_MPS2, FOLLOWS_WITHIN_S, Following, HARD_BRAKE_MPS2, LEAST_BRAKING_S, LEAST_DEVIATION_MPS,
     LEAST_SPEED_MPS, MOVING_MPS, NEEDLESS_MARGIN_MPS2, NeedlessBrake, NeedlessBraking, SETTLED_MPS, SpeedAmplification,
-    Usefulness,
+    Usefulness, caused_brake_mps2,
 };
 
 use crate::sim::{Impact, Trace};

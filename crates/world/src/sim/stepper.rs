@@ -74,6 +74,12 @@ impl<'r, 's> Stepper<'r, 's> {
         &self.platoon.motion
     }
 
+    /// Bumper gap ahead of vehicle `index`, in metres; none for the leader, and for a vehicle that does not exist.
+    #[must_use]
+    pub fn gap_m(&self, index: usize) -> Option<f64> {
+        (1..self.platoon.motion.len()).contains(&index).then(|| self.platoon.gap_m(index))
+    }
+
     /// What vehicle `index` sees now; none for a vehicle that does not exist.
     pub fn observe(&mut self, index: usize) -> Option<Observation> {
         let vehicle = self.loops.get_mut(index)?;

@@ -13,7 +13,7 @@ pub use amplification::{LEAST_DEVIATION_MPS, SETTLED_MPS, SpeedAmplification};
 use drive::{Step, steps_of};
 pub use needless::{
     CAUSE_LASTS_S, EASY_BRAKE_MPS2, FOLLOWS_WITHIN_S, HARD_BRAKE_MPS2, LEAST_BRAKING_S, LEAST_SPEED_MPS,
-    NEEDLESS_MARGIN_MPS2, NeedlessBrake, NeedlessBraking,
+    NEEDLESS_MARGIN_MPS2, NeedlessBrake, NeedlessBraking, caused_brake_mps2,
 };
 
 use super::comfort::JERK_WINDOW_S;

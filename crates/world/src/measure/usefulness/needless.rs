@@ -162,7 +162,13 @@ impl Braking {
     }
 }
 
-/// Deceleration that the state itself calls for, in m/s², never negative.
+/// Deceleration that has a cause in a state, in m/s², never negative: the instantaneous part of what [`NeedlessBraking`] is
+/// measured against.
+#[must_use]
+pub fn caused_brake_mps2(state: &State) -> f64 {
+    caused_mps2(&Idm::from(&IdmSettings::default()), state)
+}
+
 fn caused_mps2(reference: &Idm, state: &State) -> f64 {
     let State { gap_m, front_speed_mps, rear_speed_mps, front_acceleration_mps2, .. } = *state;
     let followed_mps2 = reference.interaction_brake_mps2(rear_speed_mps, [gap_m, front_speed_mps]);

@@ -5,15 +5,25 @@ use std::path::Path;
 use super::{Space, file};
 
 /// Name, one-line description and text of every built-in space.
-pub const BUILT_IN_SPACES: [(&str, &str, &str); 3] = [
+pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
     ("paper", "the distribution the paper trains on: small spreads about scenarios 1 and 2", PAPER),
     ("high-risk", "speeds, gaps, lead braking, load, grip, reaction and sensors all over their ranges", HIGH_RISK),
     ("traffic", "everyday driving in which nobody need brake hard: what a controller is of use for", TRAFFIC),
+    ("standing", "a standing vehicle ahead, 2 to 12 s away at 10 to 130 km/h", STANDING),
+    ("slower", "a vehicle ahead at a tenth to nine tenths of the speed, 2 to 12 s away", SLOWER),
+    ("alone", "nobody behind, and a leader that brakes down to any share of its speed", ALONE),
+    ("assisted", "the emergencies of high-risk, with a follower that drives idm or acc-aeb", ASSISTED),
+    ("steady", "a leader that never brakes, 15 to 100 m ahead, and any follower", STEADY),
 ];
 
 const PAPER: &str = include_str!("built_in/paper.toml");
 const HIGH_RISK: &str = include_str!("built_in/high-risk.toml");
 const TRAFFIC: &str = include_str!("built_in/traffic.toml");
+const STANDING: &str = include_str!("built_in/standing.toml");
+const SLOWER: &str = include_str!("built_in/slower.toml");
+const ALONE: &str = include_str!("built_in/alone.toml");
+const ASSISTED: &str = include_str!("built_in/assisted.toml");
+const STEADY: &str = include_str!("built_in/steady.toml");
 
 /// The built-in space of that name.
 #[must_use]

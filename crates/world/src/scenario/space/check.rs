@@ -115,7 +115,7 @@ impl Space {
         }
         let field =
             Field::find(&spec.field, &self.template).map_err(|problem| InvalidSpace { field: at("field"), problem })?;
-        if matches!(field.target, Target::Gap(_) | Target::TimeGap(_)) && !self.lines_up {
+        if matches!(field.target, Target::Gap(_) | Target::TimeGap(_) | Target::ClosingTime(_)) && !self.lines_up {
             return wrong(at("field"), "a space has gaps or positions, not both");
         }
         if spec.unit != field.unit {

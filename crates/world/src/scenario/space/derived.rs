@@ -1,9 +1,20 @@
 //! Fields that set numbers of a vehicle by a rule, so that they fit together.
 
-use crate::scenario::{Driver, LeadProfile, Pieces, VehicleSpec};
+use crate::scenario::{Driver, LeadProfile, Pieces, ScenarioSpec, VehicleSpec};
 
 /// Speeds between which `cruise_mps2` keeps a leader, in m/s: 18 km/h, and 130 km/h, the limit on most motorways of Europe.
 pub(super) const CRUISE_MPS: [f64; 2] = [18.0 / 3.6, 130.0 / 3.6];
+
+/// Least gap of a vehicle whose distance is stated by the time in which it closes in, in metres.
+const LEAST_CLOSING_GAP_M: f64 = 2.0;
+
+/// The gap ahead of vehicle `index` that it closes in `time_s` at the speeds that both have, in metres; 2 m where that is less,
+/// and where it does not close in.
+pub(super) fn closing_gap_m(spec: &ScenarioSpec, index: usize, time_s: f64) -> f64 {
+    let speed_mps = |index: usize| spec.vehicles.get(index).map_or(0.0, |vehicle| vehicle.speed_mps);
+    let closing_mps = speed_mps(index) - index.checked_sub(1).map_or(0.0, speed_mps);
+    (time_s * closing_mps).max(LEAST_CLOSING_GAP_M)
+}
 
 /// Mass relative to that of the class. The brake force is that of the class: above its mass deceleration falls in
 /// proportion, below it the tyres limit deceleration to that of the class.

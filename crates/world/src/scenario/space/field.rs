@@ -1,6 +1,6 @@
 //! Which field of a scenario a parameter sets: paths looked up once, then typed access.
 
-use super::derived::{cruise, load};
+use super::derived::{closing_gap_m, cruise, load};
 use super::spec::{DriverName, Kind};
 use crate::scenario::{Driver, LeadProfile, Pieces, ScenarioSpec, VehicleClass, VehicleSpec};
 
@@ -25,6 +25,12 @@ pub(super) enum Target {
     Gap(usize),
     /// The same, as the time it takes at the vehicle's own speed.
     TimeGap(usize),
+    /// The same, as the time it takes at the speed at which the vehicle closes in.
+    ClosingTime(usize),
+    /// Speed as a share of the one that it has otherwise.
+    SpeedShare(usize),
+    /// Speed down to which a script brakes, as a share of the one it begins with.
+    FinalShare(usize),
     /// Mass relative to that of the class, and the braking it leaves.
     Load(usize),
     /// Deceleration at most, relative to that of the class.
@@ -137,6 +143,14 @@ fn rate(driver: &mut Driver) -> Option<&mut f64> {
     }
 }
 
+/// The speed down to which a script brakes.
+fn final_speed(driver: &mut Driver) -> Option<&mut f64> {
+    match driver {
+        Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => Some(&mut brake.final_speed_mps),
+        _ => None,
+    }
+}
+
 impl Field {
     /// The field of a path in a base scenario.
     pub(super) fn find(path: &str, base: &ScenarioSpec) -> Result<Self, String> {
@@ -174,9 +188,13 @@ impl Field {
                     "vehicle {index} of the base scenario is driven by `{name}`, no built-in controller"
                 ));
             }
-            "gap_m" | "time_gap_s" if index == 0 => return Err("nobody is ahead of vehicle 0".to_owned()),
+            "gap_m" | "time_gap_s" | "closing_time_s" if index == 0 => {
+                return Err("nobody is ahead of vehicle 0".to_owned());
+            }
             "gap_m" => return Ok(field(Target::Gap(index), "m", 1, sets(&["position_m"]))),
             "time_gap_s" => return Ok(field(Target::TimeGap(index), "s", 1, sets(&["position_m"]))),
+            "closing_time_s" => return Ok(field(Target::ClosingTime(index), "s", 1, sets(&["position_m"]))),
+            "speed_share" => return Ok(field(Target::SpeedShare(index), "1", 1, sets(&["speed_mps"]))),
             "load" => return Ok(field(Target::Load(index), "1", 1, sets(&["mass_kg", "max_brake_mps2"]))),
             "brake_offset_mps2" => {
                 return Ok(field(Target::BrakeOffset(index), "m/s²", 1, sets(&["max_brake_mps2"])));
@@ -217,6 +235,9 @@ impl Field {
             ("recorded", "speed_mps") => {
                 Ok(field(Target::Signal(index, recorded_speeds), "m/s", list(recorded_speeds(&mut driver)), own))
             }
+            ("brake-to-speed", "final_share") => {
+                Ok(field(Target::FinalShare(index), "1", 1, sets(&["driver.brake-to-speed.final_speed_mps"])))
+            }
             (_, "rate_share") if rate(&mut driver).is_some() => {
                 Ok(field(Target::RateShare(index), "1", 1, sets(&[&format!("driver.{kind}.rate_mps2")])))
             }
@@ -230,7 +251,8 @@ impl Field {
 }
 
 /// What may vary in a vehicle besides its numbers.
-const DERIVED_OF_VEHICLE: [&str; 6] = ["class", "driver", "gap_m", "time_gap_s", "load", "brake_offset_mps2"];
+const DERIVED_OF_VEHICLE: [&str; 8] =
+    ["class", "driver", "gap_m", "time_gap_s", "closing_time_s", "speed_share", "load", "brake_offset_mps2"];
 
 fn known_fields() -> String {
     let scenario = SCENARIO_NUMBERS.iter().map(|(name, ..)| *name);
@@ -245,7 +267,8 @@ impl Target {
         match self {
             Self::Class(_) | Self::DrivenBy(_) => 0,
             Self::Vehicle(None, _) => 1,
-            Self::RateShare(_) | Self::PiecesShare(_) | Self::PiecesCruise(_) | Self::TimeGap(_) => 3,
+            Self::RateShare(_) | Self::PiecesShare(_) | Self::PiecesCruise(_) => 3,
+            Self::TimeGap(_) | Self::ClosingTime(_) | Self::FinalShare(_) => 3,
             Self::PiecesScale(_) => 4,
             _ => 2,
         }
@@ -287,6 +310,17 @@ impl Target {
             }),
             Self::Gap(index) => with(spec, index, |vehicle| vehicle.position_m = value),
             Self::TimeGap(index) => with(spec, index, |vehicle| vehicle.position_m = value * vehicle.speed_mps),
+            Self::ClosingTime(index) => {
+                let gap_m = closing_gap_m(spec, index, value);
+                with(spec, index, |vehicle| vehicle.position_m = gap_m);
+            }
+            Self::SpeedShare(index) => with(spec, index, |vehicle| vehicle.speed_mps *= value),
+            Self::FinalShare(index) => with(spec, index, |vehicle| {
+                let from_mps = vehicle.speed_mps;
+                if let Some(final_mps) = final_speed(&mut vehicle.driver) {
+                    *final_mps = value * from_mps;
+                }
+            }),
             Self::Load(index) => with(spec, index, |vehicle| load(vehicle, value)),
             Self::BrakeOffset(index) => with(spec, index, |vehicle| {
                 vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() + value);
@@ -345,7 +379,14 @@ impl Target {
             }
             Self::Gap(index) => one(of(index).map(|v| v.position_m)),
             Self::TimeGap(index) => one(of(index).map(|v| v.position_m / v.speed_mps)),
-            Self::PiecesScale(_) => vec![1.0],
+            Self::ClosingTime(index) => one(of(index)
+                .zip(index.checked_sub(1).and_then(of))
+                .map(|(vehicle, ahead)| vehicle.position_m / (vehicle.speed_mps - ahead.speed_mps))),
+            Self::FinalShare(index) => one(spec
+                .vehicles
+                .get_mut(index)
+                .and_then(|v| final_speed(&mut v.driver).map(|final_mps| *final_mps / v.speed_mps))),
+            Self::PiecesScale(_) | Self::SpeedShare(_) => vec![1.0],
             Self::Load(index) => one(of(index).map(|v| v.mass_kg() / v.class.mass_kg())),
             Self::BrakeOffset(index) => one(of(index).map(|v| v.max_brake_mps2() - v.class.max_brake_mps2())),
             Self::RateShare(index) => one(spec.vehicles.get_mut(index).and_then(|v| {
@@ -378,8 +419,14 @@ impl Target {
         match self {
             Self::Driver(i, _) | Self::Setting(i, _) | Self::Signal(i, _) => Some(i),
             Self::RateShare(i) | Self::PiecesShare(i) | Self::PiecesOnset(i) => Some(i),
-            Self::PiecesCruise(i) | Self::PiecesScale(i) | Self::DrivenBy(i) => Some(i),
-            Self::Scenario(_) | Self::Vehicle(..) | Self::Class(_) | Self::Gap(_) | Self::TimeGap(_) => None,
+            Self::PiecesCruise(i) | Self::PiecesScale(i) | Self::DrivenBy(i) | Self::FinalShare(i) => Some(i),
+            Self::ClosingTime(_)
+            | Self::SpeedShare(_)
+            | Self::Scenario(_)
+            | Self::Vehicle(..)
+            | Self::Class(_)
+            | Self::Gap(_)
+            | Self::TimeGap(_) => None,
             Self::Load(_) | Self::BrakeOffset(_) => None,
         }
     }
@@ -391,6 +438,7 @@ impl Target {
                 Some(i)
             }
             Self::Signal(i, _) | Self::Driver(i, _) | Self::Setting(i, _) => Some(i),
+            Self::ClosingTime(i) | Self::SpeedShare(i) | Self::FinalShare(i) => Some(i),
             Self::TimeGap(i) | Self::DrivenBy(i) | Self::PiecesCruise(i) | Self::PiecesScale(i) => Some(i),
             Self::Vehicle(i, _) => i,
             Self::Scenario(_) | Self::Gap(_) | Self::PiecesOnset(_) => None,

@@ -24,10 +24,13 @@
 //! |---|---|
 //! | `vehicles[i].gap_m` | the bumper gap ahead; vehicles are lined up behind the leader, so that none overlap |
 //! | `vehicles[i].time_gap_s` | the same, as the time it takes at the vehicle's own speed |
+//! | `vehicles[i].closing_time_s` | the same, as the time it takes at the speed at which the vehicle closes in; 2 m at least |
+//! | `vehicles[i].speed_share` | speed as a share of the one that the vehicle has otherwise |
 //! | `vehicles[i].driver` | who drives: a choice of built-in controllers with their default settings |
 //! | `vehicles[i].load` | mass relative to its class's, at its class's brake force: deceleration falls as 1 / load above 1 |
 //! | `vehicles[i].brake_offset_mps2` | largest deceleration relative to its class's |
 //! | `vehicles[i].driver.NAME.rate_share` | rate of a braking script, as a share of what the vehicle can do on this road |
+//! | `vehicles[i].driver.brake-to-speed.final_share` | speed down to which a script brakes, as a share of its first |
 //! | `vehicles[i].driver.pieces.brake_share` | the same for every piece of a script |
 //! | `vehicles[i].driver.pieces.onset_s` | when the first piece starts; the others keep their distance |
 //! | `vehicles[i].driver.pieces.cruise_mps2` | acceleration of every piece, cut where the speed would leave 18 to 130 km/h |

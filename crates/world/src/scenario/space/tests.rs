@@ -108,6 +108,43 @@ fn the_paper_space_has_the_papers_law() {
 }
 
 #[test]
+fn speeds_and_gaps_that_depend_on_each_other_do_what_they_say() {
+    let number = |field: &str, unit: &str, nominal: f64| {
+        let plain = parameter(field, unit, "distribution.uniform = { low = 0.0, high = 100.0 }");
+        format!("{plain}nominal = {nominal}\n")
+    };
+    let base = "version = 1\nname = \"s\"\n[base]\nversion = 1\nname = \"s\"\nabout = \"\"\nduration_s = 10.0\n\
+        [[base.vehicles]]\nclass = \"light\"\nposition_m = 52.0\nspeed_mps = 20.0\n\
+        driver.brake-to-speed = { onset_s = 1.0, rate_mps2 = 3.0, final_speed_mps = 10.0 }\n\
+        [[base.vehicles]]\nclass = \"light\"\nposition_m = 0.0\nspeed_mps = 20.0\ndriver = \"under-test\"\n";
+    let shares = [
+        parameter("vehicles[0].speed_share", "1", "distribution.uniform = { low = 0.0, high = 1.0 }"),
+        parameter(
+            "vehicles[0].driver.brake-to-speed.final_share",
+            "1",
+            "distribution.uniform = { low = 0.0, high = 1.0 }",
+        ),
+        number("vehicles[1].closing_time_s", "s", 5.0),
+        parameter("vehicles[*].speed_mps", "m/s", "distribution.uniform = { low = 1.0, high = 40.0 }"),
+    ];
+    let space = file::from_toml(&format!("{base}{}", shares.concat()), Path::new("s.toml")).unwrap();
+    let found = space.scenario(&[0.5, 0.4, 3.0, 30.0]).unwrap();
+    assert_eq!([0, 1].map(|index| found.vehicles()[index].speed_mps), [15.0, 30.0]);
+    assert!((found.initial_gap_m(1).unwrap() - 45.0).abs() < 1e-9, "3 s at 15 m/s");
+    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &found.vehicles()[0].driver else { panic!("a script") };
+    assert!((brake.final_speed_mps - 6.0).abs() < 1e-12);
+    let alongside = space.scenario(&[1.0, 0.4, 3.0, 30.0]).unwrap();
+    assert!((alongside.initial_gap_m(1).unwrap() - 2.0).abs() < 1e-9, "nobody closes in");
+    let standing = built_in_space("standing").unwrap();
+    for index in 0..50 {
+        let drawn = standing.draw(1, index).unwrap();
+        let [lead, ego] = [0, 1].map(|vehicle| drawn.vehicles()[vehicle].speed_mps);
+        let closing_s = drawn.initial_gap_m(1).unwrap() / ego;
+        assert!(lead == 0.0 && (2.8..=36.1).contains(&ego) && (1.999..=12.001).contains(&closing_s));
+    }
+}
+
+#[test]
 fn derived_fields_do_what_they_say() {
     let parameters = [
         parameter("vehicles[1].gap_m", "m", "distribution.uniform = { low = 1, high = 31 }"),

@@ -1,0 +1,158 @@
+//! Training spaces by name, file or blend.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use rand::RngExt;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::config::ConfigError;
+use super::source::{PaperDraws, ScenarioSource, unsuited};
+use crumple_world::random::{self, Purpose};
+use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
+use crumple_world::scenario::{InvalidField, Scenario};
+
+/// Most spaces of a blend.
+const MOST_SPACES: usize = 32;
+
+/// One space of a training.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SpaceShare {
+    /// A built-in space, or a space file: from the folder that `crumple` runs in.
+    pub space: String,
+    /// How many of the episodes are drawn from it, relative to the weights of the others.
+    pub weight: f64,
+}
+
+/// Draws of several spaces by turns.
+#[derive(Debug, Clone)]
+pub struct WeightedSpaces {
+    parts: Vec<Part>,
+}
+
+#[derive(Debug, Clone)]
+struct Part {
+    space: Space,
+    share: f64,
+    /// Sum of the shares up to this one.
+    below: f64,
+}
+
+/// Sets the stream of the turns apart from those of other mixtures.
+const TURN: u64 = u64::MAX - 3;
+
+impl WeightedSpaces {
+    /// The spaces of a configuration, each in proportion to its weight.
+    ///
+    /// # Errors
+    /// [`ConfigError`] if a space is unknown, cannot be read, or holds what the agent cannot be trained on, or a weight is no
+    /// positive number.
+    pub fn new(shares: &[SpaceShare]) -> Result<Self, ConfigError> {
+        let problem = |problem: String| ConfigError::Field { field: "spaces", problem };
+        if shares.len() > MOST_SPACES {
+            return Err(problem(format!("{MOST_SPACES} are the most, found {}", shares.len())));
+        }
+        for SpaceShare { space, weight } in shares {
+            if !(1e-6..=1e6).contains(weight) {
+                return Err(problem(format!(
+                    "the weight of `{space}` must be between 0.000001 and 1000000, found {weight}"
+                )));
+            }
+        }
+        let total: f64 = shares.iter().map(|share| share.weight).sum();
+        let (mut parts, mut below) = (Vec::new(), 0.0);
+        for SpaceShare { space, weight } in shares {
+            let space = found(space).map_err(problem)?;
+            let first = space.draw(0, 0).map_err(|error| problem(error.to_string()))?;
+            if let Some(reason) = unsuited(&first) {
+                return Err(problem(format!("`{}` cannot be trained on: {reason}", space.name())));
+            }
+            let share = weight / total;
+            below += share;
+            parts.push(Part { space, share, below });
+        }
+        Ok(Self { parts })
+    }
+
+    /// Its spaces.
+    pub fn spaces(&self) -> impl Iterator<Item = &Space> {
+        self.parts.iter().map(|part| &part.space)
+    }
+}
+
+/// A built-in space, or that of a file.
+fn found(name: &str) -> Result<Space, String> {
+    match built_in_space(name) {
+        Some(space) => Ok(space),
+        None if Path::new(name).extension().is_none() => {
+            let known: Vec<_> = BUILT_IN_SPACES.iter().map(|(known, ..)| *known).collect();
+            Err(format!("`{name}` is neither a built-in space ({}) nor a file", known.join(", ")))
+        }
+        None => file::load(Path::new(name)).map_err(|error| error.to_string()),
+    }
+}
+
+impl ScenarioSource for WeightedSpaces {
+    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+        let mut stream = random::stream(random::derived_seed(seed, TURN), Purpose::ScenarioDraw, index);
+        let turn = stream.random::<f64>();
+        // Shares add up to 1 but for rounding: the last one takes what is left.
+        let part = self.parts.iter().find(|part| turn < part.below).or(self.parts.last());
+        match part {
+            Some(part) => part.space.draw(seed, index),
+            None => PaperDraws.draw(seed, index),
+        }
+    }
+
+    fn identity(&self) -> Result<Option<String>, serde_json::Error> {
+        let named = self.parts.iter().map(|part| {
+            let name = part.space.identity()?.unwrap_or_default();
+            Ok(format!("a share of {} of {name}", part.share))
+        });
+        Ok(Some(named.collect::<Result<Vec<_>, serde_json::Error>>()?.join(", ")))
+    }
+}
+
+/// What a training of these spaces draws from; without any, the paper's distribution.
+pub(super) fn source(shares: &[SpaceShare]) -> Result<Arc<dyn ScenarioSource>, ConfigError> {
+    if shares.is_empty() { Ok(Arc::new(PaperDraws)) } else { Ok(Arc::new(WeightedSpaces::new(shares)?)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn share(space: &str, weight: f64) -> SpaceShare {
+        SpaceShare { space: space.to_owned(), weight }
+    }
+
+    #[test]
+    fn each_space_gets_its_share_and_is_drawn_from_as_it_is() {
+        let blend =
+            WeightedSpaces::new(&[share("traffic", 3.0), share("paper", 1.0), share("high-risk", 4.0)]).unwrap();
+        let mut counts = [0_u32; 3];
+        for index in 0..2000 {
+            let drawn = blend.draw(7, index).unwrap();
+            let place = blend.spaces().position(|space| space.draw(7, index).unwrap() == drawn).unwrap();
+            counts[place] += 1;
+        }
+        // Four standard deviations.
+        for (found, expected, four) in [(counts[0], 750, 87), (counts[1], 250, 60), (counts[2], 1000, 90)] {
+            assert!(found.abs_diff(expected) < four, "{counts:?}");
+        }
+        let identity = blend.identity().unwrap().unwrap();
+        assert!(identity.starts_with("a share of 0.375 of the space `traffic` (sha256 "), "{identity}");
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        let refused = |shares: &[SpaceShare]| WeightedSpaces::new(shares).unwrap_err().to_string();
+        assert!(refused(&[share("nowhere", 1.0)]).contains("`nowhere` is neither a built-in space"));
+        for weight in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(refused(&[share("paper", weight)]).starts_with("spaces: the weight of `paper` must be between"));
+        }
+        assert!(refused(&vec![share("paper", 1.0); 33]).contains("32 are the most"));
+    }
+}

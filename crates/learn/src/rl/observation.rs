@@ -1,0 +1,173 @@
+//! What the agent sees: which of the paper's eight numbers, and how they are made to be of order one.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::config::ConfigError;
+use crumple_world::policy::{ObservationScaling, STATE};
+
+/// Which numbers the networks see, each as `(x - offset) / scale`, cut to ±`limit`. What is left out of `inputs` is always 0.
+///
+/// The default is the paper's eight numbers (section "Markov decision process", paragraph S). The paper does not say how
+/// they are scaled; the scaling is ours. A policy file carries it ([`ObservationScaling`]), so that the policy drives alone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct ObservationConfig {
+    /// Scaled numbers are cut to plus and minus this.
+    pub limit: f64,
+    /// Gap to the vehicle that stands in for one that is not there, in metres; it drives as fast as the ego.
+    pub empty_gap_m: f64,
+    /// What is seen.
+    pub inputs: Inputs,
+}
+
+/// What is seen, and how each number is scaled; none for what is not.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct Inputs {
+    /// Bumper gap to the vehicle ahead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gap_ahead_m: Option<Scale>,
+    /// Bumper gap to the vehicle behind.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gap_behind_m: Option<Scale>,
+    /// Speed of the vehicle ahead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed_ahead_mps: Option<Scale>,
+    /// Own speed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed_mps: Option<Scale>,
+    /// Speed of the vehicle behind.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed_behind_mps: Option<Scale>,
+    /// Acceleration of the vehicle ahead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acceleration_ahead_mps2: Option<Scale>,
+    /// Own acceleration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acceleration_mps2: Option<Scale>,
+    /// Acceleration of the vehicle behind.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acceleration_behind_mps2: Option<Scale>,
+}
+
+/// `(x - offset) / scale`, both in the unit of the number.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Scale {
+    /// Subtracted.
+    pub offset: f64,
+    /// Divided by; positive.
+    pub scale: f64,
+}
+
+/// Names of the inputs, in the order of [`Inputs::in_order`].
+const NAMES: [&str; STATE] = [
+    "environment.observation.inputs.gap_ahead_m",
+    "environment.observation.inputs.gap_behind_m",
+    "environment.observation.inputs.speed_ahead_mps",
+    "environment.observation.inputs.speed_mps",
+    "environment.observation.inputs.speed_behind_mps",
+    "environment.observation.inputs.acceleration_ahead_mps2",
+    "environment.observation.inputs.acceleration_mps2",
+    "environment.observation.inputs.acceleration_behind_mps2",
+];
+
+/// Divided by it every number is 0.
+const UNSEEN: Scale = Scale { offset: 0.0, scale: f64::MAX };
+
+impl Inputs {
+    /// In the order in which networks see them: the paper's.
+    fn in_order(&self) -> [Option<Scale>; STATE] {
+        [
+            self.gap_ahead_m,
+            self.gap_behind_m,
+            self.speed_ahead_mps,
+            self.speed_mps,
+            self.speed_behind_mps,
+            self.acceleration_ahead_mps2,
+            self.acceleration_mps2,
+            self.acceleration_behind_mps2,
+        ]
+    }
+}
+
+impl Default for ObservationConfig {
+    fn default() -> Self {
+        let ObservationScaling { offset, scale, limit, empty_gap_m } = ObservationScaling::default();
+        let mut all = offset.into_iter().zip(scale).map(|(offset, scale)| Scale { offset, scale });
+        let inputs = Inputs {
+            gap_ahead_m: all.next(),
+            gap_behind_m: all.next(),
+            speed_ahead_mps: all.next(),
+            speed_mps: all.next(),
+            speed_behind_mps: all.next(),
+            acceleration_ahead_mps2: all.next(),
+            acceleration_mps2: all.next(),
+            acceleration_behind_mps2: all.next(),
+        };
+        Self { limit, empty_gap_m, inputs }
+    }
+}
+
+impl ObservationConfig {
+    /// Whether it is the one that every policy had before it could be configured.
+    pub(super) fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// What a policy file carries of it.
+    #[must_use]
+    pub fn scaling(&self) -> ObservationScaling {
+        let all = self.inputs.in_order().map(|input| input.unwrap_or(UNSEEN));
+        ObservationScaling {
+            offset: all.map(|input| input.offset),
+            scale: all.map(|input| input.scale),
+            limit: self.limit,
+            empty_gap_m: self.empty_gap_m,
+        }
+    }
+
+    /// Every number, its name and its range.
+    pub(super) fn ranges(&self) -> impl Iterator<Item = (&'static str, f64, [f64; 2])> {
+        let inputs = NAMES.into_iter().zip(self.inputs.in_order()).filter_map(|(name, input)| Some((name, input?)));
+        let inputs =
+            inputs.flat_map(|(name, input)| [(name, input.offset, [-1e4, 1e4]), (name, input.scale, [1e-3, 1e4])]);
+        let whole = [
+            ("environment.observation.limit", self.limit, [0.1, 1000.0]),
+            ("environment.observation.empty_gap_m", self.empty_gap_m, [1.0, 1e4]),
+        ];
+        whole.into_iter().chain(inputs)
+    }
+
+    /// Refuses to see nothing.
+    pub(super) fn check(&self) -> Result<(), ConfigError> {
+        if self.inputs.in_order().iter().any(Option::is_some) {
+            return Ok(());
+        }
+        let field = "environment.observation.inputs";
+        Err(ConfigError::Field { field, problem: "nothing is seen; name one input at least".to_owned() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::observation::{Neighbour, Observation};
+
+    #[test]
+    fn the_default_is_what_policies_have_always_seen_and_what_is_left_out_is_0() {
+        assert_eq!(ObservationConfig::default().scaling(), ObservationScaling::default());
+        let mut config = ObservationConfig::default();
+        config.inputs.gap_behind_m = None;
+        config.inputs.acceleration_ahead_mps2 = None;
+        let neighbour = Neighbour { gap_m: 24.0, speed_mps: 25.0, acceleration_mps2: -5.0 };
+        let seen =
+            Observation { speed_mps: 0.0, acceleration_mps2: 5.0, ahead: Some(neighbour), behind: Some(neighbour) };
+        assert_eq!(config.scaling().state(&seen), [0.5, 0.0, 1.0, -1.0, 1.0, 0.0, 1.0, -1.0]);
+        config.inputs = Inputs::default();
+        assert!(config.check().is_err());
+    }
+}

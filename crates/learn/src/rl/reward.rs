@@ -1,0 +1,207 @@
+//! The reward of a step: what the paper pays for not touching, less what driving so costs others and passengers.
+//!
+//! The paper pays the same for every step without contact (section "Markov decision process"). A controller that brakes before
+//! anybody does, or stands in the road, earns all of it. [`CostConfig`] says what else counts; without it the reward is the
+//! paper's, to the last bit.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::config::EnvironmentConfig;
+use super::environment::EGO;
+use crumple_world::measure::{State, caused_brake_mps2};
+use crumple_world::sim::Stepper;
+
+/// Braking as hard as a car can on a dry road, in m/s²: what decelerations are relative to.
+const FULL_BRAKE_MPS2: f64 = 7.5;
+/// Jerk that costs as much as its weight, in m/s³: full braking within a tenth of a second.
+const FULL_JERK_MPS3: f64 = 75.0;
+/// Difference of speeds that costs as much as its weight, in m/s.
+const FULL_DIFFERENCE_MPS: f64 = 10.0;
+/// By how much braking may exceed what has a cause, in m/s².
+const NEEDLESS_MARGIN_MPS2: f64 = 1.0;
+/// Largest weight.
+const MOST_WEIGHT: f64 = 100.0;
+
+/// What a step costs, as a share of the step's reward: a step without contact earns
+/// `step_reward * (1 - sum of weight * term)`. Every weight is 0 unless it is given.
+///
+/// | weight | its term, from the true state after the step |
+/// |---|---|
+/// | `far` | (gap - wanted) / wanted, from 0 to 1: falling behind |
+/// | `near` | (wanted - gap) / wanted, from 0 to 1: following closely |
+/// | `relative_speed` | difference of speed from the vehicle ahead / 10 m/s, at most 1 |
+/// | `acceleration` | (acceleration / 7.5 m/s²)² |
+/// | `jerk` | change of acceleration in the step / its time / 75 m/s³ |
+/// | `imposed` | braking of the vehicle behind beyond that of the one ahead / 7.5 m/s² |
+/// | `needless` | braking beyond 1 m/s² more than has a cause ([`caused_brake_mps2`]) / 7.5 m/s² |
+///
+/// The wanted gap is `standstill_m + headway_s * speed`. Terms about a vehicle that is not there are 0.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+#[non_exhaustive]
+pub struct CostConfig {
+    /// Wanted gap at a standstill, in metres.
+    pub standstill_m: f64,
+    /// Wanted time headway beyond it, in seconds.
+    pub headway_s: f64,
+    /// Weight of falling behind.
+    pub far: f64,
+    /// Weight of following closely.
+    pub near: f64,
+    /// Weight of a difference of speed from the vehicle ahead.
+    pub relative_speed: f64,
+    /// Weight of acceleration.
+    pub acceleration: f64,
+    /// Weight of jerk.
+    pub jerk: f64,
+    /// Weight of braking imposed on the vehicle behind.
+    pub imposed: f64,
+    /// Weight of braking without cause.
+    pub needless: f64,
+}
+
+impl Default for CostConfig {
+    fn default() -> Self {
+        Self {
+            standstill_m: 2.0,
+            headway_s: 1.3,
+            far: 0.0,
+            near: 0.0,
+            relative_speed: 0.0,
+            acceleration: 0.0,
+            jerk: 0.0,
+            imposed: 0.0,
+            needless: 0.0,
+        }
+    }
+}
+
+impl CostConfig {
+    /// Name and value of every weight.
+    fn weights(&self) -> [(&'static str, f64); 7] {
+        [
+            ("environment.costs.far", self.far),
+            ("environment.costs.near", self.near),
+            ("environment.costs.relative_speed", self.relative_speed),
+            ("environment.costs.acceleration", self.acceleration),
+            ("environment.costs.jerk", self.jerk),
+            ("environment.costs.imposed", self.imposed),
+            ("environment.costs.needless", self.needless),
+        ]
+    }
+
+    /// Every number, its name and its range.
+    pub(super) fn ranges(&self) -> impl Iterator<Item = (&'static str, f64, [f64; 2])> {
+        let wanted = [
+            ("environment.costs.standstill_m", self.standstill_m, [0.1, 100.0]),
+            ("environment.costs.headway_s", self.headway_s, [0.0, 10.0]),
+        ];
+        wanted.into_iter().chain(self.weights().map(|(name, weight)| (name, weight, [0.0, MOST_WEIGHT])))
+    }
+
+    /// Whether nothing costs anything: the paper's reward.
+    #[must_use]
+    pub fn is_free(&self) -> bool {
+        self.weights().iter().all(|(_, weight)| *weight == 0.0)
+    }
+
+    /// About the largest cost of a step, as a share of its reward.
+    pub(super) fn largest(&self) -> f64 {
+        self.weights().iter().map(|(_, weight)| weight).sum()
+    }
+
+    /// What a step costs, as a share of its reward. `before_mps2` is the ego's acceleration in the step before.
+    fn of(&self, stepper: &Stepper<'_, '_>, before_mps2: f64, step_s: f64) -> f64 {
+        let motion = stepper.motion();
+        let (Some(ego), Some(gap_m), Some(front)) = (motion.get(EGO), stepper.gap_m(EGO), EGO.checked_sub(1)) else {
+            return 0.0;
+        };
+        let Some(front) = motion.get(front) else { return 0.0 };
+        let wanted_m = self.standstill_m + self.headway_s * ego.speed_mps;
+        let off = (gap_m - wanted_m) / wanted_m;
+        let brake_mps2 = -ego.acceleration_mps2;
+        let state = State {
+            time_s: 0.0,
+            gap_m: gap_m.max(0.0),
+            front_speed_mps: front.speed_mps,
+            rear_speed_mps: ego.speed_mps,
+            front_acceleration_mps2: front.acceleration_mps2,
+            rear_acceleration_mps2: ego.acceleration_mps2,
+        };
+        let imposed_mps2 =
+            motion.get(EGO + 1).map_or(0.0, |behind| -behind.acceleration_mps2 - (-front.acceleration_mps2).max(0.0));
+        self.far * off.clamp(0.0, 1.0)
+            + self.near * (-off).clamp(0.0, 1.0)
+            + self.relative_speed * ((front.speed_mps - ego.speed_mps).abs() / FULL_DIFFERENCE_MPS).min(1.0)
+            + self.acceleration * (brake_mps2 / FULL_BRAKE_MPS2).powi(2)
+            + self.jerk * (ego.acceleration_mps2 - before_mps2).abs() / step_s / FULL_JERK_MPS3
+            + self.imposed * imposed_mps2.max(0.0) / FULL_BRAKE_MPS2
+            + self.needless * (brake_mps2 - caused_brake_mps2(&state) - NEEDLESS_MARGIN_MPS2).max(0.0) / FULL_BRAKE_MPS2
+    }
+}
+
+/// What an agent earns, step by step.
+pub(super) struct Earnings {
+    step_s: f64,
+    before_mps2: f64,
+}
+
+impl Earnings {
+    pub(super) fn new(stepper: &Stepper<'_, '_>, step_s: f64) -> Self {
+        Self { step_s, before_mps2: acceleration_mps2(stepper) }
+    }
+
+    /// The reward of the step just made, unscaled.
+    pub(super) fn of_step(&mut self, stepper: &Stepper<'_, '_>, config: &EnvironmentConfig) -> f64 {
+        if stepper.has_touched() {
+            return config.contact_reward;
+        }
+        if config.costs.is_free() {
+            return config.step_reward;
+        }
+        let cost = config.costs.of(stepper, self.before_mps2, self.step_s);
+        self.before_mps2 = acceleration_mps2(stepper);
+        config.step_reward * (1.0 - cost)
+    }
+}
+
+fn acceleration_mps2(stepper: &Stepper<'_, '_>) -> f64 {
+    stepper.motion().get(EGO).map_or(0.0, |ego| ego.acceleration_mps2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rl::TrainingConfig;
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::scenario::built_in;
+    use crumple_world::sim::{RecordingLevel, Run, RunOptions};
+
+    /// Paper-1 after one step in which the ego brakes at 4 m/s²: 25 m/s, a gap of 16 m, and a leader that keeps its speed.
+    fn earned(costs: CostConfig) -> f64 {
+        let config = EnvironmentConfig { costs, ..TrainingConfig::preset("fast").unwrap().environment };
+        let scenario = built_in("paper-1").unwrap();
+        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
+        let mut stepper = Stepper::new(&run, RecordingLevel::Summary);
+        let mut earnings = Earnings::new(&stepper, 0.01);
+        stepper.command(EGO, -4.0);
+        stepper.step();
+        earnings.of_step(&stepper, &config) / config.step_reward
+    }
+
+    #[test]
+    fn each_term_by_hand() {
+        let none = CostConfig::default;
+        assert_eq!(earned(none()), 1.0);
+        let near = |found: f64, by_hand: f64| assert!((found - (1.0 - by_hand)).abs() < 2e-3, "{found} {by_hand}");
+        near(earned(CostConfig { near: 1.0, ..none() }), (34.5 - 16.0) / 34.5);
+        near(earned(CostConfig { far: 1.0, standstill_m: 1.0, headway_s: 0.5, ..none() }), (16.0 - 13.5) / 13.5);
+        near(earned(CostConfig { relative_speed: 10.0, ..none() }), 0.04);
+        near(earned(CostConfig { acceleration: 2.0, ..none() }), 2.0 * (4.0_f64 / 7.5).powi(2));
+        near(earned(CostConfig { jerk: 0.5, ..none() }), 0.5 * 400.0 / 75.0);
+        // The reference driver wants 42 m, and brakes at 0.73 (42 / 16)² m/s²: more than 4.
+        near(earned(CostConfig { needless: 1.0, ..none() }), 0.0);
+        near(earned(CostConfig { imposed: 1.0, ..none() }), 0.0);
+    }
+}
