@@ -176,7 +176,7 @@ fn training(name: &str) -> Result<TrainingConfig, Failure> {
     let path = Path::new(name);
     if path.extension().is_some() {
         let text = crumple_world::scenario::file::read(path)?;
-        return TrainingConfig::parse(&text).map_err(|error| Failure::Input(format!("{name}: {error}")));
+        return TrainingConfig::parse(&text, path).map_err(Failure::input);
     }
     if ["retrain", "harden"].contains(&name) { training_preset() } else { TrainingConfig::preset(name) }
         .map_err(Failure::input)

@@ -132,7 +132,7 @@ impl Train {
         let path = Path::new(&self.preset);
         let mut config = if path.extension().is_some() {
             let text = crumple_world::scenario::file::read(path)?;
-            TrainingConfig::parse(&text).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))?
+            TrainingConfig::parse(&text, path).map_err(Failure::input)?
         } else {
             TrainingConfig::preset(&self.preset).map_err(Failure::input)?
         };

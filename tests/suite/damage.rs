@@ -56,7 +56,7 @@ fn count(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String>
 }
 
 fn training(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
-    let mut config = TrainingConfig::parse(&tiny::forgetful(&tiny::training())).unwrap();
+    let mut config = TrainingConfig::parse(&tiny::forgetful(&tiny::training()), Path::new("tiny")).unwrap();
     config.episodes = 33;
     let error = |error: crumple_learn::rl::TrainingError| error.to_string();
     let training = TrainingFolder::open(folder, &config, seed, true).map_err(error)?;
@@ -70,7 +70,7 @@ fn retraining(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), St
         first_name: "policy".to_owned(),
         space: built_in_space("high-risk").unwrap(),
         regression: vec![built_in_space("traffic").unwrap()],
-        training: TrainingConfig::parse(&tiny::forgetful(&tiny::retraining())).unwrap(),
+        training: TrainingConfig::parse(&tiny::forgetful(&tiny::retraining()), Path::new("tiny")).unwrap(),
         method: Method::Uniform,
         seed,
         settings: Settings {

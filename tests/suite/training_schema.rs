@@ -1,5 +1,7 @@
 //! Training configurations: the schema tells the truth.
 
+use std::path::Path;
+
 use crumple_learn::retrain::training_preset;
 use crumple_learn::rl::{PRESETS, TrainingConfig, json_schema};
 
@@ -19,7 +21,7 @@ fn the_training_schema_accepts_the_presets_and_refuses_nonsense() {
     for preset in presets {
         let value = serde_json::to_value(&preset).unwrap();
         validate(&schema, &schema, &value, "training").unwrap();
-        let parsed = |text: &toml::Table| TrainingConfig::parse(&toml::to_string(text).unwrap());
+        let parsed = |text: &toml::Table| TrainingConfig::parse(&toml::to_string(text).unwrap(), Path::new("preset"));
         let table: toml::Table = toml::to_string(&preset).unwrap().parse().unwrap();
         assert_eq!(parsed(&table).unwrap(), preset, "a preset survives being written");
         for (place, nonsense) in [
@@ -34,7 +36,7 @@ fn the_training_schema_accepts_the_presets_and_refuses_nonsense() {
             changed.pointer_mut(parent).unwrap().as_object_mut().unwrap().insert(name.to_owned(), nonsense);
             assert!(validate(&schema, &schema, &changed, "training").is_err(), "{}{place}", preset.name);
             let text = toml::to_string(&changed).unwrap();
-            assert!(TrainingConfig::parse(&text).is_err(), "{}{place}", preset.name);
+            assert!(TrainingConfig::parse(&text, Path::new("preset")).is_err(), "{}{place}", preset.name);
         }
     }
 }

@@ -98,7 +98,7 @@ const PRESET: &str = include_str!("preset.toml");
 /// # Errors
 /// None: a test reads it.
 pub fn training_preset() -> Result<TrainingConfig, ConfigError> {
-    TrainingConfig::parse(PRESET)
+    TrainingConfig::parse(PRESET, Path::new("retrain"))
 }
 
 /// The file `retrain.toml`.

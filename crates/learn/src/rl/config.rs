@@ -1,5 +1,6 @@
 //! The training configuration: what a preset file states.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use schemars::JsonSchema;
@@ -10,7 +11,7 @@ use super::observation::ObservationConfig;
 use super::reward::CostConfig;
 use super::source::ScenarioSource;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file::read_by_name;
+use crumple_world::scenario::file;
 
 /// Version of the preset format this release reads.
 pub const TRAINING_VERSION: u32 = 1;
@@ -208,9 +209,9 @@ pub enum ConfigError {
     /// No such preset.
     #[error("there is no preset `{0}`; there are fast, paper, paper-net, road")]
     Unknown(String),
-    /// The text does not parse.
+    /// A text is none: its file, line and field, and what is wrong.
     #[error("{0}")]
-    Syntax(String),
+    Text(String),
     /// A field is out of range.
     #[error("{field}: {problem}")]
     Field {
@@ -228,20 +229,24 @@ impl TrainingConfig {
     /// [`ConfigError::Unknown`] for any other name.
     pub fn preset(name: &str) -> Result<Self, ConfigError> {
         match PRESETS.iter().find(|(known, _)| *known == name) {
-            Some((_, text)) => Self::parse(text),
+            Some((_, text)) => Self::parse(text, Path::new(name)),
             None => Err(ConfigError::Unknown(name.to_owned())),
         }
     }
 
-    /// A configuration from TOML.
+    /// A configuration from TOML; `path` only names it in errors.
     ///
     /// # Errors
-    /// [`ConfigError`] if it does not parse or a field is out of range.
-    pub fn parse(text: &str) -> Result<Self, ConfigError> {
-        let syntax = |error: toml::de::Error| ConfigError::Syntax(error.to_string());
-        let parsed = toml::Deserializer::parse(text).map_err(syntax)?;
-        let config: Self = read_by_name(parsed).map_err(syntax)?;
-        config.check()?;
+    /// [`ConfigError::Text`], with line and field, if it does not parse or a field is out of range.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
+        let config: Self = file::parse_toml(text, path).map_err(|error| ConfigError::Text(error.to_string()))?;
+        config.check().map_err(|error| match error {
+            ConfigError::Field { field, .. } => {
+                let line = file::line_in_toml(text, field);
+                ConfigError::Text(format!("{}:{line}: {error}", path.display()))
+            }
+            other => other,
+        })?;
         Ok(config)
     }
 
@@ -331,7 +336,9 @@ mod tests {
     #[test]
     fn a_field_out_of_range_is_named() {
         let text = PRESETS[0].1.replace("soft_update = 0.005", "soft_update = 1.5");
-        let error = TrainingConfig::parse(&text).expect_err("refused").to_string();
-        assert!(error.contains("learning.soft_update: must be between 0 and 1"), "{error}");
+        let error = TrainingConfig::parse(&text, Path::new("fast.toml")).expect_err("refused").to_string();
+        let line = text.lines().position(|line| line.starts_with("soft_update")).unwrap() + 1;
+        let expected = format!("fast.toml:{line}: learning.soft_update: must be between 0 and 1");
+        assert!(error.starts_with(&expected), "{error}");
     }
 }

@@ -197,7 +197,7 @@ fn opened(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Resul
     let asked = Asked { kind: "training", configuration: &configuration, configuration_file: CONFIGURATION, resume };
     match Work::open(&folder, asked) {
         Err(WorkError::OtherConfiguration { path, found, .. }) => {
-            let episodes = TrainingConfig::parse(&found).map_or(config.episodes, |found| found.episodes);
+            let episodes = TrainingConfig::parse(&found, &path).map_or(config.episodes, |found| found.episodes);
             let expected = text_of(&TrainingConfig { episodes, ..config.clone() })?;
             Err(TrainingError::OtherTraining(difference::in_toml(&path, "training", &found, &expected)))
         }
