@@ -11,7 +11,7 @@ use super::{Failure, interrupt, progress};
 use crumple_report::assessment::{
     AssessError, AssessmentPlan, ComparisonError, Earlier, FOLDERS, Made, Store, StoreError, assess, files_of_evidence,
 };
-use crumple_search::disk::{DiskError, Files};
+use crumple_search::disk::{self, DiskError, Files};
 use crumple_search::program;
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
@@ -93,7 +93,8 @@ impl Assess {
         let assessment = assess(&plan, &store, against.as_ref(), &|done| bar.set_position(done))?;
         let assessment = assessment.made(made(folder, identity, begun.elapsed()));
         bar.finish_and_clear();
-        let earlier = fs::read_to_string(self.out.join("assessment.json")).map(|json| files_of_evidence(&json));
+        let earlier = disk::read(&self.out.join("assessment.json"), MOST_EVIDENCE_BYTES);
+        let earlier = earlier.ok().flatten().map(|json| files_of_evidence(&String::from_utf8_lossy(&json)));
         let earlier = earlier.unwrap_or_default();
         let mut files = Files::default();
         let rendered = assessment.files().map_err(Failure::input)?;
@@ -124,16 +125,20 @@ impl Assess {
             said += &format!("{}\n", comparison.words());
         }
         let failed: Vec<_> = assessment.summary.gates.iter().filter(|gate| !gate.holds).collect();
-        output::print(&said)?;
-        match failed.as_slice() {
+        let printed = output::print(&said);
+        let gate = match failed.as_slice() {
             [] => Ok(()),
             gates => {
                 let lines: Vec<_> = gates.iter().map(|gate| format!("{} ({})", gate.gate, gate.because)).collect();
                 Err(Failure::Gate(lines.join("; ")))
             }
-        }
+        };
+        Failure::gate_first(gate, printed)
     }
 }
+
+/// The longest evidence of an earlier report that is looked through for its files.
+const MOST_EVIDENCE_BYTES: u64 = 64 << 20;
 
 /// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.
 fn check_own_folders(out: &Path) -> Result<(), Failure> {

@@ -85,7 +85,8 @@ impl Avoid {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let family = self.family()?;
         let options = AvoidOptions { grid_s: self.grid, escape: self.escape, certify_bound: true };
-        let avoidance = avoid_all(&family, options).map_err(Failure::input)?;
+        let avoidance =
+            avoid_all(&family, options).map_err(|error| Failure::Input(format!("{}: {error}", self.scenario)))?;
         let mut files = Files::default();
         self.stage_certificates(&family, &avoidance, &mut files)?;
         match avoidance.verdict.escape() {

@@ -79,12 +79,14 @@ impl Check {
         for (path, certificate) in &certificates {
             all.push(self.judge(path, certificate, scenario.as_ref(), quiet)?);
         }
-        output::print(&match self.format {
+        let printed = output::print(&match self.format {
             Format::Json => checked::json(&all).map_err(Failure::input)?,
             Format::Text => checked::text(&all, scenario.as_ref().map(|scenario| scenario.spec().name.as_str())),
-        })?;
+        });
         let refused: Vec<&str> = all.iter().filter(|one| one.is_refused()).map(|one| one.path.as_str()).collect();
-        if refused.is_empty() { Ok(()) } else { Err(Failure::Gate(format!("rejected: {}", refused.join(", ")))) }
+        let gate =
+            if refused.is_empty() { Ok(()) } else { Err(Failure::Gate(format!("rejected: {}", refused.join(", ")))) };
+        Failure::gate_first(gate, printed)
     }
 
     fn judge<'a>(

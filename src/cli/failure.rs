@@ -33,6 +33,11 @@ impl Failure {
         Self::Input(error.to_string())
     }
 
+    /// A gate holds or does not, even where the results cannot be printed; only then that is the failure.
+    pub(super) fn gate_first(gate: Result<(), Self>, printed: Result<(), Self>) -> Result<(), Self> {
+        gate.and(printed)
+    }
+
     /// The exit code, as `--help` documents it.
     #[must_use]
     pub(super) fn exit_code(&self) -> ExitCode {
@@ -54,9 +59,10 @@ impl Failure {
     /// A file that could not be read: a wrong argument if it is not there or not text, otherwise the environment's fault.
     pub(super) fn unreadable(path: PathBuf, source: io::Error) -> Self {
         match source.kind() {
-            io::ErrorKind::NotFound | io::ErrorKind::IsADirectory | io::ErrorKind::InvalidData => {
-                Self::Input(format!("{}: {source}", path.display()))
-            }
+            io::ErrorKind::NotFound
+            | io::ErrorKind::IsADirectory
+            | io::ErrorKind::NotADirectory
+            | io::ErrorKind::InvalidData => Self::Input(format!("{}: {source}", path.display())),
             _ => Self::Environment(DiskError { path, source }),
         }
     }

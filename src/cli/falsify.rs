@@ -93,6 +93,7 @@ impl Falsify {
             None => format!("{kept}; the controller states no identity, so nothing goes on with them"),
         };
         interrupt::says(again, quiet);
+        output::note_beginning(self.resume, &self.out, quiet);
         let bar = progress::campaign_bar(self.budget.saturating_mul(campaign.methods().len() as u64), quiet);
         let mut show = |state: &Progress| {
             bar.set_position(state.evaluations);

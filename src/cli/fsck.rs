@@ -19,6 +19,9 @@ While work is under way, what only doing it again could make again (checkpoints,
 as it was before. --restore goes back to that, where something is damaged; --resume then ends with the same results. What is \
 damaged and was not kept cannot be gone on from: begin anew in another --out, with the same seed it ends with the same results.
 
+Files beside those of the work are named, and left alone; so are `training.json` and the learning curves of a folder of trainings, which every \
+`train` writes anew. A folder of `crumple assess` is none of work: what is kept there is checked when it is used. Damage is exit code 1.
+
 It finds what was cut, edited, moved or lost, on purpose or by accident; not the work of somebody who wrote files and `work.json` anew.
 
 Examples:
@@ -35,22 +38,36 @@ pub(super) struct Fsck {
 
 impl Fsck {
     pub(super) fn run(self) -> Result<(), Failure> {
-        let (mut text, mut damaged) = (String::new(), Vec::new());
+        let (mut text, mut damaged, mut unreadable) = (String::new(), Vec::new(), None);
         for folder in self.folders.iter().flat_map(|folder| seeds_in(folder)) {
-            let folder = &folder;
-            let restored = if self.restore { restore(folder)? } else { None };
-            text += &restored.map_or_else(String::new, |restored| back(folder, &restored));
-            let found = examine(folder)?;
-            text += &described(folder, &found);
-            if found.files.iter().any(|(_, state)| state.is_err()) {
-                damaged.push(folder.display().to_string());
+            match self.look(&folder, &mut text) {
+                Ok(true) => {}
+                Ok(false) => damaged.push(folder.display().to_string()),
+                Err(failure) => {
+                    text += &format!("{}\n", Terminal(&failure.to_string()));
+                    unreadable = unreadable.or(Some(failure));
+                }
             }
         }
-        output::print(&text)?;
-        match damaged.is_empty() {
-            true => Ok(()),
+        let printed = output::print(&text);
+        let gate = match damaged.is_empty() {
+            true => unreadable.map_or(Ok(()), Err),
             false => Err(Failure::Gate(format!("damaged: {}", damaged.join(", ")))),
+        };
+        Failure::gate_first(gate, printed)
+    }
+
+    /// Whether a folder is whole; the text says more.
+    fn look(&self, folder: &Path, text: &mut String) -> Result<bool, Failure> {
+        if !folder.join(MANIFEST).exists() && !folder.join("previous").exists() {
+            let problem = "no folder of work: it holds no work.json";
+            return Err(Failure::Input(format!("{}: {problem}", folder.display())));
         }
+        let restored = if self.restore { restore(folder)? } else { None };
+        *text += &restored.map_or_else(String::new, |restored| back(folder, &restored));
+        let found = examine(folder)?;
+        *text += &described(folder, &found);
+        Ok(found.files.iter().all(|(_, state)| state.is_ok()))
     }
 }
 
@@ -67,8 +84,11 @@ fn seeds_in(folder: &Path) -> Vec<PathBuf> {
 
 /// What was done to go back.
 fn back(folder: &Path, restored: &Restored) -> String {
-    let files = if restored.restored.is_empty() { "nothing else".to_owned() } else { restored.restored.join(", ") };
-    let text = format!("{}: {} damaged; as before again: {files}", folder.display(), restored.damaged.join(", "));
+    let damaged = restored.damaged.join(", ");
+    let text = match restored.restored.is_empty() {
+        true => format!("{}: {damaged} was damaged, and is whole again", folder.display()),
+        false => format!("{}: {damaged} damaged; as before again: {}", folder.display(), restored.restored.join(", ")),
+    };
     format!("{}\n", Terminal(&text))
 }
 
@@ -98,6 +118,9 @@ fn described(folder: &Path, found: &Examined) -> String {
         } else {
             "  nothing was kept to go back to: begin anew in another --out\n"
         };
+    }
+    for name in &found.beside {
+        text += &format!("  {}: not of this work\n", Terminal(name));
     }
     for name in &found.growing {
         text += &format!(

@@ -7,9 +7,14 @@ use super::simulate::Format;
 use super::{Failure, output, progress};
 use crumple_search::disk;
 use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, RarePlan, RareReport};
+use crumple_search::work::MANIFEST;
 
 /// Estimates, writes the estimate to `folder` and prints it.
 pub(super) fn estimate(plan: &RarePlan, folder: &Path, format: Format, quiet: bool) -> Result<(), Failure> {
+    if folder.join(MANIFEST).exists() {
+        let problem = "holds other work: an estimate needs an --out of its own";
+        return Err(Failure::Input(format!("{}: {problem}", folder.display())));
+    }
     disk::make_folder(folder)?;
     let bar = progress::counter("placing levels", quiet);
     let pilot = plan.pilot(&|runs| bar.inc(runs));

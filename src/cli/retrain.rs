@@ -118,6 +118,7 @@ impl Retrain {
         };
         let out = self.out.display();
         interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
+        output::note_beginning(self.resume, &self.out, quiet);
         let bar = progress::line(quiet);
         let report = plan.run(&self.out, self.resume, &mut |state| show(&bar, state));
         bar.finish_and_clear();
@@ -125,11 +126,11 @@ impl Retrain {
         let picture = self.out.join("report.svg");
         disk::write(&picture, crumple_report::figures::retraining(&report).document())?;
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
-        output::print(&match self.format {
+        let printed = output::print(&match self.format {
             Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
             Format::Text => report.to_markdown(),
-        })?;
-        gate(&report)
+        });
+        Failure::gate_first(gate(&report), printed)
     }
 }
 

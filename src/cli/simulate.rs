@@ -205,10 +205,8 @@ impl Simulate {
             files.stage(&output::place(path)?, contents)?;
         }
         files.commit()?;
-        // A gate holds even where the results are not read.
         let printed = output::print(&results.iter().map(|result| result.text.as_str()).collect::<String>());
-        self.check_expectation(&runs, &results)?;
-        printed
+        Failure::gate_first(self.check_expectation(&runs, &results), printed)
     }
 
     /// Everything to print and write of one run, so that its trace need not be kept.

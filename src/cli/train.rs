@@ -13,7 +13,7 @@ use crumple_learn::rl::{
     finished_trainings, seed_folder, side_by_side,
 };
 use crumple_search::disk::{self, Files};
-use crumple_search::work;
+use crumple_search::work::{self, MANIFEST};
 
 /// Train a driving policy by reinforcement learning
 #[derive(Args)]
@@ -55,7 +55,7 @@ pub(super) struct Train {
     /// Train this seed [default: 0]
     #[arg(long, value_name = "N", conflicts_with = "seeds")]
     seed: Option<u64>,
-    /// Train seeds 0 to N - 1
+    /// Train seeds 0 to N - 1: 1 to 100 000
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: Option<u64>,
     /// Folder for policies, logs and checkpoints; made if it is not there
@@ -64,8 +64,8 @@ pub(super) struct Train {
     /// Go on from the checkpoints in the folder
     #[arg(long)]
     resume: bool,
-    /// Episodes at most, instead of the preset's
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    /// Episodes at most, instead of the preset's: 1 to 10 000 000
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     episodes: Option<u64>,
 }
 
@@ -103,6 +103,13 @@ impl Train {
         finished_trainings(&self.out, &config)?;
         let out = self.out.display();
         interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
+        if self.out.join(MANIFEST).exists() {
+            let problem = "holds other work: trainings need an --out of their own";
+            return Err(Failure::Input(format!("{}: {problem}", self.out.display())));
+        }
+        for seed in &seeds {
+            output::note_beginning(self.resume, &seed_folder(&self.out, *seed), quiet);
+        }
         let held_out = HeldOut::of(&config)?;
         let bar = progress::training_bar(config.episodes.saturating_mul(seeds.len() as u64), quiet);
         let trained = side_by_side(&seeds, rayon::current_num_threads(), |seed| {
@@ -121,11 +128,12 @@ impl Train {
                 Err(first) => failure = failure.or(Some(first)),
             }
         }
+        let mut printed = Ok(());
         if !done.is_empty() {
             work::exclusively(&self.out, || self.write_results(&config, quiet))?;
-            output::print(&table(&done, config.evaluation.ranking_draws))?;
+            printed = output::print(&table(&done, config.evaluation.ranking_draws));
         }
-        failure.map_or_else(|| gate(&done), Err)
+        Failure::gate_first(failure.map_or_else(|| gate(&done), Err), printed)
     }
 
     fn config(&self) -> Result<TrainingConfig, Failure> {

@@ -68,10 +68,10 @@ struct Rate {
     /// Space that runs are drawn from (see `crumple list spaces`), or a space file
     #[arg(long, value_name = "S", default_value = "paper", value_parser = subject::space)]
     space: (String, Space),
-    /// Number of runs, fixed beforehand
+    /// Number of runs, fixed beforehand: 1 to 100 000 000
     #[arg(long, value_name = "N", required_unless_present = "rare")]
     runs: Option<u64>,
-    /// Confidence of the claim
+    /// Confidence of the claim: above 0.5 and below 1
     #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
     /// Estimate the probability of a rare failure instead of counting: no certificate
@@ -136,9 +136,11 @@ impl Rate {
             confidence: self.confidence,
         })
         .map_err(Failure::input)?;
+        output::note_beginning(self.resume, &self.out, quiet);
         let mut count = plan.register_in(&self.out, self.resume)?;
         output::note(&format!("registered as {}", plan.registration().digest()), quiet);
-        interrupt::says("what is counted is kept: the same command with --resume goes on".to_owned(), quiet);
+        let kept = format!("what is counted is kept in {}", self.out.display());
+        interrupt::says(format!("{kept}: the same command with --resume goes on"), quiet);
         let bar = progress::bar("counting", runs, quiet);
         let certificate = count.certificate(&mut |done| bar.set_position(done));
         bar.finish_and_clear();

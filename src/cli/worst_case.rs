@@ -81,7 +81,8 @@ impl WorstCase {
             jerk_mps3: self.jerk,
         };
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
-        let result = hunt(&scenario, &options, self.aim, envelope, self.budget as usize).map_err(Failure::input)?;
+        let result = hunt(&scenario, &options, self.aim, envelope, self.budget as usize)
+            .map_err(|error| Failure::Input(format!("{}: {error}", self.scenario)))?;
         let mut files = Files::default();
         match &result.found {
             Some(attack) => {

@@ -27,7 +27,7 @@ impl DiskError {
 }
 
 /// How names of files begin that are not yet in their places.
-const UNFINISHED: &str = ".crumple-unfinished-";
+pub(crate) const UNFINISHED: &str = ".crumple-unfinished-";
 
 /// Whether a file was being written when the process that did so ended: it may be removed.
 #[must_use]
@@ -152,6 +152,15 @@ pub fn write_json(path: &Path, contents: &impl Serialize) -> Result<(), DiskErro
 /// # Errors
 /// [`DiskError`] if there is one that cannot be read or is longer: [`io::ErrorKind::FileTooLarge`].
 pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
+    match unless_missing(fs::metadata(path)).map_err(DiskError::at(path))? {
+        None => return Ok(None),
+        // A pipe would be waited for.
+        Some(found) if !found.is_file() && !found.is_dir() => {
+            let problem = io::Error::new(io::ErrorKind::InvalidData, "is no file");
+            return Err(DiskError::at(path)(problem));
+        }
+        Some(_) => {}
+    }
     let Some(file) = unless_missing(fs::File::open(path)).map_err(DiskError::at(path))? else { return Ok(None) };
     let mut bytes = Vec::new();
     match file.take(most.saturating_add(1)).read_to_end(&mut bytes) {
@@ -232,7 +241,7 @@ fn folder_of(path: &Path) -> &Path {
 }
 
 /// Makes the names in a folder outlast a loss of power. Where folders cannot be opened as files, nothing can be done.
-fn sync_folder(folder: &Path) -> Result<(), DiskError> {
+pub(crate) fn sync_folder(folder: &Path) -> Result<(), DiskError> {
     #[cfg(unix)]
     fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(DiskError::at(folder))?;
     Ok(())

@@ -272,7 +272,7 @@ impl TrainingConfig {
             }
         };
         within("version", f64::from(self.version), [1.0, f64::from(TRAINING_VERSION)])?;
-        within("episodes", self.episodes as f64, [1.0, 1e9])?;
+        within("episodes", self.episodes as f64, [1.0, 1e7])?;
         within("environment.decision_steps", f64::from(self.environment.decision_steps), [1.0, 1500.0])?;
         within("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
         within("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;

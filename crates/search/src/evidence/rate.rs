@@ -57,7 +57,7 @@ pub struct RateConfig {
 #[non_exhaustive]
 pub enum InvalidRate {
     /// Number of runs.
-    #[error("{found} runs, and there must be from 1 to {MOST_RUNS}")]
+    #[error("runs: must be from 1 to {MOST_RUNS}, found {found}")]
     Runs {
         /// What was asked for.
         found: u64,
@@ -75,7 +75,7 @@ pub enum InvalidRate {
         space: String,
     },
     /// Confidence.
-    #[error("a confidence of {found}, which must be between 1/2 and 1")]
+    #[error("confidence: must be above 0.5 and below 1, found {found}")]
     Confidence {
         /// What was asked for.
         found: f64,

@@ -1,8 +1,14 @@
 //! Changes to a folder of work: announced together, then made together.
 
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+use rayon::prelude::*;
+
 use super::manifest::{FileState, Prefix};
 use super::{Work, WorkError, generation};
-use crate::disk::{self, Files};
+use crate::disk::{self, DiskError};
 
 /// Changes that are not yet made.
 #[must_use = "nothing is changed before `commit`"]
@@ -23,17 +29,6 @@ enum Change {
     Grow,
 }
 
-impl Change {
-    fn state(&self) -> FileState {
-        match self {
-            Self::Write(contents) => FileState::of(contents),
-            Self::Keep { state, .. } => state.clone(),
-            Self::Remove => FileState::Absent,
-            Self::Grow => FileState::Growing(Prefix::nothing()),
-        }
-    }
-}
-
 impl<'a> Changes<'a> {
     pub(super) fn of(work: &'a Work) -> Self {
         Self { work, changes: Vec::new() }
@@ -49,7 +44,7 @@ impl<'a> Changes<'a> {
     /// nothing or the same, it is kept twice.
     pub fn advance(&mut self, name: &str, contents: impl Into<Vec<u8>>) -> &mut Self {
         let (before, contents) = (generation::before(name), contents.into());
-        let state = self.work.locked().state(name);
+        let state = self.work.locked().state(name).cloned();
         let kept = match state.filter(|state| *state != FileState::of(&contents)) {
             Some(state) => Change::Keep { of: name.to_owned(), state },
             None => Change::Write(contents.clone()),
@@ -74,44 +69,72 @@ impl<'a> Changes<'a> {
         self
     }
 
-    /// Announces the changes, makes those that are any, and knows from then on that they were made.
+    /// Brings all that the changes need to the disk, announces them together, and makes them. Whatever ends the process before the
+    /// announcement leaves the folder as it was; after it, whoever opens the folder next makes what is left of them.
     ///
     /// # Errors
     /// [`WorkError`] if a file is in the way of which nothing is known, or one cannot be written.
     pub fn commit(&mut self) -> Result<(), WorkError> {
         let work = self.work;
         let mut manifest = work.locked();
+        // What an earlier attempt announced and could not make.
+        manifest.complete(&work.folder)?;
         self.changes.iter().try_for_each(|(name, _)| work.is_free(&manifest, name))?;
-        let mut changes = std::mem::take(&mut self.changes);
-        changes.retain(|(name, change)| manifest.announce(name, change.state()));
-        if changes.is_empty() {
-            return Ok(());
-        }
-        manifest.program = Some(work.program.to_owned());
-        manifest.write(&work.folder)?;
-        let (mut files, mut gone) = (Files::default(), Vec::new());
-        for (name, change) in &changes {
-            let path = work.path(name);
-            match change {
-                Change::Write(contents) => {
-                    path.parent().map_or(Ok(()), disk::make_folder)?;
-                    files.stage(&path, contents)?;
+        let changes = std::mem::take(&mut self.changes);
+        let (mut next, mut staged) = (manifest.clone(), Vec::new());
+        let mut unfinished = manifest.unfinished_names();
+        for (name, change) in changes {
+            let state = match &change {
+                Change::Write(contents) => FileState::of(contents),
+                Change::Keep { state, .. } => state.clone(),
+                Change::Remove => {
+                    next.remove(&name);
+                    continue;
                 }
-                Change::Keep { of, .. } => {
-                    path.parent().map_or(Ok(()), disk::make_folder)?;
-                    files.stage_second(&work.path(of), &path)?;
+                Change::Grow => {
+                    next.include(&name, FileState::Growing(Prefix::nothing()));
+                    continue;
                 }
-                Change::Remove => gone.push(path),
-                Change::Grow => {}
+            };
+            if next.state(&name) != Some(&state)
+                && let Some(unfinished) = unfinished.next()
+            {
+                let place = work.path(&unfinished);
+                staged.push(stage(place, &change, work).map_err(|source| DiskError::at(&work.path(&name))(source))?);
+                next.place(&name, unfinished, state);
             }
         }
-        files.commit()?;
-        disk::remove(&gone)?;
-        changes.iter().for_each(|(name, _)| manifest.made(name));
-        // What is done again if it is lost may be as before the change until the next one; what is kept twice may not, for others fit it.
-        match changes.iter().any(|(name, _)| generation::is_of_it(name)) {
-            true => Ok(manifest.write(&work.folder)?),
-            false => Ok(()),
+        if next == *manifest {
+            return Ok(());
         }
+        // All at once, for each waits for the disk. The names before the announcement that speaks of them.
+        staged.into_par_iter().flatten().try_for_each(|(file, path)| file.sync_all().map_err(DiskError::at(&path)))?;
+        disk::sync_folder(&work.folder)?;
+        next.program = Some(work.program.to_owned());
+        next.write(&work.folder)?;
+        *manifest = next;
+        Ok(manifest.make(&work.folder)?)
     }
+}
+
+/// Brings what a file is to be to a place of its own; and the file, if it has not yet reached the disk.
+fn stage(place: PathBuf, change: &Change, work: &Work) -> io::Result<Option<(File, PathBuf)>> {
+    match fs::remove_file(&place) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    if let Change::Keep { of, .. } = change {
+        let of = work.path(of);
+        // Not every file system knows links.
+        if fs::hard_link(&of, &place).is_ok() {
+            return Ok(None);
+        }
+        fs::copy(&of, &place)?;
+        return Ok(Some((File::open(&place)?, place)));
+    }
+    let mut file = File::create_new(&place)?;
+    if let Change::Write(contents) = change {
+        file.write_all(contents)?;
+    }
+    Ok(Some((file, place)))
 }

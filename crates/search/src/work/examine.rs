@@ -23,6 +23,8 @@ pub struct Examined {
     pub can_be_restored: bool,
     /// Those of the files to whose ends records may have been added since that have checks of their own: their readers make them.
     pub growing: Vec<String>,
+    /// What lies in the folder beside the work.
+    pub beside: Vec<String>,
 }
 
 impl Examined {
@@ -87,5 +89,6 @@ pub(super) fn examined(folder: &Path, manifest: &Manifest) -> Result<Examined, W
         None => true,
     };
     let (kind, complete) = (manifest.kind.clone(), manifest.program.is_none());
-    Ok(Examined { kind, complete, is_of_this_build, files, can_be_restored: false, growing })
+    let beside = manifest.beside(folder)?;
+    Ok(Examined { kind, complete, is_of_this_build, files, can_be_restored: false, growing, beside })
 }

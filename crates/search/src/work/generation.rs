@@ -7,6 +7,7 @@ use super::lock::Lock;
 use super::manifest::{FileState, Manifest};
 use super::{MANIFEST, WorkError};
 use crate::disk::{self, DiskError};
+use crumple_world::quoted::ShellWord;
 
 /// The folder of the generation before.
 pub(super) const PREVIOUS: &str = "previous";
@@ -40,7 +41,9 @@ pub(super) fn can_be_restored(folder: &Path) -> bool {
 pub(super) fn hinted(folder: &Path, error: WorkError) -> WorkError {
     match error {
         WorkError::Damaged { path, problem } if can_be_restored(folder) => {
-            let way = format!("`crumple fsck --restore {}` goes back to what was kept before it", folder.display());
+            let folder = folder.to_string_lossy();
+            let way =
+                format!("`crumple fsck --restore -- {}` goes back to what was kept before it", ShellWord(&folder));
             WorkError::Damaged { path, problem: format!("{problem}; {way}") }
         }
         other => other,
@@ -111,14 +114,12 @@ pub fn restore(folder: &Path) -> Result<Option<Restored>, WorkError> {
         return Err(WorkError::InUse { folder: folder.to_owned(), kind: "work".to_owned() });
     };
     let Some(Plan { mut manifest, damaged, files }) = plan(folder)? else { return Ok(None) };
-    for (name, bytes) in &files {
-        manifest.announce(name, FileState::of(bytes));
+    for ((name, bytes), unfinished) in files.iter().zip(manifest.unfinished_names()) {
+        disk::write(&folder.join(&unfinished), bytes)?;
+        manifest.place(name, unfinished, FileState::of(bytes));
     }
     manifest.write(folder)?;
-    for (name, bytes) in &files {
-        disk::write(&folder.join(name), bytes)?;
-        manifest.made(name);
-    }
+    manifest.complete(folder)?;
     manifest.write(folder)?;
     Ok(Some(Restored { damaged, restored: files.into_iter().map(|(name, _)| name).collect() }))
 }

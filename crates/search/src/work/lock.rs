@@ -1,12 +1,13 @@
 //! One process a folder.
 
-use std::fs::{File, TryLockError};
+use std::fs::{self, File, TryLockError};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::disk::DiskError;
 
 /// The file that is locked.
-const LOCK: &str = "work.lock";
+pub(super) const LOCK: &str = "work.lock";
 
 /// The exclusive use of a folder. It ends with the value, and with the process however that ends.
 ///
@@ -15,6 +16,8 @@ const LOCK: &str = "work.lock";
 pub struct Lock {
     /// Holds the lock of the operating system.
     file: File,
+    /// The folder itself, where it can be locked: its lock stays if somebody removes the file.
+    folder: Option<File>,
 }
 
 impl Lock {
@@ -25,9 +28,15 @@ impl Lock {
     pub fn of(folder: &Path) -> Result<Option<Self>, DiskError> {
         let (file, path) = opened(folder)?;
         match file.try_lock() {
-            Ok(()) => Ok(Some(Self { file })),
-            Err(TryLockError::WouldBlock) => Ok(None),
-            Err(TryLockError::Error(source)) => Err(DiskError::at(&path)(source)),
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Ok(None),
+            Err(TryLockError::Error(source)) => return Err(DiskError::at(&path)(source)),
+        }
+        // Not every system opens folders, and not every file system locks them.
+        match File::open(folder).map(|folder| (folder.try_lock(), folder)) {
+            Ok((Ok(()), folder)) => Ok(Some(Self { file, folder: Some(folder) })),
+            Ok((Err(TryLockError::WouldBlock), _)) => Ok(None),
+            _ => Ok(Some(Self { file, folder: None })),
         }
     }
 }
@@ -37,12 +46,19 @@ impl Drop for Lock {
     fn drop(&mut self) {
         // Nothing can be done if it fails, and the end of the process releases it at the latest.
         let _ = self.file.unlock();
+        let _ = self.folder.as_ref().map(File::unlock);
     }
 }
 
+/// The file, which is one of the folder's own: no link is followed, and no pipe waited for.
 fn opened(folder: &Path) -> Result<(File, PathBuf), DiskError> {
     let path = folder.join(LOCK);
-    let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(DiskError::at(&path))?;
+    let unusable = DiskError::at(&path);
+    if fs::symlink_metadata(&path).is_ok_and(|found| !found.is_file()) {
+        let problem = "no file of its own: it is what is locked, and may be removed";
+        return Err(unusable(io::Error::new(io::ErrorKind::InvalidData, problem)));
+    }
+    let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(unusable)?;
     Ok((file, path))
 }
 
@@ -53,7 +69,7 @@ fn opened(folder: &Path) -> Result<(File, PathBuf), DiskError> {
 pub fn exclusively<T, E: From<DiskError>>(folder: &Path, work: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
     let (file, path) = opened(folder)?;
     file.lock().map_err(DiskError::at(&path))?;
-    let _lock = Lock { file };
+    let _lock = Lock { file, folder: None };
     work()
 }
 
@@ -71,5 +87,10 @@ mod tests {
         drop(lock);
         assert!(Lock::of(folder.path()).unwrap().is_some());
         drop(held);
+        let lock = Lock::of(folder.path()).unwrap().unwrap();
+        fs::remove_file(folder.path().join(LOCK)).unwrap();
+        assert!(Lock::of(folder.path()).unwrap().is_none(), "the folder itself is locked");
+        drop(lock);
+        assert!(Lock::of(folder.path()).unwrap().is_some());
     }
 }

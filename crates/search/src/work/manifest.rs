@@ -3,10 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{ErrorKind, Read};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::lock::LOCK;
 use super::{MANIFEST, UNKNOWN, WorkError, generation};
 use crate::disk::{self, DiskError, Files};
 use crumple_world::digest::{Sha256, sha256};
@@ -14,7 +16,7 @@ use crumple_world::digest::{Sha256, sha256};
 /// The version of the file.
 const VERSION: u32 = 1;
 
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Manifest {
     version: u32,
@@ -25,22 +27,56 @@ pub(super) struct Manifest {
     pub(super) program: Option<String>,
     /// SHA-256 of everything that decides the results.
     pub(super) configuration_sha256: String,
-    /// Each file as it may be found: as it is; while a change is on its way, as before it and as after it.
-    files: BTreeMap<String, Vec<FileState>>,
+    /// Each file as it is, once what is pending is made.
+    files: BTreeMap<String, FileState>,
+    /// Changes that were announced and may not yet be made. All that they need is on the disk.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pending: Vec<Pending>,
     /// SHA-256 of this file with an empty string here.
     sha256: String,
 }
 
-/// How a file may be found.
+/// What a file is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum FileState {
-    /// It is not there.
-    Absent,
     /// It begins with this; what follows has come since, and its records have checks of their own.
     Growing(Prefix),
     /// It has these contents.
     Whole { bytes: u64, sha256: String },
+}
+
+/// A change that was announced.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub(super) enum Pending {
+    /// The file `unfinished`, beside the manifest, is to be in the place of `name`.
+    Place { unfinished: String, name: String },
+    /// It is to go, and was this before.
+    Remove { name: String, was: FileState },
+}
+
+impl Pending {
+    fn name(&self) -> &str {
+        match self {
+            Self::Place { name, .. } | Self::Remove { name, .. } => name,
+        }
+    }
+
+    /// Makes it, without looking.
+    fn make(&self, folder: &Path) -> Result<(), DiskError> {
+        let path = folder.join(self.name());
+        match self {
+            Self::Place { unfinished, .. } => {
+                path.parent().map_or(Ok(()), disk::make_folder)?;
+                let unfinished = folder.join(unfinished);
+                fs::rename(&unfinished, &path).map_err(DiskError::at(&path))?;
+                // Where both were names of one file, neither has moved.
+                disk::remove(&[unfinished])
+            }
+            Self::Remove { .. } => disk::remove(&[path]),
+        }
+    }
 }
 
 /// The first bytes of a file that grows.
@@ -96,22 +132,23 @@ impl FileState {
     /// Bytes of a file in this state, at most.
     fn bytes(&self) -> u64 {
         match self {
-            Self::Absent => 0,
             Self::Growing(_) => u64::MAX,
             Self::Whole { bytes, .. } => *bytes,
         }
     }
 
-    /// Whether a file of these bytes, or none, is in this state.
-    fn is(&self, found: Option<&[u8]>) -> bool {
-        match (self, found) {
-            // `Prefix::begins` has looked.
-            (Self::Growing(_), _) => true,
-            (Self::Absent, found) => found.is_none(),
-            (Self::Whole { bytes, .. }, Some(found)) if *bytes != found.len() as u64 => false,
-            (Self::Whole { sha256: expected, .. }, Some(found)) => sha256(found) == *expected,
-            (Self::Whole { .. }, None) => false,
+    /// Whether a file of these bytes is in this state.
+    fn is(&self, found: &[u8]) -> bool {
+        match self {
+            // `Prefix::begins` looks.
+            Self::Growing(_) => true,
+            Self::Whole { bytes, sha256: expected } => *bytes == found.len() as u64 && sha256(found) == *expected,
         }
+    }
+
+    /// Whether the file at a place is in this state.
+    fn is_at(&self, path: &Path) -> bool {
+        matches!(regular(path, self.bytes()), Ok(Some(found)) if self.is(&found))
     }
 }
 
@@ -147,6 +184,7 @@ impl Manifest {
             program: Some(program.to_owned()),
             configuration_sha256: configuration_sha256.to_owned(),
             files: BTreeMap::new(),
+            pending: Vec::new(),
             sha256: String::new(),
         }
     }
@@ -160,9 +198,21 @@ impl Manifest {
             return Err(damaged(format!("version: {}, and this release reads {VERSION}", found.version)));
         }
         match found.text() {
-            Ok(text) if text.as_bytes() == bytes => Ok(Some(found)),
+            Ok(text) if text.as_bytes() == bytes && found.is_within() => Ok(Some(found)),
             _ => Err(damaged("sha256: not as it was written".to_owned())),
         }
+    }
+
+    /// Whether all that it names lies in its folder.
+    fn is_within(&self) -> bool {
+        let is_plain = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+        self.files.keys().all(|name| is_plain(name))
+            && self.pending.iter().all(|pending| match pending {
+                Pending::Place { unfinished, name } => {
+                    is_plain(name) && !unfinished.contains('/') && disk::is_unfinished(Path::new(unfinished))
+                }
+                Pending::Remove { name, .. } => is_plain(name),
+            })
     }
 
     /// Writes it and its second copy; either may be the older one if the process ends in between, and is right all the same, for
@@ -186,23 +236,41 @@ impl Manifest {
         with(sha256(with(String::new())?))
     }
 
-    /// The bytes of a file, unless it cannot be what was written; none if there is no such file.
+    /// The bytes of a file, unless it cannot be what was written; none if there is no such file. What is to be in its place counts as
+    /// being there.
     pub(super) fn contents(&self, folder: &Path, name: &str) -> Result<Option<Vec<u8>>, WorkError> {
         let path = folder.join(name);
-        let longest = |states: &Vec<FileState>| states.iter().map(FileState::bytes).max();
-        match self.files.get(name).and_then(longest) {
-            Some(longest) => regular(&path, longest),
-            None if path.symlink_metadata().is_ok() => Err(WorkError::damaged(&path, UNKNOWN)),
-            None => Ok(None),
+        let Some(state) = self.files.get(name) else {
+            let is_stranger = !self.knows(name) && path.symlink_metadata().is_ok();
+            return if is_stranger { Err(WorkError::damaged(&path, UNKNOWN)) } else { Ok(None) };
+        };
+        let found = regular(&path, state.bytes());
+        match self.unfinished(name) {
+            Some(unfinished) if !matches!(&found, Ok(Some(bytes)) if state.is(bytes)) => {
+                match regular(&folder.join(unfinished), state.bytes()) {
+                    Ok(Some(bytes)) if state.is(&bytes) => Ok(Some(bytes)),
+                    _ => found,
+                }
+            }
+            _ => found,
         }
+    }
+
+    /// What is to be in the place of a file.
+    fn unfinished(&self, of: &str) -> Option<&str> {
+        self.pending.iter().find_map(|pending| match pending {
+            Pending::Place { unfinished, name } if name == of => Some(unfinished.as_str()),
+            _ => None,
+        })
     }
 
     pub(super) fn names(&self) -> Vec<String> {
         self.files.keys().cloned().collect()
     }
 
+    /// Whether a file is there, or still to go.
     pub(super) fn knows(&self, name: &str) -> bool {
-        self.files.contains_key(name)
+        self.files.contains_key(name) || self.pending.iter().any(|pending| pending.name() == name)
     }
 
     /// Files in the folders of the work of which it knows nothing, and folders that are none of its own. In the first folder anything
@@ -225,14 +293,28 @@ impl Manifest {
         Ok(strangers)
     }
 
-    /// What a file was last said to be, if it is there as a whole.
-    pub(super) fn state(&self, name: &str) -> Option<FileState> {
-        self.files.get(name)?.last().filter(|state| matches!(state, FileState::Whole { .. })).cloned()
+    /// What lies in the first folder and is none of the work's.
+    pub(super) fn beside(&self, root: &Path) -> Result<Vec<String>, DiskError> {
+        let known = self.folders();
+        let tops: BTreeSet<&str> = known.iter().filter_map(|folder| folder.split('/').next()).collect();
+        let own = [MANIFEST, LOCK, generation::PREVIOUS];
+        let is_own = |name: &str| self.knows(name) || tops.contains(name) || own.contains(&name);
+        let entries = fs::read_dir(root).map_err(DiskError::at(root))?.flatten();
+        let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        let mut beside: Vec<String> =
+            names.filter(|name| !is_own(name) && !disk::is_unfinished(Path::new(name))).collect();
+        beside.sort_unstable();
+        Ok(beside)
     }
 
-    /// Takes a file that something else has written to be as it is.
+    /// What a file is, if it is there as a whole.
+    pub(super) fn state(&self, name: &str) -> Option<&FileState> {
+        self.files.get(name).filter(|state| matches!(state, FileState::Whole { .. }))
+    }
+
+    /// Takes a file to be as it is.
     pub(super) fn include(&mut self, name: &str, state: FileState) {
-        self.files.insert(name.to_owned(), vec![state]);
+        self.files.insert(name.to_owned(), state);
     }
 
     /// Knows no more of what was kept.
@@ -252,10 +334,10 @@ impl Manifest {
 
     /// How a file begins that grows.
     fn prefix(&self, name: &str) -> Option<&Prefix> {
-        self.files.get(name)?.iter().find_map(|state| match state {
+        match self.files.get(name)? {
             FileState::Growing(prefix) => Some(prefix),
-            _ => None,
-        })
+            FileState::Whole { .. } => None,
+        }
     }
 
     /// Whether more may follow what is known of a file.
@@ -263,48 +345,80 @@ impl Manifest {
         self.prefix(name).is_some()
     }
 
-    /// Knows more of a file that grows.
-    pub(super) fn grew(&mut self, name: &str, prefix: Prefix) {
-        self.files.insert(name.to_owned(), vec![FileState::Growing(prefix)]);
-    }
-
     /// The folders that files are in, beside that of the manifest itself.
     pub(super) fn folders(&self) -> BTreeSet<&str> {
         self.files.keys().filter_map(|name| name.rsplit_once('/')).map(|(folder, _)| folder).collect()
     }
 
-    /// Says what a file will be; false if that is what it is.
-    pub(super) fn announce(&mut self, name: &str, to: FileState) -> bool {
-        let states = self.files.entry(name.to_owned()).or_insert_with(|| vec![FileState::Absent]);
-        if states.as_slice() == std::slice::from_ref(&to) {
-            self.forget_absent(name);
-            return false;
-        }
-        states.push(to);
+    /// Says that the file `unfinished` will be in the place of another, and what that is then.
+    pub(super) fn place(&mut self, name: &str, unfinished: String, state: FileState) {
+        self.pending.retain(|pending| pending.name() != name);
+        self.pending.push(Pending::Place { unfinished, name: name.to_owned() });
+        self.include(name, state);
+    }
+
+    /// Says that a file will go; false if it is not there.
+    pub(super) fn remove(&mut self, name: &str) -> bool {
+        let Some(was) = self.files.remove(name) else { return false };
+        self.pending.push(Pending::Remove { name: name.to_owned(), was });
         true
     }
 
-    /// Says that a file is what it was last said to be.
-    pub(super) fn made(&mut self, name: &str) {
-        if let Some(states) = self.files.get_mut(name)
-            && let Some(last) = states.pop()
-        {
-            *states = vec![last];
-            self.forget_absent(name);
-        }
+    /// Makes what is pending, which nobody has touched since it was announced.
+    pub(super) fn make(&mut self, folder: &Path) -> Result<(), DiskError> {
+        self.pending.iter().try_for_each(|pending| pending.make(folder))?;
+        let folders = self.pending.iter().filter_map(|pending| Some(folder.join(pending.name()).parent()?.to_owned()));
+        let folders: BTreeSet<PathBuf> = folders.chain([folder.to_owned()]).collect();
+        folders.par_iter().filter(|folder| folder.is_dir()).try_for_each(|folder| disk::sync_folder(folder))?;
+        self.pending.clear();
+        Ok(())
     }
 
-    /// Whether a file may be found like this.
+    /// Makes what is still pending of what another process announced, once it has found all that it needs to be as it was written.
+    pub(super) fn complete(&mut self, folder: &Path) -> Result<(), WorkError> {
+        let open = |pending: &Pending| -> Result<bool, WorkError> {
+            let path = folder.join(pending.name());
+            match pending {
+                Pending::Place { unfinished, name } => {
+                    let Some(state) = self.files.get(name) else { return Ok(false) };
+                    match state.is_at(&path) {
+                        true => Ok(false),
+                        false if state.is_at(&folder.join(unfinished)) => Ok(true),
+                        false => self.look(folder, name).map(|()| false),
+                    }
+                }
+                Pending::Remove { was, .. } => match path.symlink_metadata() {
+                    Err(_) => Ok(false),
+                    Ok(_) if matches!(was, FileState::Growing(_)) || was.is_at(&path) => Ok(true),
+                    Ok(_) => Err(WorkError::damaged(&path, "not as it was written")),
+                },
+            }
+        };
+        let open = self.pending.iter().map(open).collect::<Result<Vec<_>, _>>()?;
+        let mut open = open.into_iter();
+        self.pending.retain(|_| open.next().unwrap_or(true));
+        Ok(self.make(folder)?)
+    }
+
+    /// Names for files that are to be in the places of others, none of which is in use.
+    pub(super) fn unfinished_names(&self) -> impl Iterator<Item = String> + use<> {
+        let numbered = |name: &str| name.strip_prefix(disk::UNFINISHED)?.parse::<u64>().ok();
+        let used = self.pending.iter().filter_map(|pending| match pending {
+            Pending::Place { unfinished, .. } => numbered(unfinished),
+            Pending::Remove { .. } => None,
+        });
+        let first = used.max().map_or(0, |last| last.saturating_add(1));
+        (first..).map(|number| format!("{}{number}", disk::UNFINISHED))
+    }
+
+    /// Whether a file is as it is said to be.
     pub(super) fn check(&self, name: &str, found: Option<&[u8]>) -> Result<(), String> {
-        let absent = [FileState::Absent];
-        let states = self.files.get(name).map_or(&absent[..], Vec::as_slice);
-        match states.iter().any(|state| state.is(found)) {
-            true => Ok(()),
-            false => Err(match found {
-                None => MISSING.to_owned(),
-                Some(_) if states == absent => UNKNOWN.to_owned(),
-                Some(_) => "not as it was written".to_owned(),
-            }),
+        match (self.files.get(name), found) {
+            (None, None) | (Some(FileState::Growing(_)), _) => Ok(()),
+            (Some(state), Some(found)) if state.is(found) => Ok(()),
+            (Some(_), Some(_)) => Err("not as it was written".to_owned()),
+            (Some(_), None) => Err(MISSING.to_owned()),
+            (None, Some(_)) => Err(UNKNOWN.to_owned()),
         }
     }
 
@@ -318,23 +432,6 @@ impl Manifest {
                 prefix.begins(&path)?.map_err(damaged)
             }
             None => self.check(name, self.contents(folder, name)?.as_deref()).map_err(damaged),
-        }
-    }
-
-    /// The same, and remembers how it was found.
-    pub(super) fn settle(&mut self, name: &str, found: Option<&[u8]>) -> Result<(), String> {
-        self.check(name, found)?;
-        if let Some(states) = self.files.get_mut(name) {
-            states.retain(|state| state.is(found));
-            states.truncate(1);
-        }
-        self.forget_absent(name);
-        Ok(())
-    }
-
-    fn forget_absent(&mut self, name: &str) {
-        if self.files.get(name).is_some_and(|states| states.as_slice() == [FileState::Absent]) {
-            self.files.remove(name);
         }
     }
 }

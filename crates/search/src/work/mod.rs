@@ -2,8 +2,8 @@
 //!
 //! A folder of work holds `work.json`, a manifest: which work it is, the program and the configuration it was begun with, and of
 //! every file how long it is and its SHA-256. Files are written whole, beside their place, and reach the disk before they are
-//! moved there; the manifest says beforehand what will be written, so that whatever ends the process leaves a folder that is
-//! either as before a change or as after it. One process works in a folder at a time.
+//! moved there; the manifest says beforehand what will be moved, and whoever opens the folder next makes what is left of it. So
+//! whatever ends the process leaves a folder that is either as before a change or as after it, never a mixture. One process works in a folder at a time.
 //!
 //! What only doing the work again could make again, such as the checkpoint of a training, is kept twice while the work lasts: as it
 //! is, and in the folder `previous` as it was before ([`Changes::advance`]). `work.json` has its second copy there, too. If one of
@@ -262,7 +262,7 @@ impl Work {
     /// [`WorkError::Disk`] if the manifest cannot be written.
     pub fn grew(&self, name: &str, prefix: Prefix) -> Result<(), WorkError> {
         let mut manifest = self.locked();
-        manifest.grew(name, prefix);
+        manifest.include(name, FileState::Growing(prefix));
         Ok(manifest.write(&self.folder)?)
     }
 
@@ -300,9 +300,10 @@ impl Work {
         }
     }
 
-    /// Finds out how far the last change came, and that everything else is as it was written.
+    /// Makes what is left of the last change, and finds out whether everything is as it was written.
     fn settle(&self) -> Result<(), WorkError> {
         let mut manifest = self.locked();
+        manifest.complete(&self.folder)?;
         // The second manifest is written before anything is known to be in its folder.
         for folder in ["", generation::PREVIOUS].into_iter().chain(manifest.folders()) {
             if !manifest.includes(folder) {
@@ -312,13 +313,7 @@ impl Work {
         if let Some(stranger) = manifest.strangers(&self.folder)?.first() {
             return Err(WorkError::damaged(stranger, UNKNOWN));
         }
-        let (growing, whole): (Vec<_>, Vec<_>) = manifest.names().into_iter().partition(|name| manifest.grows(name));
-        growing.iter().try_for_each(|name| manifest.look(&self.folder, name))?;
-        for name in whole {
-            let bytes = manifest.contents(&self.folder, &name)?;
-            let damaged = |problem| WorkError::damaged(&self.path(&name), problem);
-            manifest.settle(&name, bytes.as_deref()).map_err(damaged)?;
-        }
+        manifest.names().iter().try_for_each(|name| manifest.look(&self.folder, name))?;
         for folder in manifest.included() {
             let folder = self.path(&folder);
             examine(&folder)?.first_damage(&folder).map_or(Ok(()), Err)?;

@@ -78,27 +78,90 @@ fn any_damage_names_its_file() {
     Work::open(folder.path(), ASKED).unwrap();
 }
 
-/// Wherever the process ends, the folder is as before a change or as after it, and every file is one of the two.
+/// Wherever the process ends once a change was announced, whoever comes next makes what is left of it; and of what belongs to
+/// different moments nothing is taken for a whole.
 #[test]
-fn an_end_between_announcement_and_change_loses_one_change_at_most() {
-    for is_made in [false, true] {
+fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
+    let announced = || {
         let folder = worked();
+        let before = ["a.json", "deep/b.json"].map(|name| fs::read(folder.path().join(name)).unwrap());
         {
             let work = Work::open(folder.path(), ASKED).unwrap();
             let mut manifest = work.locked();
-            assert!(manifest.announce("a.json", FileState::of(b"third")));
+            for ((name, contents), unfinished) in
+                [("a.json", "third"), ("new/c.json", "third")].into_iter().zip(manifest.unfinished_names())
+            {
+                fs::write(folder.path().join(&unfinished), contents).unwrap();
+                manifest.place(name, unfinished, FileState::of(contents.as_bytes()));
+            }
+            manifest.remove("deep/b.json");
             manifest.program = Some(work.program.to_owned());
             manifest.write(folder.path()).unwrap();
         }
-        if is_made {
-            fs::write(folder.path().join("a.json"), "third").unwrap();
-        }
-        let work = Work::open(folder.path(), ASKED).unwrap();
+        (folder, before)
+    };
+    let is_new = |folder: &Path| {
+        let work = Work::open(folder, ASKED).unwrap();
         assert!(!work.is_complete());
-        assert_eq!(work.read("a.json").unwrap().unwrap(), if is_made { &b"third"[..] } else { b"second" });
+        let read = |name| String::from_utf8(work.read_present(name).unwrap()).unwrap();
+        assert_eq!((read("a.json"), read("new/c.json")), ("third".to_owned(), "third".to_owned()));
+        assert_eq!(work.read("deep/b.json").unwrap(), None);
         work.write("a.json", "fourth").unwrap();
         drop(work);
-        assert_eq!(Work::open(folder.path(), ASKED).unwrap().read_present("a.json").unwrap(), b"fourth");
+        assert_eq!(Work::open(folder, ASKED).unwrap().read_present("a.json").unwrap(), b"fourth");
+    };
+    for made in 0..=3 {
+        let (folder, _) = announced();
+        let path = |name: &str| folder.path().join(name);
+        if made > 0 {
+            fs::rename(path(".crumple-unfinished-0"), path("a.json")).unwrap();
+        }
+        if made > 1 {
+            fs::create_dir(path("new")).unwrap();
+            fs::rename(path(".crumple-unfinished-1"), path("new/c.json")).unwrap();
+        }
+        if made > 2 {
+            fs::remove_file(path("deep/b.json")).unwrap();
+        }
+        let seen = examine(folder.path()).unwrap();
+        assert!(seen.files.iter().all(|(_, state)| state.is_ok()), "{seen:?}");
+        is_new(folder.path());
+    }
+    // Once it is made, what was before is damage, as is what was never announced.
+    for (name, contents) in [("a.json", "second"), ("a.json", "fourth"), ("new/c.json", "")] {
+        let (folder, _) = announced();
+        drop(Work::open(folder.path(), ASKED).unwrap());
+        fs::write(folder.path().join(name), contents).unwrap();
+        let said = Work::open(folder.path(), ASKED).err().unwrap().to_string();
+        assert!(said.contains(&format!("{name}: not as it was written")), "{said}");
+    }
+    let (folder, _) = announced();
+    fs::write(folder.path().join(".crumple-unfinished-1"), "changed").unwrap();
+    let said = Work::open(folder.path(), ASKED).err().unwrap().to_string();
+    assert!(said.contains("new/c.json: the file is missing"), "{said}");
+    let (folder, before) = announced();
+    fs::write(folder.path().join("deep/b.json"), [&before[1][..], b"!"].concat()).unwrap();
+    let said = Work::open(folder.path(), ASKED).err().unwrap().to_string();
+    assert!(said.contains("deep/b.json: not as it was written"), "{said}");
+}
+
+/// A manifest that somebody made names nothing outside its folder.
+#[test]
+fn nothing_outside_of_the_folder_is_moved_or_removed() {
+    let folder = worked();
+    let outside = folder.path().join("outside");
+    fs::write(&outside, "mine").unwrap();
+    let inner = folder.path().join("inner");
+    for (name, unfinished) in [("../outside", ".crumple-unfinished-0"), ("a.json", "../outside"), ("a.json", "b.json")]
+    {
+        fs::create_dir_all(&inner).unwrap();
+        let mut manifest = Manifest::new("count", program::identity().unwrap(), &sha256(ASKED.configuration));
+        manifest.place(name, unfinished.to_owned(), FileState::of(b"mine"));
+        manifest.write(&inner).unwrap();
+        let said = Work::open(&inner, ASKED).err().unwrap().to_string();
+        assert!(said.contains("work.json: sha256: not as it was written"), "{said}");
+        assert_eq!(fs::read_to_string(&outside).unwrap(), "mine");
+        fs::remove_dir_all(&inner).unwrap();
     }
 }
 

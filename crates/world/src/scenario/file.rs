@@ -81,14 +81,15 @@ pub fn load(path: &Path) -> Result<Scenario, FileError> {
 ///
 /// # Errors
 /// [`FileError`] for the first file that cannot be read, parsed or accepted, and for a folder of more than [`MOST_FILES`] of them
-/// or [`MOST_FOLDER_BYTES`]. Files of a folder that end in neither .toml nor .json are passed over.
+/// or [`MOST_FOLDER_BYTES`]. Files of a folder that end in neither .toml nor .json are passed over, and so is [`EXPECTED`].
 pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     if !path.is_dir() {
         return Ok(vec![(path.to_owned(), load(path)?)]);
     }
     let unreadable = |source| FileError::Read { path: path.to_owned(), source };
     let entries = fs::read_dir(path).map_err(unreadable)?.collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
-    let mut files: Vec<_> = entries.iter().map(fs::DirEntry::path).filter(|path| Format::of(path).is_some()).collect();
+    let is_scenario = |path: &PathBuf| Format::of(path).is_some() && path.file_name() != Some(EXPECTED.as_ref());
+    let mut files: Vec<_> = entries.iter().map(fs::DirEntry::path).filter(is_scenario).collect();
     files.sort();
     let bytes: u64 = files.iter().flat_map(fs::metadata).map(|found| found.len()).sum();
     if files.len() > MOST_FILES || bytes > MOST_FOLDER_BYTES {
@@ -98,6 +99,9 @@ pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     }
     files.into_iter().map(|path| load(&path).map(|scenario| (path, scenario))).collect()
 }
+
+/// The file of a folder of scenarios that is none: what they ended in when they were recorded.
+pub const EXPECTED: &str = "expected.toml";
 
 /// Most scenario files of a folder that are read at once.
 pub const MOST_FILES: usize = 10_000;
@@ -177,7 +181,7 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
     if text.len() as u64 > MOST_TOML_BYTES {
         let most = MOST_TOML_BYTES >> 20;
         let message = format!(
-            "holds more than {most} MiB of TOML, too much to parse: a scenario may be JSON, with up to {} MiB",
+            "holds more than {most} MiB of TOML, too much to parse (as JSON, a scenario or a space may have {} MiB)",
             MOST_BYTES >> 20
         );
         return Err(FileError::Syntax { path: path.to_owned(), line: 1, message });
