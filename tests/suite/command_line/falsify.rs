@@ -277,9 +277,7 @@ fn mistakes_are_said_before_anything_is_written() {
         format!("error: bad.toml:{line}: parameters[4].distribution.normal: deviation must be above 0, found -1");
     let found = falsify(&["--space", "bad.toml"]);
     assert!(found.starts_with(&expected), "{found}");
-    assert!(
-        falsify(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, ")
-    );
+    assert!(falsify(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, "));
     assert!(falsify(&["--space", "none.toml"]).contains("none.toml: No such file"));
     assert!(falsify(&["--spec", "always v1.gap_m >"]).contains("--spec: column 18"));
     let unknown = falsify(&["--spec", "always v7.gap_m > 0"]);

@@ -120,8 +120,6 @@ fn mistakes_are_said_before_anything_is_written() {
     assert!(retrain(&["--preset", "lists.toml"]).contains("environment"));
     fs::remove_file(folder.path().join("lists.toml")).unwrap();
     assert!(retrain(&["--preset", "slow"]).contains("there is no preset `slow`"));
-    assert!(
-        retrain(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, ")
-    );
+    assert!(retrain(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, "));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }

@@ -119,7 +119,11 @@ fn speeds_and_gaps_that_depend_on_each_other_do_what_they_say() {
         [[base.vehicles]]\nclass = \"light\"\nposition_m = 0.0\nspeed_mps = 20.0\ndriver = \"under-test\"\n";
     let shares = [
         parameter("vehicles[0].speed_share", "1", "distribution.uniform = { low = 0.0, high = 1.0 }"),
-        parameter("vehicles[0].driver.brake-to-speed.final_share", "1", "distribution.uniform = { low = 0.0, high = 1.0 }"),
+        parameter(
+            "vehicles[0].driver.brake-to-speed.final_share",
+            "1",
+            "distribution.uniform = { low = 0.0, high = 1.0 }",
+        ),
         number("vehicles[1].closing_time_s", "s", 5.0),
         parameter("vehicles[*].speed_mps", "m/s", "distribution.uniform = { low = 1.0, high = 40.0 }"),
     ];
