@@ -27,6 +27,7 @@ mod physics;
 mod policy_files;
 mod report;
 mod retrained;
+mod road;
 mod scenario_files;
 mod schema;
 mod search;

@@ -45,8 +45,7 @@ impl UsefulDriving {
     pub fn fault(&self) -> f64 {
         let [closest_s, furthest_s] = TIME_GAPS_S;
         let off_s = (closest_s - self.mean_time_gap_s).max(self.mean_time_gap_s - furthest_s).max(0.0);
-        // By its logarithm: twelve times the jerk of `idm` must not outweigh a tenth of all draws ending in contact.
-        let beyond = |times_idm: f64| libm::log(times_idm.max(MOST_TIMES_IDM) / MOST_TIMES_IDM);
+        let beyond = |times_idm: f64| (times_idm / MOST_TIMES_IDM - 1.0).max(0.0);
         let excess = beyond(self.acceleration_times_idm) + beyond(self.jerk_times_idm) + off_s;
         (self.contacts + self.hard + self.left_behind) as f64 / self.drives.max(1) as f64 + EXCESS_WEIGHT * excess
     }
