@@ -29,6 +29,7 @@ mod policy_files;
 mod processes;
 mod report;
 mod retrained;
+mod road;
 mod scenario_files;
 mod schema;
 mod search;

@@ -20,6 +20,8 @@ pub(crate) fn training() -> String {
             ("screening_draws = 60", "screening_draws = 2"),
             ("ranking_draws = 2000", "ranking_draws = 2"),
             ("master_gap_m = 1.0", "master_gap_m = 0.0"),
+            // Untrained, it does not brake: soon something is better.
+            ("max_accel_mps2 = 3.0", "max_accel_mps2 = 7.5"),
         ],
     )
 }

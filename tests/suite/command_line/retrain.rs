@@ -121,5 +121,10 @@ fn mistakes_are_said_before_anything_is_written() {
     fs::remove_file(folder.path().join("lists.toml")).unwrap();
     assert!(retrain(&["--preset", "slow"]).contains("there is no preset `slow`"));
     assert!(retrain(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, "));
+    // A network that was trained to see otherwise scaled numbers would drive by others.
+    assert!(retrain(&["--preset", "road"]).contains("differ in what is seen, or how it is scaled"));
+    assert!(retrain(&["--regression", "none", "--regression", "paper"]).contains("`none` stands alone"));
+    assert!(retrain(&["--regression", "paper", "--regression", "paper"]).contains("two spaces are called `paper`"));
+    assert!(retrain(&["--regression", "nowhere"]).contains("--regression: `nowhere` is neither"));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }

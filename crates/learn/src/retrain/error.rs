@@ -35,6 +35,18 @@ pub enum RetrainError {
         /// How many were needed.
         wanted: u64,
     },
+    /// The policy sees or acts otherwise than the preset says: its weights would mean something else.
+    #[error(
+        "the policy `{policy}` and the training preset `{preset}` differ in {what}: use a preset that says what the policy file does"
+    )]
+    OtherPolicy {
+        /// The policy.
+        policy: String,
+        /// Name of the preset.
+        preset: String,
+        /// In what they differ.
+        what: &'static str,
+    },
     /// A search failed.
     #[error(transparent)]
     Campaign(#[from] CampaignError),

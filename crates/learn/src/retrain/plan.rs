@@ -9,12 +9,13 @@ use super::RetrainError;
 use crumple_search::difference;
 use crumple_search::work::{Asked, Work, WorkError};
 
-use crate::rl::{ConfigError, TrainingConfig};
+use crate::rl::{ConfigError, TrainingConfig, bounds};
 use crumple_search::falsify::Method;
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::derived_seed;
+use crumple_world::scenario::PAPER_STEP_S;
 use crumple_world::scenario::space::{Space, SpaceSpec};
 
 /// The version of the file `retrain.toml`.
@@ -32,7 +33,7 @@ pub struct RetrainingPlan {
     /// Spaces in none of which a round may make the policy worse, each with a name of its own.
     pub regression: Vec<Space>,
     /// How the learner learns. Its number of episodes is replaced by the settings'; its screening draws are of the paper's
-    /// distribution, and its ranking draws are avoidable draws of the space.
+    /// distribution, and its ranking draws are avoidable draws of the space; its own spaces are not drawn from.
     pub training: TrainingConfig,
     /// Search method.
     pub method: Method,
@@ -178,6 +179,22 @@ impl RetrainingPlan {
     /// As for the text.
     pub fn digest(&self) -> Result<String, RetrainError> {
         Ok(sha256(self.to_toml()?))
+    }
+
+    /// Whether the policy can be trained on with the preset: what it sees and does must mean the same.
+    pub(super) fn check(&self) -> Result<(), RetrainError> {
+        let (header, environment) = (self.first.header(), &self.training.environment);
+        let interval_s = f64::from(environment.decision_steps) * PAPER_STEP_S;
+        let what = if header.observation != environment.observation.scaling() {
+            "what is seen, or how it is scaled"
+        } else if header.action != bounds(environment) {
+            "the bounds of the acceleration"
+        } else if header.decision_interval_s != interval_s {
+            "the time between decisions"
+        } else {
+            return Ok(());
+        };
+        Err(RetrainError::OtherPolicy { policy: self.first_name.clone(), preset: self.training.name.clone(), what })
     }
 
     /// The folder, if it is this plan's or nobody's; where it is another's, the error says in what they differ.

@@ -79,6 +79,7 @@ impl RetrainingPlan {
     /// # Errors
     /// [`RetrainError`] if the folder cannot be used, or holds half-done work of another build, a search or a training fails, or hardly anything in the space is avoidable.
     pub fn run(&self, folder: &Path, resume: bool, show: &mut dyn FnMut(Progress)) -> Result<Report, RetrainError> {
+        self.check()?;
         let work = self.work(folder, resume)?;
         if work.is_complete() {
             let report = read_json(&work, REPORT)?;

@@ -278,8 +278,8 @@ impl TrainingConfig {
         within("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;
         within("environment.reward_scale", self.environment.reward_scale, [1e-9, 1e3])?;
         within("environment.max_accel_mps2", self.environment.max_accel_mps2, [0.1, 30.0])?;
-        let terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
-        terms.map(|(field, value, range)| within(field, value, range)).collect::<Result<(), _>>()?;
+        let mut terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
+        terms.try_for_each(|(field, value, range)| within(field, value, range))?;
         self.environment.observation.check()?;
         within("network.hidden", self.network.hidden.len() as f64, [1.0, 16.0])?;
         for &width in &self.network.hidden {
