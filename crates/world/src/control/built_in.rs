@@ -84,7 +84,7 @@ macro_rules! define {
             /// A network from outside.
             Network(NetworkDriver),
             /// A process.
-            Process(ProcessDriver),
+            Process(Box<ProcessDriver>),
             /// Any controller behind a shield.
             Shielded(Shield),
             /// A controller from outside.

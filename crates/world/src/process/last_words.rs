@@ -1,10 +1,9 @@
 //! The last lines of a program's standard error.
 
-use crate::quoted::Terminal;
+use super::problem::shortened;
 
-/// Most lines that are told, most characters of each, and the bytes that are kept to tell them.
+/// Most lines that are told, and the bytes that are kept to tell them.
 const MOST_LINES: usize = 8;
-const MOST_CHARACTERS: usize = 300;
 const KEPT_BYTES: usize = 8 << 10;
 
 /// What a program said last.
@@ -36,15 +35,9 @@ impl LastWords {
     }
 }
 
-/// The beginning of a text of somebody else, in which every character shows as itself.
-pub(crate) fn shortened(text: &str) -> String {
-    let begin: String = text.chars().take(MOST_CHARACTERS).collect();
-    let rest = if begin.len() < text.len() { "…" } else { "" };
-    format!("{}{rest}", Terminal(begin.trim_end()))
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::problem::MOST_CHARACTERS;
     use super::*;
 
     #[test]

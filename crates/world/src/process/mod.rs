@@ -4,6 +4,7 @@
 
 #[cfg(not(all(unix, feature = "process")))]
 mod elsewhere;
+#[cfg(all(unix, feature = "process"))]
 mod last_words;
 mod problem;
 pub(crate) mod protocol;
@@ -12,7 +13,7 @@ mod unix;
 
 #[cfg(not(all(unix, feature = "process")))]
 pub(crate) use elsewhere::Program;
-pub(crate) use last_words::shortened;
+pub(crate) use problem::shortened;
 pub use problem::{ProcessFailure, ProcessProblem};
 #[cfg(all(unix, feature = "process"))]
 pub(crate) use unix::Program;

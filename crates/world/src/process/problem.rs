@@ -5,6 +5,10 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::protocol::VERSION;
+use crate::quoted::Terminal;
+
+/// Most characters that are told of a text of somebody else.
+pub(super) const MOST_CHARACTERS: usize = 300;
 
 /// What is wrong with a process that should drive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, thiserror::Error)]
@@ -145,4 +149,11 @@ impl fmt::Display for ProcessFailure {
         }
         write!(out, "; it said last: {}", self.last_words.join(" | "))
     }
+}
+
+/// The beginning of a text of somebody else, in which every character shows as itself.
+pub(crate) fn shortened(text: &str) -> String {
+    let begin: String = text.chars().take(MOST_CHARACTERS).collect();
+    let rest = if begin.len() < text.len() { "…" } else { "" };
+    format!("{}{rest}", Terminal(begin.trim_end()))
 }

@@ -9,6 +9,7 @@ use std::io::{ErrorKind, Read as _, Write as _};
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
 use std::path::Path;
 use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -30,6 +31,9 @@ const GRACE: Duration = Duration::from_millis(200);
 
 /// Ends its process group, itself included, at the end of its input.
 const WATCH: &str = "trap '' HUP INT QUIT TERM; read -r _; kill -s KILL 0";
+
+/// Held while pipes are made and handed to a process: where a system does that in two steps, another process could inherit them.
+static STARTING: Mutex<()> = Mutex::new(());
 
 /// A program that runs.
 pub(crate) struct Program {
@@ -77,6 +81,7 @@ impl Program {
         let failed = |error: std::io::Error| ProcessProblem::NotStarted { reason: error.to_string() };
         let missing = || ProcessProblem::NotStarted { reason: "there is no command".to_owned() };
         let (program, arguments) = words.split_first().ok_or_else(missing)?;
+        let starting = STARTING.lock().unwrap_or_else(PoisonError::into_inner);
         let group = Group::start().map_err(failed)?;
         let mut command = if program.contains('/') {
             // Otherwise it would depend on the system which folder it starts from.
@@ -90,6 +95,7 @@ impl Program {
         }
         let pipes = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = pipes.spawn().map_err(failed)?;
+        drop(starting);
         let (Some(input), Some(output), Some(error)) = (child.stdin.take(), child.stdout.take(), child.stderr.take())
         else {
             return Err(missing());

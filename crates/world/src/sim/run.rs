@@ -438,7 +438,7 @@ impl<'s> Run<'s> {
             ControllerKind::Policy(policy) => AnyController::Policy(PolicyDriver::new(Arc::clone(policy), &ego)),
             ControllerKind::Network(network) => AnyController::Network(NetworkDriver::new(Arc::clone(network), &ego)),
             ControllerKind::Process(process) => match ProcessDriver::new(Arc::clone(process), &ego, seed) {
-                Ok(started) => AnyController::Process(started),
+                Ok(started) => AnyController::Process(Box::new(started)),
                 Err(failure) => AnyController::NotStarted(failure),
             },
             ControllerKind::Shielded(shielded) => {

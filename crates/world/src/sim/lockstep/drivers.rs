@@ -51,7 +51,7 @@ macro_rules! define {
                 $(let drivers = unless_all!(drivers, C(AnyController::$rule(one)) => one, all => Self::$rule(all));)*
                 let drivers = unless_all!(drivers, C(AnyController::Policy(one)) => one, all => Self::Policy(all));
                 let drivers = unless_all!(drivers, C(AnyController::Network(one)) => one, all => Self::Network(all));
-                let drivers = unless_all!(drivers, C(AnyController::Process(one)) => one, all => Self::Process(all));
+                let drivers = unless_all!(drivers, C(AnyController::Process(one)) => one, all => Self::Process(all.into_iter().map(|one| *one).collect()));
                 Self::Mixed(drivers)
             }
 
