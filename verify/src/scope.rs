@@ -15,6 +15,8 @@ use crate::reach::{Dimension, Reach};
 pub struct Scope {
     /// The time that it covers, in seconds; infinite if it holds for ever, none if it does not say.
     pub horizon_s: Option<f64>,
+    /// Whether checking it says what holds after that.
+    pub has_afterwards: bool,
     /// The scenario, box or space, and how it is bound to it.
     pub about: String,
     /// Each vehicle present, front to rear, with where it may start and what it does or may do.
@@ -37,6 +39,7 @@ impl Certificate {
             Statement::Reach(claim) => of_reach(claim),
         };
         scope.about = self.about();
+        scope.has_afterwards = matches!(self.statement, Statement::Avoidable(_));
         scope
     }
 
@@ -59,10 +62,11 @@ impl Certificate {
 impl fmt::Display for Scope {
     /// Some lines, none of them empty.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { horizon_s, about, vehicles, limits } = self;
+        let Self { horizon_s, has_afterwards, about, vehicles, limits } = self;
         writeln!(out, "about {about}")?;
         match horizon_s {
             Some(f64::INFINITY) => write!(out, "for ever")?,
+            Some(horizon_s) if *has_afterwards => write!(out, "for {horizon_s} s from the start")?,
             Some(horizon_s) => write!(out, "for {horizon_s} s from the start and no longer")?,
             None => write!(out, "for how long is not said")?,
         }
@@ -107,7 +111,7 @@ fn of_scene(scene: &Scene) -> Scope {
         None => "behind: nobody".to_owned(),
     });
     let limits = vec![format!("{} steps of {} s", scene.steps, scene.step_s)];
-    Scope { horizon_s: Some(scene.horizon_s()), about: String::new(), vehicles, limits }
+    Scope { horizon_s: Some(scene.horizon_s()), has_afterwards: false, about: String::new(), vehicles, limits }
 }
 
 fn of_kernel(kernel: &Kernel) -> Scope {
@@ -123,7 +127,7 @@ fn of_kernel(kernel: &Kernel) -> Scope {
     let limits = vec![format!(
         "for any step and margin, {step_s} s and {margin_m} m among them; real numbers, the true state, neither lag nor delay"
     )];
-    Scope { horizon_s: Some(f64::INFINITY), about: String::new(), vehicles, limits }
+    Scope { horizon_s: Some(f64::INFINITY), has_afterwards: false, about: String::new(), vehicles, limits }
 }
 
 fn of_runs(registration: &Registration) -> Scope {
@@ -143,7 +147,7 @@ fn of_runs(registration: &Registration) -> Scope {
     }
     let (runs, seed, failure) = (registration.runs, of("seed"), of("failure"));
     let limits = vec![format!("{runs} runs drawn with seed {seed}; a failure is: {failure}")];
-    Scope { horizon_s, about: String::new(), vehicles, limits }
+    Scope { horizon_s, has_afterwards: false, about: String::new(), vehicles, limits }
 }
 
 fn of_reach(claim: &Reach) -> Scope {
@@ -180,5 +184,5 @@ fn of_reach(claim: &Reach) -> Scope {
         "{} steps of {} s; what is observed is off by {largest:e} at most (m, m/s, m/s²)",
         claim.steps, claim.step_s
     )];
-    Scope { horizon_s: Some(claim.horizon_s()), about: String::new(), vehicles, limits }
+    Scope { horizon_s: Some(claim.horizon_s()), has_afterwards: false, about: String::new(), vehicles, limits }
 }

@@ -114,8 +114,8 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     let said = crumple(folder.path(), &["check", "paper-1.json"]);
     for words in [
         "no gap is ever smaller than",
-        " m for 15 s\n",
-        "for 15 s from the start and no longer",
+        " m for 15 s; and nobody need touch afterwards, ",
+        "for 15 s from the start\n",
         "behind: front bumper",
         "which is the built-in one of that name",
     ] {
