@@ -98,6 +98,7 @@ fn is_of_no_use(found: Usefulness) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
     use std::sync::Arc;
 
     use super::super::corpus::Corpus;
@@ -107,7 +108,42 @@ mod tests {
     use super::*;
     use crumple_search::falsify::Method;
     use crumple_world::policy::Policy;
-    use crumple_world::scenario::space::{BUILT_IN_SPACES, built_in_space};
+    use crumple_world::scenario::space::{BUILT_IN_SPACES, built_in_space, file};
+
+    /// A standing vehicle 40 to 120 m ahead of 10 to 80 km/h, and nobody behind.
+    const QUEUE: &str = r#"
+version = 1
+name = "queue"
+
+[base]
+version = 1
+name = "queue"
+duration_s = 20.0
+
+[[base.vehicles]]
+class = "light"
+position_m = 120.0
+speed_mps = 0.0
+driver = "constant-speed"
+
+[[base.vehicles]]
+class = "light"
+position_m = 40.0
+speed_mps = 15.0
+driver = "under-test"
+
+[[parameters]]
+name = "speed_mps"
+field = "vehicles[1].speed_mps"
+unit = "m/s"
+distribution.uniform = { low = 2.8, high = 22.2 }
+
+[[parameters]]
+name = "position_m"
+field = "vehicles[1].position_m"
+unit = "m"
+distribution.uniform = { low = -5.0, high = 75.0 }
+"#;
 
     /// `retrained` runs into standing vehicles and `policy` does not; in emergencies it is the other way round. Whoever retrains on
     /// standing vehicles alone trades the one for the other.
@@ -116,7 +152,7 @@ mod tests {
         let plan = RetrainingPlan {
             first: Policy::retrained(),
             first_name: "retrained".to_owned(),
-            space: built_in_space("standing").unwrap(),
+            space: file::from_toml(QUEUE, Path::new("queue.toml")).unwrap(),
             regression: BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect(),
             training: training_preset().unwrap(),
             method: Method::Uniform,

@@ -257,18 +257,23 @@ mod tests {
     #[test]
     fn evidence_is_gathered_again_once_anything_about_it_has_changed() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path(), "program", false).unwrap();
-        assert_eq!((get(&store, "inputs", 0.1), get(&store, "inputs", 0.2)), (0.1, 0.1));
-        assert_eq!(get(&store, "other inputs", 0.3), 0.3);
-        assert_eq!(get(&Store::open(folder.path(), "other program", false).unwrap(), "inputs", 0.4), 0.4);
-        assert_eq!(store.reused(), (3, 1));
+        let open = |program, fresh| Store::open(folder.path(), program, fresh).unwrap();
+        {
+            let store = open("program", false);
+            assert!(matches!(Store::open(folder.path(), "program", false), Err(StoreError::InUse(_))));
+            assert_eq!((get(&store, "inputs", 0.1), get(&store, "inputs", 0.2)), (0.1, 0.1));
+            assert_eq!(get(&store, "other inputs", 0.3), 0.3);
+            assert_eq!((store.reused(), store.damaged().len()), ((3, 1), 0));
+        }
+        assert_eq!(get(&open("other program", false), "inputs", 0.4), 0.4);
         for file in fs::read_dir(folder.path()).unwrap() {
             let path = file.unwrap().path();
             fs::write(&path, fs::read_to_string(&path).unwrap().replace("0.1", "0.9")).unwrap();
         }
-        assert_eq!(get(&store, "inputs", 0.5), 0.5, "altered evidence is not believed");
+        assert_eq!(get(&open("program", false), "inputs", 0.5), 0.5, "altered evidence is not believed");
         assert_eq!(get(&Store::none(), "inputs", 0.6), 0.6);
-        assert_eq!(get(&Store::open(folder.path(), "program", true).unwrap(), "inputs", 0.7), 0.7);
+        assert_eq!(get(&open("program", true), "inputs", 0.7), 0.7);
+        let store = open("program", false);
         let [one, other] = ["inputs", "other inputs"].map(|inputs| {
             folder.path().join(format!("{}.json", store.file_stem("a piece", &sha256(text(&inputs).unwrap()))))
         });
