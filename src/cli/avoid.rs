@@ -35,7 +35,8 @@ A file of ranges makes a box of the scenario; `avoidable` then means that one pr
 Fields are vehicles[i].position_m, vehicles[i].speed_mps and, of a leader that brakes, vehicles[0].driver.brake.rate_mps2 and \
 vehicles[0].driver.brake.onset_s.
 
-At most 20 vehicles may be under test, and 50 000 of them times steps: where nothing can be decided that takes some two minutes.
+At most 20 vehicles may be under test, and 50 000 of them times steps: where nothing can be decided that takes some two minutes. A file of \
+ranges may have 3 MiB.
 
 Examples:
   crumple avoid paper-1

@@ -42,35 +42,35 @@ pub(super) struct Retrain {
     /// How to train: `retrain`, or a TOML file like those of `crumple train`
     #[arg(long, value_name = "PRESET", default_value = "retrain")]
     preset: String,
-    /// Rounds at most
+    /// Rounds at most: 1 to 99
     #[arg(long, value_name = "N", default_value_t = Settings::default().rounds, value_parser = value_parser!(u64).range(1..=99))]
     rounds: u64,
-    /// Episodes of training in a round
+    /// Episodes of training in a round: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = Settings::default().episodes, value_parser = value_parser!(u64).range(1..=1_000_000))]
     episodes: u64,
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Evaluations of the search method in a round, and of each reference search
+    /// Evaluations of the search method in a round, and of each reference search: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = Settings::default().budget, value_parser = value_parser!(u64).range(1..=1_000_000))]
     budget: u64,
-    /// Draws of the space that each search drives beside
+    /// Draws of the space that each search drives beside: up to 1 000 000
     #[arg(long, value_name = "N", default_value_t = Settings::default().draws, value_parser = value_parser!(u64).range(0..=1_000_000))]
     draws: u64,
-    /// Avoidable draws kept aside, which accept or reject a round
+    /// Avoidable draws kept aside, which accept or reject a round: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = Settings::default().kept_aside, value_parser = value_parser!(u64).range(1..=1_000_000))]
     kept_aside: u64,
-    /// Draws of the paper's distribution, likewise
+    /// Draws of the paper's distribution, likewise: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = Settings::default().nominal, value_parser = value_parser!(u64).range(1..=1_000_000))]
     nominal: u64,
     /// A space in which no round may make the policy worse, built-in or a file; may be given several times, `none` is none of them
     /// [default: all built-in spaces]
     #[arg(long, value_name = "S")]
     regression: Vec<String>,
-    /// Draws of each of them
+    /// Draws of each of them: 1 to 10 000
     #[arg(long, value_name = "N", default_value_t = Settings::default().regression, value_parser = value_parser!(u64).range(1..=10_000))]
     regression_draws: u64,
-    /// Avoidable draws on which the result is judged
+    /// Avoidable draws on which the result is judged: 1 to 10 000 000
     #[arg(long, value_name = "N", default_value_t = Settings::default().judged, value_parser = value_parser!(u64).range(1..=10_000_000))]
     judge: u64,
     /// Seed of searches and trainings

@@ -9,7 +9,7 @@ use super::falsify::assert_same;
 use super::{assert_refused, code, command, crumple, folder, killed_at_random, objects, stderr, stdout};
 use crate::tiny;
 
-const RETRAIN: [&str; 20] = [
+const RETRAIN: [&str; 22] = [
     "retrain",
     "--preset",
     "tiny.toml",
@@ -27,6 +27,8 @@ const RETRAIN: [&str; 20] = [
     "10",
     "--judge",
     "12",
+    "--regression-draws",
+    "10",
     "--seed",
     "3",
     "--out",

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 
-use super::manifest::{FileState, Prefix};
+use super::state::{FileState, Prefix};
 use super::{Work, WorkError, generation};
 use crate::disk::{self, DiskError};
 

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use super::examine::examined;
 use super::lock::Lock;
-use super::manifest::{FileState, Manifest};
+use super::manifest::Manifest;
+use super::state::FileState;
 use super::{MANIFEST, WorkError};
 use crate::disk::{self, DiskError};
 use crumple_world::quoted::ShellWord;

@@ -2,19 +2,23 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::{ErrorKind, Read};
-use std::path::{Component, Path, PathBuf};
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
 
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::lock::LOCK;
+use super::pending::{self, Pending, is_within};
+use super::state::{FileState, MISSING, Prefix, plain, regular};
 use super::{MANIFEST, UNKNOWN, WorkError, generation};
 use crate::disk::{self, DiskError, Files};
-use crumple_world::digest::{Sha256, sha256};
+use crumple_world::digest::sha256;
 
 /// The version of the file.
 const VERSION: u32 = 1;
+
+/// The longest manifest that is read: that of ten thousand files is not a tenth of it.
+pub(super) const MOST_BYTES: u64 = 64 << 20;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -34,146 +38,6 @@ pub(super) struct Manifest {
     pending: Vec<Pending>,
     /// SHA-256 of this file with an empty string here.
     sha256: String,
-}
-
-/// What a file is.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub(super) enum FileState {
-    /// It begins with this; what follows has come since, and its records have checks of their own.
-    Growing(Prefix),
-    /// It has these contents.
-    Whole { bytes: u64, sha256: String },
-}
-
-/// A change that was announced.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub(super) enum Pending {
-    /// The file `unfinished`, beside the manifest, is to be in the place of `name`.
-    Place { unfinished: String, name: String },
-    /// It is to go, and was this before.
-    Remove { name: String, was: FileState },
-}
-
-impl Pending {
-    fn name(&self) -> &str {
-        match self {
-            Self::Place { name, .. } | Self::Remove { name, .. } => name,
-        }
-    }
-
-    /// Makes it, without looking.
-    fn make(&self, folder: &Path) -> Result<(), DiskError> {
-        let path = folder.join(self.name());
-        match self {
-            Self::Place { unfinished, .. } => {
-                path.parent().map_or(Ok(()), disk::make_folder)?;
-                let unfinished = folder.join(unfinished);
-                fs::rename(&unfinished, &path).map_err(DiskError::at(&path))?;
-                // Where both were names of one file, neither has moved.
-                disk::remove(&[unfinished])
-            }
-            Self::Remove { .. } => disk::remove(&[path]),
-        }
-    }
-}
-
-/// The first bytes of a file that grows.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Prefix {
-    /// How many there are.
-    pub bytes: u64,
-    /// Their SHA-256.
-    pub sha256: String,
-}
-
-impl Prefix {
-    /// That of a file of which nothing has to be there.
-    pub(super) fn nothing() -> Self {
-        Self { bytes: 0, sha256: sha256("") }
-    }
-
-    /// Whether a file begins so. Read piece by piece, for it may be larger than memory.
-    fn begins(&self, path: &Path) -> Result<Result<(), String>, DiskError> {
-        let unreadable = DiskError::at(path);
-        let mut file = match fs::File::open(path) {
-            Ok(file) => file.take(self.bytes),
-            Err(error) if error.kind() == ErrorKind::NotFound && self.bytes == 0 => return Ok(Ok(())),
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Err(MISSING.to_owned())),
-            Err(error) => return Err(unreadable(error)),
-        };
-        let (mut digest, mut part, mut left) = (Sha256::default(), vec![0; 1 << 16], self.bytes);
-        loop {
-            match file.read(&mut part).map_err(unreadable)? {
-                0 => break,
-                count => {
-                    digest.update(part.get(..count).unwrap_or_default());
-                    left = left.saturating_sub(count as u64);
-                }
-            }
-        }
-        Ok(match (left, digest.hexadecimal() == self.sha256) {
-            (0, true) => Ok(()),
-            (0, false) => Err(format!("its first {} bytes are not as they were written", self.bytes)),
-            _ => Err(format!("shorter than the {} bytes that were written", self.bytes)),
-        })
-    }
-}
-
-const MISSING: &str = "the file is missing";
-
-impl FileState {
-    pub(super) fn of(contents: &[u8]) -> Self {
-        Self::Whole { bytes: contents.len() as u64, sha256: sha256(contents) }
-    }
-
-    /// Bytes of a file in this state, at most.
-    fn bytes(&self) -> u64 {
-        match self {
-            Self::Growing(_) => u64::MAX,
-            Self::Whole { bytes, .. } => *bytes,
-        }
-    }
-
-    /// Whether a file of these bytes is in this state.
-    fn is(&self, found: &[u8]) -> bool {
-        match self {
-            // `Prefix::begins` looks.
-            Self::Growing(_) => true,
-            Self::Whole { bytes, sha256: expected } => *bytes == found.len() as u64 && sha256(found) == *expected,
-        }
-    }
-
-    /// Whether the file at a place is in this state.
-    fn is_at(&self, path: &Path) -> bool {
-        matches!(regular(path, self.bytes()), Ok(Some(found)) if self.is(&found))
-    }
-}
-
-/// The longest manifest that is read: that of ten thousand files is not a tenth of it.
-pub(super) const MOST_BYTES: u64 = 64 << 20;
-
-/// How long a file is; none if there is none. A link, a folder or a pipe in its place is not what was written.
-fn plain(path: &Path) -> Result<Option<u64>, WorkError> {
-    match fs::symlink_metadata(path) {
-        Ok(found) if !found.is_file() => {
-            Err(WorkError::damaged(path, "no file of its own: work is kept in plain files"))
-        }
-        Ok(found) => Ok(Some(found.len())),
-        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(DiskError::at(path)(source).into()),
-    }
-}
-
-/// The bytes of a plain file of at most so many; none if there is none. What is longer is not read.
-pub(super) fn regular(path: &Path, most: u64) -> Result<Option<Vec<u8>>, WorkError> {
-    match plain(path)? {
-        Some(bytes) if bytes > most => Err(WorkError::damaged(path, "not as it was written: longer than it was")),
-        Some(_) => Ok(disk::read(path, most)?),
-        None => Ok(None),
-    }
 }
 
 impl Manifest {
@@ -205,14 +69,7 @@ impl Manifest {
 
     /// Whether all that it names lies in its folder.
     fn is_within(&self) -> bool {
-        let is_plain = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-        self.files.keys().all(|name| is_plain(name))
-            && self.pending.iter().all(|pending| match pending {
-                Pending::Place { unfinished, name } => {
-                    is_plain(name) && !unfinished.contains('/') && disk::is_unfinished(Path::new(unfinished))
-                }
-                Pending::Remove { name, .. } => is_plain(name),
-            })
+        self.files.keys().all(|name| is_within(name)) && self.pending.iter().all(Pending::is_within)
     }
 
     /// Writes it and its second copy; either may be the older one if the process ends in between, and is right all the same, for
@@ -357,47 +214,49 @@ impl Manifest {
         self.include(name, state);
     }
 
-    /// Says that a file will go; false if it is not there.
-    pub(super) fn remove(&mut self, name: &str) -> bool {
-        let Some(was) = self.files.remove(name) else { return false };
-        self.pending.push(Pending::Remove { name: name.to_owned(), was });
-        true
+    /// Says that a file will go, if it is there.
+    pub(super) fn remove(&mut self, name: &str) {
+        let was = self.files.remove(name);
+        self.pending.extend(was.map(|was| Pending::Remove { name: name.to_owned(), was }));
     }
 
     /// Makes what is pending, which nobody has touched since it was announced.
     pub(super) fn make(&mut self, folder: &Path) -> Result<(), DiskError> {
-        self.pending.iter().try_for_each(|pending| pending.make(folder))?;
-        let folders = self.pending.iter().filter_map(|pending| Some(folder.join(pending.name()).parent()?.to_owned()));
-        let folders: BTreeSet<PathBuf> = folders.chain([folder.to_owned()]).collect();
-        folders.par_iter().filter(|folder| folder.is_dir()).try_for_each(|folder| disk::sync_folder(folder))?;
+        pending::make(folder, &self.pending.iter().collect::<Vec<_>>())?;
         self.pending.clear();
         Ok(())
     }
 
     /// Makes what is still pending of what another process announced, once it has found all that it needs to be as it was written.
     pub(super) fn complete(&mut self, folder: &Path) -> Result<(), WorkError> {
-        let open = |pending: &Pending| -> Result<bool, WorkError> {
-            let path = folder.join(pending.name());
-            match pending {
-                Pending::Place { unfinished, name } => {
-                    let Some(state) = self.files.get(name) else { return Ok(false) };
-                    match state.is_at(&path) {
-                        true => Ok(false),
-                        false if state.is_at(&folder.join(unfinished)) => Ok(true),
-                        false => self.look(folder, name).map(|()| false),
-                    }
-                }
-                Pending::Remove { was, .. } => match path.symlink_metadata() {
-                    Err(_) => Ok(false),
-                    Ok(_) if matches!(was, FileState::Growing(_)) || was.is_at(&path) => Ok(true),
-                    Ok(_) => Err(WorkError::damaged(&path, "not as it was written")),
-                },
+        let mut open = Vec::new();
+        for pending in &self.pending {
+            if self.is_open(folder, pending)? {
+                open.push(pending);
+            } else if let Some(parent) = folder.join(pending.name()).parent().filter(|parent| parent.is_dir()) {
+                // It was made, and may not have reached the disk.
+                disk::sync_folder(parent)?;
             }
-        };
-        let open = self.pending.iter().map(open).collect::<Result<Vec<_>, _>>()?;
-        let mut open = open.into_iter();
-        self.pending.retain(|_| open.next().unwrap_or(true));
-        Ok(self.make(folder)?)
+        }
+        pending::make(folder, &open)?;
+        self.pending.clear();
+        Ok(())
+    }
+
+    /// Whether a change is still to be made.
+    fn is_open(&self, folder: &Path, pending: &Pending) -> Result<bool, WorkError> {
+        let path = folder.join(pending.name());
+        match pending {
+            Pending::Place { unfinished, name } => match self.files.get(name) {
+                Some(state) if !state.is_at(&path) && state.is_at(&folder.join(unfinished)) => Ok(true),
+                _ => self.look(folder, name).map(|()| false),
+            },
+            Pending::Remove { was, .. } => match path.symlink_metadata() {
+                Err(_) => Ok(false),
+                Ok(_) if matches!(was, FileState::Growing(_)) || was.is_at(&path) => Ok(true),
+                Ok(_) => Err(WorkError::damaged(&path, "not as it was written")),
+            },
+        }
     }
 
     /// Names for files that are to be in the places of others, none of which is in use.

@@ -17,12 +17,14 @@ mod examine;
 mod generation;
 mod lock;
 mod manifest;
+mod pending;
+mod state;
 
 pub use changes::Changes;
 pub use examine::{Examined, examine};
 pub use generation::{Restored, restore};
 pub use lock::{Lock, exclusively};
-pub use manifest::Prefix;
+pub use state::Prefix;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -30,7 +32,8 @@ use std::sync::{Mutex, PoisonError};
 use crate::disk::{self, DiskError};
 use crate::program::{self, OTHER_BUILD};
 use crumple_world::digest::{Sha256, sha256};
-use manifest::{FileState, Manifest, files_in};
+use manifest::{Manifest, files_in};
+use state::FileState;
 
 /// The file that says what the others are.
 pub const MANIFEST: &str = "work.json";
@@ -156,8 +159,12 @@ impl Work {
             Some(_) if !asked.resume => return Err(WorkError::Taken { folder: folder.to_owned(), kind: kind() }),
             Some(found) if found.configuration_sha256 != configuration_sha256 => {
                 let name = asked.configuration_file;
-                let bytes = found.look(folder, name).and_then(|()| found.contents(folder, name));
-                let found = bytes.map_err(|error| generation::hinted(folder, error))?.unwrap_or_default();
+                if found.look(folder, name).is_err() {
+                    let problem =
+                        format!("the `{name}` beside it is not the one that it knows: one of them is of other work");
+                    return Err(WorkError::damaged(&path, problem));
+                }
+                let found = found.contents(folder, name)?.unwrap_or_default();
                 return Err(WorkError::OtherConfiguration {
                     path: folder.join(name),
                     kind: kind(),
@@ -249,7 +256,7 @@ impl Work {
     pub fn include(&self, folder: &str) -> Result<(), WorkError> {
         let name = format!("{folder}/{MANIFEST}");
         let path = self.path(&name);
-        let bytes = manifest::regular(&path, manifest::MOST_BYTES)?.ok_or_else(|| WorkError::missing(&path))?;
+        let bytes = state::regular(&path, manifest::MOST_BYTES)?.ok_or_else(|| WorkError::missing(&path))?;
         let mut manifest = self.locked();
         manifest.include(&name, FileState::of(&bytes));
         Ok(manifest.write(&self.folder)?)

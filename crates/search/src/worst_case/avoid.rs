@@ -57,7 +57,7 @@ impl EscapeKind {
 #[non_exhaustive]
 pub enum AvoidError {
     /// The grid does not fit the scenario.
-    #[error("a grid of {grid_s} s is not a multiple of the scenario's step of {step_s} s")]
+    #[error("a grid of {grid_s:?} s is not a multiple of the scenario's step of {step_s:?} s")]
     Grid {
         /// The grid asked for, in seconds.
         grid_s: f64,

@@ -227,7 +227,8 @@ fn plain(message: &str) -> std::borrow::Cow<'_, str> {
         "invalid type: unit variant, expected newtype variant" => {
             "a name alone is not enough: its settings belong into a table".into()
         }
-        other => other.into(),
+        // Serde's word on what has nothing to set.
+        other => other.strip_suffix(", there are no fields").unwrap_or(other).into(),
     }
 }
 

@@ -1,6 +1,7 @@
 //! How it happens: exact motion, contact by root finding, and two engines with one meaning.
 
 mod actuator;
+mod kind;
 mod lockstep;
 mod motion;
 mod named;
@@ -13,13 +14,14 @@ mod shielding;
 mod stepper;
 mod trace;
 
+pub use kind::ControllerKind;
 pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
 pub use named::{NamedController, UnknownController};
 pub use outcome::{AfterContact, Contact, FailedController, Impact, Outcome, Simulated, VehicleSummary};
 pub use recorder::RecordingLevel;
 pub(crate) use recorder::ttc_s;
-pub use run::{ControllerKind, Run, RunError, RunOptions};
+pub use run::{Run, RunError, RunOptions};
 pub use scalar::simulate;
 pub use shielding::{Intervention, ShieldRefusal, Shielded};
 pub use stepper::Stepper;
