@@ -21,11 +21,11 @@ def decide(see):
 for line in sys.stdin:
     asked = json.loads(line)
     if "time_s" in asked:  # Written by hand, since this is asked most.
-        answer = '{"acceleration_mps2":%r}' % decide(asked["see"])
+        answer = '{"id":%d,"acceleration_mps2":%r}' % (asked["id"], decide(asked["see"]))
     elif "times_s" in asked:  # Several runs at once, since it says "batch".
-        answer = json.dumps({"acceleration_mps2": [decide(see) for see in asked["see"]]})
+        answer = json.dumps({"id": asked["id"], "acceleration_mps2": [decide(see) for see in asked["see"]]})
     elif "reset" in asked:  # A run begins: what remembers would forget here, and draw from the seed.
-        answer = '{"ready":true}'
+        answer = '{"id":%d,"ready":true}' % asked["id"]
     else:
         pick = operator.itemgetter(*(asked["hello"]["inputs"].index(name) for name in SEEN))
         batch = "alone" not in sys.argv

@@ -9,7 +9,8 @@ use clap::Args;
 use super::output;
 use super::{Failure, interrupt, progress};
 use crumple_report::assessment::{
-    AssessError, AssessmentPlan, ComparisonError, Earlier, FOLDERS, Made, Store, StoreError, assess, files_of_evidence,
+    AssessError, AssessmentPlan, ComparisonError, Earlier, FOLDERS, MOST_EVIDENCE_BYTES, Made, Store, StoreError,
+    assess, files_of_evidence,
 };
 use crumple_search::disk::{self, DiskError, Files};
 use crumple_search::program;
@@ -136,9 +137,6 @@ impl Assess {
         Failure::gate_first(gate, printed)
     }
 }
-
-/// The longest evidence of an earlier report that is looked through for its files.
-const MOST_EVIDENCE_BYTES: u64 = 64 << 20;
 
 /// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.
 fn check_own_folders(out: &Path) -> Result<(), Failure> {

@@ -10,7 +10,7 @@ use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, CampaignError, Progress};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
+use crumple_world::scenario::space::{Space, UnknownSpace, find_space};
 use crumple_world::sim::NamedController;
 
 /// Search for scenarios in which a controller fails
@@ -120,18 +120,13 @@ fn failures(count: u64) -> String {
 
 /// A built-in space, or the one in a file.
 fn space(name: &str) -> Result<Space, Failure> {
-    if let Some(space) = built_in_space(name) {
-        return Ok(space);
+    if Path::new(name).extension().is_some_and(|extension| extension != "toml") {
+        return Err(Failure::Input(format!("{name}: a space file ends in .toml")));
     }
-    let path = Path::new(name);
-    match path.extension() {
-        Some(extension) if extension == "toml" => Ok(file::load(path)?),
-        Some(_) => Err(Failure::Input(format!("{name}: a space file ends in .toml"))),
-        None => {
-            let known: Vec<_> = BUILT_IN_SPACES.iter().map(|(known, ..)| *known).collect();
-            Err(Failure::Input(format!("`{name}` is neither a built-in space ({}) nor a file", known.join(", "))))
-        }
-    }
+    find_space(name).map_err(|error| match error {
+        UnknownSpace::File(error) => error.into(),
+        other => Failure::input(other),
+    })
 }
 
 impl From<CampaignError> for Failure {

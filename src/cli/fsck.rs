@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::{Failure, output};
-use crumple_search::work::{Examined, MANIFEST, Restored, examine, restore};
+use crumple_search::work::{Examined, Restored, examine, is_there, restore};
 use crumple_world::quoted::Terminal;
 
 /// Look at folders of work: is every file what was written there?
@@ -59,7 +59,7 @@ impl Fsck {
 
     /// Whether a folder is whole; the text says more.
     fn look(&self, folder: &Path, text: &mut String) -> Result<bool, Failure> {
-        if !folder.join(MANIFEST).exists() && !folder.join("previous").exists() {
+        if !is_there(folder) {
             let problem = "no folder of work: it holds no work.json";
             return Err(Failure::Input(format!("{}: {problem}", folder.display())));
         }
@@ -79,7 +79,7 @@ fn seeds_in(folder: &Path) -> Vec<PathBuf> {
     let inner = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let mut seeds: Vec<PathBuf> = inner.filter(is_seed).collect();
     seeds.sort_unstable();
-    if seeds.is_empty() || folder.join(MANIFEST).exists() { vec![folder.to_owned()] } else { seeds }
+    if seeds.is_empty() || is_there(folder) { vec![folder.to_owned()] } else { seeds }
 }
 
 /// What was done to go back.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::Failure;
 use crumple_search::disk::DiskError;
-use crumple_search::work::MANIFEST;
+use crumple_search::work;
 use crumple_world::quoted::{Lines, Terminal};
 
 /// Prints to standard output. If its reader has gone, nobody misses the rest.
@@ -29,7 +29,7 @@ pub(super) fn note(text: &str, quiet: bool) {
 
 /// Says that there is nothing to go on with, where `--resume` asks for it: a typing error in `--out` would begin everything anew.
 pub(super) fn note_beginning(resume: bool, folder: &Path, quiet: bool) {
-    if resume && !folder.join(MANIFEST).exists() {
+    if resume && !work::is_there(folder) {
         note(&format!("{}: nothing to go on with is there, so it begins anew", folder.display()), quiet);
     }
 }

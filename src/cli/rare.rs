@@ -7,11 +7,11 @@ use super::simulate::Format;
 use super::{Failure, output, progress};
 use crumple_search::disk;
 use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, RarePlan, RareReport};
-use crumple_search::work::MANIFEST;
+use crumple_search::work;
 
 /// Estimates, writes the estimate to `folder` and prints it.
 pub(super) fn estimate(plan: &RarePlan, folder: &Path, format: Format, quiet: bool) -> Result<(), Failure> {
-    if folder.join(MANIFEST).exists() {
+    if work::is_there(folder) {
         let problem = "holds other work: an estimate needs an --out of its own";
         return Err(Failure::Input(format!("{}: {problem}", folder.display())));
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::Failure;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::{self, BUILT_IN_SPACES, Space, built_in_space};
+use crumple_world::scenario::space::{Space, find_space};
 use crumple_world::scenario::{Scenario, built_in, built_in_names, file};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate};
 
@@ -27,14 +27,7 @@ pub(super) fn scenario(name_or_path: &str) -> Result<Scenario, Failure> {
 
 /// A built-in space, or the one in a file, for clap; with the name it was asked for by.
 pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
-    let space = match built_in_space(name_or_path) {
-        Some(space) => space,
-        None if Path::new(name_or_path).extension().is_none() => {
-            let known: Vec<_> = BUILT_IN_SPACES.iter().map(|(name, ..)| *name).collect();
-            return Err(format!("`{name_or_path}` is neither a built-in space ({}) nor a file", known.join(", ")));
-        }
-        None => space::file::load(Path::new(name_or_path)).map_err(|error| error.to_string())?,
-    };
+    let space = find_space(name_or_path).map_err(|error| error.to_string())?;
     Ok((name_or_path.to_owned(), space))
 }
 

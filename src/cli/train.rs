@@ -13,7 +13,7 @@ use crumple_learn::rl::{
     finished_trainings, seed_folder, side_by_side,
 };
 use crumple_search::disk::{self, Files};
-use crumple_search::work::{self, MANIFEST};
+use crumple_search::work;
 
 /// Train a driving policy by reinforcement learning
 #[derive(Args)]
@@ -103,12 +103,13 @@ impl Train {
         finished_trainings(&self.out, &config)?;
         let out = self.out.display();
         interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
-        if self.out.join(MANIFEST).exists() {
+        if work::is_there(&self.out) {
             let problem = "holds other work: trainings need an --out of their own";
             return Err(Failure::Input(format!("{}: {problem}", self.out.display())));
         }
-        for seed in &seeds {
-            output::note_beginning(self.resume, &seed_folder(&self.out, *seed), quiet);
+        // Seeds may be added to those that are there: only where none is, a typing error is likely.
+        if !seeds.iter().any(|seed| work::is_there(&seed_folder(&self.out, *seed))) {
+            output::note_beginning(self.resume, &self.out, quiet);
         }
         let held_out = HeldOut::of(&config)?;
         let bar = progress::training_bar(config.episodes.saturating_mul(seeds.len() as u64), quiet);

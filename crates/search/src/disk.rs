@@ -42,10 +42,9 @@ pub struct Files {
     staged: Vec<Staged>,
 }
 
-/// Something that is to have a name.
+/// A file beside its place.
 struct Staged {
-    /// What has not yet reached the disk.
-    file: Option<fs::File>,
+    file: fs::File,
     unfinished: TempPath,
     path: PathBuf,
 }
@@ -82,25 +81,6 @@ impl Files {
                 kind => kind.into(),
             })
         })?;
-        self.staged.push(Staged { file: Some(file), unfinished, path: path.to_owned() });
-        Ok(())
-    }
-
-    /// Stages a second name for the contents that a file has now.
-    ///
-    /// # Errors
-    /// [`DiskError`] if it cannot be done.
-    pub fn stage_second(&mut self, of: &Path, path: &Path) -> Result<(), DiskError> {
-        let failed = DiskError::at(path);
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let unfinished = folder_of(path).join(format!("{UNFINISHED}{name}"));
-        unless_missing(fs::remove_file(&unfinished)).map_err(failed)?;
-        let file = match fs::hard_link(of, &unfinished) {
-            Ok(()) => None,
-            // Not every file system knows links.
-            Err(_) => Some(fs::copy(of, &unfinished).and_then(|_| fs::File::open(&unfinished)).map_err(failed)?),
-        };
-        let unfinished = TempPath::try_from_path(unfinished).map_err(failed)?;
         self.staged.push(Staged { file, unfinished, path: path.to_owned() });
         Ok(())
     }
@@ -111,17 +91,12 @@ impl Files {
     /// [`DiskError`] names the first file that cannot be moved; those before it are in their places.
     pub fn commit(self) -> Result<(), DiskError> {
         // Else a loss of power could leave new names with nothing behind them. All at once, for each waits for the disk.
-        self.staged.par_iter().try_for_each(|staged| {
-            let synced = staged.file.as_ref().map_or(Ok(()), fs::File::sync_all);
-            synced.map_err(DiskError::at(&staged.path))
-        })?;
+        self.staged.par_iter().try_for_each(|staged| staged.file.sync_all().map_err(DiskError::at(&staged.path)))?;
         let mut folders = BTreeSet::new();
         for Staged { unfinished, path, .. } in self.staged {
             fs::rename(&unfinished, &path).map_err(DiskError::at(&path))?;
-            // Nothing is left to be cleared away, unless both were names of one file: then neither is moved.
-            if fs::symlink_metadata(&unfinished).is_err() {
-                let _ = unfinished.keep();
-            }
+            // Nothing is left to be cleared away.
+            let _ = unfinished.keep();
             folders.insert(folder_of(&path).to_owned());
         }
         folders.par_iter().try_for_each(|folder| sync_folder(folder))

@@ -24,11 +24,13 @@ say "{\"crumple\":1,\"name\":\"bad\",\"deterministic\":$claim$more}"
 asked=0
 runs=0
 while read -r line; do
+    id=${line#'{"id":'}
+    id=${id%%,*}
     case $line in
         *reset*)
             asked=0
             runs=$((runs + 1))
-            if [ "$what" = not-ready ]; then say '{"ready":false}'; else say '{"ready":true}'; fi
+            if [ "$what" = not-ready ]; then say "{\"id\":$id,\"ready\":false}"; else say "{\"id\":$id,\"ready\":true}"; fi
             continue
             ;;
         *hello*) say "{\"crumple\":1,\"name\":\"bad\",\"deterministic\":$claim$more}" && continue ;;
@@ -51,10 +53,10 @@ while read -r line; do
                 linger "$2" 2>&-
                 ;;
             flood) while :; do printf '%s' xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx; done ;;
-            chatter) say '{"acceleration_mps2":-1}' ;;
+            chatter) say "{\"id\":$id,\"acceleration_mps2\":-1}" ;;
             not-a-number) answer=NaN ;;
             exceed) answer=31 ;;
-            leave-out) say '{}' && continue ;;
+            leave-out) say "{\"id\":$id}" && continue ;;
             *) ;;
         esac
     fi
@@ -64,6 +66,6 @@ while read -r line; do
         miscount) answer="[$answer,$answer]" ;;
         *) ;;
     esac
-    say "{\"acceleration_mps2\":$answer}"
+    say "{\"id\":$id,\"acceleration_mps2\":$answer}"
 done
 [ "$what" = stay ] && linger "$2"

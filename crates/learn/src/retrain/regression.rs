@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use super::plan::{REGRESSION_SEED, RetrainingPlan};
+use crate::rl::usefulness;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Usefulness;
 use crumple_world::observation::EstimatorKind;
@@ -16,9 +17,6 @@ pub const SIGNIFICANCE: f64 = 0.01;
 
 /// Draws that are driven together: each keeps its motion.
 const BLOCK: usize = 100;
-
-/// The vehicle whose usefulness counts.
-const EGO: usize = 1;
 
 /// What a policy did in draws of a regression space.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,8 +76,7 @@ impl Drawn {
             let runs = draws.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
             let found = simulate_batch(&runs, level, |_, result| {
                 let touched = result.outcome.contact().is_some();
-                let useful = result.trace.as_ref().and_then(|trace| Usefulness::of(trace, &result.impacts, EGO));
-                (touched, touched || useful.is_some_and(is_of_no_use))
+                (touched, touched || usefulness(&result).is_some_and(is_of_no_use))
             });
             for (index, (touched, is_useless)) in found.into_iter().enumerate() {
                 let index = (block * BLOCK + index) as u64;

@@ -1,6 +1,5 @@
 //! Training spaces by name, file or blend.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use rand::RngExt;
@@ -10,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::config::ConfigError;
 use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space, file};
+use crumple_world::scenario::space::{Space, find_space};
 use crumple_world::scenario::{InvalidField, Scenario};
 
 /// Most spaces of a blend.
@@ -64,7 +63,7 @@ impl WeightedSpaces {
         let total: f64 = shares.iter().map(|share| share.weight).sum();
         let (mut parts, mut below) = (Vec::new(), 0.0);
         for SpaceShare { space, weight } in shares {
-            let space = found(space).map_err(problem)?;
+            let space = find_space(space).map_err(|error| problem(error.to_string()))?;
             let first = space.draw(0, 0).map_err(|error| problem(error.to_string()))?;
             if let Some(reason) = unsuited(&first) {
                 return Err(problem(format!("`{}` cannot be trained on: {reason}", space.name())));
@@ -79,18 +78,6 @@ impl WeightedSpaces {
     /// Its spaces.
     pub fn spaces(&self) -> impl Iterator<Item = &Space> {
         self.parts.iter().map(|part| &part.space)
-    }
-}
-
-/// A built-in space, or that of a file.
-fn found(name: &str) -> Result<Space, String> {
-    match built_in_space(name) {
-        Some(space) => Ok(space),
-        None if Path::new(name).extension().is_none() => {
-            let known: Vec<_> = BUILT_IN_SPACES.iter().map(|(known, ..)| *known).collect();
-            Err(format!("`{name}` is neither a built-in space ({}) nor a file", known.join(", ")))
-        }
-        None => file::load(Path::new(name)).map_err(|error| error.to_string()),
     }
 }
 

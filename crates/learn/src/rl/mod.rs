@@ -46,6 +46,7 @@ pub use seeds::{Event, Observer, side_by_side, train};
 pub use source::{Blend, Mixed, PaperDraws, ScenarioSource};
 pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
 pub use useful::UsefulDriving;
+pub(crate) use useful::usefulness;
 
 #[cfg(test)]
 mod tests;

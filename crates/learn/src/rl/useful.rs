@@ -99,7 +99,8 @@ impl Traffic {
     }
 }
 
-fn usefulness(result: &Simulated) -> Option<Usefulness> {
+/// What the driving of a run was of use for; none without its trace.
+pub(crate) fn usefulness(result: &Simulated) -> Option<Usefulness> {
     Usefulness::of(result.trace.as_ref()?, &result.impacts, EGO)
 }
 

@@ -40,10 +40,10 @@ pub use markdown::Markdown;
 pub use parts::{
     Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
     Distributions, EXAMPLE_MPS, Earlier, Element, ElementKind, Failure, FailureMap, FailureMaps, FirstPage, Glossary,
-    Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, LineVerdict, Made, MapAxis, MapCell, MapRow, MethodReached,
-    Mildest, NamedThing, Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs, Provenance, Sampled,
-    ScenarioCases, Search, Searches, SpaceSearches, SpeaksOf, Summary, Traffic, UnknownCell, Useful, Usefulness,
-    WorstProfile, WorstProfiles,
+    Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, LineVerdict, MOST_EVIDENCE_BYTES, Made, MapAxis, MapCell,
+    MapRow, MethodReached, Mildest, NamedThing, Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs,
+    Provenance, Sampled, ScenarioCases, Search, Searches, SpaceSearches, SpeaksOf, Summary, Traffic, UnknownCell,
+    Useful, Usefulness, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use rounded::Rounded;

@@ -137,7 +137,7 @@ fn is_of_box(certificate: &Certificate, claim: &Reach, policy: Option<&[u8]>) ->
     let text = text.ok_or(Unbound::Missing { field: BOX_TEXT })?;
     let spec = BoxSpec::from_toml(text, Path::new(BOX_TEXT))?;
     if spec.scenario != certificate.provenance.scenario {
-        return Err(differs("provenance.box_text", "is around another scenario"));
+        return Err(differs(BOX_TEXT, "is around another scenario"));
     }
     let starts = Starts::new(&scenario, &spec)?;
     if !is_same_run(claim, &starts)

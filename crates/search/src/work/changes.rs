@@ -91,8 +91,11 @@ impl<'a> Changes<'a> {
                     next.remove(&name);
                     continue;
                 }
+                // What is known of it already stays known.
                 Change::Grow => {
-                    next.include(&name, FileState::Growing(Prefix::nothing()));
+                    if !next.grows(&name) {
+                        next.include(&name, FileState::Growing(Prefix::nothing()));
+                    }
                     continue;
                 }
             };

@@ -27,17 +27,19 @@ impl Lock {
     /// [`DiskError`] if there is no such folder, or it cannot be written.
     pub fn of(folder: &Path) -> Result<Option<Self>, DiskError> {
         let (file, path) = opened(folder)?;
-        match file.try_lock() {
-            Ok(()) => {}
+        let mut lock = match file.try_lock() {
+            Ok(()) => Self { file, folder: None },
             Err(TryLockError::WouldBlock) => return Ok(None),
             Err(TryLockError::Error(source)) => return Err(DiskError::at(&path)(source)),
-        }
+        };
         // Not every system opens folders, and not every file system locks them.
-        match File::open(folder).map(|folder| (folder.try_lock(), folder)) {
-            Ok((Ok(()), folder)) => Ok(Some(Self { file, folder: Some(folder) })),
-            Ok((Err(TryLockError::WouldBlock), _)) => Ok(None),
-            _ => Ok(Some(Self { file, folder: None })),
+        let Ok(folder) = File::open(folder) else { return Ok(Some(lock)) };
+        match folder.try_lock() {
+            Ok(()) => lock.folder = Some(folder),
+            Err(TryLockError::WouldBlock) => return Ok(None),
+            Err(TryLockError::Error(_)) => {}
         }
+        Ok(Some(lock))
     }
 }
 

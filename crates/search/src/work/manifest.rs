@@ -229,6 +229,9 @@ impl Manifest {
 
     /// Makes what is still pending of what another process announced, once it has found all that it needs to be as it was written.
     pub(super) fn complete(&mut self, folder: &Path) -> Result<(), WorkError> {
+        if self.pending.is_empty() {
+            return Ok(());
+        }
         let mut open = Vec::new();
         for pending in &self.pending {
             if self.is_open(folder, pending)? {

@@ -38,6 +38,12 @@ use state::FileState;
 /// The file that says what the others are.
 pub const MANIFEST: &str = "work.json";
 
+/// Whether a folder is one of work: whether it holds `work.json`, or its second copy.
+#[must_use]
+pub fn is_there(folder: &Path) -> bool {
+    folder.join(MANIFEST).exists() || generation::manifest_in(folder).exists()
+}
+
 /// What is said of a file that is there and should not be.
 const UNKNOWN: &str =
     "work.json knows no such file: it is left over from other work, or of version 0.1.0, or work.json was lost";

@@ -145,6 +145,30 @@ fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
     assert!(said.contains("deep/b.json: not as it was written"), "{said}");
 }
 
+/// A file that grows may be longer than what is known of it, and nothing else; saying again that it grows forgets nothing.
+#[test]
+fn what_is_known_of_a_file_that_grows_outlasts_going_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("journal");
+    let open = || Work::open(folder.path(), ASKED);
+    let work = open().unwrap();
+    work.changes().write("plan.json", "plan").grow("journal").commit().unwrap();
+    fs::write(&path, "first").unwrap();
+    work.grew("journal", Prefix { bytes: 5, sha256: sha256("first") }).unwrap();
+    drop(work);
+    for whole in ["first", "first, second"] {
+        fs::write(&path, whole).unwrap();
+        open().unwrap().changes().write("plan.json", "plan").grow("journal").commit().unwrap();
+    }
+    for (damaged, said) in [("firs", "shorter than the 5 bytes"), ("First, second", "its first 5 bytes are not")] {
+        fs::write(&path, damaged).unwrap();
+        let error = open().err().unwrap().to_string();
+        assert!(error.contains(&format!("journal: {said}")), "{error}");
+    }
+    fs::remove_file(&path).unwrap();
+    assert!(open().err().unwrap().to_string().contains("journal: the file is missing"));
+}
+
 /// A manifest that somebody made names nothing outside its folder.
 #[test]
 fn nothing_outside_of_the_folder_is_moved_or_removed() {

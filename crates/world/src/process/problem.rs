@@ -44,8 +44,13 @@ pub enum ProcessProblem {
         limit_bytes: usize,
     },
     /// It wrote before it was asked, or more than one line.
-    #[error("wrote more than it was asked")]
-    Unasked,
+    #[error("answered question {found} where it was asked question {asked}")]
+    OtherQuestion {
+        /// The question's number in its answer.
+        found: u64,
+        /// The number it was asked.
+        asked: u64,
+    },
     /// It speaks another version of the protocol.
     #[error("speaks version {found} of the protocol, and crumple speaks {VERSION}")]
     Version {

@@ -54,9 +54,10 @@ pub(crate) struct Greeting {
     pub(crate) inputs: Option<u64>,
 }
 
-/// A run begins.
+/// A run begins. Each question has a number of its own, which its answer repeats: what was said too much or too late is known by it.
 #[derive(Serialize)]
 pub(crate) struct Reset {
+    pub(crate) id: u64,
     pub(crate) reset: Seed,
 }
 
@@ -68,12 +69,14 @@ pub(crate) struct Seed {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Ready {
+    id: u64,
     ready: bool,
 }
 
 /// A decision is due.
 #[derive(Serialize)]
 pub(crate) struct Ask<'a> {
+    pub(crate) id: u64,
     pub(crate) time_s: f64,
     pub(crate) see: &'a [f64],
 }
@@ -81,6 +84,7 @@ pub(crate) struct Ask<'a> {
 /// Decisions of several runs are due.
 #[derive(Serialize)]
 pub(crate) struct AskAll<'a> {
+    pub(crate) id: u64,
     pub(crate) times_s: &'a [f64],
     pub(crate) see: Vec<&'a [f64]>,
 }
@@ -88,6 +92,7 @@ pub(crate) struct AskAll<'a> {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Answer<T> {
+    id: u64,
     acceleration_mps2: T,
 }
 
@@ -115,23 +120,33 @@ pub(crate) fn greeting(line: &[u8]) -> Result<Greeting, ProcessProblem> {
     Ok(Greeting { name: shortened(&greeting.name), ..greeting })
 }
 
-/// That it is ready for a run.
-pub(crate) fn ready(line: &[u8]) -> Result<(), ProcessProblem> {
-    match read(line)? {
-        Ready { ready: true } => Ok(()),
-        Ready { ready: false } => Err(no_answer(line, "it is not ready")),
+/// That it is ready for a run, in answer to the question of a number.
+pub(crate) fn ready(line: &[u8], asked: u64) -> Result<(), ProcessProblem> {
+    let Ready { id, ready } = read(line)?;
+    is_to(id, asked)?;
+    if ready { Ok(()) } else { Err(no_answer(line, "it is not ready")) }
+}
+
+/// One decision, in answer to the question of a number.
+pub(crate) fn decision(line: &[u8], asked: u64) -> Result<f64, ProcessProblem> {
+    let Answer { id, acceleration_mps2 } = read(line)?;
+    is_to(id, asked)?;
+    Ok(acceleration_mps2)
+}
+
+/// Several decisions, in answer to the question of a number.
+pub(crate) fn decisions(line: &[u8], asked: u64, count: usize) -> Result<Vec<f64>, ProcessProblem> {
+    let Answer::<Vec<f64>> { id, acceleration_mps2: answers } = read(line)?;
+    is_to(id, asked)?;
+    if answers.len() == count {
+        Ok(answers)
+    } else {
+        Err(ProcessProblem::Answers { found: answers.len(), asked: count })
     }
 }
 
-/// One decision.
-pub(crate) fn decision(line: &[u8]) -> Result<f64, ProcessProblem> {
-    read(line).map(|answer: Answer<f64>| answer.acceleration_mps2)
-}
-
-/// As many decisions as are asked for.
-pub(crate) fn decisions(line: &[u8], asked: usize) -> Result<Vec<f64>, ProcessProblem> {
-    let Answer::<Vec<f64>> { acceleration_mps2: answers } = read(line)?;
-    if answers.len() == asked { Ok(answers) } else { Err(ProcessProblem::Answers { found: answers.len(), asked }) }
+fn is_to(found: u64, asked: u64) -> Result<(), ProcessProblem> {
+    if found == asked { Ok(()) } else { Err(ProcessProblem::OtherQuestion { found, asked }) }
 }
 
 fn read<T: DeserializeOwned>(line: &[u8]) -> Result<T, ProcessProblem> {
@@ -162,18 +177,27 @@ mod tests {
 
     #[test]
     fn answers_that_are_none_are_told_apart() {
-        let problem = |line: &str| decision(line.as_bytes()).unwrap_err();
-        assert_eq!(decision(b"{\"acceleration_mps2\": -1.5}"), Ok(-1.5));
+        let problem = |line: &str| decision(line.as_bytes(), 7).unwrap_err();
+        assert_eq!(decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", 7), Ok(-1.5));
+        assert_eq!(
+            problem("{\"id\":6,\"acceleration_mps2\":1}"),
+            ProcessProblem::OtherQuestion { found: 6, asked: 7 }
+        );
         for line in ["NaN", "-Infinity", "nan", "1e999", "[NaN]"] {
-            assert_eq!(problem(&format!("{{\"acceleration_mps2\":{line}}}")), ProcessProblem::NotFinite, "{line}");
+            assert_eq!(problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}")), ProcessProblem::NotFinite, "{line}");
         }
-        for line in ["", "[1.0]", "{}", "{\"acceleration_mps2\":null}", "{\"acceleration_mps2\":1,\"x\":2}", "{\"a"] {
+        for rest in ["", "\"acceleration_mps2\":null}", "\"acceleration_mps2\":1,\"x\":2}", "\"x\":2}"] {
+            let line = format!("{{\"id\":7,{rest}");
+            assert!(matches!(problem(&line), ProcessProblem::NoAnswer { .. }), "{line}");
+        }
+        for line in ["", "[1.0]", "{}", "{\"acceleration_mps2\":1}", "{\"id\":7.0,\"acceleration_mps2\":1}"] {
             assert!(matches!(problem(line), ProcessProblem::NoAnswer { .. }), "{line}");
         }
-        let all = |line: &str| decisions(line.as_bytes(), 2);
-        assert_eq!(all("{\"acceleration_mps2\":[1,2.5]}"), Ok(vec![1.0, 2.5]));
-        assert_eq!(all("{\"acceleration_mps2\":[1]}"), Err(ProcessProblem::Answers { found: 1, asked: 2 }));
-        assert!(ready(b"{\"ready\":false}").is_err() && ready(b"{\"ready\":true}").is_ok());
+        let all = |line: &str| decisions(line.as_bytes(), 7, 2);
+        assert_eq!(all("{\"id\":7,\"acceleration_mps2\":[1,2.5]}"), Ok(vec![1.0, 2.5]));
+        assert_eq!(all("{\"id\":7,\"acceleration_mps2\":[1]}"), Err(ProcessProblem::Answers { found: 1, asked: 2 }));
+        let is_ready = |line: &str| ready(line.as_bytes(), 7).is_ok();
+        assert!(!is_ready("{\"id\":7,\"ready\":false}") && is_ready("{\"id\":7,\"ready\":true}"));
         let version = greeting(b"{\"crumple\":2,\"whatever\":0}").unwrap_err();
         assert_eq!(version, ProcessProblem::Version { found: "2".to_owned() });
         assert!(greeting(b"{\"crumple\":1,\"name\":\"a\"}").is_err(), "says not whether it is deterministic");

@@ -5,7 +5,6 @@ use std::io::{self, Read as _};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use serde::Deserializer;
 use serde::de::DeserializeOwned;
 
 use super::by_name::ByName;
@@ -189,14 +188,6 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
     let parsed = toml::Deserializer::parse(text).map_err(|error| misread(String::new(), error))?;
     serde_path_to_error::deserialize(ByName(parsed))
         .map_err(|error| misread(error.path().to_string(), error.into_inner()))
-}
-
-/// Any type whose structures must have named fields, at every depth: none is taken from a list of values.
-///
-/// # Errors
-/// Those of the deserializer, and one for such a list.
-pub fn read_by_name<'de, T: DeserializeOwned, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
-    T::deserialize(ByName(from))
 }
 
 /// Reads any type from JSON text, with errors that name line and field.

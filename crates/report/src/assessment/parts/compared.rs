@@ -260,7 +260,7 @@ fn score(strength: &Strength) -> f64 {
 }
 
 /// Most bytes of the evidence of an earlier assessment: that of the built-in one takes less than one in fifty of it.
-const MOST_BYTES: u64 = 64 << 20;
+pub const MOST_EVIDENCE_BYTES: u64 = 64 << 20;
 
 impl Earlier {
     /// Reads the evidence of an earlier assessment, `assessment.json`.
@@ -268,7 +268,7 @@ impl Earlier {
     /// # Errors
     /// [`ComparisonError`] if it cannot be read, or is no such evidence.
     pub fn load(path: &Path) -> Result<Self, ComparisonError> {
-        let text = file::read_at_most(path, MOST_BYTES).map_err(|error| match error {
+        let text = file::read_at_most(path, MOST_EVIDENCE_BYTES).map_err(|error| match error {
             FileError::Read { path, source } => ComparisonError::Read { path, source },
             other => ComparisonError::Read { path: path.to_owned(), source: io::Error::other(other.to_string()) },
         })?;

@@ -30,7 +30,7 @@ mod worst_figure;
 pub use answer::{Answer, FirstPage};
 pub use argument::{Argument, Element, ElementKind};
 pub use certified::{Proof, ProofStatus, SpeaksOf};
-pub use compared::{Change, Comparison, ComparisonError, Earlier};
+pub use compared::{Change, Comparison, ComparisonError, Earlier, MOST_EVIDENCE_BYTES};
 pub(super) use counted::made_here;
 pub use distribution::{Distribution, Distributions, Paired, Percent, Sampled};
 pub use found::{Failure, MethodReached};

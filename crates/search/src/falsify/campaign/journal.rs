@@ -5,8 +5,9 @@
 //! an evaluation was at need not be kept: asking the search again gives the same points, as long as it is told the
 //! same values. A record that was cut short is not used; one that was changed is known by its checksum, and the campaign does
 //! not go on from it. Records reach the disk once a second at least: a loss of power takes no more, and what it leaves instead of
-//! them, nothing or zeros to the end, counts as cut short. How the journal began when it last reached the disk is known to the folder's manifest
-//! ([`Work::grew`](crate::work::Work::grew)), so that nothing before that can be cut off. It is removed once the campaign is complete: its contents are then in the Parquet files.
+//! them, nothing or zeros to the end, counts as cut short. How the journal began when it last reached the disk is known to the
+//! folder's manifest ([`Work::grew`](crate::work::Work::grew)), so that nothing before that can be cut off. It is removed once the
+//! campaign is complete: its contents are then in the Parquet files.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufReader, Read, Write};

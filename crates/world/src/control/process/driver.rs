@@ -121,12 +121,13 @@ impl ProcessDriver {
     fn ask(&mut self, greeted: &mut Greeted) -> Result<f64, ProcessProblem> {
         let within = self.controller.answer_within();
         let see = self.row.as_slice();
+        let id = greeted.next_id();
         let answer = if self.is_batch {
-            protocol::line(&mut self.line, &AskAll { times_s: &[self.time_s], see: vec![see] })?;
-            protocol::decisions(greeted.program.ask(&self.line, within)?, 1)?.first().copied().unwrap_or(f64::NAN)
+            protocol::line(&mut self.line, &AskAll { id, times_s: &[self.time_s], see: vec![see] })?;
+            protocol::decisions(greeted.program.ask(&self.line, within)?, id, 1)?.first().copied().unwrap_or(f64::NAN)
         } else {
-            protocol::line(&mut self.line, &Ask { time_s: self.time_s, see })?;
-            protocol::decision(greeted.program.ask(&self.line, within)?)?
+            protocol::line(&mut self.line, &Ask { id, time_s: self.time_s, see })?;
+            protocol::decision(greeted.program.ask(&self.line, within)?, id)?
         };
         acceleration_mps2(&self.controller.setup.mapping, answer)
     }
@@ -157,9 +158,9 @@ impl ProcessController {
         if greeted.greeting.batch {
             return Ok(greeted);
         }
-        let mut line = Vec::new();
-        let ready = protocol::line(&mut line, &Reset { reset: Seed { seed } })
-            .and_then(|()| protocol::ready(greeted.program.ask(&line, self.answer_within())?));
+        let (id, mut line) = (greeted.next_id(), Vec::new());
+        let ready = protocol::line(&mut line, &Reset { id, reset: Seed { seed } })
+            .and_then(|()| protocol::ready(greeted.program.ask(&line, self.answer_within())?, id));
         match ready {
             Ok(()) => {
                 greeted.program.forget_words();
@@ -175,10 +176,10 @@ impl ProcessController {
         let mut greeted = self.take(&first.hello).ok()?;
         let times_s: Vec<f64> = drivers.iter().map(|driver| driver.time_s).collect();
         let see = drivers.iter().map(|driver| driver.row.as_slice()).collect();
-        let mut line = Vec::new();
-        protocol::line(&mut line, &AskAll { times_s: &times_s, see }).ok()?;
-        let answers =
-            protocol::decisions(greeted.program.ask(&line, self.answer_within()).ok()?, drivers.len()).ok()?;
+        let (id, mut line) = (greeted.next_id(), Vec::new());
+        protocol::line(&mut line, &AskAll { id, times_s: &times_s, see }).ok()?;
+        let line = greeted.program.ask(&line, self.answer_within()).ok()?;
+        let answers = protocol::decisions(line, id, drivers.len()).ok()?;
         let wanted = answers.into_iter().map(|answer| acceleration_mps2(&self.setup.mapping, answer).ok());
         let wanted = wanted.collect::<Option<Vec<_>>>()?;
         self.give_back(greeted);

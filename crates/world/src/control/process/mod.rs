@@ -134,6 +134,16 @@ struct Greeted {
     program: Program,
     hello: Arc<[u8]>,
     greeting: Greeting,
+    /// Questions it was asked since it introduced itself first.
+    asked: u64,
+}
+
+impl Greeted {
+    /// The number of the next question.
+    fn next_id(&mut self) -> u64 {
+        self.asked += 1;
+        self.asked
+    }
 }
 
 impl ProcessController {
@@ -236,7 +246,7 @@ impl ProcessController {
         };
         match waiting {
             Some(greeted) if greeted.hello == *hello => Ok(greeted),
-            Some(other) => self.greet(other.program, hello),
+            Some(other) => self.greet(other.program, other.asked, hello),
             None => self.start(hello),
         }
     }
@@ -258,7 +268,7 @@ impl ProcessController {
         }
         let started = Program::start(&self.setup.command, &self.setup.folder)
             .map_err(|problem| self.failure(problem, None))
-            .and_then(|program| self.greet(program, hello));
+            .and_then(|program| self.greet(program, 0, hello));
         let mut state = self.state();
         match &started {
             Ok(_) => state.failed_in_a_row = 0,
@@ -273,11 +283,11 @@ impl ProcessController {
     }
 
     /// Tells a process of a vehicle, and hears what it says of itself.
-    fn greet(&self, mut program: Program, hello: &Arc<[u8]>) -> Result<Greeted, ControllerFailure> {
+    fn greet(&self, mut program: Program, asked: u64, hello: &Arc<[u8]>) -> Result<Greeted, ControllerFailure> {
         let within = Duration::from_secs_f64(self.setup.start_within_s);
         let greeting = program.ask(hello, within).and_then(protocol::greeting);
         match greeting.and_then(|greeting| self.accept(greeting)) {
-            Ok(greeting) => Ok(Greeted { program, hello: Arc::clone(hello), greeting }),
+            Ok(greeting) => Ok(Greeted { program, hello: Arc::clone(hello), greeting, asked }),
             Err(problem) => Err(self.failure(problem, Some(program))),
         }
     }

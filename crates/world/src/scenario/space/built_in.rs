@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::{Space, file};
+use crate::scenario::file::FileError;
 
 /// Name, one-line description and text of every built-in space.
 pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
@@ -24,6 +25,33 @@ const SLOWER: &str = include_str!("built_in/slower.toml");
 const ALONE: &str = include_str!("built_in/alone.toml");
 const ASSISTED: &str = include_str!("built_in/assisted.toml");
 const STEADY: &str = include_str!("built_in/steady.toml");
+
+/// Why there is no space of a name.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum UnknownSpace {
+    /// It is the name of no built-in one, and no file's.
+    #[error("`{name}` is neither a built-in space ({}) nor a file", BUILT_IN_SPACES.map(|(known, ..)| known).join(", "))]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// The file is no space.
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+/// A built-in space, or the one in a file, whose name has an extension.
+///
+/// # Errors
+/// [`UnknownSpace`] if there is none.
+pub fn find_space(name: &str) -> Result<Space, UnknownSpace> {
+    match built_in_space(name) {
+        Some(space) => Ok(space),
+        None if Path::new(name).extension().is_none() => Err(UnknownSpace::Name { name: name.to_owned() }),
+        None => Ok(file::load(Path::new(name))?),
+    }
+}
 
 /// The built-in space of that name.
 #[must_use]

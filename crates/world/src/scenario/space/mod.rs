@@ -52,7 +52,7 @@ use std::ops::Range;
 
 use rand::RngExt;
 
-pub use built_in::{BUILT_IN_SPACES, built_in_space};
+pub use built_in::{BUILT_IN_SPACES, UnknownSpace, built_in_space, find_space};
 pub use check::InvalidSpace;
 pub use spec::{
     Base, Choice, Distribution, DriverName, Normal, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value,
