@@ -2,7 +2,7 @@
 
 mod attacks;
 #[allow(unreachable_pub, reason = "shared with the tests of the checker")]
-#[path = "../../../verify/tests/support/mutants.rs"]
+#[path = "../../../verify/tests/suite/support/mutants.rs"]
 mod mutants;
 mod scenes;
 

@@ -1,13 +1,10 @@
 //! Boxes of motion hold every member, and are no larger than they need be.
-#![allow(clippy::unwrap_used)]
 
-mod support;
-
+use crate::support::{drive, member, moved, profiles, scenes};
 use crumple_verify::{Interval, motion};
 use num_rational::BigRational;
 use num_traits::{FromPrimitive, Signed, Zero};
 use proptest::prelude::*;
-use support::{drive, member, moved, profiles, scenes};
 
 fn exact(value: f64) -> BigRational {
     BigRational::from_f64(value).unwrap()

@@ -1,5 +1,4 @@
 //! No operation on affine forms loses a member, by comparison with rational arithmetic.
-#![allow(clippy::unwrap_used)]
 
 use crumple_verify::Interval;
 use crumple_verify::reach::form::Form;

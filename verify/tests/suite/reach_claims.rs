@@ -1,5 +1,4 @@
 //! Reach statements that make no sense are refused, each with the name of what is wrong.
-#![allow(clippy::unwrap_used, clippy::panic)]
 
 use crumple_verify::reach::{Actor, Cell, Dimension, Layer, Ranges, Reach};
 use crumple_verify::{Interval, Rejection};

@@ -1,6 +1,6 @@
 //! Scenes, and an independent, plain simulation of them.
-#![allow(dead_code, missing_docs, unreachable_pub, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+pub mod closed_loop;
 pub mod mutants;
 
 use crumple_verify::*;

@@ -1,7 +1,4 @@
 //! Version 2 of the file: one text for one statement, and what a statement is bound to. `docs/certificates.md` specifies it.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-mod support;
 
 use std::collections::BTreeMap;
 

@@ -6,7 +6,6 @@
 //!
 //! The benchmark's network is not ours to ship: one is fitted here, by least squares on its last layer, to
 //! a = 0.05 (D_rel - 30 - 1.4 v_ego) + 0.7 v_rel between -3 and 1, a calm driver with 20 m to spare.
-#![allow(clippy::unwrap_used, clippy::needless_range_loop)]
 
 use crumple_verify::Interval;
 use crumple_verify::reach::Layer;
@@ -68,14 +67,12 @@ fn fitted() -> Vec<Layer> {
             (25.0 + 8.0 * random(&mut state), 65.0 + 45.0 * random(&mut state), -4.0 + 8.0 * random(&mut state));
         let h = [forward(&layers, seen(v_ego, d_rel, v_rel), 5), vec![1.0]].concat();
         let target = law(v_ego, d_rel, v_rel);
-        for i in 0..21 {
-            (0..21).for_each(|j| rows[i][j] += h[i] * h[j]);
-            rows[i][21] += h[i] * target;
+        for (row, own) in rows.iter_mut().zip(&h) {
+            row.iter_mut().zip(&h).for_each(|(to, other)| *to += own * other);
+            row[21] += own * target;
         }
     }
-    for i in 0..21 {
-        rows[i][i] += 1e-3;
-    }
+    rows.iter_mut().enumerate().for_each(|(i, row)| row[i] += 1e-3);
     for i in 0..21 {
         let pivot = rows[i];
         for (j, row) in rows.iter_mut().enumerate() {

@@ -1,5 +1,4 @@
 //! What a network may answer, against the formulas of `reach::actor` written out number by number.
-#![allow(clippy::unwrap_used)]
 
 use crumple_verify::Interval;
 use crumple_verify::reach::actor::answer;

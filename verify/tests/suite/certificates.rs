@@ -1,17 +1,15 @@
 //! Files: what is read, what is refused, and what survives a change of one number.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-mod support;
 
 use std::process::Command;
 
+use crate::support;
+use crate::support::mutants::mutants;
+use crate::support::{SUBSTEPS, certificate, drive, member, proofs, some_escape};
 use crumple_verify::*;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use serde_json::{Value, json};
-use support::mutants::mutants;
-use support::{SUBSTEPS, certificate, drive, member, proofs, some_escape};
 
 /// A car between a standing leader and a follower that brakes late, over a small box.
 fn unavoidable_file() -> Value {

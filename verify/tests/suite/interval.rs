@@ -1,5 +1,4 @@
 //! No operation loses a member, by comparison with rational arithmetic.
-#![allow(clippy::unwrap_used)]
 
 use crumple_verify::Interval;
 use num_rational::BigRational;

@@ -1,5 +1,4 @@
 //! A file keeps the checker busy no longer than is allowed, however much it announces.
-#![allow(clippy::unwrap_used, clippy::panic)]
 
 use crumple_verify::{Accepted, Certificate, Rejection, WorkLimit, check, check_within};
 use serde_json::{Value, json};

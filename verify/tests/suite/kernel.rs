@@ -1,5 +1,4 @@
 //! A kernel is accepted exactly where its closed form is right.
-#![allow(clippy::unwrap_used)]
 
 use crumple_verify::polynomial::Polynomial;
 use crumple_verify::{Accepted, Assumption, Certificate, Kernel, Provenance, Rejection, Statement, check};

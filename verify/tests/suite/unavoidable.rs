@@ -1,12 +1,10 @@
 //! What is accepted as unavoidable cannot be avoided.
-#![allow(clippy::unwrap_used, clippy::panic)]
 
-mod support;
-
+use crate::support;
+use crate::support::{branches, certificate, drive, member, profiles, proofs, rows, scenes, some_escape};
 use crumple_verify::unavoidable::check_branch;
 use crumple_verify::*;
 use proptest::prelude::*;
-use support::{branches, certificate, drive, member, profiles, proofs, rows, scenes, some_escape};
 
 prop_compose! {
     fn cases(egos: usize)(scene in scenes(egos))(

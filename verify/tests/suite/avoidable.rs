@@ -1,11 +1,9 @@
 //! What is accepted as avoidable was avoided, in every member.
-#![allow(clippy::unwrap_used, clippy::panic)]
 
-mod support;
-
+use crate::support;
+use crate::support::{SUBSTEPS, drive, member, scenes};
 use crumple_verify::*;
 use proptest::prelude::*;
-use support::{SUBSTEPS, drive, member, scenes};
 
 fn certificate(scene: &Scene, witness: Vec<Vec<Held<f64>>>) -> Certificate {
     support::certificate(Statement::Avoidable(Avoidable { scene: scene.clone(), witness, min_gap_m_at_least: None }))

@@ -1,5 +1,4 @@
 //! What reach statements say of a box is true of each of its members.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub)]
 
 use crumple_verify::reach::actor::answer;
 use crumple_verify::reach::form::Form;
@@ -7,11 +6,8 @@ use crumple_verify::reach::{Actor, Cell, Dimension, Doubt, Layer, Ranges, Reach,
 use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, check, check_with};
 use proptest::prelude::*;
 
-#[path = "support/closed_loop.rs"]
-mod closed_loop;
-#[path = "support/mutants.rs"]
-mod mutants;
-use closed_loop::{Numbers, Start, simulate};
+use crate::support::closed_loop::{Numbers, Start, simulate};
+use crate::support::mutants::mutants;
 
 fn reference() -> Vec<u8> {
     std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap()
@@ -334,7 +330,7 @@ fn what_survives_a_change_is_true() {
     let actor = Actor::from_bytes(&bytes).unwrap();
     let original = serde_json::to_value(certificate(claim())).unwrap();
     let (mut accepted, mut rejected) = (0, 0);
-    for (change, mutant) in mutants::mutants(&original) {
+    for (change, mutant) in mutants(&original) {
         let Ok(certificate) = Certificate::from_json(&mutant.to_string()) else {
             rejected += 1;
             continue;

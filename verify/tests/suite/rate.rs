@@ -1,5 +1,4 @@
 //! Rates and comparisons are shown exactly where the binomial tail says so.
-#![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
 

@@ -1,0 +1,25 @@
+//! What the checker promises, by subject: one program, so that it is linked once.
+#![allow(
+    missing_docs,
+    unreachable_pub,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "everything here is a test"
+)]
+
+mod arch_comp;
+mod avoidable;
+mod certificates;
+mod form;
+mod format;
+mod interval;
+mod kernel;
+mod motion;
+mod network;
+mod rate;
+mod reach;
+mod reach_claims;
+mod support;
+mod unavoidable;
+mod work;
