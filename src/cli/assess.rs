@@ -78,6 +78,8 @@ impl Assess {
         }
         let folder = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         let kept = self.out.join("evidence");
+        let again = if self.fresh { "the same command without --fresh goes on" } else { "the same command goes on" };
+        interrupt::says(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
         let (identity, begun) = (program::identity()?, Instant::now());
         check_own_folders(&self.out)?;
         let store = Store::open(&kept, identity, self.fresh)?;
@@ -88,8 +90,6 @@ impl Assess {
             );
             output::note(&note, quiet);
         }
-        let again = if self.fresh { "the same command without --fresh goes on" } else { "the same command goes on" };
-        interrupt::says(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
         let bar = progress::bar("assessing", plan.runs(), quiet);
         let assessment = assess(&plan, &store, against.as_ref(), &|done| bar.set_position(done))?;
         let assessment = assessment.made(made(folder, identity, begun.elapsed()));
@@ -102,13 +102,15 @@ impl Assess {
         for (name, contents) in &rendered {
             let path = self.out.join(name);
             let folder = path.parent().unwrap_or(&self.out);
+            // It may have come there meanwhile.
+            link_between(&self.out, &path).map_or(Ok(()), |link| Err(leads_elsewhere(link)))?;
             fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
             files.stage(&path, contents)?;
         }
         files.commit()?;
         for name in earlier.iter().filter(|name| !rendered.iter().any(|(known, _)| known == *name)) {
             let path = self.out.join(name);
-            if !is_below(&self.out, &path) {
+            if !path.starts_with(&self.out) || link_between(&self.out, &path).is_some() {
                 continue;
             }
             fs::remove_file(&path).or_else(missing_is_fine).map_err(DiskError::at(&path))?;
@@ -140,20 +142,29 @@ impl Assess {
 
 /// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.
 fn check_own_folders(out: &Path) -> Result<(), Failure> {
-    for name in FOLDERS.into_iter().chain(["evidence", "figures"]) {
-        let path = out.join(name.trim_end_matches('/'));
-        if path.is_symlink() {
-            let problem = "is a symbolic link: a report writes and removes files there, and only in its own folder";
-            return Err(Failure::Input(format!("{}: {problem}", path.display())));
-        }
-    }
-    Ok(())
+    FOLDERS
+        .into_iter()
+        .chain(["evidence", "figures"])
+        .try_for_each(|name| is_own(&out.join(name.trim_end_matches('/'))))
 }
 
-/// Whether no folder between `out` and a file below it leads elsewhere.
-fn is_below(out: &Path, path: &Path) -> bool {
-    let between = path.ancestors().skip(1).take_while(|folder| *folder != out);
-    path.starts_with(out) && between.into_iter().all(|folder| !folder.is_symlink())
+/// Whether neither a folder nor any below it leads elsewhere. What is no folder is of no interest.
+fn is_own(folder: &Path) -> Result<(), Failure> {
+    if folder.is_symlink() && !folder.is_file() {
+        return Err(leads_elsewhere(folder));
+    }
+    let entries = if folder.is_dir() { fs::read_dir(folder).map_err(DiskError::at(folder))? } else { return Ok(()) };
+    entries.flatten().try_for_each(|entry| is_own(&entry.path()))
+}
+
+fn leads_elsewhere(folder: &Path) -> Failure {
+    let problem = "is a symbolic link: a report writes and removes files there, and only in its own folder";
+    Failure::Input(format!("{}: {problem}", folder.display()))
+}
+
+/// The first folder between `out` and a file below it that leads elsewhere.
+fn link_between<'a>(out: &Path, path: &'a Path) -> Option<&'a Path> {
+    path.ancestors().skip(1).take_while(|folder| *folder != out).find(|folder| folder.is_symlink())
 }
 
 /// The commit of the repository that holds what is assessed, marked if files differ from it; none without a repository.

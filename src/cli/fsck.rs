@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::{Failure, output};
+use crumple_search::falsify::campaign::with_journal;
 use crumple_search::work::{Examined, Restored, examine, is_there, restore};
 use crumple_world::quoted::Terminal;
 
@@ -65,9 +66,9 @@ impl Fsck {
         }
         let restored = if self.restore { restore(folder)? } else { None };
         *text += &restored.map_or_else(String::new, |restored| back(folder, &restored));
-        let found = examine(folder)?;
+        let found = with_journal(folder, examine(folder)?)?;
         *text += &described(folder, &found);
-        Ok(found.files.iter().all(|(_, state)| state.is_ok()))
+        Ok(found.is_whole())
     }
 }
 
@@ -96,7 +97,7 @@ fn described(folder: &Path, found: &Examined) -> String {
     let is_damaged = found.files.iter().any(|(_, state)| state.is_err());
     let state = match (found.complete, found.is_of_this_build) {
         (true, _) => "complete",
-        (false, true) if is_damaged => "half done",
+        (false, true) if !found.is_whole() => "half done",
         (false, true) => "half done, --resume goes on with it",
         (false, false) => "half done by another build of crumple, which alone goes on with it",
     };
@@ -119,14 +120,11 @@ fn described(folder: &Path, found: &Examined) -> String {
             "  nothing was kept to go back to: begin anew in another --out\n"
         };
     }
+    for name in &found.strangers {
+        text += &format!("  {}: not of this work, and where only its files may be: move it away\n", Terminal(name));
+    }
     for name in &found.beside {
         text += &format!("  {}: not of this work\n", Terminal(name));
-    }
-    for name in &found.growing {
-        text += &format!(
-            "  {}: looked at up to where it was at work.json's last word; records since then have checks of their own, made when the work goes on\n",
-            Terminal(name)
-        );
     }
     text
 }

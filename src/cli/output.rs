@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 
 use super::Failure;
 use crumple_search::disk::DiskError;
-use crumple_search::work;
 use crumple_world::quoted::{Lines, Terminal};
 
 /// Prints to standard output. If its reader has gone, nobody misses the rest.
@@ -29,7 +28,8 @@ pub(super) fn note(text: &str, quiet: bool) {
 
 /// Says that there is nothing to go on with, where `--resume` asks for it: a typing error in `--out` would begin everything anew.
 pub(super) fn note_beginning(resume: bool, folder: &Path, quiet: bool) {
-    if resume && !work::is_there(folder) {
+    let is_empty = fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
+    if resume && (is_empty || !folder.exists()) {
         note(&format!("{}: nothing to go on with is there, so it begins anew", folder.display()), quiet);
     }
 }

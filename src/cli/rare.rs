@@ -4,33 +4,51 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::simulate::Format;
-use super::{Failure, output, progress};
-use crumple_search::disk;
-use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, RarePlan, RareReport};
-use crumple_search::work;
+use super::{Failure, interrupt, output, progress};
+use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, RareError, RarePlan, RareReport};
 
-/// Estimates, writes the estimate to `folder` and prints it.
-pub(super) fn estimate(plan: &RarePlan, folder: &Path, format: Format, quiet: bool) -> Result<(), Failure> {
-    if work::is_there(folder) {
-        let problem = "holds other work: an estimate needs an --out of its own";
-        return Err(Failure::Input(format!("{}: {problem}", folder.display())));
-    }
-    disk::make_folder(folder)?;
-    let bar = progress::counter("placing levels", quiet);
-    let pilot = plan.pilot(&|runs| bar.inc(runs));
-    bar.finish_and_clear();
-    let pilot = pilot.map_err(Failure::input)?;
-    let bar = progress::bar("climbing", pilot.runs_ahead(), quiet);
-    let report = plan.report(&pilot, &|runs| bar.inc(runs));
-    bar.finish_and_clear();
-    let report = report.map_err(Failure::input)?;
-    let path = folder.join("rare-estimate.json");
-    disk::write_json(&path, &report)?;
-    output::note(&format!("wrote {}", path.display()), quiet);
+/// Estimates, writes the estimate to `folder` and prints it; of one that is there, and with `resume`, prints it.
+pub(super) fn estimate(
+    plan: &RarePlan,
+    folder: &Path,
+    resume: bool,
+    format: Format,
+    quiet: bool,
+) -> Result<(), Failure> {
+    let folder = plan.in_folder(folder, resume)?;
+    let report = match folder.kept()? {
+        Some(report) => report,
+        None => {
+            interrupt::says(
+                "nothing of an estimate is kept halfway: the same command begins it anew".to_owned(),
+                quiet,
+            );
+            let bar = progress::counter("placing levels", quiet);
+            let pilot = plan.pilot(&|runs| bar.inc(runs));
+            bar.finish_and_clear();
+            let pilot = pilot?;
+            let bar = progress::bar("climbing", pilot.runs_ahead(), quiet);
+            let report = plan.report(&pilot, &|runs| bar.inc(runs));
+            bar.finish_and_clear();
+            let report = report?;
+            folder.keep(&report)?;
+            output::note(&format!("wrote {}", folder.path().display()), quiet);
+            report
+        }
+    };
     output::print(&match format {
         Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
         Format::Text => text(&report),
     })
+}
+
+impl From<RareError> for Failure {
+    fn from(error: RareError) -> Self {
+        match error {
+            RareError::Work(error) => error.into(),
+            other => Self::input(other),
+        }
+    }
 }
 
 fn text(report: &RareReport) -> String {

@@ -9,7 +9,6 @@ use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
 use crumple_learn::retrain::{Progress, Report, RetrainError, RetrainingPlan, Settings, training_preset};
 use crumple_learn::rl::TrainingConfig;
-use crumple_search::disk;
 use crumple_search::falsify::Method;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space};
 use crumple_world::sim::{ControllerKind, NamedController};
@@ -115,6 +114,7 @@ impl Retrain {
                 judged: self.judge,
                 ..Settings::default()
             },
+            picture: |report| crumple_report::figures::retraining(report).document(),
         };
         let out = self.out.display();
         interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
@@ -123,8 +123,6 @@ impl Retrain {
         let report = plan.run(&self.out, self.resume, &mut |state| show(&bar, state));
         bar.finish_and_clear();
         let report = report?;
-        let picture = self.out.join("report.svg");
-        disk::write(&picture, crumple_report::figures::retraining(&report).document())?;
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
         let printed = output::print(&match self.format {
             Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",

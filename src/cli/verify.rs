@@ -53,7 +53,7 @@ vehicles touch.
 With --rare the probability of a failure too rare to count is estimated by multilevel splitting: populations of runs that climb \
 from level to level of the smallest gap. The levels come from a pilot; the estimate is the mean over independent repetitions, \
 with an interval from their spread. That is an estimate and no bound: it gets no certificate, and DIR/rare-estimate.json \
-says so.
+says so. Nothing of it is kept halfway.
 
 Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
@@ -75,9 +75,9 @@ struct Rate {
     #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
     /// Estimate the probability of a rare failure instead of counting: no certificate
-    #[arg(long, conflicts_with_all = ["runs", "against", "confidence", "resume"])]
+    #[arg(long, conflicts_with_all = ["runs", "against", "confidence"])]
     rare: bool,
-    /// With --rare: runs of a population, 50 to 100 000 [default: 500]
+    /// With --rare: runs of a population, 50 to 100 000; each repetition makes one for each of up to 18 levels [default: 500]
     #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
     samples: Option<u32>,
     /// With --rare: independent populations, 5 to 1000 [default: 20]
@@ -95,7 +95,7 @@ struct Rate {
     /// Where registration, progress and certificate go
     #[arg(long, value_name = "DIR", default_value = "crumple-rate")]
     out: PathBuf,
-    /// Go on with an interrupted count
+    /// Go on with an interrupted count; with --rare, print the estimate that is there
     #[arg(long)]
     resume: bool,
 }
@@ -165,7 +165,7 @@ impl Rate {
                 repetitions: self.repetitions.unwrap_or(20) as usize,
             },
         };
-        rare::estimate(&plan, &self.out, self.format.unwrap_or(Format::Text), quiet)
+        rare::estimate(&plan, &self.out, self.resume, self.format.unwrap_or(Format::Text), quiet)
     }
 }
 

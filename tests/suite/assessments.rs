@@ -376,7 +376,7 @@ fn damaged_evidence_is_gathered_again() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut asked = config(&["baseline", "policy"]);
     asked.search.spaces = Some(vec!["high-risk".to_owned()]);
-    (asked.draws, asked.search.budget, asked.rates.runs) = (10, 20, 200);
+    (asked.paper, asked.draws, asked.search.budget, asked.rates.runs) = (false, 10, 20, 200);
     let plan = AssessmentPlan::new(asked, [], folder.path()).expect("valid");
     let kept = folder.path().join("evidence");
     let gather = || {

@@ -84,6 +84,7 @@ fn retraining(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), St
             judged: 6,
             ..Settings::default()
         },
+        picture: |_| "<svg/>".to_owned(),
     };
     plan.run(folder, true, &mut |_| tick()).map(|_| ()).map_err(|error| error.to_string())
 }

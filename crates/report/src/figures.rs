@@ -24,10 +24,18 @@ pub fn learning_curve(curve: &LearningCurve) -> Svg {
     panel.rule_y(PERFECT, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
     panel.line(&line(&|p| p.mean_reward), Stroke::series(0));
     panel.note((last * 0.995, PERFECT * 0.94), Anchor::End, "22 500: no contact", Ink::Muted);
+    let mut description =
+        "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact."
+            .to_owned();
+    // What is there before any training is not learned.
+    if let Some(untrained) = points.first().filter(|point| point.episode == 0).map(|point| point.mean_reward) {
+        let words = format!("{untrained:.0}: before any training");
+        panel.rule_y(untrained, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
+        panel.note((last * 0.995, untrained - PERFECT * 0.16), Anchor::End, &words, Ink::Muted);
+        description += &format!(" Untrained networks stand at {untrained:.0}.");
+    }
     let content = panel.draw(&Svg::id("learning-curve", "frame"));
-    let description =
-        "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact.";
-    Svg::new("learning-curve", (WIDTH, HEADING + HEIGHT + BELOW), &title, description, content)
+    Svg::new("learning-curve", (WIDTH, HEADING + HEIGHT + BELOW), &title, &description, content)
 }
 
 /// Contacts in the selection over episodes; a ring is a candidate, a vertical line the end of a round.
@@ -74,8 +82,11 @@ mod tests {
     #[test]
     fn a_learning_curve_names_its_seeds_and_the_best_reward() {
         let point = |episode| CurvePoint { episode, mean_reward: 1000.0, deviation: 10.0 };
-        let curve = LearningCurve { preset: "fast".to_owned(), seeds: 2, points: vec![point(5), point(10)] };
-        let svg = learning_curve(&curve).document();
-        assert!(svg.contains("2 seeds") && svg.contains("22 500"));
+        for first in [0, 5] {
+            let curve = LearningCurve { preset: "fast".to_owned(), seeds: 2, points: vec![point(first), point(10)] };
+            let svg = learning_curve(&curve).document();
+            assert!(svg.contains("2 seeds") && svg.contains("22 500"));
+            assert_eq!(svg.contains("1000: before any training"), first == 0);
+        }
     }
 }

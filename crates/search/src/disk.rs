@@ -171,6 +171,14 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
     match fs::create_dir(path) {
         // Another process was faster.
         Err(_) if path.is_dir() => {}
+        Err(_) if path.symlink_metadata().is_ok() => {
+            let problem = if path.is_symlink() {
+                "a link that leads to no folder"
+            } else {
+                "there is something else than a folder"
+            };
+            return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, problem)));
+        }
         made => made.map_err(DiskError::at(path))?,
     }
     sync_folder(folder_of(path))

@@ -263,8 +263,19 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
         }
         assert_refused(&crumple(folder.path(), &arguments), &format!("busy/evaluations.journal: {said}"));
         let looked = crumple(folder.path(), &["fsck", "busy"]);
-        assert_eq!(code(&looked), i32::from(said != "record"), "{looked:?}");
+        assert_eq!(code(&looked), 1, "{looked:?}");
+        assert!(stdout(&looked).contains(&format!("evaluations.journal: {said}")), "{looked:?}");
     }
+    // What lies where a result will be is named before anything is done, and costs the work nothing.
+    fs::write(&journal, &whole).unwrap();
+    fs::write(folder.path().join("busy/summary.json"), "{}").unwrap();
+    assert_refused(&crumple(folder.path(), &arguments), "busy/summary.json: work.json knows no such file");
+    let looked = crumple(folder.path(), &["fsck", "busy"]);
+    assert!(
+        stdout(&looked).contains("2 of 2 files are whole\n  summary.json: not of this work, and where"),
+        "{looked:?}"
+    );
+    assert_eq!(code(&looked), 1);
 }
 
 #[test]

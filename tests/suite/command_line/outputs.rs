@@ -78,6 +78,9 @@ fn a_report_removes_nothing_that_is_elsewhere() {
                   distributions = [\"paper\"]\nsearch = { spaces = [] }\ncertificates = []\n";
     fs::write(at("a.toml"), config).unwrap();
     let assess = || crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
+    // However deep: a report would write there, too.
+    assert_refused(&assess(), "report/counterexamples/deep: is a symbolic link");
+    fs::remove_file(at("report/counterexamples/deep")).unwrap();
     let made = assess();
     assert_eq!(code(&made), 0, "{}", stderr(&made));
     assert_eq!(names_in(&at("mine")), ["a.toml", "b.toml"]);

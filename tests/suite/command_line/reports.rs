@@ -27,7 +27,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
     let episode = &names_in(&folder.path().join("episodes"))[0];
     let simulated = crumple(folder.path(), &["simulate", &format!("episodes/{episode}"), "--expect", "safe"]);
     assert_eq!(code(&simulated), 0, "{simulated:?}");
-    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\ndraws = 20\nscenarios = [\"episodes\"]\n\
+    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\npaper = false\ndraws = 20\nscenarios = [\"episodes\"]\n\
                   search = { spaces = [\"paper\"], budget = 20 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let written = [
@@ -39,7 +39,6 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
         "certificates",
         "counterexamples",
         "evidence",
-        "figures",
         "replay.sh",
         "scenarios",
     ];

@@ -64,6 +64,14 @@ fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of
     assert_refused(&other, "the retraining there has another `policy`: \"policy\" instead of \"through/");
     let read = crumple(folder.path(), &resume);
     assert_eq!((code(&read), stdout(&read)), (code(&through), stdout(&through)), "a complete one is read");
+    let whole = crumple(folder.path(), &["fsck", "killed"]);
+    assert!(code(&whole) == 0 && !stdout(&whole).contains("not of this work"), "{}", stdout(&whole));
+    fs::write(folder.path().join("killed/rounds/01/search/mine.txt"), "of somebody").unwrap();
+    fs::create_dir(folder.path().join("killed/rounds/001")).unwrap();
+    let looked = crumple(folder.path(), &["fsck", "killed"]);
+    for stranger in ["rounds/01/search/mine.txt", "rounds/001"] {
+        assert!(stdout(&looked).contains(&format!("  {stranger}: not of this work")), "{}", stdout(&looked));
+    }
 }
 
 /// Hashes are those of the files, every round was searched and ruled on, and the exit code says whether one was accepted.

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use super::{assert_refused, code, crumple, folder, stderr, stdout, write_changed};
+use super::{assert_refused, code, crumple, folder, names_in, stderr, stdout, write_changed};
 use crate::tiny;
 
 const FILES: [&str; 3] = ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"];
@@ -75,6 +75,13 @@ fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
     assert_eq!(both["seeds"][1], alone["seeds"][0]);
     let curve = fs::read_to_string(folder.path().join("run/learning-curve.json")).unwrap();
     assert!(curve.contains("\"seeds\": 2"));
+    // A copy of a seed under another way to write its number is none of its own.
+    fs::create_dir(folder.path().join("run/seed-04")).unwrap();
+    for name in names_in(&folder.path().join("run/seed-4")) {
+        fs::copy(folder.path().join("run/seed-4").join(&name), folder.path().join("run/seed-04").join(&name)).unwrap();
+    }
+    assert_eq!(code(&train(&["--seed", "4", "--resume"])), 0);
+    assert_eq!(json()["seeds"], both["seeds"]);
     write_changed(
         &folder.path().join("other.toml"),
         &fs::read_to_string(folder.path().join("tiny.toml")).unwrap(),

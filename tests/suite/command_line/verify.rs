@@ -109,11 +109,26 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     let [low, high] = [0, 1].map(|end| report["interval_95"][end].as_f64().unwrap());
     let probability = report["probability"].as_f64().unwrap();
     assert!(low < probability && probability < high && (0.002..0.04).contains(&probability), "{report}");
-    assert_eq!(names_in(&folder.path().join("rare")), ["rare-estimate.json"], "no certificate");
+    assert_eq!(
+        names_in(&folder.path().join("rare")),
+        ["rare-estimate.json", "work.json", "work.lock"],
+        "no certificate"
+    );
     let written = std::fs::read_to_string(folder.path().join("rare/rare-estimate.json")).unwrap();
     assert_eq!(written.parse::<Value>().unwrap(), report);
-    let text = estimate(&[]);
+    assert_refused(&estimate(&[]), "rare holds a rare-failure estimate already: use --resume");
+    assert_refused(
+        &estimate(&["--resume", "--estimator", "truth"]),
+        "rare/rare-estimate.json: the rare-failure estimate there was",
+    );
+    let text = estimate(&["--resume"]);
     assert!(stdout(&text).contains("no bound and no certificate"), "{}", stdout(&text));
+    let fsck = || crumple(folder.path(), &["fsck", "rare"]);
+    assert!(code(&fsck()) == 0 && stdout(&fsck()).contains("rare: a rare-failure estimate, complete; 1 of 1 files"));
+    std::fs::write(folder.path().join("rare/rare-estimate.json"), written.replace("\"seed\": 4", "\"seed\": 5"))
+        .unwrap();
+    assert_refused(&estimate(&["--resume"]), "rare/rare-estimate.json: not as it was written");
+    assert_eq!(code(&fsck()), 1);
     assert_eq!(code(&estimate(&["--runs", "10"])), 2, "either counted or estimated");
     assert_eq!(code(&crumple(folder.path(), &["verify", "rate", "--controller", "idm"])), 2, "--runs is missing");
 }

@@ -361,6 +361,9 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
         assert!(said.contains(expected), "{said}");
         assert_nothing_stays(&mark);
     }
+    let complete = crumple(folder.path(), &["fsck", "200"]);
+    let said = String::from_utf8_lossy(&complete.stdout).into_owned();
+    assert!(said.starts_with("200: a count, complete;"), "all is counted, though nothing is shown: {said}");
 }
 
 /// Killed at any moment, a campaign goes on to the same bytes.

@@ -6,6 +6,8 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
+use super::report::{PICTURE, REPORT, Report, TEXT};
+use super::run::{JUDGED_ON, KEPT_ASIDE, POLICY, RETRAINED_ON, SELECTION};
 use crumple_search::difference;
 use crumple_search::work::{Asked, Work, WorkError};
 
@@ -41,6 +43,8 @@ pub struct RetrainingPlan {
     pub seed: u64,
     /// How much of everything.
     pub settings: Settings,
+    /// Draws the report's picture, an SVG, to which its text refers.
+    pub picture: fn(&Report) -> String,
 }
 
 /// How much of everything.
@@ -200,7 +204,13 @@ impl RetrainingPlan {
     /// The folder, if it is this plan's or nobody's; where it is another's, the error says in what they differ.
     pub(super) fn work(&self, folder: &Path, resume: bool) -> Result<Work, RetrainError> {
         let configuration = self.to_toml()?;
-        let asked = Asked { kind: "retraining", configuration: &configuration, configuration_file: PLAN, resume };
+        let asked = Asked {
+            kind: "retraining",
+            configuration: &configuration,
+            configuration_file: PLAN,
+            resume,
+            outputs: &[PLAN, POLICY, RETRAINED_ON, SELECTION, KEPT_ASIDE, JUDGED_ON, REPORT, TEXT, PICTURE, "rounds/"],
+        };
         match Work::open(folder, asked) {
             Err(WorkError::OtherConfiguration { path, found, .. }) => {
                 Err(RetrainError::Folder(difference::in_toml(&path, "retraining", &found, &configuration)))

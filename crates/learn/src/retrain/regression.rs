@@ -155,6 +155,7 @@ distribution.uniform = { low = -5.0, high = 75.0 }
             method: Method::Uniform,
             seed: 0,
             settings: Settings { nominal: 20, regression: 60, ..Settings::default() },
+            picture: |_| String::new(),
         };
         let mut kept_aside = Corpus::begin(&plan.space, KEPT_ASIDE_SEED).unwrap();
         while kept_aside.avoidable < 60 {

@@ -10,7 +10,7 @@ use super::judged::{CONFIDENCE, Judged, Pairs, Tally};
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, Settings};
 use super::regression::SIGNIFICANCE;
 use super::round::{Round, RoundFindings};
-use super::run::{JUDGED_ON, KEPT_ASIDE, POLICY, RETRAINED_ON};
+use super::run::{JUDGED_ON, KEPT_ASIDE, POLICY, RETRAINED_ON, SELECTION};
 use super::{RetrainError, Standing};
 use crumple_search::work::Work;
 use crumple_world::digest::sha256;
@@ -41,6 +41,8 @@ pub struct FileHash {
 }
 
 pub(super) const REPORT: &str = "report.json";
+pub(super) const TEXT: &str = "report.md";
+pub(super) const PICTURE: &str = "report.svg";
 
 /// The file `report.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -98,7 +100,7 @@ impl Report {
         let hash = |name: &str| -> Result<FileHash, RetrainError> {
             Ok(FileHash { file: name.to_owned(), sha256: sha256(work.read_present(name)?) })
         };
-        let files = [POLICY, RETRAINED_ON, "selection.json", KEPT_ASIDE, JUDGED_ON]
+        let files = [POLICY, RETRAINED_ON, SELECTION, KEPT_ASIDE, JUDGED_ON]
             .map(hash)
             .into_iter()
             .collect::<Result<Vec<_>, _>>()?;
@@ -131,8 +133,11 @@ impl Report {
         self.rounds.iter().any(|round| round.acceptance.is_accepted())
     }
 
-    pub(super) fn write(&self, work: &Work) -> Result<(), RetrainError> {
-        Ok(work.changes().write("report.md", self.to_markdown()).write(REPORT, self.to_json()?).commit()?)
+    /// Writes it into its folder, with its picture.
+    pub(super) fn write(&self, work: &Work, picture: String) -> Result<(), RetrainError> {
+        let mut changes = work.changes();
+        changes.write(TEXT, self.to_markdown()).write(PICTURE, picture).write(REPORT, self.to_json()?);
+        Ok(changes.commit()?)
     }
 
     /// The text of `report.json`.
@@ -166,9 +171,10 @@ impl Report {
         writeln!(out, "# Retraining of {} in the space {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
         writeln!(
             out,
-            "At most {rounds} rounds of {episodes} episodes (preset {}, seed {}): {:.0} % from the paper's distribution, of the \
+            "At most {rounds} round{} of {episodes} episodes (preset {}, seed {}): {:.0} % from the paper's distribution, of the \
              others {:.0} % cases kept and the rest draws of the space. Each search: {budget} evaluations of `{}` and of each \
              reference search, and {draws} draws. {}\n",
+            if rounds == 1 { "" } else { "s" },
             MarkdownCode(&self.preset),
             self.seed,
             100.0 * nominal_share,
@@ -237,9 +243,10 @@ impl Report {
              are safe with both. All draws could have been avoided by somebody."
         )?;
         match self.factor_at_least() {
-            Some(factor) => {
+            Some(factor) if factor > 1.0 => {
                 writeln!(out, "Contacts are at least {factor:.2} times rarer than with the first policy, at 95 %.")
             }
+            Some(_) => writeln!(out, "Contacts are not shown to be rarer than with the first policy, at 95 %."),
             None => Ok(()),
         }
     }

@@ -11,7 +11,7 @@ use super::files::{read_json, write_json};
 use super::judged::witnesses;
 use super::plan::{RetrainingPlan, SELECTION_SEED};
 use super::regression::Regression;
-use super::run::{Progress, Show};
+use super::run::{Progress, SELECTION, Show};
 use super::training::LEARNER;
 use super::{RetrainError, Standing};
 use crate::rl::TrainingError;
@@ -288,7 +288,7 @@ pub(super) const RECORD: &str = "round.json";
 
 /// The avoidable draws that select checkpoints.
 pub(super) fn selection(plan: &RetrainingPlan, work: &Work, show: &mut Show<'_>) -> Result<Corpus, RetrainError> {
-    gathered(plan, work, ("selection.json", SELECTION_SEED, plan.training.evaluation.ranking_draws), show)
+    gathered(plan, work, (SELECTION, SELECTION_SEED, plan.training.evaluation.ranking_draws), show)
 }
 
 /// A corpus of the plan in its file.

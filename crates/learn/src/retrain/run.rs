@@ -72,6 +72,7 @@ pub(super) const POLICY: &str = "policy.safetensors";
 pub(super) const RETRAINED_ON: &str = "retrained-on.json";
 pub(super) const JUDGED_ON: &str = "judged-on.json";
 pub(super) const KEPT_ASIDE: &str = "kept-aside.json";
+pub(super) const SELECTION: &str = "selection.json";
 
 impl RetrainingPlan {
     /// Runs the retraining in `folder`, or goes on with it where `resume` says so; of a complete one, the report is read.
@@ -139,7 +140,7 @@ impl RetrainingPlan {
             show(Progress::Gathering { what: JUDGED_ON, done, wanted: self.settings.judged });
         })?;
         let report = Report::new(self, &work, (first, standing), rounds, ending, judged)?;
-        report.write(&work)?;
+        report.write(&work, (self.picture)(&report))?;
         work.finish()?;
         Ok(report)
     }

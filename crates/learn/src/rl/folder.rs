@@ -164,7 +164,8 @@ pub fn finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Vec<(Se
     for entry in fs::read_dir(out).map_err(DiskError::at(out))? {
         let name = entry.map_err(DiskError::at(out))?.file_name();
         let seed = name.to_str().and_then(|name| name.strip_prefix("seed-")?.parse::<u64>().ok());
-        seeds.extend(seed.filter(|&seed| seed_folder(out, seed).is_dir()));
+        // Of several ways to write a number one is its name.
+        seeds.extend(seed.filter(|&seed| name == *format!("seed-{seed}") && seed_folder(out, seed).is_dir()));
     }
     seeds.sort_unstable();
     let mut finished = Vec::new();
@@ -194,7 +195,13 @@ fn opened(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Resul
     let folder = seed_folder(out, seed);
     // A training may be made longer.
     let configuration = format!("seed = {seed}\n{}", text_of(&TrainingConfig { episodes: 0, ..config.clone() })?);
-    let asked = Asked { kind: "training", configuration: &configuration, configuration_file: CONFIGURATION, resume };
+    let asked = Asked {
+        kind: "training",
+        configuration: &configuration,
+        configuration_file: CONFIGURATION,
+        resume,
+        outputs: &[CONFIGURATION, LOG, CHECKPOINT, POLICY, RESULT],
+    };
     match Work::open(&folder, asked) {
         Err(WorkError::OtherConfiguration { path, found, .. }) => {
             let episodes = TrainingConfig::parse(&found, &path).map_or(config.episodes, |found| found.episodes);

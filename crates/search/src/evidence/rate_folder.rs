@@ -60,7 +60,13 @@ impl RatePlan {
     pub fn register_in(&self, folder: &Path, resume: bool) -> Result<RateCount<'_>, RateFolderError> {
         let path = folder.join(REGISTRATION);
         let registration = json(&path, self.registration())?;
-        let asked = Asked { kind: "count", configuration: &registration, configuration_file: REGISTRATION, resume };
+        let asked = Asked {
+            kind: "count",
+            configuration: &registration,
+            configuration_file: REGISTRATION,
+            resume,
+            outputs: &[REGISTRATION, PROGRESS, CERTIFICATE],
+        };
         let work = Work::open(folder, asked).map_err(|error| match error {
             WorkError::OtherConfiguration { path, .. } => RateFolderError::OtherRegistration { path },
             other => other.into(),
@@ -104,11 +110,16 @@ impl RateCount<'_> {
         self.work.write(PROGRESS, json(&path, &self.tally)?)?;
         let certificate = self.plan.certificate(&self.tally);
         let Tally { runs, failures, .. } = self.tally;
-        check(&certificate).map_err(|rejection| RateFolderError::Rejected { path, runs, failures, rejection })?;
-        let certified = json(&self.certificate_path(), &certificate)?;
-        self.work.write(CERTIFICATE, certified)?;
+        let checked = check(&certificate);
+        if checked.is_ok() {
+            self.work.write(CERTIFICATE, json(&self.certificate_path(), &certificate)?)?;
+        }
+        // Also where nothing is shown: all is counted.
         self.work.finish()?;
-        Ok(certificate)
+        match checked {
+            Ok(_) => Ok(certificate),
+            Err(rejection) => Err(RateFolderError::Rejected { path, runs, failures, rejection }),
+        }
     }
 
     /// What has been counted so far.

@@ -1,7 +1,7 @@
 //! Looking at work without changing it.
 
 use std::io::ErrorKind;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::lock::Lock;
 use super::manifest::Manifest;
@@ -19,22 +19,31 @@ pub struct Examined {
     pub is_of_this_build: bool,
     /// Each file, and what is wrong with it.
     pub files: Vec<(String, Result<(), String>)>,
+    /// What lies where nothing but the work may be.
+    pub strangers: Vec<String>,
     /// Whether something is damaged and [`super::restore`] has a way back.
     pub can_be_restored: bool,
-    /// Those of the files to whose ends records may have been added since that have checks of their own: their readers make them.
-    pub growing: Vec<String>,
+    /// [`super::Work::identity`] of what is half done.
+    pub identity: Option<String>,
     /// What lies in the folder beside the work.
     pub beside: Vec<String>,
 }
 
 impl Examined {
+    /// Whether everything is as it was written, and nothing is in its way.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        self.strangers.is_empty() && self.files.iter().all(|(_, state)| state.is_ok())
+    }
+
     /// The first file that is not as it was written, as an error.
     pub(super) fn first_damage(&self, folder: &Path) -> Option<WorkError> {
         let problem = |(name, found): &(String, Result<(), String>)| {
             let problem = found.as_ref().err()?;
             Some(WorkError::damaged(&folder.join(name), problem))
         };
-        self.files.iter().find_map(problem)
+        let stranger = || Some(WorkError::damaged(&folder.join(self.strangers.first()?), UNKNOWN));
+        self.files.iter().find_map(problem).or_else(stranger)
     }
 }
 
@@ -71,24 +80,24 @@ pub(super) fn examined(folder: &Path, manifest: &Manifest) -> Result<Examined, W
         }
     };
     let names = manifest.names();
-    let growing = names.iter().filter(|name| manifest.grows(name)).cloned().collect();
     let mut files = names.into_iter().map(state).collect::<Result<Vec<_>, _>>()?;
-    for stranger in manifest.strangers(folder)? {
-        let name = stranger.strip_prefix(folder).unwrap_or(&stranger).to_string_lossy().into_owned();
-        files.push((name, Err(UNKNOWN.to_owned())));
-    }
+    let name = |path: PathBuf| path.strip_prefix(folder).unwrap_or(&path).to_string_lossy().into_owned();
+    let mut strangers: Vec<String> = manifest.strangers(folder)?.into_iter().map(name).collect();
     for included in manifest.included() {
         let found = match examine(&folder.join(&included)) {
             Err(WorkError::Damaged { .. }) => continue, // Its manifest is one of the files above.
             found => found?,
         };
         files.extend(found.files.into_iter().map(|(name, state)| (format!("{included}/{name}"), state)));
+        // Nobody but the work has anything to do in there.
+        strangers.extend(found.strangers.into_iter().chain(found.beside).map(|name| format!("{included}/{name}")));
     }
     let is_of_this_build = match &manifest.program {
         Some(program) => program == program::identity()?,
         None => true,
     };
+    let identity = manifest.program.as_deref().map(|program| manifest.identity(program));
     let (kind, complete) = (manifest.kind.clone(), manifest.program.is_none());
     let beside = manifest.beside(folder)?;
-    Ok(Examined { kind, complete, is_of_this_build, files, can_be_restored: false, growing, beside })
+    Ok(Examined { kind, complete, is_of_this_build, files, strangers, can_be_restored: false, identity, beside })
 }

@@ -8,7 +8,7 @@ use super::manifest::Manifest;
 use super::state::FileState;
 use super::{MANIFEST, WorkError};
 use crate::disk::{self, DiskError};
-use crumple_world::quoted::ShellWord;
+use crumple_world::quoted::{ShellWord, is_hidden};
 
 /// The folder of the generation before.
 pub(super) const PREVIOUS: &str = "previous";
@@ -43,8 +43,13 @@ pub(super) fn hinted(folder: &Path, error: WorkError) -> WorkError {
     match error {
         WorkError::Damaged { path, problem } if can_be_restored(folder) => {
             let folder = folder.to_string_lossy();
-            let way =
-                format!("`crumple fsck --restore -- {}` goes back to what was kept before it", ShellWord(&folder));
+            // What does not show as itself cannot be copied.
+            let way = match folder.chars().any(is_hidden) {
+                true => "`crumple fsck --restore` goes back to what was kept before it".to_owned(),
+                false => {
+                    format!("`crumple fsck --restore -- {}` goes back to what was kept before it", ShellWord(&folder))
+                }
+            };
             WorkError::Damaged { path, problem: format!("{problem}; {way}") }
         }
         other => other,
@@ -94,16 +99,24 @@ fn plan(folder: &Path) -> Result<Option<Plan>, WorkError> {
     let mut files = Vec::new();
     for (from, to) in sources {
         let path = folder.join(&from);
-        let bytes = manifest.contents(folder, &from)?;
-        manifest.check(&from, bytes.as_deref()).map_err(|problem| WorkError::damaged(&path, problem))?;
+        let bytes = manifest.contents(folder, &from).map_err(|error| match error {
+            WorkError::Damaged { path, problem } => lost(&path, &problem),
+            other => other,
+        })?;
+        manifest.check(&from, bytes.as_deref()).map_err(|problem| lost(&path, &problem))?;
         files.extend(bytes.map(|bytes| (to, bytes)));
     }
     let is_kept = |name: &String| files.iter().any(|(to, _)| to == name);
     if let Some((name, Err(problem))) = found.iter().find(|(name, state)| state.is_err() && !is_kept(name)) {
-        return Err(WorkError::damaged(&folder.join(name), problem));
+        return Err(lost(&folder.join(name), problem));
     }
     damaged.extend(is_damaged.then(|| MANIFEST.to_owned()));
     Ok((!damaged.is_empty()).then_some(Plan { manifest, damaged, files }))
+}
+
+/// Something damaged of which nothing was kept.
+fn lost(path: &Path, problem: &str) -> WorkError {
+    WorkError::damaged(path, format!("{problem}, and nothing is kept to go back to: begin anew in another --out"))
 }
 
 /// Goes back to what was kept before, where something is damaged; none if nothing is.

@@ -57,7 +57,7 @@ fn opened(folder: &Path) -> Result<(File, PathBuf), DiskError> {
     let path = folder.join(LOCK);
     let unusable = DiskError::at(&path);
     if fs::symlink_metadata(&path).is_ok_and(|found| !found.is_file()) {
-        let problem = "no file of its own: it is what is locked, and may be removed";
+        let problem = "no plain file, as which crumple makes and locks it: remove it";
         return Err(unusable(io::Error::new(io::ErrorKind::InvalidData, problem)));
     }
     let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(unusable)?;

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,7 @@ use super::pending::{self, Pending, is_within};
 use super::state::{FileState, MISSING, Prefix, plain, regular};
 use super::{MANIFEST, UNKNOWN, WorkError, generation};
 use crate::disk::{self, DiskError, Files};
-use crumple_world::digest::sha256;
+use crumple_world::digest::{Sha256, sha256};
 
 /// The version of the file.
 const VERSION: u32 = 1;
@@ -31,6 +31,9 @@ pub(super) struct Manifest {
     pub(super) program: Option<String>,
     /// SHA-256 of everything that decides the results.
     pub(super) configuration_sha256: String,
+    /// What it is to write, apart from its other files: nothing else may be in these places. Folders end in a slash.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    outputs: Vec<String>,
     /// Each file as it is, once what is pending is made.
     files: BTreeMap<String, FileState>,
     /// Changes that were announced and may not yet be made. All that they need is on the disk.
@@ -41,23 +44,31 @@ pub(super) struct Manifest {
 }
 
 impl Manifest {
-    pub(super) fn new(kind: &str, program: &str, configuration_sha256: &str) -> Self {
+    pub(super) fn new(kind: &str, program: &str, configuration_sha256: &str, outputs: &[&str]) -> Self {
         Self {
             version: VERSION,
             kind: kind.to_owned(),
             program: Some(program.to_owned()),
             configuration_sha256: configuration_sha256.to_owned(),
+            outputs: outputs.iter().map(|name| (*name).to_owned()).collect(),
             files: BTreeMap::new(),
             pending: Vec::new(),
             sha256: String::new(),
         }
     }
 
+    /// What tells the work from all other, as it is done by a program.
+    pub(super) fn identity(&self, program: &str) -> String {
+        Sha256::default().with(&self.kind).with(&self.configuration_sha256).with(program).hexadecimal()
+    }
+
     /// The manifest in a file; none if there is no such file.
     pub(super) fn read(path: &Path) -> Result<Option<Self>, WorkError> {
         let Some(bytes) = regular(path, MOST_BYTES)? else { return Ok(None) };
         let damaged = |problem: String| WorkError::damaged(path, problem);
-        let found: Self = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
+        let found: Self = serde_json::from_slice(&bytes).map_err(|error| {
+            damaged(format!("line {}, column {}: not as crumple writes it", error.line(), error.column()))
+        })?;
         if found.version != VERSION {
             return Err(damaged(format!("version: {}, and this release reads {VERSION}", found.version)));
         }
@@ -69,7 +80,8 @@ impl Manifest {
 
     /// Whether all that it names lies in its folder.
     fn is_within(&self) -> bool {
-        self.files.keys().all(|name| is_within(name)) && self.pending.iter().all(Pending::is_within)
+        self.files.keys().chain(&self.outputs).all(|name| is_within(name))
+            && self.pending.iter().all(Pending::is_within)
     }
 
     /// Writes it and its second copy; either may be the older one if the process ends in between, and is right all the same, for
@@ -130,30 +142,40 @@ impl Manifest {
         self.files.contains_key(name) || self.pending.iter().any(|pending| pending.name() == name)
     }
 
-    /// Files in the folders of the work of which it knows nothing, and folders that are none of its own. In the first folder anything
-    /// may lie beside the work.
+    /// Files in the folders of the work of which it knows nothing, and folders that are none of its own, or links; and whatever is in
+    /// the place of something that is still to be written. In the first folder anything else may lie beside the work.
     pub(super) fn strangers(&self, root: &Path) -> Result<Vec<PathBuf>, DiskError> {
-        let mut strangers = Vec::new();
-        for folder in self.folders().into_iter().filter(|folder| !self.includes(folder)) {
+        let (folders, files): (Vec<&str>, Vec<&str>) =
+            self.outputs.iter().map(String::as_str).partition(|name| name.ends_with('/'));
+        let is_stranger = |name: &&str| !self.knows(name) && root.join(name).symlink_metadata().is_ok();
+        let mut strangers: Vec<PathBuf> = files.into_iter().filter(is_stranger).map(|name| root.join(name)).collect();
+        let folders = folders.into_iter().map(|name| name.trim_end_matches('/'));
+        for folder in self.folders().into_iter().chain(folders).collect::<BTreeSet<_>>() {
             let place = root.join(folder);
             if place.is_symlink() {
                 strangers.push(place);
-                continue;
+            } else if !self.includes(folder) {
+                strangers.extend(entries_of(&place)?.into_iter().filter(|path| !self.is_expected(root, path)));
             }
-            let is_known = |path: &PathBuf| {
-                let name = path.strip_prefix(root).map(|name| name.to_string_lossy().into_owned());
-                name.is_ok_and(|name| self.knows(&name)) || *path == generation::manifest_in(root)
-            };
-            strangers
-                .extend(files_in(&place)?.into_iter().filter(|path| !is_known(path) && !disk::is_unfinished(path)));
         }
         Ok(strangers)
+    }
+
+    /// Whether something in a folder of the work is the work's own. What is under way in a folder of its own is known once it is done.
+    fn is_expected(&self, root: &Path, path: &Path) -> bool {
+        let Ok(name) = path.strip_prefix(root).map(|name| name.to_string_lossy().into_owned()) else { return false };
+        if path.is_dir() && !path.is_symlink() {
+            let is_below = |known: &str| known.strip_prefix(name.as_str()).is_some_and(|rest| rest.starts_with('/'));
+            return self.program.is_some() || self.files.keys().any(|known| is_below(known));
+        }
+        self.knows(&name) || path == generation::manifest_in(root) || disk::is_unfinished(path)
     }
 
     /// What lies in the first folder and is none of the work's.
     pub(super) fn beside(&self, root: &Path) -> Result<Vec<String>, DiskError> {
         let known = self.folders();
-        let tops: BTreeSet<&str> = known.iter().filter_map(|folder| folder.split('/').next()).collect();
+        let outputs = self.outputs.iter().map(String::as_str);
+        let tops: BTreeSet<&str> = known.into_iter().chain(outputs).filter_map(|name| name.split('/').next()).collect();
         let own = [MANIFEST, LOCK, generation::PREVIOUS];
         let is_own = |name: &str| self.knows(name) || tops.contains(name) || own.contains(&name);
         let entries = fs::read_dir(root).map_err(DiskError::at(root))?.flatten();
@@ -298,20 +320,15 @@ impl Manifest {
     }
 }
 
-/// The files in a folder, in order; none if there is no such folder.
-pub(super) fn files_in(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
+/// What is in a folder, in order; nothing if there is no such folder.
+pub(super) fn entries_of(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         Err(source) => return Err(DiskError::at(folder)(source)),
     };
-    let mut files = Vec::new();
-    for entry in entries {
-        let path = entry.map_err(DiskError::at(folder))?.path();
-        if !path.is_dir() {
-            files.push(path);
-        }
-    }
-    files.sort_unstable();
-    Ok(files)
+    let mut found =
+        entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>().map_err(DiskError::at(folder))?;
+    found.sort_unstable();
+    Ok(found)
 }

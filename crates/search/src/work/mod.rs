@@ -31,8 +31,8 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::disk::{self, DiskError};
 use crate::program::{self, OTHER_BUILD};
-use crumple_world::digest::{Sha256, sha256};
-use manifest::{Manifest, files_in};
+use crumple_world::digest::sha256;
+use manifest::{Manifest, entries_of};
 use state::FileState;
 
 /// The file that says what the others are.
@@ -139,6 +139,8 @@ pub struct Asked<'a> {
     pub configuration_file: &'a str,
     /// Whether work that is there is gone on with.
     pub resume: bool,
+    /// The names of its results, folders with a slash at the end: nothing else may be in these places when it begins or goes on.
+    pub outputs: &'a [&'a str],
 }
 
 impl Work {
@@ -158,7 +160,7 @@ impl Work {
                 return Err(generation::hinted(folder, WorkError::missing(&path)));
             }
             // It is written with the first change: what cannot be begun leaves nothing behind.
-            None => Manifest::new(asked.kind, program, &configuration_sha256),
+            None => Manifest::new(asked.kind, program, &configuration_sha256, asked.outputs),
             Some(found) if found.kind != asked.kind => {
                 return Err(WorkError::OtherKind { path, found: found.kind, kind: kind() });
             }
@@ -208,9 +210,7 @@ impl Work {
     /// own.
     #[must_use]
     pub fn identity(&self) -> String {
-        let manifest = self.locked();
-        let digest = Sha256::default().with(&manifest.kind).with(&manifest.configuration_sha256).with(self.program);
-        digest.hexadecimal()
+        self.locked().identity(self.program)
     }
 
     /// The bytes of a file; none if there is no such file.
@@ -304,8 +304,8 @@ impl Work {
         match folder.filter(|folder| !manifest.folders().contains(folder)) {
             None => Ok(()),
             Some(folder) => {
-                match files_in(&self.path(folder))?.iter().find(|path| **path != generation::manifest_in(&self.folder))
-                {
+                let is_stranger = |path: &&PathBuf| !path.is_dir() && **path != generation::manifest_in(&self.folder);
+                match entries_of(&self.path(folder))?.iter().find(is_stranger) {
                     Some(left_over) => Err(WorkError::damaged(left_over, UNKNOWN)),
                     None => Ok(()),
                 }

@@ -3,7 +3,7 @@ use std::fs;
 use super::*;
 
 const ASKED: Asked<'_> =
-    Asked { kind: "count", configuration: "runs = 3", configuration_file: "count.toml", resume: true };
+    Asked { kind: "count", configuration: "runs = 3", configuration_file: "count.toml", resume: true, outputs: &[] };
 
 /// A folder with three files, one of which was changed and one removed.
 fn worked() -> tempfile::TempDir {
@@ -169,6 +169,61 @@ fn what_is_known_of_a_file_that_grows_outlasts_going_on() {
     assert!(open().err().unwrap().to_string().contains("journal: the file is missing"));
 }
 
+/// What is in the place of a result, or in a folder of the work, and is none of the work's own, is named, and nothing goes on beside it.
+#[test]
+fn strangers_are_named_and_nothing_goes_on_beside_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let asked = Asked { outputs: &["result.json", "parts/"], ..ASKED };
+    let named = |strangers: &[&str]| {
+        let found = examine(root).unwrap();
+        assert!(found.strangers == strangers && found.is_whole() == strangers.is_empty(), "{found:?}");
+        match (strangers.first(), Work::open(root, asked).err()) {
+            (None, error) => assert!(error.is_none(), "{error:?}"),
+            (Some(name), error) => {
+                let said = error.unwrap().to_string();
+                assert!(
+                    said.starts_with(&format!("{}: work.json knows no such file", root.join(name).display())),
+                    "{said}"
+                );
+            }
+        }
+    };
+    Work::open(root, asked).unwrap().write("plan.json", "plan").unwrap();
+    fs::create_dir(root.join("parts")).unwrap();
+    fs::write(root.join("notes.txt"), "beside the work").unwrap();
+    named(&[]);
+    for stranger in ["result.json", "parts/x.json"] {
+        fs::write(root.join(stranger), "of somebody").unwrap();
+        named(&[stranger]);
+        fs::remove_file(root.join(stranger)).unwrap();
+    }
+    // Work within the work is its own once it is done, and nobody else has anything to do in there.
+    let inner = Work::open(&root.join("inner"), ASKED).unwrap();
+    inner.write("a", "a").unwrap();
+    inner.finish().unwrap();
+    drop(inner);
+    let work = Work::open(root, asked).unwrap();
+    work.include("inner").unwrap();
+    work.changes().write("result.json", "result").write("parts/a", "a").commit().unwrap();
+    work.finish().unwrap();
+    drop(work);
+    named(&[]);
+    fs::write(root.join("inner/mine.txt"), "of somebody").unwrap();
+    named(&["inner/mine.txt"]);
+    fs::remove_file(root.join("inner/mine.txt")).unwrap();
+    fs::create_dir(root.join("parts/other")).unwrap();
+    named(&["parts/other"]);
+    fs::remove_dir(root.join("parts/other")).unwrap();
+    #[cfg(unix)]
+    {
+        let elsewhere = tempfile::tempdir().unwrap();
+        fs::rename(root.join("parts"), elsewhere.path().join("parts")).unwrap();
+        std::os::unix::fs::symlink(elsewhere.path().join("parts"), root.join("parts")).unwrap();
+        named(&["parts"]);
+    }
+}
+
 /// A manifest that somebody made names nothing outside its folder.
 #[test]
 fn nothing_outside_of_the_folder_is_moved_or_removed() {
@@ -179,7 +234,7 @@ fn nothing_outside_of_the_folder_is_moved_or_removed() {
     for (name, unfinished) in [("../outside", ".crumple-unfinished-0"), ("a.json", "../outside"), ("a.json", "b.json")]
     {
         fs::create_dir_all(&inner).unwrap();
-        let mut manifest = Manifest::new("count", program::identity().unwrap(), &sha256(ASKED.configuration));
+        let mut manifest = Manifest::new("count", program::identity().unwrap(), &sha256(ASKED.configuration), &[]);
         manifest.place(name, unfinished.to_owned(), FileState::of(b"mine"));
         manifest.write(&inner).unwrap();
         let said = Work::open(&inner, ASKED).err().unwrap().to_string();

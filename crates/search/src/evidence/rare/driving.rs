@@ -1,9 +1,10 @@
 //! Splitting for a controller in a space.
 
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{Effort, Estimate, Problem, Splitting, State};
+use crate::work::WorkError;
 use crumple_world::digest::sha256;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
@@ -43,10 +44,19 @@ pub enum RareError {
     /// The space cannot be written down.
     #[error("the space cannot be written as TOML: {0}")]
     Space(#[from] toml::ser::Error),
+    /// The estimate cannot be written down.
+    #[error("the estimate cannot be written as JSON: {0}")]
+    Estimate(#[from] serde_json::Error),
+    /// The folder cannot be worked in, or something in it is damaged.
+    #[error(transparent)]
+    Work(#[from] WorkError),
+    /// What was estimated earlier cannot be told to be of the same controller.
+    #[error("the controller `{0}` states no identity: begin anew, without --resume, in another --out")]
+    Unknown(String),
 }
 
 /// An estimate with all that decided it. No certificate: see [the module](super).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RareReport {
     /// Version of the format: 1.
     pub version: u32,
@@ -59,7 +69,7 @@ pub struct RareReport {
     /// Hash of the policy, if that is what it is.
     pub policy_sha256: Option<String>,
     /// Whether it says of itself that it is not deterministic: the same estimate may come out otherwise.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub nondeterministic: bool,
     /// What it looked through.
     pub estimator: EstimatorKind,
@@ -68,7 +78,7 @@ pub struct RareReport {
     /// SHA-256 of the space as TOML, its base scenario spelled out.
     pub space_sha256: String,
     /// What counts as a failure.
-    pub failure: &'static str,
+    pub failure: String,
     /// Seed of everything.
     pub seed: u64,
     /// How much work went into it.
@@ -128,7 +138,7 @@ impl RarePlan {
             estimator: self.estimator,
             space: self.space.name().to_owned(),
             space_sha256: sha256(file::to_toml(&self.space)?),
-            failure: self.controller.failure(),
+            failure: self.controller.failure().to_owned(),
             seed: self.seed,
             effort: self.effort,
             estimate,

@@ -27,21 +27,24 @@
 //! noise alone decides is found no sooner than by counting.
 
 mod driving;
+mod folder;
 mod splitting;
 #[cfg(test)]
 mod tests;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 pub use driving::{RareError, RarePlan, RareReport};
+pub use folder::RareFolder;
 pub use splitting::{MOST_LEVELS, Problem, Splitting, State};
 
 /// How much work goes into an estimate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Effort {
     /// Runs of a population, at least 50.
     pub samples: usize,
     /// Independent populations, at least 5.
+    #[serde(rename = "populations")]
     pub repetitions: usize,
 }
 
@@ -52,7 +55,7 @@ impl Default for Effort {
 }
 
 /// A level and what came of it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Level {
     /// Runs pass whose margin is at most this, in metres for contacts; the last level is the failure itself, at 0.
     #[serde(rename = "smallest_gap_m")]
@@ -68,7 +71,7 @@ pub struct Level {
 }
 
 /// What splitting found.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     /// The probability of a failure; none if the pilot did not reach it.
     pub probability: Option<f64>,

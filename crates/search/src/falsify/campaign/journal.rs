@@ -77,6 +77,20 @@ impl Journal {
         }
     }
 
+    /// Looks whether work with that identity could go on with a journal, and changes nothing.
+    pub(super) fn look(path: &Path, identity: &str) -> Result<(), WorkError> {
+        let unusable = DiskError::at(path);
+        let mut records = BufReader::new(File::open(path).map_err(unusable)?);
+        if !begins(&mut records, identity).map_err(unusable)?.ok_or_else(|| WorkError::damaged(path, OTHER_WORK))? {
+            return Ok(());
+        }
+        let mut index = 0;
+        while let Found::Record(..) = record(&mut records, identity, index).map_err(unusable)?.at(path, index)? {
+            index += 1;
+        }
+        Ok(())
+    }
+
     /// The journal of an earlier run, or an empty one if there is none.
     pub(super) fn resume(path: &Path, identity: &str) -> Result<Self, WorkError> {
         let unusable = DiskError::at(path);
@@ -85,15 +99,11 @@ impl Journal {
             Err(error) if error.kind() == io::ErrorKind::NotFound => 0,
             Err(error) => return Err(unusable(error).into()),
         };
-        // One whose header was cut short holds nothing.
         let Some(beyond) = length.checked_sub(HEADER as u64) else { return Self::create(path, identity) };
-        let (mut earlier, mut found) = (BufReader::new(File::open(path).map_err(unusable)?), [0; HEADER]);
-        earlier.read_exact(&mut found).map_err(unusable)?;
-        if found == [0; HEADER] && is_zero(&mut earlier).map_err(unusable)? {
+        let mut earlier = BufReader::new(File::open(path).map_err(unusable)?);
+        let is_begun = begins(&mut earlier, identity).map_err(unusable)?;
+        if !is_begun.ok_or_else(|| WorkError::damaged(path, OTHER_WORK))? {
             return Self::create(path, identity);
-        }
-        if found != header(identity).as_bytes() {
-            return Err(WorkError::damaged(path, OTHER_WORK));
         }
         let file = OpenOptions::new().append(true).open(path).map_err(unusable)?;
         file.set_len(length - beyond % RECORD as u64).map_err(unusable)?;
@@ -103,36 +113,21 @@ impl Journal {
     /// The next verdict of an earlier run.
     pub(super) fn next(&mut self) -> Result<Option<RunVerdict>, WorkError> {
         let Some(earlier) = &mut self.earlier else { return Ok(None) };
-        let (mut body, mut checksum) = ([0; BODY], [0; CHECKSUM]);
-        match earlier.read_exact(&mut body).and_then(|()| earlier.read_exact(&mut checksum)) {
-            Ok(()) if checksum == checksum_of(&self.identity, self.records, &body) => {
+        let unusable = DiskError::at(&self.path);
+        match record(earlier, &self.identity, self.records).map_err(unusable)?.at(&self.path, self.records)? {
+            Found::Record(body, checksum) => {
                 self.records += 1;
                 self.digest.update(body);
                 self.digest.update(checksum);
                 Ok(Some(decode(&body)))
             }
-            Ok(())
-                if body == [0; BODY]
-                    && checksum == [0; CHECKSUM]
-                    && is_zero(earlier).map_err(DiskError::at(&self.path))? =>
-            {
-                self.file.set_len(self.bytes()).map_err(DiskError::at(&self.path))?;
+            found => {
+                if matches!(found, Found::Zeros) {
+                    self.file.set_len(self.bytes()).map_err(unusable)?;
+                }
                 self.earlier = None;
                 Ok(None)
             }
-            Ok(()) => Err(WorkError::damaged(
-                &self.path,
-                format!(
-                    "record {} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
-                     another --out",
-                    self.records + 1
-                ),
-            )),
-            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
-                self.earlier = None;
-                Ok(None)
-            }
-            Err(error) => Err(DiskError::at(&self.path)(error).into()),
         }
     }
 
@@ -158,6 +153,63 @@ impl Journal {
         self.file.sync_data().map_err(DiskError::at(&self.path))?;
         self.synced = Instant::now();
         Ok(Some(Prefix { bytes: self.bytes(), sha256: self.digest.clone().hexadecimal() }))
+    }
+}
+
+/// Whether a journal begins as that of work with an identity does; none if it is another's. One whose header was cut short, or never
+/// reached the disk, holds nothing.
+fn begins(journal: &mut impl Read, identity: &str) -> io::Result<Option<bool>> {
+    let mut found = [0; HEADER];
+    match journal.read_exact(&mut found) {
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(Some(false)),
+        read => read?,
+    }
+    if found == [0; HEADER] && is_zero(journal)? {
+        return Ok(Some(false));
+    }
+    Ok((found == header(identity).as_bytes()).then_some(true))
+}
+
+/// What is read where a record may be.
+enum Found {
+    Record([u8; BODY], [u8; CHECKSUM]),
+    /// The end, or a record that was cut short.
+    Cut,
+    /// Nothing but zeros to the end: what a loss of power leaves.
+    Zeros,
+    /// Something else.
+    Damaged,
+}
+
+impl Found {
+    /// What was found, unless it is damage.
+    fn at(self, path: &Path, index: u64) -> Result<Self, WorkError> {
+        match self {
+            Self::Damaged => Err(WorkError::damaged(
+                path,
+                format!(
+                    "record {} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
+                     another --out",
+                    index + 1
+                ),
+            )),
+            found => Ok(found),
+        }
+    }
+}
+
+fn record(journal: &mut impl Read, identity: &str, index: u64) -> io::Result<Found> {
+    let (mut body, mut checksum) = ([0; BODY], [0; CHECKSUM]);
+    match journal.read_exact(&mut body).and_then(|()| journal.read_exact(&mut checksum)) {
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(Found::Cut),
+        read => read?,
+    }
+    if checksum == checksum_of(identity, index, &body) {
+        Ok(Found::Record(body, checksum))
+    } else if body == [0; BODY] && checksum == [0; CHECKSUM] && is_zero(journal)? {
+        Ok(Found::Zeros)
+    } else {
+        Ok(Found::Damaged)
     }
 }
 
@@ -275,8 +327,7 @@ mod tests {
         let verdicts = [1.0, 2.0, 3.0].map(RunVerdict::new);
         Journal::create(&path, &identity()).unwrap().append(&verdicts).unwrap();
         let whole = std::fs::read(&path).unwrap();
-        let first_damage = |bytes: &[u8]| {
-            std::fs::write(&path, bytes).unwrap();
+        let going_on = || {
             let mut journal = match Journal::resume(&path, &identity()) {
                 Ok(journal) => journal,
                 Err(error) => return Some(problem(error)),
@@ -288,6 +339,14 @@ mod tests {
                     Err(error) => return Some(problem(error)),
                 }
             }
+        };
+        let first_damage = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            let looked = Journal::look(&path, &identity()).err().map(problem);
+            assert_eq!(std::fs::read(&path).unwrap(), bytes, "looking changes nothing");
+            let found = going_on();
+            assert_eq!(looked, found);
+            found
         };
         assert_eq!(first_damage(&whole), None);
         for bit in 0..8 * whole.len() {

@@ -35,7 +35,7 @@ pub use coverage::Covered;
 pub use failures::{FailureCandidate, FailureKind};
 pub use front::FrontPoint;
 pub use regions::Region;
-pub use run::Progress;
+pub use run::{Progress, with_journal};
 pub use summary::{AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
 
 use crate::disk::DiskError;
@@ -84,7 +84,9 @@ pub enum CampaignError {
     #[error(transparent)]
     Specification(#[from] SpecificationError),
     /// The controller cannot be told from others, so nothing that was done with it can be gone on with.
-    #[error("the controller `{0}` states no identity: a campaign with it cannot be resumed")]
+    #[error(
+        "the controller `{0}` states no identity: a campaign with it cannot be resumed; begin it anew, without --resume, in another --out"
+    )]
     NoIdentity(String),
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]

@@ -14,7 +14,7 @@ use super::{Campaign, CampaignError, Evaluated, FailureKind};
 use crate::difference;
 use crate::falsify::counterexample::Examiner;
 use crate::falsify::{Cube, Method};
-use crate::work::{Asked, Changes, Work, WorkError};
+use crate::work::{Asked, Changes, Examined, Work, WorkError};
 use crumple_world::digest::sha256;
 use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
@@ -101,7 +101,7 @@ impl Campaign {
         table.finish(&mut results)?;
         progress(&state(None, &reached, self.total()));
         let summary = self.summarise(&space, &nominal, reached, &failures, &sample, &mut results)?;
-        results.write("summary.txt", summary.to_text()).write(SUMMARY, summary.to_json()?).remove(JOURNAL).commit()?;
+        results.write(TEXT, summary.to_text()).write(SUMMARY, summary.to_json()?).remove(JOURNAL).commit()?;
         work.finish()?;
         Ok(summary)
     }
@@ -124,8 +124,21 @@ impl Campaign {
     /// The folder, if it is this campaign's or nobody's; where it is another's, the error says in what they differ.
     fn work(&self, folder: &Path, resume: bool) -> Result<Work, CampaignError> {
         let configuration = self.to_toml()?;
-        let asked =
-            Asked { kind: "campaign", configuration: &configuration, configuration_file: CONFIGURATION, resume };
+        let asked = Asked {
+            kind: "campaign",
+            configuration: &configuration,
+            configuration_file: CONFIGURATION,
+            resume,
+            outputs: &[
+                CONFIGURATION,
+                JOURNAL,
+                SUMMARY,
+                TEXT,
+                "counterexamples/",
+                "counterexamples/originals/",
+                "evaluations/",
+            ],
+        };
         match Work::open(folder, asked) {
             Err(WorkError::OtherConfiguration { path, found, .. }) => {
                 Err(CampaignError::Folder(difference::in_toml(&path, "campaign", &found, &configuration)))
@@ -282,9 +295,25 @@ impl Campaign {
     }
 }
 
+/// Looks at the journal of a campaign that is half done, of which its folder's manifest knows the beginning only.
+///
+/// # Errors
+/// [`WorkError::Disk`] if it cannot be read. What is damaged is in what was found, as for every other file.
+pub fn with_journal(folder: &Path, mut found: Examined) -> Result<Examined, WorkError> {
+    let Some(identity) = &found.identity else { return Ok(found) };
+    if let Some((_, state @ Ok(()))) = found.files.iter_mut().find(|(name, _)| name == JOURNAL) {
+        match Journal::look(&folder.join(JOURNAL), identity) {
+            Err(WorkError::Damaged { problem, .. }) => *state = Err(problem),
+            looked => looked?,
+        }
+    }
+    Ok(found)
+}
+
 const CONFIGURATION: &str = "campaign.toml";
 const JOURNAL: &str = "evaluations.journal";
 const SUMMARY: &str = "summary.json";
+const TEXT: &str = "summary.txt";
 
 fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> Progress {
     let all = || done.iter().chain(current);

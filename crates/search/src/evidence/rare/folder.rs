@@ -1,0 +1,74 @@
+//! An estimate in a folder: `rare-estimate.json`, and `work.json`, which says what it is. Nothing is kept halfway.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::{RareError, RarePlan, RareReport};
+use crate::work::{Asked, Work, WorkError};
+use crumple_world::digest::sha256;
+use crumple_world::scenario::space::file;
+
+const ESTIMATE: &str = "rare-estimate.json";
+
+/// A folder for one estimate, in use.
+#[derive(Debug)]
+pub struct RareFolder {
+    work: Work,
+}
+
+impl RarePlan {
+    /// The folder, if it is this estimate's or nobody's. One that is there is read where `resume` says so, and refused otherwise.
+    ///
+    /// # Errors
+    /// [`RareError`] if the folder cannot be used, holds something else, or is damaged.
+    pub fn in_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
+        let identity = self.controller.kind.identity();
+        if resume && identity.is_none() {
+            return Err(RareError::Unknown(self.controller.name.clone()));
+        }
+        let configuration = json!({
+            "controller": self.controller.name,
+            "controller_sha256": identity,
+            "estimator": self.estimator,
+            "space_sha256": sha256(file::to_toml(&self.space)?),
+            "seed": self.seed,
+            "effort": self.effort,
+        });
+        let asked = Asked {
+            kind: "rare-failure estimate",
+            configuration: &configuration.to_string(),
+            configuration_file: ESTIMATE,
+            resume,
+            outputs: &[ESTIMATE],
+        };
+        Ok(RareFolder { work: Work::open(folder, asked)? })
+    }
+}
+
+impl RareFolder {
+    /// The estimate that is there.
+    ///
+    /// # Errors
+    /// [`RareError::Work`] if it is damaged.
+    pub fn kept(&self) -> Result<Option<RareReport>, RareError> {
+        let damaged = |error: serde_json::Error| WorkError::damaged(&self.path(), format!("no estimate: {error}"));
+        let bytes = self.work.read(ESTIMATE)?;
+        Ok(bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose().map_err(damaged)?)
+    }
+
+    /// Writes the estimate.
+    ///
+    /// # Errors
+    /// [`RareError::Work`] if it cannot be written.
+    pub fn keep(&self, report: &RareReport) -> Result<(), RareError> {
+        self.work.write(ESTIMATE, serde_json::to_string_pretty(report)? + "\n")?;
+        Ok(self.work.finish()?)
+    }
+
+    /// Where the estimate goes.
+    #[must_use]
+    pub fn path(&self) -> PathBuf {
+        self.work.path(ESTIMATE)
+    }
+}
