@@ -1,6 +1,6 @@
 //! A line of vehicles as bodies: how they move together through one step, and what happens when they touch.
 
-use super::motion::{Motion, closest_gap_m, first_contact, needs_care};
+use super::motion::{Motion, closest_gap_until, first_contact, needs_care};
 use super::{AfterContact, Contact, Impact};
 
 /// The bodies of one run.
@@ -88,15 +88,19 @@ impl Platoon {
 
     /// Moves everybody by `dt_s` in which nobody touches, and notes how close they came.
     fn drift(&mut self, dt_s: f64) {
+        let Some(mut front) = self.motion.first().copied() else { return };
+        let mut front_end = front.after(dt_s);
+        self.motion[0] = front_end;
         for rear in 1..self.motion.len() {
+            let behind = self.motion[rear];
+            let behind_end = behind.after(dt_s);
             if !self.sticks[rear] {
-                let (front, behind) = (self.motion[rear - 1], self.motion[rear]);
-                let closest_m = closest_gap_m(front, behind, self.length_m[rear - 1], dt_s);
+                let closest_m =
+                    closest_gap_until([front, behind], [front_end, behind_end], self.length_m[rear - 1], dt_s);
                 self.min_gap_m[rear] = self.min_gap_m[rear].min(closest_m);
             }
-        }
-        for motion in &mut self.motion {
-            *motion = motion.after(dt_s);
+            self.motion[rear] = behind_end;
+            (front, front_end) = (behind, behind_end);
         }
         // The gap inside a group is exactly zero: an emergency brake that looks at its sign must not see rounding.
         for rear in 1..self.motion.len() {
