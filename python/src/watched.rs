@@ -6,6 +6,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::Duration;
 
+use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
@@ -37,6 +38,10 @@ pub(crate) fn watched<T: Send>(
     progress: Option<&Py<PyAny>>,
     work: impl FnOnce(&dyn Fn(Progress)) -> T + Send,
 ) -> PyResult<T> {
+    // It would wait for the threads that wait for it.
+    if rayon::current_thread_index().is_some() {
+        return Err(PyRuntimeError::new_err("a controller cannot begin simulations of its own while it drives"));
+    }
     let (said, heard) = mpsc::channel::<Progress>();
     py.detach(move || {
         thread::scope(|scope| {

@@ -166,6 +166,11 @@ def test_an_answer_that_is_no_number_is_a_failure(answer):
         assert done.outcome == "controller_failed"
 
 
+def test_a_controller_that_begins_simulations_fails_and_hangs_nothing():
+    done = crumple.simulate(["paper-1", "paper-2"], lambda seen: len(crumple.simulate(["paper-1"])))
+    assert all("a controller cannot begin simulations" in one.failure for one in done)
+
+
 def test_progress_is_told_and_may_end_the_work():
     scenarios = [crumple.space("paper").draw(0, index) for index in range(1500)]
     told = []

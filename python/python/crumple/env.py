@@ -148,9 +148,10 @@ class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
             mask = np.ascontiguousarray(options["reset_mask"], np.bool_)
         if seed is None and not self._is_seeded:
             seed = int(self.np_random.integers(2**62))
-        seeds = [seed + index for index in range(self.num_envs)] if isinstance(seed, int) else seed
-        numbers = None if seeds is None else [one for one in seeds if one is not None]
-        if seeds is not None and numbers != seeds:
+        if isinstance(seed, int | np.integer):
+            seed = [int(seed) + index for index in range(self.num_envs)]
+        numbers = None if seed is None else [one for one in seed if one is not None]
+        if numbers != seed:
             raise TrainingError("seeds are a number, a list of numbers, or None")
         self._is_seeded = True
         self._episodes.reset(numbers, mask, self._buffers.states)
