@@ -83,12 +83,20 @@ pub fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64
 }
 
 /// The same where it is known how both vehicles, front and rear, move at the end.
+#[inline]
 pub(super) fn closest_gap_until([front, rear]: [Motion; 2], end: [Motion; 2], front_length_m: f64, dt_s: f64) -> f64 {
     let at_end = end[0].position_m - front_length_m - end[1].position_m;
     // At the end both may stand, the rear one first: then the gap was smallest before.
-    if !(rear.speed_mps - front.speed_mps > 0.0 && end[1].speed_mps - end[0].speed_mps <= 0.0) {
-        return at_end;
+    if rear.speed_mps - front.speed_mps > 0.0 && end[1].speed_mps - end[0].speed_mps <= 0.0 {
+        at_end.min(gap_at_turn(front, rear, front_length_m, dt_s).unwrap_or(at_end))
+    } else {
+        at_end
     }
+}
+
+/// The gap where two vehicles that close in at first stop doing so, in metres.
+#[inline(never)]
+fn gap_at_turn(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
     let gap_at = |t: f64| front.after(t).position_m - front_length_m - rear.after(t).position_m;
     let closing_at = |t: f64| rear.after(t).speed_mps - front.after(t).speed_mps;
     // The closing speed is piecewise linear and continuous: where it changes sign the gap is smallest.
@@ -96,10 +104,10 @@ pub(super) fn closest_gap_until([front, rear]: [Motion; 2], end: [Motion; 2], fr
         let (before, after) = (closing_at(from_s), closing_at(to_s));
         if before > 0.0 && after <= 0.0 {
             let turn_s = from_s + (to_s - from_s) * before / (before - after);
-            return at_end.min(gap_at(turn_s));
+            return Some(gap_at(turn_s));
         }
     }
-    at_end
+    None
 }
 
 /// `[0, dt]` cut where a vehicle stops.

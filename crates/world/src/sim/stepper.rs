@@ -117,7 +117,9 @@ impl<'r, 's> Stepper<'r, 's> {
         for (motion, &acceleration_mps2) in self.platoon.motion.iter_mut().zip(&self.decided_mps2) {
             motion.acceleration_mps2 = acceleration_mps2;
         }
-        self.platoon.share_acceleration();
+        if self.has_touched() {
+            self.platoon.share_acceleration();
+        }
         for substep in 0..run.substeps() {
             self.advance(run.time_s(self.step, substep));
             if self.ended {
