@@ -43,7 +43,7 @@ pub use observation::{Inputs, ObservationConfig, Scale};
 pub use replay::{Batch, Replay, Transition};
 pub use reward::CostConfig;
 pub use seeds::{Event, Observer, side_by_side, train};
-pub use source::{Blend, Mixed, PaperDraws, ScenarioSource};
+pub use source::{Blend, Mixed, PaperDraws, ScenarioSource, unsuited};
 pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
 pub use useful::UsefulDriving;
 pub(crate) use useful::usefulness;

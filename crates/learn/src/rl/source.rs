@@ -133,7 +133,8 @@ impl ScenarioSource for Mixed {
 }
 
 /// Why the agent cannot be trained on a scenario; none if it can.
-pub(super) fn unsuited(scenario: &Scenario) -> Option<String> {
+#[must_use]
+pub fn unsuited(scenario: &Scenario) -> Option<String> {
     let vehicles = scenario.vehicles().iter().enumerate();
     let agents: Vec<usize> =
         vehicles.filter(|(_, vehicle)| vehicle.driver == Driver::UnderTest).map(|(index, _)| index).collect();

@@ -75,7 +75,7 @@ pub use shield::{
     Behind, ErrorBounds, Frame, Kernel, MARGIN_M, MOST_MARGIN_M, Override, Real, Shield, ShieldSettings, ShieldState,
     Travel, largest_closing_m, moved,
 };
-pub use source::{ControllerFailure, ControllerSource, Needs, ZeroOrderHold};
+pub use source::{BatchController, ControllerFailure, ControllerSource, Needs, ZeroOrderHold};
 pub use stress::{FullThrottle, RandomActions};
 pub(crate) use with_controllers;
 

@@ -1,5 +1,7 @@
 //! Controllers from outside: what a run must know of one before it drives, and how one fails.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
 use super::{Controller, Ego};
@@ -106,6 +108,12 @@ pub trait ControllerSource: Send + Sync {
         Needs::Nothing
     }
 
+    /// What answers for many vehicles by one question: runs in lockstep then ask it instead of each controller. None if each
+    /// has to be asked by itself.
+    fn batch(&self) -> Option<&dyn BatchController> {
+        None
+    }
+
     /// A controller for a vehicle, with no memory of any run before. `seed` is the scenario's.
     ///
     /// # Errors
@@ -113,9 +121,22 @@ pub trait ControllerSource: Send + Sync {
     fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure>;
 }
 
+/// Controllers whose answers depend on what they see alone, so that many can be asked at once.
+///
+/// It answers as the controllers of its source would, each by itself: whether runs share a question is up to the engine.
+pub trait BatchController: Send + Sync {
+    /// The accelerations wanted, in m/s², one for each observation, into `answers_mps2`, which is as long.
+    ///
+    /// # Errors
+    /// [`ControllerFailure`] if there are no answers: each controller is then asked by itself, and fails or not.
+    fn decide_all(&self, seen: &[Observation], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure>;
+}
+
 /// A controller from outside, held between its decisions. Answers that are no numbers are failures.
 pub struct ZeroOrderHold {
     controller: Box<dyn Controller>,
+    /// Where it comes from, if that answers for many.
+    asked_together: Option<Arc<dyn ControllerSource>>,
     interval_steps: u32,
     steps_to_decision: u32,
     held_mps2: f64,
@@ -127,28 +148,102 @@ impl ZeroOrderHold {
     #[must_use]
     pub fn new(controller: Box<dyn Controller>, interval_s: Option<f64>, step_s: f64) -> Self {
         let interval_steps = interval_s.map_or(1, |interval_s| (interval_s / step_s).round().max(1.0) as u32);
-        Self { controller, interval_steps, steps_to_decision: 0, held_mps2: 0.0 }
+        Self { controller, asked_together: None, interval_steps, steps_to_decision: 0, held_mps2: 0.0 }
+    }
+
+    /// The same, asked together with others from `source` if that [answers for many](ControllerSource::batch).
+    #[must_use]
+    pub fn asked_together(mut self, source: &Arc<dyn ControllerSource>) -> Self {
+        self.asked_together = source.batch().is_some().then(|| Arc::clone(source));
+        self
+    }
+
+    /// Counts a step; whether a decision is due at it.
+    fn is_due(&mut self) -> bool {
+        let due = self.steps_to_decision == 0;
+        self.steps_to_decision = if due { self.interval_steps } else { self.steps_to_decision } - 1;
+        due
+    }
+
+    /// Decides by itself.
+    fn decides(&mut self, seen: &Observation) -> Result<(), ControllerFailure> {
+        self.held_mps2 = self.controller.decide(seen)?;
+        if self.held_mps2.is_finite() { Ok(()) } else { Err(ControllerFailure::NotFinite) }
+    }
+
+    fn has_source_of(&self, other: &Self) -> bool {
+        match (&self.asked_together, &other.asked_together) {
+            (Some(own), Some(other)) => std::ptr::addr_eq(Arc::as_ptr(own), Arc::as_ptr(other)),
+            _ => false,
+        }
+    }
+
+    /// The answers for what several see, all of them numbers; none if each has to be asked by itself.
+    fn answers_mps2(&self, seen: &[Observation]) -> Option<Vec<f64>> {
+        let batch = self.asked_together.as_ref()?.batch()?;
+        let mut answers_mps2 = vec![0.0; seen.len()];
+        batch.decide_all(seen, &mut answers_mps2).ok()?;
+        answers_mps2.iter().all(|answer_mps2| answer_mps2.is_finite()).then_some(answers_mps2)
     }
 }
 
 impl Controller for ZeroOrderHold {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        if self.steps_to_decision == 0 {
-            self.steps_to_decision = self.interval_steps;
-            self.held_mps2 = self.controller.decide(seen)?;
-            if !self.held_mps2.is_finite() {
-                return Err(ControllerFailure::NotFinite);
+        if self.is_due() {
+            self.decides(seen)?;
+        }
+        Ok(self.held_mps2)
+    }
+
+    /// Those whose decision is due are asked by one question for each row of equal sources.
+    ///
+    /// Where there is no answer, whose fault it is shows when each is asked by itself: a run ends as it would have alone.
+    fn decide_together(
+        all: &mut [Self],
+        mut see: impl FnMut(usize) -> Observation,
+        commands_mps2: &mut [f64],
+        failed: &mut Vec<(usize, ControllerFailure)>,
+    ) {
+        let (mut due, mut seen) = (Vec::new(), Vec::new());
+        for (place, controller) in all.iter_mut().enumerate() {
+            let observation = see(place);
+            if controller.is_due() {
+                due.push(place);
+                seen.push(observation);
             }
         }
-        self.steps_to_decision -= 1;
-        Ok(self.held_mps2)
+        let mut seen = seen.as_slice();
+        let groups: Vec<&[usize]> = due.chunk_by(|&a, &b| all[a].has_source_of(&all[b])).collect();
+        for group in groups {
+            let (own, rest) = seen.split_at(group.len());
+            seen = rest;
+            let together = all[group[0]].answers_mps2(own);
+            for (index, (&place, observation)) in group.iter().zip(own).enumerate() {
+                let controller = &mut all[place];
+                match together.as_ref().and_then(|answers_mps2| answers_mps2.get(index)) {
+                    Some(answer_mps2) => controller.held_mps2 = *answer_mps2,
+                    None => {
+                        if let Err(failure) = controller.decides(observation) {
+                            failed.push((place, failure));
+                        }
+                    }
+                }
+            }
+        }
+        for (command_mps2, controller) in commands_mps2.iter_mut().zip(all) {
+            *command_mps2 = controller.held_mps2;
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
     use super::super::tests::behind;
     use super::*;
+    use crate::scenario::PaperDistribution;
+    use crate::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
     struct Counter(f64);
     impl Controller for Counter {
@@ -167,5 +262,65 @@ mod tests {
         let mut at_every_step = ZeroOrderHold::new(Box::new(Counter(0.0)), None, 0.01);
         let answers = [0; 2].map(|_| at_every_step.decide(&behind(20.0, 20.0, 20.0, 0.0)));
         assert_eq!(answers, [Ok(1.0), Ok(2.0)]);
+    }
+
+    /// Brakes in proportion to the closing speed, and does not answer where it is closer than `least_gap_m`.
+    #[derive(Clone)]
+    struct Shy {
+        least_gap_m: f64,
+        most_together: Arc<AtomicUsize>,
+    }
+    impl Shy {
+        fn answer_mps2(&self, seen: &Observation) -> Result<f64, ControllerFailure> {
+            let ahead = seen.ahead.filter(|ahead| ahead.gap_m >= self.least_gap_m);
+            let ahead = ahead.ok_or(ControllerFailure::Died { message: "too close".to_owned() })?;
+            Ok(ahead.speed_mps - seen.speed_mps)
+        }
+    }
+    impl Controller for Shy {
+        fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+            self.answer_mps2(seen)
+        }
+    }
+    impl BatchController for Shy {
+        fn decide_all(&self, seen: &[Observation], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure> {
+            self.most_together.fetch_max(seen.len(), Ordering::Relaxed);
+            answers_mps2.iter_mut().zip(seen).try_for_each(|(answer_mps2, seen)| {
+                *answer_mps2 = self.answer_mps2(seen)?;
+                Ok(())
+            })
+        }
+    }
+    impl ControllerSource for Shy {
+        fn identity(&self) -> Option<String> {
+            None
+        }
+        fn interval_s(&self) -> Option<f64> {
+            Some(0.1)
+        }
+        fn batch(&self) -> Option<&dyn BatchController> {
+            Some(self)
+        }
+        fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+            Ok(Box::new(self.clone()))
+        }
+    }
+
+    #[test]
+    fn runs_that_share_questions_end_as_they_would_alone() {
+        let draws: Vec<_> = (0..60).map(|index| PaperDistribution { seed: 2 }.draw(index).unwrap()).collect();
+        let most_together = Arc::new(AtomicUsize::new(0));
+        let sources =
+            [0.0, 12.0].map(|least_gap_m| Arc::new(Shy { least_gap_m, most_together: most_together.clone() }));
+        let options = |index: usize| RunOptions::new(sources[index / 5 % 2].clone());
+        let runs: Vec<_> = (0..60).map(|index| Run::new(&draws[index], options(index)).unwrap()).collect();
+        let two_threads = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+        let together = two_threads.install(|| simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| simulated));
+        for (run, together) in runs.iter().zip(&together) {
+            assert_eq!(simulate(run, RecordingLevel::Summary), *together);
+        }
+        let failed = together.iter().filter(|simulated| simulated.outcome.failed().is_some()).count();
+        assert!((1..=30).contains(&failed), "{failed}");
+        assert!(most_together.load(Ordering::Relaxed) >= 5);
     }
 }

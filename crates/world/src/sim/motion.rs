@@ -79,22 +79,35 @@ pub fn first_contact(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64
 /// The smallest gap between two vehicles at any instant after now and up to `dt_s`, in metres.
 #[must_use]
 pub fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> f64 {
+    closest_gap_until([front, rear], [front.after(dt_s), rear.after(dt_s)], front_length_m, dt_s)
+}
+
+/// The same where it is known how both vehicles, front and rear, move at the end.
+#[inline]
+pub(super) fn closest_gap_until([front, rear]: [Motion; 2], end: [Motion; 2], front_length_m: f64, dt_s: f64) -> f64 {
+    let at_end = end[0].position_m - front_length_m - end[1].position_m;
+    // At the end both may stand, the rear one first: then the gap was smallest before.
+    if rear.speed_mps - front.speed_mps > 0.0 && end[1].speed_mps - end[0].speed_mps <= 0.0 {
+        at_end.min(gap_at_turn(front, rear, front_length_m, dt_s).unwrap_or(at_end))
+    } else {
+        at_end
+    }
+}
+
+/// The gap where two vehicles that close in at first stop doing so, in metres.
+#[inline(never)]
+fn gap_at_turn(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
     let gap_at = |t: f64| front.after(t).position_m - front_length_m - rear.after(t).position_m;
     let closing_at = |t: f64| rear.after(t).speed_mps - front.after(t).speed_mps;
-    let at_end = gap_at(dt_s);
-    // At the end both may stand, the rear one first: then the gap was smallest before.
-    if !(closing_at(0.0) > 0.0 && closing_at(dt_s) <= 0.0) {
-        return at_end;
-    }
     // The closing speed is piecewise linear and continuous: where it changes sign the gap is smallest.
     for [from_s, to_s] in pieces(front, rear, dt_s) {
         let (before, after) = (closing_at(from_s), closing_at(to_s));
         if before > 0.0 && after <= 0.0 {
             let turn_s = from_s + (to_s - from_s) * before / (before - after);
-            return at_end.min(gap_at(turn_s));
+            return Some(gap_at(turn_s));
         }
     }
-    at_end
+    None
 }
 
 /// `[0, dt]` cut where a vehicle stops.

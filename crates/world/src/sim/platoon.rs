@@ -1,6 +1,6 @@
 //! A line of vehicles as bodies: how they move together through one step, and what happens when they touch.
 
-use super::motion::{Motion, closest_gap_m, first_contact, needs_care};
+use super::motion::{Motion, closest_gap_until, first_contact, needs_care};
 use super::{AfterContact, Contact, Impact};
 
 /// The bodies of one run.
@@ -64,39 +64,40 @@ impl Platoon {
     /// The earliest contact within `within_s`: when, and the rear vehicle. The foremost of simultaneous ones.
     fn next_contact(&self, within_s: f64) -> Option<(f64, usize)> {
         let mut first: Option<(f64, usize)> = None;
+        let mut front = *self.motion.first()?;
+        let mut front_end = front.after(within_s);
         for rear in 1..self.motion.len() {
-            let (front, behind) = (self.motion[rear - 1], self.motion[rear]);
-            if self.sticks[rear] || !self.is_close(rear, within_s) {
-                continue;
-            }
-            if let Some(in_s) = first_contact(front, behind, self.length_m[rear - 1], within_s)
+            let behind = self.motion[rear];
+            let behind_end = behind.after(within_s);
+            let behind_mps = [behind.speed_mps, behind_end.speed_mps];
+            let closing_mps = [behind_mps[0] - front.speed_mps, behind_mps[1] - front_end.speed_mps];
+            if !self.sticks[rear]
+                && needs_care(self.gap_m(rear), behind_mps, closing_mps, within_s)
+                && let Some(in_s) = first_contact(front, behind, self.length_m[rear - 1], within_s)
                 && first.is_none_or(|(earliest_s, _)| in_s < earliest_s)
             {
                 first = Some((in_s, rear));
             }
+            (front, front_end) = (behind, behind_end);
         }
         first
     }
 
-    fn is_close(&self, rear: usize, dt_s: f64) -> bool {
-        let pair = [self.motion[rear - 1], self.motion[rear]];
-        let [front_end, rear_end] = pair.map(|motion| motion.after(dt_s));
-        let rear_mps = [pair[1].speed_mps, rear_end.speed_mps];
-        let closing_mps = [rear_mps[0] - pair[0].speed_mps, rear_mps[1] - front_end.speed_mps];
-        needs_care(self.gap_m(rear), rear_mps, closing_mps, dt_s)
-    }
-
     /// Moves everybody by `dt_s` in which nobody touches, and notes how close they came.
     fn drift(&mut self, dt_s: f64) {
+        let Some(mut front) = self.motion.first().copied() else { return };
+        let mut front_end = front.after(dt_s);
+        self.motion[0] = front_end;
         for rear in 1..self.motion.len() {
+            let behind = self.motion[rear];
+            let behind_end = behind.after(dt_s);
             if !self.sticks[rear] {
-                let (front, behind) = (self.motion[rear - 1], self.motion[rear]);
-                let closest_m = closest_gap_m(front, behind, self.length_m[rear - 1], dt_s);
+                let closest_m =
+                    closest_gap_until([front, behind], [front_end, behind_end], self.length_m[rear - 1], dt_s);
                 self.min_gap_m[rear] = self.min_gap_m[rear].min(closest_m);
             }
-        }
-        for motion in &mut self.motion {
-            *motion = motion.after(dt_s);
+            self.motion[rear] = behind_end;
+            (front, front_end) = (behind, behind_end);
         }
         // The gap inside a group is exactly zero: an emergency brake that looks at its sign must not see rounding.
         for rear in 1..self.motion.len() {

@@ -297,7 +297,9 @@ impl<'s> Run<'s> {
                 }
             }
             ControllerKind::Custom(source) => match source.start(&ego, seed) {
-                Ok(started) => AnyController::Custom(ZeroOrderHold::new(started, source.interval_s(), ego.step_s)),
+                Ok(started) => AnyController::Custom(
+                    ZeroOrderHold::new(started, source.interval_s(), ego.step_s).asked_together(source),
+                ),
                 Err(failure) => AnyController::NotStarted(failure),
             },
         }

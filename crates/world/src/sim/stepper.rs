@@ -102,8 +102,7 @@ impl<'r, 's> Stepper<'r, 's> {
         let span_s = [run.time_s(self.step, 0), run.time_s(self.step + 1, 0)];
         // Everybody decides on the state at the start of the step; only then does anybody move.
         for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.decided_mps2).enumerate() {
-            let is_stuck = self.platoon.is_stuck(index);
-            match vehicle.decide(&truth(&self.platoon, index), run, span_s, is_stuck) {
+            match vehicle.decide(&self.platoon, index, run, span_s) {
                 Ok(acceleration_mps2) => *decided_mps2 = acceleration_mps2,
                 Err(failure) => {
                     let failed = FailedController { time_s: span_s[0], vehicle: index, failure };
@@ -118,7 +117,9 @@ impl<'r, 's> Stepper<'r, 's> {
         for (motion, &acceleration_mps2) in self.platoon.motion.iter_mut().zip(&self.decided_mps2) {
             motion.acceleration_mps2 = acceleration_mps2;
         }
-        self.platoon.share_acceleration();
+        if self.has_touched() {
+            self.platoon.share_acceleration();
+        }
         for substep in 0..run.substeps() {
             self.advance(run.time_s(self.step, substep));
             if self.ended {
@@ -210,22 +211,28 @@ impl<'s> VehicleLoop<'s> {
 
     fn decide(
         &mut self,
-        truth: &TrueState,
+        platoon: &Platoon,
+        index: usize,
         run: &Run<'_>,
         [from_s, to_s]: [f64; 2],
-        is_stuck: bool,
     ) -> Result<f64, ControllerFailure> {
-        let seen = self.observe(truth, run);
-        self.seen = None;
-        let speed_mps = truth.observation.speed_mps;
+        // Filters take every measurement; who is driven by a script or from outside need not look at the truth.
+        if self.estimator.is_some() {
+            self.observe(&truth(platoon, index), run);
+        }
+        let seen = self.seen.take();
+        let speed_mps = platoon.motion[index].speed_mps;
         let command_mps2 = match (self.command_mps2.take(), &mut self.driver) {
             (Some(command_mps2), _) => command_mps2,
             (None, ActiveDriver::Profile(profile)) => profile.acceleration_mps2(from_s, to_s, speed_mps),
-            (None, ActiveDriver::Controller(controller)) => controller.decide(&seen)?,
+            (None, ActiveDriver::Controller(controller)) => match seen {
+                Some(seen) => controller.decide(&seen)?,
+                None => controller.decide(&truth(platoon, index).observation)?,
+            },
         };
         let acceleration_mps2 = self.actuator.respond(command_mps2);
         let noise_mps2 = self.disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
-        Ok(match is_stuck {
+        Ok(match platoon.is_stuck(index) {
             true => acceleration_mps2 + noise_mps2,
             false => unless_at_rest(acceleration_mps2, noise_mps2, speed_mps),
         })

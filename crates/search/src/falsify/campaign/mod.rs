@@ -91,6 +91,9 @@ pub enum CampaignError {
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NobodyUnderTest(String),
+    /// The caller broke it off.
+    #[error("the campaign was broken off")]
+    BrokenOff,
     /// A file cannot be encoded or decoded.
     #[error("cannot encode or decode a file of the campaign: {0}")]
     Encoding(String),

@@ -1,5 +1,6 @@
 //! Running a campaign, from its first evaluation to its summary.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use super::coverage::Coverage;
@@ -71,6 +72,22 @@ impl Campaign {
         resume: bool,
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<Summary, CampaignError> {
+        self.run_until(folder, resume, &mut |state| {
+            progress(state);
+            ControlFlow::Continue(())
+        })
+    }
+
+    /// The same until `progress` breaks it off: what was evaluated by then stays in the folder, for `resume`.
+    ///
+    /// # Errors
+    /// As [`Self::run`], and [`CampaignError::BrokenOff`].
+    pub fn run_until(
+        &self,
+        folder: &Path,
+        resume: bool,
+        progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+    ) -> Result<Summary, CampaignError> {
         if resume && self.controller.kind.identity().is_none() {
             return Err(CampaignError::NoIdentity(self.controller.name.clone()));
         }
@@ -99,7 +116,7 @@ impl Campaign {
         // Until all of this is there, the journal is.
         let mut results = work.changes();
         table.finish(&mut results)?;
-        progress(&state(None, &reached, self.total()));
+        go_on(progress(&state(None, &reached, self.total())))?;
         let summary = self.summarise(&space, &nominal, reached, &failures, &sample, &mut results)?;
         results.write(TEXT, summary.to_text()).write(SUMMARY, summary.to_json()?).remove(JOURNAL).commit()?;
         work.finish()?;
@@ -154,7 +171,7 @@ impl Campaign {
         space: &Space,
         journal: &mut Journal,
         findings: &mut Findings<'_>,
-        progress: &mut dyn FnMut(&Progress),
+        progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<Reached, CampaignError> {
         let cube = Cube::of(space).map_err(CampaignError::encoding)?;
         let mut search = method.start(&cube, self.seed);
@@ -209,7 +226,7 @@ impl Campaign {
                 findings.table.add(method, &evaluated)?;
             }
             search.tell(&told);
-            progress(&state(Some(&reached), &findings.reached, self.total()));
+            go_on(progress(&state(Some(&reached), &findings.reached, self.total())))?;
         }
         Ok(reached)
     }
@@ -314,6 +331,11 @@ const CONFIGURATION: &str = "campaign.toml";
 const JOURNAL: &str = "evaluations.journal";
 const SUMMARY: &str = "summary.json";
 const TEXT: &str = "summary.txt";
+
+/// Nothing more, once the caller has broken it off.
+fn go_on(flow: ControlFlow<()>) -> Result<(), CampaignError> {
+    if flow.is_break() { Err(CampaignError::BrokenOff) } else { Ok(()) }
+}
 
 fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> Progress {
     let all = || done.iter().chain(current);

@@ -6,7 +6,8 @@ use super::followers::Followers;
 use super::leaders::Leaders;
 use super::view::View;
 use crate::control::{
-    self, AnyController, Controller, ControllerFailure, NetworkDriver, PolicyDriver, ProcessDriver, with_controllers,
+    self, AnyController, Controller, ControllerFailure, NetworkDriver, PolicyDriver, ProcessDriver, ZeroOrderHold,
+    with_controllers,
 };
 use crate::observation::Observation;
 use crate::sim::run::ActiveDriver;
@@ -22,7 +23,9 @@ macro_rules! define {
             Policy(Vec<PolicyDriver>),
             Network(Vec<NetworkDriver>),
             Process(Vec<ProcessDriver>),
-            /// Drivers of several kinds, or from outside.
+            /// From outside.
+            Custom(Vec<ZeroOrderHold>),
+            /// Drivers of several kinds, or behind shields.
             Mixed(Vec<ActiveDriver<'s>>),
         }
 
@@ -52,6 +55,7 @@ macro_rules! define {
                 let drivers = unless_all!(drivers, C(AnyController::Policy(one)) => one, all => Self::Policy(all));
                 let drivers = unless_all!(drivers, C(AnyController::Network(one)) => one, all => Self::Network(all));
                 let drivers = unless_all!(drivers, C(AnyController::Process(one)) => one, all => Self::Process(all.into_iter().map(|one| *one).collect()));
+                let drivers = unless_all!(drivers, C(AnyController::Custom(one)) => one, all => Self::Custom(all));
                 Self::Mixed(drivers)
             }
 
@@ -79,6 +83,7 @@ macro_rules! define {
                     Self::Policy(all) => Controller::decide_together(all, see, commands, failed),
                     Self::Network(all) => Controller::decide_together(all, see, commands, failed),
                     Self::Process(all) => Controller::decide_together(all, see, commands, failed),
+                    Self::Custom(all) => Controller::decide_together(all, see, commands, failed),
                     Self::Mixed(drivers) => {
                         for (run, (command, driver)) in commands.iter_mut().zip(drivers).enumerate() {
                             let seen = see(run);
@@ -105,6 +110,7 @@ macro_rules! define {
                     Self::Policy(all) => drop(all.swap_remove(run)),
                     Self::Network(all) => drop(all.swap_remove(run)),
                     Self::Process(all) => drop(all.swap_remove(run)),
+                    Self::Custom(all) => drop(all.swap_remove(run)),
                     Self::Mixed(all) => drop(all.swap_remove(run)),
                 }
             }

@@ -1,0 +1,58 @@
+"""Agent steps a second of the native vector environment, beside Gymnasium's `SyncVectorEnv`.
+
+`RAYON_NUM_THREADS=1 taskset -c 0 python benches/vector_env.py [ENVIRONMENTS]`; times are the processor's, of the process.
+"""
+
+import sys
+import time
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import SyncVectorEnv
+
+import crumple
+from crumple.env import PlatoonEnv, PlatoonVectorEnv
+
+
+class Empty(gymnasium.Env):
+    """Nothing at all: what stepping in Python costs."""
+
+    observation_space = gymnasium.spaces.Box(-1.0, 1.0, (8,), np.float32)
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+    state = np.zeros(8, np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        """Begin nothing."""
+        return self.state, {}
+
+    def step(self, action):
+        """Do nothing."""
+        return self.state, 0.0, False, False, {}
+
+
+def steps_a_second(env, steps):
+    """The most of five measurements, with episodes that end and begin on the way."""
+    random = np.random.default_rng(0)
+    actions = random.uniform(-0.3, 0.3, (steps, env.num_envs, 1)).astype(np.float32)
+    env.reset(seed=0)
+    best = 0.0
+    for _ in range(5):
+        begun = time.process_time()
+        for action in actions:
+            env.step(action)
+        best = max(best, steps * env.num_envs / (time.process_time() - begun))
+    return best
+
+
+def main():
+    """Print a line for each."""
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 1024
+    print(f"{count} environments, {len(crumple.space('paper').nominal())} vehicles, space `paper`, agent steps a second")
+    for estimator in ("truth", "kalman"):
+        native = steps_a_second(PlatoonVectorEnv(count, estimator=estimator, copy=False), 150)
+        python = steps_a_second(SyncVectorEnv([lambda e=estimator: PlatoonEnv(estimator=e)] * count), 15)
+        print(f"  {estimator:<7} native {native:>11,.0f}   SyncVectorEnv {python:>9,.0f}   ratio {native / python:.1f}")
+    print(f"  an empty environment in SyncVectorEnv {steps_a_second(SyncVectorEnv([Empty] * count), 15):>9,.0f}")
+
+
+main()

@@ -1,0 +1,184 @@
+"""Gymnasium environments: one vehicle of a line is driven by the agent, as in ``crumple train``.
+
+An observation is the state that crumple's own policies see: the numbers of :data:`crumple.OBSERVATION`, scaled and cut as
+the training preset says. An action from -1 to 1 is an acceleration (:attr:`PlatoonEnv.acceleration_range_mps2`), held for
+:attr:`PlatoonEnv.decision_s`. A reward is what the preset pays, scaled as its learner sees it; at rest it includes the value
+of standing still from then on.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, TypeAlias
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from crumple._crumple import Episodes
+from crumple._simulate import SpaceLike, space
+from crumple.errors import TrainingError
+
+State: TypeAlias = NDArray[np.float32]
+
+ENDINGS = (None, "contact", "at-rest", "time-over")
+"""Why an episode ended, by the number in a step's ``info["ending"]``; 0 for one that goes on."""
+
+_STATE = 8
+_MODES = {
+    AutoresetMode.NEXT_STEP: "next-step",
+    AutoresetMode.SAME_STEP: "same-step",
+    AutoresetMode.DISABLED: "disabled",
+}
+
+
+def _spaces(episodes: Episodes) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+    limit = np.float32(episodes.state_limit)
+    return (
+        gymnasium.spaces.Box(-limit, limit, (_STATE,), np.float32),
+        gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32),
+    )
+
+
+class _Buffers:
+    """Where steps write."""
+
+    def __init__(self, count: int) -> None:
+        self.states = np.zeros((count, _STATE), np.float32)
+        self.last_states = np.zeros((count, _STATE), np.float32)
+        self.rewards = np.zeros(count, np.float32)
+        self.terminated = np.zeros(count, np.bool_)
+        self.truncated = np.zeros(count, np.bool_)
+        self.endings = np.zeros(count, np.uint8)
+
+    def step(self, episodes: Episodes, actions: Any) -> None:
+        flat = np.ascontiguousarray(actions, np.float32).reshape(-1)
+        episodes.step(flat, self.states, self.last_states, self.rewards, self.terminated, self.truncated, self.endings)
+
+
+class PlatoonEnv(gymnasium.Env[State, NDArray[np.float32]]):
+    """One episode after the other, each a draw of a space.
+
+    ``space`` is a name, a path or a :class:`crumple.Space` in which vehicle 1 alone is under test; None for what the
+    training ``preset`` (a name or a TOML file) says. ``estimator`` replaces the preset's.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        space: SpaceLike | None = "paper",
+        preset: str = "fast",
+        estimator: str | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        self._episodes = _episodes(1, space, preset, estimator, "disabled")
+        self._buffers = _Buffers(1)
+        self._is_seeded = False
+        self.render_mode = render_mode
+        spaces: tuple[Any, Any] = _spaces(self._episodes)
+        self.observation_space, self.action_space = spaces
+        self.decision_s = self._episodes.decision_s
+        self.acceleration_range_mps2 = self._episodes.acceleration_range_mps2
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[State, dict[str, Any]]:
+        """Begin an episode: the first draw of ``seed``, or the one after the last."""
+        super().reset(seed=seed)
+        if seed is None and not self._is_seeded:
+            seed = int(self.np_random.integers(2**63))
+        self._is_seeded = True
+        self._episodes.reset(None if seed is None else [seed], np.ones(1, np.bool_), self._buffers.states)
+        return self._buffers.states[0].copy(), {}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[State, float, bool, bool, dict[str, Any]]:
+        """Hold an action until the next decision."""
+        buffers = self._buffers
+        buffers.step(self._episodes, action)
+        return (
+            buffers.states[0].copy(),
+            float(buffers.rewards[0]),
+            bool(buffers.terminated[0]),
+            bool(buffers.truncated[0]),
+            {"ending": int(buffers.endings[0])},
+        )
+
+
+class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
+    """Many episodes that step together, in Rust, on as many threads as ``RAYON_NUM_THREADS`` says.
+
+    Environment i gives to the bit what a :class:`PlatoonEnv` with the same seed gives. Steps write into arrays of this
+    object; with ``copy`` (the default) what is returned is the caller's to keep, without it the next step writes over it.
+    ``autoreset_mode`` is Gymnasium's; with DISABLED, ``reset(options={"reset_mask": mask})`` resets those in the mask. With
+    SAME_STEP the last states of episodes that ended are in ``info["final_obs"]``, valid where ``info["_final_obs"]``.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        space: SpaceLike | None = "paper",
+        preset: str = "fast",
+        estimator: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        copy: bool = True,
+    ) -> None:
+        mode = AutoresetMode(autoreset_mode)
+        self.num_envs = num_envs
+        self.metadata = {"render_modes": [], "autoreset_mode": mode}
+        self._episodes = _episodes(num_envs, space, preset, estimator, _MODES[mode])
+        self._buffers = _Buffers(num_envs)
+        self._mode = mode
+        self._copies = copy
+        self._is_seeded = False
+        self.single_observation_space, self.single_action_space = _spaces(self._episodes)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.decision_s = self._episodes.decision_s
+        self.acceleration_range_mps2 = self._episodes.acceleration_range_mps2
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[State, dict[str, Any]]:
+        """Begin episodes: of every environment, or of those in ``options["reset_mask"]``.
+
+        With a number as ``seed``, environment i gets that number plus i.
+        """
+        mask = np.ones(self.num_envs, np.bool_)
+        if options is not None and "reset_mask" in options:
+            mask = np.ascontiguousarray(options["reset_mask"], np.bool_)
+        if seed is None and not self._is_seeded:
+            seed = int(self.np_random.integers(2**62))
+        if isinstance(seed, int | np.integer):
+            seed = [int(seed) + index for index in range(self.num_envs)]
+        numbers = None if seed is None else [one for one in seed if one is not None]
+        if numbers != seed:
+            raise TrainingError("seeds are a number, a list of numbers, or None")
+        self._is_seeded = True
+        self._episodes.reset(numbers, mask, self._buffers.states)
+        return self._given(self._buffers.states), {}
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[State, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Hold each action until the next decision."""
+        buffers = self._buffers
+        buffers.step(self._episodes, actions)
+        info: dict[str, Any] = {"ending": self._given(buffers.endings)}
+        if self._mode == AutoresetMode.SAME_STEP:
+            ended = buffers.endings > 0
+            if ended.any():
+                info["final_obs"], info["_final_obs"] = self._given(buffers.last_states), ended
+        return (
+            self._given(buffers.states),
+            self._given(buffers.rewards),
+            self._given(buffers.terminated),
+            self._given(buffers.truncated),
+            info,
+        )
+
+    def _given(self, array: NDArray[Any]) -> NDArray[Any]:
+        return array.copy() if self._copies else array
+
+
+def _episodes(count: int, what: SpaceLike | None, preset: str, estimator: str | None, autoreset: str) -> Episodes:
+    return Episodes(count, None if what is None else space(what), str(preset), estimator, autoreset)

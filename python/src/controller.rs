@@ -1,0 +1,206 @@
+//! Controllers written in Python.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use crumple_world::control::{BatchController, Controller, ControllerFailure, ControllerSource, Ego};
+use crumple_world::observation::{Neighbour, Observation as Seen};
+use crumple_world::sim::NamedController;
+use numpy::{AllowTypeChange, PyArray1, PyArrayLike1, PyArrayMethods};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+
+use crate::errors::{self, Class};
+use crate::watched::Stop;
+
+/// Most characters of a traceback that a failure carries: its end.
+const MOST_CHARACTERS: usize = 4000;
+
+/// Numbers of a row of a batch.
+const ROW: usize = 8;
+
+/// What a controller may see. Numbers of a vehicle that is not there are None.
+#[pyclass(frozen, get_all, module = "crumple")]
+#[derive(Debug)]
+pub(crate) struct Observation {
+    speed_mps: f64,
+    acceleration_mps2: f64,
+    gap_ahead_m: Option<f64>,
+    speed_ahead_mps: Option<f64>,
+    acceleration_ahead_mps2: Option<f64>,
+    gap_behind_m: Option<f64>,
+    speed_behind_mps: Option<f64>,
+    acceleration_behind_mps2: Option<f64>,
+}
+
+#[pymethods]
+impl Observation {
+    fn __repr__(&self) -> String {
+        format!("{self:?}")
+    }
+}
+
+impl Observation {
+    fn of(seen: &Seen) -> Self {
+        let of = |vehicle: Option<Neighbour>, take: fn(Neighbour) -> f64| vehicle.map(take);
+        Self {
+            speed_mps: seen.speed_mps,
+            acceleration_mps2: seen.acceleration_mps2,
+            gap_ahead_m: of(seen.ahead, |ahead| ahead.gap_m),
+            speed_ahead_mps: of(seen.ahead, |ahead| ahead.speed_mps),
+            acceleration_ahead_mps2: of(seen.ahead, |ahead| ahead.acceleration_mps2),
+            gap_behind_m: of(seen.behind, |behind| behind.gap_m),
+            speed_behind_mps: of(seen.behind, |behind| behind.speed_mps),
+            acceleration_behind_mps2: of(seen.behind, |behind| behind.acceleration_mps2),
+        }
+    }
+
+    /// The row of a batch, in the paper's order; what is not there is not a number.
+    fn row(seen: &Seen) -> [f64; ROW] {
+        const NOBODY: Neighbour = Neighbour { gap_m: f64::NAN, speed_mps: f64::NAN, acceleration_mps2: f64::NAN };
+        let (ahead, behind) = (seen.ahead.unwrap_or(NOBODY), seen.behind.unwrap_or(NOBODY));
+        [
+            ahead.gap_m,
+            behind.gap_m,
+            ahead.speed_mps,
+            seen.speed_mps,
+            behind.speed_mps,
+            ahead.acceleration_mps2,
+            seen.acceleration_mps2,
+            behind.acceleration_mps2,
+        ]
+    }
+}
+
+/// A name as on the command line, or a `crumple.Controller`.
+pub(crate) fn named(controller: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<NamedController> {
+    let py = controller.py();
+    if let Ok(name) = controller.extract::<String>() {
+        return NamedController::find(&name, Path::new(""))
+            .map_err(|error| errors::raised(py, Class::Controller, &error));
+    }
+    let decide = controller.getattr("decide")?;
+    if !decide.is_callable() {
+        return Err(PyTypeError::new_err("a controller is a name, a callable or a crumple.Controller"));
+    }
+    let interval_s: Option<f64> = controller.getattr("interval_s")?.extract()?;
+    if interval_s.is_some_and(|interval_s| !(interval_s > 0.0 && interval_s.is_finite())) {
+        return Err(PyValueError::new_err("interval_s must be a positive number of seconds, or None"));
+    }
+    let way = match (controller.getattr("batch")?.is_truthy()?, controller.getattr("each_run")?.is_truthy()?) {
+        (false, false) => Way::Alone,
+        (true, false) => Way::Batch,
+        (false, true) => Way::EachRun,
+        (true, true) => return Err(PyValueError::new_err("a batch has no run of its own: choose batch or each_run")),
+    };
+    let called = Arc::new(Called { decide: decide.unbind(), way, stop: stop.clone() });
+    let identity = controller.getattr("identity")?.extract()?;
+    let name: String = controller.getattr("name")?.extract()?;
+    Ok(NamedController::from_source(&name, Arc::new(PythonSource { called, interval_s, identity })))
+}
+
+/// How a callable is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Way {
+    /// With an observation.
+    Alone,
+    /// With an array of them.
+    Batch,
+    /// It makes a callable for each run, which is asked with an observation.
+    EachRun,
+}
+
+/// A callable, and when not to call it any more.
+struct Called {
+    decide: Py<PyAny>,
+    way: Way,
+    stop: Stop,
+}
+
+struct PythonSource {
+    called: Arc<Called>,
+    interval_s: Option<f64>,
+    identity: Option<String>,
+}
+
+impl ControllerSource for PythonSource {
+    fn identity(&self) -> Option<String> {
+        self.identity.clone()
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        self.interval_s
+    }
+
+    fn batch(&self) -> Option<&dyn BatchController> {
+        (self.called.way == Way::Batch).then_some(&*self.called)
+    }
+
+    fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        if self.called.way != Way::EachRun {
+            return Ok(Box::new(PythonDriver(Arc::clone(&self.called))));
+        }
+        self.called.go_on()?;
+        let decide = Python::attach(|py| {
+            self.called.decide.call1(py, (ego.vehicle, seed)).map_err(|error| raised_inside(py, &error))
+        })?;
+        let called = Called { decide, way: Way::Alone, stop: self.called.stop.clone() };
+        Ok(Box::new(PythonDriver(Arc::new(called))))
+    }
+}
+
+impl Called {
+    fn go_on(&self) -> Result<(), ControllerFailure> {
+        if self.stop.is_asked() { Err(died("it was interrupted")) } else { Ok(()) }
+    }
+}
+
+impl BatchController for Called {
+    fn decide_all(&self, seen: &[Seen], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure> {
+        self.go_on()?;
+        let rows: Vec<f64> = seen.iter().flat_map(Observation::row).collect();
+        Python::attach(|py| {
+            let raised = |error: PyErr| raised_inside(py, &error);
+            let rows = PyArray1::from_vec(py, rows).reshape([seen.len(), ROW]).map_err(raised)?;
+            let answered = self.decide.bind(py).call1((rows,)).map_err(raised)?;
+            let answered: PyArrayLike1<'_, f64, AllowTypeChange> =
+                answered.extract().map_err(|_| died(format!("it answered no array of {} numbers", seen.len())))?;
+            let answered = answered.as_array();
+            if answered.len() != answers_mps2.len() {
+                return Err(died(format!("it answered {} numbers to {} rows", answered.len(), seen.len())));
+            }
+            answers_mps2.iter_mut().zip(answered).for_each(|(answer_mps2, answered)| *answer_mps2 = *answered);
+            Ok(())
+        })
+    }
+}
+
+/// A callable at the wheel of one vehicle.
+struct PythonDriver(Arc<Called>);
+
+impl Controller for PythonDriver {
+    fn decide(&mut self, seen: &Seen) -> Result<f64, ControllerFailure> {
+        if self.0.way == Way::Batch {
+            let mut answer_mps2 = [0.0];
+            self.0.decide_all(std::slice::from_ref(seen), &mut answer_mps2)?;
+            return Ok(answer_mps2[0]);
+        }
+        self.0.go_on()?;
+        Python::attach(|py| {
+            let answered = self.0.decide.bind(py).call1((Observation::of(seen),));
+            answered.and_then(|answered| answered.extract()).map_err(|error| raised_inside(py, &error))
+        })
+    }
+}
+
+fn died(message: impl Into<String>) -> ControllerFailure {
+    ControllerFailure::Died { message: message.into() }
+}
+
+/// A failure with the end of the exception's traceback.
+fn raised_inside(py: Python<'_>, error: &PyErr) -> ControllerFailure {
+    let traceback = error.traceback(py).and_then(|traceback| traceback.format().ok()).unwrap_or_default();
+    let text = format!("{traceback}{error}");
+    let skipped = text.chars().count().saturating_sub(MOST_CHARACTERS);
+    died(text.chars().skip(skipped).collect::<String>())
+}

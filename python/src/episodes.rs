@@ -1,0 +1,295 @@
+//! Episodes of the training task, many at once: what the Gymnasium environments step.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crumple_learn::rl::{Ending, EnvironmentConfig, Episode, ScenarioSource, TrainingConfig, bounds, unsuited};
+use crumple_world::control::{ControllerSpec, NoSettings};
+use crumple_world::policy::STATE;
+use crumple_world::scenario::{Scenario, file};
+use crumple_world::sim::{Run, RunOptions};
+use numpy::{PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use rayon::prelude::*;
+use self_cell::self_cell;
+
+use crate::errors::{self, Class};
+use crate::scenario::Space;
+use crate::simulation::ESTIMATORS;
+use crate::values::choice;
+
+/// Episodes that a thread takes at least: fewer are stepped faster than they are handed over.
+const LEAST_OF_A_THREAD: usize = 16;
+
+/// Most episodes at once.
+const MOST_EPISODES: usize = 1 << 20;
+
+type Prepared<'s> = Run<'s>;
+type UnderWay<'r> = Episode<'r, 'r>;
+
+self_cell!(
+    /// A run and the scenario that it is of.
+    struct OwnedRun {
+        owner: Scenario,
+        #[covariant]
+        dependent: Prepared,
+    }
+);
+
+self_cell!(
+    /// An episode and the run that it is on.
+    struct OwnedEpisode {
+        owner: OwnedRun,
+        #[not_covariant]
+        dependent: UnderWay,
+    }
+);
+
+/// What becomes of an episode that is over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Autoreset {
+    /// The next step begins another one instead of stepping.
+    NextStep,
+    /// Another one begins at once.
+    SameStep,
+    /// The caller resets it.
+    Disabled,
+}
+
+/// Where episodes come from and how they are driven.
+struct Task {
+    source: Arc<dyn ScenarioSource>,
+    environment: EnvironmentConfig,
+    discount: f64,
+    autoreset: Autoreset,
+}
+
+impl Task {
+    fn episode(&self, seed: u64, index: u64) -> Result<OwnedEpisode, String> {
+        let scenario = self.source.draw(seed, index).map_err(|error| error.to_string())?;
+        if let Some(why) = unsuited(&scenario) {
+            return Err(format!("{}: {why}", scenario.spec().name));
+        }
+        // Whoever is under test is driven by the actions; the controller is never asked.
+        let idle = ControllerSpec::MatchLeader(NoSettings::default());
+        let options = RunOptions::new(idle).with_estimator(self.environment.estimator);
+        let run = OwnedRun::try_new(scenario, |scenario| Run::new(scenario, options)).map_err(|e| e.to_string())?;
+        Ok(OwnedEpisode::new(run, |run| Episode::new(run.borrow_dependent(), &self.environment, self.discount)))
+    }
+}
+
+/// One episode after the other.
+struct Lane {
+    seed: u64,
+    next_index: u64,
+    episode: Option<OwnedEpisode>,
+    is_over: bool,
+}
+
+/// Where the results of a step of one lane go.
+struct Place<'a> {
+    state: &'a mut [f32],
+    last_state: &'a mut [f32],
+    reward: &'a mut f32,
+    terminated: &'a mut bool,
+    truncated: &'a mut bool,
+    ending: &'a mut u8,
+}
+
+impl Lane {
+    fn begin(&mut self, task: &Task, state: &mut [f32]) -> Result<(), String> {
+        let mut episode = task.episode(self.seed, self.next_index)?;
+        self.next_index += 1;
+        state.copy_from_slice(&episode.with_dependent_mut(|_, episode| episode.state()));
+        (self.episode, self.is_over) = (Some(episode), false);
+        Ok(())
+    }
+
+    fn step(&mut self, task: &Task, action: f32, place: Place<'_>) -> Result<(), String> {
+        let Place { state, last_state, reward, terminated, truncated, ending } = place;
+        (*reward, *terminated, *truncated, *ending) = (0.0, false, false, 0);
+        if self.is_over && task.autoreset == Autoreset::NextStep {
+            return self.begin(task, state);
+        }
+        let Some(episode) = self.episode.as_mut().filter(|_| !self.is_over) else {
+            return Err("an episode that is over, or has not begun, must be reset before it is stepped".to_owned());
+        };
+        if action.is_nan() {
+            return Err("an action is not a number".to_owned());
+        }
+        let led_to = episode.with_dependent_mut(|_, episode| episode.decide(action.clamp(-1.0, 1.0)));
+        self.is_over = led_to.ending != Ending::None;
+        *reward = led_to.reward;
+        *terminated = self.is_over && !led_to.continues;
+        *truncated = self.is_over && led_to.continues;
+        *ending = number(led_to.ending);
+        state.copy_from_slice(&led_to.next_state);
+        if self.is_over && task.autoreset == Autoreset::SameStep {
+            last_state.copy_from_slice(&led_to.next_state);
+            self.begin(task, state)?;
+        }
+        Ok(())
+    }
+}
+
+/// The place of an ending in `crumple.env.ENDINGS`.
+fn number(ending: Ending) -> u8 {
+    match ending {
+        Ending::Contact => 1,
+        Ending::AtRest => 2,
+        Ending::TimeOver => 3,
+        _ => 0,
+    }
+}
+
+/// Episodes of the training task that step together.
+#[pyclass(frozen, module = "crumple")]
+pub(crate) struct Episodes {
+    task: Task,
+    lanes: Mutex<Vec<Lane>>,
+}
+
+#[pymethods]
+impl Episodes {
+    /// Episodes with draws of a space, or as a training preset or file says.
+    #[new]
+    fn new(
+        py: Python<'_>,
+        count: usize,
+        space: Option<PyRef<'_, Space>>,
+        preset: &str,
+        estimator: Option<&str>,
+        autoreset: &str,
+    ) -> PyResult<Self> {
+        if !(1..=MOST_EPISODES).contains(&count) {
+            return Err(PyValueError::new_err(format!(
+                "there must be 1 to {MOST_EPISODES} environments, found {count}"
+            )));
+        }
+        let config = training(py, preset)?;
+        let source: Arc<dyn ScenarioSource> = match space {
+            Some(space) => Arc::new(space.0.clone()),
+            None => config.source().map_err(|error| errors::raised(py, Class::Training, &error))?,
+        };
+        let mut environment = config.environment;
+        if let Some(estimator) = estimator {
+            environment.estimator = choice("estimator", estimator, &ESTIMATORS)?;
+        }
+        let known =
+            [("next-step", Autoreset::NextStep), ("same-step", Autoreset::SameStep), ("disabled", Autoreset::Disabled)];
+        let autoreset = choice("autoreset", autoreset, &known)?;
+        let task = Task { source, environment, discount: config.learning.discount, autoreset };
+        task.episode(0, 0).map_err(|error| errors::raised(py, Class::Training, &error))?;
+        let lane = |seed| Lane { seed, next_index: 0, episode: None, is_over: false };
+        Ok(Self { task, lanes: Mutex::new((0..count as u64).map(lane).collect()) })
+    }
+
+    /// Numbers of a state are cut to plus and minus this.
+    #[getter]
+    fn state_limit(&self) -> f64 {
+        self.task.environment.observation.limit
+    }
+
+    /// Simulated time between two decisions, in seconds.
+    #[getter]
+    fn decision_s(&self) -> f64 {
+        f64::from(self.task.environment.decision_steps) * crumple_world::scenario::PAPER_STEP_S
+    }
+
+    /// Accelerations that the actions -1 and 1 stand for, in m/s².
+    #[getter]
+    fn acceleration_range_mps2(&self) -> (f64, f64) {
+        let bounds = bounds(&self.task.environment);
+        (bounds.acceleration_mps2(-1.0), bounds.acceleration_mps2(1.0))
+    }
+
+    /// Begins an episode in every lane of `mask`. With `seeds`, their episodes are from then on the draws of these.
+    fn reset(
+        &self,
+        py: Python<'_>,
+        seeds: Option<Vec<u64>>,
+        mask: PyReadonlyArray1<'_, bool>,
+        mut states: PyReadwriteArray2<'_, f32>,
+    ) -> PyResult<()> {
+        let (mask, states) = (mask.as_slice()?, states.as_slice_mut()?);
+        py.detach(|| {
+            let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
+            let count = lanes.len();
+            fit(&[mask.len(), states.len() / STATE, seeds.as_ref().map_or(count, Vec::len)], count)?;
+            let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(STATE)).zip(mask).enumerate();
+            rows.with_min_len(LEAST_OF_A_THREAD).try_for_each(|(index, ((lane, state), chosen))| {
+                if !chosen {
+                    return Ok(());
+                }
+                if let Some(seed) = seeds.as_ref().and_then(|seeds| seeds.get(index)) {
+                    (lane.seed, lane.next_index) = (*seed, 0);
+                }
+                lane.begin(&self.task, state)
+            })
+        })
+        .map_err(|error| errors::raised(py, Class::Training, &error))
+    }
+
+    /// One decision of every lane, from `actions` into the arrays.
+    #[expect(clippy::too_many_arguments, reason = "one array for each thing that a step tells")]
+    fn step(
+        &self,
+        py: Python<'_>,
+        actions: PyReadonlyArray1<'_, f32>,
+        mut states: PyReadwriteArray2<'_, f32>,
+        mut last_states: PyReadwriteArray2<'_, f32>,
+        mut rewards: PyReadwriteArray1<'_, f32>,
+        mut terminated: PyReadwriteArray1<'_, bool>,
+        mut truncated: PyReadwriteArray1<'_, bool>,
+        mut endings: PyReadwriteArray1<'_, u8>,
+    ) -> PyResult<()> {
+        let (actions, states, last_states) = (actions.as_slice()?, states.as_slice_mut()?, last_states.as_slice_mut()?);
+        let (rewards, terminated) = (rewards.as_slice_mut()?, terminated.as_slice_mut()?);
+        let (truncated, endings) = (truncated.as_slice_mut()?, endings.as_slice_mut()?);
+        py.detach(|| {
+            let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
+            let widths = [actions.len(), states.len() / STATE, last_states.len() / STATE];
+            fit(&widths, lanes.len())?;
+            fit(&[rewards.len(), terminated.len(), truncated.len(), endings.len()], lanes.len())?;
+            let rows = (
+                lanes.par_iter_mut(),
+                actions,
+                states.par_chunks_exact_mut(STATE),
+                last_states.par_chunks_exact_mut(STATE),
+                rewards,
+                terminated,
+                truncated,
+                endings,
+            );
+            rows.into_par_iter().with_min_len(LEAST_OF_A_THREAD).try_for_each(
+                |(lane, action, state, last_state, reward, terminated, truncated, ending)| {
+                    lane.step(&self.task, *action, Place { state, last_state, reward, terminated, truncated, ending })
+                },
+            )
+        })
+        .map_err(|error| errors::raised(py, Class::Training, &error))
+    }
+
+    fn __len__(&self) -> usize {
+        self.lanes.lock().unwrap_or_else(PoisonError::into_inner).len()
+    }
+}
+
+/// Every array has an entry for each lane.
+fn fit(lengths: &[usize], lanes: usize) -> Result<(), String> {
+    match lengths.iter().find(|length| **length != lanes) {
+        Some(length) => Err(format!("there are {lanes} environments, and an array for {length}")),
+        None => Ok(()),
+    }
+}
+
+/// A preset of `crumple train`, or a file of one.
+fn training(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig> {
+    let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Training, &error.to_string());
+    let path = std::path::Path::new(preset);
+    if path.extension().is_none() {
+        return TrainingConfig::preset(preset).map_err(|error| wrong(&error));
+    }
+    let text = file::read(path).map_err(|error| errors::of_file(py, Class::Training, &error))?;
+    TrainingConfig::parse(&text, path).map_err(|error| wrong(&error))
+}

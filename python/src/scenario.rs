@@ -1,0 +1,156 @@
+//! Scenarios and spaces as Python objects.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crumple_world::scenario::space::{self, find_space};
+use crumple_world::scenario::{self as world, built_in, built_in_names, file};
+use pyo3::prelude::*;
+
+use crate::errors::{self, Class};
+use crate::values::written;
+
+/// A valid scenario.
+#[pyclass(frozen, eq, module = "crumple")]
+#[derive(PartialEq)]
+pub(crate) struct Scenario(pub(crate) Arc<world::Scenario>);
+
+impl Scenario {
+    pub(crate) fn new(scenario: world::Scenario) -> Self {
+        Self(Arc::new(scenario))
+    }
+}
+
+#[pymethods]
+impl Scenario {
+    /// The built-in scenario of that name, or the one in a file.
+    #[staticmethod]
+    fn find(py: Python<'_>, name: &str) -> PyResult<Self> {
+        if let Some(scenario) = built_in(name) {
+            return Ok(Self::new(scenario));
+        }
+        if Path::new(name).extension().is_none() && !Path::new(name).exists() {
+            let known: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
+            let message = format!("`{name}` is neither a built-in scenario ({}) nor a file", known.join(", "));
+            return Err(errors::raised(py, Class::Scenario, &message));
+        }
+        Self::load(py, PathBuf::from(name))
+    }
+
+    /// The scenario in a file.
+    #[staticmethod]
+    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        file::load(&path).map(Self::new).map_err(|error| errors::of_file(py, Class::Scenario, &error))
+    }
+
+    /// The scenario that a text says.
+    #[staticmethod]
+    fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
+        let read = file::from_toml(text, Path::new("<toml>"));
+        read.map(Self::new).map_err(|error| errors::of_file(py, Class::Scenario, &error))
+    }
+
+    /// The same from JSON.
+    #[staticmethod]
+    fn from_json(py: Python<'_>, text: &str) -> PyResult<Self> {
+        let read = file::from_json(text, Path::new("<dict>"));
+        read.map(Self::new).map_err(|error| errors::of_file(py, Class::Scenario, &error))
+    }
+
+    #[getter]
+    fn name(&self) -> &str {
+        &self.0.spec().name
+    }
+
+    #[getter]
+    fn seed(&self) -> u64 {
+        self.0.spec().seed
+    }
+
+    #[getter]
+    fn duration_s(&self) -> f64 {
+        self.0.spec().duration_s
+    }
+
+    #[getter]
+    fn step_s(&self) -> f64 {
+        self.0.spec().step_s
+    }
+
+    fn with_seed(&self, py: Python<'_>, seed: u64) -> PyResult<Self> {
+        self.0.edited(|spec| spec.seed = seed).map(Self::new).map_err(|error| errors::of_field(py, &error))
+    }
+
+    fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        written(py, self.0.spec())
+    }
+
+    fn to_toml(&self, py: Python<'_>) -> PyResult<String> {
+        file::to_toml(&self.0).map_err(|error| errors::raised(py, Class::Scenario, &error))
+    }
+
+    fn __len__(&self) -> usize {
+        self.0.vehicles().len()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<crumple.Scenario {:?}, {} vehicles>", self.name(), self.0.vehicles().len())
+    }
+}
+
+/// A space in which every point is a valid scenario.
+#[pyclass(frozen, module = "crumple")]
+pub(crate) struct Space(pub(crate) space::Space);
+
+#[pymethods]
+impl Space {
+    /// The built-in space of that name, or the one in a file.
+    #[staticmethod]
+    fn find(py: Python<'_>, name: &str) -> PyResult<Self> {
+        find_space(name).map(Self).map_err(|error| errors::of_space(py, &error))
+    }
+
+    /// The space that a text says; a base scenario in a file is looked for in the working directory.
+    #[staticmethod]
+    fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
+        let read = space::file::from_toml(text, Path::new("<toml>"));
+        read.map(Self).map_err(|error| errors::of_file(py, Class::Space, &error))
+    }
+
+    #[getter]
+    fn name(&self) -> &str {
+        self.0.name()
+    }
+
+    #[getter]
+    fn coordinate_names(&self) -> Vec<String> {
+        self.0.coordinate_names()
+    }
+
+    /// The scenario at a point of the unit cube.
+    fn at(&self, py: Python<'_>, point: Vec<f64>) -> PyResult<Scenario> {
+        self.0.at(&point).map(Scenario::new).map_err(|error| errors::of_field(py, &error))
+    }
+
+    /// The scenario in which every parameter is nominal.
+    fn nominal(&self, py: Python<'_>) -> PyResult<Scenario> {
+        self.0.scenario(&self.0.nominal()).map(Scenario::new).map_err(|error| errors::of_field(py, &error))
+    }
+
+    /// The draw of that number by the distribution.
+    fn draw(&self, py: Python<'_>, seed: u64, index: u64) -> PyResult<Scenario> {
+        self.0.draw(seed, index).map(Scenario::new).map_err(|error| errors::of_field(py, &error))
+    }
+
+    fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        written(py, self.0.spec())
+    }
+
+    fn __len__(&self) -> usize {
+        self.0.dimension()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<crumple.Space {:?}, {} coordinates>", self.name(), self.0.dimension())
+    }
+}

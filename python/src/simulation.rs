@@ -1,0 +1,175 @@
+//! Simulations: outcomes, and traces as arrays.
+
+use std::sync::Arc;
+
+use crumple_world::observation::EstimatorKind;
+use crumple_world::sim::{self, AfterContact, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate_batch};
+use numpy::PyArray1;
+use pyo3::prelude::*;
+
+use crate::controller;
+use crate::errors::{self, Class};
+use crate::scenario::Scenario;
+use crate::values::{choice, written};
+use crate::watched::{Stop, watched};
+
+/// Runs between two looks at whether to go on.
+const AT_ONCE: usize = 512;
+
+pub(crate) const ESTIMATORS: [(&str, EstimatorKind); 2] =
+    [("kalman", EstimatorKind::Kalman), ("truth", EstimatorKind::Truth)];
+
+/// The motion of one vehicle: arrays with an entry a sample.
+#[pyclass(frozen, get_all, module = "crumple")]
+pub(crate) struct Track {
+    length_m: f64,
+    mass_kg: f64,
+    position_m: Py<PyArray1<f64>>,
+    speed_mps: Py<PyArray1<f64>>,
+    acceleration_mps2: Py<PyArray1<f64>>,
+}
+
+/// The motion of all vehicles of a run.
+#[pyclass(frozen, get_all, module = "crumple")]
+pub(crate) struct Trace {
+    time_s: Py<PyArray1<f64>>,
+    vehicles: Vec<Py<Track>>,
+}
+
+impl Trace {
+    /// Moves the samples; none is copied.
+    fn new(py: Python<'_>, trace: sim::Trace) -> PyResult<Self> {
+        let array = |samples: Vec<f64>| PyArray1::from_vec(py, samples).unbind();
+        let track = |track: sim::Track| {
+            let track = Track {
+                length_m: track.length_m,
+                mass_kg: track.mass_kg,
+                position_m: array(track.position_m),
+                speed_mps: array(track.speed_mps),
+                acceleration_mps2: array(track.acceleration_mps2),
+            };
+            Py::new(py, track)
+        };
+        Ok(Self {
+            time_s: array(trace.time_s),
+            vehicles: trace.vehicles.into_iter().map(track).collect::<PyResult<_>>()?,
+        })
+    }
+}
+
+/// How a run ended.
+#[pyclass(frozen, module = "crumple")]
+pub(crate) struct Simulation {
+    scenario: Arc<crumple_world::scenario::Scenario>,
+    controller: Arc<str>,
+    simulated: Simulated,
+    #[pyo3(get)]
+    trace: Option<Py<Trace>>,
+}
+
+#[pymethods]
+impl Simulation {
+    #[getter]
+    fn scenario(&self) -> Scenario {
+        Scenario(Arc::clone(&self.scenario))
+    }
+
+    #[getter]
+    fn controller(&self) -> &str {
+        &self.controller
+    }
+
+    #[getter]
+    fn outcome(&self) -> &'static str {
+        match self.simulated.outcome {
+            Outcome::NoCollision => "no_collision",
+            Outcome::Collision(_) => "collision",
+            Outcome::ControllerFailed(_) => "controller_failed",
+        }
+    }
+
+    #[getter]
+    fn is_safe(&self) -> bool {
+        self.simulated.outcome.is_safe()
+    }
+
+    #[getter]
+    fn contact<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        self.simulated.outcome.contact().map(|contact| written(py, contact)).transpose()
+    }
+
+    #[getter]
+    fn failure(&self) -> Option<String> {
+        self.simulated.outcome.failed().map(ToString::to_string)
+    }
+
+    #[getter]
+    fn impacts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        written(py, &self.simulated.impacts)
+    }
+
+    #[getter]
+    fn vehicles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        written(py, &self.simulated.vehicles)
+    }
+
+    #[getter]
+    fn interventions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        written(py, &self.simulated.interventions)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<crumple.Simulation {:?}, {}: {}>", self.scenario.spec().name, self.controller, self.outcome())
+    }
+}
+
+/// Simulates scenarios; one result each, in their order.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+pub(crate) fn simulate(
+    py: Python<'_>,
+    scenarios: Vec<PyRef<'_, Scenario>>,
+    controller: &Bound<'_, PyAny>,
+    estimator: &str,
+    dt_s: Option<f64>,
+    after_contact: &str,
+    trace: bool,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Vec<Simulation>> {
+    let stop = Stop::default();
+    let controller = controller::named(controller, &stop)?;
+    let known = [("stop", AfterContact::Stop), ("continue", AfterContact::Continue)];
+    let mut options = RunOptions::new(controller.kind.clone())
+        .with_estimator(choice("estimator", estimator, &ESTIMATORS)?)
+        .with_after_contact(choice("after_contact", after_contact, &known)?);
+    options.dt_s = dt_s;
+    let scenarios: Vec<_> = scenarios.iter().map(|scenario| Arc::clone(&scenario.0)).collect();
+    let runs: Vec<Run<'_>> = scenarios
+        .iter()
+        .map(|scenario| {
+            Run::new(scenario, options.clone())
+                .map_err(|error| errors::raised(py, Class::Run, &format!("{}: {error}", scenario.spec().name)))
+        })
+        .collect::<PyResult<_>>()?;
+    let keep = if trace { RecordingLevel::Trace } else { RecordingLevel::Summary };
+    let results = watched(py, &stop, progress.as_ref(), |say| {
+        let (mut results, mut failures) = (Vec::with_capacity(runs.len()), 0);
+        for some in runs.chunks(AT_ONCE) {
+            if stop.is_asked() {
+                break;
+            }
+            let of_some = simulate_batch(some, keep, |_, simulated| simulated);
+            failures += of_some.iter().filter(|simulated| !simulated.outcome.is_safe()).count();
+            results.extend(of_some);
+            say((results.len() as u64, runs.len() as u64, failures as u64));
+        }
+        results
+    })?;
+    drop(runs);
+    let name: Arc<str> = controller.name.into();
+    let simulation = |(scenario, mut simulated): (_, Simulated)| {
+        let trace = simulated.trace.take().map(|trace| Py::new(py, Trace::new(py, trace)?)).transpose()?;
+        Ok(Simulation { scenario, controller: Arc::clone(&name), simulated, trace })
+    };
+    scenarios.into_iter().zip(results).map(simulation).collect()
+}
