@@ -179,12 +179,13 @@ mod tests {
     fn answers_that_are_none_are_told_apart() {
         let problem = |line: &str| decision(line.as_bytes(), 7).unwrap_err();
         assert_eq!(decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", 7), Ok(-1.5));
-        assert_eq!(
-            problem("{\"id\":6,\"acceleration_mps2\":1}"),
-            ProcessProblem::OtherQuestion { found: 6, asked: 7 }
-        );
+        assert_eq!(problem("{\"id\":6,\"acceleration_mps2\":1}"), ProcessProblem::OtherQuestion { found: 6, asked: 7 });
         for line in ["NaN", "-Infinity", "nan", "1e999", "[NaN]"] {
-            assert_eq!(problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}")), ProcessProblem::NotFinite, "{line}");
+            assert_eq!(
+                problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}")),
+                ProcessProblem::NotFinite,
+                "{line}"
+            );
         }
         for rest in ["", "\"acceleration_mps2\":null}", "\"acceleration_mps2\":1,\"x\":2}", "\"x\":2}"] {
             let line = format!("{{\"id\":7,{rest}");
