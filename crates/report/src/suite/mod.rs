@@ -1,0 +1,105 @@
+//! Runs of suites, told: a matrix for readers, JUnit for build servers.
+
+mod junit;
+
+use std::fmt::Write;
+
+use crumple_search::suite::{Failed, Margin, MarginEnd, Prevention, SuiteResult, TestResult, TestVerdict, Tested};
+
+pub use junit::{JunitError, xml};
+
+/// The matrix clause, test, controller, verdict and margin, what failed, and what it does not say. `replay` is the command that
+/// shows a failure of a controller; none where its scenario was not written.
+#[must_use]
+pub fn text(result: &SuiteResult, replay: impl Fn(&Failed, &Tested) -> Option<String>) -> String {
+    let mut out = String::new();
+    // Writing to a string cannot fail.
+    let _ = writeln!(out, "{}: {}, {}", result.suite, result.document, result.edition);
+    let _ = writeln!(out, "  {}", result.statement);
+    let _ = writeln!(out, "  figures from: {}", result.figures_from);
+    for clause in &result.clauses {
+        let _ = writeln!(out, "\n{}  {}", clause.clause, clause.says);
+        for test in &clause.tests {
+            write_test(&mut out, test, &replay);
+        }
+    }
+    for (title, list) in [("outside the model", &result.outside), ("left out", &result.left_out)] {
+        if !list.is_empty() {
+            let _ = writeln!(out, "\n{title}");
+        }
+        for entry in list {
+            let _ = writeln!(out, "  {entry}");
+        }
+    }
+    out
+}
+
+fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&Failed, &Tested) -> Option<String>) {
+    let chosen = if test.is_as_stated { "" } else { " (some figures are chosen, not the document's)" };
+    let _ = writeln!(out, "  {}{chosen}", test.name);
+    for tested in &test.controllers {
+        let points =
+            if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed, tested.points) };
+        let _ = writeln!(out, "    {}: {}{points}", tested.controller, verdict(&tested.verdict));
+        for margin in &tested.margins {
+            let _ = writeln!(out, "      {}", margin_in_words(margin));
+        }
+        for failed in &tested.failed {
+            let _ = writeln!(out, "      fails at {}: {}", failed.point, verdict(&failed.verdict));
+            let _ = writeln!(out, "        {}", preventable(failed));
+            if let Some(command) = replay(failed, tested) {
+                let _ = writeln!(out, "        {command}");
+            }
+        }
+    }
+}
+
+/// A verdict in words.
+#[must_use]
+pub fn verdict(verdict: &TestVerdict) -> String {
+    match verdict {
+        TestVerdict::Passed => "PASSED".to_owned(),
+        TestVerdict::Failed { time_s, impact_speed_mps } => {
+            format!("FAILED, contact at {time_s:.2} s with {impact_speed_mps:.1} m/s")
+        }
+        TestVerdict::ControllerFailed { time_s, reason } => format!("CONTROLLER FAILED at {time_s:.2} s: {reason}"),
+        TestVerdict::Refused { reason } => format!("REFUSED: {reason}"),
+    }
+}
+
+/// A margin in words.
+#[must_use]
+pub fn margin_in_words(margin: &Margin) -> String {
+    let Margin { push, unit, from, to, held, end } = margin;
+    let held = if held.is_empty() { String::new() } else { format!(" at {held}") };
+    let push = push.words();
+    match end {
+        MarginEnd::None => format!("margin of {push}{held}: none, it fails at {from} {unit}"),
+        MarginEnd::Holds { parts } => {
+            format!("margin of {push}{held}: passes from {from} to {to} {unit} at the ends of {parts} parts")
+        }
+        MarginEnd::Boundary { passes_at, fails_at, is_monotone, parts } => {
+            let words = format!("margin of {push}{held}: passes at {passes_at:.3}, fails at {fails_at:.3} {unit}");
+            match is_monotone {
+                true => words,
+                false => format!(
+                    "{words}: the first failure found on {parts} parts to {to} {unit}, and it passes again beyond"
+                ),
+            }
+        }
+    }
+}
+
+/// Who could have prevented a failure, in words.
+#[must_use]
+pub fn preventable(failed: &Failed) -> String {
+    let does = |prevention| match prevention {
+        Prevention::Prevents => "prevents it",
+        Prevention::Collides => "collides",
+        Prevention::DoesNotReact => "does not react",
+    };
+    let mut words: Vec<_> =
+        failed.references.iter().map(|run| format!("{} {}", run.driver, does(run.prevention))).collect();
+    words.extend(failed.avoidability.describe());
+    words.join("; ")
+}
