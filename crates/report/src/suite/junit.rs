@@ -2,7 +2,7 @@
 
 use quick_junit::{NonSuccessKind, Property, Report, SerializeError, TestCase, TestCaseStatus, TestSuite};
 
-use super::{margin_in_words, verdict};
+use super::{least_margins, verdict};
 use crumple_search::suite::{SuiteResult, TestResult, TestVerdict, Tested};
 use crumple_world::quoted::Lines;
 
@@ -40,7 +40,6 @@ fn case(test: &TestResult, tested: &Tested) -> TestCase {
         status.set_message(verdict(&tested.verdict));
     }
     let mut case = TestCase::new(format!("{}: {}", test.name, tested.controller), status);
-    let margins: Vec<_> = tested.margins.iter().map(margin_in_words).collect();
-    case.set_system_out(margins.join("\n"));
+    case.set_system_out(least_margins(&tested.margins).join("\n"));
     case
 }

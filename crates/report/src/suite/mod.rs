@@ -41,8 +41,8 @@ fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&Failed, &Te
         let points =
             if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed, tested.points) };
         let _ = writeln!(out, "    {}: {}{points}", tested.controller, verdict(&tested.verdict));
-        for margin in &tested.margins {
-            let _ = writeln!(out, "      {}", margin_in_words(margin));
+        for line in least_margins(&tested.margins) {
+            let _ = writeln!(out, "      {line}");
         }
         for failed in &tested.failed {
             let _ = writeln!(out, "      fails at {}: {}", failed.point, verdict(&failed.verdict));
@@ -55,8 +55,7 @@ fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&Failed, &Te
 }
 
 /// A verdict in words.
-#[must_use]
-pub fn verdict(verdict: &TestVerdict) -> String {
+fn verdict(verdict: &TestVerdict) -> String {
     match verdict {
         TestVerdict::Passed => "PASSED".to_owned(),
         TestVerdict::Failed { time_s, impact_speed_mps } => {
@@ -67,9 +66,31 @@ pub fn verdict(verdict: &TestVerdict) -> String {
     }
 }
 
+/// In each direction the least margin, in words, and of how many it is the least.
+fn least_margins(margins: &[Margin]) -> Vec<String> {
+    let mut directions: Vec<_> = margins.iter().map(|margin| (margin.push, margin.to)).collect();
+    directions.dedup();
+    let least = |&(push, to): &(_, f64)| {
+        let along: Vec<_> = margins.iter().filter(|margin| (margin.push, margin.to) == (push, to)).collect();
+        let least =
+            along.iter().copied().reduce(|least, next| if share(next) < share(least) { next } else { least })?;
+        let of = if along.len() > 1 { format!(" (the least of {})", along.len()) } else { String::new() };
+        Some(margin_in_words(least) + &of)
+    };
+    directions.iter().filter_map(least).collect()
+}
+
+/// The share of its direction that passes.
+fn share(margin: &Margin) -> f64 {
+    match margin.end {
+        MarginEnd::None => -1.0,
+        MarginEnd::Holds { .. } => 1.0,
+        MarginEnd::Boundary { passes_at, .. } => (passes_at - margin.from) / (margin.to - margin.from),
+    }
+}
+
 /// A margin in words.
-#[must_use]
-pub fn margin_in_words(margin: &Margin) -> String {
+fn margin_in_words(margin: &Margin) -> String {
     let Margin { push, unit, from, to, held, end } = margin;
     let held = if held.is_empty() { String::new() } else { format!(" at {held}") };
     let push = push.words();
@@ -91,8 +112,7 @@ pub fn margin_in_words(margin: &Margin) -> String {
 }
 
 /// Who could have prevented a failure, in words.
-#[must_use]
-pub fn preventable(failed: &Failed) -> String {
+fn preventable(failed: &Failed) -> String {
     let does = |prevention| match prevention {
         Prevention::Prevents => "prevents it",
         Prevention::Collides => "collides",
