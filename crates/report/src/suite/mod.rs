@@ -5,6 +5,7 @@ mod junit;
 use std::fmt::Write;
 
 use crumple_search::suite::{Failed, Margin, MarginEnd, Prevention, SuiteResult, TestResult, TestVerdict, Tested};
+use crumple_world::quoted::Terminal;
 
 pub use junit::{JunitError, xml};
 
@@ -40,15 +41,15 @@ fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&Failed, &Te
     for tested in &test.controllers {
         let points =
             if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed, tested.points) };
-        let _ = writeln!(out, "    {}: {}{points}", tested.controller, verdict(&tested.verdict));
+        let _ = writeln!(out, "    {}: {}{points}", Terminal(&tested.controller), Terminal(&verdict(&tested.verdict)));
         for line in least_margins(&tested.margins) {
             let _ = writeln!(out, "      {line}");
         }
         for failed in &tested.failed {
-            let _ = writeln!(out, "      fails at {}: {}", failed.point, verdict(&failed.verdict));
-            let _ = writeln!(out, "        {}", preventable(failed));
+            let _ = writeln!(out, "      fails at {}: {}", failed.point, Terminal(&verdict(&failed.verdict)));
+            let _ = writeln!(out, "        {}", Terminal(&preventable(failed)));
             if let Some(command) = replay(failed, tested) {
-                let _ = writeln!(out, "        {command}");
+                let _ = writeln!(out, "        {}", Terminal(&command));
             }
         }
     }
