@@ -29,7 +29,7 @@ pub enum SuiteError {
         /// Path of the field, such as `clauses[0].tests[1].lead`.
         field: String,
         /// What is wrong.
-        problem: SuiteProblem,
+        problem: Box<SuiteProblem>,
     },
 }
 
@@ -124,7 +124,7 @@ pub enum SuiteProblem {
         /// The point, in words.
         point: String,
         /// Why not.
-        why: InvalidField,
+        why: Box<InvalidField>,
     },
 }
 
@@ -221,7 +221,7 @@ fn check_point(test: &TestSpec, lead: Lead, point: &[f64], field: &str) -> Check
     let point_in_words = || test.in_words(point);
     test.scenario("point", "", point)
         .map(drop)
-        .map_err(|why| (field.to_owned(), SuiteProblem::Scenario { point: point_in_words(), why }))
+        .map_err(|why| (field.to_owned(), SuiteProblem::Scenario { point: point_in_words(), why: why.into() }))
 }
 
 fn figure(parameter: Parameter, figure: &Figure, field: &str) -> Checked {

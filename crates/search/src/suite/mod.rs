@@ -62,7 +62,7 @@ impl Suite {
         let spec = file::parse_toml(text, path)?;
         Self::new(spec).map_err(|(field, problem)| {
             let line = file::line_in_toml(text, &field);
-            SuiteError::Invalid { path: path.to_owned(), line, field, problem }
+            SuiteError::Invalid { path: path.to_owned(), line, field, problem: problem.into() }
         })
     }
 
