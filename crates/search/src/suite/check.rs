@@ -243,7 +243,8 @@ fn figure(parameter: Parameter, figure: &Figure, field: &str) -> Checked {
 
 /// A value that is a number in the range of what it is.
 fn value(parameter: Parameter, found: f64, unit: Unit, field: &str) -> Checked {
-    let range = parameter.range().map(|end| end / unit.in_si());
+    // To nine digits, so that 0.5 m/s is 1.8 km/h.
+    let range = parameter.range().map(|end| (end / unit.in_si() * 1e9).round() / 1e9);
     holds((range[0]..=range[1]).contains(&found), field, SuiteProblem::OutOfRange { range, unit, found })
 }
 

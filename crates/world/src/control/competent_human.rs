@@ -2,7 +2,7 @@
 
 use super::reaction::{Noticed, whole_steps};
 use super::settings::settings;
-use super::{BuiltIn, Controller, ControllerFailure, Ego};
+use super::{BuiltIn, Controller, ControllerFailure, Ego, Role};
 use crate::observation::Observation;
 
 /// Standard gravity, in m/s².
@@ -42,6 +42,7 @@ pub struct CompetentHuman {
 impl BuiltIn for CompetentHuman {
     const NAME: &'static str = "competent-human";
     const SUMMARY: &'static str = "reference driver after UN R157: brakes at 0.774 g from 1.15 s after the vehicle ahead brakes harder than 5 m/s²";
+    const ROLE: Role = Role::Reference;
     type Settings = CompetentHumanSettings;
     type Driver = Self;
 

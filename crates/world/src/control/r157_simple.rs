@@ -2,7 +2,7 @@
 
 use super::reaction::{Noticed, whole_steps};
 use super::settings::settings;
-use super::{BuiltIn, Controller, ControllerFailure, Ego};
+use super::{BuiltIn, Controller, ControllerFailure, Ego, Role};
 use crate::observation::Observation;
 
 settings! {
@@ -32,6 +32,7 @@ impl BuiltIn for R157Simple {
     const NAME: &'static str = "r157-simple";
     const SUMMARY: &'static str =
         "reference driver after UN R157: brakes at 6 m/s² from 0.35 s after a danger is there";
+    const ROLE: Role = Role::Reference;
     type Settings = R157SimpleSettings;
     type Driver = Self;
 

@@ -3,7 +3,7 @@
 
 use super::reaction::whole_steps;
 use super::settings::settings;
-use super::{BuiltIn, Controller, ControllerFailure, Ego};
+use super::{BuiltIn, Controller, ControllerFailure, Ego, Role};
 use crate::observation::Observation;
 
 settings! {
@@ -46,6 +46,7 @@ impl BuiltIn for Rss {
     const NAME: &'static str = "rss";
     const SUMMARY: &'static str =
         "Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017): brakes while nearer than the safe distance";
+    const ROLE: Role = Role::Reference;
     type Settings = RssSettings;
     type Driver = Self;
 
