@@ -20,6 +20,7 @@ mod reach;
 mod retrain;
 mod simulate;
 mod subject;
+mod suite;
 mod train;
 mod verify;
 mod worst_case;
@@ -65,6 +66,7 @@ enum Command {
     Check(check::Check),
     Benchmark(benchmark::Measure),
     Verify(verify::Verify),
+    Suite(suite::SuiteCommand),
     Fsck(fsck::Fsck),
     List(list::List),
 }
@@ -101,6 +103,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Falsify(command) => command.run(quiet),
         Command::Benchmark(command) => command.run(quiet),
         Command::Verify(command) => command.run(quiet),
+        Command::Suite(command) => command.run(quiet),
         Command::Fsck(command) => command.run(),
         Command::List(command) => command.run(),
     };

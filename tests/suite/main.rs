@@ -36,6 +36,7 @@ mod search;
 mod seeds;
 mod shield;
 mod spaces;
+mod suites;
 mod test_cases;
 mod tiny;
 mod training_schema;

@@ -76,7 +76,7 @@ fn series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec<f64>
 
 /// Sorts of controllers: the rules, and the reference policy.
 pub static CONTROLLERS: LazyLock<Vec<ControllerSpec>> = LazyLock::new(|| {
-    let rules = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Rule);
+    let rules = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() <= Role::Reference);
     rules.chain([ControllerSpec::Policy(Default::default())]).collect()
 });
 

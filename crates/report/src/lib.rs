@@ -6,8 +6,10 @@
 //! | [`figures`] | figures of trainings |
 //! | [`export`] | traces as tables |
 //! | [`assessment`] | the safety case and its renderings |
+//! | [`suite`] | runs of suites: the matrix, JUnit |
 
 pub mod assessment;
 pub mod draw;
 pub mod export;
 pub mod figures;
+pub mod suite;

@@ -10,11 +10,13 @@
 //! | [`worst_case`] | convex programs: could any driver have avoided it, how little braking does it take; certificates |
 //! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
 //! | [`evidence`] | claims with certificates: kernels of shields, failure rates; estimates of rare failures |
+//! | [`suite`] | tests after regulations: suites as data, verdicts, margins, who could have prevented a failure |
 
 pub mod difference;
 pub mod disk;
 pub mod evidence;
 pub mod falsify;
 pub mod program;
+pub mod suite;
 pub mod work;
 pub mod worst_case;

@@ -12,6 +12,8 @@ use crate::policy::Policy;
 pub enum Role {
     /// It drives by a rule, as traffic or under test.
     Rule,
+    /// It drives as somebody would who is compared with: a regulation's driver.
+    Reference,
     /// It was learned.
     Learned,
     /// It is no way to drive, and shows what a shield is worth.

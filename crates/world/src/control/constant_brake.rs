@@ -1,5 +1,6 @@
 //! Braking at one rate as soon as the vehicle ahead brakes: the other trivial controller.
 
+use super::reaction::{Noticed, whole_steps};
 use super::settings::settings;
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::observation::Observation;
@@ -22,8 +23,7 @@ pub struct ConstantBrake {
     rate_mps2: f64,
     trigger_mps2: f64,
     delay_steps: u32,
-    /// Steps since the vehicle ahead was first seen to brake.
-    seen_for_steps: Option<u32>,
+    seen: Noticed,
 }
 
 impl BuiltIn for ConstantBrake {
@@ -36,8 +36,8 @@ impl BuiltIn for ConstantBrake {
         Self {
             rate_mps2: settings.rate_mps2,
             trigger_mps2: settings.trigger_mps2,
-            delay_steps: (settings.delay_s / ego.step_s).round() as u32,
-            seen_for_steps: None,
+            delay_steps: whole_steps(settings.delay_s, ego.step_s),
+            seen: Noticed::default(),
         }
     }
 }
@@ -45,12 +45,8 @@ impl BuiltIn for ConstantBrake {
 impl Controller for ConstantBrake {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let seen_braking = || seen.ahead.is_some_and(|ahead| ahead.acceleration_mps2 < -self.trigger_mps2);
-        self.seen_for_steps = match self.seen_for_steps {
-            Some(steps) => Some(steps.saturating_add(1)),
-            None => seen_braking().then_some(0),
-        };
-        Ok(if self.seen_for_steps >= Some(self.delay_steps) { -self.rate_mps2 } else { 0.0 })
+        let is_braking = seen.ahead.is_some_and(|ahead| ahead.acceleration_mps2 < -self.trigger_mps2);
+        Ok(if self.seen.steps(is_braking) >= Some(self.delay_steps) { -self.rate_mps2 } else { 0.0 })
     }
 }
 

@@ -26,6 +26,12 @@ macro_rules! with_controllers {
                 Idm,
                 /// Adaptive cruise control with emergency braking.
                 AccAeb,
+                /// Reference driver: the careful and competent human of UN R157, for car following.
+                CompetentHuman,
+                /// Reference driver: the simple model of UN R157.
+                R157Simple,
+                /// Reference driver: Responsibility-Sensitive Safety.
+                Rss,
                 /// Full acceleration at all times.
                 FullThrottle,
                 /// A random action each step, from the scenario's seed.
@@ -44,6 +50,7 @@ macro_rules! with_controllers {
 mod acc_aeb;
 mod baseline;
 mod built_in;
+mod competent_human;
 mod constant_brake;
 mod history;
 mod idm;
@@ -54,6 +61,9 @@ mod network;
 mod policy;
 mod process;
 mod quantity;
+mod r157_simple;
+mod reaction;
+mod rss;
 mod settings;
 mod shield;
 mod source;
@@ -62,6 +72,7 @@ mod stress;
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
 pub use built_in::{AnyController, BuiltIn, ControllerSpec, InvalidSetting, Role};
+pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use idm::{Idm, IdmSettings};
 pub use mapping::{Input, InvalidMapping, Mapping, Output, Squash};
@@ -70,6 +81,8 @@ pub use network::{NetworkController, NetworkDriver};
 pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy};
 pub use process::{ProcessController, ProcessDriver, ProcessSetup};
 pub use quantity::Quantity;
+pub use r157_simple::{R157Simple, R157SimpleSettings};
+pub use rss::{Rss, RssSettings};
 pub use settings::{Field, NoSettings, Settings};
 pub use shield::{
     Behind, ErrorBounds, Frame, Kernel, MARGIN_M, MOST_MARGIN_M, Override, Real, Shield, ShieldSettings, ShieldState,
@@ -168,13 +181,35 @@ pub(crate) mod tests {
         Observation { speed_mps, acceleration_mps2: 0.0, ahead: Some(ahead), behind: None }
     }
 
+    /// The way from `speed_mps` to standstill of who sees, at each speed, what `seen` says.
+    pub(crate) fn stopping_distance_m(
+        mut driver: impl Controller,
+        speed_mps: f64,
+        seen: impl Fn(f64) -> Observation,
+    ) -> f64 {
+        let (mut way_m, mut speed_mps) = (0.0, speed_mps);
+        loop {
+            let a = driver.decide(&seen(speed_mps)).unwrap();
+            let next_mps = speed_mps + a * EGO.step_s;
+            if next_mps <= 0.0 {
+                return way_m - speed_mps * speed_mps / (2.0 * a);
+            }
+            way_m += 0.5 * (speed_mps + next_mps) * EGO.step_s;
+            speed_mps = next_mps;
+        }
+    }
+
     #[test]
     fn every_built_in_controller_answers_an_empty_road_with_a_finite_command() {
         let alone = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: None, behind: None };
         for spec in ControllerSpec::built_in() {
             let command = AnyController::built_in(&spec, &EGO, 0).decide(&alone).unwrap();
             assert!(command.is_finite(), "{}: {command}", spec.name());
-            assert!(spec.role() != Role::Rule || command >= 0.0, "{} brakes on an empty road: {command}", spec.name());
+            assert!(
+                spec.role() > Role::Reference || command >= 0.0,
+                "{} brakes on an empty road: {command}",
+                spec.name()
+            );
         }
     }
 

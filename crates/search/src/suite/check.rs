@@ -1,0 +1,263 @@
+//! Which suites are valid.
+
+use std::path::PathBuf;
+
+use crumple_world::scenario::file::FileError;
+use crumple_world::scenario::{InvalidField, short};
+
+use super::SUITE_VERSION;
+use super::figure::{Figure, Parameter, Unit};
+use super::spec::{Lead, SuiteSpec, TestSpec};
+
+/// Most points of all grids of a suite.
+const MOST_POINTS: usize = 2000;
+
+/// Why a suite file cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SuiteError {
+    /// It cannot be read, or is not well formed.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// A field is out of range or contradicts another.
+    #[error("{}:{line}: {field}: {problem}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// Line of the field, from 1.
+        line: usize,
+        /// Path of the field, such as `clauses[0].tests[1].lead`.
+        field: String,
+        /// What is wrong.
+        problem: Box<SuiteProblem>,
+    },
+}
+
+/// What can be wrong with a field of a suite.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SuiteProblem {
+    /// The file is of another format version.
+    #[error("version {found} is not supported: this release reads version {SUITE_VERSION}")]
+    Version {
+        /// What the file says.
+        found: u32,
+    },
+    /// A name that cannot name files.
+    #[error("must be 1 to 60 small letters, digits and hyphens")]
+    Name,
+    /// A name that another test has.
+    #[error("another test has this name")]
+    Twice,
+    /// A text that is too long, empty or holds control characters.
+    #[error("must have 1 to 2000 characters, none of them a control character")]
+    Text,
+    /// A list that is empty or too long.
+    #[error("must have {least} to {most} entries, found {found}")]
+    Length {
+        /// Fewest allowed.
+        least: usize,
+        /// Most allowed.
+        most: usize,
+        /// How many there are.
+        found: usize,
+    },
+    /// A test with a situation and a refusal, or neither.
+    #[error("a test has either `lead` or `refused`")]
+    Either,
+    /// A figure that the situation needs.
+    #[error("is missing: where the lead is {lead} there must be one")]
+    Missing {
+        /// The situation.
+        lead: &'static str,
+    },
+    /// A figure or direction that the situation has no place for.
+    #[error("has no place where the lead is {lead}")]
+    Misplaced {
+        /// The situation.
+        lead: &'static str,
+    },
+    /// A unit of another quantity.
+    #[error("{} cannot be stated in {found}", parameter.words())]
+    Unit {
+        /// What is stated.
+        parameter: Parameter,
+        /// The unit.
+        found: Unit,
+    },
+    /// A value outside its range.
+    #[error("must be from {} to {} {unit}, found {}", short(range[0]), short(range[1]), short(*found))]
+    OutOfRange {
+        /// The range, in the unit of the figure.
+        range: [f64; 2],
+        /// The unit.
+        unit: Unit,
+        /// What the file says.
+        found: f64,
+    },
+    /// Values that do not increase.
+    #[error("must increase, but {found} follows {before}")]
+    NotIncreasing {
+        /// The earlier value.
+        before: f64,
+        /// The value that is not larger.
+        found: f64,
+    },
+    /// A direction that ends within the grid.
+    #[error("must lie beyond all values of {}", parameter.words())]
+    Within {
+        /// What is pushed.
+        parameter: Parameter,
+    },
+    /// A vehicle ahead that is not slower.
+    #[error("the vehicle ahead must be slower than the vehicle under test at every point")]
+    NotSlower,
+    /// More points than a suite may have.
+    #[error("makes {found} points, and a suite may have {MOST_POINTS}")]
+    TooMany {
+        /// How many there are.
+        found: usize,
+    },
+    /// A point that is no scenario.
+    #[error("{point}: makes no scenario: {why}")]
+    Scenario {
+        /// The point, in words.
+        point: String,
+        /// Why not.
+        why: Box<InvalidField>,
+    },
+}
+
+type Checked = Result<(), (String, SuiteProblem)>;
+
+fn holds(condition: bool, field: impl Into<String>, problem: SuiteProblem) -> Checked {
+    if condition { Ok(()) } else { Err((field.into(), problem)) }
+}
+
+pub(super) fn check(spec: &SuiteSpec) -> Checked {
+    holds(spec.version == SUITE_VERSION, "version", SuiteProblem::Version { found: spec.version })?;
+    name(&spec.name, "name")?;
+    for (field, found) in [
+        ("about", &spec.about),
+        ("document", &spec.document),
+        ("edition", &spec.edition),
+        ("figures_from", &spec.figures_from),
+    ] {
+        text(found, field)?;
+    }
+    for (field, list) in [("outside", &spec.outside), ("left_out", &spec.left_out)] {
+        length(list.len(), 0, 100, field)?;
+        list.iter().enumerate().try_for_each(|(index, found)| text(found, format!("{field}[{index}]")))?;
+    }
+    length(spec.clauses.len(), 1, 100, "clauses")?;
+    let (mut names, mut points) = (Vec::new(), 0);
+    for (index, clause) in spec.clauses.iter().enumerate() {
+        let place = format!("clauses[{index}]");
+        text(&clause.clause, format!("{place}.clause"))?;
+        text(&clause.says, format!("{place}.says"))?;
+        length(clause.tests.len(), 1, 100, format!("{place}.tests"))?;
+        for (index, test) in clause.tests.iter().enumerate() {
+            let place = format!("{place}.tests[{index}]");
+            name(&test.name, format!("{place}.name"))?;
+            holds(!names.contains(&&test.name), format!("{place}.name"), SuiteProblem::Twice)?;
+            names.push(&test.name);
+            points += check_test(test, &place, points)?;
+        }
+    }
+    Ok(())
+}
+
+/// Checks a test after so many points of others; how many it has.
+fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (String, SuiteProblem)> {
+    let lead = match (test.lead, &test.refused) {
+        (Some(lead), None) => lead,
+        (None, Some(why)) => {
+            text(why, format!("{place}.refused"))?;
+            let misplaced = test.figures.stated().next().is_some() || !test.margins.is_empty();
+            return holds(!misplaced, place, SuiteProblem::Either).map(|()| 0);
+        }
+        _ => return Err((place.to_owned(), SuiteProblem::Either)),
+    };
+    for parameter in Parameter::ALL {
+        let field = format!("{place}.figures.{}", parameter.name());
+        match (test.figures.get(parameter), lead.parameters().contains(&parameter)) {
+            (Some(found), true) => figure(parameter, found, &field)?,
+            (None, true) => return Err((field, SuiteProblem::Missing { lead: lead.name() })),
+            (Some(_), false) => return Err((field, SuiteProblem::Misplaced { lead: lead.name() })),
+            (None, false) => {}
+        }
+    }
+    let found = before.saturating_add(test.points());
+    holds(found <= MOST_POINTS, format!("{place}.figures"), SuiteProblem::TooMany { found })?;
+    let grid = test.grid();
+    grid.iter().try_for_each(|point| check_point(test, lead, point, &format!("{place}.figures")))?;
+    length(test.margins.len(), 0, 10, format!("{place}.margins"))?;
+    for (index, margin) in test.margins.iter().enumerate() {
+        let field = format!("{place}.margins[{index}]");
+        let Some((at, stated)) = test.place(margin.push) else {
+            return Err((format!("{field}.push"), SuiteProblem::Misplaced { lead: lead.name() }));
+        };
+        value(margin.push, margin.to, stated.unit, &format!("{field}.to"))?;
+        let is_within = stated.values.iter().any(|&value| value >= margin.to)
+            && stated.values.iter().any(|&value| value <= margin.to);
+        holds(!is_within, format!("{field}.to"), SuiteProblem::Within { parameter: margin.push })?;
+        for point in &grid {
+            let mut end = point.clone();
+            end.iter_mut().skip(at).take(1).for_each(|value| *value = margin.to);
+            check_point(test, lead, &end, &format!("{field}.to"))?;
+        }
+    }
+    Ok(grid.len())
+}
+
+fn check_point(test: &TestSpec, lead: Lead, point: &[f64], field: &str) -> Checked {
+    if lead == Lead::Slower {
+        let si = |parameter| {
+            test.place(parameter).and_then(|(at, figure)| Some(point.get(at)? * figure.unit.in_si())).unwrap_or(0.0)
+        };
+        let is_slower = si(Parameter::LeadSpeed) + 0.1 <= si(Parameter::OwnSpeed);
+        holds(is_slower, field, SuiteProblem::NotSlower)?;
+    }
+    let point_in_words = || test.in_words(point);
+    test.scenario("point", "", point)
+        .map(drop)
+        .map_err(|why| (field.to_owned(), SuiteProblem::Scenario { point: point_in_words(), why: why.into() }))
+}
+
+fn figure(parameter: Parameter, figure: &Figure, field: &str) -> Checked {
+    let at = |name: &str| format!("{field}.{name}");
+    let found = figure.unit;
+    holds(parameter.units().contains(&found), at("unit"), SuiteProblem::Unit { parameter, found })?;
+    length(figure.values.len(), 1, 100, at("values"))?;
+    for (index, &found) in figure.values.iter().enumerate() {
+        value(parameter, found, figure.unit, &format!("{field}.values[{index}]"))?;
+    }
+    for (pair, index) in figure.values.windows(2).zip(1..) {
+        if let &[before, found] = pair {
+            let field = format!("{field}.values[{index}]");
+            holds(before < found, field, SuiteProblem::NotIncreasing { before, found })?;
+        }
+    }
+    if figure.note.is_empty() { Ok(()) } else { text(&figure.note, at("note")) }
+}
+
+/// A value that is a number in the range of what it is.
+fn value(parameter: Parameter, found: f64, unit: Unit, field: &str) -> Checked {
+    // To nine digits, so that 0.5 m/s is 1.8 km/h.
+    let range = parameter.range().map(|end| (end / unit.in_si() * 1e9).round() / 1e9);
+    holds((range[0]..=range[1]).contains(&found), field, SuiteProblem::OutOfRange { range, unit, found })
+}
+
+fn name(found: &str, field: impl Into<String>) -> Checked {
+    let is_plain = |letter: u8| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == b'-';
+    holds((1..=60).contains(&found.len()) && found.bytes().all(is_plain), field, SuiteProblem::Name)
+}
+
+fn text(found: &str, field: impl Into<String>) -> Checked {
+    let is_short = (1..=2000).contains(&found.chars().count());
+    holds(is_short && !found.chars().any(char::is_control), field, SuiteProblem::Text)
+}
+
+fn length(found: usize, least: usize, most: usize, field: impl Into<String>) -> Checked {
+    holds((least..=most).contains(&found), field, SuiteProblem::Length { least, most, found })
+}

@@ -1,0 +1,200 @@
+//! Figures of a suite: the numbers that a clause asks for, in the document's units, and who says so.
+
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What a figure is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Parameter {
+    /// Speed of the vehicle under test at the start.
+    OwnSpeed,
+    /// Speed of the vehicle ahead.
+    LeadSpeed,
+    /// The gap at the start, as the time that closing it takes.
+    ClosingTime,
+    /// The gap at the start, bumper to bumper.
+    Gap,
+    /// Braking of the vehicle ahead, positive.
+    Deceleration,
+    /// Time within which it is reached.
+    Ramp,
+}
+
+/// A unit that documents use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Unit {
+    /// Kilometres an hour.
+    #[serde(rename = "km/h")]
+    Kmph,
+    /// Metres a second.
+    #[serde(rename = "m/s")]
+    Mps,
+    /// Seconds.
+    #[serde(rename = "s")]
+    Second,
+    /// Metres.
+    #[serde(rename = "m")]
+    Metre,
+    /// Metres a second squared.
+    #[serde(rename = "m/s2")]
+    Mps2,
+    /// Standard gravity, 9.80665 m/s².
+    #[serde(rename = "g")]
+    Gravity,
+}
+
+/// Who says that a figure is so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Origin {
+    /// The document states every value.
+    Document,
+    /// The document states the smallest and the largest value; those between are chosen here.
+    Ends,
+    /// Chosen here: what the document says could not be read, or it says nothing.
+    Chosen,
+}
+
+/// The values of a parameter, which together with those of others make a grid.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a figure: a table of values, unit and origin")]
+pub struct Figure {
+    /// The values, increasing; 1 to 100 of them.
+    #[schemars(length(min = 1, max = 100))]
+    pub values: Vec<f64>,
+    /// Their unit.
+    pub unit: Unit,
+    /// Who says so.
+    pub origin: Origin,
+    /// Where the document says so, or why they were chosen.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub note: String,
+}
+
+/// The figures of a test.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a table of figures")]
+pub struct Figures {
+    /// Speed of the vehicle under test at the start.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub own_speed: Option<Figure>,
+    /// Speed of the vehicle ahead, of a slower one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lead_speed: Option<Figure>,
+    /// The gap at the start as the time that closing it takes, behind a vehicle that stands or is slower.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub closing_time: Option<Figure>,
+    /// The gap at the start, behind a vehicle that brakes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gap: Option<Figure>,
+    /// Braking of the vehicle ahead, positive.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deceleration: Option<Figure>,
+    /// Time within which it is reached.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ramp: Option<Figure>,
+}
+
+impl Parameter {
+    /// All of them, in the order in which points state their values.
+    pub const ALL: [Self; 6] =
+        [Self::OwnSpeed, Self::LeadSpeed, Self::ClosingTime, Self::Gap, Self::Deceleration, Self::Ramp];
+
+    /// Its name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::OwnSpeed => "own_speed",
+            Self::LeadSpeed => "lead_speed",
+            Self::ClosingTime => "closing_time",
+            Self::Gap => "gap",
+            Self::Deceleration => "deceleration",
+            Self::Ramp => "ramp",
+        }
+    }
+
+    /// Its name in sentences.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::OwnSpeed => "own speed",
+            Self::LeadSpeed => "lead speed",
+            Self::ClosingTime => "closing time",
+            Self::Gap => "gap",
+            Self::Deceleration => "lead deceleration",
+            Self::Ramp => "ramp",
+        }
+    }
+
+    /// The units that it may be stated in.
+    #[must_use]
+    pub fn units(self) -> &'static [Unit] {
+        match self {
+            Self::OwnSpeed | Self::LeadSpeed => &[Unit::Kmph, Unit::Mps],
+            Self::ClosingTime | Self::Ramp => &[Unit::Second],
+            Self::Gap => &[Unit::Metre],
+            Self::Deceleration => &[Unit::Mps2, Unit::Gravity],
+        }
+    }
+
+    /// The least and the largest value, in SI units.
+    #[must_use]
+    pub fn range(self) -> [f64; 2] {
+        match self {
+            Self::OwnSpeed | Self::LeadSpeed => [0.5, 100.0],
+            Self::ClosingTime => [0.1, 60.0],
+            Self::Gap => [0.1, 1000.0],
+            Self::Deceleration => [0.1, 30.0],
+            Self::Ramp => [0.0, 60.0],
+        }
+    }
+}
+
+impl Unit {
+    /// What one of it is in SI units.
+    #[must_use]
+    pub fn in_si(self) -> f64 {
+        match self {
+            Self::Kmph => 1.0 / 3.6,
+            Self::Mps | Self::Second | Self::Metre | Self::Mps2 => 1.0,
+            Self::Gravity => 9.806_65,
+        }
+    }
+}
+
+impl fmt::Display for Unit {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Kmph => "km/h",
+            Self::Mps => "m/s",
+            Self::Second => "s",
+            Self::Metre => "m",
+            Self::Mps2 => "m/s²",
+            Self::Gravity => "g",
+        })
+    }
+}
+
+impl Figures {
+    /// The figure of a parameter.
+    #[must_use]
+    pub fn get(&self, parameter: Parameter) -> Option<&Figure> {
+        match parameter {
+            Parameter::OwnSpeed => self.own_speed.as_ref(),
+            Parameter::LeadSpeed => self.lead_speed.as_ref(),
+            Parameter::ClosingTime => self.closing_time.as_ref(),
+            Parameter::Gap => self.gap.as_ref(),
+            Parameter::Deceleration => self.deceleration.as_ref(),
+            Parameter::Ramp => self.ramp.as_ref(),
+        }
+    }
+
+    /// Those that are stated, in the order of [`Parameter::ALL`].
+    pub fn stated(&self) -> impl Iterator<Item = (Parameter, &Figure)> {
+        Parameter::ALL.into_iter().filter_map(|parameter| Some((parameter, self.get(parameter)?)))
+    }
+}

@@ -1,0 +1,165 @@
+//! How far a test can be pushed in a direction until it fails.
+
+use serde::Serialize;
+
+use super::figure::{Parameter, Unit};
+use super::run::Driven;
+use super::spec::{Lead, TestSpec};
+
+/// Equal parts of a direction, at whose ends the test is run.
+const PARTS: usize = 16;
+
+/// How often the part with the first failure is halved: to a 2048th of the direction.
+const HALVINGS: usize = 7;
+
+/// How far a test can be pushed in a direction, the other figures held.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Margin {
+    /// What is pushed.
+    pub push: Parameter,
+    /// The unit of all values here.
+    pub unit: Unit,
+    /// From where: the value of the grid that is next to `to`.
+    pub from: f64,
+    /// How far at most.
+    pub to: f64,
+    /// The other figures, in words.
+    pub held: String,
+    /// Where it ends.
+    pub end: MarginEnd,
+}
+
+/// Where a margin ends.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum MarginEnd {
+    /// The test does not pass from where it is pushed.
+    None,
+    /// It passes at the ends of all parts: nothing between them was run.
+    Holds {
+        /// How many parts.
+        parts: usize,
+    },
+    /// It passes on one side, and does not on the other; both were run.
+    Boundary {
+        /// The last value that passes.
+        passes_at: f64,
+        /// The first that does not.
+        fails_at: f64,
+        /// Whether it passes nowhere beyond on the grid of parts. If it does, this is the first failure that was found there.
+        is_monotone: bool,
+        /// How many parts the grid has.
+        parts: usize,
+    },
+}
+
+/// A direction from a base.
+struct Line<'t> {
+    test: &'t TestSpec,
+    base: Vec<f64>,
+    at: usize,
+    push: Parameter,
+    unit: Unit,
+    from: f64,
+    to: f64,
+}
+
+impl Line<'_> {
+    fn point(&self, value: f64) -> Vec<f64> {
+        let mut point = self.base.clone();
+        point.iter_mut().skip(self.at).take(1).for_each(|place| *place = value);
+        point
+    }
+
+    /// The end of a part.
+    fn value(&self, part: usize) -> f64 {
+        self.from + (self.to - self.from) * (part as f64 / PARTS as f64)
+    }
+
+    fn held(&self) -> String {
+        let stated = self.test.figures.stated().zip(&self.base).enumerate();
+        let others = stated.filter(|(index, _)| *index != self.at);
+        let words =
+            others.map(|(_, ((parameter, figure), value))| format!("{} {value} {}", parameter.words(), figure.unit));
+        words.collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// The margins of a test: a line a direction and combination of the other figures.
+pub(super) fn margins(test: &TestSpec, lead: Lead, driven: &Driven<'_>) -> Vec<Margin> {
+    let lines = lines(test);
+    let ends: Vec<(usize, f64)> = (0..lines.len())
+        .flat_map(|line| (0..=PARTS).map(move |part| (line, part)))
+        .map(|(line, part)| (line, lines[line].value(part)))
+        .collect();
+    let passes = passes(&lines, &ends, lead, driven);
+    let mut found: Vec<MarginEnd> =
+        passes.chunks(PARTS + 1).zip(&lines).map(|(passes, line)| coarse(line, passes)).collect();
+    for _ in 0..HALVINGS {
+        halve(&mut found, &lines, lead, driven);
+    }
+    let margin = |(line, end): (&Line<'_>, MarginEnd)| Margin {
+        push: line.push,
+        unit: line.unit,
+        from: line.from,
+        to: line.to,
+        held: line.held(),
+        end,
+    };
+    lines.iter().zip(found).map(margin).collect()
+}
+
+fn lines(test: &TestSpec) -> Vec<Line<'_>> {
+    let mut lines: Vec<Line<'_>> = Vec::new();
+    for margin in &test.margins {
+        let Some((at, figure)) = test.place(margin.push) else { continue };
+        let (Some(&first), Some(&last)) = (figure.values.first(), figure.values.last()) else { continue };
+        let from = if margin.to > last { last } else { first };
+        let bases = test.grid().into_iter().filter(|point| point.get(at) == Some(&from));
+        let (push, unit, to) = (margin.push, figure.unit, margin.to);
+        lines.extend(bases.map(|base| Line { test, base, at, push, unit, from, to }));
+    }
+    lines
+}
+
+/// What the ends of the parts say.
+fn coarse(line: &Line<'_>, passes: &[bool]) -> MarginEnd {
+    match passes.iter().position(|passes| !passes) {
+        None => MarginEnd::Holds { parts: PARTS },
+        Some(0) => MarginEnd::None,
+        Some(first) => MarginEnd::Boundary {
+            passes_at: line.value(first - 1),
+            fails_at: line.value(first),
+            is_monotone: !passes.iter().skip(first).any(|&passes| passes),
+            parts: PARTS,
+        },
+    }
+}
+
+/// Halves every part with a boundary.
+fn halve(found: &mut [MarginEnd], lines: &[Line<'_>], lead: Lead, driven: &Driven<'_>) {
+    let middle = |(line, end): (usize, &MarginEnd)| match end {
+        MarginEnd::Boundary { passes_at, fails_at, .. } => Some((line, 0.5 * (passes_at + fails_at))),
+        MarginEnd::None | MarginEnd::Holds { .. } => None,
+    };
+    let middles: Vec<_> = found.iter().enumerate().filter_map(middle).collect();
+    let passes = passes(lines, &middles, lead, driven);
+    for ((line, middle), passes) in middles.into_iter().zip(passes) {
+        if let Some(MarginEnd::Boundary { passes_at, fails_at, .. }) = found.get_mut(line) {
+            *(if passes { passes_at } else { fails_at }) = middle;
+        }
+    }
+}
+
+/// Whether the test passes at values of lines.
+fn passes(lines: &[Line<'_>], values: &[(usize, f64)], lead: Lead, driven: &Driven<'_>) -> Vec<bool> {
+    let scenario = |&(line, value): &(usize, f64)| {
+        let line: &Line<'_> = lines.get(line)?;
+        line.test.scenario("margin", "", &line.point(value)).ok()
+    };
+    let scenarios: Vec<_> = values.iter().map(scenario).collect();
+    let valid: Vec<_> = scenarios.iter().flatten().cloned().collect();
+    let mut seen = driven.seen(lead, &valid).into_iter();
+    let passes = |is_valid: bool| is_valid && seen.next().is_some_and(|seen| seen.verdict.is_passed());
+    scenarios.iter().map(Option::is_some).map(passes).collect()
+}

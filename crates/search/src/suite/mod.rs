@@ -1,0 +1,93 @@
+//! Test suites after regulations and consumer tests: what a document asks for as data, run on scenarios, told as a matrix.
+//!
+//! A suite is a TOML file ([`SuiteSpec`]): a document and its edition, clauses, and tests with grids of figures, each of which says
+//! whether the document states it. [`Suite`] is a spec that was found valid. [`run`] makes every point of every grid a scenario,
+//! simulates it, and says how far each test can be pushed until it fails.
+//!
+//! It is after a document, on point masses in one lane. It certifies nothing: [`STATEMENT`] goes with every result.
+
+mod check;
+mod course;
+mod figure;
+mod margin;
+mod preventable;
+mod result;
+mod run;
+mod spec;
+
+use std::path::Path;
+
+pub use check::{SuiteError, SuiteProblem};
+pub use figure::{Figure, Figures, Origin, Parameter, Unit};
+pub use margin::{Margin, MarginEnd};
+pub use preventable::{Prevention, ReferenceRun};
+pub use result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
+pub use run::run;
+pub use spec::{ClauseSpec, Lead, Push, SuiteSpec, TestSpec};
+
+/// The version of the suite file format this release reads.
+pub const SUITE_VERSION: u32 = 1;
+
+/// A valid suite.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Suite {
+    spec: SuiteSpec,
+}
+
+impl Suite {
+    /// Accepts a spec if it is valid: every point of every grid is a scenario then, and so is every end of a margin.
+    ///
+    /// # Errors
+    /// The first field that is wrong, and what is wrong with it.
+    pub fn new(spec: SuiteSpec) -> Result<Self, (String, SuiteProblem)> {
+        check::check(&spec)?;
+        Ok(Self { spec })
+    }
+
+    /// The suite in a file.
+    ///
+    /// # Errors
+    /// [`SuiteError`] names file, line and field.
+    pub fn load(path: &Path) -> Result<Self, SuiteError> {
+        let text = crumple_world::scenario::file::read(path)?;
+        Self::from_toml(&text, path)
+    }
+
+    /// The suite in a text; `path` only names it in errors.
+    ///
+    /// # Errors
+    /// [`SuiteError`] names file, line and field.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, SuiteError> {
+        use crumple_world::scenario::file;
+        let spec = file::parse_toml(text, path)?;
+        Self::new(spec).map_err(|(field, problem)| {
+            let line = file::line_in_toml(text, &field);
+            SuiteError::Invalid { path: path.to_owned(), line, field, problem: problem.into() }
+        })
+    }
+
+    /// The suite that is shipped under a name.
+    #[must_use]
+    pub fn shipped(name: &str) -> Option<Result<Self, SuiteError>> {
+        let (name, text) = SHIPPED.iter().find(|(shipped, _)| *shipped == name)?;
+        Some(Self::from_toml(text, Path::new(name)))
+    }
+
+    /// The data of the suite.
+    #[must_use]
+    pub fn spec(&self) -> &SuiteSpec {
+        &self.spec
+    }
+}
+
+/// Name and text of every suite that is shipped.
+pub const SHIPPED: [(&str, &str); 2] = [
+    ("fmvss-127", include_str!("shipped/fmvss-127.toml")),
+    ("euro-ncap-2023", include_str!("shipped/euro-ncap-2023.toml")),
+];
+
+/// The JSON Schema of suite files.
+#[must_use]
+pub fn json_schema() -> serde_json::Value {
+    schemars::schema_for!(SuiteSpec).to_value()
+}

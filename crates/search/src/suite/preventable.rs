@@ -1,0 +1,95 @@
+//! Who could have prevented a contact: reference drivers, as regulations ask, and anybody who knows the future.
+
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::ControllerKind;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::result::TestVerdict;
+use super::run::{Driven, Known};
+use super::spec::Lead;
+use crate::falsify::counterexample::Avoidability;
+
+/// The reference drivers, by their names among the controllers.
+const REFERENCE_DRIVERS: [&str; 3] = ["competent-human", "r157-simple", "rss"];
+
+/// Of so many failed points of a test, the first ones, it is asked whether anybody could have avoided the contact.
+const MOST_ASKED: usize = 3;
+
+/// What a reference driver does where a controller failed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Prevention {
+    /// It touches nobody.
+    Prevents,
+    /// It brakes, and touches.
+    Collides,
+    /// It touches without having braked: the situation is none of those that it is a model of.
+    DoesNotReact,
+}
+
+/// A reference driver and what it does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct ReferenceRun {
+    /// Its name among the controllers.
+    pub driver: &'static str,
+    /// What it does.
+    pub prevention: Prevention,
+}
+
+/// What is known of a point where a controller failed.
+#[derive(Debug, Clone)]
+pub(super) struct Prevented {
+    pub(super) references: Vec<ReferenceRun>,
+    pub(super) avoidability: Avoidability,
+}
+
+/// What is known of these scenarios of a test; what has to be found out for it is added to `known`.
+pub(super) fn prevented(lead: Lead, scenarios: &[&Scenario], known: &mut Known) -> Vec<Prevented> {
+    let name = |scenario: &Scenario| scenario.spec().name.clone();
+    let new: Vec<Scenario> =
+        scenarios.iter().filter(|scenario| !known.contains_key(&name(scenario))).map(|&one| one.clone()).collect();
+    let references = references(lead, &new);
+    for (index, scenario) in new.iter().enumerate() {
+        let references = references.iter().filter_map(|all| all.get(index).copied()).collect();
+        known.insert(name(scenario), Prevented { references, avoidability: Avoidability::NotAsked });
+    }
+    let is_open = |scenario: &&&Scenario| {
+        known.get(&name(scenario)).is_some_and(|known| known.avoidability == Avoidability::NotAsked)
+    };
+    let asked: Vec<_> = scenarios.iter().take(MOST_ASKED).filter(is_open).collect();
+    let answers: Vec<_> =
+        asked.par_iter().map(|scenario| (name(scenario), Avoidability::of_contact(scenario))).collect();
+    for (name, answer) in answers {
+        if let Some(known) = known.get_mut(&name) {
+            known.avoidability = answer;
+        }
+    }
+    // Who was asked for another controller's sake is not told of, so that a result does not depend on the others.
+    let told = scenarios.iter().enumerate().filter_map(|(index, scenario)| {
+        let mut prevented = known.get(&name(scenario))?.clone();
+        if index >= MOST_ASKED {
+            prevented.avoidability = Avoidability::NotAsked;
+        }
+        Some(prevented)
+    });
+    told.collect()
+}
+
+/// What each reference driver does in each scenario.
+fn references(lead: Lead, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
+    let drivers = REFERENCE_DRIVERS.into_iter().filter_map(|name| Some((name, ControllerSpec::named(name)?)));
+    let runs = drivers.map(|(driver, spec)| {
+        let controller = ControllerKind::from(spec);
+        let seen = Driven { controller: &controller, estimator: EstimatorKind::Truth }.seen(lead, scenarios);
+        let prevention = |seen: super::run::Seen| match seen.verdict {
+            TestVerdict::Passed => Prevention::Prevents,
+            _ if seen.max_brake_mps2 > 0.0 => Prevention::Collides,
+            _ => Prevention::DoesNotReact,
+        };
+        seen.into_iter().map(|seen| ReferenceRun { driver, prevention: prevention(seen) }).collect()
+    });
+    runs.collect()
+}

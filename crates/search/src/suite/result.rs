@@ -1,0 +1,165 @@
+//! What a run of a suite found: clause, test, verdict, margin.
+
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use serde::Serialize;
+
+use super::figure::Figures;
+use super::margin::Margin;
+use super::preventable::ReferenceRun;
+use crate::falsify::counterexample::Avoidability;
+
+/// What goes with every result.
+pub const STATEMENT: &str = "After the document, on a point-mass model in one lane. This is no certification.";
+
+/// What a run of a suite found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SuiteResult {
+    /// What it is and is not: [`STATEMENT`].
+    pub statement: &'static str,
+    /// Name of the suite.
+    pub suite: String,
+    /// The document that it is after.
+    pub document: String,
+    /// Its edition.
+    pub edition: String,
+    /// What the figures were read from.
+    pub figures_from: String,
+    /// What the document asks for and the model does not have.
+    pub outside: Vec<String>,
+    /// Figures that were left out, and why.
+    pub left_out: Vec<String>,
+    /// What the controllers looked through. Reference drivers see the truth.
+    pub estimator: EstimatorKind,
+    /// The clauses.
+    pub clauses: Vec<ClauseResult>,
+}
+
+/// What was found of a clause.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ClauseResult {
+    /// Its number in the document.
+    pub clause: String,
+    /// What it says, in short.
+    pub says: String,
+    /// Its tests.
+    pub tests: Vec<TestResult>,
+}
+
+/// What was found of a test.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TestResult {
+    /// Its name.
+    pub name: String,
+    /// Whether the document states its figures; else some were chosen here.
+    pub is_as_stated: bool,
+    /// Its figures, each with who says so.
+    pub figures: Figures,
+    /// An entry a controller.
+    pub controllers: Vec<Tested>,
+}
+
+/// What was found of a test and a controller.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Tested {
+    /// The controller's name.
+    pub controller: String,
+    /// The worst of all points.
+    pub verdict: TestVerdict,
+    /// How many points there are.
+    pub points: usize,
+    /// How many of them passed.
+    pub passed: usize,
+    /// The smallest gap at any point, in metres.
+    pub min_gap_m: Option<f64>,
+    /// How far the test can be pushed until it fails.
+    pub margins: Vec<Margin>,
+    /// The points that failed.
+    pub failed: Vec<Failed>,
+}
+
+/// A point that failed.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Failed {
+    /// The point in words.
+    pub point: String,
+    /// What happened.
+    pub verdict: TestVerdict,
+    /// What the reference drivers do there, seeing the truth.
+    pub references: Vec<ReferenceRun>,
+    /// Whether anybody could have avoided the contact who knows the future.
+    #[serde(flatten)]
+    pub avoidability: Avoidability,
+    /// Name of the scenario's file, without its ending.
+    pub scenario_name: String,
+    /// The scenario.
+    #[serde(skip)]
+    pub scenario: Scenario,
+}
+
+/// How a test ended.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum TestVerdict {
+    /// No contact before the test ended.
+    Passed,
+    /// A contact.
+    Failed {
+        /// When, in seconds.
+        time_s: f64,
+        /// Difference of the speeds, in m/s.
+        impact_speed_mps: f64,
+    },
+    /// The controller gave no usable answer.
+    ControllerFailed {
+        /// When, in seconds.
+        time_s: f64,
+        /// Why.
+        reason: String,
+    },
+    /// The test could not be run.
+    Refused {
+        /// Why not.
+        reason: String,
+    },
+}
+
+impl TestVerdict {
+    /// Whether the test passed.
+    #[must_use]
+    pub fn is_passed(&self) -> bool {
+        *self == Self::Passed
+    }
+
+    /// Whether the test was run and did not pass.
+    #[must_use]
+    pub fn is_failure(&self) -> bool {
+        matches!(self, Self::Failed { .. } | Self::ControllerFailed { .. })
+    }
+
+    /// How bad it is: contacts by their speed, then failures of controllers, then refusals.
+    fn badness(&self) -> (u8, f64) {
+        match self {
+            Self::Passed => (0, 0.0),
+            Self::Refused { .. } => (1, 0.0),
+            Self::ControllerFailed { .. } => (2, 0.0),
+            Self::Failed { impact_speed_mps, .. } => (3, *impact_speed_mps),
+        }
+    }
+
+    /// The worst of some, the first of equals; none of none.
+    pub(super) fn worst<'v>(all: impl Iterator<Item = &'v Self>) -> Option<&'v Self> {
+        let worse = |worst: &'v Self, next: &'v Self| {
+            let ((class, speed), (next_class, next_speed)) = (worst.badness(), next.badness());
+            if (next_class, next_speed.total_cmp(&speed)) > (class, std::cmp::Ordering::Equal) { next } else { worst }
+        };
+        all.reduce(worse)
+    }
+}
+
+impl SuiteResult {
+    /// Every clause with every test of it.
+    pub fn tests(&self) -> impl Iterator<Item = (&ClauseResult, &TestResult)> {
+        self.clauses.iter().flat_map(|clause| clause.tests.iter().map(move |test| (clause, test)))
+    }
+}

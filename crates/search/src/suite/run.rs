@@ -1,0 +1,194 @@
+//! Running a suite: every point of every grid with every controller.
+
+use std::collections::BTreeMap;
+
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{InvalidField, Scenario};
+use crumple_world::sim::{
+    ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, Trace, simulate_batch,
+};
+
+use super::Suite;
+use super::margin::margins;
+use super::preventable::{Prevented, prevented};
+use super::result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
+use super::spec::{ClauseSpec, Lead, TestSpec};
+
+/// What drives, and what it looks through.
+pub(super) struct Driven<'c> {
+    pub(super) controller: &'c ControllerKind,
+    pub(super) estimator: EstimatorKind,
+}
+
+/// What a run showed of a point.
+#[derive(Debug, Clone)]
+pub(super) struct Seen {
+    pub(super) verdict: TestVerdict,
+    pub(super) min_gap_m: Option<f64>,
+    /// Hardest braking of the vehicle under test, in m/s², positive.
+    pub(super) max_brake_mps2: f64,
+}
+
+impl Seen {
+    fn refused(reason: String) -> Self {
+        Self { verdict: TestVerdict::Refused { reason }, min_gap_m: None, max_brake_mps2: 0.0 }
+    }
+}
+
+/// Runs a suite with some controllers.
+///
+/// The result depends neither on the number of threads nor on which other controllers there are.
+///
+/// # Errors
+/// None for a valid suite: an [`InvalidField`] is passed on rather than hidden.
+pub fn run(
+    suite: &Suite,
+    controllers: &[NamedController],
+    estimator: EstimatorKind,
+) -> Result<SuiteResult, InvalidField> {
+    let spec = suite.spec();
+    let mut known = BTreeMap::new();
+    let mut clauses = Vec::new();
+    for clause in &spec.clauses {
+        clauses.push(run_clause(&spec.name, clause, controllers, estimator, &mut known)?);
+    }
+    Ok(SuiteResult {
+        statement: STATEMENT,
+        suite: spec.name.clone(),
+        document: spec.document.clone(),
+        edition: spec.edition.clone(),
+        figures_from: spec.figures_from.clone(),
+        outside: spec.outside.clone(),
+        left_out: spec.left_out.clone(),
+        estimator,
+        clauses,
+    })
+}
+
+/// What is known of points whatever controller failed there, by the names of their scenarios.
+pub(super) type Known = BTreeMap<String, Prevented>;
+
+fn run_clause(
+    suite: &str,
+    clause: &ClauseSpec,
+    controllers: &[NamedController],
+    estimator: EstimatorKind,
+    known: &mut Known,
+) -> Result<ClauseResult, InvalidField> {
+    let mut tests = Vec::new();
+    for test in &clause.tests {
+        let about = format!("{}: {}", clause.clause, clause.says);
+        let course = Course::new(suite, test, &about)?;
+        let tested = controllers.iter().map(|controller| course.tested(controller, estimator, known));
+        tests.push(TestResult {
+            name: test.name.clone(),
+            is_as_stated: test.is_as_stated(),
+            figures: test.figures.clone(),
+            controllers: tested.collect(),
+        });
+    }
+    Ok(ClauseResult { clause: clause.clause.clone(), says: clause.says.clone(), tests })
+}
+
+/// A test with the scenarios of its grid.
+struct Course<'t> {
+    test: &'t TestSpec,
+    lead: Option<Lead>,
+    grid: Vec<Vec<f64>>,
+    scenarios: Vec<Scenario>,
+}
+
+impl<'t> Course<'t> {
+    fn new(suite: &str, test: &'t TestSpec, about: &str) -> Result<Self, InvalidField> {
+        let grid = if test.lead.is_some() { test.grid() } else { Vec::new() };
+        let named = |(point, number): (&Vec<f64>, usize)| {
+            let about = format!("{about} ({}.) {STATEMENT}", test.in_words(point));
+            test.scenario(&format!("{suite}-{}-{number:03}", test.name), &about, point)
+        };
+        let scenarios = grid.iter().zip(1..).map(named).collect::<Result<_, _>>()?;
+        Ok(Self { test, lead: test.lead, grid, scenarios })
+    }
+
+    fn tested(&self, controller: &NamedController, estimator: EstimatorKind, known: &mut Known) -> Tested {
+        let driven = Driven { controller: &controller.kind, estimator };
+        let seen = match (self.lead, &self.test.refused) {
+            (Some(lead), _) => driven.seen(lead, &self.scenarios),
+            (None, reason) => vec![Seen::refused(reason.clone().unwrap_or_default())],
+        };
+        let worst = TestVerdict::worst(seen.iter().map(|seen| &seen.verdict)).unwrap_or(&TestVerdict::Passed);
+        let gaps = seen.iter().filter_map(|seen| seen.min_gap_m);
+        Tested {
+            controller: controller.name.clone(),
+            verdict: worst.clone(),
+            points: self.grid.len(),
+            passed: seen.iter().filter(|seen| seen.verdict.is_passed()).count(),
+            min_gap_m: gaps.reduce(f64::min),
+            margins: self.lead.map(|lead| margins(self.test, lead, &driven)).unwrap_or_default(),
+            failed: self.failed(&seen, known),
+        }
+    }
+
+    fn failed(&self, seen: &[Seen], known: &mut Known) -> Vec<Failed> {
+        let all = self.grid.iter().zip(&self.scenarios).zip(seen);
+        let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
+        let scenarios: Vec<_> = failed.iter().map(|((_, scenario), _)| *scenario).collect();
+        let prevented = self.lead.map(|lead| prevented(lead, &scenarios, known)).unwrap_or_default();
+        let told = failed.into_iter().zip(prevented).map(|(((point, scenario), seen), prevented)| Failed {
+            point: self.test.in_words(point),
+            verdict: seen.verdict.clone(),
+            references: prevented.references,
+            avoidability: prevented.avoidability,
+            scenario_name: scenario.spec().name.clone(),
+            scenario: scenario.clone(),
+        });
+        told.collect()
+    }
+}
+
+impl Driven<'_> {
+    /// What each scenario shows.
+    pub(super) fn seen(&self, lead: Lead, scenarios: &[Scenario]) -> Vec<Seen> {
+        let options = RunOptions::new(self.controller.clone()).with_estimator(self.estimator);
+        let prepared: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect();
+        let mut refused = Vec::new();
+        let mut runs = Vec::new();
+        for run in prepared {
+            refused.push(run.as_ref().err().map(|error| Seen::refused(error.to_string())));
+            runs.extend(run.ok());
+        }
+        let mut seen =
+            simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| judged(lead, &simulated)).into_iter();
+        let unseen = || Seen::refused("was not run".to_owned());
+        refused.into_iter().map(|refused| refused.or_else(|| seen.next()).unwrap_or_else(unseen)).collect()
+    }
+}
+
+fn judged(lead: Lead, simulated: &Simulated) -> Seen {
+    let end_s = simulated.trace.as_ref().and_then(|trace| end_s(lead, trace));
+    let verdict = match &simulated.outcome {
+        Outcome::Collision(contact) if end_s.is_none_or(|end_s| contact.time_s <= end_s) => {
+            TestVerdict::Failed { time_s: contact.time_s, impact_speed_mps: contact.impact_speed_mps }
+        }
+        Outcome::ControllerFailed(failed) => {
+            TestVerdict::ControllerFailed { time_s: failed.time_s, reason: failed.failure.to_string() }
+        }
+        Outcome::NoCollision | Outcome::Collision(_) => TestVerdict::Passed,
+    };
+    let own = simulated.vehicles.get(1);
+    Seen {
+        verdict,
+        min_gap_m: own.and_then(|own| own.min_gap_m),
+        max_brake_mps2: own.map_or(0.0, |own| own.max_brake_mps2),
+    }
+}
+
+/// When the test is over: what comes afterwards is no part of it.
+fn end_s(lead: Lead, trace: &Trace) -> Option<f64> {
+    let pair = trace.pair(1)?;
+    let mut samples = pair.time_s.iter().zip(pair.front.speed_mps.iter().zip(&pair.rear.speed_mps));
+    let is_over = |ahead_mps: f64, own_mps: f64| match lead {
+        Lead::Slower => own_mps <= ahead_mps,
+        Lead::Stopped | Lead::Decelerating => own_mps == 0.0,
+    };
+    samples.find(|(_, (ahead, own))| is_over(**ahead, **own)).map(|(time_s, _)| *time_s)
+}

@@ -1,0 +1,154 @@
+//! A suite as a file states it.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::figure::{Figure, Figures, Origin, Parameter};
+
+/// A suite as a file states it: plain data that may hold nonsense.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a suite: a table of fields")]
+#[schemars(rename = "Suite", title = "crumple suite, version 1")]
+pub struct SuiteSpec {
+    /// Version of the file format: 1.
+    pub version: u32,
+    /// Short name: small letters, digits and hyphens.
+    pub name: String,
+    /// What it tests, in a sentence.
+    pub about: String,
+    /// The document that it is after.
+    pub document: String,
+    /// Its edition.
+    pub edition: String,
+    /// What the figures were read from.
+    pub figures_from: String,
+    /// What the document asks for and the model does not have.
+    #[serde(default)]
+    pub outside: Vec<String>,
+    /// Figures that were left out, and why.
+    #[serde(default)]
+    pub left_out: Vec<String>,
+    /// Its clauses; 1 to 100.
+    #[schemars(length(min = 1, max = 100))]
+    pub clauses: Vec<ClauseSpec>,
+}
+
+/// A clause and its tests.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a clause: a table of fields")]
+pub struct ClauseSpec {
+    /// Its number in the document.
+    pub clause: String,
+    /// What it says, in short.
+    pub says: String,
+    /// Its tests; 1 to 100. A test passes if there is no contact before it ends.
+    #[schemars(length(min = 1, max = 100))]
+    pub tests: Vec<TestSpec>,
+}
+
+/// A test of a clause: a situation and its figures, or the reason why there is none.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a test: a table of fields")]
+pub struct TestSpec {
+    /// Short name, unique in the suite: small letters, digits and hyphens.
+    pub name: String,
+    /// What the vehicle ahead does. Either this or `refused`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lead: Option<Lead>,
+    /// Why the test cannot be run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
+    /// Its figures. The test is run at every combination of their values.
+    #[serde(default)]
+    pub figures: Figures,
+    /// How it is pushed until it fails.
+    #[serde(default)]
+    #[schemars(length(max = 10))]
+    pub margins: Vec<Push>,
+}
+
+/// What the vehicle ahead does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Lead {
+    /// It stands. The test ends when the vehicle under test stands.
+    Stopped,
+    /// It drives slower, at a constant speed. The test ends when the vehicle under test no longer closes in.
+    Slower,
+    /// It drives as fast as the vehicle under test and brakes to standstill from a second on. The test ends when the vehicle under
+    /// test stands.
+    Decelerating,
+}
+
+/// A direction in which a test is made harder.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a direction: a table of `push` and `to`")]
+pub struct Push {
+    /// What is pushed, from the value of the grid that is next to `to`.
+    pub push: Parameter,
+    /// How far, in the unit of the figure; beyond all its values.
+    pub to: f64,
+}
+
+impl Lead {
+    /// The figures that it needs.
+    #[must_use]
+    pub fn parameters(self) -> &'static [Parameter] {
+        use Parameter::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp};
+        match self {
+            Self::Stopped => &[OwnSpeed, ClosingTime],
+            Self::Slower => &[OwnSpeed, LeadSpeed, ClosingTime],
+            Self::Decelerating => &[OwnSpeed, Gap, Deceleration, Ramp],
+        }
+    }
+
+    /// Its name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Stopped => "stopped",
+            Self::Slower => "slower",
+            Self::Decelerating => "decelerating",
+        }
+    }
+}
+
+impl TestSpec {
+    /// Whether all that the document asks for is as it states it; else some figure was chosen.
+    #[must_use]
+    pub fn is_as_stated(&self) -> bool {
+        self.figures.stated().all(|(_, figure)| figure.origin != Origin::Chosen)
+    }
+
+    /// Every combination of the figures' values, in the units of the figures; the last figure varies fastest.
+    #[must_use]
+    pub fn grid(&self) -> Vec<Vec<f64>> {
+        self.figures.stated().fold(vec![Vec::new()], |points, (_, figure)| {
+            let extended = |point: &Vec<f64>| {
+                let each = |&value: &f64| point.iter().copied().chain([value]).collect();
+                figure.values.iter().map(each).collect::<Vec<_>>()
+            };
+            points.iter().flat_map(extended).collect()
+        })
+    }
+
+    /// How many combinations there are.
+    pub(super) fn points(&self) -> usize {
+        self.figures.stated().fold(1, |points: usize, (_, figure)| points.saturating_mul(figure.values.len()))
+    }
+
+    /// Where a parameter stands in a point.
+    pub(super) fn place(&self, parameter: Parameter) -> Option<(usize, &Figure)> {
+        let mut stated = self.figures.stated().enumerate();
+        stated.find(|(_, (found, _))| *found == parameter).map(|(place, (_, figure))| (place, figure))
+    }
+
+    /// A point in words, as in `own speed 50 km/h, gap 12 m`.
+    #[must_use]
+    pub fn in_words(&self, point: &[f64]) -> String {
+        let each = self.figures.stated().zip(point);
+        let words = each.map(|((parameter, figure), value)| format!("{} {value} {}", parameter.words(), figure.unit));
+        words.collect::<Vec<_>>().join(", ")
+    }
+}

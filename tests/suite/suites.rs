@@ -1,0 +1,300 @@
+//! Suites after regulations: their figures, their files, their verdicts and margins.
+
+use std::path::Path;
+use std::process::Command;
+
+use crumple_search::suite::{
+    Lead, MarginEnd, Origin, Parameter, Prevention, SHIPPED, Suite, TestVerdict, Unit, json_schema, run,
+};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::sim::NamedController;
+
+use crate::command_line::{code, crumple, folder};
+use crate::schema::{assert_committed, validate};
+use crate::tiny::changed;
+
+/// What the documents state, written down a second time and from nothing in the suites' files: suite, test, what, smallest and
+/// largest value, unit.
+const STATED: [(&str, &str, Parameter, [f64; 2], Unit); 14] = {
+    use Parameter::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp};
+    use Unit::{Gravity, Kmph, Metre, Mps2, Second};
+    [
+        // 49 CFR 571.127, S7.1.
+        ("fmvss-127", "stopped-lead", ClosingTime, [5.0, 5.0], Second),
+        ("fmvss-127", "slower-lead", ClosingTime, [5.0, 5.0], Second),
+        ("fmvss-127", "decelerating-lead", OwnSpeed, [50.0, 80.0], Kmph),
+        ("fmvss-127", "decelerating-lead", Gap, [12.0, 40.0], Metre),
+        ("fmvss-127", "decelerating-lead", Deceleration, [0.3, 0.5], Gravity),
+        ("fmvss-127", "decelerating-lead", Ramp, [1.5, 1.5], Second),
+        // Euro NCAP AEB car-to-car, 4.3.1.
+        ("euro-ncap-2023", "ccrs", OwnSpeed, [10.0, 50.0], Kmph),
+        ("euro-ncap-2023", "ccrm", OwnSpeed, [30.0, 80.0], Kmph),
+        ("euro-ncap-2023", "ccrm", LeadSpeed, [20.0, 20.0], Kmph),
+        ("euro-ncap-2023", "ccrb", OwnSpeed, [50.0, 50.0], Kmph),
+        ("euro-ncap-2023", "ccrb", Gap, [12.0, 12.0], Metre),
+        ("euro-ncap-2023", "ccrb", Gap, [40.0, 40.0], Metre),
+        ("euro-ncap-2023", "ccrb", Deceleration, [2.0, 2.0], Mps2),
+        ("euro-ncap-2023", "ccrb", Deceleration, [6.0, 6.0], Mps2),
+    ]
+};
+
+fn shipped(name: &str) -> Suite {
+    Suite::shipped(name).expect("shipped").expect("valid")
+}
+
+#[test]
+fn figures_that_a_document_states_are_those_of_a_second_transcription() {
+    let mut stated = 0;
+    for (name, _) in SHIPPED {
+        for test in shipped(name).spec().clauses.iter().flat_map(|clause| &clause.tests) {
+            for (parameter, figure) in test.figures.stated().filter(|(_, figure)| figure.origin != Origin::Chosen) {
+                let rows = STATED.iter().filter(|row| (row.0, row.1, row.2) == (name, test.name.as_str(), parameter));
+                let rows: Vec<_> = rows.collect();
+                let place = format!("{name}, {}, {parameter:?}", test.name);
+                assert!(rows.iter().all(|row| row.4 == figure.unit), "{place}");
+                let ends = [figure.values[0], figure.values[figure.values.len() - 1]];
+                match figure.origin {
+                    // Every value is stated: each has a row, or the two are the ends of one.
+                    Origin::Document if rows.len() > 1 => {
+                        assert_eq!(rows.iter().map(|row| row.3[0]).collect::<Vec<_>>(), figure.values, "{place}");
+                    }
+                    Origin::Document => assert!(figure.values.len() <= 2, "{place}"),
+                    _ => assert!(figure.values.len() > 2, "{place}"),
+                }
+                if let [row] = rows[..] {
+                    assert_eq!(row.3, ends, "{place}");
+                }
+                assert!(!rows.is_empty(), "{place}");
+                stated += rows.len();
+            }
+        }
+    }
+    assert_eq!(stated, STATED.len(), "nothing is transcribed that no suite has");
+}
+
+#[test]
+fn the_committed_suite_schema_is_that_of_the_types_and_takes_what_is_shipped() {
+    let schema = json_schema();
+    assert_committed("crates/search/src/suite/suite.schema.json", &schema);
+    for (name, text) in SHIPPED {
+        let value: serde_json::Value = toml::from_str(text).unwrap();
+        validate(&schema, &schema, &value, name).unwrap();
+    }
+    for nonsense in [serde_json::json!({}), serde_json::json!({ "version": 1, "speed": 3 }), serde_json::json!([])] {
+        assert!(validate(&schema, &schema, &nonsense, "nonsense").is_err());
+    }
+}
+
+/// A vehicle that stands, 5 s ahead.
+const OWN: &str = r#"version = 1
+name = "own"
+about = "A vehicle that stands."
+document = "None"
+edition = "First"
+figures_from = "Nothing."
+
+[[clauses]]
+clause = "1"
+says = "Touch nothing."
+
+[[clauses.tests]]
+name = "stands"
+lead = "stopped"
+margins = [{ push = "own_speed", to = 100.0 }, { push = "closing_time", to = 0.5 }]
+figures.own_speed = { values = [36.0, 50.0], unit = "km/h", origin = "chosen" }
+figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
+"#;
+
+fn own() -> Suite {
+    Suite::from_toml(OWN, Path::new("own.toml")).unwrap()
+}
+
+fn named(name: &str) -> NamedController {
+    NamedController::find(name, Path::new("")).unwrap()
+}
+
+#[test]
+fn bad_suites_are_refused_by_file_line_and_field() {
+    for (from, to, said) in [
+        ("version = 1", "version = 2", "own.toml:1: version: version 2 is not supported"),
+        ("\"own\"", "\"../own\"", "own.toml:2: name: must be 1 to 60 small letters"),
+        ("None", "a\\u001bb", "own.toml:4: document: must have 1 to 2000 characters"),
+        ("\"stopped\"", "\"flying\"", "own.toml:14: clauses[0].tests[0].lead: unknown variant `flying`"),
+        ("lead = \"stopped\"\n", "", "own.toml:12: clauses[0].tests[0]: a test has either `lead` or `refused`"),
+        ("\"stopped\"", "\"slower\"", "clauses[0].tests[0].figures.lead_speed: is missing: where the lead is slower"),
+        (
+            "lead = \"stopped\"",
+            "lead = \"stopped\"\nfigures.gap = { values = [9.0], unit = \"m\", origin = \"chosen\" }",
+            "own.toml:15: clauses[0].tests[0].figures.gap: has no place where the lead is stopped",
+        ),
+        ("[36.0, 50.0]", "[50.0, 36.0]", "own.toml:16: clauses[0].tests[0].figures.own_speed.values[1]: must increase"),
+        ("[36.0, 50.0]", "[]", "own.toml:16: clauses[0].tests[0].figures.own_speed.values: must have 1 to 100 entries"),
+        ("[36.0, 50.0]", "[nan]", "own_speed.values[0]: must be from 1.8 to 360 km/h, found NaN"),
+        (
+            "unit = \"s\"",
+            "unit = \"m\"",
+            "own.toml:17: clauses[0].tests[0].figures.closing_time.unit: closing time cannot",
+        ),
+        (
+            "to = 100.0",
+            "to = 40.0",
+            "own.toml:15: clauses[0].tests[0].margins[0].to: must lie beyond all values of own speed",
+        ),
+        ("push = \"own_speed\"", "push = \"gap\"", "own.toml:15: clauses[0].tests[0].margins[0].push: has no place"),
+        ("edition", "editon", "own.toml:5: editon: unknown field `editon`"),
+        ("[[clauses]]", "[clauses]", ": clauses"),
+    ] {
+        let error = Suite::from_toml(&changed(OWN, &[(from, to)]), Path::new("own.toml")).unwrap_err().to_string();
+        assert!(error.contains(said), "{to}: {error}");
+    }
+    let values: Vec<_> = (0..100).map(|index| format!("{}.0", 36 + index)).collect();
+    let many = changed(OWN, &[("[36.0, 50.0]", &format!("[{}]", values.join(",")))]);
+    let times: Vec<_> = (0..100).map(|index| format!("5.{index:03}")).collect();
+    let many = changed(&many, &[("[5.0]", &format!("[{}]", times.join(",")))]);
+    let error = Suite::from_toml(&many, Path::new("own.toml")).unwrap_err().to_string();
+    assert!(error.contains("makes 10000 points, and a suite may have 2000"), "{error}");
+}
+
+/// The baseline brakes at 7.5 m/s² once less than 1.4 s are left: v²/15 = 1.4 v at 75.6 km/h, and a step later at 75.06 km/h.
+#[test]
+fn a_margin_ends_where_its_closed_form_does() {
+    let result = run(&own(), &[named("baseline")], EstimatorKind::Truth).unwrap();
+    let tested = &result.clauses[0].tests[0].controllers[0];
+    assert_eq!((&tested.verdict, tested.passed, tested.points), (&TestVerdict::Passed, 2, 2));
+    let MarginEnd::Boundary { passes_at, fails_at, is_monotone, .. } = tested.margins[0].end else {
+        panic!("{:?}", tested.margins);
+    };
+    assert!((75.0..fails_at).contains(&passes_at) && fails_at < 75.7 && is_monotone, "{passes_at} {fails_at}");
+    assert!(fails_at - passes_at < 0.03);
+}
+
+/// Both sides of every boundary, run again, are what they are said to be.
+#[test]
+fn both_sides_of_a_margin_are_as_it_says() {
+    let suite = shipped("euro-ncap-2023");
+    let mut boundaries = 0;
+    for controller in ["policy", "acc-aeb", "baseline"] {
+        let named = [named(controller)];
+        let result = run(&suite, &named, EstimatorKind::Kalman).unwrap();
+        for (clause, test) in result.tests() {
+            for margin in &test.controllers[0].margins {
+                let MarginEnd::Boundary { passes_at, fails_at, .. } = margin.end else { continue };
+                boundaries += 1;
+                for (value, passes) in [(passes_at, true), (fails_at, false)] {
+                    let mut spec = suite.spec().clone();
+                    spec.clauses.retain(|one| one.clause == clause.clause);
+                    let test = &mut spec.clauses[0].tests[0];
+                    test.margins.clear();
+                    let mut figures = serde_json::to_value(&test.figures).unwrap();
+                    figures[margin.push.name()]["values"] = serde_json::json!([value]);
+                    for (parameter, figure) in test.figures.stated() {
+                        let held = |value: f64| margin.held.contains(&format!("{} {value} ", parameter.words()));
+                        if parameter != margin.push {
+                            let one: Vec<_> = figure.values.iter().copied().filter(|&value| held(value)).collect();
+                            assert_eq!(one.len(), 1, "{}", margin.held);
+                            figures[parameter.name()]["values"] = serde_json::json!(one);
+                        }
+                    }
+                    test.figures = serde_json::from_value(figures).unwrap();
+                    let again = run(&Suite::new(spec).unwrap(), &named, EstimatorKind::Kalman).unwrap();
+                    assert_eq!(again.clauses[0].tests[0].controllers[0].verdict.is_passed(), passes, "{margin:?}");
+                }
+            }
+        }
+    }
+    assert!(boundaries >= 6, "{boundaries}");
+}
+
+#[test]
+fn failures_say_who_could_have_prevented_them_and_refusals_why() {
+    let suite = shipped("fmvss-127");
+    let result = run(&suite, &[named("full-throttle"), named("idm")], EstimatorKind::Truth).unwrap();
+    let test = |name: &str| &result.tests().find(|(_, test)| test.name == name).unwrap().1.controllers;
+    let stopped = &test("stopped-lead")[0];
+    assert!(matches!(stopped.verdict, TestVerdict::Failed { impact_speed_mps, .. } if impact_speed_mps > 20.0));
+    assert_eq!((stopped.passed, stopped.failed.len()), (0, 2));
+    assert!(stopped.margins.iter().all(|margin| margin.end == MarginEnd::None));
+    let does = |driver: &str| stopped.failed[0].references.iter().find(|run| run.driver == driver).unwrap().prevention;
+    assert_eq!(does("competent-human"), Prevention::DoesNotReact, "it is a model of following a vehicle that brakes");
+    assert_eq!((does("r157-simple"), does("rss")), (Prevention::Prevents, Prevention::Prevents));
+    assert_eq!(stopped.failed[0].avoidability.is_avoidable(), Some(true));
+    assert!(test("decelerating-lead")[1].verdict.is_passed(), "idm");
+    for tested in test("false-activation") {
+        assert!(matches!(&tested.verdict, TestVerdict::Refused { reason } if reason.contains("could not be read")));
+    }
+    let alone = run(&suite, &[named("idm")], EstimatorKind::Truth).unwrap();
+    assert_eq!(alone.clauses[0].tests[0].controllers[0], test("stopped-lead")[1], "whoever else is tested");
+}
+
+#[test]
+fn every_situation_is_the_one_that_its_figures_say() {
+    for (name, _) in SHIPPED {
+        for test in shipped(name).spec().clauses.iter().flat_map(|clause| &clause.tests) {
+            let Some(lead) = test.lead else { continue };
+            for point in test.grid() {
+                let scenario = test.scenario("point", "", &point).unwrap();
+                let [ahead, own] = scenario.vehicles() else { panic!("two vehicles") };
+                let value = |parameter| {
+                    let stated = test.figures.stated().zip(&point).find(|((found, _), _)| *found == parameter);
+                    stated.map(|((_, figure), value)| value * figure.unit.in_si()).unwrap()
+                };
+                let gap_m = scenario.initial_gap_m(1).unwrap();
+                assert!((own.speed_mps - value(Parameter::OwnSpeed)).abs() < 1e-12);
+                let closing_mps = own.speed_mps - ahead.speed_mps;
+                match lead {
+                    Lead::Decelerating => assert_eq!((closing_mps, gap_m), (0.0, value(Parameter::Gap))),
+                    _ => assert!((gap_m / closing_mps - value(Parameter::ClosingTime)).abs() < 1e-12),
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_run_is_the_same_on_one_thread_and_on_two_and_each_failure_replays() {
+    let folder = folder();
+    let run = |threads: &str, arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
+        command.current_dir(folder.path()).env("RAYON_NUM_THREADS", threads).env("NO_COLOR", "1");
+        command.args(["suite", "run", "euro-ncap-2023", "--controller", "full-throttle", "--controller", "policy"]);
+        command.args(arguments).output().unwrap()
+    };
+    let json = run("1", &["--format", "json"]);
+    assert_eq!(code(&json), 0);
+    assert_eq!(json.stdout, run("2", &["--format", "json"]).stdout);
+    let said: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    assert!(said["statement"].as_str().unwrap().contains("no certification"));
+
+    let text = run("2", &["--out", "failures", "--expect", "passed"]);
+    assert_eq!(code(&text), 1);
+    let text = String::from_utf8(text.stdout).unwrap();
+    let replay = text.lines().find(|line| line.trim().starts_with("crumple simulate ")).expect("a replay");
+    let words = shlex::split(replay.trim()).unwrap();
+    let words: Vec<_> = words.iter().skip(1).map(String::as_str).chain(["--expect", "collision"]).collect();
+    assert_eq!(code(&crumple(folder.path(), &words)), 0, "{replay}");
+    let junit = run("2", &["--format", "junit"]);
+    let junit = String::from_utf8(junit.stdout).unwrap();
+    assert!(junit.contains("no certification") && junit.contains("<failure message=\"FAILED, contact"), "{junit}");
+}
+
+#[test]
+fn suites_are_listed_and_shown_and_what_is_shown_is_a_suite() {
+    let folder = folder();
+    let list = crumple(folder.path(), &["suite", "list"]);
+    let list = String::from_utf8(list.stdout).unwrap();
+    for (name, _) in SHIPPED {
+        assert!(list.contains(name) && list.contains("no certification"), "{list}");
+        let shown = crumple(folder.path(), &["suite", "show", name]).stdout;
+        std::fs::write(folder.path().join("copy.toml"), &shown).unwrap();
+        assert_eq!(Suite::load(&folder.path().join("copy.toml")).unwrap(), shipped(name));
+    }
+    for (arguments, said) in [
+        (&["suite", "run", "no-such", "--controller", "idm"][..], "neither a suite"),
+        (&["suite", "run", "no-such.toml", "--controller", "idm"], "no-such.toml"),
+        (&["suite", "run", "fmvss-127"], "--controller"),
+    ] {
+        let output = crumple(folder.path(), arguments);
+        assert_eq!(code(&output), 2);
+        assert!(String::from_utf8_lossy(&output.stderr).contains(said));
+    }
+}
