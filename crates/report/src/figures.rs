@@ -23,15 +23,15 @@ pub fn learning_curve(curve: &LearningCurve) -> Svg {
     panel.band(&line(&|p| p.mean_reward + p.deviation), &line(&|p| p.mean_reward - p.deviation), Ink::Series(0));
     panel.rule_y(PERFECT, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
     panel.line(&line(&|p| p.mean_reward), Stroke::series(0));
-    panel.note((last * 0.995, PERFECT * 0.94), Anchor::End, "22 500: no contact", Ink::Muted);
+    panel.note((last * 0.995, PERFECT * 0.72), Anchor::End, "dashes: 22 500, no contact", Ink::Muted);
     let mut description =
         "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact."
             .to_owned();
     // What is there before any training is not learned.
     if let Some(untrained) = points.first().filter(|point| point.episode == 0).map(|point| point.mean_reward) {
-        let words = format!("{untrained:.0}: before any training");
+        let words = format!("dots: {} {:03}, before any training", untrained as i64 / 1000, untrained as i64 % 1000);
         panel.rule_y(untrained, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
-        panel.note((last * 0.995, untrained - PERFECT * 0.16), Anchor::End, &words, Ink::Muted);
+        panel.note((last * 0.995, PERFECT * 0.63), Anchor::End, &words, Ink::Muted);
         description += &format!(" Untrained networks stand at {untrained:.0}.");
     }
     let content = panel.draw(&Svg::id("learning-curve", "frame"));
@@ -86,7 +86,7 @@ mod tests {
             let curve = LearningCurve { preset: "fast".to_owned(), seeds: 2, points: vec![point(first), point(10)] };
             let svg = learning_curve(&curve).document();
             assert!(svg.contains("2 seeds") && svg.contains("22 500"));
-            assert_eq!(svg.contains("1000: before any training"), first == 0);
+            assert_eq!(svg.contains("dots: 1 000, before any training"), first == 0);
         }
     }
 }
