@@ -200,7 +200,10 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     assert!(refused.contains("another `controller_sha256`"), "{refused}");
     let unknown = Failing { identity: None, ..Failing::at(10, Err(died())) }.named();
     let refused = campaign(unknown).run(&out, true, &mut |_| {}).unwrap_err().to_string();
-    assert_eq!(refused, "the controller `failing` states no identity: a campaign with it cannot be resumed");
+    assert!(
+        refused.starts_with("the controller `failing` states no identity: a campaign with it cannot be resumed"),
+        "{refused}"
+    );
 }
 
 #[test]
