@@ -36,6 +36,12 @@ impl Examined {
         self.strangers.is_empty() && self.files.iter().all(|(_, state)| state.is_ok())
     }
 
+    /// Of work within other work: nobody else has anything to do in there.
+    pub(super) fn within(mut self) -> Self {
+        self.strangers.append(&mut self.beside);
+        self
+    }
+
     /// The first file that is not as it was written, as an error.
     pub(super) fn first_damage(&self, folder: &Path) -> Option<WorkError> {
         let problem = |(name, found): &(String, Result<(), String>)| {
@@ -86,11 +92,10 @@ pub(super) fn examined(folder: &Path, manifest: &Manifest) -> Result<Examined, W
     for included in manifest.included() {
         let found = match examine(&folder.join(&included)) {
             Err(WorkError::Damaged { .. }) => continue, // Its manifest is one of the files above.
-            found => found?,
+            found => found?.within(),
         };
         files.extend(found.files.into_iter().map(|(name, state)| (format!("{included}/{name}"), state)));
-        // Nobody but the work has anything to do in there.
-        strangers.extend(found.strangers.into_iter().chain(found.beside).map(|name| format!("{included}/{name}")));
+        strangers.extend(found.strangers.into_iter().map(|name| format!("{included}/{name}")));
     }
     let is_of_this_build = match &manifest.program {
         Some(program) => program == program::identity()?,

@@ -329,7 +329,7 @@ impl Work {
         manifest.names().iter().try_for_each(|name| manifest.look(&self.folder, name))?;
         for folder in manifest.included() {
             let folder = self.path(&folder);
-            examine(&folder)?.first_damage(&folder).map_or(Ok(()), Err)?;
+            examine(&folder)?.within().first_damage(&folder).map_or(Ok(()), Err)?;
         }
         Ok(())
     }
