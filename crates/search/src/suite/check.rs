@@ -7,7 +7,7 @@ use crumple_world::scenario::{InvalidField, short};
 
 use super::SUITE_VERSION;
 use super::figure::{Figure, Parameter, Unit};
-use super::spec::{Lead, SuiteSpec, TestSpec};
+use super::spec::{Lead, SuiteSpec, TestSpec, moved};
 
 /// Most points of all grids of a suite.
 const MOST_POINTS: usize = 2000;
@@ -202,9 +202,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
             && stated.values.iter().any(|&value| value <= margin.to);
         holds(!is_within, format!("{field}.to"), SuiteProblem::Within { parameter: margin.push })?;
         for point in &grid {
-            let mut end = point.clone();
-            end.iter_mut().skip(at).take(1).for_each(|value| *value = margin.to);
-            check_point(test, lead, &end, &format!("{field}.to"))?;
+            check_point(test, lead, &moved(point, at, margin.to), &format!("{field}.to"))?;
         }
     }
     Ok(grid.len())
@@ -212,10 +210,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
 
 fn check_point(test: &TestSpec, lead: Lead, point: &[f64], field: &str) -> Checked {
     if lead == Lead::Slower {
-        let si = |parameter| {
-            test.place(parameter).and_then(|(at, figure)| Some(point.get(at)? * figure.unit.in_si())).unwrap_or(0.0)
-        };
-        let is_slower = si(Parameter::LeadSpeed) + 0.1 <= si(Parameter::OwnSpeed);
+        let is_slower = test.si(point, Parameter::LeadSpeed) + 0.1 <= test.si(point, Parameter::OwnSpeed);
         holds(is_slower, field, SuiteProblem::NotSlower)?;
     }
     let point_in_words = || test.in_words(point);

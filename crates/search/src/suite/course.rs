@@ -18,7 +18,7 @@ const STEP_S: f64 = 0.01;
 
 impl TestSpec {
     /// The value of a parameter at a point, in SI units; 0 if it is not stated.
-    fn si(&self, point: &[f64], parameter: Parameter) -> f64 {
+    pub(super) fn si(&self, point: &[f64], parameter: Parameter) -> f64 {
         let value = |(place, figure): (usize, &super::Figure)| Some(point.get(place)? * figure.unit.in_si());
         self.place(parameter).and_then(value).unwrap_or(0.0)
     }

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::figure::{Parameter, Unit};
 use super::run::Driven;
-use super::spec::{Lead, TestSpec};
+use super::spec::{Lead, TestSpec, moved};
 
 /// Equal parts of a direction, at whose ends the test is run.
 const PARTS: usize = 16;
@@ -65,23 +65,9 @@ struct Line<'t> {
 }
 
 impl Line<'_> {
-    fn point(&self, value: f64) -> Vec<f64> {
-        let mut point = self.base.clone();
-        point.iter_mut().skip(self.at).take(1).for_each(|place| *place = value);
-        point
-    }
-
     /// The end of a part.
     fn value(&self, part: usize) -> f64 {
         self.from + (self.to - self.from) * (part as f64 / PARTS as f64)
-    }
-
-    fn held(&self) -> String {
-        let stated = self.test.figures.stated().zip(&self.base).enumerate();
-        let others = stated.filter(|(index, _)| *index != self.at);
-        let words =
-            others.map(|(_, ((parameter, figure), value))| format!("{} {value} {}", parameter.words(), figure.unit));
-        words.collect::<Vec<_>>().join(", ")
     }
 }
 
@@ -103,7 +89,7 @@ pub(super) fn margins(test: &TestSpec, lead: Lead, driven: &Driven<'_>) -> Vec<M
         unit: line.unit,
         from: line.from,
         to: line.to,
-        held: line.held(),
+        held: line.test.words(&line.base, Some(line.at)),
         end,
     };
     lines.iter().zip(found).map(margin).collect()
@@ -155,7 +141,7 @@ fn halve(found: &mut [MarginEnd], lines: &[Line<'_>], lead: Lead, driven: &Drive
 fn passes(lines: &[Line<'_>], values: &[(usize, f64)], lead: Lead, driven: &Driven<'_>) -> Vec<bool> {
     let scenario = |&(line, value): &(usize, f64)| {
         let line: &Line<'_> = lines.get(line)?;
-        line.test.scenario("margin", "", &line.point(value)).ok()
+        line.test.scenario("margin", "", &moved(&line.base, line.at, value)).ok()
     };
     let scenarios: Vec<_> = values.iter().map(scenario).collect();
     let valid: Vec<_> = scenarios.iter().flatten().cloned().collect();

@@ -1,6 +1,6 @@
 //! Who could have prevented a contact: reference drivers, as regulations ask, and anybody who knows the future.
 
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::ControllerKind;
@@ -11,9 +11,6 @@ use super::result::TestVerdict;
 use super::run::{Driven, Known};
 use super::spec::Lead;
 use crate::falsify::counterexample::Avoidability;
-
-/// The reference drivers, by their names among the controllers.
-const REFERENCE_DRIVERS: [&str; 3] = ["competent-human", "r157-simple", "rss"];
 
 /// Of so many failed points of a test, the first ones, it is asked whether anybody could have avoided the contact.
 const MOST_ASKED: usize = 3;
@@ -80,8 +77,9 @@ pub(super) fn prevented(lead: Lead, scenarios: &[&Scenario], known: &mut Known) 
 
 /// What each reference driver does in each scenario.
 fn references(lead: Lead, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
-    let drivers = REFERENCE_DRIVERS.into_iter().filter_map(|name| Some((name, ControllerSpec::named(name)?)));
-    let runs = drivers.map(|(driver, spec)| {
+    let drivers = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Reference);
+    let runs = drivers.map(|spec| {
+        let driver = spec.name();
         let controller = ControllerKind::from(spec);
         let seen = Driven { controller: &controller, estimator: EstimatorKind::Truth }.seen(lead, scenarios);
         let prevention = |seen: super::run::Seen| match seen.verdict {

@@ -147,8 +147,19 @@ impl TestSpec {
     /// A point in words, as in `own speed 50 km/h, gap 12 m`.
     #[must_use]
     pub fn in_words(&self, point: &[f64]) -> String {
-        let each = self.figures.stated().zip(point);
-        let words = each.map(|((parameter, figure), value)| format!("{} {value} {}", parameter.words(), figure.unit));
+        self.words(point, None)
+    }
+
+    /// A point in words, without the value at a place.
+    pub(super) fn words(&self, point: &[f64], without: Option<usize>) -> String {
+        let each = self.figures.stated().zip(point).enumerate().filter(|(place, _)| Some(*place) != without);
+        let words =
+            each.map(|(_, ((parameter, figure), value))| format!("{} {value} {}", parameter.words(), figure.unit));
         words.collect::<Vec<_>>().join(", ")
     }
+}
+
+/// A point with another value at a place.
+pub(super) fn moved(point: &[f64], place: usize, value: f64) -> Vec<f64> {
+    point.iter().enumerate().map(|(at, &old)| if at == place { value } else { old }).collect()
 }

@@ -68,6 +68,7 @@ mod settings;
 mod shield;
 mod source;
 mod stress;
+mod together;
 
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};

@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use super::interval::Interval;
+use super::together::{self, Asking};
 use super::{Controller, Ego};
 use crate::observation::Observation;
 use crate::process::ProcessFailure;
@@ -137,18 +139,19 @@ pub struct ZeroOrderHold {
     controller: Box<dyn Controller>,
     /// Where it comes from, if that answers for many.
     asked_together: Option<Arc<dyn ControllerSource>>,
-    interval_steps: u32,
-    steps_to_decision: u32,
+    interval: Interval,
+    /// What it saw when a decision was due.
+    seen: Option<Observation>,
     held_mps2: f64,
 }
 
 impl ZeroOrderHold {
-    /// Holds the answers of `controller`, which is asked every `interval_s` in a scenario that steps every `step_s`; at every
-    /// step if there is no interval.
+    /// Holds a controller that decides every `interval_s` seconds, or at every step; the first decision is due at the first
+    /// step.
     #[must_use]
     pub fn new(controller: Box<dyn Controller>, interval_s: Option<f64>, step_s: f64) -> Self {
-        let interval_steps = interval_s.map_or(1, |interval_s| (interval_s / step_s).round().max(1.0) as u32);
-        Self { controller, asked_together: None, interval_steps, steps_to_decision: 0, held_mps2: 0.0 }
+        let interval = Interval::new(interval_s, step_s);
+        Self { controller, asked_together: None, interval, seen: None, held_mps2: 0.0 }
     }
 
     /// The same, asked together with others from `source` if that [answers for many](ControllerSource::batch).
@@ -157,82 +160,57 @@ impl ZeroOrderHold {
         self.asked_together = source.batch().is_some().then(|| Arc::clone(source));
         self
     }
+}
 
-    /// Counts a step; whether a decision is due at it.
-    fn is_due(&mut self) -> bool {
-        let due = self.steps_to_decision == 0;
-        self.steps_to_decision = if due { self.interval_steps } else { self.steps_to_decision } - 1;
-        due
+impl Asking for ZeroOrderHold {
+    fn looks(&mut self, seen: &Observation) -> bool {
+        self.seen = self.interval.is_due().then_some(*seen);
+        self.seen.is_some()
     }
 
-    /// Decides by itself.
-    fn decides(&mut self, seen: &Observation) -> Result<(), ControllerFailure> {
-        self.held_mps2 = self.controller.decide(seen)?;
-        if self.held_mps2.is_finite() { Ok(()) } else { Err(ControllerFailure::NotFinite) }
+    fn decides(&mut self) -> Result<(), ControllerFailure> {
+        let Some(seen) = self.seen else { return Ok(()) };
+        let answer_mps2 = self.controller.decide(&seen)?;
+        self.take(answer_mps2)
     }
 
-    fn has_source_of(&self, other: &Self) -> bool {
+    fn is_asked_with(&self, other: &Self) -> bool {
         match (&self.asked_together, &other.asked_together) {
             (Some(own), Some(other)) => std::ptr::addr_eq(Arc::as_ptr(own), Arc::as_ptr(other)),
             _ => false,
         }
     }
 
-    /// The answers for what several see, all of them numbers; none if each has to be asked by itself.
-    fn answers_mps2(&self, seen: &[Observation]) -> Option<Vec<f64>> {
-        let batch = self.asked_together.as_ref()?.batch()?;
+    fn answers_mps2(all: &[&Self]) -> Option<Vec<f64>> {
+        let batch = all.first()?.asked_together.as_ref()?.batch()?;
+        let seen = all.iter().map(|one| one.seen).collect::<Option<Vec<_>>>()?;
         let mut answers_mps2 = vec![0.0; seen.len()];
-        batch.decide_all(seen, &mut answers_mps2).ok()?;
+        batch.decide_all(&seen, &mut answers_mps2).ok()?;
         answers_mps2.iter().all(|answer_mps2| answer_mps2.is_finite()).then_some(answers_mps2)
+    }
+
+    fn take(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
+        self.held_mps2 = answer_mps2;
+        if answer_mps2.is_finite() { Ok(()) } else { Err(ControllerFailure::NotFinite) }
+    }
+
+    fn held_mps2(&self) -> f64 {
+        self.held_mps2
     }
 }
 
 impl Controller for ZeroOrderHold {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        if self.is_due() {
-            self.decides(seen)?;
-        }
-        Ok(self.held_mps2)
+        together::decide(self, seen)
     }
 
-    /// Those whose decision is due are asked by one question for each row of equal sources.
-    ///
-    /// Where there is no answer, whose fault it is shows when each is asked by itself: a run ends as it would have alone.
     fn decide_together(
         all: &mut [Self],
-        mut see: impl FnMut(usize) -> Observation,
+        see: impl FnMut(usize) -> Observation,
         commands_mps2: &mut [f64],
         failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
-        let (mut due, mut seen) = (Vec::new(), Vec::new());
-        for (place, controller) in all.iter_mut().enumerate() {
-            let observation = see(place);
-            if controller.is_due() {
-                due.push(place);
-                seen.push(observation);
-            }
-        }
-        let mut seen = seen.as_slice();
-        let groups: Vec<&[usize]> = due.chunk_by(|&a, &b| all[a].has_source_of(&all[b])).collect();
-        for group in groups {
-            let (own, rest) = seen.split_at(group.len());
-            seen = rest;
-            let together = all[group[0]].answers_mps2(own);
-            for (index, (&place, observation)) in group.iter().zip(own).enumerate() {
-                let controller = &mut all[place];
-                match together.as_ref().and_then(|answers_mps2| answers_mps2.get(index)) {
-                    Some(answer_mps2) => controller.held_mps2 = *answer_mps2,
-                    None => {
-                        if let Err(failure) = controller.decides(observation) {
-                            failed.push((place, failure));
-                        }
-                    }
-                }
-            }
-        }
-        for (command_mps2, controller) in commands_mps2.iter_mut().zip(all) {
-            *command_mps2 = controller.held_mps2;
-        }
+        together::decide_together(all, see, commands_mps2, failed);
     }
 }
 

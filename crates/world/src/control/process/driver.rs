@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::{Greeted, ProcessController};
 use crate::control::history::History;
 use crate::control::interval::Interval;
+use crate::control::together::{self, Asking};
 use crate::control::{Controller, ControllerFailure, Ego, Mapping};
 use crate::observation::Observation;
 use crate::process::ProcessProblem;
@@ -67,56 +68,6 @@ impl ProcessDriver {
         Ok(driver)
     }
 
-    /// Looks, if a decision is due at this step; counts the step.
-    fn looks(&mut self, seen: &Observation) -> bool {
-        self.time_s = self.steps as f64 * self.step_s;
-        self.steps += 1;
-        let due = self.interval.is_due();
-        if due {
-            let mapping = &self.controller.setup.mapping;
-            self.row.clear();
-            self.history.look_back(mapping, mapping.see(seen, self.held_mps2), &mut self.row);
-        }
-        due
-    }
-
-    /// Decides on what was seen last, asking for this run alone.
-    fn decides(&mut self) -> Result<(), ControllerFailure> {
-        let mut first = match self.own.take() {
-            Some(own) => own,
-            None if self.is_batch => self.controller.take(&self.hello)?,
-            None => return Err(self.failed(ProcessProblem::Closed, None)),
-        };
-        match self.ask(&mut first) {
-            Ok(answer_mps2) if self.is_batch => {
-                self.controller.give_back(first);
-                self.agree(answer_mps2)
-            }
-            Ok(answer_mps2) => {
-                self.own = Some(first);
-                self.agree(answer_mps2)
-            }
-            Err(problem) => Err(self.failed(problem, Some(first))),
-        }
-    }
-
-    /// Takes an answer, if the second process gives the same.
-    fn agree(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
-        if let Some(mut second) = self.second.take() {
-            match self.ask(&mut second) {
-                Ok(again_mps2) if again_mps2.to_bits() == answer_mps2.to_bits() => self.second = Some(second),
-                Ok(second_mps2) => {
-                    let problem = ProcessProblem::Nondeterministic { first_mps2: answer_mps2, second_mps2 };
-                    let failure = self.failed(problem, Some(second));
-                    return Err(self.controller.refuse(failure));
-                }
-                Err(problem) => return Err(self.failed(problem, Some(second))),
-            }
-        }
-        self.held_mps2 = answer_mps2;
-        Ok(())
-    }
-
     /// The acceleration that a process answers with, in m/s².
     fn ask(&mut self, greeted: &mut Greeted) -> Result<f64, ProcessProblem> {
         let within = self.controller.answer_within();
@@ -169,69 +120,94 @@ impl ProcessController {
             Err(problem) => Err(self.failure(problem, Some(greeted.program))),
         }
     }
+}
 
-    /// The accelerations for what several drivers see; none if they have to be asked one by one, since something is wrong.
-    fn answers_mps2(self: &Arc<Self>, drivers: &[&ProcessDriver]) -> Option<Vec<f64>> {
-        let first = drivers.first()?;
-        let mut greeted = self.take(&first.hello).ok()?;
-        let times_s: Vec<f64> = drivers.iter().map(|driver| driver.time_s).collect();
-        let see = drivers.iter().map(|driver| driver.row.as_slice()).collect();
+impl Asking for ProcessDriver {
+    fn looks(&mut self, seen: &Observation) -> bool {
+        self.time_s = self.steps as f64 * self.step_s;
+        self.steps += 1;
+        let due = self.interval.is_due();
+        if due {
+            let mapping = &self.controller.setup.mapping;
+            self.row.clear();
+            self.history.look_back(mapping, mapping.see(seen, self.held_mps2), &mut self.row);
+        }
+        due
+    }
+
+    fn decides(&mut self) -> Result<(), ControllerFailure> {
+        let mut first = match self.own.take() {
+            Some(own) => own,
+            None if self.is_batch => self.controller.take(&self.hello)?,
+            None => return Err(self.failed(ProcessProblem::Closed, None)),
+        };
+        match self.ask(&mut first) {
+            Ok(answer_mps2) if self.is_batch => {
+                self.controller.give_back(first);
+                self.take(answer_mps2)
+            }
+            Ok(answer_mps2) => {
+                self.own = Some(first);
+                self.take(answer_mps2)
+            }
+            Err(problem) => Err(self.failed(problem, Some(first))),
+        }
+    }
+
+    fn is_asked_with(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.controller, &other.controller) && self.is_batch && other.is_batch && self.hello == other.hello
+    }
+
+    fn answers_mps2(all: &[&Self]) -> Option<Vec<f64>> {
+        let first = all.first()?;
+        let controller = &first.controller;
+        let mut greeted = controller.take(&first.hello).ok()?;
+        let times_s: Vec<f64> = all.iter().map(|driver| driver.time_s).collect();
+        let see = all.iter().map(|driver| driver.row.as_slice()).collect();
         let (id, mut line) = (greeted.next_id(), Vec::new());
         protocol::line(&mut line, &AskAll { id, times_s: &times_s, see }).ok()?;
-        let line = greeted.program.ask(&line, self.answer_within()).ok()?;
-        let answers = protocol::decisions(line, id, drivers.len()).ok()?;
-        let wanted = answers.into_iter().map(|answer| acceleration_mps2(&self.setup.mapping, answer).ok());
+        let line = greeted.program.ask(&line, controller.answer_within()).ok()?;
+        let answers = protocol::decisions(line, id, all.len()).ok()?;
+        let wanted = answers.into_iter().map(|answer| acceleration_mps2(&controller.setup.mapping, answer).ok());
         let wanted = wanted.collect::<Option<Vec<_>>>()?;
-        self.give_back(greeted);
+        controller.give_back(greeted);
         Some(wanted)
+    }
+
+    /// If the second process gives the same.
+    fn take(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
+        if let Some(mut second) = self.second.take() {
+            match self.ask(&mut second) {
+                Ok(again_mps2) if again_mps2.to_bits() == answer_mps2.to_bits() => self.second = Some(second),
+                Ok(second_mps2) => {
+                    let problem = ProcessProblem::Nondeterministic { first_mps2: answer_mps2, second_mps2 };
+                    let failure = self.failed(problem, Some(second));
+                    return Err(self.controller.refuse(failure));
+                }
+                Err(problem) => return Err(self.failed(problem, Some(second))),
+            }
+        }
+        self.held_mps2 = answer_mps2;
+        Ok(())
+    }
+
+    fn held_mps2(&self) -> f64 {
+        self.held_mps2
     }
 }
 
 impl Controller for ProcessDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        if self.looks(seen) {
-            self.decides()?;
-        }
-        Ok(self.held_mps2)
+        together::decide(self, seen)
     }
 
-    /// Those whose decision is due and that answer in batches are asked by one line for each run of equal ones.
-    ///
-    /// Where an answer fails, whose it is shows when each is asked by itself: a run ends as it would have alone.
     fn decide_together(
         all: &mut [Self],
-        mut see: impl FnMut(usize) -> Observation,
+        see: impl FnMut(usize) -> Observation,
         commands_mps2: &mut [f64],
         failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
-        let mut due = Vec::new();
-        for (index, driver) in all.iter_mut().enumerate() {
-            if driver.looks(&see(index)) {
-                due.push(index);
-            }
-        }
-        let are_alike = |a: &usize, b: &usize| {
-            let (a, b) = (&all[*a], &all[*b]);
-            Arc::ptr_eq(&a.controller, &b.controller) && a.is_batch && b.is_batch && a.hello == b.hello
-        };
-        let groups: Vec<&[usize]> = due.chunk_by(are_alike).collect();
-        for group in groups {
-            let drivers: Vec<&Self> = group.iter().map(|index| &all[*index]).collect();
-            let together = if drivers.len() > 1 { drivers[0].controller.answers_mps2(&drivers) } else { None };
-            for (place, index) in group.iter().enumerate() {
-                let driver = &mut all[*index];
-                let decided = match together.as_ref().and_then(|answers| answers.get(place)) {
-                    Some(answer_mps2) => driver.agree(*answer_mps2),
-                    None => driver.decides(),
-                };
-                if let Err(failure) = decided {
-                    failed.push((*index, failure));
-                }
-            }
-        }
-        for (command_mps2, driver) in commands_mps2.iter_mut().zip(all) {
-            *command_mps2 = driver.held_mps2;
-        }
+        together::decide_together(all, see, commands_mps2, failed);
     }
 }
 
