@@ -98,7 +98,8 @@ fn consistency(scenario: &Scenario, controller: &str, channel: Purpose) -> Consi
     let options = RunOptions::new(ControllerSpec::named(controller).expect("built in"));
     let trace = traced(scenario, &options).trace.expect("kept");
     let tuning = EgoTuning::new(spec.step_s, &spec.sensors);
-    let gaps_behind_rear = |rear: usize| trace.pair(rear).expect("a pair").gaps_m().collect();
+    let gaps_behind_rear =
+        |rear: usize| trace.pairs(rear).first().expect("a pair").gaps_m().map(|(_, gap_m)| gap_m).collect();
     let [position_m, gap_m] = [spec.sensors.position_noise_m, spec.sensors.gap_noise_m];
     let (tuning, noise_m, rate_mps, sign, neighbour, truth_m): (_, _, _, _, _, Vec<f64>) = match channel {
         Purpose::PositionSensor => {

@@ -78,6 +78,7 @@ fn rounding_opens_no_gap() {
         position_m: position_m.to_vec(),
         speed_mps: vec![1.0; 3],
         acceleration_mps2: vec![0.0; 3],
+        in_lane_s: Track::THROUGHOUT_S,
     };
     let vehicles = vec![track([5.0; 3]), track([3.0 - 1e-10, 3.0 + 1e-10, 2.999])];
     let trace = Trace { time_s: vec![0.0, 0.1, 0.2], vehicles };

@@ -161,7 +161,8 @@ fn sampled(test_case: &TestCase) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
     let every = (0.1 / run.dt_s()).round().max(1.0) as usize;
     let sample = |k: usize| {
         let speeds = trace.vehicles.iter().map(|track| track.speed_mps[k]).collect();
-        let gaps = (1..trace.vehicles.len()).filter_map(|rear| trace.pair(rear)?.gaps_m().nth(k)).collect();
+        let gaps =
+            (1..trace.vehicles.len()).filter_map(|rear| Some(trace.pairs(rear).first()?.gaps_m().nth(k)?.1)).collect();
         (trace.time_s[k], speeds, gaps)
     };
     (0..trace.len()).step_by(every).take(60).map(sample).collect()

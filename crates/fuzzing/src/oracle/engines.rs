@@ -87,8 +87,9 @@ fn numbers(result: &Simulated) -> Vec<(&'static str, usize, f64)> {
         };
         numbers.extend(samples("time of sample", &trace.time_s));
         for (index, track) in trace.vehicles.iter().enumerate() {
-            let Track { length_m, mass_kg, position_m, speed_mps, acceleration_mps2 } = track;
+            let Track { length_m, mass_kg, position_m, speed_mps, acceleration_mps2, in_lane_s } = track;
             numbers.extend([("length of vehicle", index, *length_m), ("mass of vehicle", index, *mass_kg)]);
+            numbers.extend(samples("change of lane", in_lane_s));
             numbers.extend(samples("position of sample", position_m));
             numbers.extend(samples("speed of sample", speed_mps));
             numbers.extend(samples("acceleration of sample", acceleration_mps2));

@@ -25,9 +25,10 @@ pub fn impacts_are_inelastic(question: &Question<'_>) -> Finding {
         let rear = impact.contact.rear_vehicle;
         let again = impacts.iter().skip(index + 1).any(|later| later.contact.rear_vehicle == rear);
         must(!again, Law::Sticking, || format!("vehicle {rear} hits the same vehicle twice"))?;
-        let Some(pair) = trace.pair(rear) else { continue };
+        let pairs = trace.pairs(rear);
+        let Some(pair) = pairs.last() else { continue };
         let speeds = pair.front.speed_mps.iter().zip(&pair.rear.speed_mps);
-        for ((t, gap_m), (front, behind)) in trace.time_s.iter().zip(pair.gaps_m()).zip(speeds) {
+        for ((t, (_, gap_m)), (front, behind)) in trace.time_s.iter().zip(pair.gaps_m()).zip(speeds) {
             let together = gap_m.abs() < STUCK_M && front == behind;
             let is_after = *t > impact.contact.time_s + 1e-9;
             must(!is_after || together, Law::Sticking, || {

@@ -83,8 +83,9 @@ fn signals(trace: &Trace, step_s: f64, every: usize) -> Result<Signals<'static>,
     for (index, track) in trace.vehicles.iter().enumerate() {
         let speeds: Vec<f64> = track.speed_mps.iter().copied().step_by(every).collect();
         signals.insert(format!("v{index}_mps"), speeds)?;
-        if let Some(pair) = trace.pair(index) {
-            signals.insert(format!("gap{index}_m"), pair.gaps_m().step_by(every).collect::<Vec<f64>>())?;
+        if let Some(pair) = trace.pairs(index).first() {
+            let gaps_m: Vec<f64> = pair.gaps_m().map(|(_, gap_m)| gap_m).step_by(every).collect();
+            signals.insert(format!("gap{index}_m"), gaps_m)?;
         }
     }
     Ok(signals)

@@ -38,8 +38,8 @@ pub fn motion_is_physical(question: &Question<'_>) -> Finding {
 
 /// Whether a vehicle was involved in an impact between two instants.
 fn hit_between(result: &Simulated, vehicle: usize, from_s: f64, to_s: f64) -> bool {
-    result.impacts.iter().any(|impact| {
-        (impact.first_involved..=impact.last_involved).contains(&vehicle)
-            && (from_s - 1e-9..=to_s + 1e-9).contains(&impact.contact.time_s)
-    })
+    result
+        .impacts
+        .iter()
+        .any(|impact| impact.involves(vehicle) && (from_s - 1e-9..=to_s + 1e-9).contains(&impact.contact.time_s))
 }

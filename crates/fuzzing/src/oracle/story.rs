@@ -4,7 +4,7 @@ use super::{Checked, Finding, Question, ROUNDING_M, grazes, must};
 use crate::Law;
 use crumple_world::measure::ContactRole;
 use crumple_world::scenario::Driver;
-use crumple_world::sim::{AfterContact, Outcome};
+use crumple_world::sim::{AfterContact, Outcome, Pair};
 
 /// The recorded motion, the outcome and whose contact it is said to be agree, and no vehicle goes beyond what road and
 /// vehicle allow.
@@ -39,12 +39,16 @@ pub fn one_story(question: &Question<'_>) -> Finding {
         story(braked, &|| format!("vehicle {index} braked at {hardest_mps2} m/s², told {}", summary.max_brake_mps2))?;
         let stopped = track.speed_mps.last() == Some(&0.0);
         story(summary.stopped == stopped, &|| format!("vehicle {index} stands: {stopped}, told otherwise"))?;
-        let Some(pair) = trace.pair(index) else { continue };
-        let sampled_m = pair.gaps_m().fold(f64::INFINITY, f64::min);
+        let pairs = trace.pairs(index);
+        if pairs.is_empty() {
+            continue;
+        }
+        let gaps_m: Vec<f64> = pairs.iter().flat_map(Pair::gaps_m).map(|(_, gap_m)| gap_m).collect();
+        let sampled_m = gaps_m.iter().copied().fold(f64::INFINITY, f64::min);
         let min_gap_m = summary.min_gap_m.unwrap_or(f64::NAN);
         let below = min_gap_m <= sampled_m.max(0.0) + ROUNDING_M;
         story(below, &|| format!("vehicle {index}: smallest gap {min_gap_m} m, but a sample has {sampled_m} m"))?;
-        let ends_m = pair.gaps_m().last().unwrap_or(f64::NAN);
+        let ends_m = gaps_m.last().copied().unwrap_or(f64::NAN);
         story(min_gap_m >= 0.0, &|| format!("vehicle {index}: a smallest gap of {min_gap_m} m is told"))?;
         let touches = result.impacts.iter().any(|impact| impact.contact.rear_vehicle == index);
         // A run ends at its first contact, the foremost if there are several at one instant: the others are not told.
@@ -72,8 +76,7 @@ fn may_fail(question: &Question<'_>) -> bool {
 fn limits(question: &Question<'_>) -> Result<(), (Law, String)> {
     let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
     for (index, (vehicle, track)) in scenario.vehicles().iter().zip(&trace.vehicles).enumerate() {
-        let involved =
-            |impact: &crumple_world::sim::Impact| (impact.first_involved..=impact.last_involved).contains(&index);
+        let involved = |impact: &crumple_world::sim::Impact| impact.involves(index);
         let pushed = question.run.options().after_contact == AfterContact::Continue
             && question.result.impacts.iter().any(involved);
         if vehicle.acceleration_noise_mps2 > 0.0 || pushed {
@@ -95,8 +98,8 @@ fn role(question: &Question<'_>) -> Result<(), (Law, String)> {
     let Some(contact) = question.result.outcome.contact() else { return Ok(()) };
     let told = question.system.contact_role(contact, scenario);
     let closed = |rear: &usize| {
-        let gap_m = trace.pair(*rear).and_then(|pair| pair.gaps_m().last());
-        gap_m.is_some_and(|gap_m| gap_m < ROUNDING_M)
+        let gap_m = trace.pairs(*rear).last().and_then(|pair| pair.gaps_m().last());
+        gap_m.is_some_and(|(_, gap_m)| gap_m < ROUNDING_M)
     };
     let touching = (1..trace.vehicles.len()).find(closed);
     let under_test = |index: usize| scenario.vehicles().get(index).is_some_and(|v| v.driver == Driver::UnderTest);

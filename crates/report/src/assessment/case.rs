@@ -194,9 +194,10 @@ impl CaseVerdict {
 
 /// Time to collision at the last sample, if it is below [`STILL_CLOSING_TTC_S`].
 fn closing_ttc_s(trace: &Trace, rear: usize) -> Option<f64> {
-    let pair = trace.pair(rear)?;
+    let pairs = trace.pairs(rear);
+    let pair = pairs.last().filter(|pair| pair.span_s[1].is_infinite())?;
     let closing_mps = pair.rear.speed_mps.last()? - pair.front.speed_mps.last()?;
-    measure::ttc_s(pair.gaps_m().last()?, closing_mps).filter(|&ttc_s| ttc_s < STILL_CLOSING_TTC_S)
+    measure::ttc_s(pair.gaps_m().last()?.1, closing_mps).filter(|&ttc_s| ttc_s < STILL_CLOSING_TTC_S)
 }
 
 impl From<&Contact> for RoundedContact {

@@ -265,6 +265,7 @@ mod tests {
                 position_m: values.clone(),
                 speed_mps: values.clone(),
                 acceleration_mps2: values.clone(),
+                in_lane_s: Track::THROUGHOUT_S,
             };
             let trace = Trace { time_s: times, vehicles: values.iter().map(track).collect() };
             let data = AnimationData::of(&trace, &[]);

@@ -139,6 +139,7 @@ fn excerpt(track: &Track, from: usize, to: usize) -> Option<Track> {
         position_m: part(&track.position_m)?,
         speed_mps: part(&track.speed_mps)?,
         acceleration_mps2: part(&track.acceleration_mps2)?,
+        in_lane_s: track.in_lane_s,
     })
 }
 

@@ -132,6 +132,14 @@ fn space(figure: &MotionFigure<'_>, plan: &Plan, axes: &MotionAxes, closeup_id: 
 pub(super) fn body(panel: &mut Panel, time_s: &[f64], track: &Track, index: usize) {
     let front = points(time_s, track.position_m.iter().copied());
     let rear = points(time_s, track.position_m.iter().map(|front| front - track.length_m));
+    if track.in_lane_s != Track::THROUGHOUT_S {
+        // Beside the lane, a trace of where it drives.
+        panel.line(&front, Stroke { dash: "2 3", ..Stroke::solid(Ink::Series(index), 0.8) });
+    }
+    let first = time_s.iter().position(|&time_s| track.is_in_lane(time_s)).unwrap_or(time_s.len());
+    let end = time_s.iter().rposition(|&time_s| track.is_in_lane(time_s)).map_or(first, |last| last + 1);
+    let in_lane = |line: &[path::Place]| line.get(first..end).unwrap_or_default().to_vec();
+    let (front, rear) = (in_lane(&front), in_lane(&rear));
     panel.band(&front, &rear, Ink::Series(index));
     panel.line(&rear, Stroke::solid(Ink::Series(index), 0.7));
     panel.line(&front, Stroke { width: 1.5, ..Stroke::series(index) });
@@ -187,14 +195,15 @@ fn speed(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
 
 fn spacing(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
-    let gaps = |rear| trace.pair(rear).map(|pair| (rear, points(&trace.time_s, pair.gaps_m())));
-    let lines: Vec<_> = (1..trace.vehicles.len()).filter_map(gaps).collect();
+    let at = |(sample, gap_m): (usize, f64)| Some((*trace.time_s.get(sample)?, gap_m));
+    let pairs = (1..trace.vehicles.len()).flat_map(|rear| trace.pairs(rear).into_iter().map(move |pair| (rear, pair)));
     let mut panel = Panel::new(frame, "Gap between bumpers (m)", axes.time(), axes.gap());
     panel.rule_y(0.0, Stroke::solid(Ink::Text, 1.0));
     let mut tags = Vec::new();
-    for (rear, line) in lines {
+    for (rear, pair) in pairs {
+        let line: Vec<path::Place> = pair.gaps_m().filter_map(at).collect();
         panel.line(&line, Stroke::series(rear));
-        let tag = format!("{}\u{2013}{rear}", rear - 1);
+        let tag = format!("{}\u{2013}{rear}", pair.front_vehicle);
         tags.push(TaggedLine { points: line, tag, ink: Ink::Series(rear) });
     }
     let right = frame.right() + 12.0;
@@ -248,10 +257,12 @@ fn focus(figure: &MotionFigure<'_>) -> Option<Focus> {
     }
     let mut closest: Option<Focus> = None;
     for rear in 1..figure.trace.vehicles.len() {
-        let Some(pair) = figure.trace.pair(rear) else { continue };
-        for (&time_s, gap_m) in pair.time_s.iter().zip(pair.gaps_m()) {
-            if gap_m.is_finite() && closest.is_none_or(|closest| gap_m < closest.gap_m) {
-                closest = Some(Focus { time_s, front: rear - 1, rear, gap_m, contact: false });
+        for pair in figure.trace.pairs(rear) {
+            for (sample, gap_m) in pair.gaps_m() {
+                let Some(&time_s) = pair.time_s.get(sample) else { continue };
+                if gap_m.is_finite() && closest.is_none_or(|closest| gap_m < closest.gap_m) {
+                    closest = Some(Focus { time_s, front: pair.front_vehicle, rear, gap_m, contact: false });
+                }
             }
         }
     }

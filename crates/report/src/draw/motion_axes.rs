@@ -29,10 +29,11 @@ impl MotionAxes {
             let (low, high) = extent(track.position_m.iter().copied());
             [low - track.length_m, high]
         };
-        let pairs = traces.iter().flat_map(|trace| (1..trace.vehicles.len()).filter_map(|rear| trace.pair(rear)));
+        let pairs = traces.iter().flat_map(|trace| (1..trace.vehicles.len()).flat_map(|rear| trace.pairs(rear)));
         let (first_s, last_s) = extent(traces.iter().flat_map(|trace| trace.time_s.iter().copied()));
         let (_, fastest_mps) = extent(tracks().flat_map(|track| track.speed_mps.iter().copied()));
-        let gaps_m: Vec<f64> = pairs.flat_map(|pair| pair.gaps_m().collect::<Vec<_>>()).collect();
+        let gaps_m: Vec<f64> =
+            pairs.flat_map(|pair| pair.gaps_m().map(|(_, gap_m)| gap_m).collect::<Vec<_>>()).collect();
         let (least_m, most_m) = extent(gaps_m);
         Self {
             // A little after the last sample, so that a contact that ends the run is not cut in half.

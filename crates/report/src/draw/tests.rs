@@ -70,7 +70,14 @@ fn word_boxes(group: &usvg::Group, found: &mut Vec<(String, Frame)>) {
 }
 
 fn track(length_m: f64, position_m: Vec<f64>, speed_mps: Vec<f64>) -> Track {
-    Track { length_m, mass_kg: 1_500.0, acceleration_mps2: vec![0.0; speed_mps.len()], position_m, speed_mps }
+    Track {
+        in_lane_s: Track::THROUGHOUT_S,
+        length_m,
+        mass_kg: 1_500.0,
+        acceleration_mps2: vec![0.0; speed_mps.len()],
+        position_m,
+        speed_mps,
+    }
 }
 
 proptest! {
@@ -119,7 +126,7 @@ proptest! {
         let rear_vehicle = front_vehicle + 1;
         let contact =
             Contact { time_s, front_vehicle, rear_vehicle, front_speed_mps, rear_speed_mps, impact_speed_mps };
-        let impact = Impact { contact, common_speed_mps: 0.0, first_involved: 0, last_involved: 0 };
+        let impact = Impact { contact, common_speed_mps: 0.0, first_involved: 0, last_involved: 0, beside: Vec::new() };
         let impacts: Vec<Impact> = (front_vehicle < 4).then_some(impact).into_iter().collect();
         let trace = Trace { time_s: times, vehicles };
         let svg = drawn(&trace, &impacts, layout);

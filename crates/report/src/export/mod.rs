@@ -6,7 +6,7 @@
 #[cfg(feature = "parquet")]
 mod columnar;
 
-use crumple_world::sim::Trace;
+use crumple_world::sim::{Pair, Trace};
 
 #[cfg(feature = "parquet")]
 pub use columnar::parquet;
@@ -36,8 +36,14 @@ struct Row {
 }
 
 fn rows(trace: &Trace) -> Vec<Row> {
-    let gaps_m = |rear| trace.pair(rear).map_or_else(Vec::new, |pair| pair.gaps_m().collect());
-    let gaps_m: Vec<Vec<f64>> = (0..trace.vehicles.len()).map(gaps_m).collect();
+    let gaps_m = |rear| {
+        let mut gaps_m = vec![None; trace.len()];
+        for (sample, gap_m) in trace.pairs(rear).iter().flat_map(Pair::gaps_m) {
+            gaps_m[sample] = Some(gap_m);
+        }
+        gaps_m
+    };
+    let gaps_m: Vec<Vec<Option<f64>>> = (0..trace.vehicles.len()).map(gaps_m).collect();
     let mut rows = Vec::with_capacity(trace.len() * trace.vehicles.len());
     for (sample, &time_s) in trace.time_s.iter().enumerate() {
         for (vehicle, (track, gaps_m)) in trace.vehicles.iter().zip(&gaps_m).enumerate() {
@@ -48,7 +54,7 @@ fn rows(trace: &Trace) -> Vec<Row> {
                 position_m: at(&track.position_m),
                 speed_mps: at(&track.speed_mps),
                 acceleration_mps2: at(&track.acceleration_mps2),
-                gap_m: gaps_m.get(sample).copied(),
+                gap_m: gaps_m.get(sample).copied().flatten(),
             });
         }
     }

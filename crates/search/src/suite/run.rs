@@ -184,7 +184,8 @@ fn judged(lead: Lead, simulated: &Simulated) -> Seen {
 
 /// When the test is over: what comes afterwards is no part of it.
 fn end_s(lead: Lead, trace: &Trace) -> Option<f64> {
-    let pair = trace.pair(1)?;
+    let pairs = trace.pairs(1);
+    let pair = pairs.first()?;
     let mut samples = pair.time_s.iter().zip(pair.front.speed_mps.iter().zip(&pair.rear.speed_mps));
     let is_over = |ahead_mps: f64, own_mps: f64| match lead {
         Lead::Slower => own_mps <= ahead_mps,

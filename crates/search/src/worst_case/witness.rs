@@ -37,9 +37,10 @@ impl Escape {
         }
         let trigger_time_s = situation.follower.as_ref().and_then(|follower| {
             let trace = coarse.trace.as_ref()?;
-            let pair = trace.pair(situation.egos.len() + 1)?;
+            let pairs = trace.pairs(situation.egos.len() + 1);
+            let pair = pairs.first()?;
             let closing = pair.rear.speed_mps.iter().zip(&pair.front.speed_mps).map(|(rear, front)| rear - front);
-            let fires = pair.gaps_m().zip(closing).map(|(gap_m, closing)| gap_m - follower.ttc_s * closing < 0.0);
+            let fires = pair.gaps_m().zip(closing).map(|((_, gap_m), closing)| gap_m - follower.ttc_s * closing < 0.0);
             let step = fires.take(situation.steps).position(|fires| fires)?;
             Some(situation.time_s(step))
         });

@@ -4,7 +4,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::{Estimate, Filter, Inertia, KnownChange, Sensor, Tuning};
 use crate::observation::{Neighbour, Observation};
-use crate::random::{self, Purpose};
+use crate::random::{self, Purpose, Stream};
 use crate::scenario::Sensors;
 
 /// Bandwidth of all three filters, in rad/s.
@@ -83,10 +83,12 @@ pub struct TrueState {
 /// What the ego feels of its own motion is fed forward into all three, so that only the neighbours can surprise them.
 #[derive(Debug, Clone)]
 pub struct EgoEstimator {
+    /// First errors of filters.
+    first: Stream,
     inertia: Inertia,
     position: (Sensor, Filter),
-    ahead: Option<(Sensor, Filter)>,
-    behind: Option<(Sensor, Filter)>,
+    ahead: (Sensor, Option<Filter>),
+    behind: (Sensor, Option<Filter>),
 }
 
 impl EgoEstimator {
@@ -94,31 +96,30 @@ impl EgoEstimator {
     /// speed until then.
     #[must_use]
     pub fn new(seed: u64, vehicle: usize, sensors: &Sensors, tuning: &EgoTuning, truth: &TrueState) -> Self {
-        let mut first = random::stream(seed, Purpose::FirstEstimate, vehicle as u64);
-        let mut channel = |purpose, noise_m, tuning: &Tuning, distance_m, rate_mps| {
-            let normals = [0; 3].map(|_| StandardNormal.sample(&mut first));
-            let sensor = Sensor::new(seed, purpose, vehicle, noise_m, sensors);
-            (sensor, Filter::running(tuning, distance_m, rate_mps, normals))
-        };
         let own = &truth.observation;
-        let gap_noise_m = sensors.gap_noise_m;
-        Self {
+        let mut first = random::stream(seed, Purpose::FirstEstimate, vehicle as u64);
+        let position = running(&mut first, &tuning.position, truth.position_m, own.speed_mps);
+        let sensor = |purpose, noise_m| Sensor::new(seed, purpose, vehicle, noise_m, sensors);
+        let mut estimator = Self {
+            first,
             inertia: Inertia::cruising(own.speed_mps),
-            position: channel(
-                Purpose::PositionSensor,
-                sensors.position_noise_m,
-                &tuning.position,
-                truth.position_m,
-                own.speed_mps,
-            ),
-            ahead: own.ahead.map(|ahead| {
-                let rate_mps = ahead.speed_mps - own.speed_mps;
-                channel(Purpose::GapAheadSensor, gap_noise_m, &tuning.gap, ahead.gap_m, rate_mps)
-            }),
-            behind: own.behind.map(|behind| {
-                let rate_mps = own.speed_mps - behind.speed_mps;
-                channel(Purpose::GapBehindSensor, gap_noise_m, &tuning.gap, behind.gap_m, rate_mps)
-            }),
+            position: (sensor(Purpose::PositionSensor, sensors.position_noise_m), position),
+            ahead: (sensor(Purpose::GapAheadSensor, sensors.gap_noise_m), None),
+            behind: (sensor(Purpose::GapBehindSensor, sensors.gap_noise_m), None),
+        };
+        estimator.follow_others(tuning, truth, [true, true]);
+        estimator
+    }
+
+    /// Follows other vehicles from here on, ahead and behind where they have `changed`: as if those had been followed before, as
+    /// sensors follow vehicles beside the lane too.
+    pub fn follow_others(&mut self, tuning: &EgoTuning, truth: &TrueState, changed: [bool; 2]) {
+        let own = &truth.observation;
+        let sides = [(&mut self.ahead, own.ahead, 1.0), (&mut self.behind, own.behind, -1.0)];
+        for (((_, filter), neighbour, sign), _) in sides.into_iter().zip(changed).filter(|(_, changed)| *changed) {
+            *filter = neighbour.map(|other| {
+                running(&mut self.first, &tuning.gap, other.gap_m, sign * (other.speed_mps - own.speed_mps))
+            });
         }
     }
 
@@ -127,32 +128,35 @@ impl EgoEstimator {
     pub fn observe(&mut self, tuning: &EgoTuning, truth: &TrueState) -> Observation {
         let truly = &truth.observation;
         let felt = self.inertia.felt(tuning.position.step_s(), truly.speed_mps, truly.acceleration_mps2);
-        let own = measure(&mut self.position, &tuning.position, truth.position_m, (&felt, 1.0));
+        let (sensor, filter) = &mut self.position;
+        let own = measure((sensor, filter), &tuning.position, truth.position_m, (&felt, 1.0));
         let neighbour = |gap: Estimate, sign: f64| Neighbour {
             gap_m: gap.distance_m,
             speed_mps: (own.rate_mps + sign * gap.rate_mps).max(0.0),
             acceleration_mps2: own.acceleration_mps2 + sign * gap.acceleration_mps2,
         };
+        let seen = |(sensor, filter): &mut (Sensor, Option<Filter>), other: Option<Neighbour>, sign| {
+            let (filter, other) = filter.as_mut().zip(other)?;
+            Some(measure((sensor, filter), &tuning.gap, other.gap_m, (&felt, sign)))
+        };
         Observation {
             speed_mps: own.rate_mps.max(0.0),
             acceleration_mps2: own.acceleration_mps2,
-            ahead: self
-                .ahead
-                .as_mut()
-                .zip(truth.observation.ahead)
-                .map(|(channel, ahead)| neighbour(measure(channel, &tuning.gap, ahead.gap_m, (&felt, -1.0)), 1.0)),
-            behind: self
-                .behind
-                .as_mut()
-                .zip(truth.observation.behind)
-                .map(|(channel, behind)| neighbour(measure(channel, &tuning.gap, behind.gap_m, (&felt, 1.0)), -1.0)),
+            ahead: seen(&mut self.ahead, truly.ahead, -1.0).map(|gap| neighbour(gap, 1.0)),
+            behind: seen(&mut self.behind, truly.behind, 1.0).map(|gap| neighbour(gap, -1.0)),
         }
     }
 }
 
+/// A filter that has been running: its error is the next draw.
+fn running(first: &mut Stream, tuning: &Tuning, distance_m: f64, rate_mps: f64) -> Filter {
+    let normals = [0; 3].map(|_| StandardNormal.sample(first));
+    Filter::running(tuning, distance_m, rate_mps, normals)
+}
+
 #[inline]
 fn measure(
-    (sensor, filter): &mut (Sensor, Filter),
+    (sensor, filter): (&mut Sensor, &mut Filter),
     tuning: &Tuning,
     distance_m: f64,
     (felt, sign): (&KnownChange, f64),

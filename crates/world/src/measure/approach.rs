@@ -1,9 +1,6 @@
 //! How a vehicle came up to the one ahead: what every measure of a pair is computed from.
 
-use crate::sim::{Contact, Impact, Motion, Pair, Trace, closest_gap_m};
-
-/// Samples this close to a contact, in seconds, are the contact.
-pub(super) const SAME_INSTANT_S: f64 = 1e-9;
+use crate::sim::{Contact, Impact, Motion, Pair, SAME_INSTANT_S, Trace, Track, closest_gap_m};
 
 /// Two successive vehicles at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,6 +26,23 @@ impl State {
         self.rear_speed_mps - self.front_speed_mps
     }
 
+    fn of(time_s: f64, [front, rear]: [Motion; 2], front_length_m: f64) -> Self {
+        Self {
+            time_s,
+            gap_m: front.position_m - front_length_m - rear.position_m,
+            front_speed_mps: front.speed_mps,
+            rear_speed_mps: rear.speed_mps,
+            front_acceleration_mps2: front.acceleration_mps2,
+            rear_acceleration_mps2: rear.acceleration_mps2,
+        }
+    }
+
+    /// Front and rear at a sample of a trace.
+    pub(super) fn at_sample(times_s: &[f64], [front, rear]: [&Track; 2], sample: usize) -> Option<Self> {
+        let motion = [front.motion(sample)?, rear.motion(sample)?];
+        Some(Self::of(*times_s.get(sample)?, motion, front.length_m))
+    }
+
     /// Smallest gap at any instant of the next `step_s` seconds, in metres, both accelerations held.
     fn min_gap_within_m(&self, step_s: f64) -> f64 {
         // Where on the road they are does not matter: seen from the rear vehicle, the one ahead ends at the gap.
@@ -39,55 +53,87 @@ impl State {
     }
 }
 
-/// A vehicle's approach to the one ahead, from the start of a trace until the two touch or the trace ends.
+/// A vehicle's approach to the one ahead, from the start of a trace until the two touch or the trace ends. Where vehicles enter
+/// or leave the lane, it is to whoever is ahead.
 ///
 /// It ends at the first contact because afterwards there is nothing left to avoid: the gap stays zero and time to
 /// collision would be a quotient of rounding errors. The instant of contact is its last state, whether or not the run
 /// went on and whether or not the trace has a sample there, so that all measures agree between the two.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Approach {
-    front_length_m: f64,
-    states: Vec<State>,
+    legs: Vec<Leg>,
     touched: bool,
 }
 
+/// The approach to one vehicle ahead.
+#[derive(Debug, Clone, PartialEq)]
+struct Leg {
+    front_length_m: f64,
+    states: Vec<State>,
+    /// Whether one of the two left, or somebody entered between them.
+    parted: bool,
+}
+
 impl Approach {
-    /// The approach of vehicle `rear` to the one ahead; none for the leader and for a vehicle that does not exist.
+    /// The approach of vehicle `rear` to the one ahead; none for a vehicle that never has one ahead or does not exist.
     ///
     /// Contacts are taken from `impacts`; where those say nothing, from the first sample without a gap. Tracks of
     /// unequal length count up to the shortest.
     #[must_use]
     pub fn of(trace: &Trace, impacts: &[Impact], rear: usize) -> Option<Self> {
-        let pair = trace.pair(rear)?;
         let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.rear_vehicle == rear);
-        let until_s = contact.map_or(f64::INFINITY, |contact| contact.time_s - SAME_INSTANT_S);
+        Self::through(&trace.pairs(rear), contact)
+    }
 
-        let mut touched = false;
-        let mut states = Vec::with_capacity(trace.len());
-        for state in states_of(&pair).take_while(|state| state.time_s < until_s) {
-            touched = state.gap_m <= 0.0;
-            states.push(State { gap_m: state.gap_m.max(0.0), ..state });
+    /// The approach to vehicle `front` of whoever is right behind it; none if nobody ever is.
+    #[must_use]
+    pub(super) fn onto(trace: &Trace, impacts: &[Impact], front: usize) -> Option<Self> {
+        let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.front_vehicle == front);
+        let behind = front.checked_add(1)?..trace.vehicles.len();
+        let pairs = behind.flat_map(|rear| trace.pairs(rear)).filter(|pair| pair.front_vehicle == front);
+        let mut pairs: Vec<Pair<'_>> = pairs.collect();
+        pairs.sort_by(|a, b| a.span_s[0].total_cmp(&b.span_s[0]));
+        Self::through(&pairs, contact)
+    }
+
+    fn through(pairs: &[Pair<'_>], contact: Option<&Contact>) -> Option<Self> {
+        let until_s = contact.map_or(f64::INFINITY, |contact| contact.time_s - SAME_INSTANT_S);
+        let (mut legs, mut touched) = (Vec::new(), false);
+        for pair in pairs.iter().filter(|pair| pair.span_s[0] < until_s) {
+            let (front_length_m, parted) = (pair.front.length_m, pair.span_s[1].is_finite());
+            let mut leg = Leg { front_length_m, states: Vec::with_capacity(pair.samples().len() + 1), parted };
+            for state in states_of(pair).take_while(|state| state.time_s < until_s) {
+                touched = state.gap_m <= 0.0;
+                leg.states.push(State { gap_m: state.gap_m.max(0.0), ..state });
+                if touched {
+                    break;
+                }
+            }
+            legs.push(leg);
             if touched {
                 break;
             }
         }
-        if let (Some(contact), false) = (contact, touched) {
-            states.push(at_contact(contact, states.last()));
+        if let (Some(contact), false, Some(leg)) = (contact, touched, legs.last_mut()) {
+            leg.states.push(at_contact(contact, leg.states.last()));
             touched = true;
         }
-        Some(Self { front_length_m: pair.front.length_m, states, touched })
+        (!legs.is_empty()).then_some(Self { legs, touched })
     }
 
-    /// The states in order of time; empty if the trace is.
-    #[must_use]
-    pub fn states(&self) -> &[State] {
-        &self.states
+    /// The states in order of time; none if the trace is empty.
+    pub fn states(&self) -> impl Iterator<Item = &State> {
+        self.legs.iter().flat_map(|leg| &leg.states)
     }
 
-    /// Bumper to bumper length of the vehicle ahead, in metres.
-    #[must_use]
-    pub fn front_length_m(&self) -> f64 {
-        self.front_length_m
+    /// The states, each with the bumper to bumper length of the vehicle ahead in metres.
+    pub(super) fn states_with_length_m(&self) -> impl Iterator<Item = (&State, f64)> {
+        self.legs.iter().flat_map(|leg| leg.states.iter().map(|state| (state, leg.front_length_m)))
+    }
+
+    /// Each state with the next one that is of the same two vehicles.
+    pub(super) fn steps(&self) -> impl Iterator<Item = (&State, &State)> {
+        self.legs.iter().flat_map(|leg| leg.states.iter().zip(leg.states.iter().skip(1)))
     }
 
     /// Whether the approach ends in a contact.
@@ -99,35 +145,30 @@ impl Approach {
     /// Smallest bumper gap at any instant, in metres, between samples too; 0 at contact, none for an empty trace.
     #[must_use]
     pub fn min_gap_m(&self) -> Option<f64> {
-        let at_samples = self.states.iter().map(|state| state.gap_m);
-        let steps = self.states.iter().zip(self.states.iter().skip(1));
-        let between = steps.map(|(state, next)| state.min_gap_within_m(next.time_s - state.time_s));
+        let at_samples = self.states().map(|state| state.gap_m);
+        let between = self.steps().map(|(state, next)| state.min_gap_within_m(next.time_s - state.time_s));
         at_samples.chain(between).reduce(f64::min)
     }
 
-    /// Bumper gap at which the two came to stand, in metres; none if they touched or one of them still moves.
+    /// Bumper gap at which the two came to stand, in metres; none if they touched, parted, or one of them still moves.
     #[must_use]
     pub fn standstill_gap_m(&self) -> Option<f64> {
-        let last = self.states.last()?;
-        let stand = last.front_speed_mps == 0.0 && last.rear_speed_mps == 0.0;
-        (stand && !self.touched).then_some(last.gap_m)
+        let leg = self.legs.last().filter(|leg| !leg.parted && !self.touched)?;
+        let last = leg.states.last()?;
+        (last.front_speed_mps == 0.0 && last.rear_speed_mps == 0.0).then_some(last.gap_m)
     }
 }
 
-/// Both at every sample, to the end of the trace: gaps may be negative.
-pub(super) fn states_of<'a>(pair: &Pair<'a>) -> impl Iterator<Item = State> + use<'a> {
-    let speeds = pair.front.speed_mps.iter().zip(&pair.rear.speed_mps);
-    let accelerations = pair.front.acceleration_mps2.iter().zip(&pair.rear.acceleration_mps2);
-    pair.time_s.iter().zip(pair.gaps_m()).zip(speeds.zip(accelerations)).map(
-        |((&time_s, gap_m), ((&front_speed_mps, &rear_speed_mps), (&front_acceleration, &rear_acceleration)))| State {
-            time_s,
-            gap_m,
-            front_speed_mps,
-            rear_speed_mps,
-            front_acceleration_mps2: front_acceleration,
-            rear_acceleration_mps2: rear_acceleration,
-        },
-    )
+/// Both at the start of their time together, at every sample, and at its end: gaps may be negative.
+fn states_of<'a>(pair: &Pair<'a>) -> impl Iterator<Item = State> + use<'a> {
+    let Pair { time_s, front, rear, span_s, .. } = *pair;
+    let is_sampled = |at_s: f64| time_s.iter().any(|sampled_s| (sampled_s - at_s).abs() <= SAME_INSTANT_S);
+    let [first, last] = span_s.map(|at_s| {
+        let motion = if at_s.is_finite() && !is_sampled(at_s) { pair.motion_at(at_s) } else { None };
+        motion.map(|motion| State::of(at_s, motion, front.length_m))
+    });
+    let samples = pair.samples().filter_map(move |sample| State::at_sample(time_s, [front, rear], sample));
+    first.into_iter().chain(samples).chain(last)
 }
 
 fn at_contact(contact: &Contact, before: Option<&State>) -> State {
@@ -167,11 +208,11 @@ mod tests {
         let rear = driven(2.0, 0.0, 14.0, &[(5.0, 0.0)], 1.0);
         let trace = trace(vec![front, rear], 1.0);
         let approach = Approach::of(&trace, &[impact(2.5, 0, 10.0, 14.0)], 1).unwrap();
-        assert_eq!(approach.states().iter().map(|s| s.time_s).collect::<Vec<_>>(), [0.0, 1.0, 2.0, 2.5]);
+        assert_eq!(approach.states().map(|s| s.time_s).collect::<Vec<_>>(), [0.0, 1.0, 2.0, 2.5]);
         assert_eq!((approach.touched(), approach.min_gap_m()), (true, Some(0.0)));
 
         let told_by_the_gap_alone = Approach::of(&trace, &[], 1).unwrap();
-        assert_eq!(told_by_the_gap_alone.states().len(), 4, "ends at the first sample without a gap");
+        assert_eq!(told_by_the_gap_alone.states().count(), 4, "ends at the first sample without a gap");
         assert_eq!((told_by_the_gap_alone.touched(), told_by_the_gap_alone.min_gap_m()), (true, Some(0.0)));
     }
 

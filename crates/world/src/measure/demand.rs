@@ -3,7 +3,6 @@
 use serde::{Deserialize, Serialize};
 
 use super::approach::Approach;
-use super::comfort::peak_brake_mps2;
 use crate::sim::{Impact, Trace};
 
 /// Deceleration rate to avoid a crash in m/s²: the constant deceleration of the vehicle behind that just avoids contact
@@ -61,7 +60,7 @@ impl Approach {
     /// contact DRAC grows without bound, so that its largest sample would measure the step.
     #[must_use]
     pub fn max_drac_mps2(&self) -> Option<f64> {
-        let dracs = self.states().iter().filter_map(|state| drac_mps2(state.gap_m, state.closing_mps()));
+        let dracs = self.states().filter_map(|state| drac_mps2(state.gap_m, state.closing_mps()));
         dracs.reduce(f64::max).filter(|_| !self.touched())
     }
 
@@ -69,7 +68,7 @@ impl Approach {
     /// none if the two touched, for the reason given with [`Approach::max_drac_mps2`].
     #[must_use]
     pub fn max_required_brake_mps2(&self) -> Option<f64> {
-        let required = self.states().iter().filter_map(|state| {
+        let required = self.states().filter_map(|state| {
             required_brake_mps2(
                 state.gap_m,
                 state.front_speed_mps,
@@ -102,9 +101,10 @@ impl Imposed {
     /// What vehicle `index` imposed on the one behind it; none for the last vehicle.
     #[must_use]
     pub fn of(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
-        let approach = Approach::of(trace, impacts, index.checked_add(1)?)?;
+        let approach = Approach::onto(trace, impacts, index)?;
+        let brakes_mps2 = approach.steps().map(|(state, _)| -state.rear_acceleration_mps2);
         Some(Self {
-            peak_brake_mps2: peak_brake_mps2(approach.states().iter().map(|state| state.rear_acceleration_mps2)),
+            peak_brake_mps2: brakes_mps2.reduce(f64::max).map(|brake_mps2| brake_mps2.max(0.0)),
             max_drac_mps2: approach.max_drac_mps2(),
             max_required_brake_mps2: approach.max_required_brake_mps2(),
         })

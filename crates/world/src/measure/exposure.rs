@@ -38,8 +38,7 @@ impl Approach {
     /// automated driving", Archives of Computational Methods in Engineering 30, sections 5.2.6 and 5.2.7.
     #[must_use]
     pub fn exposure(&self, threshold_s: f64) -> Exposure {
-        let steps = self.states().iter().zip(self.states().iter().skip(1));
-        steps.fold(Exposure::default(), |sum, (from, to)| {
+        self.steps().fold(Exposure::default(), |sum, (from, to)| {
             let exposed_s = (to.time_s - from.time_s) * exposed_share(from, to, threshold_s);
             let shortfalls_s = shortfall_s(from, threshold_s) + shortfall_s(to, threshold_s);
             Exposure { tet_s: sum.tet_s + exposed_s, tit_s2: sum.tit_s2 + 0.5 * exposed_s * shortfalls_s }
@@ -151,7 +150,7 @@ mod tests {
             brakes_mps2 in prop::array::uniform2(1.0..8.0f64),
         ) {
             let fine = Approach::of(&avoided(gap_m, speed_mps, brakes_mps2, 0.0005), &[], 1).unwrap();
-            let ttcs = fine.states().iter().filter_map(|s| super::super::ttc_s(s.gap_m, s.closing_mps()));
+            let ttcs = fine.states().filter_map(|s| super::super::ttc_s(s.gap_m, s.closing_mps()));
             let short: Vec<f64> = ttcs.filter(|&ttc_s| ttc_s < TTC_THRESHOLD_S).collect();
             let Exposure { tet_s, tit_s2 } = fine.exposure(TTC_THRESHOLD_S);
             prop_assert!((tet_s - 0.0005 * short.len() as f64).abs() < 0.002);

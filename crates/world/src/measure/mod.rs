@@ -149,6 +149,7 @@ mod tests {
             position_m: vec![0.0; samples],
             speed_mps: vec![0.0; samples],
             acceleration_mps2: vec![0.0; samples],
+            in_lane_s: Track::THROUGHOUT_S,
         };
         assert_eq!(measure_all(&Trace { time_s: vec![], vehicles: vec![] }, &[]), []);
 
@@ -185,6 +186,7 @@ mod tests {
                 position_m: values[0].clone(),
                 speed_mps: values[1].clone(),
                 acceleration_mps2: values[2].clone(),
+                in_lane_s: Track::THROUGHOUT_S,
             });
             let trace = Trace { time_s, vehicles: vehicles.collect() };
             let mut impact = impact(contact_s, front_vehicle, 1.0, 2.0);

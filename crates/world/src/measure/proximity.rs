@@ -1,6 +1,6 @@
 //! How near: time to collision, time headway and time gap.
 
-use super::approach::Approach;
+use super::approach::{Approach, State};
 use crate::sim;
 
 /// Time to collision in seconds: how long until contact if both keep their speeds, `TTC = gap / closing speed`.
@@ -40,20 +40,20 @@ impl Approach {
     /// Smallest time to collision at any sample, in seconds, 0 at contact; none if the gap never closed.
     #[must_use]
     pub fn min_ttc_s(&self) -> Option<f64> {
-        self.states().iter().filter_map(|state| ttc_s(state.gap_m, state.closing_mps())).reduce(f64::min)
+        self.states().filter_map(|state| ttc_s(state.gap_m, state.closing_mps())).reduce(f64::min)
     }
 
     /// Smallest time headway at any sample, in seconds; none if the vehicle never moved.
     #[must_use]
     pub fn min_time_headway_s(&self) -> Option<f64> {
-        let headway = |gap_m, rear_speed_mps| time_headway_s(gap_m, self.front_length_m(), rear_speed_mps);
-        self.states().iter().filter_map(|state| headway(state.gap_m, state.rear_speed_mps)).reduce(f64::min)
+        let headway = |(state, length_m): (&State, f64)| time_headway_s(state.gap_m, length_m, state.rear_speed_mps);
+        self.states_with_length_m().filter_map(headway).reduce(f64::min)
     }
 
     /// Smallest time gap at any sample, in seconds, 0 at contact; none if the vehicle never moved.
     #[must_use]
     pub fn min_time_gap_s(&self) -> Option<f64> {
-        self.states().iter().filter_map(|state| time_gap_s(state.gap_m, state.rear_speed_mps)).reduce(f64::min)
+        self.states().filter_map(|state| time_gap_s(state.gap_m, state.rear_speed_mps)).reduce(f64::min)
     }
 }
 

@@ -4,7 +4,7 @@ use crate::sim::Impact;
 
 /// The impacts in which vehicle `index` is one of those that stick together afterwards.
 pub fn impacts_of(impacts: &[Impact], index: usize) -> impl Iterator<Item = &Impact> {
-    impacts.iter().filter(move |impact| (impact.first_involved..=impact.last_involved).contains(&index))
+    impacts.iter().filter(move |impact| impact.involves(index))
 }
 
 /// Speed at which vehicle `index` hit the one ahead, in m/s, relative to it; none if it did not. The largest, should
@@ -52,6 +52,7 @@ mod tests {
         let second = Impact {
             contact: Contact { time_s: 2.0, front_vehicle: 0, rear_vehicle: 1, ..impact(2.0, 0, 1.0, 7.0).contact },
             common_speed_mps: 5.0,
+            beside: Vec::new(),
             first_involved: 0,
             last_involved: 2,
         };

@@ -17,7 +17,7 @@ pub(super) fn driven(length_m: f64, position_m: f64, speed_mps: f64, pieces: &[(
         }
     }
     acceleration_mps2.push(acceleration_mps2.last().copied().unwrap_or(0.0));
-    Track { length_m, mass_kg: 1500.0, position_m, speed_mps, acceleration_mps2 }
+    Track { length_m, mass_kg: 1500.0, position_m, speed_mps, acceleration_mps2, in_lane_s: Track::THROUGHOUT_S }
 }
 
 /// A trace of such vehicles, front to rear.
@@ -39,6 +39,7 @@ pub(super) fn impact(time_s: f64, front: usize, front_speed_mps: f64, rear_speed
     Impact {
         contact,
         common_speed_mps: 0.5 * (front_speed_mps + rear_speed_mps),
+        beside: Vec::new(),
         first_involved: front,
         last_involved: front + 1,
     }

@@ -102,6 +102,20 @@ pub enum Problem {
     /// A delay, lag or jerk limit on a vehicle that follows a script.
     #[error("has no place on a vehicle that follows a script: put the delay into the script")]
     Scripted,
+    /// A vehicle that decides for itself and is to change lanes.
+    #[error("has no place on a vehicle that is driven by `{driver}`: only one that follows a script may change lanes")]
+    NotScripted {
+        /// Who drives it.
+        driver: &'static str,
+    },
+    /// A vehicle that leaves no later than it enters.
+    #[error("must be later than it enters, at {enters_s} s, found {found} s")]
+    LeavesBefore {
+        /// When it enters, in seconds.
+        enters_s: f64,
+        /// When it leaves, in seconds.
+        found: f64,
+    },
     /// A duration that is not a whole number of steps.
     #[error("must be a whole number of steps of {step_s} s, found {found} s")]
     NotWholeSteps {

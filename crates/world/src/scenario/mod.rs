@@ -8,6 +8,7 @@ pub mod controller_file;
 mod driver;
 pub mod file;
 mod invalid;
+mod lane_change;
 mod paper;
 mod profile;
 pub mod space;
@@ -22,6 +23,7 @@ use serde::{Deserialize, Serialize};
 pub use driver::{Driver, FileDriver};
 pub use invalid::short;
 pub use invalid::{InvalidField, Problem, Range};
+pub use lane_change::LaneChange;
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};
 pub use speed_dip::{SPEED_DIP_S, speed_dip};
@@ -184,6 +186,12 @@ impl Scenario {
         &self.spec.vehicles
     }
 
+    /// Whether every vehicle is in the lane throughout, so that everybody's neighbours stay the same.
+    #[must_use]
+    pub fn keeps_lanes(&self) -> bool {
+        self.spec.vehicles.iter().all(VehicleSpec::keeps_lane)
+    }
+
     /// Whether some vehicle's driver is left to the run.
     #[must_use]
     pub fn has_vehicle_under_test(&self) -> bool {
@@ -210,7 +218,8 @@ impl Scenario {
         self.spec.vehicles.get(index).map_or(0.0, |v| v.max_brake_mps2() * self.spec.environment.friction)
     }
 
-    /// Bumper gap ahead of vehicle `index` at the start, in metres; none for the leader.
+    /// Bumper gap ahead of vehicle `index` at the start, in metres, to the one listed before it; none for the first. It may be
+    /// negative where one of the two is beside the lane.
     #[must_use]
     pub fn initial_gap_m(&self, index: usize) -> Option<f64> {
         let ahead = self.spec.vehicles.get(index.checked_sub(1)?)?;

@@ -1,7 +1,7 @@
 //! The one place that says which scenarios are valid.
 
 use super::invalid::{InvalidField, Problem, Range};
-use super::{Driver, LeadProfile, SCENARIO_VERSION, ScenarioSpec, VehicleSpec};
+use super::{Driver, LaneChange, LeadProfile, SCENARIO_VERSION, ScenarioSpec, VehicleSpec};
 use crate::control::ControllerSpec;
 
 const fn from(min: f64, max: f64) -> Range {
@@ -46,16 +46,14 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     for (index, vehicle) in spec.vehicles.iter().enumerate() {
         check_vehicle(&vehicles.item(index), vehicle)?;
     }
-    for (index, pair) in spec.vehicles.windows(2).enumerate() {
-        if let [ahead, behind] = pair {
-            let rear_bumper_m = ahead.position_m - ahead.length_m();
-            if behind.position_m >= rear_bumper_m {
-                return vehicles.item(index + 1).at("position_m").wrong(Problem::Overlap {
-                    ahead: index,
-                    rear_bumper_m,
-                    found: behind.position_m,
-                });
-            }
+    let mut in_lane = spec.vehicles.iter().enumerate().filter(|(_, vehicle)| vehicle.enters.is_none()).peekable();
+    while let Some((ahead, front)) = in_lane.next() {
+        let rear_bumper_m = front.position_m - front.length_m();
+        if let Some((index, behind)) = in_lane.peek()
+            && behind.position_m >= rear_bumper_m
+        {
+            let found = behind.position_m;
+            return vehicles.item(*index).at("position_m").wrong(Problem::Overlap { ahead, rear_bumper_m, found });
         }
     }
     Ok(steps)
@@ -88,6 +86,7 @@ fn check_vehicle(place: &Place<'_>, vehicle: &VehicleSpec) -> Result<(), Invalid
     place.at("actuator_lag_s").number(vehicle.actuator_lag_s, from(0.0, 10.0))?;
     place.at("actuator_delay_s").number(vehicle.actuator_delay_s, from(0.0, 10.0))?;
     place.at("jerk_limit_mps3").optional(vehicle.jerk_limit_mps3, from(0.1, 1e4))?;
+    check_lane_changes(place, vehicle)?;
     let driver = place.at("driver");
     let driver = driver.at(vehicle.driver.name());
     match &vehicle.driver {
@@ -103,6 +102,29 @@ fn check_vehicle(place: &Place<'_>, vehicle: &VehicleSpec) -> Result<(), Invalid
             .wrong(Problem::DriverFile { why: "was not read: read the scenario from a file".to_owned() }),
         Driver::File(_) => Ok(()),
     }
+}
+
+/// Who decides by what is seen would have to see both lanes.
+fn check_lane_changes(place: &Place<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
+    for (field, change) in [("enters", vehicle.enters), ("leaves", vehicle.leaves)] {
+        let Some(change) = change else { continue };
+        let place = place.at(field);
+        if !matches!(vehicle.driver, Driver::Profile(_)) {
+            return place.wrong(Problem::NotScripted { driver: vehicle.driver.name() });
+        }
+        let range = match change {
+            LaneChange::At(_) => TIME_S,
+            LaneChange::Gap(_) => from(0.01, 1e5),
+            LaneChange::TimeToCollision(_) => from(0.01, 1e3),
+        };
+        place.at(change.field()).number(change.value(), range)?;
+    }
+    if let (Some(LaneChange::At(enters_s)), Some(LaneChange::At(found))) = (vehicle.enters, vehicle.leaves)
+        && found <= enters_s
+    {
+        return place.at("leaves").at("at_s").wrong(Problem::LeavesBefore { enters_s, found });
+    }
+    Ok(())
 }
 
 /// A script that the vehicle could not follow on a dry road is a mistake, not a scenario.

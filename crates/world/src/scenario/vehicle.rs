@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::driver::Driver;
+use super::lane_change::LaneChange;
 
 /// What a vehicle of a class has unless its scenario says otherwise.
 struct Preset {
@@ -139,6 +140,14 @@ pub struct VehicleSpec {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.1, max = 1e4)))]
     pub jerk_limit_mps3: Option<f64>,
+    /// When it enters the lane. Until then it drives in the lane beside: nobody in the lane minds it, and it touches nobody. It
+    /// enters only if it is clear of the vehicles before and after it in the list at that moment, and stays beside otherwise.
+    /// Only a scripted vehicle may. Default: it is in the lane from the start.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub enters: Option<LaneChange>,
+    /// When it leaves the lane, once it is in it. Only a scripted vehicle may. Default: never.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub leaves: Option<LaneChange>,
 }
 
 fn is_zero(value: &f64) -> bool {
@@ -163,7 +172,15 @@ impl VehicleSpec {
             actuator_lag_s: 0.0,
             actuator_delay_s: 0.0,
             jerk_limit_mps3: None,
+            enters: None,
+            leaves: None,
         }
+    }
+
+    /// Whether it is in the lane throughout.
+    #[must_use]
+    pub fn keeps_lane(&self) -> bool {
+        self.enters.is_none() && self.leaves.is_none()
     }
 
     /// Bumper to bumper, in metres: the override, or the class's.

@@ -2,6 +2,7 @@
 
 mod actuator;
 mod kind;
+mod lane;
 mod lockstep;
 mod motion;
 mod named;
@@ -15,6 +16,7 @@ mod stepper;
 mod trace;
 
 pub use kind::ControllerKind;
+pub(crate) use lane::SAME_INSTANT_S;
 pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
 pub use named::{NamedController, UnknownController};

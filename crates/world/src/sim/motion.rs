@@ -58,18 +58,33 @@ pub(super) fn needs_care(gap_m: f64, rear_mps: [f64; 2], closing_mps: [f64; 2], 
 /// Both motions are quadratic until a vehicle stops, so the gap is piecewise quadratic with at most three pieces.
 #[must_use]
 pub fn first_contact(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
-    let gap_of = |front: Motion, rear: Motion| front.position_m - front_length_m - rear.position_m;
-    if gap_of(front, rear) <= 0.0 {
+    let gap = |front: Motion, rear: Motion| {
+        let gap_m = front.position_m - front_length_m - rear.position_m;
+        [gap_m, front.speed_mps - rear.speed_mps, front.acceleration_mps2 - rear.acceleration_mps2]
+    };
+    first_zero(front, rear, gap, dt_s)
+}
+
+/// The first instant in `[0, dt_s]` at which the size of something between two vehicles is zero or less; none if there is none.
+///
+/// `size` gives value, rate and second derivative from how the two, front and rear, move; it is a quadratic until a vehicle stops.
+#[inline]
+pub(super) fn first_zero(
+    front: Motion,
+    rear: Motion,
+    size: impl Fn(Motion, Motion) -> [f64; 3],
+    dt_s: f64,
+) -> Option<f64> {
+    if size(front, rear)[0] <= 0.0 {
         return Some(0.0);
     }
     for [from_s, to_s] in pieces(front, rear, dt_s) {
-        let (f, r) = (front.from(from_s), rear.from(from_s));
-        let relative_mps2 = f.acceleration_mps2 - r.acceleration_mps2;
-        let root_s = first_root(gap_of(f, r), f.speed_mps - r.speed_mps, relative_mps2);
+        let [value, rate, second] = size(front.from(from_s), rear.from(from_s));
+        let root_s = first_root(value, rate, second);
         if let Some(root_s) = root_s.filter(|root_s| from_s + root_s <= to_s) {
             return Some((from_s + root_s).min(dt_s));
         }
-        if gap_of(front.after(to_s), rear.after(to_s)) <= 0.0 {
+        if size(front.after(to_s), rear.after(to_s))[0] <= 0.0 {
             return Some(to_s);
         }
     }

@@ -103,18 +103,25 @@ pub struct Impact {
     pub first_involved: usize,
     /// Rearmost vehicle involved.
     pub last_involved: usize,
+    /// Vehicles listed between these that were beside the lane.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub beside: Vec<usize>,
 }
 
 impl Impact {
+    /// Whether vehicle `index` is involved.
+    #[must_use]
+    pub fn involves(&self, index: usize) -> bool {
+        (self.first_involved..=self.last_involved).contains(&index) && !self.beside.contains(&index)
+    }
+
     /// Change of speed of vehicle `index` in this impact, in m/s, never negative; 0 if it is not involved.
     #[must_use]
     pub fn delta_v_mps(&self, index: usize) -> f64 {
-        if (self.first_involved..=self.contact.front_vehicle).contains(&index) {
-            self.common_speed_mps - self.contact.front_speed_mps
-        } else if (self.contact.rear_vehicle..=self.last_involved).contains(&index) {
-            self.contact.rear_speed_mps - self.common_speed_mps
-        } else {
-            0.0
+        match self.involves(index) {
+            true if index <= self.contact.front_vehicle => self.common_speed_mps - self.contact.front_speed_mps,
+            true => self.contact.rear_speed_mps - self.common_speed_mps,
+            false => 0.0,
         }
     }
 }
@@ -164,10 +171,6 @@ impl Simulated {
     /// How many vehicles were involved in some impact.
     #[must_use]
     pub fn vehicles_involved(&self) -> usize {
-        (0..self.vehicles.len())
-            .filter(|index| {
-                self.impacts.iter().any(|impact| (impact.first_involved..=impact.last_involved).contains(index))
-            })
-            .count()
+        (0..self.vehicles.len()).filter(|&index| self.impacts.iter().any(|impact| impact.involves(index))).count()
     }
 }

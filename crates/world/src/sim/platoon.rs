@@ -1,5 +1,6 @@
 //! A line of vehicles as bodies: how they move together through one step, and what happens when they touch.
 
+use super::lane::{Bodies, Lane};
 use super::motion::{Motion, closest_gap_until, first_contact, needs_care};
 use super::{AfterContact, Contact, Impact};
 
@@ -12,20 +13,37 @@ pub(super) struct Platoon {
     pub(super) motion: Vec<Motion>,
     pub(super) length_m: Vec<f64>,
     pub(super) mass_kg: Vec<f64>,
-    /// Whether each vehicle sticks to the one ahead of it.
+    /// Who is in the lane; whoever is beside it touches nobody.
+    pub(super) lane: Lane,
+    /// Whether each vehicle sticks to the one ahead of it in the lane.
     pub(super) sticks: Vec<bool>,
     /// Smallest gap ahead of each vehicle so far, in metres; infinite for the leader.
     pub(super) min_gap_m: Vec<f64>,
 }
 
 impl Platoon {
-    pub(super) fn gap_m(&self, rear: usize) -> f64 {
-        self.motion[rear - 1].position_m - self.length_m[rear - 1] - self.motion[rear].position_m
+    /// Bumper gap ahead of a vehicle, in metres; none if nobody is ahead of it in the lane.
+    pub(super) fn gap_m(&self, rear: usize) -> Option<f64> {
+        self.lane.ahead(rear).map(|front| self.gap_between_m(front, rear))
+    }
+
+    pub(super) fn gap_between_m(&self, front: usize, rear: usize) -> f64 {
+        self.motion[front].position_m - self.length_m[front] - self.motion[rear].position_m
     }
 
     /// Whether a vehicle sticks to another one.
     pub(super) fn is_stuck(&self, index: usize) -> bool {
-        [index, index + 1].into_iter().any(|rear| self.sticks.get(rear).is_some_and(|&sticks| sticks))
+        self.sticks.get(index).is_some_and(|&sticks| sticks)
+            || self.lane.behind(index).is_some_and(|rear| self.sticks[rear])
+    }
+
+    /// Notes the gaps at this instant.
+    pub(super) fn note_gaps(&mut self) {
+        for rear in 0..self.motion.len() {
+            if let Some(gap_m) = self.gap_m(rear) {
+                self.min_gap_m[rear] = self.min_gap_m[rear].min(gap_m);
+            }
+        }
     }
 
     /// Moves everybody by `dt_s`, through whatever contacts happen on the way, which are added to `impacts`.
@@ -40,13 +58,13 @@ impl Platoon {
         impacts: &mut Vec<Impact>,
     ) -> f64 {
         let mut done_s = 0.0;
-        while let Some((in_s, rear)) = self.next_contact(dt_s - done_s) {
-            self.drift(in_s);
+        while let Some((in_s, [front, rear])) = self.next_contact(from_s + done_s, dt_s - done_s) {
+            self.drift(from_s + done_s, in_s);
             done_s += in_s;
-            let impact = self.impact(from_s + done_s, rear);
+            let impact = self.impact(from_s + done_s, front, rear);
             self.min_gap_m[rear] = 0.0;
             let common_mps = impact.common_speed_mps;
-            let involved = impact.first_involved..=impact.last_involved;
+            let involved: Vec<usize> = (0..self.motion.len()).filter(|&vehicle| impact.involves(vehicle)).collect();
             impacts.push(impact);
             if after_contact == AfterContact::Stop {
                 return done_s;
@@ -54,67 +72,135 @@ impl Platoon {
             self.sticks[rear] = true;
             for vehicle in involved {
                 self.motion[vehicle].speed_mps = common_mps;
+                self.lane.keep(vehicle);
             }
             self.share_acceleration();
         }
-        self.drift(dt_s - done_s);
+        self.drift(from_s + done_s, dt_s - done_s);
         dt_s
     }
 
-    /// The earliest contact within `within_s`: when, and the rear vehicle. The foremost of simultaneous ones.
-    fn next_contact(&self, within_s: f64) -> Option<(f64, usize)> {
-        let mut first: Option<(f64, usize)> = None;
-        let mut front = *self.motion.first()?;
-        let mut front_end = front.after(within_s);
-        for rear in 1..self.motion.len() {
-            let behind = self.motion[rear];
-            let behind_end = behind.after(within_s);
-            let behind_mps = [behind.speed_mps, behind_end.speed_mps];
-            let closing_mps = [behind_mps[0] - front.speed_mps, behind_mps[1] - front_end.speed_mps];
-            if !self.sticks[rear]
-                && needs_care(self.gap_m(rear), behind_mps, closing_mps, within_s)
-                && let Some(in_s) = first_contact(front, behind, self.length_m[rear - 1], within_s)
-                && first.is_none_or(|(earliest_s, _)| in_s < earliest_s)
-            {
-                first = Some((in_s, rear));
+    fn bodies(&self) -> Bodies<'_> {
+        Bodies { motion: &self.motion, length_m: &self.length_m }
+    }
+
+    /// The earliest contact within `within_s` from `now_s`: when, and who. The foremost of simultaneous ones.
+    fn next_contact(&self, now_s: f64, within_s: f64) -> Option<(f64, [usize; 2])> {
+        if self.lane.is_settled() {
+            return self.contact_in(&self.lane, [0.0, within_s]);
+        }
+        let stints = self.lane.stints(self.bodies(), now_s, within_s);
+        stints.iter().find_map(|stint| self.contact_in(&stint.lane, [stint.from_s, stint.to_s]))
+    }
+
+    /// The earliest contact between two instants in which nobody enters or leaves.
+    fn contact_in(&self, lane: &Lane, [from_s, to_s]: [f64; 2]) -> Option<(f64, [usize; 2])> {
+        let within_s = to_s - from_s;
+        let mut first: Option<(f64, [usize; 2])> = None;
+        let mut before: Option<(usize, Motion, Motion)> = None;
+        for rear in 0..self.motion.len() {
+            if !lane.holds(rear) {
+                continue;
             }
-            (front, front_end) = (behind, behind_end);
+            let behind = self.at(rear, from_s);
+            let behind_end = behind.after(within_s);
+            if let Some((index, front, front_end)) = before
+                && !self.sticks[rear]
+            {
+                let behind_mps = [behind.speed_mps, behind_end.speed_mps];
+                let closing_mps = [behind_mps[0] - front.speed_mps, behind_mps[1] - front_end.speed_mps];
+                let length_m = self.length_m[index];
+                let gap_m = front.position_m - length_m - behind.position_m;
+                if needs_care(gap_m, behind_mps, closing_mps, within_s)
+                    && let Some(in_s) = first_contact(front, behind, length_m, within_s)
+                    && first.is_none_or(|(earliest_s, _)| from_s + in_s < earliest_s)
+                {
+                    first = Some((from_s + in_s, [index, rear]));
+                }
+            }
+            before = Some((rear, behind, behind_end));
         }
         first
     }
 
+    fn at(&self, vehicle: usize, in_s: f64) -> Motion {
+        if in_s == 0.0 { self.motion[vehicle] } else { self.motion[vehicle].after(in_s) }
+    }
+
     /// Moves everybody by `dt_s` in which nobody touches, and notes how close they came.
-    fn drift(&mut self, dt_s: f64) {
-        let Some(mut front) = self.motion.first().copied() else { return };
-        let mut front_end = front.after(dt_s);
-        self.motion[0] = front_end;
-        for rear in 1..self.motion.len() {
-            let behind = self.motion[rear];
-            let behind_end = behind.after(dt_s);
-            if !self.sticks[rear] {
-                let closest_m =
-                    closest_gap_until([front, behind], [front_end, behind_end], self.length_m[rear - 1], dt_s);
-                self.min_gap_m[rear] = self.min_gap_m[rear].min(closest_m);
+    fn drift(&mut self, now_s: f64, dt_s: f64) {
+        if self.lane.is_settled() {
+            self.note_closest_and_move(dt_s);
+        } else {
+            let mut stints = self.lane.stints(self.bodies(), now_s, dt_s);
+            for (place, stint) in stints.iter().enumerate() {
+                // Who enters and leaves at one instant was never there.
+                if stint.from_s < stint.to_s || place + 1 == stints.len() {
+                    self.note_closest(&stint.lane, [stint.from_s, stint.to_s]);
+                }
             }
-            self.motion[rear] = behind_end;
-            (front, front_end) = (behind, behind_end);
+            self.motion.iter_mut().for_each(|motion| *motion = motion.after(dt_s));
+            if let Some(last) = stints.pop() {
+                self.lane = last.lane;
+            }
         }
         // The gap inside a group is exactly zero: an emergency brake that looks at its sign must not see rounding.
         for rear in 1..self.motion.len() {
-            if self.sticks[rear] {
-                self.motion[rear].position_m = self.motion[rear - 1].position_m - self.length_m[rear - 1];
+            if self.sticks[rear]
+                && let Some(front) = self.lane.ahead(rear)
+            {
+                self.motion[rear].position_m = self.motion[front].position_m - self.length_m[front];
             }
         }
     }
 
+    /// What a step without changes of lanes does: each motion is worked out once.
+    fn note_closest_and_move(&mut self, dt_s: f64) {
+        let mut before: Option<(usize, Motion, Motion)> = None;
+        for rear in 0..self.motion.len() {
+            let behind = self.motion[rear];
+            let behind_end = behind.after(dt_s);
+            self.motion[rear] = behind_end;
+            if !self.lane.holds(rear) {
+                continue;
+            }
+            if let Some((index, front, front_end)) = before
+                && !self.sticks[rear]
+            {
+                let closest_m = closest_gap_until([front, behind], [front_end, behind_end], self.length_m[index], dt_s);
+                self.min_gap_m[rear] = self.min_gap_m[rear].min(closest_m);
+            }
+            before = Some((rear, behind, behind_end));
+        }
+    }
+
+    /// Notes how close vehicles come between two instants in which nobody enters or leaves, the first of them included.
+    fn note_closest(&mut self, lane: &Lane, [from_s, to_s]: [f64; 2]) {
+        for rear in 0..self.motion.len() {
+            let Some(front) = lane.ahead(rear).filter(|_| !self.sticks[rear]) else { continue };
+            let (ahead, behind) = (self.at(front, from_s), self.at(rear, from_s));
+            let (length_m, within_s) = (self.length_m[front], to_s - from_s);
+            let ends = [ahead.after(within_s), behind.after(within_s)];
+            let at_first_m = ahead.position_m - length_m - behind.position_m;
+            let closest_m = closest_gap_until([ahead, behind], ends, length_m, within_s).min(at_first_m);
+            self.min_gap_m[rear] = self.min_gap_m[rear].min(closest_m);
+        }
+    }
+
     /// What the contact between `rear` and the vehicle ahead of it does.
-    fn impact(&self, time_s: f64, rear: usize) -> Impact {
-        let front = rear - 1;
-        let first_involved = (0..=front).rev().find(|&i| !self.sticks[i]).unwrap_or(0);
-        let last_involved = (rear + 1..self.sticks.len()).find(|&i| !self.sticks[i]).unwrap_or(self.sticks.len()) - 1;
-        let involved = first_involved..=last_involved;
-        let mass_kg: f64 = self.mass_kg[involved.clone()].iter().sum();
-        let momentum: f64 = involved.map(|i| self.mass_kg[i] * self.motion[i].speed_mps).sum();
+    fn impact(&self, time_s: f64, front: usize, rear: usize) -> Impact {
+        let mut first_involved = front;
+        while let Some(ahead) = self.lane.ahead(first_involved).filter(|_| self.sticks[first_involved]) {
+            first_involved = ahead;
+        }
+        let mut last_involved = rear;
+        while let Some(behind) = self.lane.behind(last_involved).filter(|&behind| self.sticks[behind]) {
+            last_involved = behind;
+        }
+        let beside = (first_involved..=last_involved).filter(|&vehicle| !self.lane.holds(vehicle)).collect();
+        let involved = || (first_involved..=last_involved).filter(|&vehicle| self.lane.holds(vehicle));
+        let mass_kg: f64 = involved().map(|i| self.mass_kg[i]).sum();
+        let momentum: f64 = involved().map(|i| self.mass_kg[i] * self.motion[i].speed_mps).sum();
         let (front_speed_mps, rear_speed_mps) = (self.motion[front].speed_mps, self.motion[rear].speed_mps);
         let contact = Contact {
             time_s,
@@ -124,24 +210,25 @@ impl Platoon {
             rear_speed_mps,
             impact_speed_mps: rear_speed_mps - front_speed_mps,
         };
-        Impact { contact, common_speed_mps: momentum / mass_kg, first_involved, last_involved }
+        Impact { contact, common_speed_mps: momentum / mass_kg, first_involved, last_involved, beside }
     }
 
     /// Gives every group that sticks together the acceleration of its summed forces.
     pub(super) fn share_acceleration(&mut self) {
-        let mut first = 0;
-        while first < self.motion.len() {
-            let end = (first + 1..self.sticks.len()).find(|&i| !self.sticks[i]).unwrap_or(self.sticks.len());
-            if end > first + 1 {
-                let mass_kg: f64 = self.mass_kg[first..end].iter().sum();
-                let force: f64 = (first..end).map(|i| self.mass_kg[i] * self.motion[i].acceleration_mps2).sum();
+        for first in (0..self.motion.len()).filter(|&vehicle| !self.sticks[vehicle]).collect::<Vec<_>>() {
+            let mut members = vec![first];
+            while let Some(next) = self.lane.behind(members[members.len() - 1]).filter(|&behind| self.sticks[behind]) {
+                members.push(next);
+            }
+            if members.len() > 1 {
+                let mass_kg: f64 = members.iter().map(|&i| self.mass_kg[i]).sum();
+                let force: f64 = members.iter().map(|&i| self.mass_kg[i] * self.motion[i].acceleration_mps2).sum();
                 let shared = force / mass_kg;
                 let at_rest = self.motion[first].speed_mps == 0.0 && shared <= 0.0;
-                for motion in &mut self.motion[first..end] {
-                    motion.acceleration_mps2 = if at_rest { 0.0 } else { shared };
+                for member in members {
+                    self.motion[member].acceleration_mps2 = if at_rest { 0.0 } else { shared };
                 }
             }
-            first = end;
         }
     }
 }
@@ -162,6 +249,7 @@ mod tests {
                 .collect(),
             length_m: vec![2.0; vehicles.len()],
             mass_kg: vehicles.iter().map(|v| v.3).collect(),
+            lane: Lane::of_all(vehicles.len()),
             sticks: vec![false; vehicles.len()],
             min_gap_m: vec![f64::INFINITY; vehicles.len()],
         }
@@ -193,6 +281,6 @@ mod tests {
         platoon.share_acceleration();
         platoon.advance(0.0, 1.0, AfterContact::Continue, &mut Vec::new());
         assert!((platoon.motion[0].speed_mps - 7.0).abs() < 1e-12);
-        assert!(platoon.gap_m(1).abs() < 1e-12);
+        assert!(platoon.gap_m(1).unwrap().abs() < 1e-12);
     }
 }

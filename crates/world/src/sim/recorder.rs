@@ -74,6 +74,7 @@ impl Trace {
             position_m: Vec::with_capacity(samples),
             speed_mps: Vec::with_capacity(samples),
             acceleration_mps2: Vec::with_capacity(samples),
+            in_lane_s: Track::THROUGHOUT_S,
         };
         (keep == RecordingLevel::Trace).then(|| Self {
             time_s: Vec::with_capacity(samples),

@@ -5,6 +5,7 @@ use std::sync::{Arc, OnceLock};
 use super::AfterContact;
 use super::actuator::{Actuator, Disturbance};
 use super::kind::ControllerKind;
+use super::lane::{Bodies, Lane};
 use super::motion::Motion;
 use super::platoon::Platoon;
 use super::shielding::ShieldRefusal;
@@ -108,7 +109,7 @@ pub enum RunError {
         step_s: f64,
     },
     /// The controller cannot drive a vehicle without a neighbour that is not there.
-    #[error("the controller cannot drive vehicle {vehicle}: there is no vehicle {missing} it")]
+    #[error("the controller cannot drive vehicle {vehicle}: there is no vehicle {missing} it that stays in the lane")]
     Needs {
         /// Index of the vehicle.
         vehicle: usize,
@@ -179,10 +180,12 @@ impl<'s> Run<'s> {
                 whole_multiple(interval_s, step_s).ok_or(RunError::Interval { interval_s, step_s })?;
             }
             let needs = kind.needs();
-            if needs != Needs::Nothing && vehicle == 0 {
+            // Whoever enters or leaves is not always there.
+            let (ahead, behind) = (&vehicles[..vehicle], &vehicles[vehicle + 1..]);
+            if needs != Needs::Nothing && !ahead.iter().any(VehicleSpec::keeps_lane) {
                 return Err(RunError::Needs { vehicle, missing: "ahead of" });
             }
-            if needs == Needs::AheadAndBehind && vehicle + 1 == vehicles.len() {
+            if needs == Needs::AheadAndBehind && !behind.iter().any(VehicleSpec::keeps_lane) {
                 return Err(RunError::Needs { vehicle, missing: "behind" });
             }
         }
@@ -326,16 +329,22 @@ impl<'s> Run<'s> {
     /// Everybody at the start.
     pub(super) fn platoon(&self) -> Platoon {
         let vehicles = self.scenario.vehicles();
-        Platoon {
+        let mut platoon = Platoon {
             motion: vehicles
                 .iter()
                 .map(|v| Motion { position_m: v.position_m, speed_mps: v.speed_mps, acceleration_mps2: 0.0 })
                 .collect(),
             length_m: vehicles.iter().map(|v| v.length_m()).collect(),
             mass_kg: vehicles.iter().map(|v| v.mass_kg()).collect(),
+            lane: Lane::of_all(vehicles.len()),
             sticks: vec![false; vehicles.len()],
-            min_gap_m: (0..vehicles.len()).map(|i| self.scenario.initial_gap_m(i).unwrap_or(f64::INFINITY)).collect(),
+            min_gap_m: vec![f64::INFINITY; vehicles.len()],
+        };
+        if !self.scenario.keeps_lanes() {
+            platoon.lane = Lane::new(vehicles, Bodies { motion: &platoon.motion, length_m: &platoon.length_m });
         }
+        platoon.note_gaps();
+        platoon
     }
 }
 
@@ -348,8 +357,9 @@ pub(super) enum ActiveDriver<'s> {
 /// What is true of vehicle `index` and its neighbours.
 pub(super) fn truth(platoon: &Platoon, index: usize) -> TrueState {
     let own = platoon.motion[index];
-    let neighbour = |other: usize, gap_m: f64| {
+    let neighbour = |other: usize, [front, rear]: [usize; 2]| {
         let motion = platoon.motion[other];
+        let gap_m = platoon.gap_between_m(front, rear);
         Neighbour { gap_m, speed_mps: motion.speed_mps, acceleration_mps2: motion.acceleration_mps2 }
     };
     TrueState {
@@ -357,8 +367,8 @@ pub(super) fn truth(platoon: &Platoon, index: usize) -> TrueState {
         observation: Observation {
             speed_mps: own.speed_mps,
             acceleration_mps2: own.acceleration_mps2,
-            ahead: index.checked_sub(1).map(|front| neighbour(front, platoon.gap_m(index))),
-            behind: (index + 1 < platoon.motion.len()).then(|| neighbour(index + 1, platoon.gap_m(index + 1))),
+            ahead: platoon.lane.ahead(index).map(|front| neighbour(front, [front, index])),
+            behind: platoon.lane.behind(index).map(|rear| neighbour(rear, [index, rear])),
         },
     }
 }

@@ -28,6 +28,9 @@ pub enum ShieldRefusal {
     /// Full braking cannot be had at a known rate.
     #[error("it has a jerk limit, which the kernel does not cover")]
     Jerk,
+    /// The kernel takes for granted that the vehicle ahead stays the same.
+    #[error("vehicles enter or leave the lane, which the kernel does not cover")]
+    LaneChanges,
     /// Noise on the own acceleration may cancel the brake.
     #[error("noise on its acceleration may take away all of its brake, {brake_mps2} m/s² on this road")]
     Noise {
@@ -94,6 +97,9 @@ impl Run<'_> {
         let step_s = spec.step_s;
         let whole_steps = |time_s: f64| (time_s / step_s).round();
         let (brake_mps2, noise_mps2) = (self.scenario().usable_brake_mps2(index), noise_of(own));
+        if !self.scenario().keeps_lanes() {
+            return Err(ShieldRefusal::LaneChanges);
+        }
         if own.jerk_limit_mps3.is_some() {
             return Err(ShieldRefusal::Jerk);
         }

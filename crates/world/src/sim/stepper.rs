@@ -7,7 +7,7 @@ use super::run::{ActiveDriver, truth};
 use super::shielding::interventions;
 use super::{AfterContact, FailedController, Impact, Motion, RecordingLevel, Run, Simulated, Trace};
 use crate::control::{Controller, ControllerFailure};
-use crate::estimate::{EgoEstimator, TrueState};
+use crate::estimate::EgoEstimator;
 use crate::observation::Observation;
 
 /// A run under way.
@@ -74,16 +74,16 @@ impl<'r, 's> Stepper<'r, 's> {
         &self.platoon.motion
     }
 
-    /// Bumper gap ahead of vehicle `index`, in metres; none for the leader, and for a vehicle that does not exist.
+    /// Bumper gap ahead of vehicle `index`, in metres; none if nobody is ahead of it in the lane, and for a vehicle that does not exist.
     #[must_use]
     pub fn gap_m(&self, index: usize) -> Option<f64> {
-        (1..self.platoon.motion.len()).contains(&index).then(|| self.platoon.gap_m(index))
+        self.platoon.gap_m(index)
     }
 
     /// What vehicle `index` sees now; none for a vehicle that does not exist.
     pub fn observe(&mut self, index: usize) -> Option<Observation> {
         let vehicle = self.loops.get_mut(index)?;
-        Some(vehicle.observe(&truth(&self.platoon, index), self.run))
+        Some(vehicle.observe(&self.platoon, index, self.run))
     }
 
     /// Decides the acceleration that vehicle `index` wants in the next step, in m/s².
@@ -163,6 +163,11 @@ impl<'r, 's> Stepper<'r, 's> {
             ActiveDriver::Profile(_) => Vec::new(),
         });
         let interventions = interventions.collect();
+        if let Some(trace) = &mut self.trace {
+            for (track, &in_lane_s) in trace.vehicles.iter_mut().zip(self.platoon.lane.in_lane_s()) {
+                track.in_lane_s = in_lane_s;
+            }
+        }
         let vehicles = self.platoon.min_gap_m.iter().zip(self.tallies).zip(&self.platoon.motion);
         let vehicles =
             vehicles.map(|((&min_gap_m, tally), motion)| summary(min_gap_m, tally, motion.speed_mps)).collect();
@@ -171,9 +176,11 @@ impl<'r, 's> Stepper<'r, 's> {
 }
 
 fn see_ttc(tallies: &mut [Tally], platoon: &Platoon) {
-    for (rear, tally) in tallies.iter_mut().enumerate().skip(1) {
-        let closing_mps = platoon.motion[rear].speed_mps - platoon.motion[rear - 1].speed_mps;
-        tally.min_ttc_s = tally.min_ttc_s.min(ttc_s(platoon.gap_m(rear), closing_mps));
+    for (rear, tally) in tallies.iter_mut().enumerate() {
+        if let Some(front) = platoon.lane.ahead(rear) {
+            let closing_mps = platoon.motion[rear].speed_mps - platoon.motion[front].speed_mps;
+            tally.min_ttc_s = tally.min_ttc_s.min(ttc_s(platoon.gap_between_m(front, rear), closing_mps));
+        }
     }
 }
 
@@ -185,6 +192,8 @@ struct VehicleLoop<'s> {
     disturbance: Option<Disturbance>,
     /// What was seen at this step, if somebody has looked: the filters take one measurement a step.
     seen: Option<Observation>,
+    /// Whom the filters follow: ahead and behind.
+    followed: [Option<usize>; 2],
     /// What somebody else decided for this step.
     command_mps2: Option<f64>,
 }
@@ -197,16 +206,29 @@ impl<'s> VehicleLoop<'s> {
             actuator: run.actuator(index),
             disturbance: run.disturbance(index),
             seen: None,
+            followed: [platoon.lane.ahead(index), platoon.lane.behind(index)],
             command_mps2: None,
         }
     }
 
-    fn observe(&mut self, truth: &TrueState, run: &Run<'_>) -> Observation {
-        let estimator = &mut self.estimator;
-        *self.seen.get_or_insert_with(|| match estimator {
-            Some(estimator) => estimator.observe(run.tuning(), truth),
+    fn observe(&mut self, platoon: &Platoon, index: usize, run: &Run<'_>) -> Observation {
+        if let Some(seen) = self.seen {
+            return seen;
+        }
+        let truth = truth(platoon, index);
+        let seen = match &mut self.estimator {
+            Some(estimator) => {
+                let neighbours = [platoon.lane.ahead(index), platoon.lane.behind(index)];
+                if neighbours != self.followed {
+                    let changed = [0, 1].map(|side| neighbours[side] != self.followed[side]);
+                    estimator.follow_others(run.tuning(), &truth, changed);
+                    self.followed = neighbours;
+                }
+                estimator.observe(run.tuning(), &truth)
+            }
             None => truth.observation,
-        })
+        };
+        *self.seen.insert(seen)
     }
 
     fn decide(
@@ -218,7 +240,7 @@ impl<'s> VehicleLoop<'s> {
     ) -> Result<f64, ControllerFailure> {
         // Filters take every measurement; who is driven by a script or from outside need not look at the truth.
         if self.estimator.is_some() {
-            self.observe(&truth(platoon, index), run);
+            self.observe(platoon, index, run);
         }
         let seen = self.seen.take();
         let speed_mps = platoon.motion[index].speed_mps;

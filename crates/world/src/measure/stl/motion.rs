@@ -1,6 +1,7 @@
 //! The signals of a simulated run.
 
 use super::{Signals, SignalsError};
+use crate::measure::approach::State;
 use crate::measure::{drac_mps2, time_gap_s, time_headway_s, ttc_s};
 use crate::sim::Trace;
 
@@ -19,6 +20,8 @@ const AHEAD: [&str; 6] = ["gap_m", "closing_mps", "ttc_s", "headway_s", "time_ga
 /// | `vi.ttc_s` | time to collision; +∞ where the gap does not close |
 /// | `vi.headway_s`, `vi.time_gap_s` | time headway, time gap; +∞ at standstill |
 /// | `vi.drac_mps2` | deceleration rate to avoid a crash; 0 where the gap does not close, +∞ in contact |
+///
+/// While nobody is ahead in the lane, gap and times are +∞, closing speed and deceleration 0.
 #[must_use]
 pub fn motion_signal_names(vehicles: usize) -> Vec<String> {
     let of = |i: usize| {
@@ -51,12 +54,16 @@ pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Resu
             }
             other => {
                 let Some(of) = towards_ahead(other) else { continue };
-                let Some(pair) = trace.pair(index) else { continue };
-                let speeds = pair.front.speed_mps.iter().zip(&pair.rear.speed_mps);
-                let samples = pair.gaps_m().zip(speeds).map(|(gap_m, (front, rear))| {
+                if index == 0 {
+                    continue;
+                }
+                let samples = trace.ahead(index).enumerate().map(|(sample, front)| {
+                    let seen =
+                        front.and_then(|front| Some((front, State::at_sample(&trace.time_s, [front, track], sample)?)));
+                    let Some((front, state)) = seen else { return of(f64::INFINITY, 0.0, 0.0, 0.0) };
                     // Vehicles that stick together have a gap of zero, whatever rounding says.
-                    let gap_m = if gap_m.abs() < 1e-9 { 0.0 } else { gap_m };
-                    of(gap_m, *front, *rear, pair.front.length_m)
+                    let gap_m = if state.gap_m.abs() < 1e-9 { 0.0 } else { state.gap_m };
+                    of(gap_m, state.front_speed_mps, state.rear_speed_mps, front.length_m)
                 });
                 signals.insert(name.to_owned(), samples.collect::<Vec<f64>>())?;
             }

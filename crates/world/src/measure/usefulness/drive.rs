@@ -1,8 +1,8 @@
 //! A vehicle's drive, step by step, until something happens to it.
 
-use crate::measure::approach::{SAME_INSTANT_S, State, states_of};
+use crate::measure::approach::State;
 use crate::measure::severity::impacts_of;
-use crate::sim::{Impact, Trace};
+use crate::sim::{Impact, SAME_INSTANT_S, Trace};
 
 /// One step of a drive.
 #[derive(Clone, Copy)]
@@ -36,9 +36,8 @@ pub(super) fn steps_of<'a>(
     let track = trace.vehicles.get(index)?;
     let contacts = impacts_of(impacts, index).map(|impact| impact.contact.time_s);
     let until_s = contacts.fold(f64::INFINITY, f64::min) - SAME_INSTANT_S;
-    let pair = trace.pair(index);
-    let nobody = std::iter::repeat_n(None, if pair.is_none() { trace.len() } else { 0 });
-    let ahead = pair.into_iter().flat_map(|pair| states_of(&pair)).map(Some).chain(nobody);
+    let ahead =
+        trace.ahead(index).enumerate().map(|(sample, front)| State::at_sample(&trace.time_s, [front?, track], sample));
     let spans = trace.time_s.iter().zip(trace.time_s.iter().skip(1));
     let own = track.speed_mps.iter().zip(&track.acceleration_mps2);
     let steps = spans.zip(own).zip(ahead).map(|(((&time_s, &to_s), (&speed_mps, &acceleration_mps2)), ahead)| Step {

@@ -231,6 +231,7 @@ impl<'a, 's> Block<'a, 's> {
     /// One run as a platoon, for the exact treatment.
     fn gather(&self, lane: usize) -> Platoon {
         Platoon {
+            lane: crate::sim::lane::Lane::of_all(self.columns.len()),
             motion: self.columns.iter().map(|column| column.motion(lane)).collect(),
             length_m: self.columns.iter().map(|column| column.length_m[lane]).collect(),
             mass_kg: self.columns.iter().map(|column| column.mass_kg[lane]).collect(),

@@ -21,7 +21,7 @@ use rayon::prelude::*;
 
 use self::block::Block;
 use self::per_run::Runs;
-use super::{ControllerKind, RecordingLevel, Run, Simulated};
+use super::{ControllerKind, RecordingLevel, Run, Simulated, simulate};
 
 /// Most runs in a block: enough to fill vector registers and hide latencies, few enough to stay in the first-level cache.
 const MOST_RUNS: usize = Runs::MOST;
@@ -73,8 +73,13 @@ pub fn simulate_batch<R: Send>(
         .into_par_iter()
         .flat_map_iter(|members| {
             let mut done = Vec::with_capacity(members.len());
-            Block::new(Arch::new(), runs, members, keep)
-                .run(&mut |index, simulated| done.push((index, reduce(index, simulated))));
+            let mut keep_result = |index, simulated| done.push((index, reduce(index, simulated)));
+            if members.iter().all(|&run| runs[run].scenario().keeps_lanes()) {
+                Block::new(Arch::new(), runs, members, keep).run(&mut keep_result);
+            } else {
+                // Who is ahead is one column for all runs of a block: where that changes, runs are made one by one.
+                members.iter().for_each(|&index| keep_result(index, simulate(&runs[index], keep)));
+            }
             done
         })
         .collect();
@@ -91,7 +96,7 @@ fn compare_shapes(a: &Run<'_>, b: &Run<'_>) -> Ordering {
 }
 
 /// What runs of one block must have in common, apart from the kinds of drivers.
-fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
+fn shape(run: &Run<'_>) -> (usize, bool, u64, u64, &'static str, &'static str) {
     let under_test = match &run.options().controller {
         ControllerKind::BuiltIn(spec) => spec.name(),
         ControllerKind::Policy(_) => "policy",
@@ -102,7 +107,7 @@ fn shape(run: &Run<'_>) -> (usize, u64, u64, &'static str, &'static str) {
     };
     let spec = run.scenario().spec();
     let steps = (spec.step_s.to_bits(), run.dt_s().to_bits());
-    (spec.vehicles.len(), steps.0, steps.1, under_test, run.options().estimator.name())
+    (spec.vehicles.len(), run.scenario().keeps_lanes(), steps.0, steps.1, under_test, run.options().estimator.name())
 }
 
 #[cfg(test)]

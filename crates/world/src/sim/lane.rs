@@ -1,0 +1,212 @@
+//! Who drives in the lane, and who is still to enter or leave it.
+
+use super::motion::{Motion, first_zero};
+use crate::scenario::{LaneChange, VehicleSpec};
+
+/// Instants this close to the end of a step, in seconds, are its end: sums of steps are rounded.
+pub(crate) const SAME_INSTANT_S: f64 = 1e-9;
+
+/// The lane of one run.
+#[derive(Debug, Clone)]
+pub(super) struct Lane {
+    inside: Vec<bool>,
+    /// From when until when each vehicle is in the lane, in seconds; from infinity on where it has not entered.
+    in_lane_s: Vec<[f64; 2]>,
+    planned: Vec<Planned>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Planned {
+    vehicle: usize,
+    enters: bool,
+    when: LaneChange,
+    /// Whether the gap was larger than the one that is waited for, when it was first looked at.
+    was_larger: Option<bool>,
+}
+
+/// Vehicles as bodies, front to rear: motion and length.
+#[derive(Clone, Copy)]
+pub(super) struct Bodies<'a> {
+    pub(super) motion: &'a [Motion],
+    pub(super) length_m: &'a [f64],
+}
+
+/// A part of a step in which nobody enters or leaves.
+pub(super) struct Stint {
+    /// From when, in seconds since the start of the step.
+    pub(super) from_s: f64,
+    /// Until when.
+    pub(super) to_s: f64,
+    pub(super) lane: Lane,
+}
+
+impl Lane {
+    /// A lane in which `vehicles` are from the start and stay.
+    pub(super) fn of_all(vehicles: usize) -> Self {
+        Self {
+            inside: vec![true; vehicles],
+            in_lane_s: vec![[f64::NEG_INFINITY, f64::INFINITY]; vehicles],
+            planned: Vec::new(),
+        }
+    }
+
+    /// The lane at the start of a scenario.
+    pub(super) fn new(vehicles: &[VehicleSpec], bodies: Bodies<'_>) -> Self {
+        let mut lane = Self::of_all(vehicles.len());
+        for (vehicle, spec) in vehicles.iter().enumerate() {
+            if let Some(when) = spec.leaves {
+                lane.planned.push(Planned { vehicle, enters: false, when, was_larger: None });
+            }
+            if let Some(when) = spec.enters {
+                lane.inside[vehicle] = false;
+                lane.in_lane_s[vehicle] = [f64::INFINITY; 2];
+                lane.planned.push(Planned { vehicle, enters: true, when, was_larger: None });
+            }
+        }
+        // Who leaves at an instant makes room for who enters at the same one.
+        lane.planned.sort_by_key(|planned| planned.enters);
+        if lane.planned.is_empty() { lane } else { lane.after(bodies, 0.0, 0.0) }
+    }
+
+    /// Whether nobody enters or leaves any more.
+    #[inline]
+    pub(super) fn is_settled(&self) -> bool {
+        self.planned.is_empty()
+    }
+
+    /// Whether a vehicle is in the lane.
+    #[inline]
+    pub(super) fn holds(&self, vehicle: usize) -> bool {
+        self.inside.get(vehicle).is_some_and(|&inside| inside)
+    }
+
+    /// Who is ahead of a vehicle in the lane; none for its first, and for a vehicle beside it.
+    pub(super) fn ahead(&self, vehicle: usize) -> Option<usize> {
+        self.before(vehicle).filter(|_| self.holds(vehicle))
+    }
+
+    /// Who is behind a vehicle in the lane; none for its last, and for a vehicle beside it.
+    pub(super) fn behind(&self, vehicle: usize) -> Option<usize> {
+        self.after_in_list(vehicle).filter(|_| self.holds(vehicle))
+    }
+
+    fn before(&self, vehicle: usize) -> Option<usize> {
+        (0..vehicle).rev().find(|&front| self.holds(front))
+    }
+
+    fn after_in_list(&self, vehicle: usize) -> Option<usize> {
+        (vehicle + 1..self.inside.len()).find(|&rear| self.holds(rear))
+    }
+
+    /// From when until when each vehicle was in the lane, in seconds.
+    pub(super) fn in_lane_s(&self) -> &[[f64; 2]] {
+        &self.in_lane_s
+    }
+
+    /// A vehicle that has touched another one stays where it is.
+    pub(super) fn keep(&mut self, vehicle: usize) {
+        self.planned.retain(|planned| planned.vehicle != vehicle);
+    }
+
+    /// The parts of the next `within_s` seconds from `now_s` on, in order; nobody touches meanwhile.
+    pub(super) fn stints(&self, bodies: Bodies<'_>, now_s: f64, within_s: f64) -> Vec<Stint> {
+        let (mut lane, mut from_s, mut stints) = (self.clone(), 0.0, Vec::new());
+        while let Some((to_s, place)) = lane.next_change(bodies, now_s, from_s, within_s) {
+            stints.push(Stint { from_s, to_s, lane: lane.clone() });
+            lane.change(place, bodies, now_s, to_s);
+            from_s = to_s;
+        }
+        stints.push(Stint { from_s, to_s: within_s, lane });
+        stints
+    }
+
+    /// The lane after the next `within_s` seconds.
+    pub(super) fn after(&self, bodies: Bodies<'_>, now_s: f64, within_s: f64) -> Self {
+        self.stints(bodies, now_s, within_s).pop().map_or_else(|| self.clone(), |last| last.lane)
+    }
+
+    /// The next change between `from_s` and `within_s` seconds from now: when, and its place among what is planned.
+    fn next_change(&mut self, bodies: Bodies<'_>, now_s: f64, from_s: f64, within_s: f64) -> Option<(f64, usize)> {
+        let mut next: Option<(f64, usize)> = None;
+        for place in 0..self.planned.len() {
+            let in_s = self.moment_s(place, bodies, now_s, [from_s, within_s]);
+            if let Some(in_s) = in_s.filter(|&in_s| next.is_none_or(|(earliest_s, _)| in_s < earliest_s)) {
+                next = Some((in_s, place));
+            }
+        }
+        next
+    }
+
+    /// When what is planned comes, between `from_s` and `to_s` seconds from now.
+    fn moment_s(&mut self, place: usize, bodies: Bodies<'_>, now_s: f64, span_s: [f64; 2]) -> Option<f64> {
+        let [from_s, to_s] = span_s;
+        let Planned { vehicle, enters, when, was_larger } = self.planned[place];
+        if enters == self.holds(vehicle) {
+            return None;
+        }
+        if let LaneChange::At(time_s) = when {
+            let in_s = time_s - now_s;
+            return (in_s <= to_s + SAME_INSTANT_S).then(|| in_s.clamp(from_s, to_s));
+        }
+        let (front, rear) = match enters {
+            true => (vehicle, self.after_in_list(vehicle)?),
+            false => (self.before(vehicle)?, vehicle),
+        };
+        let (ahead, behind) = (bodies.motion[front].after(from_s), bodies.motion[rear].after(from_s));
+        let length_m = bodies.length_m[front];
+        let gap = |front: Motion, rear: Motion| {
+            let gap_m = front.position_m - length_m - rear.position_m;
+            [gap_m, front.speed_mps - rear.speed_mps, front.acceleration_mps2 - rear.acceleration_mps2]
+        };
+        let found_s = match when {
+            LaneChange::At(_) => None,
+            LaneChange::Gap(waited_m) => {
+                let beyond_m = gap(ahead, behind)[0] - waited_m;
+                let larger = was_larger.unwrap_or(beyond_m > 0.0);
+                self.planned[place].was_larger = Some(larger);
+                let sign = if larger { 1.0 } else { -1.0 };
+                let size = |front, rear| {
+                    let [gap_m, rate_mps, rate_mps2] = gap(front, rear);
+                    [sign * (gap_m - waited_m), sign * rate_mps, sign * rate_mps2]
+                };
+                first_zero(ahead, behind, size, to_s - from_s)
+            }
+            LaneChange::TimeToCollision(waited_s) if gap(ahead, behind)[0] > 0.0 => {
+                let size = |front, rear| {
+                    let [gap_m, rate_mps, rate_mps2] = gap(front, rear);
+                    [gap_m + waited_s * rate_mps, rate_mps + waited_s * rate_mps2, rate_mps2]
+                };
+                first_zero(ahead, behind, size, to_s - from_s)
+            }
+            LaneChange::TimeToCollision(_) => None,
+        };
+        found_s.map(|in_s| (from_s + in_s).min(to_s))
+    }
+
+    /// Does what is planned, `in_s` seconds from now. Who is to enter and finds no room stays beside.
+    fn change(&mut self, place: usize, bodies: Bodies<'_>, now_s: f64, in_s: f64) {
+        let Planned { vehicle, enters, when, .. } = self.planned.remove(place);
+        let at_s = match when {
+            LaneChange::At(time_s) if (time_s - now_s - in_s).abs() <= SAME_INSTANT_S => time_s,
+            _ => now_s + in_s,
+        };
+        if !enters {
+            self.inside[vehicle] = false;
+            self.in_lane_s[vehicle][1] = at_s;
+            return;
+        }
+        let position_m = |vehicle: usize| bodies.motion[vehicle].after(in_s).position_m;
+        let is_clear = |front: usize, rear: usize| position_m(front) - bodies.length_m[front] > position_m(rear);
+        let has_room = self.before(vehicle).is_none_or(|front| is_clear(front, vehicle))
+            && self.after_in_list(vehicle).is_none_or(|rear| is_clear(vehicle, rear));
+        if has_room {
+            self.inside[vehicle] = true;
+            self.in_lane_s[vehicle] = [at_s, f64::INFINITY];
+        } else {
+            self.keep(vehicle);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,220 @@
+use proptest::prelude::*;
+
+use super::super::{AfterContact, RecordingLevel, Run, RunOptions, Simulated, Track, simulate};
+use crate::control::ControllerSpec;
+use crate::measure::{Ahead, Imposed};
+use crate::observation::EstimatorKind;
+use crate::scenario::{
+    Brake, Driver, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec, built_in,
+};
+
+/// Vehicles on a dry road without noise, for `duration_s`.
+fn scenario(vehicles: Vec<VehicleSpec>, duration_s: f64) -> Scenario {
+    let spec = built_in("paper-1").unwrap().spec().clone();
+    Scenario::new(ScenarioSpec { name: "lanes".to_owned(), duration_s, vehicles, ..spec }).unwrap()
+}
+
+fn scripted(position_m: f64, speed_mps: f64, profile: LeadProfile) -> VehicleSpec {
+    VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, Driver::Profile(profile))
+}
+
+fn steady(position_m: f64, speed_mps: f64) -> VehicleSpec {
+    scripted(position_m, speed_mps, LeadProfile::ConstantSpeed)
+}
+
+fn driven(position_m: f64, speed_mps: f64, controller: &str) -> VehicleSpec {
+    let controller = ControllerSpec::named(controller).unwrap();
+    VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, Driver::Controller(controller))
+}
+
+fn entering(vehicle: VehicleSpec, enters: LaneChange) -> VehicleSpec {
+    VehicleSpec { enters: Some(enters), ..vehicle }
+}
+
+fn leaving(vehicle: VehicleSpec, leaves: LaneChange) -> VehicleSpec {
+    VehicleSpec { leaves: Some(leaves), ..vehicle }
+}
+
+fn run(scenario: &Scenario) -> Simulated {
+    run_with(scenario, RunOptions::new(ControllerSpec::named("idm").unwrap()))
+}
+
+fn run_with(scenario: &Scenario, options: RunOptions) -> Simulated {
+    simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
+}
+
+fn tracks(simulated: &Simulated) -> &[Track] {
+    &simulated.trace.as_ref().unwrap().vehicles
+}
+
+fn onset(onset_s: f64, rate_mps2: f64) -> LeadProfile {
+    LeadProfile::Brake(Brake { onset_s, rate_mps2 })
+}
+
+#[test]
+fn the_moment_is_that_of_the_closed_form() {
+    // 20 m/s behind 14 m/s: a gap of 50 m is 17 m after 5.5 s, and lasts 2 s, at 6 m/s, once it is 12 m.
+    let entered = |enters| {
+        let line = vec![entering(steady(52.0, 14.0), enters), steady(0.0, 20.0)];
+        tracks(&run(&scenario(line, 8.0)))[0].in_lane_s[0]
+    };
+    assert!((entered(LaneChange::Gap(17.0)) - 5.5).abs() < 1e-9);
+    assert!((entered(LaneChange::TimeToCollision(2.0)) - 38.0 / 6.0).abs() < 1e-9);
+    assert_eq!(entered(LaneChange::At(3.456)), 3.456);
+    assert_eq!(entered(LaneChange::At(9.0)), f64::INFINITY);
+    // From behind: 26 m/s past 20 m/s is 9 m ahead, bumper to bumper, (15 + 2 + 9) / 6 s later.
+    let line = vec![entering(steady(-15.0, 26.0), LaneChange::Gap(9.0)), steady(0.0, 20.0)];
+    assert!((tracks(&run(&scenario(line, 8.0)))[0].in_lane_s[0] - 26.0 / 6.0).abs() < 1e-9);
+}
+
+#[test]
+fn who_leaves_counts_from_the_one_ahead() {
+    // Standing 100 m ahead of one that drives at 20 m/s and leaves 1.5 s before it would hit; who follows it sees it then.
+    let line =
+        vec![steady(140.0, 0.0), leaving(steady(38.0, 20.0), LaneChange::TimeToCollision(1.5)), steady(0.0, 20.0)];
+    let simulated = run(&scenario(line, 8.0));
+    assert!((tracks(&simulated)[1].in_lane_s[1] - 3.5).abs() < 1e-9);
+    let contact = simulated.outcome.contact().unwrap();
+    assert_eq!((contact.front_vehicle, contact.rear_vehicle), (0, 2), "nobody drives into the one that has left");
+    assert!((contact.time_s - 138.0 / 20.0).abs() < 1e-9);
+    assert_eq!(simulated.vehicles_involved(), 2);
+    let impact = &simulated.impacts[0];
+    assert_eq!((impact.beside.as_slice(), impact.delta_v_mps(1)), (&[1][..], 0.0));
+    let pairs: Vec<_> = simulated.trace.as_ref().unwrap().pairs(2).iter().map(|pair| pair.front_vehicle).collect();
+    assert_eq!(pairs, [1, 0]);
+}
+
+#[test]
+fn who_finds_no_room_stays_beside() {
+    for beside_m in [1.0, 0.0, -1.5] {
+        let line = vec![entering(steady(beside_m, 20.0), LaneChange::At(1.0)), steady(0.0, 20.0)];
+        let simulated = run(&scenario(line, 3.0));
+        assert_eq!(tracks(&simulated)[0].in_lane_s, [f64::INFINITY; 2]);
+        assert!(simulated.outcome.is_safe());
+        assert_eq!(simulated.vehicles[1].min_gap_m, None);
+    }
+}
+
+/// Everything but the time in the lane.
+fn without_lanes(mut simulated: Simulated) -> Simulated {
+    for track in simulated.trace.iter_mut().flat_map(|trace| &mut trace.vehicles) {
+        track.in_lane_s = Track::THROUGHOUT_S;
+    }
+    simulated
+}
+
+#[test]
+fn who_enters_at_the_start_has_been_there() {
+    for spec in ControllerSpec::built_in() {
+        for estimator in EstimatorKind::ALL {
+            let paper = built_in("paper-1").unwrap();
+            let entering = paper.edited(|spec| spec.vehicles[0].enters = Some(LaneChange::At(0.0))).unwrap();
+            let options = || RunOptions::new(spec.clone()).with_estimator(estimator);
+            if let Ok(run) = Run::new(&entering, options()) {
+                let there = simulate(&Run::new(&paper, options()).unwrap(), RecordingLevel::Trace);
+                assert_eq!(without_lanes(simulate(&run, RecordingLevel::Trace)), there, "{}", spec.name());
+            }
+        }
+    }
+}
+
+proptest! {
+    /// The gap needed at entry against full braking from a reaction time on: Δv τ + Δv² / (2 b).
+    #[test]
+    fn the_gap_needed_is_that_of_the_closed_form(
+        gap_m in 5.0..60.0_f64, closing_mps in 1.0..15.0_f64, reaction_s in 0.0..1.5_f64, brake_mps2 in 2.0..7.0_f64,
+    ) {
+        // A script that begins inside a step is its mean over the step: it begins with one, and the entry lies inside one.
+        let (onset_s, enters_s) = (2.5, 2.5 - reaction_s);
+        let start_m = gap_m + closing_mps * enters_s;
+        let line = vec![
+            entering(steady(start_m + 2.0, 30.0 - closing_mps), LaneChange::At(enters_s)),
+            scripted(0.0, 30.0, onset(onset_s, brake_mps2)),
+        ];
+        let simulated = run(&scenario(line, 12.0));
+        let needed_m = closing_mps * reaction_s + closing_mps * closing_mps / (2.0 * brake_mps2);
+        prop_assume!((gap_m - needed_m).abs() > 1e-6);
+        prop_assert_eq!(simulated.outcome.is_safe(), gap_m > needed_m);
+        if gap_m > needed_m {
+            prop_assert!((simulated.vehicles[1].min_gap_m.unwrap() - (gap_m - needed_m)).abs() < 1e-9);
+        }
+    }
+
+    /// Whoever enters or leaves out of sight changes nothing for the others.
+    #[test]
+    fn far_away_changes_nothing(time_s in 0.0..5.0_f64, leaves in any::<bool>(), brake_mps2 in 1.0..7.0_f64) {
+        let line = |far: Option<VehicleSpec>| {
+            let near = [scripted(40.0, 20.0, onset(2.0, brake_mps2)), driven(10.0, 20.0, "idm"), driven(-20.0, 20.0, "acc-aeb")];
+            scenario(far.into_iter().chain(near).collect(), 6.0)
+        };
+        let change = LaneChange::At(time_s);
+        let far = steady(1e6, 20.0);
+        let far = if leaves { leaving(far, change) } else { entering(far, change) };
+        let (with, without) = (run(&line(Some(far))), run(&line(None)));
+        prop_assert_eq!(&tracks(&with)[1..], tracks(&without));
+    }
+
+    /// Behind those who look ahead alone, whoever leaves changes nothing for them.
+    #[test]
+    fn who_leaves_behind_changes_nothing_ahead(time_s in 0.0..5.0_f64, brake_mps2 in 1.0..7.0_f64) {
+        let line = |last: VehicleSpec| {
+            scenario(vec![scripted(40.0, 20.0, onset(1.0, brake_mps2)), driven(10.0, 20.0, "idm"), last], 6.0)
+        };
+        let last = || steady(-100.0, 20.0);
+        let (stays, leaves) = (run(&line(last())), run(&line(leaving(last(), LaneChange::At(time_s)))));
+        prop_assert_eq!(&tracks(&stays)[..2], &tracks(&leaves)[..2]);
+    }
+
+    /// Entries and exits inside steps, contacts and smallest gaps do not depend on the integration step, and what is measured on the
+    /// trace is what the engine saw.
+    #[test]
+    fn steps_do_not_matter(
+        enters in change(), leaves in prop::option::of(change()), place_m in -20.0..60.0_f64, speed_mps in 10.0..30.0_f64,
+        brakes_mps2 in prop::array::uniform3(0.0..7.0_f64), goes_on in any::<bool>(),
+    ) {
+        let mut cutter = scripted(place_m, speed_mps, onset(2.0, brakes_mps2[1]));
+        (cutter.enters, cutter.leaves) = (Some(enters), leaves);
+        let line = vec![
+            scripted(50.0, 20.0, onset(1.5, brakes_mps2[0])),
+            cutter,
+            scripted(0.0, 20.0, onset(2.5, brakes_mps2[2])),
+            scripted(-12.0, 20.0, onset(3.0, 6.0)),
+        ];
+        let spec = built_in("paper-1").unwrap().spec().clone();
+        let Ok(scenario) = Scenario::new(ScenarioSpec { duration_s: 8.0, vehicles: line, ..spec }) else {
+            return Err(TestCaseError::reject("leaves before it enters"));
+        };
+        let after = if goes_on { AfterContact::Continue } else { AfterContact::Stop };
+        let options = || RunOptions::new(ControllerSpec::named("idm").unwrap()).with_after_contact(after);
+        let (coarse, fine) = (run_with(&scenario, options()), run_with(&scenario, options().with_dt_s(0.002)));
+        let close = |a: f64, b: f64| a == b || (a - b).abs() < 1e-6;
+        prop_assert_eq!(coarse.impacts.len(), fine.impacts.len());
+        for (coarse, fine) in coarse.impacts.iter().zip(&fine.impacts) {
+            prop_assert!(close(coarse.contact.time_s, fine.contact.time_s), "{coarse:?} {fine:?}");
+            prop_assert_eq!(&coarse.beside, &fine.beside);
+        }
+        for (coarse, fine) in tracks(&coarse).iter().zip(tracks(&fine)) {
+            let [a, b] = [coarse.in_lane_s, fine.in_lane_s];
+            prop_assert!(close(a[0], b[0]) && close(a[1], b[1]), "{a:?} {b:?}");
+        }
+        for (coarse, fine) in coarse.vehicles.iter().zip(&fine.vehicles) {
+            let gaps_m = [coarse.min_gap_m, fine.min_gap_m].map(|gap_m| gap_m.unwrap_or(f64::INFINITY));
+            prop_assert!(close(gaps_m[0], gaps_m[1]), "{gaps_m:?}");
+        }
+        let trace = coarse.trace.as_ref().unwrap();
+        for (index, summary) in coarse.vehicles.iter().enumerate() {
+            let measured_m = Ahead::of(trace, &coarse.impacts, index).and_then(|ahead| ahead.min_gap_m);
+            let gaps_m = [summary.min_gap_m, measured_m].map(|gap_m| gap_m.unwrap_or(f64::INFINITY));
+            prop_assert!(close(gaps_m[0], gaps_m[1]), "vehicle {index}: {gaps_m:?}");
+            prop_assert!(Imposed::of(trace, &coarse.impacts, index).is_none_or(|imposed| imposed.peak_brake_mps2 < Some(31.0)));
+        }
+    }
+}
+
+fn change() -> impl Strategy<Value = LaneChange> {
+    prop_oneof![
+        (0.0..7.0_f64).prop_map(LaneChange::At),
+        (0.5..40.0_f64).prop_map(LaneChange::Gap),
+        (0.5..5.0_f64).prop_map(LaneChange::TimeToCollision),
+    ]
+}
