@@ -141,6 +141,9 @@ pub fn unsuited(scenario: &Scenario) -> Option<String> {
     if agents != [EGO] {
         return Some(format!("vehicle {EGO} and no other must be under test, found {agents:?}"));
     }
+    if !scenario.keeps_lanes() {
+        return Some("every vehicle must stay in the lane".to_owned());
+    }
     let step_s = scenario.spec().step_s;
     (step_s != PAPER_STEP_S).then(|| format!("the step must be {PAPER_STEP_S} s, found {step_s}"))
 }

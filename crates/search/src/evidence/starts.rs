@@ -36,10 +36,12 @@ impl Starts {
                 && v.actuator_lag_s == 0.0
                 && v.actuator_delay_s == 0.0
                 && v.jerk_limit_mps3.is_none()
+                && v.keeps_lane()
         });
         if ego.driver != Driver::UnderTest || !is_plain {
             return Err(wrong(
-                "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk",
+                "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk, and all must \
+                 stay in the lane",
             ));
         }
         let follower_ttc_s = match rest {

@@ -96,6 +96,9 @@ pub enum AttackError {
     /// The leader is not scripted, so there is nothing to vary.
     #[error("vehicle 0 does not follow a script, so it has no profile to vary")]
     Leader,
+    /// Who is ahead of whom changes, which the programs do not model.
+    #[error("vehicles enter or leave the lane: search such scenarios with falsify")]
+    LaneChanges,
     /// The envelope is empty.
     #[error("an envelope of {max_brake_mps2} m/s² and {jerk_mps3} m/s³ allows no braking")]
     Envelope {
@@ -186,6 +189,9 @@ pub fn hunt(
 ) -> Result<AttackResult, AttackError> {
     if !matches!(scenario.vehicles().first().map(|leader| &leader.driver), Some(Driver::Profile(_))) {
         return Err(AttackError::Leader);
+    }
+    if !scenario.keeps_lanes() {
+        return Err(AttackError::LaneChanges);
     }
     let (vehicles, steps) = (scenario.vehicles().len(), scenario.steps());
     if vehicles.saturating_mul(steps) > MOST_VEHICLE_STEPS {

@@ -10,6 +10,9 @@ pub enum Reason {
     /// The leader reacts to other vehicles.
     #[error("vehicle 0 does not follow a script")]
     Leader,
+    /// Who is ahead of whom changes.
+    #[error("vehicles enter or leave the lane, which the programs do not model")]
+    LaneChanges,
     /// No vehicle is under test behind the leader, or those that are do not follow each other.
     #[error("the vehicles under test are not those directly behind the leader")]
     NoEgo,

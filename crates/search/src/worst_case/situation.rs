@@ -246,6 +246,9 @@ impl Situation {
 /// The last of the vehicles under test behind a scripted leader.
 fn last_ego(scenario: &Scenario) -> Result<usize, Reason> {
     let vehicles = scenario.vehicles();
+    if !scenario.keeps_lanes() {
+        return Err(Reason::LaneChanges);
+    }
     if !vehicles.first().is_some_and(|leader| matches!(leader.driver, Driver::Profile(_))) {
         return Err(Reason::Leader);
     }

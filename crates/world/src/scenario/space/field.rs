@@ -1,8 +1,12 @@
 //! Which field of a scenario a parameter sets: paths looked up once, then typed access.
 
 use super::derived::{closing_gap_m, cruise, load};
+use super::numbers::{
+    DRIVER_NUMBERS, LANE_CHANGES, LaneChangeOf, SCENARIO_NUMBERS, VEHICLE_NUMBERS, accelerations, final_speed,
+    known_fields, pieces, rate, recorded_speeds, setting_of,
+};
 use super::spec::{DriverName, Kind};
-use crate::scenario::{Driver, LeadProfile, Pieces, ScenarioSpec, VehicleClass, VehicleSpec};
+use crate::scenario::{Driver, LaneChange, ScenarioSpec, VehicleClass, VehicleSpec};
 
 /// A field, ready to be set.
 #[derive(Debug, Clone, Copy)]
@@ -15,6 +19,8 @@ pub(super) enum Target {
     Driver(usize, fn(&mut Driver) -> Option<&mut f64>),
     /// A setting of a controller, by its place.
     Setting(usize, usize),
+    /// When a vehicle enters the lane or leaves it.
+    LaneChange(usize, LaneChangeOf),
     /// A list among a driver's settings: a signal.
     Signal(usize, fn(&mut Driver) -> Option<&mut [f64]>),
     /// The class.
@@ -56,99 +62,6 @@ pub(super) struct Field {
     pub(super) length: usize,
     /// Fields of the file that it sets, so that no two parameters set the same one.
     pub(super) writes: Vec<String>,
-}
-
-/// The part of a path behind `vehicles[i].`, its unit, and how to reach the number.
-type VehicleNumber = (&'static str, &'static str, fn(&mut VehicleSpec) -> &mut f64);
-
-const VEHICLE_NUMBERS: [VehicleNumber; 11] = [
-    ("position_m", "m", |v| &mut v.position_m),
-    ("speed_mps", "m/s", |v| &mut v.speed_mps),
-    ("length_m", "m", |v| v.length_m.get_or_insert(v.class.length_m())),
-    ("mass_kg", "kg", |v| v.mass_kg.get_or_insert(v.class.mass_kg())),
-    ("max_brake_mps2", "m/s²", |v| v.max_brake_mps2.get_or_insert(v.class.max_brake_mps2())),
-    ("max_accel_mps2", "m/s²", |v| v.max_accel_mps2.get_or_insert(v.class.max_accel_mps2())),
-    ("acceleration_noise_mps2", "m/s²", |v| &mut v.acceleration_noise_mps2),
-    ("reaction_delay_s", "s", |v| &mut v.reaction_delay_s),
-    ("actuator_lag_s", "s", |v| &mut v.actuator_lag_s),
-    ("actuator_delay_s", "s", |v| &mut v.actuator_delay_s),
-    ("jerk_limit_mps3", "m/s³", |v| v.jerk_limit_mps3.get_or_insert(1e4)),
-];
-
-type ScenarioNumber = (&'static str, &'static str, fn(&mut ScenarioSpec) -> &mut f64);
-
-const SCENARIO_NUMBERS: [ScenarioNumber; 4] = [
-    ("environment.friction", "1", |s| &mut s.environment.friction),
-    ("sensors.position_noise_m", "m", |s| &mut s.sensors.position_noise_m),
-    ("sensors.gap_noise_m", "m", |s| &mut s.sensors.gap_noise_m),
-    ("sensors.dropout", "1", |s| &mut s.sensors.dropout),
-];
-
-type DriverNumber = (&'static str, &'static str, fn(&mut Driver) -> Option<&mut f64>);
-
-/// `driver.NAME.SETTING` of a script.
-macro_rules! setting {
-    ($path:literal, $unit:literal, $kind:ident, $field:ident) => {
-        ($path, $unit, |driver| match driver {
-            Driver::Profile(LeadProfile::$kind(settings)) => Some(&mut settings.$field),
-            _ => None,
-        })
-    };
-}
-
-const DRIVER_NUMBERS: [DriverNumber; 9] = [
-    setting!("driver.brake.onset_s", "s", Brake, onset_s),
-    setting!("driver.brake.rate_mps2", "m/s²", Brake, rate_mps2),
-    setting!("driver.ramp-brake.onset_s", "s", RampBrake, onset_s),
-    setting!("driver.ramp-brake.rate_mps2", "m/s²", RampBrake, rate_mps2),
-    setting!("driver.ramp-brake.ramp_s", "s", RampBrake, ramp_s),
-    setting!("driver.ramp-brake.release_s", "s", RampBrake, release_s),
-    setting!("driver.brake-to-speed.onset_s", "s", BrakeToSpeed, onset_s),
-    setting!("driver.brake-to-speed.rate_mps2", "m/s²", BrakeToSpeed, rate_mps2),
-    setting!("driver.brake-to-speed.final_speed_mps", "m/s", BrakeToSpeed, final_speed_mps),
-];
-
-fn setting_of(driver: &mut Driver, place: usize) -> Option<&mut f64> {
-    match driver {
-        Driver::Controller(spec) => spec.get_mut(place),
-        _ => None,
-    }
-}
-
-fn pieces(driver: &mut Driver) -> Option<&mut Pieces> {
-    match driver {
-        Driver::Profile(LeadProfile::Pieces(pieces)) => Some(pieces),
-        _ => None,
-    }
-}
-
-fn accelerations(driver: &mut Driver) -> Option<&mut [f64]> {
-    pieces(driver).map(|pieces| pieces.accel_mps2.as_mut_slice())
-}
-
-fn recorded_speeds(driver: &mut Driver) -> Option<&mut [f64]> {
-    match driver {
-        Driver::Profile(LeadProfile::Recorded(recorded)) => Some(recorded.speed_mps.as_mut_slice()),
-        _ => None,
-    }
-}
-
-/// The deceleration of a braking script.
-fn rate(driver: &mut Driver) -> Option<&mut f64> {
-    match driver {
-        Driver::Profile(LeadProfile::Brake(brake)) => Some(&mut brake.rate_mps2),
-        Driver::Profile(LeadProfile::RampBrake(brake)) => Some(&mut brake.rate_mps2),
-        Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => Some(&mut brake.rate_mps2),
-        _ => None,
-    }
-}
-
-/// The speed down to which a script brakes.
-fn final_speed(driver: &mut Driver) -> Option<&mut f64> {
-    match driver {
-        Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => Some(&mut brake.final_speed_mps),
-        _ => None,
-    }
 }
 
 impl Field {
@@ -201,6 +114,16 @@ impl Field {
             }
             _ => {}
         }
+        if let Some((when, (_, access))) =
+            LANE_CHANGES.iter().find_map(|change| Some((rest.strip_prefix(change.0)?, change)))
+        {
+            let stated = access(&mut vehicle.clone()).copied();
+            let stated = stated
+                .filter(|change| change.field() == when)
+                .ok_or_else(|| format!("vehicle {index} of the base scenario does not state `{rest}`"))?;
+            let unit = if matches!(stated, LaneChange::Gap(_)) { "m" } else { "s" };
+            return Ok(field(Target::LaneChange(index, *access), unit, 1, sets(&[rest])));
+        }
         let mut driver = vehicle.driver.clone();
         let name = driver.name();
         let setting = rest.strip_prefix("driver.").ok_or_else(|| format!("{}; {}", unknown(), known_fields()))?;
@@ -250,17 +173,6 @@ impl Field {
     }
 }
 
-/// What may vary in a vehicle besides its numbers.
-const DERIVED_OF_VEHICLE: [&str; 8] =
-    ["class", "driver", "gap_m", "time_gap_s", "closing_time_s", "speed_share", "load", "brake_offset_mps2"];
-
-fn known_fields() -> String {
-    let scenario = SCENARIO_NUMBERS.iter().map(|(name, ..)| *name);
-    let vehicle = VEHICLE_NUMBERS.iter().map(|(name, ..)| *name).chain(DERIVED_OF_VEHICLE);
-    let (scenario, vehicle) = (scenario.collect::<Vec<_>>().join(", "), vehicle.collect::<Vec<_>>().join(", "));
-    format!("there are {scenario}, and in vehicles[i]: {vehicle}, driver.NAME.SETTING")
-}
-
 impl Target {
     /// When it is set: what others build on comes first.
     pub(super) fn stage(self) -> u8 {
@@ -291,6 +203,11 @@ impl Target {
             Self::Setting(index, place) => with(spec, index, |vehicle| {
                 if let Some(number) = setting_of(&mut vehicle.driver, place) {
                     *number = value;
+                }
+            }),
+            Self::LaneChange(index, access) => with(spec, index, |vehicle| {
+                if let Some(change) = access(vehicle) {
+                    *change.value_mut() = value;
                 }
             }),
             Self::Signal(index, access) => with(spec, index, |vehicle| {
@@ -368,6 +285,7 @@ impl Target {
             Self::Setting(index, place) => {
                 one(spec.vehicles.get_mut(index).and_then(|v| setting_of(&mut v.driver, place).copied()))
             }
+            Self::LaneChange(index, access) => one(spec.vehicles.get_mut(index).and_then(|v| Some(access(v)?.value()))),
             Self::PiecesCruise(index) => Self::Signal(index, accelerations).get(&spec),
             Self::Signal(index, access) => {
                 let signal = spec.vehicles.get_mut(index).and_then(|v| access(&mut v.driver));
@@ -424,6 +342,7 @@ impl Target {
             | Self::SpeedShare(_)
             | Self::Scenario(_)
             | Self::Vehicle(..)
+            | Self::LaneChange(..)
             | Self::Class(_)
             | Self::Gap(_)
             | Self::TimeGap(_) => None,
@@ -437,7 +356,7 @@ impl Target {
             Self::Class(i) | Self::Load(i) | Self::BrakeOffset(i) | Self::RateShare(i) | Self::PiecesShare(i) => {
                 Some(i)
             }
-            Self::Signal(i, _) | Self::Driver(i, _) | Self::Setting(i, _) => Some(i),
+            Self::Signal(i, _) | Self::Driver(i, _) | Self::Setting(i, _) | Self::LaneChange(i, _) => Some(i),
             Self::ClosingTime(i) | Self::SpeedShare(i) | Self::FinalShare(i) => Some(i),
             Self::TimeGap(i) | Self::DrivenBy(i) | Self::PiecesCruise(i) | Self::PiecesScale(i) => Some(i),
             Self::Vehicle(i, _) => i,

@@ -44,6 +44,7 @@ mod derived;
 mod field;
 pub mod file;
 mod marginal;
+mod numbers;
 mod spec;
 #[cfg(test)]
 mod tests;
