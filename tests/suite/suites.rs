@@ -233,16 +233,25 @@ fn every_situation_is_the_one_that_its_figures_say() {
             let Some(lead) = test.lead else { continue };
             for point in test.grid() {
                 let scenario = test.scenario("point", "", &point).unwrap();
-                let [ahead, own] = scenario.vehicles() else { panic!("two vehicles") };
+                let [.., ahead, own] = scenario.vehicles() else { panic!("two vehicles") };
                 let value = |parameter| {
                     let stated = test.figures.stated().zip(&point).find(|((found, _), _)| *found == parameter);
                     stated.map(|((_, figure), value)| value * figure.unit.in_si()).unwrap()
                 };
-                let gap_m = scenario.initial_gap_m(1).unwrap();
+                let gap_m = scenario.initial_gap_m(lead.under_test()).unwrap();
                 assert!((own.speed_mps - value(Parameter::OwnSpeed)).abs() < 1e-12);
                 let closing_mps = own.speed_mps - ahead.speed_mps;
                 match lead {
                     Lead::Decelerating => assert_eq!((closing_mps, gap_m), (0.0, value(Parameter::Gap))),
+                    Lead::CutIn => {
+                        let LaneChange::TimeToCollision(ttc_s) = ahead.enters.unwrap() else {
+                            panic!("by its closing time")
+                        };
+                        assert_eq!(
+                            (ahead.speed_mps, ttc_s),
+                            (value(Parameter::LeadSpeed), value(Parameter::ClosingTime))
+                        );
+                    }
                     _ => assert!((gap_m / closing_mps - value(Parameter::ClosingTime)).abs() < 1e-12),
                 }
             }

@@ -209,7 +209,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
 }
 
 fn check_point(test: &TestSpec, lead: Lead, point: &[f64], field: &str) -> Checked {
-    if lead == Lead::Slower {
+    if lead.is_slower() {
         let is_slower = test.si(point, Parameter::LeadSpeed) + 0.1 <= test.si(point, Parameter::OwnSpeed);
         holds(is_slower, field, SuiteProblem::NotSlower)?;
     }

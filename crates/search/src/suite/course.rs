@@ -1,8 +1,8 @@
 //! A point of a test as a scenario.
 
 use crumple_world::scenario::{
-    Brake, Driver, Environment, InvalidField, LeadProfile, RampBrake, SCENARIO_VERSION, Scenario, ScenarioSpec,
-    Sensors, VehicleClass, VehicleSpec,
+    Brake, Driver, Environment, InvalidField, LaneChange, LeadProfile, RampBrake, SCENARIO_VERSION, Scenario,
+    ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
 };
 
 use super::figure::Parameter;
@@ -16,6 +16,14 @@ const REST_S: f64 = 20.0;
 
 const STEP_S: f64 = 0.01;
 
+/// When a vehicle cuts in or out if nobody changes speed, in seconds: the filter has settled by then.
+const CHANGE_S: f64 = 2.0;
+
+/// How far ahead of one that cuts in the next vehicle drives, in metres: out of mind, and there for controllers that need one.
+const FAR_M: f64 = 300.0;
+
+const CLASS: VehicleClass = VehicleClass::Light;
+
 impl TestSpec {
     /// The value of a parameter at a point, in SI units; 0 if it is not stated.
     pub(super) fn si(&self, point: &[f64], parameter: Parameter) -> f64 {
@@ -23,30 +31,14 @@ impl TestSpec {
         self.place(parameter).and_then(value).unwrap_or(0.0)
     }
 
-    /// The scenario of a point: the vehicle ahead, and the one under test behind it.
+    /// The scenario of a point: the vehicles ahead, and the one under test behind them.
     ///
     /// # Errors
     /// [`InvalidField`] for a point that makes none; never for one of a valid suite's grid.
     pub fn scenario(&self, name: &str, about: &str, point: &[f64]) -> Result<Scenario, InvalidField> {
-        let si = |parameter| self.si(point, parameter);
-        let own_mps = si(Parameter::OwnSpeed);
-        let braking_mps2 = si(Parameter::Deceleration);
-        let (lead_mps, profile) = match self.lead {
-            Some(Lead::Decelerating) => (own_mps, braking(braking_mps2, si(Parameter::Ramp))),
-            Some(Lead::Slower) => (si(Parameter::LeadSpeed), LeadProfile::ConstantSpeed),
-            Some(Lead::Stopped) | None => (0.0, LeadProfile::ConstantSpeed),
-        };
-        let (gap_m, meets_s) = match self.lead {
-            Some(Lead::Decelerating) => {
-                (si(Parameter::Gap), ONSET_S + si(Parameter::Ramp) + own_mps / braking_mps2.max(0.1))
-            }
-            _ => (si(Parameter::ClosingTime) * (own_mps - lead_mps), si(Parameter::ClosingTime)),
-        };
-        let class = VehicleClass::Light;
-        let mut lead = VehicleSpec::new(class, gap_m + class.length_m(), lead_mps, Driver::Profile(profile));
-        if braking_mps2 > class.max_brake_mps2() {
-            lead.max_brake_mps2 = Some(braking_mps2);
-        }
+        let own_mps = self.si(point, Parameter::OwnSpeed);
+        let (mut vehicles, meets_s) = self.others(point, own_mps);
+        vehicles.push(VehicleSpec::new(CLASS, 0.0, own_mps, Driver::UnderTest));
         Scenario::new(ScenarioSpec {
             version: SCENARIO_VERSION,
             name: name.to_owned(),
@@ -56,9 +48,48 @@ impl TestSpec {
             seed: 0,
             environment: Environment::default(),
             sensors: Sensors::default(),
-            vehicles: vec![lead, VehicleSpec::new(class, 0.0, own_mps, Driver::UnderTest)],
+            vehicles,
         })
     }
+
+    /// The vehicles ahead, and when they would have been met or stand, in seconds.
+    fn others(&self, point: &[f64], own_mps: f64) -> (Vec<VehicleSpec>, f64) {
+        let si = |parameter| self.si(point, parameter);
+        let steady = |gap_m: f64, speed_mps: f64| scripted(gap_m, speed_mps, LeadProfile::ConstantSpeed);
+        let closing_s = si(Parameter::ClosingTime);
+        match self.lead {
+            Some(Lead::Decelerating) => {
+                let (rate_mps2, ramp_s) = (si(Parameter::Deceleration), si(Parameter::Ramp));
+                let mut lead = scripted(si(Parameter::Gap), own_mps, braking(rate_mps2, ramp_s));
+                if rate_mps2 > CLASS.max_brake_mps2() {
+                    lead.max_brake_mps2 = Some(rate_mps2);
+                }
+                (vec![lead], ONSET_S + ramp_s + own_mps / rate_mps2.max(0.1))
+            }
+            Some(Lead::CutIn) => {
+                let lead_mps = si(Parameter::LeadSpeed);
+                let mut lead = steady((closing_s + CHANGE_S) * (own_mps - lead_mps), lead_mps);
+                lead.enters = Some(LaneChange::TimeToCollision(closing_s));
+                (vec![steady(lead.position_m + FAR_M, own_mps), lead], closing_s + CHANGE_S)
+            }
+            Some(Lead::CutOut) => {
+                let mut lead = steady(si(Parameter::Gap), own_mps);
+                lead.leaves = Some(LaneChange::TimeToCollision(closing_s));
+                let meets_s = closing_s + CHANGE_S;
+                (vec![steady(lead.position_m + meets_s * own_mps, 0.0), lead], meets_s)
+            }
+            Some(Lead::Slower) => {
+                let lead_mps = si(Parameter::LeadSpeed);
+                (vec![steady(closing_s * (own_mps - lead_mps), lead_mps)], closing_s)
+            }
+            Some(Lead::Stopped) | None => (vec![steady(closing_s * own_mps, 0.0)], closing_s),
+        }
+    }
+}
+
+/// A scripted vehicle so far ahead of the vehicle under test.
+fn scripted(gap_m: f64, speed_mps: f64, profile: LeadProfile) -> VehicleSpec {
+    VehicleSpec::new(CLASS, gap_m + CLASS.length_m(), speed_mps, Driver::Profile(profile))
 }
 
 fn braking(rate_mps2: f64, ramp_s: f64) -> LeadProfile {

@@ -14,7 +14,7 @@ pub enum Parameter {
     OwnSpeed,
     /// Speed of the vehicle ahead.
     LeadSpeed,
-    /// The gap at the start, as the time that closing it takes.
+    /// The gap at the start, or when a vehicle enters or leaves the lane, as the time that closing it takes.
     ClosingTime,
     /// The gap at the start, bumper to bumper.
     Gap,
@@ -82,13 +82,14 @@ pub struct Figures {
     /// Speed of the vehicle under test at the start.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub own_speed: Option<Figure>,
-    /// Speed of the vehicle ahead, of a slower one.
+    /// Speed of the vehicle ahead, of a slower one or one that cuts in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lead_speed: Option<Figure>,
-    /// The gap at the start as the time that closing it takes, behind a vehicle that stands or is slower.
+    /// The gap at the start as the time that closing it takes, behind a vehicle that stands or is slower; that to a vehicle that
+    /// cuts in when it enters; that of a vehicle that cuts out to the one that stands, when it leaves.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub closing_time: Option<Figure>,
-    /// The gap at the start, behind a vehicle that brakes.
+    /// The gap at the start, behind a vehicle that brakes or cuts out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gap: Option<Figure>,
     /// Braking of the vehicle ahead, positive.

@@ -81,9 +81,10 @@ impl Suite {
 }
 
 /// Name and text of every suite that is shipped.
-pub const SHIPPED: [(&str, &str); 2] = [
+pub const SHIPPED: [(&str, &str); 3] = [
     ("fmvss-127", include_str!("shipped/fmvss-127.toml")),
     ("euro-ncap-2023", include_str!("shipped/euro-ncap-2023.toml")),
+    ("afgbv-cut-in", include_str!("shipped/afgbv-cut-in.toml")),
 ];
 
 /// The JSON Schema of suite files.

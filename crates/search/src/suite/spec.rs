@@ -79,6 +79,12 @@ pub enum Lead {
     /// It drives as fast as the vehicle under test and brakes to standstill from a second on. The test ends when the vehicle under
     /// test stands.
     Decelerating,
+    /// It cuts in: it drives slower in the lane beside and enters once the closing time is reached. Until then nobody is ahead but
+    /// a vehicle 300 m away that is as fast as the vehicle under test. The test ends when the vehicle under test no longer closes in.
+    CutIn,
+    /// It cuts out: it drives as fast as the vehicle under test and leaves the lane once the closing time to a vehicle that stands is
+    /// reached. The test ends when the vehicle under test stands.
+    CutOut,
 }
 
 /// A direction in which a test is made harder.
@@ -100,7 +106,23 @@ impl Lead {
             Self::Stopped => &[OwnSpeed, ClosingTime],
             Self::Slower => &[OwnSpeed, LeadSpeed, ClosingTime],
             Self::Decelerating => &[OwnSpeed, Gap, Deceleration, Ramp],
+            Self::CutIn => &[OwnSpeed, LeadSpeed, ClosingTime],
+            Self::CutOut => &[OwnSpeed, Gap, ClosingTime],
         }
+    }
+
+    /// The place of the vehicle under test in the line, from the front.
+    #[must_use]
+    pub fn under_test(self) -> usize {
+        match self {
+            Self::Stopped | Self::Slower | Self::Decelerating => 1,
+            Self::CutIn | Self::CutOut => 2,
+        }
+    }
+
+    /// Whether the vehicle under test has to be faster than the one ahead.
+    pub(super) fn is_slower(self) -> bool {
+        matches!(self, Self::Slower | Self::CutIn)
     }
 
     /// Its name in files.
@@ -110,6 +132,8 @@ impl Lead {
             Self::Stopped => "stopped",
             Self::Slower => "slower",
             Self::Decelerating => "decelerating",
+            Self::CutIn => "cut-in",
+            Self::CutOut => "cut-out",
         }
     }
 }
