@@ -19,6 +19,7 @@ mod rare;
 mod reach;
 mod retrain;
 mod simulate;
+mod simulated;
 mod subject;
 mod suite;
 mod train;

@@ -3,20 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use serde::Serialize;
 
 use super::output;
+use super::simulated::{Judged, Report, braking_without_cause, describe, lane_changes, left_behind};
 use super::{Failure, choice, subject};
 use crumple_report::draw::{self, Layout, MotionFigure, PNG_SCALE};
 use crumple_report::export;
 use crumple_search::disk::Files;
-use crumple_world::measure::{NeedlessBrake, NeedlessBraking, Specification, SpecificationError, Usefulness};
+use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::quoted::Terminal;
-use crumple_world::scenario::{Driver, Scenario};
+use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
-    AfterContact, Impact, Intervention, NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, Trace,
-    VehicleSummary, simulate, simulate_batch,
+    AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, Simulated, Trace, simulate, simulate_batch,
 };
 
 /// Run scenarios and say what happened
@@ -119,51 +117,6 @@ pub(super) enum Format {
     Text,
     /// For a program
     Json,
-}
-
-/// One line of `--format json`.
-#[derive(Serialize)]
-struct Report<'a> {
-    scenario: &'a str,
-    controller: &'a str,
-    estimator: &'static str,
-    dt_s: f64,
-    seed: u64,
-    /// The controller says of itself that another run may end otherwise.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    nondeterministic: bool,
-    outcome: Outcome,
-    vehicles: &'a [VehicleSummary],
-    impacts: &'a [Impact],
-    vehicles_involved: usize,
-    #[serde(skip_serializing_if = "<[Intervention]>::is_empty")]
-    interventions: &'a [Intervention],
-    /// One entry a vehicle under test.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    braking_without_cause: Vec<BrakingWithoutCause>,
-    /// Vehicles under test that end far slower than the one ahead drives on.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    left_behind: Vec<usize>,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    specifications: Vec<Judged>,
-}
-
-/// Braking without cause of a vehicle.
-#[derive(Serialize)]
-struct BrakingWithoutCause {
-    vehicle: usize,
-    #[serde(flatten)]
-    braking: NeedlessBraking,
-}
-
-/// What a specification says of a scenario.
-#[derive(Serialize)]
-struct Judged {
-    specification: String,
-    satisfied: bool,
-    /// Below 0 if and only if it does not hold.
-    #[serde(with = "crumple_search::falsify::non_finite")]
-    robustness: f64,
 }
 
 /// What becomes of one run.
@@ -277,6 +230,7 @@ impl Simulate {
             vehicles: &result.vehicles,
             impacts: &result.impacts,
             vehicles_involved: result.vehicles_involved(),
+            lane_changes: lane_changes(scenario, result),
             interventions: &result.interventions,
             braking_without_cause: braking_without_cause(scenario, result),
             left_behind: left_behind(scenario, result),
@@ -358,118 +312,4 @@ fn named(path: &Path, name: Option<&str>) -> PathBuf {
     };
     let plain: String = name.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' }).collect();
     path.with_file_name(format!("{}-{plain}.{extension}", stem.to_string_lossy()))
-}
-
-/// The report for a reader.
-fn describe(report: &Report<'_>, scenario: &Scenario) -> String {
-    let mut text = String::new();
-    let Report { scenario: name, controller, estimator, dt_s, seed, .. } = report;
-    let mut line = |line: String| {
-        text += &format!("{}\n", Terminal(line.trim_end()));
-    };
-    line(format!("{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}"));
-    if report.nondeterministic {
-        line("  the controller says that it is not deterministic: another run may end otherwise".to_owned());
-    }
-    match &report.outcome {
-        Outcome::ControllerFailed(failed) => line(format!("  CONTROLLER FAILED: {failed}")),
-        _ if report.impacts.is_empty() => line("  no collision".to_owned()),
-        _ => {}
-    }
-    for (index, impact) in report.impacts.iter().enumerate() {
-        let contact = impact.contact;
-        line(format!(
-            "  {} at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s ({:.1} against {:.1} m/s)",
-            if index == 0 { "COLLISION" } else { "then     " },
-            contact.time_s,
-            contact.rear_vehicle,
-            contact.front_vehicle,
-            contact.impact_speed_mps,
-            contact.rear_speed_mps,
-            contact.front_speed_mps
-        ));
-    }
-    if report.impacts.len() > 1 {
-        line(format!("  {} of {} vehicles involved", report.vehicles_involved, report.vehicles.len()));
-    }
-    for BrakingWithoutCause { vehicle, braking } in &report.braking_without_cause {
-        if let Some(NeedlessBrake { time_s, brake_mps2, caused_mps2 }) = braking.hardest {
-            line(format!(
-                "  vehicle {vehicle} brakes without cause for {:.2} s, hardest at {time_s:.2} s: {brake_mps2:.1} m/s² where \
-                 {caused_mps2:.1} had a cause",
-                braking.time_s
-            ));
-        }
-    }
-    for vehicle in &report.left_behind {
-        line(format!("  vehicle {vehicle} is left behind by the one ahead"));
-    }
-    for Judged { specification, satisfied, robustness } in &report.specifications {
-        let verdict = if *satisfied { "holds" } else { "VIOLATED" };
-        line(format!("  {verdict}, robustness {robustness:.3}: {specification}"));
-    }
-    for index in 0..report.vehicles.len() {
-        if let Some(said) = shield_line(report.interventions, index) {
-            line(said);
-        }
-    }
-    line(format!(
-        "  {:>3}  {:<6} {:<20} {:>11} {:>11} {:>15}  {}",
-        "#", "class", "driver", "min gap m", "min TTC s", "max brake m/s²", "at the end"
-    ));
-    for (index, (summary, vehicle)) in report.vehicles.iter().zip(scenario.vehicles()).enumerate() {
-        let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
-        let driver = match &vehicle.driver {
-            Driver::UnderTest => (*controller).to_owned(),
-            Driver::Controller(spec) => spec.words(),
-            Driver::Profile(profile) => profile.name().to_owned(),
-            Driver::File(file) => Path::new(file.path()).file_name().unwrap_or_default().to_string_lossy().into_owned(),
-        };
-        line(format!(
-            "  {index:>3}  {:<6} {driver:<20} {:>11} {:>11} {:>15}  {}",
-            vehicle.class.name(),
-            number(summary.min_gap_m),
-            number(summary.min_ttc_s),
-            number(Some(summary.max_brake_mps2)),
-            if summary.stopped { "standing" } else { "moving" }
-        ));
-    }
-    text
-}
-
-/// How the vehicles under test brake without cause, front to rear.
-fn braking_without_cause(scenario: &Scenario, result: &Simulated) -> Vec<BrakingWithoutCause> {
-    let Some(trace) = &result.trace else { return Vec::new() };
-    let under_test = (0..trace.vehicles.len()).filter(|&vehicle| scenario.is_under_test(vehicle));
-    let of = |vehicle| {
-        let braking = NeedlessBraking::of(trace, &result.impacts, vehicle)?;
-        Some(BrakingWithoutCause { vehicle, braking })
-    };
-    under_test.filter_map(of).collect()
-}
-
-/// The vehicles under test that are left behind, front to rear.
-fn left_behind(scenario: &Scenario, result: &Simulated) -> Vec<usize> {
-    let Some(trace) = &result.trace else { return Vec::new() };
-    let is_left = |vehicle: &usize| {
-        let found = Usefulness::of(trace, &result.impacts, *vehicle).and_then(|useful| useful.following);
-        scenario.is_under_test(*vehicle) && found.is_some_and(|following| following.left_behind)
-    };
-    (0..trace.vehicles.len()).filter(is_left).collect()
-}
-
-/// What the shield of a vehicle did, in a line; none if it did nothing.
-fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String> {
-    let own = || interventions.iter().filter(move |one| one.vehicle == vehicle);
-    let first_s = own().next()?.from_s;
-    let braked_s: f64 = own().map(|one| one.to_s - one.from_s).sum();
-    let times = match own().count() {
-        1 => "once".to_owned(),
-        n => format!("{n} times"),
-    };
-    let outside = if own().any(|one| one.outside_kernel) { "; nothing could be promised any more" } else { "" };
-    let rear = if own().any(|one| one.rear_conflict) { "; the vehicle behind could not avoid it" } else { "" };
-    Some(format!(
-        "  the shield of vehicle {vehicle} braked {times}, {braked_s:.2} s in all, first at {first_s:.2} s{outside}{rear}"
-    ))
 }

@@ -7,6 +7,7 @@ use crumple_search::suite::{
     Lead, MarginEnd, Origin, Parameter, Prevention, SHIPPED, Suite, TestVerdict, Unit, json_schema, run,
 };
 use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::LaneChange;
 use crumple_world::sim::NamedController;
 
 use crate::command_line::{code, crumple, folder};
@@ -15,7 +16,7 @@ use crate::tiny::changed;
 
 /// What the documents state, written down a second time and from nothing in the suites' files: suite, test, what, smallest and
 /// largest value, unit.
-const STATED: [(&str, &str, Parameter, [f64; 2], Unit); 14] = {
+const STATED: [(&str, &str, Parameter, [f64; 2], Unit); 17] = {
     use Parameter::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp};
     use Unit::{Gravity, Kmph, Metre, Mps2, Second};
     [
@@ -35,6 +36,10 @@ const STATED: [(&str, &str, Parameter, [f64; 2], Unit); 14] = {
         ("euro-ncap-2023", "ccrb", Gap, [40.0, 40.0], Metre),
         ("euro-ncap-2023", "ccrb", Deceleration, [2.0, 2.0], Mps2),
         ("euro-ncap-2023", "ccrb", Deceleration, [6.0, 6.0], Mps2),
+        // AFGBV: 10, 20, 30 km/h.
+        ("afgbv-cut-in", "cut-in-10", ClosingTime, [0.48, 0.48], Second),
+        ("afgbv-cut-in", "cut-in-20", ClosingTime, [0.71, 0.71], Second),
+        ("afgbv-cut-in", "cut-in-30", ClosingTime, [0.94, 0.94], Second),
     ]
 };
 
@@ -257,6 +262,47 @@ fn every_situation_is_the_one_that_its_figures_say() {
             }
         }
     }
+}
+
+/// Delayed braking against a vehicle that cuts in Δv slower touches within Δv / (2 b) + τ of a collision; the driver decides at the
+/// first step after the entry, and the delay is whole steps.
+#[test]
+fn a_cut_in_fails_where_the_closed_form_says() {
+    let mut spec = shipped("afgbv-cut-in").spec().clone();
+    for (test, slower_mps) in
+        spec.clauses.iter_mut().flat_map(|clause| &mut clause.tests).zip([10.0, 20.0, 30.0].map(|v| v / 3.6))
+    {
+        test.figures.closing_time.as_mut().unwrap().values = vec![slower_mps / 12.0 + 0.5];
+    }
+    let result = run(&Suite::new(spec).unwrap(), &[named("r157-simple")], EstimatorKind::Truth).unwrap();
+    for ((_, test), slower_mps) in result.tests().zip([10.0, 20.0, 30.0].map(|v| v / 3.6)) {
+        let tested = &test.controllers[0];
+        assert!(tested.verdict.is_passed(), "{}", test.name);
+        let MarginEnd::Boundary { passes_at, fails_at, .. } = tested.margins[0].end else { panic!("{}", test.name) };
+        let needed_s = slower_mps / 12.0 + 0.35;
+        assert!(
+            passes_at - fails_at < 0.001 && (needed_s..needed_s + 0.011).contains(&passes_at),
+            "{needed_s} {passes_at}"
+        );
+    }
+}
+
+/// Who leaves late reveals one that stands: nobody can stop in less than the way that is left.
+#[test]
+fn own_suites_cut_in_and_out() {
+    let suite = Suite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
+    let result = run(&suite, &[named("acc-aeb"), named("full-throttle")], EstimatorKind::Kalman).unwrap();
+    for (_, test) in result.tests() {
+        assert!(test.controllers[0].verdict.is_passed(), "{}", test.name);
+        assert!(test.controllers[1].verdict.is_failure() && test.controllers[1].passed == 0, "{}", test.name);
+    }
+    let held_back = run(&suite, &[named("constant-brake")], EstimatorKind::Truth);
+    let held_back =
+        held_back.unwrap().tests().flat_map(|(_, test)| test.controllers.clone()).map(|tested| tested.verdict);
+    assert!(
+        held_back.into_iter().all(|verdict| matches!(verdict, TestVerdict::Refused { .. })),
+        "nobody cuts in before it"
+    );
 }
 
 #[test]

@@ -101,7 +101,11 @@ fn margin_in_words(margin: &Margin) -> String {
             format!("margin of {push}{held}: passes from {from} to {to} {unit} at the ends of {parts} parts")
         }
         MarginEnd::Boundary { passes_at, fails_at, is_monotone, parts } => {
-            let words = format!("margin of {push}{held}: passes at {passes_at:.3}, fails at {fails_at:.3} {unit}");
+            let apart = (passes_at - fails_at).abs();
+            // As many digits as tell the two apart.
+            let digits = if apart > 0.0 { (1.0 - apart.log10().floor()).clamp(3.0, 9.0) as usize } else { 3 };
+            let words =
+                format!("margin of {push}{held}: passes at {passes_at:.digits$}, fails at {fails_at:.digits$} {unit}");
             match is_monotone {
                 true => words,
                 false => format!(
