@@ -1,6 +1,7 @@
 //! Who drives in the lane, and who is still to enter or leave it.
 
 use super::motion::{Motion, first_zero};
+use super::trace::Track;
 use crate::scenario::{LaneChange, VehicleSpec};
 
 /// Instants this close to the end of a step, in seconds, are its end: sums of steps are rounded.
@@ -9,6 +10,13 @@ pub(crate) const SAME_INSTANT_S: f64 = 1e-9;
 /// The lane of one run.
 #[derive(Debug, Clone)]
 pub(super) struct Lane {
+    vehicles: usize,
+    /// None where nobody ever enters or leaves, as in most runs.
+    changes: Option<Box<Changes>>,
+}
+
+#[derive(Debug, Clone)]
+struct Changes {
     inside: Vec<bool>,
     /// From when until when each vehicle is in the lane, in seconds; from infinity on where it has not entered.
     in_lane_s: Vec<[f64; 2]>,
@@ -43,41 +51,48 @@ pub(super) struct Stint {
 impl Lane {
     /// A lane in which `vehicles` are from the start and stay.
     pub(super) fn of_all(vehicles: usize) -> Self {
-        Self {
-            inside: vec![true; vehicles],
-            in_lane_s: vec![[f64::NEG_INFINITY, f64::INFINITY]; vehicles],
-            planned: Vec::new(),
-        }
+        Self { vehicles, changes: None }
     }
 
     /// The lane at the start of a scenario.
     pub(super) fn new(vehicles: &[VehicleSpec], bodies: Bodies<'_>) -> Self {
-        let mut lane = Self::of_all(vehicles.len());
-        for (vehicle, spec) in vehicles.iter().enumerate() {
-            if let Some(when) = spec.leaves {
-                lane.planned.push(Planned { vehicle, enters: false, when, was_larger: None });
-            }
-            if let Some(when) = spec.enters {
-                lane.inside[vehicle] = false;
-                lane.in_lane_s[vehicle] = [f64::INFINITY; 2];
-                lane.planned.push(Planned { vehicle, enters: true, when, was_larger: None });
-            }
+        if vehicles.iter().all(VehicleSpec::keeps_lane) {
+            return Self::of_all(vehicles.len());
         }
+        let inside = vehicles.iter().map(|spec| spec.enters.is_none());
+        let in_lane_s = |inside: bool| if inside { Track::THROUGHOUT_S } else { [f64::INFINITY; 2] };
+        let planned = vehicles.iter().enumerate().flat_map(|(vehicle, spec)| {
+            let of = |enters: bool, when: Option<LaneChange>| {
+                when.map(|when| Planned { vehicle, enters, when, was_larger: None })
+            };
+            [of(false, spec.leaves), of(true, spec.enters)].into_iter().flatten()
+        });
+        let mut planned: Vec<Planned> = planned.collect();
         // Who leaves at an instant makes room for who enters at the same one.
-        lane.planned.sort_by_key(|planned| planned.enters);
-        if lane.planned.is_empty() { lane } else { lane.after(bodies, 0.0, 0.0) }
+        planned.sort_by_key(|planned| planned.enters);
+        let changes = Changes { inside: inside.clone().collect(), in_lane_s: inside.map(in_lane_s).collect(), planned };
+        Self { vehicles: vehicles.len(), changes: Some(Box::new(changes)) }.after(bodies, 0.0, 0.0)
+    }
+
+    /// Whether everybody is in the lane throughout.
+    #[inline]
+    pub(super) fn is_plain(&self) -> bool {
+        self.changes.is_none()
     }
 
     /// Whether nobody enters or leaves any more.
     #[inline]
     pub(super) fn is_settled(&self) -> bool {
-        self.planned.is_empty()
+        self.changes.as_ref().is_none_or(|changes| changes.planned.is_empty())
     }
 
     /// Whether a vehicle is in the lane.
     #[inline]
     pub(super) fn holds(&self, vehicle: usize) -> bool {
-        self.inside.get(vehicle).is_some_and(|&inside| inside)
+        match &self.changes {
+            None => vehicle < self.vehicles,
+            Some(changes) => changes.inside.get(vehicle).is_some_and(|&inside| inside),
+        }
     }
 
     /// Who is ahead of a vehicle in the lane; none for its first, and for a vehicle beside it.
@@ -95,17 +110,20 @@ impl Lane {
     }
 
     fn after_in_list(&self, vehicle: usize) -> Option<usize> {
-        (vehicle + 1..self.inside.len()).find(|&rear| self.holds(rear))
+        (vehicle + 1..self.vehicles).find(|&rear| self.holds(rear))
     }
 
-    /// From when until when each vehicle was in the lane, in seconds.
-    pub(super) fn in_lane_s(&self) -> &[[f64; 2]] {
-        &self.in_lane_s
+    /// From when until when a vehicle was in the lane, in seconds.
+    pub(super) fn in_lane_s(&self, vehicle: usize) -> [f64; 2] {
+        let changed = self.changes.as_ref().and_then(|changes| changes.in_lane_s.get(vehicle));
+        changed.copied().unwrap_or(Track::THROUGHOUT_S)
     }
 
     /// A vehicle that has touched another one stays where it is.
     pub(super) fn keep(&mut self, vehicle: usize) {
-        self.planned.retain(|planned| planned.vehicle != vehicle);
+        if let Some(changes) = &mut self.changes {
+            changes.planned.retain(|planned| planned.vehicle != vehicle);
+        }
     }
 
     /// The parts of the next `within_s` seconds from `now_s` on, in order; nobody touches meanwhile.
@@ -128,7 +146,7 @@ impl Lane {
     /// The next change between `from_s` and `within_s` seconds from now: when, and its place among what is planned.
     fn next_change(&mut self, bodies: Bodies<'_>, now_s: f64, from_s: f64, within_s: f64) -> Option<(f64, usize)> {
         let mut next: Option<(f64, usize)> = None;
-        for place in 0..self.planned.len() {
+        for place in 0..self.changes.as_ref().map_or(0, |changes| changes.planned.len()) {
             let in_s = self.moment_s(place, bodies, now_s, [from_s, within_s]);
             if let Some(in_s) = in_s.filter(|&in_s| next.is_none_or(|(earliest_s, _)| in_s < earliest_s)) {
                 next = Some((in_s, place));
@@ -140,7 +158,7 @@ impl Lane {
     /// When what is planned comes, between `from_s` and `to_s` seconds from now.
     fn moment_s(&mut self, place: usize, bodies: Bodies<'_>, now_s: f64, span_s: [f64; 2]) -> Option<f64> {
         let [from_s, to_s] = span_s;
-        let Planned { vehicle, enters, when, was_larger } = self.planned[place];
+        let Planned { vehicle, enters, when, was_larger } = *self.changes.as_ref()?.planned.get(place)?;
         if enters == self.holds(vehicle) {
             return None;
         }
@@ -163,7 +181,7 @@ impl Lane {
             LaneChange::Gap(waited_m) => {
                 let beyond_m = gap(ahead, behind)[0] - waited_m;
                 let larger = was_larger.unwrap_or(beyond_m > 0.0);
-                self.planned[place].was_larger = Some(larger);
+                self.changes.as_mut()?.planned.get_mut(place)?.was_larger = Some(larger);
                 let sign = if larger { 1.0 } else { -1.0 };
                 let size = |front, rear| {
                     let [gap_m, rate_mps, rate_mps2] = gap(front, rear);
@@ -185,26 +203,26 @@ impl Lane {
 
     /// Does what is planned, `in_s` seconds from now. Who is to enter and finds no room stays beside.
     fn change(&mut self, place: usize, bodies: Bodies<'_>, now_s: f64, in_s: f64) {
-        let Planned { vehicle, enters, when, .. } = self.planned.remove(place);
+        let Some(changes) = &mut self.changes else { return };
+        let Planned { vehicle, enters, when, .. } = changes.planned.remove(place);
         let at_s = match when {
             LaneChange::At(time_s) if (time_s - now_s - in_s).abs() <= SAME_INSTANT_S => time_s,
             _ => now_s + in_s,
         };
-        if !enters {
-            self.inside[vehicle] = false;
-            self.in_lane_s[vehicle][1] = at_s;
-            return;
+        if enters && !self.has_room(vehicle, bodies, in_s) {
+            self.keep(vehicle);
+        } else if let Some(changes) = &mut self.changes {
+            changes.inside[vehicle] = enters;
+            changes.in_lane_s[vehicle][usize::from(!enters)] = at_s;
         }
+    }
+
+    /// Whether a vehicle is clear of those before and after it in the lane, `in_s` seconds from now.
+    fn has_room(&self, vehicle: usize, bodies: Bodies<'_>, in_s: f64) -> bool {
         let position_m = |vehicle: usize| bodies.motion[vehicle].after(in_s).position_m;
         let is_clear = |front: usize, rear: usize| position_m(front) - bodies.length_m[front] > position_m(rear);
-        let has_room = self.before(vehicle).is_none_or(|front| is_clear(front, vehicle))
-            && self.after_in_list(vehicle).is_none_or(|rear| is_clear(vehicle, rear));
-        if has_room {
-            self.inside[vehicle] = true;
-            self.in_lane_s[vehicle] = [at_s, f64::INFINITY];
-        } else {
-            self.keep(vehicle);
-        }
+        self.before(vehicle).is_none_or(|front| is_clear(front, vehicle))
+            && self.after_in_list(vehicle).is_none_or(|rear| is_clear(vehicle, rear))
     }
 }
 

@@ -340,9 +340,7 @@ impl<'s> Run<'s> {
             sticks: vec![false; vehicles.len()],
             min_gap_m: vec![f64::INFINITY; vehicles.len()],
         };
-        if !self.scenario.keeps_lanes() {
-            platoon.lane = Lane::new(vehicles, Bodies { motion: &platoon.motion, length_m: &platoon.length_m });
-        }
+        platoon.lane = Lane::new(vehicles, Bodies { motion: &platoon.motion, length_m: &platoon.length_m });
         platoon.note_gaps();
         platoon
     }

@@ -164,8 +164,8 @@ impl<'r, 's> Stepper<'r, 's> {
         });
         let interventions = interventions.collect();
         if let Some(trace) = &mut self.trace {
-            for (track, &in_lane_s) in trace.vehicles.iter_mut().zip(self.platoon.lane.in_lane_s()) {
-                track.in_lane_s = in_lane_s;
+            for (vehicle, track) in trace.vehicles.iter_mut().enumerate() {
+                track.in_lane_s = self.platoon.lane.in_lane_s(vehicle);
             }
         }
         let vehicles = self.platoon.min_gap_m.iter().zip(self.tallies).zip(&self.platoon.motion);
