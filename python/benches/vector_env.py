@@ -1,14 +1,17 @@
-"""Agent steps a second of the native vector environment, beside Gymnasium's `SyncVectorEnv`.
+"""Agent steps a second of the native vector environment, beside others: in `SyncVectorEnv`, by hand in NumPy, highway-env.
 
 `RAYON_NUM_THREADS=1 taskset -c 0 python benches/vector_env.py [ENVIRONMENTS]`; times are the processor's, of the process.
+highway-env is left out where it is not installed; one of its steps is one of its simulator, where crumple makes ten.
 """
 
 import sys
 import time
+from importlib.util import find_spec
 
 import gymnasium
 import numpy as np
 from gymnasium.vector import SyncVectorEnv
+from numpy_platoon import NumpyPlatoon
 
 import crumple
 from crumple.env import PlatoonEnv, PlatoonVectorEnv
@@ -44,6 +47,24 @@ def steps_a_second(env, steps):
     return best
 
 
+class Flat(gymnasium.ActionWrapper):
+    """An action as highway-env wants it."""
+
+    def action(self, action):
+        """The same."""
+        return np.asarray(action, np.float32)
+
+
+def highway():
+    """One lane, three vehicles, the agent's acceleration, a decision every 0.1 s."""
+    import highway_env
+
+    gymnasium.register_envs(highway_env)
+    action = {"type": "ContinuousAction", "longitudinal": True, "lateral": False}
+    config = {"vehicles_count": 2, "lanes_count": 1, "simulation_frequency": 10, "policy_frequency": 10, "action": action}
+    return Flat(gymnasium.make("highway-fast-v0", config=config))
+
+
 def main():
     """Print a line for each."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 1024
@@ -52,6 +73,9 @@ def main():
         native = steps_a_second(PlatoonVectorEnv(count, estimator=estimator, copy=False), 150)
         python = steps_a_second(SyncVectorEnv([lambda e=estimator: PlatoonEnv(estimator=e)] * count), 15)
         print(f"  {estimator:<7} native {native:>11,.0f}   SyncVectorEnv {python:>9,.0f}   ratio {native / python:.1f}")
+    print(f"  by hand in NumPy {steps_a_second(NumpyPlatoon(count), 150):>9,.0f}")
+    if find_spec("highway_env") is not None:
+        print(f"  highway-env in SyncVectorEnv {steps_a_second(SyncVectorEnv([highway] * 8), 100):>9,.0f} (8 environments)")
     print(f"  an empty environment in SyncVectorEnv {steps_a_second(SyncVectorEnv([Empty] * count), 15):>9,.0f}")
 
 

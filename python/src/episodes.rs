@@ -270,6 +270,15 @@ impl Episodes {
         .map_err(|error| errors::raised(py, Class::Training, &error))
     }
 
+    /// Where the vehicles of a lane are, front to rear: front bumpers and lengths in metres. Nothing before its first reset.
+    fn positions(&self, lane: usize) -> Option<(Vec<f64>, Vec<f64>)> {
+        let lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
+        let episode = lanes.get(lane)?.episode.as_ref()?;
+        let position_m = episode.with_dependent(|_, episode| episode.motion().iter().map(|at| at.position_m).collect());
+        let scenario = episode.borrow_owner().borrow_owner();
+        Some((position_m, scenario.vehicles().iter().map(|vehicle| vehicle.length_m()).collect()))
+    }
+
     fn __len__(&self) -> usize {
         self.lanes.lock().unwrap_or_else(PoisonError::into_inner).len()
     }
@@ -283,9 +292,18 @@ fn fit(lengths: &[usize], lanes: usize) -> Result<(), String> {
     }
 }
 
-/// A preset of `crumple train`, or a file of one.
+/// The text of a preset of `crumple train`.
+#[pyfunction]
+pub(crate) fn training_preset(py: Python<'_>, name: &str) -> PyResult<&'static str> {
+    TrainingConfig::preset_text(name).map_err(|error| errors::raised(py, Class::Training, &error))
+}
+
+/// A preset of `crumple train`, a file of one, or a text of two lines at least.
 fn training(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig> {
     let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Training, &error.to_string());
+    if preset.contains('\n') {
+        return TrainingConfig::parse(preset, std::path::Path::new("<toml>")).map_err(|error| wrong(&error));
+    }
     let path = std::path::Path::new(preset);
     if path.extension().is_none() {
         return TrainingConfig::preset(preset).map_err(|error| wrong(&error));

@@ -15,6 +15,9 @@ pub(crate) enum Class {
     Controller,
     Run,
     Campaign,
+    Formula,
+    Rate,
+    Assessment,
     Training,
 }
 
@@ -26,6 +29,9 @@ impl Class {
             Self::Controller => "ControllerError",
             Self::Run => "RunError",
             Self::Campaign => "CampaignError",
+            Self::Formula => "FormulaError",
+            Self::Rate => "RateError",
+            Self::Assessment => "AssessmentError",
             Self::Training => "TrainingError",
         }
     }
@@ -71,6 +77,16 @@ pub(crate) fn of_space(py: Python<'_>, error: &UnknownSpace) -> PyErr {
 /// An exception that names a field.
 pub(crate) fn of_field(py: Python<'_>, error: &InvalidField) -> PyErr {
     with_place(py, Class::Scenario, error, &Place { field: Some(&error.field), ..Place::default() })
+}
+
+/// An exception that says where something is wrong: file, line and field.
+pub(crate) fn of_place(
+    py: Python<'_>,
+    class: Class,
+    error: &impl std::fmt::Display,
+    (file, line, field): (&Path, usize, &str),
+) -> PyErr {
+    with_place(py, class, error, &Place { file: Some(file), line: Some(line), field: Some(field) })
 }
 
 fn with_place(py: Python<'_>, class: Class, error: &impl std::fmt::Display, place: &Place<'_>) -> PyErr {

@@ -2,14 +2,18 @@
 
 use std::sync::Arc;
 
+use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{self, AfterContact, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate_batch};
-use numpy::PyArray1;
+use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::PyCapsule;
 
 use crate::controller;
 use crate::errors::{self, Class};
+use crate::figure::Figure;
 use crate::scenario::Scenario;
+use crate::table;
 use crate::values::{choice, written};
 use crate::watched::{Stop, watched};
 
@@ -55,6 +59,42 @@ impl Trace {
             vehicles: trace.vehicles.into_iter().map(track).collect::<PyResult<_>>()?,
         })
     }
+
+    /// The samples as they are now: the arrays are the caller's to change.
+    fn samples(&self, py: Python<'_>) -> PyResult<sim::Trace> {
+        let samples = |array: &Py<PyArray1<f64>>| Ok::<_, PyErr>(array.bind(py).try_readonly()?.as_array().to_vec());
+        let track = |track: &Py<Track>| {
+            let track = track.get();
+            Ok(sim::Track {
+                length_m: track.length_m,
+                mass_kg: track.mass_kg,
+                position_m: samples(&track.position_m)?,
+                speed_mps: samples(&track.speed_mps)?,
+                acceleration_mps2: samples(&track.acceleration_mps2)?,
+            })
+        };
+        let vehicles = self.vehicles.iter().map(track).collect::<PyResult<_>>()?;
+        Ok(sim::Trace { time_s: samples(&self.time_s)?, vehicles })
+    }
+}
+
+#[pymethods]
+impl Trace {
+    /// The table of `crumple simulate --trace` for whatever reads Arrow. No other schema is made of it.
+    #[pyo3(signature = (requested_schema = None))]
+    fn __arrow_c_stream__<'py>(
+        &self,
+        py: Python<'py>,
+        requested_schema: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyCapsule>> {
+        let _ = requested_schema;
+        let stream = table::stream(&self.samples(py)?).map_err(|error| errors::raised(py, Class::Run, &error))?;
+        PyCapsule::new_with_value(py, stream, c"arrow_array_stream")
+    }
+
+    fn __len__(&self, py: Python<'_>) -> usize {
+        self.time_s.bind(py).len().unwrap_or_default()
+    }
 }
 
 /// How a run ended.
@@ -62,6 +102,7 @@ impl Trace {
 pub(crate) struct Simulation {
     scenario: Arc<crumple_world::scenario::Scenario>,
     controller: Arc<str>,
+    options: RunOptions,
     simulated: Simulated,
     #[pyo3(get)]
     trace: Option<Py<Trace>>,
@@ -118,8 +159,41 @@ impl Simulation {
         written(py, &self.simulated.interventions)
     }
 
+    /// How robustly the run keeps a specification, as `crumple simulate --spec` says.
+    fn robustness(&self, py: Python<'_>, spec: &str) -> PyResult<f64> {
+        let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Formula, &error.to_string());
+        let specification = Specification::parse(spec, &self.scenario).map_err(|error| wrong(&error))?;
+        let judged_until_contact = self.options.after_contact != specification.after_contact();
+        if judged_until_contact && self.simulated.outcome.contact().is_some() {
+            let how = if specification.keep() == RecordingLevel::Trace { "continue" } else { "stop" };
+            return Err(wrong(&format!("`{spec}` is judged on a run with after_contact=\"{how}\"")));
+        }
+        let run = Run::new(&self.scenario, self.options.clone()).map_err(|error| wrong(&error))?;
+        let mut simulated = self.simulated.clone();
+        if specification.keep() == RecordingLevel::Trace {
+            simulated.trace = Some(self.samples(py)?);
+        }
+        specification.judge(&run, &simulated).map(|verdict| verdict.robustness).map_err(|error| wrong(&error))
+    }
+
+    /// Position, speed and spacing over time.
+    #[pyo3(signature = (layout = "wide"))]
+    fn plot(&self, py: Python<'_>, layout: &str) -> PyResult<Figure> {
+        let title = format!("{}, {}", self.scenario.spec().name, self.controller);
+        Figure::of_motion(&self.scenario, &title, &self.samples(py)?, &self.simulated.impacts, layout)
+    }
+
     fn __repr__(&self) -> String {
         format!("<crumple.Simulation {:?}, {}: {}>", self.scenario.spec().name, self.controller, self.outcome())
+    }
+}
+
+impl Simulation {
+    fn samples(&self, py: Python<'_>) -> PyResult<sim::Trace> {
+        match &self.trace {
+            Some(trace) => trace.get().samples(py),
+            None => Err(errors::raised(py, Class::Run, &"the simulation kept no trace: simulate with trace=True")),
+        }
     }
 }
 
@@ -169,7 +243,7 @@ pub(crate) fn simulate(
     let name: Arc<str> = controller.name.into();
     let simulation = |(scenario, mut simulated): (_, Simulated)| {
         let trace = simulated.trace.take().map(|trace| Py::new(py, Trace::new(py, trace)?)).transpose()?;
-        Ok(Simulation { scenario, controller: Arc::clone(&name), simulated, trace })
+        Ok(Simulation { scenario, controller: Arc::clone(&name), options: options.clone(), simulated, trace })
     };
     scenarios.into_iter().zip(results).map(simulation).collect()
 }

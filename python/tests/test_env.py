@@ -115,19 +115,20 @@ def used_bytes():
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_memory_stays_as_it_is():
-    env = PlatoonVectorEnv(64, estimator="truth", autoreset_mode=AutoresetMode.DISABLED)
+    env = PlatoonVectorEnv(500, estimator="truth", autoreset_mode=AutoresetMode.DISABLED)
     scenarios = [crumple.space("paper").draw(0, index) for index in range(20)]
 
-    def live(times):
-        for _ in range(times):
+    def live(resets, traces):
+        for _ in range(resets // 500):
             env.reset()
-            env.step(np.zeros((64, 1), np.float32))
-        for _ in range(times // 10):
+            env.step(np.zeros((500, 1), np.float32))
+        for _ in range(traces // 20):
             crumple.simulate(scenarios, "baseline", "truth")
-            crumple.simulate(scenarios[:2], lambda seen: -1.0, "truth")
+        crumple.simulate(scenarios, lambda seen: -1.0, "truth")
+        crumple.monitor("always x > 0", {"x": np.ones((resets // 100, 100))})
 
-    live(30)
+    live(10_000, 100)
     before = used_bytes()
-    # 19 200 resets and 660 traces of 1500 samples a vehicle: 70 MB, were they kept.
-    live(300)
+    # A gigabyte of traces alone, were they kept.
+    live(1_000_000, 10_000)
     assert used_bytes() - before < 8 << 20

@@ -2,28 +2,16 @@
 
 import json
 import math
-import os
-import shutil
 import signal
 import subprocess
 import sys
 import textwrap
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import crumple
-
-ROOT = Path(__file__).parents[2]
-
-
-def command_line():
-    """The program, where it was built."""
-    known = [os.environ.get("CRUMPLE"), ROOT / "target/release/crumple", ROOT / "target/debug/crumple"]
-    built = next((str(path) for path in known if path and Path(path).exists()), None) or shutil.which("crumple")
-    return built or pytest.skip("no program `crumple` was built")
 
 
 def follow(seen):
@@ -41,13 +29,13 @@ def follow_all(rows):
 
 @pytest.mark.parametrize("estimator", ["kalman", "truth"])
 @pytest.mark.parametrize("controller", ["baseline", "policy", "acc-aeb,ttc_s=2.0"])
-def test_the_command_line_says_the_same_to_the_bit(tmp_path, controller, estimator):
+def test_the_command_line_says_the_same_to_the_bit(tmp_path, command_line, controller, estimator):
     scenarios = [crumple.space("high-risk").draw(7, index) for index in range(3)]
     for index, scenario in enumerate(scenarios):
         (tmp_path / f"{index}.toml").write_text(scenario.to_toml())
     arguments = ["simulate", *(str(tmp_path / f"{index}.toml") for index in range(3)), "--controller", controller]
     arguments += ["--estimator", estimator, "--format", "json", "--trace", str(tmp_path / "trace.csv")]
-    printed = subprocess.run([command_line(), *arguments], check=True, capture_output=True, text=True).stdout
+    printed = subprocess.run([command_line, *arguments], check=True, capture_output=True, text=True).stdout
     said = [json.loads(line) for line in printed.splitlines()]
     done = crumple.simulate(scenarios, controller, estimator)
     for told, one in zip(said, done, strict=True):
@@ -218,12 +206,10 @@ def test_others_run_meanwhile():
     assert len(ticks) > before, "the interpreter's lock was held"
 
 
-def test_falsify_finds_the_same_with_a_name_as_the_command_line(tmp_path):
+def test_falsify_finds_the_same_with_a_name_as_the_command_line(tmp_path, told_by_command_line):
     found = crumple.falsify("match-leader", budget=100, seed=3)
-    arguments = ["falsify", "--controller", "match-leader", "--budget", "100", "--seed", "3", "--format", "json"]
-    arguments += ["--out", str(tmp_path / "campaign"), "--quiet"]
-    done = subprocess.run([command_line(), *arguments], check=True, capture_output=True, text=True)
-    assert json.loads(done.stdout) == found.summary
+    arguments = ["falsify", "--controller", "match-leader", "--budget", "100", "--seed", "3"]
+    assert told_by_command_line(*arguments, "--out", tmp_path / "campaign") == found.summary
     assert found.falsified
 
 

@@ -26,9 +26,9 @@ pub(super) const AFTER_CONTACT: &[Choice<AfterContact>] = &[
 
 /// What an attack may be after.
 pub(super) const AIMS: &[Choice<Aim>] = &[
-    (Aim::Mildest, "mildest", "A collision with the least ∫ a² of the leader"),
-    (Aim::LeastPeak, "least-peak", "A collision with the least peak of its braking"),
-    (Aim::Severest, "severest", "The fastest impact"),
+    (Aim::Mildest, Aim::Mildest.name(), "A collision with the least ∫ a² of the leader"),
+    (Aim::LeastPeak, Aim::LeastPeak.name(), "A collision with the least peak of its braking"),
+    (Aim::Severest, Aim::Severest.name(), "The fastest impact"),
 ];
 
 /// Which of all escapes may be shown.
@@ -54,9 +54,4 @@ pub(super) fn one_of<T: Copy + Send + Sync + 'static>(
     let possible = choices.iter().map(|&(_, name, help)| PossibleValue::new(name).help(help));
     PossibleValuesParser::new(possible)
         .try_map(|name| choices.iter().find(|choice| choice.1 == name).map(|choice| choice.0).ok_or("unknown"))
-}
-
-/// The name that a value goes by.
-pub(super) fn name_of<T: Copy + PartialEq>(choices: &[Choice<T>], value: T) -> &'static str {
-    choices.iter().find(|choice| choice.0 == value).map_or("", |choice| choice.1)
 }

@@ -3,12 +3,11 @@
 use std::fmt::Write;
 
 use clap::Args;
-use serde::Serialize;
 
 use super::finding::Finding;
 use super::{Failure, choice, subject};
 use crumple_search::disk::Files;
-use crumple_search::worst_case::{Aim, AttackMethod, AttackResult, Envelope, hunt};
+use crumple_search::worst_case::{Aim, AttackMethod, AttackReport, Envelope, hunt};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::Terminal;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
@@ -53,26 +52,6 @@ pub(super) struct WorstCase {
     finding: Finding,
 }
 
-/// What `--format json` prints.
-#[derive(Serialize)]
-struct Report<'a> {
-    scenario: &'a str,
-    controller: &'a str,
-    estimator: &'static str,
-    aim: &'static str,
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    nondeterministic: bool,
-    found: bool,
-    method: Option<AttackMethod>,
-    outcome: Option<Outcome>,
-    effort_m2ps3: Option<f64>,
-    peak_brake_mps2: Option<f64>,
-    predicted_margin_m: Option<f64>,
-    margin_m: Option<f64>,
-    evaluations: usize,
-    programs: usize,
-}
-
 impl WorstCase {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let scenario = subject::scenario(&self.scenario)?;
@@ -92,38 +71,20 @@ impl WorstCase {
             None => self.finding.note_nothing("no collision was found, so there is nothing", quiet),
         }
         files.commit()?;
-        self.finding.print(&self.report(&scenario.spec().name, &result), describe)
-    }
-
-    fn report<'a>(&'a self, scenario: &'a str, result: &AttackResult) -> Report<'a> {
-        let found = result.found.as_ref();
-        Report {
-            scenario,
-            controller: &self.controller.name,
-            estimator: self.estimator.name(),
-            aim: choice::name_of(choice::AIMS, self.aim),
-            nondeterministic: !self.controller.kind.is_deterministic(),
-            found: found.is_some(),
-            method: found.map(|attack| attack.method),
-            outcome: found.map(|attack| attack.outcome.clone()),
-            effort_m2ps3: found.map(|attack| attack.effort_m2ps3),
-            peak_brake_mps2: found.map(|attack| attack.peak_brake_mps2),
-            predicted_margin_m: found.map(|attack| attack.predicted_margin_m),
-            margin_m: found.map(|attack| attack.margin_m),
-            evaluations: result.evaluations,
-            programs: result.programs,
-        }
+        let name = &scenario.spec().name;
+        let report = AttackReport::new(name, &self.controller, self.estimator, self.aim, &result);
+        self.finding.print(&report, describe)
     }
 }
 
-fn describe(report: &Report<'_>) -> String {
-    let Report { scenario, controller, estimator, aim, .. } = report;
+fn describe(report: &AttackReport) -> String {
+    let AttackReport { scenario, controller, estimator, aim, .. } = report;
     let mut text = format!("{}: {}, estimator {estimator}, {aim}\n", Terminal(scenario), Terminal(controller));
     if report.nondeterministic {
         text += "  the controller says that it is not deterministic: another attack may end otherwise\n";
     }
     let (Some(effort), Some(peak), Some(method)) = (report.effort_m2ps3, report.peak_brake_mps2, report.method) else {
-        let Report { evaluations, programs, .. } = report;
+        let AttackReport { evaluations, programs, .. } = report;
         return text + &format!("  no collision found in {evaluations} simulations and {programs} convex programs\n");
     };
     // Writing to a string cannot fail.
@@ -146,7 +107,7 @@ fn describe(report: &Report<'_>) -> String {
         AttackMethod::Widened => "near the least on this grid: exact but for noise and filter",
         AttackMethod::Sequential => "a local optimum",
     };
-    let Report { evaluations, programs, .. } = report;
+    let AttackReport { evaluations, programs, .. } = report;
     let _ = writeln!(text, "  {method}; {evaluations} simulations, {programs} convex programs");
     text
 }

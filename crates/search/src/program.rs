@@ -6,7 +6,7 @@
 
 use std::fs::File;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use sha2::{Digest, Sha256};
@@ -17,9 +17,17 @@ use crate::disk::DiskError;
 pub const OTHER_BUILD: &str = "made by another build of crumple, and work ends in the build that it began in: go on with that \
                                build, or begin anew without --resume in another --out";
 
-/// SHA-256 of the running executable, computed once a process. An unoptimised build has 150 MB, so this hash, unlike the small ones
-/// of files, is computed by the processor's own instructions where it has them. Of a library that was loaded into another program, such as an
-/// interpreter, it says nothing.
+/// Where the program is, if it is not the executable.
+static LIBRARY: OnceLock<PathBuf> = OnceLock::new();
+
+/// Says that crumple was loaded into another program, such as an interpreter, from this file: [`identity`] is then that of the file.
+/// Only what is said first, and before an identity was asked for, counts.
+pub fn loaded_from(library: PathBuf) {
+    let _ = LIBRARY.set(library);
+}
+
+/// SHA-256 of the running executable, or of what [`loaded_from`] says, computed once a process. An unoptimised build has 150 MB, so this hash, unlike the small ones
+/// of files, is computed by the processor's own instructions where it has them.
 ///
 /// # Errors
 /// [`DiskError`] if the executable cannot be found or read.
@@ -28,7 +36,10 @@ pub fn identity() -> Result<&'static str, DiskError> {
     if let Some(known) = IDENTITY.get() {
         return Ok(known);
     }
-    let path = std::env::current_exe().map_err(DiskError::at(Path::new("the running executable")))?;
+    let path = match LIBRARY.get() {
+        Some(library) => library.clone(),
+        None => std::env::current_exe().map_err(DiskError::at(Path::new("the running executable")))?,
+    };
     let mut hash = Sha256::new();
     let mut executable = File::open(&path).map_err(DiskError::at(&path))?;
     let mut piece = vec![0; 1 << 16];

@@ -2,13 +2,18 @@
 
 from crumple._campaign import Campaign, Failure, falsify
 from crumple._controller import OBSERVATION, Controller
-from crumple._crumple import Observation, Scenario, Simulation, Space, Trace, Track
+from crumple._crumple import Assessment, Figure, Observation, Scenario, Simulation, Space, Trace, Track, training_preset
+from crumple._evidence import Rate, WorstCase, assess, rate, worst_case, write_report
+from crumple._monitor import monitor
 from crumple._registration import register_environments
 from crumple._simulate import scenario, simulate, space
 from crumple.errors import (
+    AssessmentError,
     CampaignError,
     ControllerError,
     CrumpleError,
+    FormulaError,
+    RateError,
     RunError,
     ScenarioError,
     SpaceError,
@@ -17,13 +22,19 @@ from crumple.errors import (
 
 __all__ = [
     "OBSERVATION",
+    "Assessment",
+    "AssessmentError",
     "Campaign",
     "CampaignError",
     "Controller",
     "ControllerError",
     "CrumpleError",
     "Failure",
+    "Figure",
+    "FormulaError",
     "Observation",
+    "Rate",
+    "RateError",
     "RunError",
     "Scenario",
     "ScenarioError",
@@ -33,10 +44,17 @@ __all__ = [
     "Trace",
     "Track",
     "TrainingError",
+    "WorstCase",
+    "assess",
     "falsify",
+    "monitor",
+    "rate",
     "scenario",
     "simulate",
     "space",
+    "training_preset",
+    "worst_case",
+    "write_report",
 ]
 
 register_environments()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from crumple._controller import as_controller
-from crumple._crumple import Scenario, Simulation
+from crumple._crumple import Figure, Scenario, Simulation
 from crumple._crumple import falsify as _falsify
 from crumple._simulate import ControllerLike, Progress, SpaceLike, simulate
 from crumple._simulate import space as find_space
@@ -29,6 +29,10 @@ class Failure:
     def replay(self) -> Simulation:
         """Simulate it again, with a trace."""
         return simulate(self.scenario, self._controller, self._estimator)
+
+    def plot(self, layout: Literal["wide", "stacked", "column"] = "wide") -> Figure:
+        """Position, speed and spacing over time, of the failure simulated again."""
+        return self.replay().plot(layout)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 from collections.abc import Callable
 from os import PathLike
-from typing import Any, final
+from typing import Any, Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,15 +8,22 @@ from numpy.typing import NDArray
 from crumple._controller import Controller
 
 __all__ = [
+    "Assessment",
     "Episodes",
+    "Figure",
     "Observation",
     "Scenario",
     "Simulation",
     "Space",
     "Trace",
     "Track",
+    "assess",
     "falsify",
+    "monitor",
+    "rate",
     "simulate",
+    "training_preset",
+    "worst_case",
 ]
 
 @final
@@ -97,6 +104,28 @@ class Trace:
     def time_s(self) -> NDArray[np.float64]: ...
     @property
     def vehicles(self) -> list[Track]: ...
+    def __arrow_c_stream__(self, requested_schema: object = None) -> object: ...
+    def __len__(self) -> int: ...
+
+@final
+class Figure:
+    @property
+    def svg(self) -> str: ...
+    def save(self, path: str | PathLike[str]) -> None: ...
+    def _repr_svg_(self) -> str: ...
+
+@final
+class Assessment:
+    @property
+    def evidence(self) -> dict[str, Any]: ...
+    @property
+    def gates(self) -> list[dict[str, Any]]: ...
+    @property
+    def passed(self) -> bool: ...
+    def html(self) -> str: ...
+    def markdown(self) -> str: ...
+    def files(self) -> dict[str, bytes]: ...
+    def _repr_html_(self) -> str: ...
 
 @final
 class Simulation:
@@ -120,6 +149,8 @@ class Simulation:
     def interventions(self) -> list[dict[str, Any]]: ...
     @property
     def trace(self) -> Trace | None: ...
+    def robustness(self, spec: str) -> float: ...
+    def plot(self, layout: Literal["wide", "stacked", "column"] = "wide") -> Figure: ...
 
 @final
 class Episodes:
@@ -141,8 +172,50 @@ class Episodes:
         truncated: NDArray[np.bool_],
         endings: NDArray[np.uint8],
     ) -> None: ...
+    def positions(self, lane: int) -> tuple[list[float], list[float]] | None: ...
     def __len__(self) -> int: ...
 
+def training_preset(name: str) -> str: ...
+def monitor(
+    formula: str,
+    names: list[str],
+    signals: list[NDArray[np.float64]],
+    step_s: float,
+    traces: int,
+    over_time: bool,
+) -> NDArray[np.float64]: ...
+def rate(
+    controller: str | Controller,
+    against: str | Controller | None,
+    space: Space,
+    runs: int,
+    confidence: float,
+    seed: int,
+    estimator: str,
+    folder: str | PathLike[str],
+    resume: bool,
+    progress: Callable[[int, int, int], object] | None,
+) -> tuple[dict[str, Any], dict[str, Any] | None, str]: ...
+def worst_case(
+    scenario: Scenario,
+    controller: str | Controller,
+    aim: str,
+    estimator: str,
+    max_brake_mps2: float | None,
+    jerk_mps3: float | None,
+    budget: int,
+    progress: Callable[[int, int, int], object] | None,
+) -> tuple[Scenario | None, dict[str, Any]]: ...
+def assess(
+    path: str | PathLike[str] | None,
+    toml: str | None,
+    json: str | None,
+    controllers: list[str | Controller],
+    against: str | PathLike[str] | None,
+    evidence: str | PathLike[str] | None,
+    fresh: bool,
+    progress: Callable[[int, int, int], object] | None,
+) -> Assessment: ...
 def simulate(
     scenarios: list[Scenario],
     controller: str | Controller,

@@ -17,6 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from crumple._crumple import Episodes
+from crumple._film import Film
 from crumple._simulate import SpaceLike, space
 from crumple.errors import TrainingError
 
@@ -61,10 +62,11 @@ class PlatoonEnv(gymnasium.Env[State, NDArray[np.float32]]):
     """One episode after the other, each a draw of a space.
 
     ``space`` is a name, a path or a :class:`crumple.Space` in which vehicle 1 alone is under test; None for what the
-    training ``preset`` (a name or a TOML file) says. ``estimator`` replaces the preset's.
+    training ``preset`` (a name, a TOML file or its text) says. ``estimator`` replaces the preset's. With
+    ``render_mode="rgb_array"`` :meth:`render` draws the line of vehicles from above, and below it the way of each over time.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}  # type: ignore[misc]
 
     def __init__(
         self,
@@ -76,7 +78,10 @@ class PlatoonEnv(gymnasium.Env[State, NDArray[np.float32]]):
         self._episodes = _episodes(1, space, preset, estimator, "disabled")
         self._buffers = _Buffers(1)
         self._is_seeded = False
+        if render_mode not in (None, "rgb_array"):
+            raise TrainingError(f"render_mode is None or 'rgb_array', found {render_mode!r}")
         self.render_mode = render_mode
+        self._film = Film() if render_mode == "rgb_array" else None
         spaces: tuple[Any, Any] = _spaces(self._episodes)
         self.observation_space, self.action_space = spaces
         self.decision_s = self._episodes.decision_s
@@ -89,12 +94,17 @@ class PlatoonEnv(gymnasium.Env[State, NDArray[np.float32]]):
             seed = int(self.np_random.integers(2**63))
         self._is_seeded = True
         self._episodes.reset(None if seed is None else [seed], np.ones(1, np.bool_), self._buffers.states)
+        if self._film is not None:
+            self._film.begin()
+            self._look(self._film)
         return self._buffers.states[0].copy(), {}
 
     def step(self, action: NDArray[np.float32]) -> tuple[State, float, bool, bool, dict[str, Any]]:
         """Hold an action until the next decision."""
         buffers = self._buffers
         buffers.step(self._episodes, action)
+        if self._film is not None:
+            self._look(self._film)
         return (
             buffers.states[0].copy(),
             float(buffers.rewards[0]),
@@ -102,6 +112,15 @@ class PlatoonEnv(gymnasium.Env[State, NDArray[np.float32]]):
             bool(buffers.truncated[0]),
             {"ending": int(buffers.endings[0])},
         )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The line of vehicles and their ways so far, of shape (height, width, 3); None unless it was asked for."""
+        return None if self._film is None else self._film.frame()
+
+    def _look(self, film: Film) -> None:
+        places = self._episodes.positions(0)
+        if places is not None:
+            film.add(self.decision_s, *places)
 
 
 class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):

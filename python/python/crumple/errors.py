@@ -40,5 +40,17 @@ class CampaignError(CrumpleError):
     """A search cannot be made as asked."""
 
 
+class FormulaError(CrumpleError):
+    """A formula cannot be read, or does not fit the signals."""
+
+
+class RateError(CrumpleError):
+    """A rate cannot be counted as asked."""
+
+
+class AssessmentError(CrumpleError):
+    """An assessment cannot be made as asked."""
+
+
 class TrainingError(CrumpleError):
     """A training task cannot be used, or an environment was not used as it must be."""

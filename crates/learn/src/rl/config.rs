@@ -228,10 +228,16 @@ impl TrainingConfig {
     /// # Errors
     /// [`ConfigError::Unknown`] for any other name.
     pub fn preset(name: &str) -> Result<Self, ConfigError> {
-        match PRESETS.iter().find(|(known, _)| *known == name) {
-            Some((_, text)) => Self::parse(text, Path::new(name)),
-            None => Err(ConfigError::Unknown(name.to_owned())),
-        }
+        Self::parse(Self::preset_text(name)?, Path::new(name))
+    }
+
+    /// The text of a preset, as a file would hold it.
+    ///
+    /// # Errors
+    /// [`ConfigError::Unknown`] if there is none of that name.
+    pub fn preset_text(name: &str) -> Result<&'static str, ConfigError> {
+        let known = PRESETS.iter().find(|(known, _)| *known == name);
+        known.map(|(_, text)| *text).ok_or_else(|| ConfigError::Unknown(name.to_owned()))
     }
 
     /// A configuration from TOML; `path` only names it in errors.

@@ -3,7 +3,7 @@
 use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::Earnings;
 use crumple_world::policy::{ActionBounds, ObservationScaling, STATE};
-use crumple_world::sim::{RecordingLevel, Run, Stepper};
+use crumple_world::sim::{Motion, RecordingLevel, Run, Stepper};
 
 /// Index of the vehicle the agent drives.
 pub(super) const EGO: usize = 1;
@@ -136,6 +136,12 @@ impl<'r, 's> Episode<'r, 's> {
     #[must_use]
     pub fn total_reward(&self) -> f64 {
         self.undiscounted
+    }
+
+    /// Where every vehicle is, front to rear.
+    #[must_use]
+    pub fn motion(&self) -> &[Motion] {
+        self.stepper.motion()
     }
 
     /// Steps that were simulated.

@@ -21,6 +21,7 @@ mod store;
 mod table;
 mod work;
 
+use std::ops::ControlFlow;
 use std::path::{Component, Path};
 
 use maud::Markup;
@@ -139,6 +140,9 @@ pub enum AssessError {
     /// Evidence cannot be kept.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// Whoever was told of the progress ended it.
+    #[error("the assessment was broken off")]
+    BrokenOff,
 }
 
 /// Gathers the evidence a plan asks for; what `store` has kept of it is not gathered again. Nothing is kept where a
@@ -166,6 +170,22 @@ pub fn assess(
     store: &Store,
     against: Option<&Earlier>,
     told: &(dyn Fn(u64) + Sync),
+) -> Result<Assessment, AssessError> {
+    assess_until(plan, store, against, &|done| {
+        told(done);
+        ControlFlow::Continue(())
+    })
+}
+
+/// What [`assess`] says, until `told` breaks it off: what was gathered by then is kept.
+///
+/// # Errors
+/// As [`assess`], and [`AssessError::BrokenOff`], of a search that of the campaign.
+pub fn assess_until(
+    plan: &AssessmentPlan,
+    store: &Store,
+    against: Option<&Earlier>,
+    told: &(dyn Fn(u64) -> ControlFlow<()> + Sync),
 ) -> Result<Assessment, AssessError> {
     let nothing_kept = Store::none();
     let store = if plan.without_identity().is_none() { store } else { &nothing_kept };
@@ -274,6 +294,12 @@ impl Assessment {
     #[must_use]
     pub fn html(&self) -> String {
         page::html(self)
+    }
+
+    /// The first page alone, as a self-contained HTML page: question, answer and reasons.
+    #[must_use]
+    pub fn first_page_html(&self) -> String {
+        page::first_page(self)
     }
 
     /// The report as Markdown, without figures.

@@ -2,8 +2,8 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::Assessment;
 use super::markdown::Markdown;
+use super::{Assessment, Part};
 use crate::draw;
 use crumple_world::quoted::Lines;
 
@@ -15,13 +15,7 @@ pub(super) fn html(assessment: &Assessment) -> String {
     let page: Markup = html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="generator" content={ "crumple " (assessment.provenance.crumple) };
-                title { (TITLE) }
-                style { (PreEscaped(STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(draw::ANIMATION_STYLE)) }
-            }
+            (head(assessment))
             body {
                 header {
                     p.kicker { "crumple " (assessment.provenance.crumple) }
@@ -45,6 +39,27 @@ pub(super) fn html(assessment: &Assessment) -> String {
     };
     // A page is text too: what turns the direction of names would turn the verdict beside them.
     Lines(&page.into_string()).to_string()
+}
+
+/// The first page alone, as a page.
+pub(super) fn first_page(assessment: &Assessment) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" { (head(assessment)) body { main { section { (assessment.first_page.html()) } } } }
+    };
+    Lines(&page.into_string()).to_string()
+}
+
+fn head(assessment: &Assessment) -> Markup {
+    html! {
+        head {
+            meta charset="utf-8";
+            meta name="viewport" content="width=device-width, initial-scale=1";
+            meta name="generator" content={ "crumple " (assessment.provenance.crumple) };
+            title { (TITLE) }
+            style { (PreEscaped(STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(draw::ANIMATION_STYLE)) }
+        }
+    }
 }
 
 pub(super) fn markdown(assessment: &Assessment) -> String {

@@ -1,23 +1,45 @@
 //! Gathering evidence: where it is kept, and who hears how far it is.
 
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::AssessError;
 use super::store::Store;
 
 /// Evidence being gathered.
 pub(super) struct Work<'a> {
     pub(super) store: &'a Store,
     done: AtomicU64,
-    told: &'a (dyn Fn(u64) + Sync),
+    told: &'a (dyn Fn(u64) -> ControlFlow<()> + Sync),
 }
 
 impl<'a> Work<'a> {
-    pub(super) fn new(store: &'a Store, told: &'a (dyn Fn(u64) + Sync)) -> Self {
+    pub(super) fn new(store: &'a Store, told: &'a (dyn Fn(u64) -> ControlFlow<()> + Sync)) -> Self {
         Self { store, done: AtomicU64::new(0), told }
     }
 
-    /// So many runs more are done.
-    pub(super) fn did(&self, runs: u64) {
-        (self.told)(self.done.fetch_add(runs, Ordering::Relaxed) + runs);
+    /// As [`Store::get`]; what was gathered while somebody broke it off is not kept, since runs may have been ended halfway.
+    pub(super) fn get<T: Serialize + DeserializeOwned>(
+        &self,
+        name: &str,
+        inputs: &impl Serialize,
+        gather: impl FnOnce() -> Result<T, AssessError>,
+    ) -> Result<T, AssessError> {
+        self.store.get(name, inputs, || {
+            let found = gather()?;
+            self.did(0)?;
+            Ok(found)
+        })
+    }
+
+    /// So many runs more are done; an error if that is to be all.
+    pub(super) fn did(&self, runs: u64) -> Result<(), AssessError> {
+        match (self.told)(self.done.fetch_add(runs, Ordering::Relaxed) + runs) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(()) => Err(AssessError::BrokenOff),
+        }
     }
 }

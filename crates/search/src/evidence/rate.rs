@@ -1,7 +1,7 @@
 //! Counting failures for a claim about their rate: registered before the first run, counted in order, resumable.
 
 use std::collections::BTreeMap;
-use std::ops::Range;
+use std::ops::{ControlFlow, Range};
 
 use crumple_verify::rate::{MOST_RUNS, tail_at_most};
 use crumple_verify::{Certificate, Comparison, Rate, Registration, Statement};
@@ -108,6 +108,9 @@ pub enum RateError {
         /// Why.
         source: RunError,
     },
+    /// Whoever was asked whether to go on ended it.
+    #[error("the count was broken off")]
+    BrokenOff,
 }
 
 /// What has been counted so far. A run fails if vehicles touch, or if its controller fails.
@@ -192,9 +195,22 @@ impl RatePlan {
     /// # Errors
     /// [`RateError`] names the draw that could not be run; `tally` is then as it was.
     pub fn count_block(&self, tally: &mut Tally) -> Result<(), RateError> {
+        self.count_block_until(tally, &mut || ControlFlow::Continue(()))
+    }
+
+    /// The same as long as `go_on` says so, which is asked after every thousand runs. Who ends it may have ended runs halfway: what came
+    /// of these does not count.
+    ///
+    /// # Errors
+    /// As [`Self::count_block`], and [`RateError::BrokenOff`]; `tally` is then as it was.
+    pub fn count_block_until(
+        &self,
+        tally: &mut Tally,
+        go_on: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<(), RateError> {
         let together = self.block_runs * (TOGETHER / self.block_runs).max(1);
         let end = (tally.runs + together).min(self.registration.runs);
-        let counted = self.count(tally.runs..end)?;
+        let counted = self.count(tally.runs..end, go_on)?;
         tally.runs = end;
         for block in counted {
             tally.failures += block.failures;
@@ -241,23 +257,25 @@ impl RatePlan {
     /// # Errors
     /// [`RateError`] names the draw that could not be run.
     pub fn count_again(&self, block: u64) -> Result<CountedBlock, RateError> {
-        Ok(self.count(self.runs_of(block))?.pop().unwrap_or_default())
+        Ok(self.count(self.runs_of(block), &mut || ControlFlow::Continue(()))?.pop().unwrap_or_default())
     }
 
     /// Makes runs, which begin where a block begins: a count for each block.
-    fn count(&self, runs: Range<u64>) -> Result<Vec<CountedBlock>, RateError> {
+    fn count(
+        &self,
+        runs: Range<u64>,
+        go_on: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Vec<CountedBlock>, RateError> {
         let indices: Vec<u64> = runs.collect();
-        let draw = |&index: &u64| self.space.draw(self.seed, index).map_err(|source| RateError::Draw { index, source });
-        let scenarios = indices.par_iter().map(draw).collect::<Result<Vec<_>, _>>()?;
-        let endings = |driver: &NamedController| {
-            let options = RunOptions::new(driver.kind.clone()).with_estimator(self.estimator);
-            let runs = scenarios.iter().zip(&indices).map(|(scenario, &index)| {
-                Run::new(scenario, options.clone()).map_err(|source| RateError::Run { index, source })
-            });
-            let runs = runs.collect::<Result<Vec<_>, _>>()?;
-            Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| Ending::of(&result)))
-        };
-        let endings = self.drivers.iter().map(endings).collect::<Result<Vec<_>, RateError>>()?;
+        let mut endings: Vec<Vec<Ending>> = self.drivers.iter().map(|_| Vec::with_capacity(indices.len())).collect();
+        for some in indices.chunks(TOGETHER as usize) {
+            for (all, mut more) in endings.iter_mut().zip(self.endings(some)?) {
+                all.append(&mut more);
+            }
+            if go_on().is_break() {
+                return Err(RateError::BrokenOff);
+            }
+        }
         let registered = self.registration.digest();
         let places: Vec<usize> = (0..indices.len()).collect();
         let counted = places.chunks(self.block_runs as usize).map(|places| {
@@ -266,6 +284,21 @@ impl RatePlan {
             CountedBlock::of(&registered, first, places.iter().map(of_run))
         });
         Ok(counted.collect())
+    }
+
+    /// How runs end, of each controller.
+    fn endings(&self, indices: &[u64]) -> Result<Vec<Vec<Ending>>, RateError> {
+        let draw = |&index: &u64| self.space.draw(self.seed, index).map_err(|source| RateError::Draw { index, source });
+        let scenarios = indices.par_iter().map(draw).collect::<Result<Vec<_>, _>>()?;
+        let endings = |driver: &NamedController| {
+            let options = RunOptions::new(driver.kind.clone()).with_estimator(self.estimator);
+            let runs = scenarios.iter().zip(indices).map(|(scenario, &index)| {
+                Run::new(scenario, options.clone()).map_err(|source| RateError::Run { index, source })
+            });
+            let runs = runs.collect::<Result<Vec<_>, _>>()?;
+            Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| Ending::of(&result)))
+        };
+        self.drivers.iter().map(endings).collect()
     }
 
     /// What a full tally shows. For one controller the lowest rate that is accepted, to nine digits.

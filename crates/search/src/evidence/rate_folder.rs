@@ -1,6 +1,7 @@
 //! A count in a folder: `registration.json` before the first run, `progress.json` every second, `certificate.json` once the
 //! checker has accepted it; `work.json` says of each what it is.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -27,7 +28,7 @@ pub enum RateFolderError {
         /// The registration.
         path: PathBuf,
     },
-    /// A run cannot be made.
+    /// A run cannot be made, or whoever was told of the progress ended it.
     #[error(transparent)]
     Run(#[from] RateError),
     /// The checker does not accept what the counts would show.
@@ -92,20 +93,37 @@ const PROGRESS: &str = "progress.json";
 const CERTIFICATE: &str = "certificate.json";
 
 impl RateCount<'_> {
-    /// Counts what is left, and writes the certificate. `progress` hears how many runs are done, before every block.
+    /// Counts what is left, and writes the certificate. `progress` hears how many runs are done, after every thousand.
     ///
     /// # Errors
     /// [`RateFolderError`] if a run cannot be made, a file not written, or nothing is shown.
     pub fn certificate(&mut self, progress: &mut dyn FnMut(u64)) -> Result<Certificate, RateFolderError> {
+        self.certificate_until(&mut |tally| {
+            progress(tally.runs);
+            ControlFlow::Continue(())
+        })
+    }
+
+    /// The same until `progress` breaks it off: what was counted by then stays in the folder, for another time.
+    ///
+    /// # Errors
+    /// As [`Self::certificate`], and [`RateError::BrokenOff`].
+    pub fn certificate_until(
+        &mut self,
+        progress: &mut dyn FnMut(&Tally) -> ControlFlow<()>,
+    ) -> Result<Certificate, RateFolderError> {
         let path = self.work.path(PROGRESS);
         let mut written = Instant::now();
         while self.tally.runs < self.plan.registration().runs {
-            progress(self.tally.runs);
-            self.plan.count_block(&mut self.tally)?;
+            let told = self.tally.clone();
+            self.plan.count_block_until(&mut self.tally, &mut || progress(&told))?;
             if written.elapsed() > BETWEEN {
                 self.work.advance(PROGRESS, json(&path, &self.tally)?)?;
                 written = Instant::now();
             }
+        }
+        if progress(&self.tally).is_break() {
+            return Err(RateError::BrokenOff.into());
         }
         self.work.write(PROGRESS, json(&path, &self.tally)?)?;
         let certificate = self.plan.certificate(&self.tally);

@@ -1,5 +1,7 @@
 //! How little lead braking makes a controller collide, and how badly it can end.
 
+use std::ops::ControlFlow;
+
 use super::exact;
 use super::sequential;
 use super::witness::pieces;
@@ -19,6 +21,21 @@ pub enum Aim {
     LeastPeak,
     /// The fastest impact.
     Severest,
+}
+
+impl Aim {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Mildest, Self::LeastPeak, Self::Severest];
+
+    /// What it is called on the command line and in files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Mildest => "mildest",
+            Self::LeastPeak => "least-peak",
+            Self::Severest => "severest",
+        }
+    }
 }
 
 /// How the leader may brake.
@@ -131,6 +148,9 @@ pub enum AttackError {
         /// Its steps.
         steps: usize,
     },
+    /// Whoever was told of the progress ended it.
+    #[error("the attack was broken off")]
+    BrokenOff,
     /// A profile made an invalid scenario.
     #[error(transparent)]
     Scenario(#[from] InvalidField),
@@ -187,6 +207,21 @@ pub fn hunt(
     envelope: Envelope,
     budget: usize,
 ) -> Result<AttackResult, AttackError> {
+    hunt_until(scenario, options, aim, envelope, budget, &mut |_| ControlFlow::Continue(()))
+}
+
+/// The same until `told` breaks it off, which hears how many simulations were made.
+///
+/// # Errors
+/// Those of [`attack()`], and [`AttackError::BrokenOff`].
+pub fn hunt_until(
+    scenario: &Scenario,
+    options: &RunOptions,
+    aim: Aim,
+    envelope: Envelope,
+    budget: usize,
+    told: &mut dyn FnMut(usize) -> ControlFlow<()>,
+) -> Result<AttackResult, AttackError> {
     if !matches!(scenario.vehicles().first().map(|leader| &leader.driver), Some(Driver::Profile(_))) {
         return Err(AttackError::Leader);
     }
@@ -205,7 +240,7 @@ pub fn hunt(
     if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || asked_mps2.is_nan() {
         return Err(AttackError::Envelope { max_brake_mps2: asked_mps2, jerk_mps3: envelope.jerk_mps3 });
     }
-    let mut bench = Bench::new(scenario, options, Envelope { max_brake_mps2, ..envelope });
+    let mut bench = Bench::new(scenario, options, Envelope { max_brake_mps2, ..envelope }, told);
     // From nothing to full braking in half a cell: more is no limit, and huge numbers would spoil the programs.
     let boundless_mps3 = 2.0 * max_brake_mps2 / bench.cell_s();
     bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);
@@ -229,6 +264,8 @@ pub(super) struct Bench<'a> {
     pub(super) cell: usize,
     pub(super) evaluations: usize,
     pub(super) programs: usize,
+    /// Hears how many simulations were made, and may end it.
+    told: &'a mut dyn FnMut(usize) -> ControlFlow<()>,
 }
 
 /// What a profile did.
@@ -244,9 +281,14 @@ const FASTEST_IMPACT_MPS: f64 = 100.0;
 const DEPTH_MPS2: f64 = 5.0;
 
 impl<'a> Bench<'a> {
-    fn new(scenario: &'a Scenario, options: &'a RunOptions, envelope: Envelope) -> Self {
+    fn new(
+        scenario: &'a Scenario,
+        options: &'a RunOptions,
+        envelope: Envelope,
+        told: &'a mut dyn FnMut(usize) -> ControlFlow<()>,
+    ) -> Self {
         let cell = (0.1 / scenario.spec().step_s).round().max(1.0) as usize;
-        Self { scenario, options, envelope, cell, evaluations: 0, programs: 0 }
+        Self { scenario, options, envelope, cell, evaluations: 0, programs: 0, told }
     }
 
     /// The number of cells.
@@ -277,7 +319,8 @@ impl<'a> Bench<'a> {
             .map(|scenario| Run::new(scenario, self.options.clone()))
             .collect::<Result<Vec<_>, RunError>>()?;
         self.evaluations += profiles.len();
-        Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| Trial::of(&simulated)))
+        let trials = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| Trial::of(&simulated));
+        if (self.told)(self.evaluations).is_break() { Err(AttackError::BrokenOff) } else { Ok(trials) }
     }
 
     /// Simulates one profile and reports it.

@@ -28,6 +28,7 @@ mod multipliers;
 mod program;
 mod quadratic_program;
 mod reason;
+mod report;
 mod scripted;
 mod sequential;
 mod situation;
@@ -35,7 +36,7 @@ mod witness;
 
 pub use attack::{
     Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, MOST_VEHICLE_STEPS, MOST_VEHICLE_STEPS_IN_ALL,
-    attack, hunt,
+    attack, hunt, hunt_until,
 };
 pub use avoid::{
     AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, MOST_EGO_STEPS, MOST_EGOS, avoid, avoid_all,
@@ -46,4 +47,5 @@ pub(crate) use certificate::{certificate_about, is_exactly};
 pub(crate) use descent::{Descent, Limits, Pace};
 pub use family::{Family, FamilyError, FieldRange, Ranges};
 pub use reason::Reason;
+pub use report::AttackReport;
 pub use witness::Escape;

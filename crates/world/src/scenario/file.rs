@@ -191,7 +191,7 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
 }
 
 /// Reads any type from JSON text, with errors that name line and field.
-fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
+pub fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
     let mut parsed = serde_json::Deserializer::from_str(text);
     let misread = |field: String, error: serde_json::Error| FileError::Syntax {
         path: path.to_owned(),

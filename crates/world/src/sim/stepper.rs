@@ -16,6 +16,7 @@ use crate::observation::Observation;
 /// [`command`](Self::command) decides for it: its own driver is then not asked.
 pub struct Stepper<'r, 's> {
     run: &'r Run<'s>,
+    pace: Pace,
     platoon: Platoon,
     loops: Vec<VehicleLoop<'s>>,
     decided_mps2: Vec<f64>,
@@ -25,6 +26,33 @@ pub struct Stepper<'r, 's> {
     failed: Option<FailedController>,
     step: usize,
     ended: bool,
+}
+
+/// What every step asks of its run, kept where the step is: of a thousand runs under way each lies elsewhere in memory.
+#[derive(Debug, Clone, Copy)]
+struct Pace {
+    step_s: f64,
+    dt_s: f64,
+    substeps: usize,
+    steps: usize,
+    after_contact: AfterContact,
+}
+
+impl Pace {
+    fn of(run: &Run<'_>) -> Self {
+        Self {
+            step_s: run.scenario().spec().step_s,
+            dt_s: run.dt_s(),
+            substeps: run.substeps(),
+            steps: run.scenario().steps(),
+            after_contact: run.options().after_contact,
+        }
+    }
+
+    /// As [`Run::time_s`] has it.
+    fn time_s(self, step: usize, substep: usize) -> f64 {
+        step as f64 * self.step_s + substep as f64 * self.dt_s
+    }
 }
 
 impl<'r, 's> Stepper<'r, 's> {
@@ -38,6 +66,7 @@ impl<'r, 's> Stepper<'r, 's> {
         see_ttc(&mut tallies, &platoon);
         Self {
             run,
+            pace: Pace::of(run),
             trace: Trace::begin(keep, &platoon, run.scenario().steps() * run.substeps() + 1),
             decided_mps2: vec![0.0; loops.len()],
             platoon,
@@ -99,7 +128,8 @@ impl<'r, 's> Stepper<'r, 's> {
             return;
         }
         let run = self.run;
-        let span_s = [run.time_s(self.step, 0), run.time_s(self.step + 1, 0)];
+        let pace = self.pace;
+        let span_s = [pace.time_s(self.step, 0), pace.time_s(self.step + 1, 0)];
         // Everybody decides on the state at the start of the step; only then does anybody move.
         for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.decided_mps2).enumerate() {
             match vehicle.decide(&self.platoon, index, run, span_s) {
@@ -120,14 +150,14 @@ impl<'r, 's> Stepper<'r, 's> {
         if self.has_touched() {
             self.platoon.share_acceleration();
         }
-        for substep in 0..run.substeps() {
-            self.advance(run.time_s(self.step, substep));
+        for substep in 0..pace.substeps {
+            self.advance(pace.time_s(self.step, substep));
             if self.ended {
                 break;
             }
         }
         self.step += 1;
-        self.ended |= self.step == run.scenario().steps();
+        self.ended |= self.step == pace.steps;
     }
 
     fn advance(&mut self, from_s: f64) {
@@ -138,8 +168,8 @@ impl<'r, 's> Stepper<'r, 's> {
         for (tally, motion) in tallies.iter_mut().zip(&platoon.motion) {
             tally.max_brake_mps2 = hardest_brake_mps2(tally.max_brake_mps2, motion.acceleration_mps2);
         }
-        let after_contact = self.run.options().after_contact;
-        let done_s = platoon.advance(from_s, self.run.dt_s(), after_contact, impacts);
+        let Pace { dt_s, after_contact, .. } = self.pace;
+        let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
         see_ttc(tallies, platoon);
         if after_contact == AfterContact::Stop && !impacts.is_empty() {
             if let Some(trace) = trace {
@@ -187,7 +217,8 @@ fn see_ttc(tallies: &mut [Tally], platoon: &Platoon) {
 /// The control loop of one vehicle: from what is true to the acceleration the vehicle has.
 struct VehicleLoop<'s> {
     driver: ActiveDriver<'s>,
-    estimator: Option<EgoEstimator>,
+    /// Apart, and nothing where the truth is seen: of a thousand runs under way what every step needs should lie close together.
+    estimator: Option<Box<EgoEstimator>>,
     actuator: Actuator,
     disturbance: Option<Disturbance>,
     /// What was seen at this step, if somebody has looked: the filters take one measurement a step.
@@ -202,7 +233,7 @@ impl<'s> VehicleLoop<'s> {
     fn new(run: &Run<'s>, index: usize, platoon: &Platoon) -> Self {
         Self {
             driver: run.driver(index),
-            estimator: run.estimator(index, platoon),
+            estimator: run.estimator(index, platoon).map(Box::new),
             actuator: run.actuator(index),
             disturbance: run.disturbance(index),
             seen: None,

@@ -71,12 +71,12 @@ fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result
         runs: plan.config.rates.runs,
         confidence: plan.config.rates.confidence,
     })?;
-    let text: String = work.store.get(&name, rates.registration(), || {
+    let text: String = work.get(&name, rates.registration(), || {
         let mut tally = rates.tally();
         while tally.runs < plan.config.rates.runs {
             let before = tally.runs;
             rates.count_block(&mut tally)?;
-            work.did(tally.runs - before);
+            work.did(tally.runs - before)?;
         }
         let text = serde_json::to_string(&rates.certificate(&tally)).map_err(StoreError::encoding)?;
         Ok::<_, AssessError>(text)

@@ -181,7 +181,7 @@ impl Distribution {
                 }
                 tally.add(&draws, first.iter().copied().zip(collides));
             }
-            work.did((to - from) * plan.controllers.len() as u64);
+            work.did((to - from) * plan.controllers.len() as u64)?;
         }
         let controllers = plan
             .controllers

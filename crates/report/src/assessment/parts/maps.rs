@@ -65,7 +65,7 @@ impl FailureMaps {
             return Ok(None);
         }
         let inputs = json!([plan.config.seed, plan.identities()]);
-        work.store.get("failure maps", &inputs, || Self::over(plan, [ACROSS, UP], CELLS))
+        work.get("failure maps", &inputs, || Self::over(plan, [ACROSS, UP], CELLS))
     }
 
     fn over(

@@ -42,7 +42,7 @@ impl PaperScenarios {
         let scenarios = known.map(seeded).collect::<Result<Vec<_>, _>>()?;
         let all: Vec<&Scenario> = scenarios.iter().collect();
         let cases = run_cases(&all, &plan.controllers, plan.config.estimator, Motion::Kept)?;
-        work.did((all.len() * plan.controllers.len()) as u64);
+        work.did((all.len() * plan.controllers.len()) as u64)?;
         let bests =
             all.par_iter().map(|scenario| CertifiedBest::kept(scenario, work)).collect::<Result<Vec<_>, _>>()?;
         let scenarios = scenarios

@@ -1,5 +1,6 @@
 //! The failure search: for each controller, what was searched, how hard, and what was found.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use maud::{Markup, html};
@@ -201,12 +202,13 @@ impl Search {
         };
         let item = format!("search {} in {}", controller.name, space.name());
         let inputs = json!([plan.identity(controller), named.text, campaign.budget, campaign.seed]);
-        let (summary, texts): (Summary, Vec<String>) = work.store.get(&item, &inputs, || {
+        let (summary, texts): (Summary, Vec<String>) = work.get(&item, &inputs, || {
             let folder = work.store.workplace(&item, &inputs)?;
             let mut done = 0;
-            let summary = campaign.run(folder.path(), controller.kind.identity().is_some(), &mut |progress| {
-                work.did(progress.evaluations - done);
+            let summary = campaign.run_until(folder.path(), controller.kind.identity().is_some(), &mut |progress| {
+                let more = progress.evaluations - done;
                 done = progress.evaluations;
+                if work.did(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
             })?;
             let shown = summary.counterexamples.iter().take(MOST_SHOWN);
             let texts = shown.map(|found| read(&folder.path().join(&found.file))).collect::<Result<Vec<_>, _>>()?;

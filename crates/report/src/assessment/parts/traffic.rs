@@ -54,7 +54,7 @@ impl Traffic {
         let mut scenarios = run(&(0..plan.traffic.len()).collect::<Vec<_>>(), Motion::Dropped)?;
         // Motion is kept only where it is drawn: hundreds of traces would not fit in memory.
         let closest_first = most_telling(&scenarios);
-        work.did((plan.traffic.len() * plan.controllers.len()) as u64);
+        work.did((plan.traffic.len() * plan.controllers.len()) as u64)?;
         let best = |&index: &usize| {
             plan.traffic.get(index).map(|(_, scenario)| CertifiedBest::kept(scenario, work)).transpose()
         };

@@ -106,7 +106,7 @@ impl Usefulness {
         }
         let inputs =
             json!([plan.config.everyday_draws, plan.config.seed, plan.config.estimator.name(), plan.identities()]);
-        work.store.get("usefulness", &inputs, || Self::run(plan, work))
+        work.get("usefulness", &inputs, || Self::run(plan, work))
     }
 
     fn run(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
@@ -125,7 +125,7 @@ impl Usefulness {
             let drives = Drive::all(&traffic, &options)?;
             let danger = run_draws(&high_risk, controller, plan)?;
             let line = LineVerdict::of(&line, &options)?;
-            work.did(2 * count + 1);
+            work.did(2 * count + 1)?;
             Ok(Useful::of(controller, &drives, &danger, line))
         };
         let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
@@ -366,7 +366,9 @@ mod tests {
         let controllers = ["idm", "retrained"].map(str::to_owned).into();
         let config = AssessConfig { controllers, gates: Vec::new(), ..AssessConfig::default() };
         let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
-        let found = Usefulness::gather(&plan, &Work::new(&Store::none(), &|_| {})).unwrap().unwrap();
+        let found = Usefulness::gather(&plan, &Work::new(&Store::none(), &|_| std::ops::ControlFlow::Continue(())))
+            .unwrap()
+            .unwrap();
         let [idm, retrained] = &found.controllers[..] else { panic!("one entry a controller") };
         assert_eq!((idm.failures, idm.needless, idm.hard, retrained.failures), (0, 0, 0, 0));
         assert!(retrained.needless > found.draws / 2 && retrained.progress < idm.progress);

@@ -91,7 +91,7 @@ impl WorstProfiles {
             let item = format!("worst profile against {}", controller.name);
             // The profile stands beside: evidence that is published holds rounded numbers only.
             let (mut found, profile): (WorstProfile, Option<Pieces>) =
-                work.store.get(&item, &(plan.config.seed, plan.identity(controller)), || {
+                work.get(&item, &(plan.config.seed, plan.identity(controller)), || {
                     let found = WorstProfile::of(&scenario, controller, envelope, plan)?;
                     let profile = found.mildest.as_ref().and_then(|mildest| mildest.profile.clone());
                     Ok::<_, AssessError>((found, profile))
@@ -99,7 +99,7 @@ impl WorstProfiles {
             if let Some(mildest) = &mut found.mildest {
                 mildest.profile = profile;
             }
-            work.did(BUDGET as u64);
+            work.did(BUDGET as u64)?;
             Ok::<_, AssessError>(found)
         };
         let profiles = plan.controllers.par_iter().map(against).collect::<Result<Vec<_>, _>>()?;

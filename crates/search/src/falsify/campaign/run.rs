@@ -117,7 +117,8 @@ impl Campaign {
         let mut results = work.changes();
         table.finish(&mut results)?;
         go_on(progress(&state(None, &reached, self.total())))?;
-        let summary = self.summarise(&space, &nominal, reached, &failures, &sample, &mut results)?;
+        let summary = self.summarise(&space, &nominal, &reached, &failures, &sample, &mut results)?;
+        go_on(progress(&state(None, &reached, self.total())))?;
         results.write(TEXT, summary.to_text()).write(SUMMARY, summary.to_json()?).remove(JOURNAL).commit()?;
         work.finish()?;
         Ok(summary)
@@ -197,6 +198,8 @@ impl Campaign {
             }
             let known = verdicts.len();
             verdicts.extend(self.evaluate(space, points.get(known..).unwrap_or_default())?);
+            // Who breaks it off may have ended runs halfway: what came of these is not kept.
+            go_on(progress(&state(Some(&reached), &findings.reached, self.total())))?;
             if let Some(durable) = journal.append(verdicts.get(known..).unwrap_or_default())? {
                 findings.work.grew(JOURNAL, durable)?;
             }
@@ -247,7 +250,7 @@ impl Campaign {
         &self,
         space: &Space,
         nominal: &Scenario,
-        reached: Vec<Reached>,
+        reached: &[Reached],
         failures: &Failures,
         sample: &Sample,
         results: &mut Changes<'_>,

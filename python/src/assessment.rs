@@ -1,0 +1,166 @@
+//! Assessments: which controller is safer, how we know, and where it still fails.
+
+use std::borrow::Cow;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use crumple_report::assessment::{
+    self as report, AssessConfig, AssessmentPlan, ConfigError, Earlier, Store, assess_until,
+};
+use crumple_search::program;
+use crumple_world::scenario::file;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+
+use crate::controller;
+use crate::errors::{self, Class};
+use crate::values::written;
+use crate::watched::{Stop, watched};
+
+/// Everything that an assessment found out.
+#[pyclass(frozen, module = "crumple")]
+pub(crate) struct Assessment(report::Assessment);
+
+#[pymethods]
+impl Assessment {
+    /// What `assessment.json` says.
+    #[getter]
+    fn evidence<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        written(py, &self.0)
+    }
+
+    /// The gates of the configuration: what must hold, whether it does, and why.
+    #[getter]
+    fn gates<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        written(py, &self.0.summary.gates)
+    }
+
+    /// Whether every gate holds.
+    #[getter]
+    fn passed(&self) -> bool {
+        self.0.summary.gates.iter().all(|gate| gate.holds)
+    }
+
+    /// The whole report as one page.
+    fn html(&self) -> String {
+        self.0.html()
+    }
+
+    /// The whole report as Markdown, without figures.
+    fn markdown(&self) -> String {
+        self.0.markdown()
+    }
+
+    /// Every file of the report by its path in the report's folder.
+    fn files<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let files = self.0.files().map_err(|error| errors::raised(py, Class::Assessment, &error))?;
+        let dict = PyDict::new(py);
+        for (name, contents) in files {
+            dict.set_item(name, PyBytes::new(py, &contents))?;
+        }
+        Ok(dict)
+    }
+
+    /// The first page, for a notebook: a frame of its own, so that neither's style changes the other.
+    fn _repr_html_(&self) -> String {
+        let page = self.0.first_page_html();
+        let quoted = page.replace('&', "&amp;").replace('"', "&quot;");
+        format!("<iframe srcdoc=\"{quoted}\" sandbox style=\"width:100%;height:30em;border:0\"></iframe>")
+    }
+
+    fn __str__(&self) -> String {
+        self.0.first_page.plain()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<crumple.Assessment of {}>", self.0.provenance.config.controllers.join(", "))
+    }
+}
+
+/// Gathers the evidence that a configuration asks for: of a file, or of a text in TOML or JSON; the built-in one without.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+pub(crate) fn assess(
+    py: Python<'_>,
+    path: Option<PathBuf>,
+    toml: Option<String>,
+    json: Option<String>,
+    controllers: Vec<Bound<'_, PyAny>>,
+    against: Option<PathBuf>,
+    evidence: Option<PathBuf>,
+    fresh: bool,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Assessment> {
+    let stop = Stop::default();
+    let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Assessment, &error.to_string());
+    let own = controllers.iter().map(|one| controller::named(one, &stop)).collect::<PyResult<Vec<_>>>()?;
+    let plan = match (&path, &toml, &json) {
+        (None, None, None) if own.is_empty() => AssessmentPlan::built_in(),
+        (Some(path), ..) if own.is_empty() => {
+            AssessmentPlan::load(path).map_err(|error| of_configuration(py, &error))?
+        }
+        _ => {
+            let (config, folder) = configuration(py, path.as_deref(), toml, json)?;
+            AssessmentPlan::new(config, own, &folder).map_err(|error| of_configuration(py, &error))?
+        }
+    };
+    let against = against.as_deref().map(Earlier::load).transpose().map_err(|error| wrong(&error))?;
+    if against.is_none() && plan.wants_earlier() {
+        return Err(wrong(&"the gate `nothing-worse` needs an earlier assessment: against"));
+    }
+    let store = match evidence {
+        None => Store::none(),
+        Some(folder) => {
+            let identity = program::identity().map_err(|error| wrong(&error))?;
+            Store::open(&folder, identity, fresh).map_err(|error| wrong(&error))?
+        }
+    };
+    let runs = plan.runs();
+    let assessment = watched(py, &stop, progress.as_ref(), |say| {
+        // It is heard on several threads, and said on this one.
+        let (said, heard) = std::sync::mpsc::channel();
+        std::thread::scope(|scope| {
+            let (plan, store, against, stop) = (&plan, &store, against.as_ref(), &stop);
+            let worker = scope.spawn(move || {
+                assess_until(plan, store, against, &|done| {
+                    let _ = said.send(done);
+                    if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+                })
+            });
+            heard.iter().for_each(|done| say((done, runs, 0)));
+            worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        })
+    })?;
+    Ok(Assessment(assessment.map_err(|error| wrong(&error))?))
+}
+
+/// The configuration that a file or a text states, and where files that it names are.
+fn configuration(
+    py: Python<'_>,
+    path: Option<&Path>,
+    toml: Option<String>,
+    json: Option<String>,
+) -> PyResult<(AssessConfig, Cow<'static, Path>)> {
+    let here = Cow::Borrowed(Path::new(""));
+    let of_file = |error| errors::of_file(py, Class::Assessment, &error);
+    if let Some(path) = path {
+        let text = file::read(path).map_err(of_file)?;
+        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        return Ok((file::parse_toml(&text, path).map_err(of_file)?, Cow::Owned(folder)));
+    }
+    if let Some(text) = toml {
+        return Ok((file::parse_toml(&text, Path::new("<toml>")).map_err(of_file)?, here));
+    }
+    let Some(text) = json else { return Ok((AssessConfig::default(), here)) };
+    Ok((file::parse_json(&text, Path::new("<dict>")).map_err(of_file)?, here))
+}
+
+fn of_configuration(py: Python<'_>, error: &ConfigError) -> PyErr {
+    match error {
+        ConfigError::File(error) => errors::of_file(py, Class::Assessment, error),
+        ConfigError::Field { path, line, field, .. } => {
+            errors::of_place(py, Class::Assessment, error, (path, *line, field))
+        }
+        other => errors::raised(py, Class::Assessment, other),
+    }
+}

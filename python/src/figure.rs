@@ -1,0 +1,54 @@
+//! Pictures for a notebook or a file.
+
+use std::path::PathBuf;
+
+use crumple_report::draw::{self, Layout, MotionFigure};
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{Impact, Trace};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use crate::values::choice;
+
+/// A picture as SVG.
+#[pyclass(frozen, module = "crumple")]
+pub(crate) struct Figure {
+    /// The whole file.
+    #[pyo3(get)]
+    svg: String,
+}
+
+impl Figure {
+    /// Position, speed and spacing over time of one run.
+    pub(crate) fn of_motion(
+        scenario: &Scenario,
+        title: &str,
+        trace: &Trace,
+        impacts: &[Impact],
+        layout: &str,
+    ) -> PyResult<Self> {
+        let known = [("wide", Layout::Wide), ("stacked", Layout::Stacked), ("column", Layout::Column)];
+        let labels = draw::vehicle_names(scenario);
+        let figure = MotionFigure { prefix: "motion", title, labels: &labels, trace, impacts };
+        Ok(Self { svg: draw::motion(&figure, choice("layout", layout, &known)?).document() })
+    }
+}
+
+#[pymethods]
+impl Figure {
+    /// Writes the picture to a file that ends in `.svg`.
+    fn save(&self, path: PathBuf) -> PyResult<()> {
+        if path.extension().is_none_or(|extension| extension != "svg") {
+            return Err(PyValueError::new_err(format!("{}: a figure is saved as .svg", path.display())));
+        }
+        Ok(crumple_search::disk::write(&path, &self.svg).map_err(std::io::Error::other)?)
+    }
+
+    fn _repr_svg_(&self) -> &str {
+        &self.svg
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<crumple.Figure, {} bytes of SVG>", self.svg.len())
+    }
+}

@@ -1,0 +1,95 @@
+//! Robustness of formulas of signal temporal logic, on arrays.
+
+use crumple_world::measure::stl::{Formula, MonitorError, Signals, SignalsError};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use pyo3::prelude::*;
+use rayon::prelude::*;
+
+use crate::errors::{self, Class};
+use crate::watched::{Stop, watched};
+
+/// Traces between two looks at whether to go on.
+const AT_ONCE: usize = 1024;
+
+/// Samples and traces that are monitored before anybody could press a key.
+const AT_ONCE_SAMPLES: usize = 1 << 16;
+
+/// Why a formula has no robustness on some signals.
+#[derive(Debug, thiserror::Error)]
+enum Unmonitored {
+    #[error(transparent)]
+    Signals(#[from] SignalsError),
+    #[error(transparent)]
+    Monitor(#[from] MonitorError),
+}
+
+/// Signals of several traces: of each a row for every trace, or one for all.
+struct Rows<'a> {
+    step_s: f64,
+    samples: usize,
+    named: Vec<(&'a str, &'a [f64], bool)>,
+}
+
+impl Rows<'_> {
+    /// Robustness on one trace: at its start, or at every sample.
+    fn monitored(&self, formula: &Formula, trace: usize, over_time: bool) -> Result<Vec<f64>, Unmonitored> {
+        let mut signals = Signals::new(self.step_s, self.samples)?;
+        for (name, values, is_shared) in &self.named {
+            let first = if *is_shared { 0 } else { trace * self.samples };
+            let row = values.get(first..first + self.samples).unwrap_or_default();
+            signals.insert(*name, row)?;
+        }
+        Ok(match over_time {
+            true => formula.robustness_over_time(&signals)?,
+            false => vec![formula.robustness(&signals)?],
+        })
+    }
+}
+
+/// A formula's robustness on `traces` traces, a row each.
+#[pyfunction]
+pub(crate) fn monitor<'py>(
+    py: Python<'py>,
+    formula: &str,
+    names: Vec<String>,
+    signals: Vec<PyReadonlyArray2<'py, f64>>,
+    step_s: f64,
+    traces: usize,
+    over_time: bool,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Formula, &error.to_string());
+    let formula: Formula = formula.parse().map_err(|error| wrong(&error))?;
+    let samples = signals.first().map_or(0, |values| values.as_array().ncols());
+    let mut named = Vec::with_capacity(signals.len());
+    for (name, values) in names.iter().zip(&signals) {
+        let [rows, columns] = [values.as_array().nrows(), values.as_array().ncols()];
+        if columns != samples || !(rows == 1 || rows == traces) {
+            return Err(wrong(&format!(
+                "signal `{name}` has {rows} rows of {columns} samples: there are {traces} traces of {samples}"
+            )));
+        }
+        named.push((name.as_str(), values.as_slice()?, rows == 1));
+    }
+    let rows = Rows { step_s, samples, named };
+    let of = |trace: usize| rows.monitored(&formula, trace, over_time);
+    let found: Result<Vec<Vec<f64>>, Unmonitored> = if samples.saturating_mul(traces) <= AT_ONCE_SAMPLES {
+        // A thread of its own would take longer.
+        py.detach(|| (0..traces).map(of).collect())
+    } else {
+        let stop = Stop::default();
+        watched(py, &stop, None, |_| {
+            let mut found = Vec::with_capacity(traces);
+            for first in (0..traces).step_by(AT_ONCE) {
+                if stop.is_asked() {
+                    break;
+                }
+                let some = (first..traces.min(first + AT_ONCE)).into_par_iter().map(of);
+                found.append(&mut some.collect::<Result<Vec<_>, _>>()?);
+            }
+            Ok(found)
+        })?
+    };
+    let found = found.map_err(|error| wrong(&error))?;
+    let width = if over_time { samples } else { 1 };
+    PyArray1::from_vec(py, found.concat()).reshape([traces, width])
+}

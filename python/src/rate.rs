@@ -1,0 +1,71 @@
+//! Counting failures.
+
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+
+use crumple_search::evidence::{RateConfig, RateFolderError, RatePlan, Tally};
+use crumple_verify::check;
+use pyo3::prelude::*;
+
+use crate::controller;
+use crate::errors::{self, Class};
+use crate::scenario::Space;
+use crate::simulation::ESTIMATORS;
+use crate::values::{choice, written};
+use crate::watched::{Stop, watched};
+
+/// What was counted, and what it shows: the certificate and what the checker accepts it as, or why nothing is shown.
+type Counted<'py> = (Bound<'py, PyAny>, Option<Bound<'py, PyAny>>, String);
+
+/// Counts the failures of a controller, or of two on the same draws, and certifies what that shows.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+pub(crate) fn rate<'py>(
+    py: Python<'py>,
+    controller: &Bound<'py, PyAny>,
+    against: Option<&Bound<'py, PyAny>>,
+    space: PyRef<'py, Space>,
+    runs: u64,
+    confidence: f64,
+    seed: u64,
+    estimator: &str,
+    folder: PathBuf,
+    resume: bool,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Counted<'py>> {
+    let stop = Stop::default();
+    let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Rate, &error.to_string());
+    let against = against.map(|against| controller::named(against, &stop)).transpose()?;
+    let plan = RatePlan::new(RateConfig {
+        controllers: (controller::named(controller, &stop)?, against),
+        space: space.0.clone(),
+        seed,
+        estimator: choice("estimator", estimator, &ESTIMATORS)?,
+        runs,
+        confidence,
+    })
+    .map_err(|error| wrong(&error))?;
+    let (counted, tally) = watched(py, &stop, progress.as_ref(), |say| {
+        let mut count = plan.register_in(&folder, resume)?;
+        let counted = count.certificate_until(&mut |tally: &Tally| {
+            let failures = tally.failures + tally.only_first_failed + tally.only_second_failed;
+            say((tally.runs, runs, failures));
+            if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        let tally = count.tally().clone();
+        match counted {
+            Ok(certificate) => Ok((Ok(certificate), tally)),
+            Err(RateFolderError::Rejected { rejection, .. }) => Ok((Err(rejection), tally)),
+            Err(error) => Err(error),
+        }
+    })?
+    .map_err(|error: RateFolderError| wrong(&error))?;
+    let tally = written(py, &tally)?;
+    Ok(match counted {
+        Ok(certificate) => {
+            let words = check(&certificate).map(|accepted| accepted.to_string()).unwrap_or_default();
+            (tally, Some(written(py, &certificate)?), words)
+        }
+        Err(rejection) => (tally, None, rejection.to_string()),
+    })
+}

@@ -1,0 +1,58 @@
+//! How little lead braking makes a controller collide.
+
+use std::ops::ControlFlow;
+
+use crumple_search::worst_case::{Aim, AttackReport, Envelope, hunt_until};
+use crumple_world::sim::RunOptions;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use crate::controller;
+use crate::errors::{self, Class};
+use crate::scenario::Scenario;
+use crate::simulation::ESTIMATORS;
+use crate::values::{choice, written};
+use crate::watched::{Stop, watched};
+
+/// Most simulations that may be asked for.
+const MOST_SIMULATIONS: u32 = 10_000_000;
+
+/// Looks for a braking profile of the leader; what was found as a scenario, and what `crumple worst-case` says of it.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+pub(crate) fn worst_case<'py>(
+    py: Python<'py>,
+    scenario: PyRef<'py, Scenario>,
+    controller: &Bound<'py, PyAny>,
+    aim: &str,
+    estimator: &str,
+    max_brake_mps2: Option<f64>,
+    jerk_mps3: Option<f64>,
+    budget: u32,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<(Option<Scenario>, Bound<'py, PyAny>)> {
+    if !(1..=MOST_SIMULATIONS).contains(&budget) {
+        return Err(PyValueError::new_err(format!("budget must be 1 to {MOST_SIMULATIONS}, found {budget}")));
+    }
+    let stop = Stop::default();
+    let controller = controller::named(controller, &stop)?;
+    let estimator = choice("estimator", estimator, &ESTIMATORS)?;
+    let aim = choice("aim", aim, &Aim::ALL.map(|aim| (aim.name(), aim)))?;
+    let scenario = std::sync::Arc::clone(&scenario.0);
+    let usual = Envelope::of(&scenario);
+    let envelope = Envelope {
+        max_brake_mps2: max_brake_mps2.unwrap_or(usual.max_brake_mps2),
+        jerk_mps3: jerk_mps3.unwrap_or(usual.jerk_mps3),
+    };
+    let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
+    let result = watched(py, &stop, progress.as_ref(), |say| {
+        hunt_until(&scenario, &options, aim, envelope, budget as usize, &mut |evaluations| {
+            say((evaluations as u64, u64::from(budget), 0));
+            if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        })
+    })?;
+    let name = &scenario.spec().name;
+    let result = result.map_err(|error| errors::raised(py, Class::Run, &format!("{name}: {error}")))?;
+    let report = written(py, &AttackReport::new(name, &controller, estimator, aim, &result))?;
+    Ok((result.found.map(|attack| Scenario::new(attack.scenario)), report))
+}

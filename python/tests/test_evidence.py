@@ -1,0 +1,220 @@
+"""Rates, worst cases and assessments."""
+
+import json
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+
+import pytest
+
+import crumple
+
+
+def follow_all(rows):
+    gap_m, ahead_mps, own_mps = rows[:, 0], rows[:, 2], rows[:, 3]
+    return 0.2 * (gap_m - 2.0 - 0.8 * own_mps) + 0.8 * (ahead_mps - own_mps)
+
+
+def follower(identity="follow, version 1"):
+    return crumple.Controller(follow_all, batch=True, interval_s=0.1, name="mine", identity=identity)
+
+
+class EnoughError(Exception):
+    """Raised by a callback that has heard enough."""
+
+
+def enough_after(share):
+    def progress(done, total, failures):
+        if done >= share * total:
+            raise EnoughError
+
+    return progress
+
+
+def counted(command_line, folder, *arguments):
+    """The certificate that the program writes."""
+    arguments = [command_line, "verify", "rate", *map(str, arguments), "--out", folder, "--quiet"]
+    subprocess.run(arguments, check=True, capture_output=True)
+    return json.loads((folder / "certificate.json").read_text())
+
+
+def test_a_rate_is_certified_as_on_the_command_line(tmp_path, command_line):
+    one = crumple.rate("idm", "high-risk", runs=700, seed=3, confidence=0.9)
+    arguments = ("--space", "high-risk", "--runs", 700, "--seed", 3, "--confidence", 0.9)
+    assert one.certificate == counted(command_line, tmp_path / "one", "--controller", "idm", *arguments)
+    assert (one.runs, one.failures) == (700, one.certificate["statement"]["rate"]["failures"])
+    assert one.failures / 700 < one.rate_at_most < 1
+    two = crumple.rate("policy", "high-risk", against="match-leader", runs=300)
+    arguments = ("--controller", "policy", "--against", "match-leader", "--space", "high-risk", "--runs", 300)
+    assert two.certificate == counted(command_line, tmp_path / "two", *arguments)
+    assert two.rate_at_most is None
+    nothing = crumple.rate("match-leader", "high-risk", against="policy", runs=100)
+    assert nothing.certificate is None
+    assert nothing.words
+
+
+def test_failures_of_a_callable_are_counted_if_it_has_an_identity(tmp_path):
+    told = []
+    whole = crumple.rate(follower(), "high-risk", runs=3000, progress=lambda *state: told.append(state))
+    assert told[-1] == (3000, 3000, whole.failures)
+    assert whole.failures > 0
+    with pytest.raises(crumple.RateError, match="identity"):
+        crumple.rate(follower(None), runs=100)
+    with pytest.raises(crumple.RateError, match="runs"):
+        crumple.rate("idm", runs=0)
+    folder = tmp_path / "rate"
+    with pytest.raises(EnoughError):
+        crumple.rate(follower(), "high-risk", runs=3000, folder=folder, progress=enough_after(0.3))
+    again = crumple.rate(follower(), "high-risk", runs=3000, folder=folder, resume=True)
+    assert again == whole
+
+
+def test_what_was_broken_off_halfway_leaves_no_false_failures(tmp_path):
+    whole = crumple.falsify(follower(), budget=100, folder=tmp_path / "whole")
+    for share in (0.05, 0.9):
+        folder = tmp_path / str(share)
+        with pytest.raises(EnoughError):
+            crumple.falsify(follower(), budget=100, folder=folder, progress=enough_after(share))
+        assert crumple.falsify(follower(), budget=100, folder=folder, resume=True).summary == whole.summary
+
+
+@pytest.mark.parametrize(("controller", "aim"), [("baseline", "mildest"), ("idm", "severest"), ("policy", "least-peak")])
+def test_a_worst_case_is_that_of_the_command_line(tmp_path, told_by_command_line, controller, aim):
+    found = crumple.worst_case("paper-1", controller, aim=aim, budget=200)
+    arguments = ("worst-case", "paper-1", "--controller", controller, "--aim", aim, "--budget", 200)
+    assert told_by_command_line(*arguments, "--out", tmp_path / "worst.toml") == found.facts
+    assert found.found == (tmp_path / "worst.toml").exists()
+    if found.scenario is not None:
+        assert found.scenario == crumple.scenario(tmp_path / "worst.toml")
+        assert found.replay().outcome == found.facts["outcome"]["kind"]
+
+
+def test_a_callable_has_a_worst_case_too():
+    told = []
+    found = crumple.worst_case("paper-1", follower(None), budget=400, progress=lambda *state: told.append(state[0]))
+    assert found.found
+    assert found.replay().contact["impact_speed_mps"] == found.facts["outcome"]["impact_speed_mps"]
+    assert told == sorted(told)
+    assert "</svg>" in found.plot().svg
+    with pytest.raises(EnoughError):
+        crumple.worst_case("paper-1", follower(), budget=400, progress=enough_after(0.1))
+    with pytest.raises(crumple.RunError, match="no braking"):
+        crumple.worst_case("paper-1", max_brake_mps2=0.0)
+    with pytest.raises(ValueError, match="aim"):
+        crumple.worst_case("paper-1", aim="luck")
+    with pytest.raises(ValueError, match="budget"):
+        crumple.worst_case("paper-1", budget=0)
+    safe = crumple.worst_case("paper-1", "idm", max_brake_mps2=0.01, budget=20)
+    with pytest.raises(ValueError, match="nothing to replay"):
+        safe.replay()
+
+
+SMALL = {
+    "version": 1,
+    "controllers": ["baseline", "idm"],
+    "paper": False,
+    "draws": 10,
+    "everyday_draws": 0,
+    "search": {"spaces": ["high-risk"], "budget": 10},
+    "rates": {"runs": 0},
+}
+
+
+def small_file(folder):
+    path = folder / "small.toml"
+    path.write_text(
+        'version = 1\ncontrollers = ["baseline", "idm"]\npaper = false\ndraws = 20\neveryday_draws = 0\n'
+        'search = { spaces = ["high-risk"], budget = 20 }\nrates = { runs = 0 }\n'
+        '[[gates]]\nrequire = "rate-not-above"\ncontroller = "idm"\nthan = "baseline"\n'
+    )
+    return path
+
+
+def test_an_assessment_is_that_of_the_command_line(tmp_path, command_line):
+    path = small_file(tmp_path)
+    assessment = crumple.assess(path)
+    folder = tmp_path / "report"
+    done = subprocess.run([command_line, "assess", path, "--out", folder, "--quiet"], capture_output=True, check=False)
+    told = json.loads((folder / "assessment.json").read_text())
+    assert told["provenance"].pop("made") is not None
+    said = assessment.evidence
+    assert said["provenance"].pop("made") is None
+    # Hashes of what was kept: here nothing was.
+    assert said == told
+    assert crumple.assess(path.read_text()).evidence["summary"] == told["summary"]
+    assert (done.returncode == 0) == assessment.passed == all(gate["holds"] for gate in assessment.gates)
+    page = crumple.write_report(assessment, tmp_path / "mine")
+    names = {str(file.relative_to(tmp_path / "mine")) for file in (tmp_path / "mine").rglob("*") if file.is_file()}
+    assert names == set(assessment.files())
+    assert page.read_text() == assessment.html()
+    with pytest.raises(crumple.AssessmentError, match="new or empty"):
+        crumple.write_report(assessment, tmp_path / "mine")
+
+
+def test_a_callable_is_assessed_and_shows_itself(tmp_path):
+    told = []
+    kept = tmp_path / "evidence"
+    one = crumple.assess(SMALL, [follower()], evidence=kept, progress=lambda *state: told.append(state))
+    assert one.evidence["provenance"]["config"]["subject"] == "mine"
+    assert told
+    shown = one._repr_html_()
+    assert shown.startswith("<iframe srcdoc=")
+    assert '"' not in shown.removeprefix('<iframe srcdoc="').split('" sandbox')[0]
+    assert "mine" in str(one)
+    calls = []
+
+    def called(rows):
+        calls.append(len(rows))
+        return follow_all(rows)
+
+    again = crumple.Controller(called, batch=True, interval_s=0.1, name="mine", identity="follow, version 1")
+    assert crumple.assess(SMALL, [again], evidence=kept).evidence == one.evidence
+    assert crumple.assess(SMALL, [follower(None)]).evidence["summary"]["gates"] == []
+    with pytest.raises(EnoughError):
+        crumple.assess(SMALL, [follower()], evidence=tmp_path / "cut", progress=enough_after(0.0))
+    assert crumple.assess(SMALL, [follower()], evidence=tmp_path / "cut").evidence == one.evidence
+
+
+def test_what_is_wrong_with_an_assessment_is_said(tmp_path):
+    path = small_file(tmp_path)
+    path.write_text(path.read_text().replace("draws = 20", "draws = -1", 1))
+    with pytest.raises(crumple.AssessmentError) as caught:
+        crumple.assess(path)
+    assert (caught.value.file, caught.value.line, caught.value.field) == (str(path), 4, "draws")
+    with pytest.raises(crumple.AssessmentError, match="no-such"):
+        crumple.assess(SMALL | {"controllers": ["no-such"]})
+    with pytest.raises(crumple.AssessmentError, match="speed"):
+        crumple.assess(SMALL | {"speed": 1})
+    with pytest.raises(crumple.AssessmentError, match="earlier"):
+        crumple.assess(SMALL | {"gates": [{"require": "nothing-worse"}]})
+    with pytest.raises(crumple.AssessmentError):
+        crumple.assess(SMALL, against=tmp_path / "nothing.json")
+    with pytest.raises(crumple.AssessmentError):
+        crumple.assess({"version": {1}})
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        "crumple.rate('idm', runs=100_000_000)",
+        "crumple.worst_case('paper-1', lambda seen: time.sleep(0.001) or -1.0)",
+        "crumple.assess({'version': 1, 'draws': 10_000_000})",
+    ],
+)
+def test_ctrl_c_ends_it(work):
+    script = textwrap.dedent(f"""
+        import time
+        import crumple
+        print("begun", flush=True)
+        try:
+            {work}
+        except KeyboardInterrupt:
+            print("stopped")
+    """)
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "begun\n"
+        threading.Timer(1.0, process.send_signal, [signal.SIGINT]).start()
+        said, _ = process.communicate(timeout=90)
+    assert (said, process.returncode) == ("stopped\n", 0)
