@@ -11,7 +11,7 @@ use crumple_search::disk::{DiskError, Files};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::Terminal;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{AfterContact, NamedController, RecordingLevel, Run, RunOptions, simulate};
+use crumple_world::sim::{AfterContact, NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Write scenarios for other simulators: OpenSCENARIO XML 1.2 on an OpenDRIVE road
 #[derive(Args)]
@@ -75,8 +75,7 @@ impl Export {
             let problem = "--controller: drives in trajectories; with `--as actions` the controller is yours";
             return Err(Failure::Input(problem.to_owned()));
         }
-        let (mut files, mut said, mut names) = (Files::default(), String::new(), Vec::new());
-        fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
+        let (mut written, mut said, mut names) = (Vec::new(), String::new(), Vec::new());
         for given in &self.scenarios {
             let scenario = subject::scenario(given)?;
             let name = stem(&scenario.spec().name);
@@ -87,15 +86,19 @@ impl Export {
             let road = format!("{name}.xodr");
             let made = self.export(&scenario, &road, quiet)?;
             let path = self.out.join(format!("{name}.xosc"));
-            files.stage(&output::place(&path)?, &made.scenario)?;
-            files.stage(&output::place(&self.out.join(&road))?, &made.road)?;
             let vehicles = scenario.vehicles().len();
             said += &format!(
                 "{}: {vehicles} vehicles, {} vertices\n",
                 Terminal(&path.display().to_string()),
                 made.vertices
             );
+            written.extend([(path, made.scenario), (self.out.join(&road), made.road)]);
             names.push(name);
+        }
+        fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
+        let mut files = Files::default();
+        for (path, contents) in &written {
+            files.stage(&output::place(path)?, contents)?;
         }
         files.commit()?;
         output::print(&said)
@@ -115,7 +118,7 @@ impl Export {
             RunOptions::new(controller.kind).with_estimator(self.estimator).with_after_contact(self.after_contact);
         let run = Run::new(scenario, options).map_err(|error| failed(&error))?;
         let simulated = simulate(&run, RecordingLevel::Trace);
-        if let crumple_world::sim::Outcome::ControllerFailed(why) = &simulated.outcome {
+        if let Outcome::ControllerFailed(why) = &simulated.outcome {
             output::note(&format!("note: {name} ends where the controller failed: {why}"), quiet);
         }
         let trace = simulated.trace.ok_or_else(|| failed(&"no motion was recorded"))?;

@@ -107,7 +107,7 @@ impl Import {
             Some([near, usual, far]) => format!("  bumper gap {near:.2} to {far:.2} m, median {usual:.2}\n"),
             None => "  nobody follows anybody\n".to_owned(),
         };
-        text += &format!("  {}\n", hardest(seen.hardest));
+        text += &format!("  {}\n", Terminal(&hardest(seen.hardest.as_ref())));
         output::print(&text)
     }
 
@@ -120,7 +120,8 @@ impl Import {
         let imported = import(&self.recordings, map, &ImportOptions { min_brake, leaders })?;
         if imported.scenarios.is_empty() {
             imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
-            let words = imported.sources.iter().map(|one| format!("{}: {}", one.path.display(), hardest(one.hardest)));
+            let words =
+                imported.sources.iter().map(|one| format!("{}: {}", one.path.display(), hardest(one.hardest.as_ref())));
             let words: Vec<_> = words.collect();
             return Err(Failure::Gate(format!(
                 "no episode of {} m/s² that makes a scenario; {}",
@@ -172,15 +173,12 @@ impl Import {
 }
 
 /// The hardest braking in words.
-fn hardest(found: Option<HardestBraking>) -> String {
-    match found {
-        Some(HardestBraking { number, from_s, drop_mps }) => {
-            format!(
-                "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number} from {from_s:.2} s on"
-            )
-        }
-        None => "nobody brakes".to_owned(),
-    }
+fn hardest(found: Option<&HardestBraking>) -> String {
+    let Some(HardestBraking { event, number, from_s, drop_mps }) = found else { return "nobody brakes".to_owned() };
+    let event = event.as_ref().map(|event| format!(" of event {event}")).unwrap_or_default();
+    format!(
+        "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number}{event} from {from_s:.2} s on"
+    )
 }
 
 /// A file that is not what this import would write.

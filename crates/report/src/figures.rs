@@ -94,7 +94,7 @@ pub fn recorded(preview: &Preview, file: &str) -> Svg {
                 panel.line(part, Stroke { width: 1.0, ..Stroke::series(index) });
             }
         }
-        if let Some(hardest) = preview.hardest {
+        if let Some(hardest) = &preview.hardest {
             panel.rule_x(hardest.from_s, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
         }
         panel

@@ -52,7 +52,8 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     assert_eq!(names_in(&folder.path().join("episodes")), ["logged-pair-hard-01.toml"]);
     let nothing = crumple(folder.path(), &["import", "soft.csv", "--map", map, "--out", "none"]);
     assert_eq!(code(&nothing), 1);
-    let said = "gate: no episode of 1.3 m/s² that makes a scenario; soft.csv: the hardest braking is 1.00 m/s within a second";
+    let said =
+        "gate: no episode of 1.3 m/s² that makes a scenario; soft.csv: the hardest braking is 1.00 m/s within a second";
     assert!(stderr(&nothing).starts_with(said), "{nothing:?}");
     assert!(!folder.path().join("none").exists());
 }
@@ -63,7 +64,13 @@ fn damaged_maps_and_files_name_file_line_and_field() {
     let map = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/maps/logged-pair.toml")).unwrap();
     let file = logged(3.0);
     let cases = [
-        ("length_m = 4.6", "length_m = 0", "", "", "m.toml:10: layout.pairs.length_m: must be from 0.1 to 100, found 0"),
+        (
+            "length_m = 4.6",
+            "length_m = 0",
+            "",
+            "",
+            "m.toml:10: layout.pairs.length_m: must be from 0.1 to 100, found 0",
+        ),
         ("\"km/h\"", "\"knots\"", "", "", "m.toml:11: layout.pairs.follower_speed.unit: unknown variant `knots`"),
         ("\"v_ego\"", "\"v\"", "", "", "a.csv:1: v: there is no such column among `t, v_ego, range, closing`"),
         ("", "", "200;72", "200;fast", "a.csv:4: v_ego: must be a finite number or empty, found `fast`"),
@@ -83,9 +90,8 @@ fn damaged_maps_and_files_name_file_line_and_field() {
 #[test]
 fn exports_are_two_files_a_scenario() {
     let folder = folder();
-    let export = |more: &[&str]| {
-        crumple(folder.path(), &[&["export", "--to", "openscenario", "--out", "x"], more].concat())
-    };
+    let export =
+        |more: &[&str]| crumple(folder.path(), &[&["export", "--to", "openscenario", "--out", "x"], more].concat());
     let done = export(&["paper-1", "paper-2", "--controller", "idm"]);
     assert_eq!((code(&done), stdout(&done).lines().count()), (0, 2), "{done:?}");
     assert_eq!(names_in(&folder.path().join("x")), ["paper-1.xodr", "paper-1.xosc", "paper-2.xodr", "paper-2.xosc"]);
@@ -94,6 +100,9 @@ fn exports_are_two_files_a_scenario() {
     assert_eq!((code(&export(&["paper-1", "--controller", "idm"])), read()), (0, before), "the same again");
     assert_eq!(code(&export(&["paper-1", "--as", "actions"])), 0);
     assert_refused(&export(&["paper-1", "paper-1"]), "paper-1: paper-1.xosc would be written over another of these");
-    assert_refused(&export(&["paper-1", "--as", "actions", "--controller", "idm"]), "--controller: drives in trajectories");
+    assert_refused(
+        &export(&["paper-1", "--as", "actions", "--controller", "idm"]),
+        "--controller: drives in trajectories",
+    );
     assert_refused(&export(&["nowhere"]), "`nowhere` is neither a built-in scenario");
 }

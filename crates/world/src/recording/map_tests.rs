@@ -108,7 +108,9 @@ fn vehicles_come_go_and_change_lanes() {
     // Lane 1 drives up, lane 2 down. Vehicle 7 leaves lane 1 at 0.2 s, so that 8 follows 6 from then on.
     let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
     for k in 0..5 {
-        for (id, lane, metres) in [(6, 1, 100.0), (7, if k < 2 { 1 } else { 3 }, 80.0), (8, 1, 60.0), (9, 2, 70.0), (10, 2, 90.0)] {
+        for (id, lane, metres) in
+            [(6, 1, 100.0), (7, if k < 2 { 1 } else { 3 }, 80.0), (8, 1, 60.0), (9, 2, 70.0), (10, 2, 90.0)]
+        {
             let moved_m = f64::from(k) * if lane == 2 { -2.0 } else { 2.0 };
             let _ = writeln!(text, "{k};{id};{lane};{};72;500", (metres + moved_m) / 0.3048);
         }
@@ -136,7 +138,8 @@ fn what_no_road_has_is_left_out_and_said() {
     let text = format!("made up\nframe;id;lane;y;v;length\n{}", rows.concat());
     let said = |by: &str| read_with(&text, by).dropped.iter().map(Dropped::to_string).collect::<Vec<_>>();
     let twice = "a.csv:5: vehicle 1 is in two places at once here; of 1 such rows each first one is kept";
-    let overlap = "times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows nobody then";
+    let overlap =
+        "times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows nobody then";
     assert_eq!(said(TRACKS), [twice.to_owned(), format!("a.csv:4: 2 {overlap}")]);
     let filled = TRACKS.replace("lines_before", "interpolate_s = 0.3\nlines_before");
     assert_eq!(said(&filled)[1], "a.csv:6: id: 2 missing values were filled by straight lines, the first one here");
@@ -178,7 +181,12 @@ fn a_wrong_map_says_where() {
         (PAIRS, "unit = \"ms\"", "unit = \"h\"", "4: time.clock.unit: unknown variant `h`, expected"),
         (PAIRS, "\"range\"", "\"\"", "7: layout.pairs.spacing.column: must be 1 to 200 letters"),
         (PAIRS, length, "", "6: layout.pairs: length_m: is needed for spacings from front to front"),
-        (PAIRS, ", from = \"front-to-front\"", "", "8: layout.pairs.length_m: is of no use for spacings from bumper to bumper"),
+        (
+            PAIRS,
+            ", from = \"front-to-front\"",
+            "",
+            "8: layout.pairs.length_m: is of no use for spacings from bumper to bumper",
+        ),
         (PAIRS, length, "length_m = nan\n", "8: layout.pairs.length_m: must be from 0.1 to 100, found NaN"),
         (PAIRS, "follower_speed", "leaders_speed", "9: layout.pairs.leaders_speed: unknown field `leaders_speed`"),
         (TRACKS, "lines_before_names = 1", "lines_before_names = 1001", "4: lines_before_names: must be at most 1000"),
@@ -195,7 +203,12 @@ fn a_wrong_map_says_where() {
         assert!(said.starts_with(&format!("m.toml:{expected}")), "{said}\n  should start with\nm.toml:{expected}");
     }
     let two = TRACKS.to_owned() + "[layout.pairs]\nspacing = { column = \"x\" }\n";
-    assert!(RecordingMap::from_toml(&two, Path::new("m.toml")).expect_err("wrong").to_string().contains("several kinds are given"));
+    assert!(
+        RecordingMap::from_toml(&two, Path::new("m.toml"))
+            .expect_err("wrong")
+            .to_string()
+            .contains("several kinds are given")
+    );
 }
 
 #[test]
@@ -206,13 +219,17 @@ fn platoons_from_front_to_front_need_their_cars_length() {
     assert_eq!(read_with(text, by).platoons[0].gap_ahead_m(1), [Some(15.0), None]);
     for (good, bad) in [("\"v{}\"", "\"v\""), ("\"v{}\"", "\"v{}{}\"")] {
         let said = RecordingMap::from_toml(&by.replace(good, bad), Path::new("m.toml")).expect_err("wrong").to_string();
-        assert_eq!(said, "m.toml:5: layout.platoon.speed.column: must hold `{}` once, where the vehicle's number stands");
+        assert_eq!(
+            said,
+            "m.toml:5: layout.platoon.speed.column: must hold `{}` once, where the vehicle's number stands"
+        );
     }
 }
 
 #[test]
 fn the_hardest_braking_is_found_whatever_the_threshold() {
-    let rows: String = (0..60).map(|k| format!("{}\t20\t{}\t100\n", 100 * k, 0.05 * f64::from(k - 20).clamp(0.0, 15.0))).collect();
+    let rows: String =
+        (0..60).map(|k| format!("{}\t20\t{}\t100\n", 100 * k, 0.05 * f64::from(k - 20).clamp(0.0, 15.0))).collect();
     let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), PAIRS);
     assert_eq!(episodes(&recording, MinBrake::default(), Leaders::Any).episodes, []);
     let hardest = hardest_braking(&recording).expect("it brakes");

@@ -2,13 +2,16 @@
 
 use super::Recording;
 use super::motion::{Sample, brakings};
+use super::series::rounded;
 
 /// Most lines that are drawn of one recording.
 const MOST_LINES: usize = 40;
 
 /// The hardest braking of a recording.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct HardestBraking {
+    /// The event it was recorded in, where the file names events.
+    pub event: Option<String>,
     /// Number of the vehicle.
     pub number: usize,
     /// When the second begins in which it loses most speed, in seconds of the recording.
@@ -78,7 +81,7 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
         leads: leads.len(),
         samples: speeds_mps.len(),
         time_s,
-        step_s: extremes(&mut steps_s).map_or(0.0, |[_, median, _]| median),
+        step_s: extremes(&mut steps_s).map_or(0.0, |[_, median, _]| rounded(median)),
         speed_mps: extremes(&mut speeds_mps)?,
         gap_m: extremes(&mut gaps_m),
         hardest: hardest_braking(recording),
@@ -92,9 +95,10 @@ pub fn hardest_braking(recording: &Recording) -> Option<HardestBraking> {
     let mut hardest: Option<HardestBraking> = None;
     for lead in recording.leads() {
         for braking in lead.runs().iter().flat_map(|run| brakings(run, 0.0)) {
-            if hardest.is_none_or(|known| braking.largest_drop_mps > known.drop_mps) {
-                let (number, from_s) = (lead.placed(0.0).number, braking.hardest_ms as f64 / 1000.0);
-                hardest = Some(HardestBraking { number, from_s, drop_mps: braking.largest_drop_mps });
+            if hardest.as_ref().is_none_or(|known| braking.largest_drop_mps > known.drop_mps) {
+                let (event, number) = (lead.event().map(str::to_owned), lead.placed(0.0).number);
+                let from_s = braking.hardest_ms as f64 / 1000.0;
+                hardest = Some(HardestBraking { event, number, from_s, drop_mps: braking.largest_drop_mps });
             }
         }
     }

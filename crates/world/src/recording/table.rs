@@ -12,7 +12,7 @@ use super::map::{Delimiter, TimeSpec};
 /// Longest line, in bytes. 200 vehicles with all of OpenACC's columns take about 30 kB.
 const LONGEST_LINE: usize = 1 << 20;
 /// Most rows of one file.
-const MOST_ROWS: usize = 5_000_000;
+pub(super) const MOST_ROWS: usize = 5_000_000;
 /// Most speeds and gaps of one file: 320 MB of them.
 const MOST_VALUES: usize = 20_000_000;
 

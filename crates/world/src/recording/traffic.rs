@@ -14,7 +14,7 @@ use super::leads::{Ahead, Lead};
 use super::map::{LengthSpec, MapSpec, Point, TracksSpec};
 use super::motion::{Sample, joined};
 use super::series::{Clock, Quantity, Series, rounded};
-use super::table::{Column, Extent, Row, Table, excerpt};
+use super::table::{Column, Extent, MOST_ROWS, Row, Table, excerpt};
 use super::{Format, Recording};
 
 /// Most vehicles behind a leader that become part of a scenario: further back, a wave has taken longer than an episode lasts.
@@ -75,7 +75,7 @@ pub(super) fn read<R: Read>(
     while let Some(row) = table.next_row()? {
         extent.admit(row)?;
         let time_s = clock.read(row)?;
-        let number = whole(row, &vehicle)?;
+        let vehicle = whole(row, &vehicle)?;
         let lane = match &lane {
             Some(column) => {
                 let next = lanes.len();
@@ -92,9 +92,7 @@ pub(super) fn read<R: Read>(
         let length_m = length_m.filter(|length_m| (0.1..=LONGEST_M).contains(length_m));
         if let (Some(position_m), Some(length_m)) = (position_m, length_m) {
             let time_ms = (time_s * 1000.0).round() as i64;
-            let (front_m, falls, ahead, behind) = (0.0, false, None, None);
-            let vehicle = number;
-            let line = row.line;
+            let (line, front_m, falls, ahead, behind) = (row.line, 0.0, false, None, None);
             places.push(Place {
                 vehicle,
                 lane,
@@ -118,12 +116,18 @@ pub(super) fn read<R: Read>(
     for series in [Some(&position), Some(&speed), length.as_ref()].into_iter().flatten() {
         series.report(path, extent.rows, &mut dropped);
     }
-    places.sort_by_key(|place: &Place| (place.vehicle, place.time_ms, place.line));
+    places.sort_unstable_by_key(|place: &Place| (place.vehicle, place.time_ms, place.line));
     let what = |what, line| Dropped { path: path.to_owned(), line, what };
     if let Some((twice, count)) = once(&mut places) {
         dropped.push(what(Omission::Twice { vehicle: twice.vehicle, count }, twice.line));
     }
-    if let Some((line, count)) = fill(&mut places, map.interpolate_s) {
+    let filled = fill(&mut places, map.interpolate_s).map_err(|line| RecordingError::TooLarge {
+        path: path.to_owned(),
+        line,
+        limit: MOST_ROWS,
+        what: "rows, with those that are filled",
+    })?;
+    if let Some((line, count)) = filled {
         dropped.push(what(Omission::Interpolated { column: excerpt(&tracks.vehicle), count }, line));
     }
     turn(&mut places, tracks.position.of);
@@ -156,14 +160,17 @@ fn once(places: &mut Vec<Place>) -> Option<(Place, usize)> {
     twice
 }
 
-/// Puts places between two of one vehicle in one lane that are further apart than the recording's step, and no more than so long.
-fn fill(places: &mut Vec<Place>, longest_s: f64) -> Option<(u64, usize)> {
+/// Puts places between two of one vehicle in one lane that are further apart than usual, and no more than so long. Says the line of
+/// the first and how many they are; an error is the line at which they become too many.
+fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>, u64> {
+    let longest_ms = (longest_s * 1000.0).round() as i64;
     let steps = places.windows(2).filter_map(|pair| match pair {
-        [a, b] if a.vehicle == b.vehicle => Some(b.time_ms - a.time_ms),
+        [a, b] if a.vehicle == b.vehicle && longest_ms > 0 => Some(b.time_ms - a.time_ms),
         _ => None,
     });
-    let step_ms = steps.min()?;
-    let longest_ms = (longest_s * 1000.0).round() as i64;
+    let mut steps: Vec<i64> = steps.collect();
+    steps.sort_unstable();
+    let Some(&step_ms) = steps.get(steps.len() / 2) else { return Ok(None) };
     let mut filled = Vec::new();
     for pair in places.windows(2) {
         let [a, b] = pair else { continue };
@@ -183,11 +190,14 @@ fn fill(places: &mut Vec<Place>, longest_s: f64) -> Option<(u64, usize)> {
                 ..*a
             });
         }
+        if places.len() + filled.len() > MOST_ROWS {
+            return Err(a.line);
+        }
     }
     let found = filled.first().map(|place: &Place| (place.line, filled.len()));
     places.append(&mut filled);
-    places.sort_by_key(|place| (place.vehicle, place.time_ms));
-    found
+    places.sort_unstable_by_key(|place| (place.vehicle, place.time_ms));
+    Ok(found)
 }
 
 /// Finds out which way each vehicle drives, and where its front is.

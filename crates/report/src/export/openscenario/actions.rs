@@ -92,6 +92,14 @@ fn alone(scenario: &Scenario, index: usize) -> Result<Scenario, String> {
 }
 
 impl Scripted {
+    /// The fastest speed that it states, in m/s.
+    pub(super) fn fastest_mps(&self) -> f64 {
+        match &self.action {
+            Action::Profile(entries) => entries.iter().map(|&(_, mps)| mps).fold(0.0, f64::max),
+            _ => 0.0,
+        }
+    }
+
     /// Entries of its speed profile.
     pub(super) fn entries(&self) -> usize {
         if let Action::Profile(entries) = &self.action { entries.len() } else { 0 }

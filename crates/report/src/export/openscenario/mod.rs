@@ -99,11 +99,12 @@ pub fn actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScen
     let moves = actions::of(scenario)?;
     let vertices = bounded(moves.iter().map(actions::Scripted::entries).sum())?;
     let end_s = scenario.spec().duration_s;
+    let scripts_mps = moves.iter().map(actions::Scripted::fastest_mps).fold(0.0, f64::max);
     let about = "what the scripted vehicles do; the others are left to controllers";
     let file = storyboard::File { scenario, road, about, end_s, leaves_drivers: true };
     Ok(OpenScenario {
         scenario: document(|xml| file.write(xml, &moves))?,
-        road: road::of_scenario(scenario)?,
+        road: road::of_scenario(scenario, scripts_mps)?,
         vertices,
     })
 }

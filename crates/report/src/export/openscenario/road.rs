@@ -19,12 +19,11 @@ pub(super) fn of_trace(scenario: &Scenario, trace: &Trace) -> Result<Vec<u8>, Op
     straight(scenario, rears_m, fronts_m)
 }
 
-/// A road that is long enough for whoever does not drive faster than at the start, or than 100 m/s where scripts accelerate.
-pub(super) fn of_scenario(scenario: &Scenario) -> Result<Vec<u8>, OpenScenarioError> {
+/// A road that is long enough for whoever drives twice as fast all the time as anybody starts or a script says, and as 30 m/s.
+pub(super) fn of_scenario(scenario: &Scenario, scripts_mps: f64) -> Result<Vec<u8>, OpenScenarioError> {
     let duration_s = scenario.spec().duration_s;
     let vehicles = || scenario.vehicles().iter();
-    let fastest_mps = vehicles().map(|vehicle| vehicle.speed_mps).fold(0.0, f64::max);
-    // Twice as far: a controller may accelerate.
+    let fastest_mps = vehicles().map(|vehicle| vehicle.speed_mps).fold(scripts_mps.max(30.0), f64::max);
     let fronts_m = vehicles().map(|vehicle| vehicle.position_m + 2.0 * fastest_mps * duration_s);
     straight(scenario, vehicles().map(|vehicle| vehicle.position_m - vehicle.length_m()), fronts_m)
 }
