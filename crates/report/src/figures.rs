@@ -84,7 +84,7 @@ pub fn recorded(preview: &Preview, file: &str) -> Svg {
     type Points = Vec<(f64, f64)>;
     let panel = |top: f64, title: &str, of: fn(&SpeedLine) -> &Points| {
         let frame = Frame { left: LEFT + 24.0, top, width: WIDTH - LEFT - 40.0, height: HEIGHT };
-        let all = || preview.lines.iter().flat_map(|line| of(line));
+        let all = || preview.lines.iter().flat_map(&of);
         let time = Axis::numbers("s", extent(all().map(|point| point.0)), 8);
         let value = Axis::numbers("", padded(extent(all().map(|point| point.1).chain([0.0])), 0.04), 6);
         let mut panel = Panel::new(frame, title, time, value);

@@ -45,14 +45,14 @@ fn read_with(text: &str, by: &str) -> Recording {
     read(text.as_bytes(), Path::new("a.csv"), Some(&map(by))).expect("readable")
 }
 
-/// What makes the scenarios: when and how the leader drives, and who starts where.
-fn told(recording: &Recording) -> Vec<(f64, f64, Vec<f64>, Vec<f64>, Vec<(f64, f64)>)> {
+/// What makes each scenario: when it starts and how long it lasts, when and how the leader drives, and who starts where.
+fn told(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
     let found = episodes(recording, MinBrake::default(), Leaders::Any).episodes;
     let mut told: Vec<_> = found
         .into_iter()
         .map(|one| {
-            let placed = one.vehicles.iter().map(|placed| (placed.gap_ahead_m, placed.speed_mps)).collect();
-            (one.start_s, one.duration_s, one.time_s, one.speed_mps, placed)
+            let placed = one.vehicles.iter().flat_map(|placed| [placed.gap_ahead_m, placed.speed_mps]).collect();
+            [vec![one.start_s, one.duration_s], one.time_s, one.speed_mps, placed]
         })
         .collect();
     told.sort_by(|a, b| a.partial_cmp(b).expect("numbers"));
