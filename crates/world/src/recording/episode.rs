@@ -14,6 +14,8 @@ use super::series::rounded;
 /// Length of a recorded car, in metres. The class's 2 m is the paper's; the recorded drivers drove passenger cars.
 /// Distance of antennas less bumper spacing is 4.5 m on average over the twelve pairs of the published files tried.
 const CAR_LENGTH_M: f64 = 4.5;
+/// Length from which on a vehicle is taken for a lorry or a bus, in metres: no car is as long with room to spare.
+const HEAVY_LENGTH_M: f64 = 7.5;
 /// Steps of the scenarios in a second. Durations are rounded up to whole steps.
 const STEPS_PER_S: f64 = 100.0;
 
@@ -73,8 +75,8 @@ impl Episode {
     /// The scenario: the leader drives as recorded, the others start as recorded and are then driven.
     ///
     /// The last of three or more vehicles keeps the baseline ADAS, so that those under test have a vehicle behind them
-    /// to mind; the others, or the only follower, are under test. All are light vehicles, of 4.5 m where the recording does not
-    /// say how long they are. The leader's limits are raised where its recorded motion needs more than the class has.
+    /// to mind; the others, or the only follower, are under test. All are light vehicles of 4.5 m where the
+    /// recording does not say how long they are, and heavy ones from 7.5 m on. The leader's limits are raised where its recorded motion needs more than the class has.
     ///
     /// `file` is the recording's name as the scenario's `about` gives it.
     ///
@@ -90,7 +92,9 @@ impl Episode {
                 _ if index == last && last > 1 => Driver::Controller(ControllerSpec::Baseline(AebSettings::default())),
                 _ => Driver::UnderTest,
             };
-            let mut vehicle = VehicleSpec::new(VehicleClass::Light, position_m, placed.speed_mps, driver);
+            let is_long = placed.length_m.is_some_and(|length_m| length_m >= HEAVY_LENGTH_M);
+            let class = if is_long { VehicleClass::Heavy } else { VehicleClass::Light };
+            let mut vehicle = VehicleSpec::new(class, position_m, placed.speed_mps, driver);
             vehicle.length_m = Some(placed.length_m.unwrap_or(CAR_LENGTH_M));
             vehicles.push(vehicle);
             let ahead = index.checked_sub(1).and_then(|ahead| self.vehicles.get(ahead));

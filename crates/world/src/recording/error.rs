@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use crate::scenario::file::FileError;
+use crate::scenario::{file::FileError, short};
 
 /// Why a recording could not be read. What could be read in part is no error: see [`super::Dropped`].
 #[derive(Debug, thiserror::Error)]
@@ -165,7 +165,7 @@ pub enum ValueProblem {
     #[error("must not be empty")]
     Missing,
     /// A time beyond any clock.
-    #[error("must be from -{limit} to {limit}, found {found}")]
+    #[error("must be from -{limit} to {limit}, found {}", short(*found))]
     OutOfRange {
         /// Largest magnitude allowed.
         limit: f64,

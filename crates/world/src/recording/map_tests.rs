@@ -132,6 +132,29 @@ fn vehicles_come_go_and_change_lanes() {
 }
 
 #[test]
+fn vehicles_are_as_long_as_recorded_and_lorries_are_heavy() {
+    let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
+    for k in 0..60 {
+        let lost_mps = 0.4 * f64::from(k - 20).clamp(0.0, 20.0);
+        for (id, metres, cm) in [(1, 100.0, 420), (2, 80.0, 1250), (3, 50.0, 500)] {
+            let _ = writeln!(
+                text,
+                "{k};{id};1;{};{};{cm}",
+                (metres + 2.0 * f64::from(k)) / 0.3048,
+                3.6 * (20.0 - lost_mps)
+            );
+        }
+    }
+    let recording = read_with(&text, &TRACKS.replace("centre", "front"));
+    let found = episodes(&recording, MinBrake::default(), Leaders::First).episodes;
+    let scenario = found[0].scenario("a".to_owned(), "a.csv").expect("valid");
+    let built: Vec<_> = scenario.vehicles().iter().map(|one| (one.class.name(), one.length_m())).collect();
+    assert_eq!(built, [("light", 4.2), ("heavy", 12.5), ("light", 5.0)]);
+    let gap_m = |index| scenario.initial_gap_m(index).expect("follows");
+    assert!((gap_m(1) - 15.8).abs() < 1e-9 && (gap_m(2) - 17.5).abs() < 1e-9, "{} {}", gap_m(1), gap_m(2));
+}
+
+#[test]
 fn what_no_road_has_is_left_out_and_said() {
     let row = |frame: u32, id: u32, metres: f64| format!("{frame};{id};1;{};72;500\n", metres / 0.3048);
     let rows = [row(0, 1, 50.0), row(0, 2, 47.0), row(0, 1, 51.0), row(1, 1, 52.0), row(4, 1, 58.0), row(1, 2, 49.0)];
