@@ -99,6 +99,7 @@ impl From<RecordingError> for Failure {
     fn from(error: RecordingError) -> Self {
         match error {
             RecordingError::Read { path, source } => Self::unreadable(path, source),
+            RecordingError::Map(error) => (*error).into(),
             other => Self::input(other),
         }
     }

@@ -5,28 +5,49 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use super::Failure;
-use super::output;
+use super::{output, simulate};
+use crumple_report::draw::PNG_SCALE;
+use crumple_report::figures;
 use crumple_search::disk::{self, DiskError, Files};
 use crumple_world::quoted::Terminal;
-use crumple_world::recording::{ImportOptions, Imported, MinBrake, import};
+use crumple_world::recording::map::RecordingMap;
+use crumple_world::recording::{
+    HardestBraking, ImportOptions, Imported, Leaders, MinBrake, Preview, import, load, preview,
+};
 
 /// Turn braking episodes of recorded platoons into scenario files
 #[derive(Args)]
 #[command(after_long_help = "\
 Reads two formats, told apart by their first line: OpenACC CSV (speeds and bumper-to-bumper spacings of a platoon), and \
-car-following events (event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps). A braking episode is one \
-in which the leader's speed drops by more than --min-brake times one second within one second. Followers start at the \
-recorded gaps and speeds and are under test; only the last of three or more vehicles is driven by the baseline.
+car-following events (event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps). Of any other, --map says what is \
+in its columns. A braking episode is one in which a vehicle's speed drops by more than --min-brake times one second within one \
+second; that vehicle leads the scenario. Those behind it start at the recorded gaps and speeds and are under test; only the last of \
+three or more vehicles is driven by the baseline. Without any episode the exit code is 1, and the hardest braking is said.
 
-A recording may have 5 million rows, 20 million speeds and gaps, 200 vehicles or 100 000 events; more is refused, with the line. A \
-scenario file that is there already is left alone if it is the same, and nothing is written if one is not, unless with --force.")]
+A recording may have 5 million rows, 20 million speeds and gaps, 200 vehicles of a platoon or 100 000 events; more is refused, with \
+the line. A map may have 64 KiB. A scenario file that is there already is left alone if it is the same, and nothing is written if one is \
+not, unless with --force.
+
+Examples:
+  crumple import platoon.csv --out episodes
+  crumple import 01_tracks.csv --map highd.toml --preview 01.svg
+  crumple import 01_tracks.csv --map highd.toml --min-brake 2 --out episodes")]
 pub(super) struct Import {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
+    /// What the columns of the recordings mean: a map, see docs/exchange.md
+    #[arg(long, value_name = "MAP.toml")]
+    map: Option<PathBuf>,
+    /// Say what was understood of the one recording, and draw it; no scenario is written
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]))]
+    preview: Option<PathBuf>,
+    /// Whose braking makes an episode
+    #[arg(long, value_enum, default_value = "any")]
+    leaders: Leading,
     /// Mean deceleration over one second that makes a braking episode, in m/s² [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
     min_brake: Option<f64>,
@@ -38,13 +59,76 @@ pub(super) struct Import {
     force: bool,
 }
 
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Leading {
+    /// Every vehicle with another behind it
+    Any,
+    /// Those that had no recorded vehicle ahead of them
+    First,
+}
+
 impl Import {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let map = self.map.as_deref().map(RecordingMap::load).transpose()?;
+        if let Some(picture) = &self.preview {
+            return self.show(picture, map.as_ref(), quiet);
+        }
+        self.import(map.as_ref(), quiet)
+    }
+
+    /// What was understood, in words and as a picture.
+    fn show(&self, picture: &Path, map: Option<&RecordingMap>, quiet: bool) -> Result<(), Failure> {
+        let [path] = self.recordings.as_slice() else {
+            return Err(Failure::Input("--preview: shows one recording at a time".to_owned()));
+        };
+        let recording = load(path, map)?;
+        for dropped in &recording.dropped {
+            output::note(&dropped.to_string(), quiet);
+        }
+        let name = path.display().to_string();
+        let Some(seen) = preview(&recording) else {
+            return Err(Failure::Gate(format!("{name}: no vehicle has a known speed")));
+        };
+        let drawn = figures::recorded(&seen, &name);
+        let drawn = match picture.extension() {
+            Some(png) if png == "png" => drawn.to_png(PNG_SCALE).map_err(Failure::input)?,
+            _ => drawn.document().into_bytes(),
+        };
+        let mut files = Files::default();
+        files.stage(&output::place(picture)?, &drawn)?;
+        files.commit()?;
+        let Preview { leads, samples, time_s: [from_s, to_s], step_s, speed_mps: [slow, usual, fast], .. } = seen;
+        let mut text = format!("{}: {}\n", Terminal(&name), recording.format.name());
+        text += &format!(
+            "  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, one each {step_s:.3} s\n"
+        );
+        text += &format!("  speed {slow:.2} to {fast:.2} m/s, median {usual:.2}\n");
+        text += &match seen.gap_m {
+            Some([near, usual, far]) => format!("  bumper gap {near:.2} to {far:.2} m, median {usual:.2}\n"),
+            None => "  nobody follows anybody\n".to_owned(),
+        };
+        text += &format!("  {}\n", Terminal(&hardest(seen.hardest.as_ref())));
+        output::print(&text)
+    }
+
+    fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), Failure> {
         let min_brake = match self.min_brake {
             None => MinBrake::default(),
             Some(mps2) => MinBrake::new(mps2).map_err(|error| Failure::Input(format!("--min-brake: {error}")))?,
         };
-        let imported = import(&self.recordings, &ImportOptions { min_brake })?;
+        let leaders = if self.leaders == Leading::Any { Leaders::Any } else { Leaders::First };
+        let imported = import(&self.recordings, map, &ImportOptions { min_brake, leaders })?;
+        if imported.scenarios.is_empty() {
+            imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
+            let words =
+                imported.sources.iter().map(|one| format!("{}: {}", one.path.display(), hardest(one.hardest.as_ref())));
+            let words: Vec<_> = words.collect();
+            return Err(Failure::Gate(format!(
+                "no episode of {} m/s² that makes a scenario; {}",
+                min_brake.mps2(),
+                words.join("; ")
+            )));
+        }
         fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
         let mut files = Files::default();
         for scenario in &imported.scenarios {
@@ -86,6 +170,15 @@ impl Import {
         let others = entries.flatten().map(|entry| entry.path()).filter(is_scenario);
         Ok(others.filter(|path| path.file_name().is_some_and(|name| !written(name))).count())
     }
+}
+
+/// The hardest braking in words.
+fn hardest(found: Option<&HardestBraking>) -> String {
+    let Some(HardestBraking { event, number, from_s, drop_mps }) = found else { return "nobody brakes".to_owned() };
+    let event = event.as_ref().map(|event| format!(" of event {event}")).unwrap_or_default();
+    format!(
+        "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number}{event} from {from_s:.2} s on"
+    )
 }
 
 /// A file that is not what this import would write.

@@ -6,6 +6,7 @@ mod benchmark;
 mod check;
 mod checked;
 mod choice;
+mod export;
 mod failure;
 mod falsify;
 mod finding;
@@ -58,6 +59,7 @@ enum Command {
     Assess(assess::Assess),
     Simulate(simulate::Simulate),
     Import(import::Import),
+    Export(export::Export),
     Train(train::Train),
     // Far more arguments than any other.
     Retrain(Box<retrain::Retrain>),
@@ -96,6 +98,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Assess(command) => command.run(quiet),
         Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
+        Command::Export(command) => command.run(quiet),
         Command::Train(command) => command.run(quiet),
         Command::Retrain(command) => command.run(quiet),
         Command::Avoid(command) => command.run(quiet),

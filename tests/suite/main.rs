@@ -22,6 +22,7 @@ mod hostile_names;
 mod measures;
 mod networks;
 mod obligations;
+mod openscenario;
 mod paper;
 mod physics;
 mod policy_files;

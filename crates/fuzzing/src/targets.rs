@@ -10,7 +10,8 @@ use super::oracle::motion_is_physical;
 use super::{Checked, Crumple, FileFormat, Law, ORACLES, Question, Setup, System, TestCase, Violation};
 use crumple_world::measure::stl::{Formula, Signals, SyntaxProblem, naive_robustness};
 use crumple_world::policy::Policy;
-use crumple_world::recording::{self, MinBrake, episodes};
+use crumple_world::recording::map::RecordingMap;
+use crumple_world::recording::{self, Leaders, MinBrake, episodes};
 use crumple_world::scenario::file::{from_json, from_toml, to_toml};
 use crumple_world::scenario::{Scenario, built_in};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
@@ -137,21 +138,39 @@ pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
     must(said == said_again, Law::Certificates, text, || format!("first {said}, then {said_again}"))
 }
 
-/// Bytes are a recording or refused, and every braking episode in one makes a scenario or says why not.
+/// Another reading of the columns of car-following events: places of vehicles, by their numbers.
+const TRACKS: &str = r#"version = 1
+name = "tracks"
+time.clock = { column = "time_s" }
+interpolate_s = 0.5
+layout.tracks = { vehicle = "event", position = { column = "gap_m", of = "centre" }, speed = { column = "follower_speed_mps" }, length.metres = 2.0 }
+"#;
+
+/// Bytes are a recording or refused, and every braking episode in one makes a scenario or says why not; with the maps that are built
+/// in, and with one of tracks.
 ///
 /// # Errors
 /// A [`Violation`] of [`Law::Reading`].
 pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
-    let Ok(recording) = recording::read(bytes, Path::new("f.csv")) else { return Ok(()) };
-    for (number, episode) in episodes(&recording, MinBrake::default()).episodes.iter().enumerate() {
-        let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else { continue };
-        let text = to_toml(&scenario).unwrap_or_default();
-        let back = from_toml(&text, Path::new("f.toml"));
-        let same = back.as_ref().is_ok_and(|back| *back == scenario);
-        must(same, Law::Files, &text, || format!("it came back as {back:?}"))?;
-    }
-    for dropped in &recording.dropped {
-        must(!dropped.to_string().is_empty(), Law::Reading, "", || "something is dropped without a word".to_owned())?;
+    let tracks = RecordingMap::from_toml(TRACKS, Path::new("tracks.toml"));
+    must(tracks.is_ok(), Law::Reading, TRACKS, || format!("{tracks:?}"))?;
+    for map in [None, tracks.as_ref().ok()] {
+        let Ok(recording) = recording::read(bytes, Path::new("f.csv"), map) else { continue };
+        for (number, episode) in episodes(&recording, MinBrake::default(), Leaders::Any).episodes.iter().enumerate() {
+            let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else { continue };
+            let text = to_toml(&scenario).unwrap_or_default();
+            let back = from_toml(&text, Path::new("f.toml"));
+            let same = back.as_ref().is_ok_and(|back| *back == scenario);
+            must(same, Law::Files, &text, || format!("it came back as {back:?}"))?;
+        }
+        for dropped in &recording.dropped {
+            let is_said = !dropped.to_string().is_empty();
+            must(is_said, Law::Reading, "", || "something is dropped without a word".to_owned())?;
+        }
+        let seen = recording::preview(&recording);
+        let is_even =
+            seen.is_none_or(|seen| seen.speed_mps[0] <= seen.speed_mps[1] && seen.speed_mps[1] <= seen.speed_mps[2]);
+        must(is_even, Law::Reading, "", || "speeds are out of order".to_owned())?;
     }
     Ok(())
 }

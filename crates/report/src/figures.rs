@@ -1,8 +1,11 @@
-//! Figures of a training and of a retraining.
+//! Figures of a training, of a retraining, and of what was understood of a recording.
 
-use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg};
+use maud::html;
+
+use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg, extent, padded};
 use crumple_learn::retrain::Report;
 use crumple_learn::rl::{CurvePoint, LearningCurve, PERFECT};
+use crumple_world::recording::{Preview, SpeedLine};
 
 /// Width of a figure, and height of its panel, in pixels.
 const WIDTH: f64 = 720.0;
@@ -73,6 +76,39 @@ pub fn retraining(report: &Report) -> Svg {
     let description =
         "A ring is the candidate of its round. Checkpoints that touch somebody in what the paper has are left out.";
     Svg::new("retraining", (WIDTH, HEADING + HEIGHT + BELOW), title, description, content)
+}
+
+/// What was understood of a recording: speeds of its vehicles, and the gaps behind them, over time.
+#[must_use]
+pub fn recorded(preview: &Preview, file: &str) -> Svg {
+    type Points = Vec<(f64, f64)>;
+    let panel = |top: f64, title: &str, of: fn(&SpeedLine) -> &Points| {
+        let frame = Frame { left: LEFT + 24.0, top, width: WIDTH - LEFT - 40.0, height: HEIGHT };
+        let all = || preview.lines.iter().flat_map(&of);
+        let time = Axis::numbers("s", extent(all().map(|point| point.0)), 8);
+        let value = Axis::numbers("", padded(extent(all().map(|point| point.1).chain([0.0])), 0.04), 6);
+        let mut panel = Panel::new(frame, title, time, value);
+        for (index, line) in preview.lines.iter().enumerate() {
+            // A line is broken where the recording is.
+            for part in of(line).chunk_by(|a, b| b.0 - a.0 <= (3.0 * preview.step_s).max(0.5)) {
+                panel.line(part, Stroke { width: 1.0, ..Stroke::series(index) });
+            }
+        }
+        if let Some(hardest) = &preview.hardest {
+            panel.rule_x(hardest.from_s, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
+        }
+        panel
+    };
+    let speeds = panel(HEADING, "Speed (m/s)", |line| &line.speed_mps);
+    let second = HEADING + HEIGHT + BELOW + HEADING;
+    let gaps = panel(second, "Bumper gap to the vehicle behind (m)", |line| &line.gap_behind_m);
+    let [speeds, gaps] =
+        [("speeds", speeds), ("gaps", gaps)].map(|(name, panel)| panel.draw(&Svg::id("recorded", name)));
+    let shown = preview.lines.len();
+    let description =
+        format!("Of {} vehicles, the {shown} longest recorded. The dots mark the hardest braking.", preview.leads);
+    let content = html! { (speeds) (gaps) };
+    Svg::new("recorded", (WIDTH, second + HEIGHT + BELOW), file, &description, content)
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod certificates;
+mod exchange;
 pub(crate) mod falsify;
 mod outputs;
 mod reports;

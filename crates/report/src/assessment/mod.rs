@@ -332,11 +332,10 @@ impl Assessment {
         texts.extend(
             self.paper_scenarios.iter().flat_map(PaperScenarios::plates).map(|(name, svg)| (name, svg.document())),
         );
-        texts.extend(self.searches.failures().map(|failure| (failure.file.clone(), failure.text.clone())));
         texts.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
         let texts = texts.into_iter().map(|(name, text)| (name, text.into_bytes()));
         let needed = self.command_files.iter().map(|needed| (needed.file.clone(), needed.contents.clone()));
-        Ok(texts.chain(needed).collect())
+        Ok(texts.chain(self.searches.failures().flat_map(Failure::files)).chain(needed).collect())
     }
 
     /// Every command that shows again what the report shows, in its order.
@@ -357,8 +356,10 @@ pub fn files_of_evidence(json: &str) -> Vec<String> {
     let list = |value: &serde_json::Value| value.as_array().cloned().unwrap_or_default();
     let searches = list(&evidence["searches"]["spaces"]).into_iter().flat_map(|space| list(&space["controllers"]));
     let failures = searches.flat_map(|search| list(&search["failures"]));
-    let files = failures.chain(list(&evidence["proofs"]["certificates"])).chain(list(&evidence["command_files"]));
-    let names = files.filter_map(|file| file["file"].as_str().map(str::to_owned));
+    let named = |file: serde_json::Value| file["file"].as_str().map(str::to_owned);
+    let counterexamples = failures.filter_map(named).flat_map(|file| Failure::beside(&file).into_iter().chain([file]));
+    let others = list(&evidence["proofs"]["certificates"]).into_iter().chain(list(&evidence["command_files"]));
+    let names = counterexamples.chain(others.filter_map(named));
     let is_plain = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
     let is_own = |name: &String| FOLDERS.iter().any(|folder| name.starts_with(folder)) && is_plain(name);
     names.filter(is_own).collect()

@@ -349,7 +349,7 @@ impl Loading<'_> {
     fn recorded(&self, config: &AssessConfig) -> Result<Imported, ConfigError> {
         let wrong = |problem: String| self.wrong("recordings", problem);
         let paths: Vec<_> = config.recordings.iter().map(|named| self.folder.join(named)).collect();
-        let imported = import(&paths, &ImportOptions::default()).map_err(|error| wrong(error.to_string()))?;
+        let imported = import(&paths, None, &ImportOptions::default()).map_err(|error| wrong(error.to_string()))?;
         match imported.sources.iter().find(|source| source.scenarios == 0) {
             Some(empty) => Err(wrong(format!("{}: no braking episode that makes a scenario", empty.path.display()))),
             None => Ok(imported),

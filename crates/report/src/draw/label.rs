@@ -109,7 +109,7 @@ pub fn wrapped(text: &str, size: f64, width: f64) -> Vec<String> {
 }
 
 /// `text` without the characters that XML 1.0 (section 2.2) does not allow, in one line.
-pub(super) fn printable(text: &str) -> String {
+pub(crate) fn printable(text: &str) -> String {
     let allowed = |letter: &char| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}');
     text.chars().map(|letter| if letter.is_whitespace() { ' ' } else { letter }).filter(allowed).collect()
 }

@@ -40,7 +40,7 @@ pub use scale::{Scale, Ticks, drawable, extent, padded, signed};
 pub use theme::{COLOURS, DASHES, Ink, SMALL, STYLE, Stroke, TEXT};
 
 use crumple_world::quoted::Lines;
-use label::printable;
+pub(crate) use label::printable;
 use path::Px;
 
 /// Pixels of a PNG to one unit of the figure: sharp on a dense screen, and a wide figure has 300 dots an inch at 16 cm.

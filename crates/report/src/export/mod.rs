@@ -1,10 +1,11 @@
-//! Traces as tables: one row a sample and vehicle, in CSV or Parquet.
+//! Traces as tables: one row a sample and vehicle, in CSV or Parquet; and runs for other simulators ([`openscenario`]).
 //!
 //! Columns: `time_s`, `vehicle`, `position_m`, `speed_mps`, `acceleration_mps2`, `gap_m` (to the vehicle ahead; empty
 //! for the leader). Rows are in order of time, then of vehicle.
 
 #[cfg(feature = "parquet")]
 mod columnar;
+pub mod openscenario;
 
 use crumple_world::sim::{Pair, Trace};
 

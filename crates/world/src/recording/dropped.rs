@@ -113,14 +113,40 @@ pub enum Omission {
         /// Time of the first of them, in seconds.
         found_s: f64,
     },
+    /// Rows of one vehicle at one time.
+    #[error("vehicle {vehicle} is in two places at once here; of {count} such rows each first one is kept")]
+    Twice {
+        /// The vehicle.
+        vehicle: u32,
+        /// How many rows were left out.
+        count: usize,
+    },
+    /// Vehicles of one lane that overlap, so that neither follows the other.
+    #[error(
+        "{count} times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows nobody then"
+    )]
+    Overlapping {
+        /// How often.
+        count: usize,
+    },
+    /// Missing values that were filled by straight lines, as a map says.
+    #[error("{column}: {count} missing values were filled by straight lines, the first one here")]
+    Interpolated {
+        /// Name of the column.
+        column: String,
+        /// How many.
+        count: usize,
+    },
     /// Rows of car-following events whose three speeds contradict one another.
     #[error(
-        "{column}: differs from leader_speed_mps - follower_speed_mps in {count} rows, the first one here \
+        "{column}: differs from {difference} in {count} rows, the first one here \
          (by {first_error_mps:.3} m/s); their speeds were left out"
     )]
     SpeedsContradict {
         /// Name of the column of relative speeds.
-        column: &'static str,
+        column: String,
+        /// What it should be, by the names of columns.
+        difference: String,
         /// How many rows.
         count: usize,
         /// By how much in the first one, in m/s.
@@ -170,6 +196,12 @@ pub enum NoScenario {
     NoFollower {
         /// Number of the vehicle behind.
         follower: usize,
+        /// The time searched, in seconds.
+        within_s: f64,
+    },
+    /// At no time shortly before braking is anybody known behind.
+    #[error("nobody is recorded behind it in the {within_s} s before")]
+    NobodyBehind {
         /// The time searched, in seconds.
         within_s: f64,
     },

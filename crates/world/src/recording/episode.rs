@@ -8,11 +8,14 @@ use crate::scenario::{
     VehicleClass, VehicleSpec,
 };
 
+use super::leads::Ahead;
 use super::series::rounded;
 
 /// Length of a recorded car, in metres. The class's 2 m is the paper's; the recorded drivers drove passenger cars.
 /// Distance of antennas less bumper spacing is 4.5 m on average over the twelve pairs of the published files tried.
 const CAR_LENGTH_M: f64 = 4.5;
+/// Length from which on a vehicle is taken for a lorry or a bus, in metres: no car is as long with room to spare.
+const HEAVY_LENGTH_M: f64 = 7.5;
 /// Steps of the scenarios in a second. Durations are rounded up to whole steps.
 const STEPS_PER_S: f64 = 100.0;
 
@@ -43,8 +46,8 @@ pub struct Episode {
     pub hardest_accel_mps2: f64,
     /// The line at the start, front to rear, the leader first.
     pub vehicles: Vec<Placed>,
-    /// Number of the vehicle ahead, if there was one that was not recorded at the time.
-    pub not_recorded_ahead: Option<usize>,
+    /// The vehicle ahead of the leader, which is no part of the scenario.
+    pub ahead: Ahead,
     /// Number of the vehicle behind the last, if there was one whose gap or speed was not recorded at the start.
     pub not_recorded_behind: Option<usize>,
     /// Time of each of the leader's samples, in seconds, to the millisecond.
@@ -64,14 +67,16 @@ pub struct Placed {
     pub gap_ahead_m: f64,
     /// Speed in m/s, to three decimals.
     pub speed_mps: f64,
+    /// Bumper to bumper, in metres, to three decimals, where the recording says so.
+    pub length_m: Option<f64>,
 }
 
 impl Episode {
     /// The scenario: the leader drives as recorded, the others start as recorded and are then driven.
     ///
     /// The last of three or more vehicles keeps the baseline ADAS, so that those under test have a vehicle behind them
-    /// to mind; the others, or the only follower, are under test. All are light vehicles of 4.5 m. The leader's limits
-    /// are raised where its recorded motion needs more than the class has.
+    /// to mind; the others, or the only follower, are under test. All are light vehicles of 4.5 m where the
+    /// recording does not say how long they are, and heavy ones from 7.5 m on. The leader's limits are raised where its recorded motion needs more than the class has.
     ///
     /// `file` is the recording's name as the scenario's `about` gives it.
     ///
@@ -87,10 +92,14 @@ impl Episode {
                 _ if index == last && last > 1 => Driver::Controller(ControllerSpec::Baseline(AebSettings::default())),
                 _ => Driver::UnderTest,
             };
-            let mut vehicle = VehicleSpec::new(VehicleClass::Light, position_m, placed.speed_mps, driver);
-            vehicle.length_m = Some(CAR_LENGTH_M);
+            let is_long = placed.length_m.is_some_and(|length_m| length_m >= HEAVY_LENGTH_M);
+            let class = if is_long { VehicleClass::Heavy } else { VehicleClass::Light };
+            let mut vehicle = VehicleSpec::new(class, position_m, placed.speed_mps, driver);
+            vehicle.length_m = Some(placed.length_m.unwrap_or(CAR_LENGTH_M));
             vehicles.push(vehicle);
-            position_m = rounded(position_m + placed.gap_ahead_m + CAR_LENGTH_M);
+            let ahead = index.checked_sub(1).and_then(|ahead| self.vehicles.get(ahead));
+            let ahead_m = ahead.and_then(|ahead| ahead.length_m).unwrap_or(CAR_LENGTH_M);
+            position_m = rounded(position_m + placed.gap_ahead_m + ahead_m);
         }
         vehicles.reverse();
         if let Some(leader) = vehicles.first_mut() {
@@ -135,9 +144,13 @@ impl Episode {
         let gaps = if followers.len() == 1 { "gap and speed" } else { "gaps and speeds" };
         // Writing to a String cannot fail.
         let _ = write!(about, " Behind it {verb} {} at the recorded {gaps}.", followers.join(", "));
-        if let Some(number) = self.not_recorded_ahead {
-            let _ = write!(about, " Vehicle {number}, ahead of it, was not recorded at the time.");
-        }
+        let _ = match self.ahead {
+            Ahead::Nobody => Ok(()),
+            Ahead::Recorded(number) => write!(about, " Vehicle {number}, ahead of it, is no part of the scenario."),
+            Ahead::NotRecorded(number) => {
+                write!(about, " Vehicle {number}, ahead of it, was not recorded at the time.")
+            }
+        };
         if let Some(number) = self.not_recorded_behind {
             let _ = write!(about, " Gap or speed of vehicle {number} is missing, so the line ends before it.");
         }

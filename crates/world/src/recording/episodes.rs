@@ -3,11 +3,11 @@
 use std::cmp::Reverse;
 
 use super::dropped::{Dropped, NoScenario, Omission};
-use super::episode::{Episode, Placed};
+use super::episode::Episode;
 use super::error::RecordingError;
-use super::motion::{Braking, Sample, brakings, runs, speed_at_mps};
-use super::series::rounded;
-use super::{HARDEST_CHANGE_MPS2, Platoon, Recording};
+use super::leads::{Ahead, Lead};
+use super::motion::{Braking, Sample, brakings, speed_at_mps};
+use super::{HARDEST_CHANGE_MPS2, Recording};
 
 /// A scenario starts about this long before braking does, so that sensors and filters have settled, in milliseconds.
 const LEAD_IN_MS: i64 = 1_000;
@@ -58,27 +58,35 @@ pub struct FoundEpisodes {
     pub dropped: Vec<Dropped>,
 }
 
+/// Which vehicles make episodes when they brake.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Leaders {
+    /// Every vehicle with another behind it.
+    #[default]
+    Any,
+    /// Those without a recorded vehicle ahead of them, alone: braking of the others is their reaction to it.
+    First,
+}
+
 /// Finds the braking episodes of a recording.
 ///
-/// An episode is a drop of the leader's speed by more than the threshold within one second, merged with those that
+/// An episode is a drop of a vehicle's speed by more than the threshold within one second, merged with those that
 /// follow within 5 s of its end. It starts about 1 s before, at the sample at which the longest unbroken line of
-/// followers has known speeds and gaps, and ends 10 s after braking or when the next episode begins.
+/// followers has known speeds and gaps, and ends 10 s after braking or when that vehicle's next episode begins.
 ///
-/// The leader is the first vehicle of the platoon, and wherever the vehicles ahead of it are not recorded, the first one
-/// that is: a platoon whose first cars drop out for a while has a leader all the same. Braking of the cars behind it is
-/// their reaction, which is for the controllers to decide, and makes no episode.
+/// The vehicle that brakes leads the scenario, with those behind it: a wave of braking that grows from car to car makes an
+/// episode at each of them, the last ones the hardest. With [`Leaders::First`] only a vehicle leads that had none recorded
+/// ahead of it at the time.
 #[must_use]
-pub fn episodes(recording: &Recording, min_brake: MinBrake) -> FoundEpisodes {
+pub fn episodes(recording: &Recording, min_brake: MinBrake, leaders: Leaders) -> FoundEpisodes {
     let mut found = FoundEpisodes::default();
-    for platoon in &recording.platoons {
-        for leader in 0..platoon.vehicles.len().saturating_sub(1) {
-            for run in runs(platoon, leader) {
-                let brakings = brakings(&run, min_brake.mps2());
-                let next_onsets = brakings.iter().skip(1).map(|next| Some(next.onset_ms)).chain([None]);
-                for (braking, next_onset_ms) in brakings.iter().zip(next_onsets) {
-                    let window = Window { platoon, leader, run: &run, braking, next_onset_ms };
-                    window.find(recording, &mut found);
-                }
+    for lead in recording.leads() {
+        for run in lead.runs() {
+            let brakings = brakings(&run, min_brake.mps2());
+            let next_onsets = brakings.iter().skip(1).map(|next| Some(next.onset_ms)).chain([None]);
+            for (braking, next_onset_ms) in brakings.iter().zip(next_onsets) {
+                let window = Window { lead: &*lead, run: &run, braking, next_onset_ms };
+                window.find(recording, leaders, &mut found);
             }
         }
     }
@@ -89,34 +97,28 @@ pub fn episodes(recording: &Recording, min_brake: MinBrake) -> FoundEpisodes {
 
 /// One braking and what surrounds it.
 struct Window<'a> {
-    platoon: &'a Platoon,
-    leader: usize,
+    lead: &'a dyn Lead,
     run: &'a [Sample],
     braking: &'a Braking,
     next_onset_ms: Option<i64>,
 }
 
 impl Window<'_> {
-    fn find(&self, recording: &Recording, found: &mut FoundEpisodes) {
+    fn find(&self, recording: &Recording, leaders: Leaders, found: &mut FoundEpisodes) {
         let candidates = self.between(self.braking.onset_ms - START_WITHIN_MS, self.braking.onset_ms);
-        let known_ahead = |sample: &Sample| {
-            let ahead = self.leader.checked_sub(1).and_then(|ahead| self.platoon.vehicles.get(ahead));
-            ahead.is_some_and(|ahead| ahead.speed_at_mps(sample.index).is_some())
-                && self.platoon.following(self.leader, sample.index).is_some()
-        };
-        if candidates.iter().any(known_ahead) {
+        let follows = |sample: &Sample| matches!(self.lead.ahead_at(sample), Ahead::Recorded(_));
+        if leaders == Leaders::First && candidates.iter().any(follows) {
             return;
         }
         let nearness_ms = |sample: &Sample| (sample.time_ms - (self.braking.onset_ms - LEAD_IN_MS)).abs();
-        let best = candidates.iter().max_by_key(|sample| (self.followers_at(sample), Reverse(nearness_ms(sample))));
-        let Some(start) = best else { return };
+        let rank = |sample: &&Sample| (self.lead.followers_at(sample).len(), Reverse(nearness_ms(sample)));
+        let Some(start) = candidates.iter().max_by_key(rank) else { return };
         match self.episode(start) {
             Ok(episode) => found.episodes.push(episode),
             Err(why) => {
-                let (number, onset_s) = (self.number_of(self.leader), self.braking.onset_ms as f64 / 1000.0);
-                let line = self.line_of(start);
+                let (number, onset_s) = (self.lead.placed(0.0).number, self.braking.onset_ms as f64 / 1000.0);
                 let what = Omission::Episode { number, onset_s, why };
-                found.dropped.push(Dropped { path: recording.path.clone(), line, what });
+                found.dropped.push(Dropped { path: recording.path.clone(), line: self.lead.line_of(start), what });
             }
         }
     }
@@ -128,18 +130,14 @@ impl Window<'_> {
         self.run.get(from..to).unwrap_or_default()
     }
 
-    /// How many vehicles behind the leader have known speeds and gaps, without a break.
-    fn followers_at(&self, start: &Sample) -> usize {
-        (self.leader + 1..self.platoon.vehicles.len())
-            .take_while(|&index| self.platoon.following(index, start.index).is_some())
-            .count()
-    }
-
     fn episode(&self, start: &Sample) -> Result<Episode, NoScenario> {
-        let followers = self.followers_at(start);
-        if followers == 0 {
+        let followers = self.lead.followers_at(start);
+        if followers.is_empty() {
             let within_s = START_WITHIN_MS as f64 / 1000.0;
-            return Err(NoScenario::NoFollower { follower: self.number_of(self.leader + 1), within_s });
+            return Err(match self.lead.next_behind(0) {
+                Some(follower) => NoScenario::NoFollower { follower, within_s },
+                None => NoScenario::NobodyBehind { within_s },
+            });
         }
         let end_ms = (self.braking.end_ms + TAIL_MS).min(self.next_onset_ms.unwrap_or(i64::MAX));
         let samples = self.between(start.time_ms, end_ms);
@@ -156,15 +154,10 @@ impl Window<'_> {
             }
         }
         let since_start_s = |time_ms: i64| (time_ms - start.time_ms) as f64 / 1000.0;
-        let mut vehicles = vec![self.placed(self.leader, 0.0, start.speed_mps)];
-        for index in self.leader + 1..=self.leader + followers {
-            if let Some((gap_m, speed_mps)) = self.platoon.following(index, start.index) {
-                vehicles.push(self.placed(index, rounded(gap_m), rounded(speed_mps)));
-            }
-        }
+        let not_recorded_behind = self.lead.next_behind(followers.len());
         Ok(Episode {
-            event: self.platoon.event.clone(),
-            line: self.line_of(start),
+            event: self.lead.event().map(str::to_owned),
+            line: self.lead.line_of(start),
             start_s: start.time_ms as f64 / 1000.0,
             onset_s: since_start_s(self.braking.onset_ms),
             braking_end_s: since_start_s(self.braking.end_ms),
@@ -174,25 +167,11 @@ impl Window<'_> {
             largest_drop_mps: self.braking.largest_drop_mps,
             hardest_brake_mps2,
             hardest_accel_mps2,
-            vehicles,
-            not_recorded_ahead: self.leader.checked_sub(1).map(|ahead| self.number_of(ahead)),
-            not_recorded_behind: (self.leader + followers + 1 < self.platoon.vehicles.len())
-                .then(|| self.number_of(self.leader + followers + 1)),
+            vehicles: [vec![self.lead.placed(start.speed_mps)], followers].concat(),
+            ahead: self.lead.ahead_at(start),
+            not_recorded_behind,
             time_s: samples.iter().map(|sample| since_start_s(sample.time_ms)).collect(),
             speed_mps: samples.iter().map(|sample| sample.speed_mps).collect(),
         })
-    }
-
-    fn placed(&self, index: usize, gap_ahead_m: f64, speed_mps: f64) -> Placed {
-        let name = self.platoon.vehicles.get(index).and_then(|vehicle| vehicle.name.clone());
-        Placed { number: self.number_of(index), name, gap_ahead_m, speed_mps }
-    }
-
-    fn number_of(&self, index: usize) -> usize {
-        self.platoon.vehicles.get(index).map_or(0, |vehicle| vehicle.number)
-    }
-
-    fn line_of(&self, sample: &Sample) -> u64 {
-        self.platoon.line.get(sample.index).copied().unwrap_or(0)
     }
 }

@@ -3,6 +3,8 @@
 use std::io;
 use std::path::PathBuf;
 
+use crate::scenario::{file::FileError, short};
+
 /// Why a recording could not be read. What could be read in part is no error: see [`super::Dropped`].
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -24,7 +26,7 @@ pub enum RecordingError {
     /// The first line is of neither format.
     #[error(
         "{}:{line}: `{found}`: neither an OpenACC recording (which starts with `Date`) nor car-following events \
-         (which start with `event,time_s,gap_m,...`), both without quotation marks", path.display()
+         (which start with `event,time_s,gap_m,...`), both without quotation marks; of any other, a map says what is in it", path.display()
     )]
     UnknownFormat {
         /// The file.
@@ -104,6 +106,9 @@ pub enum RecordingError {
         /// What is counted.
         what: &'static str,
     },
+    /// A map that is not valid.
+    #[error(transparent)]
+    Map(Box<FileError>),
     /// A threshold no episode could be found with.
     #[error("min_brake_mps2: must be above 0 and at most {limit}, found {found}", limit = super::HARDEST_CHANGE_MPS2)]
     MinBrake {
@@ -126,11 +131,11 @@ pub enum RecordingError {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ColumnProblem {
-    /// Another name stands where this one belongs.
-    #[error("expected this column, found `{found}`")]
-    Expected {
-        /// The name found.
-        found: String,
+    /// There is no such column.
+    #[error("there is no such column among `{known}`")]
+    Missing {
+        /// The names that there are, cut after 40 letters.
+        known: String,
     },
     /// Two columns of one name.
     #[error("named twice")]
@@ -150,11 +155,17 @@ pub enum ValueProblem {
         /// The text found.
         found: String,
     },
+    /// No number of a vehicle.
+    #[error("must be a whole number from 0 to 4294967295, found `{found}`")]
+    NotWhole {
+        /// The text found.
+        found: String,
+    },
     /// Empty, where a row is nothing without it.
     #[error("must not be empty")]
     Missing,
     /// A time beyond any clock.
-    #[error("must be from -{limit} to {limit}, found {found}")]
+    #[error("must be from -{limit} to {limit}, found {}", short(*found))]
     OutOfRange {
         /// Largest magnitude allowed.
         limit: f64,

@@ -6,8 +6,10 @@ use std::path::{Path, PathBuf};
 use crate::scenario::{Scenario, file::to_toml};
 
 use super::dropped::{Dropped, NoScenario, Omission};
-use super::episodes::{MinBrake, episodes};
+use super::episodes::{Leaders, MinBrake, episodes};
 use super::error::RecordingError;
+use super::map::RecordingMap;
+use super::preview::{HardestBraking, hardest_braking};
 use super::{Format, Recording, load};
 
 /// Longest part of a file's name that goes into a scenario's.
@@ -18,6 +20,8 @@ const LONGEST_STEM: usize = 100;
 pub struct ImportOptions {
     /// The least braking that makes an episode.
     pub min_brake: MinBrake,
+    /// Whose braking makes one.
+    pub leaders: Leaders,
 }
 
 /// The scenarios of a set of recordings, nothing written yet.
@@ -43,7 +47,7 @@ pub struct ImportedScenario {
 }
 
 /// What one recording yielded.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Source {
     /// The recording.
     pub path: PathBuf,
@@ -51,9 +55,11 @@ pub struct Source {
     pub format: Format,
     /// Scenarios made of it.
     pub scenarios: usize,
+    /// The hardest braking in it, whether it made a scenario or not.
+    pub hardest: Option<HardestBraking>,
 }
 
-/// Reads recordings and renders one scenario file for each braking episode. Writes nothing: a caller that gets a result
+/// Reads recordings, by a map if there is one, and renders one scenario file for each braking episode. Writes nothing: a caller that gets a result
 /// has all of it.
 ///
 /// Scenarios are named after format, file and a number, such as `openacc-long-setting-dynamic-part16-01`; files of one
@@ -61,11 +67,15 @@ pub struct Source {
 ///
 /// # Errors
 /// [`RecordingError`] for the first recording that cannot be read, see [`load`].
-pub fn import(paths: &[PathBuf], options: &ImportOptions) -> Result<Imported, RecordingError> {
+pub fn import(
+    paths: &[PathBuf],
+    map: Option<&RecordingMap>,
+    options: &ImportOptions,
+) -> Result<Imported, RecordingError> {
     let mut imported = Imported::default();
     let mut numbers = BTreeMap::new();
     for path in paths {
-        let recording = load(path)?;
+        let recording = load(path, map)?;
         let number = numbers.entry(prefix(&recording)).or_insert(0);
         imported.add(&recording, options, number)?;
     }
@@ -79,7 +89,7 @@ impl Imported {
         options: &ImportOptions,
         number: &mut usize,
     ) -> Result<(), RecordingError> {
-        let found = episodes(recording, options.min_brake);
+        let found = episodes(recording, options.min_brake, options.leaders);
         self.dropped.extend(recording.dropped.iter().cloned().chain(found.dropped));
         let file = recording.path.file_name().unwrap_or_default().to_string_lossy();
         let before = self.scenarios.len();
@@ -104,8 +114,9 @@ impl Imported {
         }
         self.sources.push(Source {
             path: recording.path.clone(),
-            format: recording.format,
+            format: recording.format.clone(),
             scenarios: self.scenarios.len() - before,
+            hardest: hardest_braking(recording),
         });
         Ok(())
     }

@@ -1,25 +1,31 @@
 //! What did happen: recorded platoons, and the scenarios their braking episodes make.
 //!
-//! Two formats are read, told apart by their first line: OpenACC (a platoon of instrumented cars: Makridis et al.,
-//! "OpenACC. An open database of car-following experiments to study the properties of commercial ACC systems",
-//! Transportation Research Part C 125 (2021) 103047) and car-following events (pairs cut out of traffic recordings such
-//! as NGSIM). Both become a [`Recording`]; [`episodes()`] finds where a leader brakes, and [`import()`] turns each
-//! episode into a scenario and says what it dropped.
+//! What the columns of a file mean, a [`RecordingMap`] says. Two are built in, for formats that are told apart by their first
+//! line: OpenACC (a platoon of instrumented cars: Makridis et al., "OpenACC. An open database of car-following experiments to
+//! study the properties of commercial ACC systems", Transportation Research Part C 125 (2021) 103047) and car-following events
+//! (pairs cut out of traffic recordings such as NGSIM). All become a [`Recording`]; [`episodes()`] finds where a leader brakes,
+//! and [`import()`] turns each episode into a scenario and says what it dropped.
 
-mod car_following;
 mod dropped;
 mod episode;
 mod episodes;
 mod error;
 mod import;
+mod leads;
+pub mod map;
+#[cfg(test)]
+mod map_tests;
 mod motion;
 #[cfg(test)]
 mod motion_tests;
-mod openacc;
+mod pairs;
+mod platoons;
+mod preview;
 mod series;
 mod table;
 #[cfg(test)]
 mod tests;
+mod traffic;
 
 use std::fs::File;
 use std::io::Read;
@@ -27,11 +33,16 @@ use std::path::{Path, PathBuf};
 
 pub use dropped::{Dropped, NoScenario, Omission, Place};
 pub use episode::{Episode, Placed};
-pub use episodes::{FoundEpisodes, MinBrake, episodes};
+pub use episodes::{FoundEpisodes, Leaders, MinBrake, episodes};
 pub use error::{ColumnProblem, RecordingError, ValueProblem};
 pub use import::{ImportOptions, Imported, ImportedScenario, Source, import};
+pub use leads::Ahead;
 
-use table::Table;
+use leads::{InPlatoon, Lead};
+use map::{Delimiter, LayoutSpec, MapSpec, RecordingMap};
+pub use preview::{HardestBraking, Preview, SpeedLine, hardest_braking, preview};
+use table::{Row, Table};
+pub use traffic::Traffic;
 
 /// Fastest change of speed that is taken for motion and not for an error of measurement, in m/s²: tyres on a dry road
 /// give little more than 1 g.
@@ -46,27 +57,37 @@ pub struct Recording {
     pub format: Format,
     /// Unbroken lines of vehicles, at least two in each.
     pub platoons: Vec<Platoon>,
+    /// Vehicles that come, go and change their places, where the file holds tracks.
+    pub traffic: Option<Traffic>,
     /// What was dropped while reading.
     pub dropped: Vec<Dropped>,
 }
 
-/// The formats of recordings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
-    /// OpenACC: five header lines, then one row for each instant with every vehicle in it.
-    OpenAcc,
-    /// Car-following events: one row for each instant of an event, with one pair in it.
-    CarFollowing,
+impl Recording {
+    /// Everybody who may lead, front to rear: whoever has a vehicle behind.
+    fn leads(&self) -> Vec<Box<dyn Lead + '_>> {
+        let in_platoon = |platoon| {
+            let leads = 0..Platoon::vehicles(platoon).len().saturating_sub(1);
+            leads.map(move |index| Box::new(InPlatoon { platoon, index }) as Box<dyn Lead>)
+        };
+        let in_traffic = self.traffic.iter().flat_map(Traffic::leads);
+        self.platoons.iter().flat_map(in_platoon).chain(in_traffic).collect()
+    }
 }
 
+/// The format of a recording, by the name of its map.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Format(String);
+
 impl Format {
+    fn of(map: &MapSpec) -> Self {
+        Self(map.name.clone())
+    }
+
     /// A short name, the first part of the names of imported scenarios.
     #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::OpenAcc => "openacc",
-            Self::CarFollowing => "car-following",
-        }
+    pub fn name(&self) -> &str {
+        &self.0
     }
 }
 
@@ -153,34 +174,63 @@ impl Vehicle {
     }
 }
 
-/// Reads a recording, whatever its extension.
+/// Reads a recording, whatever its extension: by a map, or else of a format that its first line tells.
 ///
 /// # Errors
-/// [`RecordingError`] for a file that cannot be read, is of neither format, is cut short, or holds a field that is not
-/// a number. Missing and impossible values are no error: they are in [`Recording::dropped`].
-pub fn load(path: &Path) -> Result<Recording, RecordingError> {
+/// [`RecordingError`] for a file that cannot be read, is of neither built-in format, lacks a column of its map, is cut short, or
+/// holds a field that is not a number. Missing and impossible values are no error: they are in [`Recording::dropped`].
+pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
     let file = File::open(path).map_err(|source| RecordingError::Read { path: path.to_owned(), source })?;
-    read(file, path)
+    read(file, path, map)
 }
 
 /// Reads a recording from a stream; `path` only names it.
 ///
 /// Memory is bounded: a line of more than a mebibyte, and more than 5 million rows, 20 million speeds and gaps, 200
-/// vehicles or 100 000 events are refused. A byte order mark and carriage returns before line feeds are no part of the
-/// text.
+/// vehicles of a platoon or 100 000 events are refused. A byte order mark and carriage returns before line feeds are no part of
+/// the text.
 ///
 /// # Errors
 /// As [`load`].
-pub fn read(from: impl Read, path: &Path) -> Result<Recording, RecordingError> {
-    let mut table = Table::new(from, path);
+pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+    let mut table = Table::new(from, path, map.map_or(Delimiter::Comma, |map| map.spec().delimiter));
     let Some(first) = table.next_row()?.cloned() else {
         return Err(RecordingError::Empty { path: path.to_owned() });
     };
-    match first.text(0) {
-        "Date" => openacc::read(&mut table),
-        "event" => car_following::read(&mut table, &first),
-        other => {
-            Err(RecordingError::UnknownFormat { path: path.to_owned(), line: first.line, found: table::excerpt(other) })
+    let built_in;
+    let map = match map {
+        Some(map) => map,
+        None => {
+            built_in = match first.text(0) {
+                "Date" => RecordingMap::openacc(),
+                "event" => RecordingMap::car_following(),
+                other => {
+                    let (path, found) = (path.to_owned(), table::excerpt(other));
+                    Err(RecordingError::UnknownFormat { path, line: first.line, found })
+                }
+            }?;
+            &built_in
         }
+    };
+    read_by(&mut table, map.spec(), first)
+}
+
+/// Reads by a map, from the first row on.
+fn read_by<R: Read>(table: &mut Table<'_, R>, map: &MapSpec, first: Row<'_>) -> Result<Recording, RecordingError> {
+    let (mut lines, mut names) = (Vec::new(), first);
+    while lines.len() < map.lines_before_names {
+        lines.push(names.fields);
+        let expected = if lines.len() < map.lines_before_names {
+            "the end of its header lines"
+        } else {
+            "the names of its columns"
+        };
+        let Some(next) = table.next_row()?.cloned() else { return Err(table.cut_short(expected)) };
+        names = next;
+    }
+    match &map.layout {
+        LayoutSpec::Platoon(platoon) => platoons::read(table, (map, platoon), &lines, &names),
+        LayoutSpec::Pairs(pairs) => pairs::read(table, (map, pairs), &names),
+        LayoutSpec::Tracks(tracks) => traffic::read(table, (map, tracks), &names),
     }
 }

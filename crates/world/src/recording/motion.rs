@@ -33,15 +33,23 @@ pub(super) struct Braking {
     pub(super) end_ms: i64,
     /// Largest drop over one second, in m/s.
     pub(super) largest_drop_mps: f64,
+    /// Start of that second.
+    pub(super) hardest_ms: i64,
 }
 
-/// The unbroken stretches of a vehicle's motion: no hole longer than half a second.
+/// The unbroken stretches of the motion of a platoon's vehicle.
 pub(super) fn runs(platoon: &Platoon, vehicle: usize) -> Vec<Vec<Sample>> {
+    let Some(vehicle) = platoon.vehicles.get(vehicle) else { return Vec::new() };
+    let known = platoon.time_s.iter().zip(&vehicle.speed_mps).enumerate();
+    joined(known.filter_map(|(index, (&time_s, &speed_mps))| {
+        Some(Sample { index, time_ms: (time_s * 1000.0).round() as i64, speed_mps: rounded(speed_mps?) })
+    }))
+}
+
+/// Samples in unbroken stretches: no hole longer than half a second.
+pub(super) fn joined(samples: impl Iterator<Item = Sample>) -> Vec<Vec<Sample>> {
     let mut runs: Vec<Vec<Sample>> = Vec::new();
-    let Some(vehicle) = platoon.vehicles.get(vehicle) else { return runs };
-    for (index, (&time_s, speed_mps)) in platoon.time_s.iter().zip(&vehicle.speed_mps).enumerate() {
-        let Some(speed_mps) = *speed_mps else { continue };
-        let sample = Sample { index, time_ms: (time_s * 1000.0).round() as i64, speed_mps: rounded(speed_mps) };
+    for sample in samples {
         match runs.last_mut() {
             Some(run) if run.last().is_some_and(|last| sample.time_ms - last.time_ms <= LONGEST_HOLE_MS) => {
                 run.push(sample);
@@ -68,9 +76,14 @@ pub(super) fn brakings(run: &[Sample], min_brake_mps2: f64) -> Vec<Braking> {
         match found.last_mut() {
             Some(last) if sample.time_ms - last.end_ms <= SETTLING_MS => {
                 last.end_ms = end_ms;
-                last.largest_drop_mps = last.largest_drop_mps.max(drop_mps);
+                if drop_mps > last.largest_drop_mps {
+                    (last.largest_drop_mps, last.hardest_ms) = (drop_mps, sample.time_ms);
+                }
             }
-            _ => found.push(Braking { onset_ms: sample.time_ms, end_ms, largest_drop_mps: drop_mps }),
+            _ => {
+                let hardest_ms = sample.time_ms;
+                found.push(Braking { onset_ms: hardest_ms, end_ms, largest_drop_mps: drop_mps, hardest_ms });
+            }
         }
     }
     found

@@ -8,13 +8,13 @@ use crate::scenario::{Driver, LeadProfile, Recorded};
 
 /// A platoon's motion: the number of its first vehicle, and speeds and gaps of each row, some of them missing.
 #[derive(Debug, Clone)]
-struct Motion {
-    first: usize,
-    speeds: Vec<Vec<Option<f64>>>,
-    gaps: Vec<Vec<Option<f64>>>,
+pub(super) struct Motion {
+    pub(super) first: usize,
+    pub(super) speeds: Vec<Vec<Option<f64>>>,
+    pub(super) gaps: Vec<Vec<Option<f64>>>,
 }
 
-fn motion(share_missing: f64) -> impl Strategy<Value = Motion> {
+pub(super) fn motion(share_missing: f64) -> impl Strategy<Value = Motion> {
     let pieces = prop::collection::vec((-8.0..3.0_f64, 1..40_usize), 2..12);
     (1..4_usize, 2..5_usize, pieces).prop_flat_map(move |(first, vehicles, pieces)| {
         let mut speed = 25.0_f64;
@@ -44,7 +44,7 @@ fn motion(share_missing: f64) -> impl Strategy<Value = Motion> {
 
 impl Motion {
     /// The text of a file with carriage returns and a blank line, so that samples begin on line 8.
-    fn written(&self) -> String {
+    pub(super) fn written(&self) -> String {
         let vehicles = self.speeds[0].len();
         let numbers = self.first..self.first + vehicles;
         let mut text = format!("{HEADER}Time");
@@ -85,7 +85,7 @@ proptest! {
                 prop_assert_eq!(platoon.gap_ahead_m(index), written);
             }
         }
-        for episode in episodes(&recording, MinBrake::new(threshold).expect("in range")).episodes {
+        for episode in episodes(&recording, MinBrake::new(threshold).expect("in range"), Leaders::Any).episodes {
             let scenario = episode.scenario("drawn".to_owned(), "a.csv").expect("valid");
             let row = usize::try_from(episode.line).expect("small") - 8;
             for (index, vehicle) in scenario.vehicles().iter().enumerate() {
@@ -113,7 +113,7 @@ proptest! {
     #[test]
     fn every_braking_is_in_one_episode(motion in motion(0.0), threshold in 0.5..5.0_f64) {
         let recording = read_text(&motion.written()).expect("well formed");
-        let found = episodes(&recording, MinBrake::new(threshold).expect("in range"));
+        let found = episodes(&recording, MinBrake::new(threshold).expect("in range"), Leaders::First);
         prop_assert_eq!(&found.dropped, &[]);
         let lead: Vec<f64> = motion.speeds.iter().map(|row| row[0].expect("known")).collect();
         for (k, pair) in lead.windows(11).enumerate() {

@@ -37,15 +37,20 @@ impl Clock {
         self.last_s = None;
     }
 
+    /// The row's time in seconds.
+    pub(super) fn read(&self, row: &Row<'_>) -> Result<f64, RecordingError> {
+        match row.number(&self.column)? {
+            None => row.wrong(&self.column.name, ValueProblem::Missing),
+            Some(found) if found.abs() > LARGEST_TIME_S => {
+                row.wrong(&self.column.name, ValueProblem::OutOfRange { limit: LARGEST_TIME_S, found })
+            }
+            Some(found_s) => Ok(found_s),
+        }
+    }
+
     /// The row's time in seconds; none if it is not later than the last.
     pub(super) fn tick(&mut self, row: &Row<'_>) -> Result<Option<f64>, RecordingError> {
-        let Some(found_s) = row.number(&self.column)? else {
-            return row.wrong(&self.column.name, ValueProblem::Missing);
-        };
-        if found_s.abs() > LARGEST_TIME_S {
-            let problem = ValueProblem::OutOfRange { limit: LARGEST_TIME_S, found: found_s };
-            return row.wrong(&self.column.name, problem);
-        }
+        let found_s = self.read(row)?;
         if let Some(before_s) = self.last_s
             && rounded(found_s) <= rounded(before_s)
         {
@@ -74,8 +79,8 @@ impl Clock {
 pub(super) enum Quantity {
     Speed,
     Gap,
-    /// Of either sign; nothing is impossible.
-    RelativeSpeed,
+    /// Of either sign; nothing is impossible: a difference, or a place.
+    Signed,
 }
 
 impl Quantity {
@@ -91,7 +96,7 @@ impl Quantity {
             // A gap that rounds to nothing would let two vehicles touch in the scenario.
             Self::Gap if rounded(value) <= 0.0 => 1e-3 - value,
             Self::Gap => (value - LARGEST_GAP_M).max(0.0),
-            Self::RelativeSpeed => 0.0,
+            Self::Signed => 0.0,
         }
     }
 }
@@ -126,7 +131,12 @@ impl Series {
 
     /// The row's value, if there is a possible one.
     pub(super) fn read(&mut self, row: &Row<'_>) -> Result<Option<f64>, RecordingError> {
-        let Some(value) = row.number(&self.column)? else {
+        self.read_less(row, 0.0)
+    }
+
+    /// The row's value less something, such as a vehicle's length.
+    pub(super) fn read_less(&mut self, row: &Row<'_>, less: f64) -> Result<Option<f64>, RecordingError> {
+        let Some(value) = row.number(&self.column)?.map(|value| value - less) else {
             self.missing += 1;
             self.first_missing = if self.missing == 1 { row.line } else { self.first_missing };
             return Ok(None);
@@ -159,4 +169,25 @@ impl Series {
             dropped.push(Dropped { path: path.to_owned(), line: self.first_impossible, what });
         }
     }
+}
+
+/// Fills holes between two values that are at most so long, in seconds, by straight lines; says how many values that made, and
+/// the first sample among them.
+pub(super) fn bridge(values: &mut [Option<f64>], time_s: &[f64], longest_s: f64) -> Option<(usize, usize)> {
+    let (mut before, mut filled) = (None, None);
+    for after in 0..values.len() {
+        let (Some(&to_s), Some(&Some(to))) = (time_s.get(after), values.get(after)) else { continue };
+        if let Some((from, from_s, value)) = before.replace((after, to_s, to))
+            && to_s - from_s <= longest_s + 1e-9
+        {
+            for hole in from + 1..after {
+                let share = time_s.get(hole).map_or(0.0, |at_s| (at_s - from_s) / (to_s - from_s));
+                if let Some(missing) = values.get_mut(hole) {
+                    *missing = Some(value + (to - value) * share);
+                    filled.get_or_insert((0, hole)).0 += 1;
+                }
+            }
+        }
+    }
+    filled
 }

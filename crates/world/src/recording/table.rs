@@ -7,11 +7,12 @@ use csv::StringRecord;
 
 use super::dropped::{Dropped, Omission};
 use super::error::{ColumnProblem, RecordingError, ValueProblem};
+use super::map::{Delimiter, TimeSpec};
 
 /// Longest line, in bytes. 200 vehicles with all of OpenACC's columns take about 30 kB.
 const LONGEST_LINE: usize = 1 << 20;
 /// Most rows of one file.
-const MOST_ROWS: usize = 5_000_000;
+pub(super) const MOST_ROWS: usize = 5_000_000;
 /// Most speeds and gaps of one file: 320 MB of them.
 const MOST_VALUES: usize = 20_000_000;
 
@@ -52,11 +53,17 @@ pub(super) struct Table<'a, R> {
 }
 
 impl<'a, R: Read> Table<'a, R> {
-    pub(super) fn new(from: R, path: &'a Path) -> Self {
+    pub(super) fn new(from: R, path: &'a Path, delimiter: Delimiter) -> Self {
+        let delimiter = match delimiter {
+            Delimiter::Comma => b',',
+            Delimiter::Semicolon => b';',
+            Delimiter::Tab => b'\t',
+        };
         let reader = csv::ReaderBuilder::new()
+            .delimiter(delimiter)
             .has_headers(false)
             .flexible(true)
-            // Neither format quotes, and without quotes a row is a line, which bounds its length.
+            // No format quotes, and without quotes a row is a line, which bounds its length.
             .quoting(false)
             // A carriage return before it is trimmed away. To end rows at either would count lines wrongly.
             .terminator(csv::Terminator::Any(b'\n'))
@@ -130,7 +137,7 @@ impl Row<'_> {
             return Ok(None);
         }
         match text.parse::<f64>() {
-            Ok(number) if number.is_finite() => Ok(Some(number)),
+            Ok(number) if (number * column.factor).is_finite() => Ok(Some(number * column.factor)),
             Ok(number) if number.is_nan() => Ok(None),
             _ => self.wrong(&column.name, ValueProblem::NotANumber { found: excerpt(text) }),
         }
@@ -172,6 +179,31 @@ pub(super) fn excerpt(text: &str) -> String {
 pub(super) struct Column {
     pub(super) name: String,
     pub(super) index: usize,
+    /// How many seconds, metres or metres a second a number of it is.
+    pub(super) factor: f64,
+}
+
+impl Column {
+    /// The one column of a name.
+    pub(super) fn find(names: &Row<'_>, name: &str, factor: f64) -> Result<Self, RecordingError> {
+        let mut found = names.fields.iter().enumerate().filter(|(_, known)| *known == name);
+        match (found.next(), found.next()) {
+            (Some((index, _)), None) => Ok(Self { name: excerpt(name), index, factor }),
+            (Some(_), Some(_)) => names.misnamed(&excerpt(name), ColumnProblem::Repeated),
+            (None, _) => {
+                let known = excerpt(&names.fields.iter().collect::<Vec<_>>().join(", "));
+                names.misnamed(&excerpt(name), ColumnProblem::Missing { known })
+            }
+        }
+    }
+
+    /// The column of times.
+    pub(super) fn of_time(names: &Row<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
+        match time {
+            TimeSpec::Clock(clock) => Self::find(names, &clock.column, clock.unit.factor()),
+            TimeSpec::Frames(frames) => Self::find(names, &frames.column, 1.0 / frames.rate_hz),
+        }
+    }
 }
 
 /// Counts rows and values, and refuses a file before it fills the memory.

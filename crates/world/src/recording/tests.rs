@@ -11,7 +11,7 @@ pub(super) const HEADER: &str =
 const EVENTS: &str = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n";
 
 pub(super) fn read_text(text: &str) -> Result<Recording, RecordingError> {
-    read(text.as_bytes(), Path::new("a.csv"))
+    read(text.as_bytes(), Path::new("a.csv"), None)
 }
 
 fn error_of(text: &str) -> String {
@@ -35,7 +35,7 @@ fn braking_platoon(vehicles: usize) -> String {
 }
 
 fn only_episode(recording: &Recording) -> Episode {
-    let mut found = episodes(recording, MinBrake::default());
+    let mut found = episodes(recording, MinBrake::default(), Leaders::First);
     assert_eq!((found.episodes.len(), &found.dropped[..]), (1, &[][..]));
     found.episodes.remove(0)
 }
@@ -111,10 +111,10 @@ fn unusable_files_name_line_and_column() {
     let cases = [
         (String::new(), "a.csv: the recording is empty"),
         ("a,b\n".to_owned(), "a.csv:1: `a`: neither an OpenACC"),
-        ("Date,1\nACC,1\n".to_owned(), "a.csv:2: the recording ends here, before the end of its five header lines"),
+        ("Date,1\nACC,1\n".to_owned(), "a.csv:2: the recording ends here, before the end of its header lines"),
         (HEADER.to_owned(), "a.csv:5: the recording ends here, before the names of its columns"),
         (named.clone(), "a.csv:6: the recording ends here, before its first sample"),
-        (named.replace("Time,", "Speed9,"), "a.csv:6: Time: expected this column, found `Speed9`"),
+        (named.replace("Time,", "Speed9,"), "a.csv:6: Time: there is no such column among `Speed9, Speed1"),
         (named.replace("Speed2", "Speed1"), "a.csv:6: Speed1: named twice"),
         (named.replace("Speed2", "Speed3"), "a.csv:6: IVS1: no such column lies between"),
         (format!("{named}0.0,1,2,3\n0.1,1\n"), "a.csv:8: Speed2: 2 fields in a row of 4"),
@@ -125,13 +125,16 @@ fn unusable_files_name_line_and_column() {
         (format!("{named},1,2,3\n"), "a.csv:7: Time: must not be empty"),
         (format!("{named}1e11,1,2,3\n"), "a.csv:7: Time: must be from -10000000000 to 10000000000, found 100000000000"),
         (EVENTS.to_owned(), "a.csv:1: the recording ends here, before its first sample"),
-        (EVENTS.replace("gap_m", "gap"), "a.csv:1: gap_m: expected this column, found `gap`"),
-        (EVENTS.replace("\n", ",x\n"), "a.csv:1: leader_speed_mps: expected this column, found `x after it`"),
+        (EVENTS.replace("gap_m", "gap"), "a.csv:1: gap_m: there is no such column among `event, time_s, gap, foll"),
+        (EVENTS.replace("\n", ",gap_m\n"), "a.csv:1: gap_m: named twice"),
         (format!("{EVENTS}1,0.0,5,1,0,1\n,0.1,5,1,0,1\n"), "a.csv:3: event: must not be empty"),
         (format!("{EVENTS}1,0.0,5,1\n"), "a.csv:2: relative_speed_mps: 4 fields in a row of 6"),
         (EVENTS.replace("event", "\"event\""), "a.csv:1: `\"event\"`: neither an OpenACC"),
         (format!("{named}\"0.0\",1,2,3\n"), "a.csv:7: Time: must be a finite number or empty, found `\"0.0\"`"),
-        (EVENTS.replace("\n", "\r1,0.0,5,1,0,1\r"), "a.csv:1: leader_speed_mps: expected this column, found `leader_"),
+        (
+            EVENTS.replace("\n", "\r1,0.0,5,1,0,1\r"),
+            "a.csv:1: leader_speed_mps: there is no such column among `event, ",
+        ),
         (named.replace("Speed2", &"x".repeat(99)) + "0,1\n", "a.csv:6: IVS1: no such column"),
         (named.replace('\n', &format!(",{}\n", "x\u{1b}".repeat(99))) + "0,1,2,3\n", "a.csv:7: x"),
         (format!("{EVENTS}1,zero,5,1,0,1\n"), "a.csv:2: time_s: must be a finite number or empty, found `zero`"),
@@ -144,24 +147,24 @@ fn unusable_files_name_line_and_column() {
     let utf_16: Vec<u8> = "\u{feff}event,time_s\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
     let latin_1 = [HEADER.as_bytes(), b"Time,Speed1,Sp\xffeed2,IVS1\n"].concat();
     for (bytes, expected) in [(utf_16, "a.csv:1: is not text in UTF-8"), (latin_1, "a.csv:6: is not text in UTF-8")] {
-        let message = read(&bytes[..], Path::new("a.csv")).expect_err("not text").to_string();
+        let message = read(&bytes[..], Path::new("a.csv"), None).expect_err("not text").to_string();
         assert_eq!(message, expected);
     }
     let folder = tempfile::tempdir().expect("temporary folder");
-    let message = load(folder.path()).expect_err("a folder").to_string();
+    let message = load(folder.path(), None).expect_err("a folder").to_string();
     assert!(message.starts_with(&format!("{}: ", folder.path().display())), "{message}");
     assert!(!message.contains('\n'), "{message}");
-    let missing = load(Path::new("no/such/recording.csv")).expect_err("missing").to_string();
+    let missing = load(Path::new("no/such/recording.csv"), None).expect_err("missing").to_string();
     assert!(missing.starts_with("no/such/recording.csv: "), "{missing}");
 }
 
 #[test]
 fn what_would_fill_the_memory_is_refused() {
-    let endless = read(io::repeat(b'7'), Path::new("a.csv")).expect_err("endless line").to_string();
+    let endless = read(io::repeat(b'7'), Path::new("a.csv"), None).expect_err("endless line").to_string();
     assert!(endless.contains("a line of more than"), "{endless}");
     let rows = format!("{EVENTS}1,0,5,1,0,1\n");
     let endless_rows = rows.as_bytes().chain(EndlessRows(0));
-    let message = read(endless_rows, Path::new("a.csv")).expect_err("endless rows").to_string();
+    let message = read(endless_rows, Path::new("a.csv"), None).expect_err("endless rows").to_string();
     assert!(message.starts_with("a.csv:5000002: more than 5000000 rows"), "{message}");
     let events: String = (1..=100_001).map(|event| format!("{event},0,5,1,0,1\n")).collect();
     let message = error_of(&format!("{EVENTS}{events}"));
@@ -241,7 +244,7 @@ fn a_start_is_where_most_followers_are_known() {
     assert_eq!(line_at(&edited(&whole, 0..300, |fields| fields[7] = "-1".to_owned())), (3.5, 3, Some(4)));
     // The first follower is never known: no vehicle follows.
     let nobody = read_text(&edited(&whole, 0..300, |fields| fields[5].clear())).expect("readable");
-    let found = episodes(&nobody, MinBrake::default());
+    let found = episodes(&nobody, MinBrake::default(), Leaders::First);
     assert_eq!(found.episodes, []);
     let said = found.dropped[0].to_string();
     assert!(said.contains("vehicle 1 brakes at 4.5 s, but the episode was left out: speed of and gap to vehicle 2"));
@@ -253,11 +256,34 @@ fn the_first_recorded_vehicle_leads() {
         fields[2] = fields[1].clone();
         fields[1] = "20".to_owned();
     });
-    let none = episodes(&read_text(&second_brakes).expect("readable"), MinBrake::default());
+    let none = episodes(&read_text(&second_brakes).expect("readable"), MinBrake::default(), Leaders::First);
     assert_eq!(none, FoundEpisodes::default(), "a follower's braking is its own affair");
     let first_lost = edited(&second_brakes, 0..300, |fields| fields[1].clear());
     let episode = only_episode(&read_text(&first_lost).expect("readable"));
-    assert_eq!((episode.vehicles[0].number, episode.not_recorded_ahead), (2, Some(1)));
+    assert_eq!((episode.vehicles[0].number, episode.ahead), (2, Ahead::NotRecorded(1)));
+    let scenario = episode.scenario("a".to_owned(), "a.csv").expect("valid");
+    assert!(scenario.spec().about.contains("Vehicle 1, ahead of it, was not recorded at the time."));
+}
+
+/// A wave that grows: each car brakes a second after the one ahead, and harder.
+#[test]
+fn every_car_that_brakes_leads_those_behind_it() {
+    let growing = edited(&braking_platoon(4), 0..300, |fields| {
+        let time_s: f64 = fields[0].parse().expect("a number");
+        for (index, field) in fields[1..=4].iter_mut().enumerate() {
+            let onset_s = 5.0 + index as f64;
+            *field = format!("{:.3}", 20.0 - (1.0 + index as f64) * (time_s - onset_s).clamp(0.0, 2.0));
+        }
+    });
+    let recording = read_text(&growing).expect("readable");
+    let of = |leaders| {
+        let found = episodes(&recording, MinBrake::default(), leaders);
+        assert_eq!(found.dropped, []);
+        let leads = found.episodes.into_iter().map(|one| (one.vehicles[0].number, one.vehicles.len(), one.ahead));
+        leads.collect::<Vec<_>>()
+    };
+    assert_eq!(of(Leaders::First), [], "the first brakes at 1 m/s² only");
+    assert_eq!(of(Leaders::Any), [(2, 3, Ahead::Recorded(1)), (3, 2, Ahead::Recorded(2))]);
 }
 
 #[test]
@@ -269,7 +295,7 @@ fn brakings_less_than_five_seconds_apart_are_one_episode() {
             let more = 2.0 * (number(&fields[0]) - at_s).clamp(0.0, 1.0);
             fields[1] = format!("{:.3}", number(&fields[1]) - more);
         });
-        let found = episodes(&read_text(&text).expect("readable"), MinBrake::default()).episodes;
+        let found = episodes(&read_text(&text).expect("readable"), MinBrake::default(), Leaders::First).episodes;
         found.iter().map(|episode| (episode.start_s, episode.duration_s)).collect::<Vec<_>>()
     };
     assert_eq!(again_at(13.0), [(3.5, 20.8)]);
@@ -279,7 +305,7 @@ fn brakings_less_than_five_seconds_apart_are_one_episode() {
 #[test]
 fn a_leap_of_the_speed_is_no_braking() {
     let text = edited(&braking_platoon(2), 60..62, |fields| fields[1] = "9".to_owned());
-    let found = episodes(&read_text(&text).expect("readable"), MinBrake::default());
+    let found = episodes(&read_text(&text).expect("readable"), MinBrake::default(), Leaders::First);
     assert_eq!(found.episodes, []);
     let said = found.dropped[0].to_string();
     assert!(said.contains("its speed changes by -83.0 m/s² at 6 s, which no road vehicle does"), "{said}");
@@ -300,7 +326,7 @@ fn an_import_is_all_or_nothing_and_its_names_are_distinct() {
     for path in &paths {
         std::fs::write(path, braking_platoon(3)).expect("temporary file");
     }
-    let imported = import(&paths, &ImportOptions::default()).expect("both readable");
+    let imported = import(&paths, None, &ImportOptions::default()).expect("both readable");
     let names: Vec<_> = imported.scenarios.iter().map(|s| s.file_name.as_str()).collect();
     assert_eq!(names, ["openacc-long-setting-16-01.toml", "openacc-long-setting-16-02.toml"]);
     for imported in &imported.scenarios {
@@ -308,7 +334,7 @@ fn an_import_is_all_or_nothing_and_its_names_are_distinct() {
         assert_eq!(read_back.expect("valid"), imported.scenario);
     }
     let with_missing = [paths[0].clone(), dir.path().join("gone.csv")];
-    assert!(import(&with_missing, &ImportOptions::default()).is_err());
+    assert!(import(&with_missing, None, &ImportOptions::default()).is_err());
     for wrong in [0.0, -1.0, 12.1, f64::NAN, f64::INFINITY] {
         assert!(MinBrake::new(wrong).is_err());
     }

@@ -1,13 +1,22 @@
 //! A failure that a search found, as a report shows it.
 
+use std::iter;
+use std::path::Path;
+
 use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::assessment::{Command, Rounded};
+use crate::export::openscenario::{OpenScenario, trajectories};
 use crumple_search::falsify::campaign::{MethodSummary, Summary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed, Counterexample};
 use crumple_world::digest::sha256;
-use crumple_world::scenario::Scenario;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Scenario, file};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, simulate};
+
+/// The extension of roads.
+const ROAD: &str = "xodr";
 
 /// What a method reached within its budget.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
@@ -82,6 +91,9 @@ pub struct Failure {
     /// The file itself.
     #[serde(skip)]
     pub(in crate::assessment) text: String,
+    /// What happens in it, for other simulators.
+    #[serde(skip)]
+    pub(super) run: Option<OpenScenario>,
 }
 
 impl Failure {
@@ -110,7 +122,33 @@ impl Failure {
             found_at: found.found_at,
             changed: found.changed.iter().map(changed).collect(),
             text,
+            run: None,
         }
+    }
+
+    /// The files for other simulators beside that of a counterexample.
+    pub(in crate::assessment) fn beside(file: &str) -> [String; 2] {
+        let stem = file.trim_end_matches(".toml");
+        ["xosc", ROAD].map(|extension| format!("{stem}.{extension}"))
+    }
+
+    /// Simulates it anew for what stands beside its file: what happened, for other simulators.
+    pub(super) fn exported(mut self, controller: &NamedController, estimator: EstimatorKind) -> Result<Self, RunError> {
+        // What a campaign wrote and read back can be read again.
+        let Ok(scenario) = file::from_toml(&self.text, Path::new(&self.file)) else { return Ok(self) };
+        let run = Run::new(&scenario, RunOptions::new(controller.kind.clone()).with_estimator(estimator))?;
+        let trace = simulate(&run, RecordingLevel::Trace).trace;
+        let road = format!("{}.{ROAD}", self.short_name());
+        // None of a run that is too long for such a file.
+        self.run = trace.and_then(|trace| trajectories(&scenario, &trace, &road).ok());
+        Ok(self)
+    }
+
+    /// Its files: the scenario, and beside it the run for other simulators.
+    pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
+        let [scenario, road] = Self::beside(&self.file);
+        let run = self.run.as_ref().map(|run| [(scenario, run.scenario.clone()), (road, run.road.clone())]);
+        iter::once((self.file.clone(), self.text.clone().into_bytes())).chain(run.into_iter().flatten())
     }
 
     /// Its file's name without folders.

@@ -226,6 +226,8 @@ impl Search {
         let is_own = |found: &&Counterexample| is_own([found.front_vehicle, found.rear_vehicle], &nominal);
         let found = summary.counterexamples.iter().zip(texts).filter(|(found, _)| is_own(found));
         let failures: Vec<_> = found.map(|(found, text)| Failure::of(found, &place, text, &replay)).collect();
+        let exported = failures.into_par_iter().map(|one| one.exported(controller, plan.config.estimator));
+        let failures = exported.collect::<Result<Vec<_>, _>>()?;
         let classes = [
             AvoidabilityClass::Avoidable,
             AvoidabilityClass::Unavoidable,

@@ -1,6 +1,6 @@
-//! OpenACC recordings.
+//! Recordings of platoons: one row an instant, with every vehicle in it, such as OpenACC's.
 //!
-//! Five header lines (`Date`, `Vehicle_order`, `Number_of_vehicles`, `ACC`, `Distance_setting`), the column names, then
+//! There: five header lines (`Date`, `Vehicle_order`, `Number_of_vehicles`, `ACC`, `Distance_setting`), the column names, then
 //! one row each 0.1 s. `Speed<k>` is the speed of vehicle k in m/s, `IVS<k>` the spacing in metres from its rear bumper
 //! to the front bumper of vehicle k + 1. The other columns are antenna positions; distances between antennas include an
 //! unknown length of car and are not used.
@@ -17,26 +17,26 @@ use csv::StringRecord;
 
 use super::dropped::{Dropped, Omission, Place};
 use super::error::{ColumnProblem, RecordingError};
-use super::series::{Clock, Quantity, Series};
+use super::map::{MapSpec, PlatoonSpec};
+use super::series::{Clock, Quantity, Series, bridge};
 use super::table::{Column, Extent, Row, Table, excerpt};
 use super::{Format, Platoon, Recording, Vehicle};
 
-/// Header lines after the first, which was read to recognise the format.
-const FURTHER_HEADER_LINES: usize = 4;
 /// Most vehicles of a platoon: ten times what was ever driven.
 const MOST_VEHICLES: usize = 200;
 
-/// Reads what follows the first line.
-pub(super) fn read<R: Read>(table: &mut Table<'_, R>) -> Result<Recording, RecordingError> {
+/// Reads what follows the names of the columns, with the lines before them.
+pub(super) fn read<R: Read>(
+    table: &mut Table<'_, R>,
+    (map, platoon): (&MapSpec, &PlatoonSpec),
+    lines: &[StringRecord],
+    names: &Row<'_>,
+) -> Result<Recording, RecordingError> {
     let mut header = Header::default();
-    for _ in 0..FURTHER_HEADER_LINES {
-        let Some(row) = table.next_row()? else { return Err(table.cut_short("the end of its five header lines")) };
-        header.take(&row.fields);
-    }
-    let Some(names) = table.next_row()?.cloned() else { return Err(table.cut_short("the names of its columns")) };
-    let layout = Layout::of(&names)?;
+    lines.iter().for_each(|fields| header.take(platoon, fields));
+    let layout = Layout::of((map, platoon), names)?;
     let mut dropped = Vec::new();
-    let lines_of_vehicles = layout.split(&names, &header, &mut dropped)?;
+    let lines_of_vehicles = layout.split(names, &header, &mut dropped)?;
 
     let mut clock = Clock::new(layout.time);
     let mut extent = Extent::new(&names.fields, 2 * layout.speeds.len());
@@ -51,8 +51,12 @@ pub(super) fn read<R: Read>(table: &mut Table<'_, R>) -> Result<Recording, Recor
         let Some(now_s) = clock.tick(row)? else { continue };
         time_s.push(now_s);
         line.push(row.line);
-        for series in speeds.values_mut().chain(gaps.values_mut()) {
+        for series in speeds.values_mut() {
             let value = series.read(row)?;
+            series.values.push(value);
+        }
+        for series in gaps.values_mut() {
+            let value = series.read_less(row, platoon.length_m.unwrap_or(0.0))?;
             series.values.push(value);
         }
     }
@@ -62,6 +66,14 @@ pub(super) fn read<R: Read>(table: &mut Table<'_, R>) -> Result<Recording, Recor
     clock.report(&mut dropped);
     for series in speeds.values().chain(gaps.values()) {
         series.report(table.path(), extent.rows, &mut dropped);
+    }
+
+    for series in speeds.values_mut().chain(gaps.values_mut()) {
+        if let Some((count, first)) = bridge(&mut series.values, &time_s, map.interpolate_s) {
+            let (path, column) = (table.path().to_owned(), series.column.name.clone());
+            let line = line.get(first).copied().unwrap_or(0);
+            dropped.push(Dropped { path, line, what: Omission::Interpolated { column, count } });
+        }
     }
 
     let values_of = |series: Option<Series>| series.map(|series| series.values).unwrap_or_default();
@@ -76,7 +88,7 @@ pub(super) fn read<R: Read>(table: &mut Table<'_, R>) -> Result<Recording, Recor
         let vehicles = numbers.iter().map(vehicle).collect();
         platoons.push(Platoon { event: None, time_s: time_s.clone(), line: line.clone(), vehicles, gaps_m });
     }
-    Ok(Recording { path: table.path().to_owned(), format: Format::OpenAcc, platoons, dropped })
+    Ok(Recording { path: table.path().to_owned(), format: Format::of(map), platoons, traffic: None, dropped })
 }
 
 /// What the header lines say of the vehicles.
@@ -87,14 +99,13 @@ struct Header {
 }
 
 impl Header {
-    fn take(&mut self, fields: &StringRecord) {
+    fn take(&mut self, platoon: &PlatoonSpec, fields: &StringRecord) {
         let values = fields.iter().skip(1).filter(|value| !value.is_empty());
-        match fields.get(0) {
-            Some("Vehicle_order") => self.order = values.map(excerpt).collect(),
-            Some("Number_of_vehicles") => {
-                self.number_of_vehicles = values.flat_map(str::parse).next().unwrap_or_default();
-            }
-            _ => {}
+        let first = fields.get(0);
+        if first.is_some() && first == platoon.names_line.as_deref() {
+            self.order = values.map(excerpt).collect();
+        } else if first.is_some() && first == platoon.count_line.as_deref() {
+            self.number_of_vehicles = values.flat_map(str::parse).next().unwrap_or_default();
         }
     }
 
@@ -120,20 +131,20 @@ struct Layout {
     speeds: BTreeMap<usize, Column>,
     /// Spacing columns by number of the vehicle ahead.
     gaps: BTreeMap<usize, Column>,
+    /// What columns of spacings are called.
+    spacing: String,
 }
 
 impl Layout {
-    fn of(names: &Row<'_>) -> Result<Self, RecordingError> {
-        if names.text(0) != "Time" {
-            return names.misnamed("Time", ColumnProblem::Expected { found: excerpt(names.text(0)) });
-        }
+    fn of((map, platoon): (&MapSpec, &PlatoonSpec), names: &Row<'_>) -> Result<Self, RecordingError> {
+        let time = Column::of_time(names, &map.time)?;
         let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
-        for (index, name) in names.fields.iter().enumerate().skip(1) {
-            let column = || Column { name: excerpt(name), index };
-            let before = if let Some(number) = numbered(name, "Speed") {
-                speeds.insert(number, column())
-            } else if let Some(number) = numbered(name, "IVS") {
-                gaps.insert(number, column())
+        for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.index) {
+            let column = |factor| Column { name: excerpt(name), index, factor };
+            let before = if let Some(number) = numbered(name, &platoon.speed.column) {
+                speeds.insert(number, column(platoon.speed.unit.factor()))
+            } else if let Some(number) = numbered(name, &platoon.spacing.column) {
+                gaps.insert(number, column(platoon.spacing.unit.factor()))
             } else {
                 None
             };
@@ -144,7 +155,7 @@ impl Layout {
         if speeds.len().max(gaps.len()) > MOST_VEHICLES {
             return names.too_large(MOST_VEHICLES, "vehicles");
         }
-        Ok(Self { time: Column { name: "Time".to_owned(), index: 0 }, speeds, gaps })
+        Ok(Self { time, speeds, gaps, spacing: platoon.spacing.column.clone() })
     }
 
     /// The numbers of the vehicles in each unbroken line of two or more.
@@ -166,7 +177,7 @@ impl Layout {
                 Some(line) if number == ahead + 1 && self.gaps.contains_key(&ahead) => line.push(number),
                 _ => {
                     if number == ahead + 1 && ahead > 0 {
-                        let column = format!("IVS{ahead}");
+                        let column = self.spacing.replace("{}", &ahead.to_string());
                         report(Omission::SpacingColumnMissing { column, ahead, behind: number });
                     }
                     lines.push(vec![number]);
@@ -189,12 +200,16 @@ impl Layout {
             }
         }
         lines.retain(|line| line.len() > 1);
-        if lines.is_empty() { names.misnamed("IVS1", ColumnProblem::NoFollower) } else { Ok(lines) }
+        if lines.is_empty() {
+            return names.misnamed(&excerpt(&self.spacing.replace("{}", "1")), ColumnProblem::NoFollower);
+        }
+        Ok(lines)
     }
 }
 
-/// The number, from 1, of a column such as `Speed2`.
-fn numbered(name: &str, quantity: &str) -> Option<usize> {
-    let number = name.strip_prefix(quantity)?.parse::<u16>().ok()?;
+/// The number, from 1, of a column such as `Speed2`, where they are called `Speed{}`.
+fn numbered(name: &str, called: &str) -> Option<usize> {
+    let (before, after) = called.split_once("{}")?;
+    let number = name.strip_prefix(before)?.strip_suffix(after)?.parse::<u16>().ok()?;
     (number > 0).then_some(usize::from(number))
 }

@@ -1,0 +1,161 @@
+"""What `.ci/openscenario` runs in its environment: exports scenarios, checks the files, reads them back, compares."""
+
+import contextlib
+import csv
+import io
+import logging
+import os
+import random
+import re
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections import defaultdict
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+logging.disable(logging.CRITICAL)
+warnings.filterwarnings("error", message=".*not valid according to the OpenSCENARIO schema.*")
+
+import schemas  # Of scenariogeneration: the schemas of OpenDRIVE.
+from lxml import etree
+from qc_baselib import Configuration, Result, StatusType
+from qc_openscenario import constants
+from qc_openscenario.main import run_checks
+from scenariogeneration import xosc
+
+CLOSE_M = CLOSE_MPS = 0.01
+BIN, COUNT = Path(sys.argv[1]), int(sys.argv[2])
+# As the simulator states them: of scenarios that are read back, front bumper ahead of the rear axle.
+AHEAD = 0.8
+
+
+def crumple(*arguments):
+    done = subprocess.run([BIN / "crumple", "--quiet", *map(str, arguments)], capture_output=True, text=True)
+    assert done.returncode == 0, f"crumple {arguments}: {done.stderr}"
+    return done.stdout
+
+
+def objections(path):
+    """What ASAM's checker has against a scenario. A check that it skips for want of what came before is one, too."""
+    config, result = Configuration(), Result()
+    config.set_config_param("InputFile", str(path))
+    result.register_checker_bundle(
+        name=constants.BUNDLE_NAME, description="", version=constants.BUNDLE_VERSION, summary=""
+    )
+    result.set_result_version(version=constants.BUNDLE_VERSION)
+    with contextlib.redirect_stdout(io.StringIO()):
+        run_checks(config, result)
+    bundle = result.get_checker_bundle_result(constants.BUNDLE_NAME)
+    found = [issue.description for checker in bundle.checkers for issue in checker.issues]
+    found += [f"{checker.checker_id}: {checker.status}" for checker in bundle.checkers if checker.status == StatusType.ERROR]
+    done = sum(checker.status == StatusType.COMPLETED for checker in bundle.checkers)
+    return found + ([] if done >= 10 else [f"only {done} checks were made"])
+
+
+def valid_road(path):
+    schema = etree.XMLSchema(etree.parse(str(Path(next(iter(schemas.__path__))) / "opendrive_17_core.xsd")))
+    schema.assertValid(etree.parse(str(path)))
+
+
+def polylines(path):
+    """Time and front bumper of each vehicle, in the order of the entities."""
+    scenario = xosc.ParseOpenScenario(str(path))
+    lengths = {}
+    for thing in scenario.entities.scenario_objects:
+        lengths[thing.name] = thing.entityobject.boundingbox.boundingbox.length
+    found = {}
+    for story in scenario.storyboard.stories:
+        for act in story.acts:
+            for group in act.maneuvergroup:
+                name = group.actors.actors[0].entity
+                action = group.maneuvers[0].events[0].action[0].action
+                line = action.trajectory.shapes
+                ahead_m = AHEAD * lengths[name]
+                found[name] = [(t, place.x + ahead_m) for t, place in zip(line.time, line.positions)][:-1]
+    return [found[name] for name in lengths]
+
+
+def at(points, times_s):
+    """What a polyline says at times that increase."""
+    k = 0
+    for time_s in times_s:
+        while k + 2 < len(points) and points[k + 1][0] <= time_s:
+            k += 1
+        (t0, x0), (t1, x1) = points[k], points[min(k + 1, len(points) - 1)]
+        yield x0 if t1 == t0 else x0 + (x1 - x0) * (time_s - t0) / (t1 - t0)
+
+
+def compare(name, exported, trace):
+    """The largest error of a place, and of a speed over a step."""
+    tracks = defaultdict(lambda: ([], []))
+    with open(trace, newline="") as table:
+        for row in csv.DictReader(table):
+            times_s, places_m = tracks[int(row["vehicle"])]
+            times_s.append(float(row["time_s"]))
+            places_m.append(float(row["position_m"]))
+    worst_m = worst_mps = 0.0
+    lines = polylines(exported)
+    assert len(lines) == len(tracks), f"{name}: {len(lines)} polylines of {len(tracks)} vehicles"
+    for points, (times_s, places_m) in zip(lines, (tracks[k] for k in sorted(tracks))):
+        read_m = list(at(points, times_s))
+        for k, (read, true) in enumerate(zip(read_m, places_m)):
+            worst_m = max(worst_m, abs(read - true))
+            if k and times_s[k] - times_s[k - 1] > 1e-5:
+                speeds = [(x[k] - x[k - 1]) / (times_s[k] - times_s[k - 1]) for x in (read_m, places_m)]
+                worst_mps = max(worst_mps, abs(speeds[0] - speeds[1]))
+    assert worst_m <= CLOSE_M and worst_mps <= CLOSE_MPS, f"{name}: {worst_m} m, {worst_mps} m/s"
+    return worst_m, worst_mps
+
+
+def check(task):
+    """Exports one scenario in both ways, and compares."""
+    scenario, folder = task
+    folder.mkdir()
+    controller = ["--controller", "baseline"]
+    crumple("simulate", scenario, *controller, "--trace", folder / "trace.csv")
+    for way, more in [("trajectories", controller), ("actions", [])]:
+        crumple("export", scenario, "--to", "openscenario", "--as", way, *more, "--out", folder / way)
+        (exported,) = (folder / way).glob("*.xosc")
+        found = objections(exported)
+        assert not found, f"{scenario}, {way}: {found}"
+        valid_road(exported.with_suffix(".xodr"))
+        if way == "trajectories":
+            errors = compare(scenario, exported, folder / "trace.csv")
+    return errors
+
+
+def undeclared_entity_is_found(folder):
+    """The checker sees what it is there to see."""
+    crumple("export", "paper-1", "--to", "openscenario", "--out", folder)
+    exported = folder / "paper-1.xosc"
+    text = exported.read_text()
+    exported.write_text(text.replace('<EntityRef entityRef="vehicle_1"/>', '<EntityRef entityRef="vehicle_9"/>'))
+    assert objections(exported), "an undeclared entity passed"
+    exported.write_text(text.replace('vehicleCategory="car"', 'vehicleCategory="kart"'))
+    assert objections(exported), "an unknown category passed"
+
+
+def main():
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        undeclared_entity_is_found(folder / "faults")
+        known = re.findall(r"^  (\S+)", crumple("list", "scenarios"), re.MULTILINE)
+        assert "paper-1" in known, "no built-in scenarios"
+        chance = random.Random(24)
+        tasks = [(name, folder / name) for name in known]
+        for k in range(COUNT):
+            (folder / f"{k}.bytes").write_bytes(chance.randbytes(4096))
+            written = folder / f"random-{k}.toml"
+            with open(written, "wb") as out:
+                subprocess.run([BIN / "examples" / "scenario_of_input", folder / f"{k}.bytes"], stdout=out, check=True)
+            tasks.append((written, folder / f"random-{k}"))
+        with ProcessPoolExecutor(os.cpu_count()) as pool:
+            errors = list(pool.map(check, tasks, chunksize=8))
+        worst_m, worst_mps = (max(error[k] for error in errors) for k in (0, 1))
+        print(f"{len(known)} built-in scenarios and {COUNT} random ones: valid, read back to {worst_m:.4f} m and {worst_mps:.4f} m/s")
+
+
+if __name__ == "__main__":
+    main()

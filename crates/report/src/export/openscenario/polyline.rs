@@ -1,0 +1,141 @@
+//! What a vehicle did, as a polyline with as few vertices as its place and speed allow.
+
+use std::io;
+
+use quick_xml::events::{BytesText, Event};
+
+use super::storyboard::Move;
+use super::{Xml, leaf, number, reference_m, within};
+use crumple_world::sim::{Trace, Track};
+
+/// How far a polyline may be from where the vehicle was, in metres.
+pub const POSITION_TOLERANCE_M: f64 = 0.002;
+/// How far the speed along a polyline may be from the vehicle's, in m/s, wherever it passes over more than one step: within one,
+/// it is the mean speed.
+pub const SPEED_TOLERANCE_MPS: f64 = 0.005;
+/// Least time between two vertices, in seconds: rounding must not decide the speed between them.
+const LEAST_STEP_S: f64 = 1e-6;
+/// How long after the end the last vertex holds the place, in seconds.
+const HOLD_S: f64 = 1.0;
+
+/// The samples of a track that are vertices, first and last always among them.
+pub(super) fn vertices(time_s: &[f64], track: &Track) -> Vec<usize> {
+    let spread =
+        |index: usize| track.speed_mps.get(index).map(|&mps| [mps - SPEED_TOLERANCE_MPS, mps + SPEED_TOLERANCE_MPS]);
+    let mut kept = needed(time_s, &track.position_m, POSITION_TOLERANCE_M, spread);
+    // A contact may be a billionth of a second after a step.
+    if let [.., before, last] = *kept
+        && let (Some(from_s), Some(to_s)) = (time_s.get(before), time_s.get(last))
+        && to_s - from_s < LEAST_STEP_S
+        && kept.len() > 2
+    {
+        kept.remove(kept.len() - 2);
+    }
+    kept
+}
+
+/// The fewest samples, greedily, between which a straight line stays within `tolerance` of all that it passes over and has a
+/// slope within what each of them allows, its ends included. One step from sample to sample is always allowed.
+pub(super) fn needed(
+    time_s: &[f64],
+    values: &[f64],
+    tolerance: f64,
+    slopes: impl Fn(usize) -> Option<[f64; 2]>,
+) -> Vec<usize> {
+    let count = time_s.len().min(values.len());
+    let everything = [f64::NEG_INFINITY, f64::INFINITY];
+    let meet = |[a, b]: [f64; 2], [c, d]: [f64; 2]| [a.max(c), b.min(d)];
+    let own = |index: usize| slopes(index).unwrap_or(everything);
+    let slope = |from: usize, to: usize, off: f64| {
+        let at = |list: &[f64], index: usize| list.get(index).copied().unwrap_or(f64::NAN);
+        (at(values, to) + off - at(values, from)) / (at(time_s, to) - at(time_s, from))
+    };
+    let mut kept: Vec<usize> = (0..count.min(1)).collect();
+    let mut from = 0;
+    let mut allowed = own(0);
+    for to in 1..count {
+        let [low, high] = meet(allowed, own(to));
+        let straight = slope(from, to, 0.0);
+        if to > from + 1 && !(low..=high).contains(&straight) {
+            from = to - 1;
+            kept.push(from);
+            allowed = own(from);
+        }
+        allowed = meet(meet(allowed, own(to)), [slope(from, to, -tolerance), slope(from, to, tolerance)]);
+    }
+    if count > 1 {
+        kept.push(count - 1);
+    }
+    kept
+}
+
+/// A vehicle that follows its polyline.
+pub(super) struct Trajectory<'a> {
+    pub(super) index: usize,
+    pub(super) trace: &'a Trace,
+    pub(super) kept: &'a [usize],
+    pub(super) end_s: f64,
+}
+
+impl Move for Trajectory<'_> {
+    fn index(&self) -> usize {
+        self.index
+    }
+
+    fn starts(&self) -> Option<(&'static str, f64)> {
+        Some(("trajectory", 0.0))
+    }
+
+    fn write(&self, xml: &mut Xml) -> io::Result<()> {
+        let following = |xml: &mut Xml| {
+            within(xml, "TimeReference", &[], |xml| {
+                leaf(xml, "Timing", &[("domainAbsoluteRelative", "absolute"), ("scale", "1"), ("offset", "0")])
+            })?;
+            leaf(xml, "TrajectoryFollowingMode", &[("followingMode", "position")])
+        };
+        let name = format!("{}_path", super::entity(self.index));
+        within(xml, "RoutingAction", &[], |xml| {
+            within(xml, "FollowTrajectoryAction", &[], |xml| {
+                within(xml, "TrajectoryRef", &[], |xml| {
+                    within(xml, "Trajectory", &[("name", &name), ("closed", "false")], |xml| {
+                        within(xml, "Shape", &[], |xml| within(xml, "Polyline", &[], |xml| self.write_vertices(xml)))
+                    })
+                })?;
+                following(xml)
+            })
+        })
+    }
+}
+
+impl Trajectory<'_> {
+    /// As text, a line a vertex: numbers alone need no escapes, and a simulation makes thousands.
+    fn write_vertices(&self, xml: &mut Xml) -> io::Result<()> {
+        let Some(track) = self.trace.vehicles.get(self.index) else { return Ok(()) };
+        let samples =
+            self.kept.iter().filter_map(|&index| Some((*self.trace.time_s.get(index)?, *track.position_m.get(index)?)));
+        let held = track.position_m.last().map(|&front_m| (self.end_s + HOLD_S, front_m));
+        let mut lines = String::from("\n");
+        for (time_s, front_m) in samples.chain(held) {
+            let (time, x) = (number(time_s), number(reference_m(front_m, track.length_m)));
+            let place = format!("<Position><WorldPosition x=\"{x}\" y=\"0\"/></Position>");
+            lines += &format!("<Vertex time=\"{time}\">{place}</Vertex>\n");
+        }
+        xml.write_event(Event::Text(BytesText::from_escaped(lines)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_straight_line_is_two_vertices_and_a_corner_is_kept() {
+        let time_s: Vec<f64> = (0..=100).map(|k| f64::from(k) * 0.01).collect();
+        let straight: Vec<f64> = time_s.iter().map(|t| 5.0 + 20.0 * t).collect();
+        assert_eq!(needed(&time_s, &straight, 1e-3, |_| None), [0, 100]);
+        let corner: Vec<f64> = time_s.iter().map(|t| (t - 0.5).abs()).collect();
+        assert_eq!(needed(&time_s, &corner, 1e-6, |_| None), [0, 50, 100]);
+        assert_eq!(needed(&time_s[..1], &straight[..1], 1e-3, |_| None), [0]);
+        assert_eq!(needed(&[], &[], 1e-3, |_| None), [0usize; 0]);
+    }
+}

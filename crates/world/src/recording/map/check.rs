@@ -1,0 +1,123 @@
+//! What makes a map invalid.
+
+use super::{LayoutSpec, LengthSpec, MapSpec, PairsSpec, PlatoonSpec, Spacing, TimeSpec, TracksSpec};
+
+/// The version of the map format that this release reads.
+const MAP_VERSION: u32 = 1;
+/// Longest text of a map, in letters.
+const LONGEST_TEXT: usize = 200;
+/// Most lines before the names of columns.
+const MOST_LINES_BEFORE: usize = 1000;
+/// Longest hole that may be filled by a straight line, in seconds.
+const LONGEST_INTERPOLATION_S: f64 = 2.0;
+
+/// The first field that is wrong, and what is.
+pub(super) fn check(spec: &MapSpec) -> Result<(), (String, String)> {
+    let wrong = |field: &str, problem: String| Err((field.to_owned(), problem));
+    if spec.version != MAP_VERSION {
+        return wrong("version", format!("version {} is not supported: this release reads version 1", spec.version));
+    }
+    let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+    if spec.name.is_empty() || spec.name.len() > 40 || !spec.name.chars().all(is_plain) {
+        return wrong("name", "must be 1 to 40 lower-case letters, digits and hyphens".to_owned());
+    }
+    if spec.lines_before_names > MOST_LINES_BEFORE {
+        let found = spec.lines_before_names;
+        return wrong("lines_before_names", format!("must be at most {MOST_LINES_BEFORE}, found {found}"));
+    }
+    within("interpolate_s", spec.interpolate_s, [0.0, LONGEST_INTERPOLATION_S])?;
+    match &spec.time {
+        TimeSpec::Clock(clock) => named("time.clock.column", &clock.column)?,
+        TimeSpec::Frames(frames) => {
+            named("time.frames.column", &frames.column)?;
+            within("time.frames.rate_hz", frames.rate_hz, [0.5, 1000.0])?;
+        }
+    }
+    match &spec.layout {
+        LayoutSpec::Platoon(platoon) => check_platoon(platoon),
+        LayoutSpec::Pairs(pairs) => check_pairs(pairs),
+        LayoutSpec::Tracks(tracks) => check_tracks(tracks),
+    }
+}
+
+fn check_platoon(spec: &PlatoonSpec) -> Result<(), (String, String)> {
+    for (field, column) in [("speed", &spec.speed.column), ("spacing", &spec.spacing.column)] {
+        let field = format!("layout.platoon.{field}.column");
+        named(&field, column)?;
+        if column.matches("{}").count() != 1 {
+            return Err((field, "must hold `{}` once, where the vehicle's number stands".to_owned()));
+        }
+    }
+    for (field, line) in [("names_line", &spec.names_line), ("count_line", &spec.count_line)] {
+        line.as_ref().map_or(Ok(()), |line| named(&format!("layout.platoon.{field}"), line))?;
+    }
+    check_length("layout.platoon", spec.spacing.from, spec.length_m)
+}
+
+fn check_pairs(spec: &PairsSpec) -> Result<(), (String, String)> {
+    let speeds = [&spec.follower_speed, &spec.leader_speed].map(|speed| speed.as_ref().map(|speed| &speed.column));
+    let relative = spec.relative_speed.as_ref().map(|speed| &speed.column);
+    let columns = [
+        ("event", spec.event.as_ref()),
+        ("spacing.column", Some(&spec.spacing.column)),
+        ("follower_speed.column", speeds[0]),
+        ("leader_speed.column", speeds[1]),
+        ("relative_speed.column", relative),
+    ];
+    for (field, column) in columns {
+        column.map_or(Ok(()), |column| named(&format!("layout.pairs.{field}"), column))?;
+    }
+    if speeds.iter().chain([&relative]).flatten().count() < 2 {
+        let problem = "needs two of follower_speed, leader_speed and relative_speed";
+        return Err(("layout.pairs".to_owned(), problem.to_owned()));
+    }
+    check_length("layout.pairs", spec.spacing.from, spec.length_m)
+}
+
+fn check_tracks(spec: &TracksSpec) -> Result<(), (String, String)> {
+    let columns = [
+        ("vehicle", Some(&spec.vehicle)),
+        ("lane", spec.lane.as_ref()),
+        ("position.column", Some(&spec.position.column)),
+        ("speed.column", Some(&spec.speed.column)),
+    ];
+    for (field, column) in columns {
+        column.map_or(Ok(()), |column| named(&format!("layout.tracks.{field}"), column))?;
+    }
+    match &spec.length {
+        LengthSpec::Column(column) => named("layout.tracks.length.column.name", &column.name),
+        LengthSpec::Metres(metres) => within("layout.tracks.length.metres", *metres, [0.1, 100.0]),
+    }
+}
+
+/// A length there is if and only if it is needed.
+fn check_length(layout: &str, from: Spacing, length_m: Option<f64>) -> Result<(), (String, String)> {
+    let field = format!("{layout}.length_m");
+    match (from, length_m) {
+        (Spacing::FrontToFront, None) => {
+            Err((layout.to_owned(), "length_m: is needed for spacings from front to front".to_owned()))
+        }
+        (Spacing::BumperToBumper, Some(_)) => {
+            Err((field, "is of no use for spacings from bumper to bumper".to_owned()))
+        }
+        (Spacing::FrontToFront, Some(length_m)) => within(&field, length_m, [0.1, 100.0]),
+        (Spacing::BumperToBumper, None) => Ok(()),
+    }
+}
+
+fn named(field: &str, name: &str) -> Result<(), (String, String)> {
+    let letters = name.chars().count();
+    if name.trim() != name || !(1..=LONGEST_TEXT).contains(&letters) {
+        let problem = format!("must be 1 to {LONGEST_TEXT} letters without blanks around them, found {letters}");
+        return Err((field.to_owned(), problem));
+    }
+    Ok(())
+}
+
+fn within(field: &str, found: f64, [min, max]: [f64; 2]) -> Result<(), (String, String)> {
+    if (min..=max).contains(&found) {
+        Ok(())
+    } else {
+        Err((field.to_owned(), format!("must be from {min} to {max}, found {found}")))
+    }
+}

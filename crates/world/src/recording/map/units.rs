@@ -1,0 +1,64 @@
+//! Units of the columns of recordings.
+
+use serde::{Deserialize, Serialize};
+
+macro_rules! units {
+    ($(#[$about:meta])* $name:ident { $($(#[$doc:meta])* $unit:ident = $written:literal: $factor:expr;)* }) => {
+        $(#[$about])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+        #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+        pub enum $name {
+            $($(#[$doc])* #[serde(rename = $written)] $unit,)*
+        }
+
+        impl $name {
+            /// How many of the metric unit one is.
+            pub(in crate::recording) fn factor(self) -> f64 {
+                match self {
+                    $(Self::$unit => $factor,)*
+                }
+            }
+        }
+    };
+}
+
+units! {
+    /// Units of time.
+    TimeUnit {
+        /// Seconds.
+        #[default]
+        Seconds = "s": 1.0;
+        /// Milliseconds.
+        Milliseconds = "ms": 1e-3;
+        /// Microseconds.
+        Microseconds = "us": 1e-6;
+    }
+}
+
+units! {
+    /// Units of speed.
+    SpeedUnit {
+        /// Metres a second.
+        #[default]
+        MetresPerSecond = "m/s": 1.0;
+        /// Kilometres an hour.
+        KilometresPerHour = "km/h": 1.0 / 3.6;
+        /// Feet a second.
+        FeetPerSecond = "ft/s": 0.3048;
+        /// Miles an hour.
+        MilesPerHour = "mph": 0.447_04;
+    }
+}
+
+units! {
+    /// Units of length.
+    LengthUnit {
+        /// Metres.
+        #[default]
+        Metres = "m": 1.0;
+        /// Feet.
+        Feet = "ft": 0.3048;
+        /// Centimetres.
+        Centimetres = "cm": 1e-2;
+    }
+}

@@ -1,0 +1,263 @@
+//! Maps: one motion in several layouts and units is one set of episodes, and what is wrong with a map is said where it stands.
+
+use std::fmt::Write as _;
+
+use proptest::prelude::*;
+
+use super::map::RecordingMap;
+use super::motion_tests::{Motion, motion};
+use super::tests::read_text;
+use super::*;
+
+/// Places of many vehicles, against the direction in which positions grow, in feet, kilometres an hour and frames.
+const TRACKS: &str = r#"version = 1
+name = "tracks"
+delimiter = "semicolon"
+lines_before_names = 1
+time.frames = { column = "frame", rate_hz = 10.0 }
+
+[layout.tracks]
+vehicle = "id"
+lane = "lane"
+position = { column = "y", unit = "ft", of = "centre" }
+speed = { column = "v", unit = "km/h" }
+length.column = { name = "length", unit = "cm" }
+"#;
+
+/// Pairs, in miles an hour and from front to front, with the closing speed instead of the leader's.
+const PAIRS: &str = r#"version = 1
+name = "pairs"
+delimiter = "tab"
+time.clock = { column = "ms", unit = "ms" }
+
+[layout.pairs]
+spacing = { column = "range", unit = "ft", from = "front-to-front" }
+length_m = 4.5
+follower_speed = { column = "ego", unit = "mph" }
+relative_speed = { column = "closing", unit = "mph", sign = "follower-minus-leader" }
+"#;
+
+fn map(text: &str) -> RecordingMap {
+    RecordingMap::from_toml(text, Path::new("map.toml")).expect("a map")
+}
+
+fn read_with(text: &str, by: &str) -> Recording {
+    read(text.as_bytes(), Path::new("a.csv"), Some(&map(by))).expect("readable")
+}
+
+/// What makes each scenario: when it starts and how long it lasts, when and how the leader drives, and who starts where.
+fn told(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
+    let found = episodes(recording, MinBrake::default(), Leaders::Any).episodes;
+    let mut told: Vec<_> = found
+        .into_iter()
+        .map(|one| {
+            let placed = one.vehicles.iter().flat_map(|placed| [placed.gap_ahead_m, placed.speed_mps]).collect();
+            [vec![one.start_s, one.duration_s], one.time_s, one.speed_mps, placed]
+        })
+        .collect();
+    told.sort_by(|a, b| a.partial_cmp(b).expect("numbers"));
+    told
+}
+
+fn as_tracks(motion: &Motion) -> String {
+    let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
+    for (k, (speeds, gaps)) in motion.speeds.iter().zip(&motion.gaps).enumerate() {
+        let mut front_m = 50.0 * k as f64;
+        for (index, speed) in speeds.iter().enumerate() {
+            front_m -= if index == 0 { 0.0 } else { gaps[index - 1].expect("known") + 4.5 };
+            let (centre_ft, kmh) = (-(front_m - 2.25) / 0.3048, speed.expect("known") * 3.6);
+            let _ = writeln!(text, "{};{};2;{centre_ft};{};450", 4800 + k, motion.first + index, -kmh);
+        }
+    }
+    text
+}
+
+fn as_pairs(motion: &Motion) -> String {
+    let mut text = "ms\tego\tclosing\trange\n".to_owned();
+    for (k, (speeds, gaps)) in motion.speeds.iter().zip(&motion.gaps).enumerate() {
+        let [leader, follower] = [0, 1].map(|index| speeds[index].expect("known") / 0.447_04);
+        let range_ft = (gaps[0].expect("known") + 4.5) / 0.3048;
+        let _ = writeln!(text, "{}\t{follower}\t{}\t{range_ft}", 480_000 + 100 * k, follower - leader);
+    }
+    text
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn one_motion_in_every_layout_is_one_set_of_episodes(mut motion in motion(0.0)) {
+        // What is written to a millimetre is read to a millimetre, whatever the unit.
+        for value in motion.speeds.iter_mut().chain(&mut motion.gaps).flatten().flatten() {
+            *value = (*value * 1000.0).round() / 1000.0;
+        }
+        let expected = told(&read_text(&motion.written()).expect("readable"));
+        prop_assert_eq!(&told(&read_with(&as_tracks(&motion), TRACKS)), &expected);
+        let pair = Motion {
+            first: 1,
+            speeds: motion.speeds.iter().map(|row| row[..2].to_vec()).collect(),
+            gaps: motion.gaps.iter().map(|row| row[..1].to_vec()).collect(),
+        };
+        let expected = told(&read_text(&pair.written()).expect("readable"));
+        prop_assert_eq!(&told(&read_with(&as_pairs(&pair), PAIRS)), &expected);
+    }
+}
+
+#[test]
+fn vehicles_come_go_and_change_lanes() {
+    // Lane 1 drives up, lane 2 down. Vehicle 7 leaves lane 1 at 0.2 s, so that 8 follows 6 from then on.
+    let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
+    for k in 0..5 {
+        for (id, lane, metres) in
+            [(6, 1, 100.0), (7, if k < 2 { 1 } else { 3 }, 80.0), (8, 1, 60.0), (9, 2, 70.0), (10, 2, 90.0)]
+        {
+            let moved_m = f64::from(k) * if lane == 2 { -2.0 } else { 2.0 };
+            let _ = writeln!(text, "{k};{id};{lane};{};72;500", (metres + moved_m) / 0.3048);
+        }
+    }
+    let recording = read_with(&text, TRACKS);
+    assert_eq!(recording.dropped, []);
+    let behind = |id: usize, at: usize| {
+        let leads = recording.leads();
+        let lead = leads.iter().find(|lead| lead.placed(0.0).number == id).expect("recorded");
+        let sample = lead.runs()[0][at];
+        let followers = lead.followers_at(&sample);
+        assert!(followers.iter().all(|one| one.speed_mps == 20.0 && one.length_m == Some(5.0)));
+        followers.into_iter().map(|one| (one.number, one.gap_ahead_m)).collect::<Vec<_>>()
+    };
+    assert_eq!(behind(6, 1), [(7, 15.0), (8, 15.0)]);
+    assert_eq!(behind(6, 2), [(8, 35.0)]);
+    assert_eq!(behind(7, 2), []);
+    assert_eq!((behind(9, 0), behind(10, 0)), (vec![(10, 15.0)], vec![]), "down the road, 9 is ahead");
+}
+
+#[test]
+fn vehicles_are_as_long_as_recorded_and_lorries_are_heavy() {
+    let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
+    for k in 0..60 {
+        let lost_mps = 0.4 * f64::from(k - 20).clamp(0.0, 20.0);
+        for (id, metres, cm) in [(1, 100.0, 420), (2, 80.0, 1250), (3, 50.0, 500)] {
+            let _ = writeln!(
+                text,
+                "{k};{id};1;{};{};{cm}",
+                (metres + 2.0 * f64::from(k)) / 0.3048,
+                3.6 * (20.0 - lost_mps)
+            );
+        }
+    }
+    let recording = read_with(&text, &TRACKS.replace("centre", "front"));
+    let found = episodes(&recording, MinBrake::default(), Leaders::First).episodes;
+    let scenario = found[0].scenario("a".to_owned(), "a.csv").expect("valid");
+    let built: Vec<_> = scenario.vehicles().iter().map(|one| (one.class.name(), one.length_m())).collect();
+    assert_eq!(built, [("light", 4.2), ("heavy", 12.5), ("light", 5.0)]);
+    let gap_m = |index| scenario.initial_gap_m(index).expect("follows");
+    assert!((gap_m(1) - 15.8).abs() < 1e-9 && (gap_m(2) - 17.5).abs() < 1e-9, "{} {}", gap_m(1), gap_m(2));
+}
+
+#[test]
+fn what_no_road_has_is_left_out_and_said() {
+    let row = |frame: u32, id: u32, metres: f64| format!("{frame};{id};1;{};72;500\n", metres / 0.3048);
+    let rows = [row(0, 1, 50.0), row(0, 2, 47.0), row(0, 1, 51.0), row(1, 1, 52.0), row(4, 1, 58.0), row(1, 2, 49.0)];
+    let text = format!("made up\nframe;id;lane;y;v;length\n{}", rows.concat());
+    let said = |by: &str| read_with(&text, by).dropped.iter().map(Dropped::to_string).collect::<Vec<_>>();
+    let twice = "a.csv:5: vehicle 1 is in two places at once here; of 1 such rows each first one is kept";
+    let overlap =
+        "times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows nobody then";
+    assert_eq!(said(TRACKS), [twice.to_owned(), format!("a.csv:4: 2 {overlap}")]);
+    let filled = TRACKS.replace("lines_before", "interpolate_s = 0.3\nlines_before");
+    assert_eq!(said(&filled)[1], "a.csv:6: id: 2 missing values were filled by straight lines, the first one here");
+    for (good, bad, expected) in [
+        ("0;1;", "0;1.5;", "a.csv:3: id: must be a whole number from 0 to 4294967295, found `1.5`"),
+        ("0;1;", "0;;", "a.csv:3: id: must not be empty"),
+        ("0;1;", ";1;", "a.csv:3: frame: must not be empty"),
+        (";lane;", ";line;", "a.csv:2: lane: there is no such column among `frame, id, line, y, v, length`"),
+        (";lane;", ";id;", "a.csv:2: id: named twice"),
+    ] {
+        let text = text.replacen(good, bad, 1);
+        let error = read(text.as_bytes(), Path::new("a.csv"), Some(&map(TRACKS))).expect_err("damaged");
+        assert_eq!(error.to_string(), expected);
+    }
+}
+
+#[test]
+fn holes_are_filled_as_long_as_the_map_says() {
+    let values = |by: &str| {
+        let rows = "0\t10\t0\t50\n100\t\t0\t50\n200\t14\t0\t\n300\t\t0\t\n400\t\t0\t\n500\t20\t0\t80\n";
+        let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), by);
+        let follower = recording.platoons[0].vehicles()[1].speed_mps().to_vec();
+        follower.into_iter().map(|mps| mps.map(|mps| (mps / 0.447_04 * 1e6).round() / 1e6)).collect::<Vec<_>>()
+    };
+    let holes = [Some(10.0), None, Some(14.0), None, None, Some(20.0)];
+    assert_eq!(values(PAIRS), holes);
+    let filled = |seconds: &str| values(&PAIRS.replace("time.", &format!("interpolate_s = {seconds}\ntime.")));
+    assert_eq!(filled("0.2"), [Some(10.0), Some(12.0), Some(14.0), None, None, Some(20.0)]);
+    assert_eq!(filled("0.3"), [10.0, 12.0, 14.0, 16.0, 18.0, 20.0].map(Some));
+}
+
+#[test]
+fn a_wrong_map_says_where() {
+    let length = "length_m = 4.5\n";
+    let cases = [
+        (PAIRS, "version = 1", "version = 2", "1: version: version 2 is not supported: this release reads version 1"),
+        (PAIRS, "\"pairs\"", "\"My pairs\"", "2: name: must be 1 to 40 lower-case letters, digits and hyphens"),
+        (PAIRS, "\"tab\"", "\"blank\"", "3: delimiter: unknown variant `blank`, expected"),
+        (PAIRS, "unit = \"ms\"", "unit = \"h\"", "4: time.clock.unit: unknown variant `h`, expected"),
+        (PAIRS, "\"range\"", "\"\"", "7: layout.pairs.spacing.column: must be 1 to 200 letters"),
+        (PAIRS, length, "", "6: layout.pairs: length_m: is needed for spacings from front to front"),
+        (
+            PAIRS,
+            ", from = \"front-to-front\"",
+            "",
+            "8: layout.pairs.length_m: is of no use for spacings from bumper to bumper",
+        ),
+        (PAIRS, length, "length_m = nan\n", "8: layout.pairs.length_m: must be from 0.1 to 100, found NaN"),
+        (PAIRS, "follower_speed", "leaders_speed", "9: layout.pairs.leaders_speed: unknown field `leaders_speed`"),
+        (TRACKS, "lines_before_names = 1", "lines_before_names = 1001", "4: lines_before_names: must be at most 1000"),
+        (TRACKS, "rate_hz = 10.0", "rate_hz = 0.0", "5: time.frames.rate_hz: must be from 0.5 to 1000, found 0"),
+        (TRACKS, "\"centre\"", "\"middle\"", "10: layout.tracks.position.of: unknown variant `middle`"),
+        (TRACKS, "[layout.tracks]", "[layout.traces]", "7: layout"),
+        (TRACKS, "vehicle = \"id\"\n", "", "7: layout.tracks: missing field `vehicle`"),
+        (TRACKS, "lines_before", "interpolate_s = 3.0\nlines_before", "4: interpolate_s: must be from 0 to 2, found 3"),
+    ];
+    for (text, good, bad, expected) in cases {
+        let changed = text.replacen(good, bad, 1);
+        assert_ne!(changed, text);
+        let said = RecordingMap::from_toml(&changed, Path::new("m.toml")).expect_err("wrong").to_string();
+        assert!(said.starts_with(&format!("m.toml:{expected}")), "{said}\n  should start with\nm.toml:{expected}");
+    }
+    let two = TRACKS.to_owned() + "[layout.pairs]\nspacing = { column = \"x\" }\n";
+    assert!(
+        RecordingMap::from_toml(&two, Path::new("m.toml"))
+            .expect_err("wrong")
+            .to_string()
+            .contains("several kinds are given")
+    );
+}
+
+#[test]
+fn platoons_from_front_to_front_need_their_cars_length() {
+    let text = "t,v1,v2,d1\n0,10,11,20\n0.1,10,11,4\n";
+    let by = "version = 1\nname = \"own\"\ntime.clock = { column = \"t\" }\n[layout.platoon]\nspeed = { column = \"v{}\" }\n\
+              spacing = { column = \"d{}\", from = \"front-to-front\" }\nlength_m = 5.0\n";
+    assert_eq!(read_with(text, by).platoons[0].gap_ahead_m(1), [Some(15.0), None]);
+    for (good, bad) in [("\"v{}\"", "\"v\""), ("\"v{}\"", "\"v{}{}\"")] {
+        let said = RecordingMap::from_toml(&by.replace(good, bad), Path::new("m.toml")).expect_err("wrong").to_string();
+        assert_eq!(
+            said,
+            "m.toml:5: layout.platoon.speed.column: must hold `{}` once, where the vehicle's number stands"
+        );
+    }
+}
+
+#[test]
+fn the_hardest_braking_is_found_whatever_the_threshold() {
+    let rows: String =
+        (0..60).map(|k| format!("{}\t20\t{}\t100\n", 100 * k, 0.05 * f64::from(k - 20).clamp(0.0, 15.0))).collect();
+    let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), PAIRS);
+    assert_eq!(episodes(&recording, MinBrake::default(), Leaders::Any).episodes, []);
+    let hardest = hardest_braking(&recording).expect("it brakes");
+    assert!((hardest.drop_mps - 0.5 * 0.447_04).abs() < 2e-3 && (2.0..=2.5).contains(&hardest.from_s), "{hardest:?}");
+    let seen = preview(&recording).expect("speeds are known");
+    assert_eq!((seen.leads, seen.samples, seen.step_s), (1, 60, 0.1));
+    assert_eq!((seen.time_s, seen.lines.len()), ([0.0, 5.9], 1));
+}

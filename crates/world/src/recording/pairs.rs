@@ -1,0 +1,184 @@
+//! Recordings of pairs: one row an instant of an event, with one leader and one follower in it.
+//!
+//! Rows of one event stand together; each event becomes a platoon of two. The relative speed supplies whichever of the two
+//! speeds is missing, and contradicts them or not.
+
+use std::io::Read;
+use std::{iter, mem};
+
+use super::dropped::{Dropped, Omission};
+use super::error::{RecordingError, ValueProblem};
+use super::map::{MapSpec, PairsSpec, Sign, SpeedSpec};
+use super::series::{Clock, Quantity, Series, bridge};
+use super::table::{Column, Extent, Row, Table, excerpt};
+use super::{Format, Platoon, Recording, Vehicle};
+
+/// Largest difference between the three speeds that is put down to rounding and filtering, in m/s.
+const SPEED_AGREEMENT_MPS: f64 = 0.1;
+/// Most events of one file. Each takes about a kilobyte beside its samples, however few those are.
+const MOST_EVENTS: usize = 100_000;
+
+/// Reads what follows the names of the columns.
+pub(super) fn read<R: Read>(
+    table: &mut Table<'_, R>,
+    (map, pairs): (&MapSpec, &PairsSpec),
+    names: &Row<'_>,
+) -> Result<Recording, RecordingError> {
+    let mut events = Events::new((map, pairs), names)?;
+    let mut extent = Extent::new(&names.fields, 3);
+    while let Some(row) = table.next_row()? {
+        extent.admit(row)?;
+        events.take(row)?;
+    }
+    if extent.rows == 0 {
+        return Err(table.cut_short("its first sample"));
+    }
+    let (path, format) = (table.path().to_owned(), Format::of(map));
+    events.finish_event();
+    let mut dropped = Vec::new();
+    let speeds = [&events.follower, &events.relative, &events.leader].into_iter().flatten();
+    for series in iter::once(&events.gap).chain(speeds) {
+        series.report(&path, extent.rows, &mut dropped);
+    }
+    let columns = ["spacings", "the follower's speed", "the leader's speed"];
+    for (column, (line, count)) in
+        columns.into_iter().zip(events.interpolated).filter_map(|(name, one)| Some((name, one?)))
+    {
+        let what = Omission::Interpolated { column: column.to_owned(), count };
+        dropped.push(Dropped { path: path.clone(), line, what });
+    }
+    events.clock.report(&mut dropped);
+    if let Some((mut first, rows)) = events.contradictions {
+        if let Omission::SpeedsContradict { count, .. } = &mut first.what {
+            *count = rows;
+        }
+        dropped.push(first);
+    }
+    Ok(Recording { path, format, platoons: events.platoons, traffic: None, dropped })
+}
+
+/// The events read so far, and the one being read.
+struct Events<'m> {
+    spec: (&'m MapSpec, &'m PairsSpec),
+    platoons: Vec<Platoon>,
+    /// Its column, and the full text: events may differ in their last letter only.
+    column: Option<Column>,
+    event: Option<String>,
+    clock: Clock,
+    time_s: Vec<f64>,
+    line: Vec<u64>,
+    gap: Series,
+    follower: Option<Series>,
+    relative: Option<Series>,
+    leader: Option<Series>,
+    followers_mps: Vec<Option<f64>>,
+    leaders_mps: Vec<Option<f64>>,
+    contradictions: Option<(Dropped, usize)>,
+    /// Of spacings, followers' and leaders' speeds: the first line, and how many were filled.
+    interpolated: [Option<(u64, usize)>; 3],
+}
+
+impl<'m> Events<'m> {
+    fn new(spec: (&'m MapSpec, &'m PairsSpec), names: &Row<'_>) -> Result<Self, RecordingError> {
+        let (map, pairs) = spec;
+        let series = |name: &str, factor, quantity| Ok(Series::new(Column::find(names, name, factor)?, quantity));
+        let speed = |speed: &Option<SpeedSpec>| {
+            speed.as_ref().map(|one| series(&one.column, one.unit.factor(), Quantity::Speed)).transpose()
+        };
+        let relative = pairs.relative_speed.as_ref().map(|one| {
+            let sign = if one.sign == Sign::LeaderMinusFollower { 1.0 } else { -1.0 };
+            series(&one.column, sign * one.unit.factor(), Quantity::Signed)
+        });
+        Ok(Self {
+            spec,
+            platoons: Vec::new(),
+            column: pairs.event.as_ref().map(|name| Column::find(names, name, 1.0)).transpose()?,
+            event: None,
+            clock: Clock::new(Column::of_time(names, &map.time)?),
+            time_s: Vec::new(),
+            line: Vec::new(),
+            gap: series(&pairs.spacing.column, pairs.spacing.unit.factor(), Quantity::Gap)?,
+            follower: speed(&pairs.follower_speed)?,
+            relative: relative.transpose()?,
+            leader: speed(&pairs.leader_speed)?,
+            followers_mps: Vec::new(),
+            leaders_mps: Vec::new(),
+            contradictions: None,
+            interpolated: [None; 3],
+        })
+    }
+
+    fn take(&mut self, row: &Row<'_>) -> Result<(), RecordingError> {
+        let event = self.column.as_ref().map_or("", |column| row.text(column.index));
+        if event.is_empty()
+            && let Some(column) = &self.column
+        {
+            return row.wrong(&column.name, ValueProblem::Missing);
+        }
+        if self.event.as_deref() != Some(event) {
+            self.finish_event();
+            if self.platoons.len() >= MOST_EVENTS {
+                return row.too_large(MOST_EVENTS, "events");
+            }
+            self.event = Some(event.to_owned());
+        }
+        let Some(now_s) = self.clock.tick(row)? else { return Ok(()) };
+        let gap_m = self.gap.read_less(row, self.spec.1.length_m.unwrap_or(0.0))?;
+        let read = |series: &mut Option<Series>| series.as_mut().map_or(Ok(None), |series| series.read(row));
+        let speeds = (read(&mut self.follower)?, read(&mut self.relative)?, read(&mut self.leader)?);
+        let (follower_mps, leader_mps) = self.agreed(row, speeds);
+        self.time_s.push(now_s);
+        self.line.push(row.line);
+        self.gap.values.push(gap_m);
+        self.followers_mps.push(follower_mps);
+        self.leaders_mps.push(leader_mps);
+        Ok(())
+    }
+
+    /// Follower's and leader's speed from any two of the three columns, or neither if they contradict one another.
+    fn agreed(
+        &mut self,
+        row: &Row<'_>,
+        (follower, relative, leader): (Option<f64>, Option<f64>, Option<f64>),
+    ) -> (Option<f64>, Option<f64>) {
+        let possible = |speed_mps: f64| Quantity::Speed.allows(speed_mps).then_some(speed_mps);
+        match (follower, relative, leader) {
+            (Some(follower), Some(relative), None) => (Some(follower), possible(follower + relative)),
+            (None, Some(relative), Some(leader)) => (possible(leader - relative), Some(leader)),
+            (Some(follower), Some(relative), Some(leader)) => {
+                let first_error_mps = (relative - (leader - follower)).abs();
+                if first_error_mps <= SPEED_AGREEMENT_MPS {
+                    return (Some(follower), Some(leader));
+                }
+                let name = |series: &Option<Series>| series.as_ref().map_or("", |one| &one.column.name).to_owned();
+                let difference = format!("{} - {}", name(&self.leader), name(&self.follower));
+                let what =
+                    Omission::SpeedsContradict { column: name(&self.relative), difference, count: 0, first_error_mps };
+                self.contradictions.get_or_insert_with(|| (row.dropped(what), 0)).1 += 1;
+                (None, None)
+            }
+            (follower, None, leader) => (follower, leader),
+            (None, Some(_), None) => (None, None),
+        }
+    }
+
+    /// Makes a platoon of the event being read, if there is one.
+    fn finish_event(&mut self) {
+        self.clock.restart();
+        let Some(event) = self.event.take() else { return };
+        let (time_s, line) = (mem::take(&mut self.time_s), mem::take(&mut self.line));
+        let lists = [&mut self.gap.values, &mut self.followers_mps, &mut self.leaders_mps];
+        let [gaps_m, followers_mps, leaders_mps] = lists.map(mem::take);
+        let mut lists = [gaps_m, followers_mps, leaders_mps];
+        for (values, interpolated) in lists.iter_mut().zip(&mut self.interpolated) {
+            if let Some((count, first)) = bridge(values, &time_s, self.spec.0.interpolate_s) {
+                interpolated.get_or_insert((line.get(first).copied().unwrap_or(0), 0)).1 += count;
+            }
+        }
+        let [gaps_m, followers_mps, leaders_mps] = lists;
+        let vehicle = |number, role: &str, speed_mps| Vehicle { number, name: Some(role.to_owned()), speed_mps };
+        let vehicles = vec![vehicle(1, "leader", leaders_mps), vehicle(2, "follower", followers_mps)];
+        let event = self.column.is_some().then(|| excerpt(&event));
+        self.platoons.push(Platoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m] });
+    }
+}

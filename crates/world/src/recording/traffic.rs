@@ -1,0 +1,331 @@
+//! Recordings of tracks: one row an instant of one vehicle among many, as in highD and NGSIM.
+//!
+//! Who follows whom is read off the rows: at each instant, the vehicles of a lane that drive one way stand in the order of their
+//! front bumpers.
+
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
+use std::io::Read;
+
+use super::dropped::{Dropped, Omission};
+use super::episode::Placed;
+use super::error::{RecordingError, ValueProblem};
+use super::leads::{Ahead, Lead};
+use super::map::{LengthSpec, MapSpec, Point, TracksSpec};
+use super::motion::{Sample, joined};
+use super::series::{Clock, Quantity, Series, rounded};
+use super::table::{Column, Extent, MOST_ROWS, Row, Table, excerpt};
+use super::{Format, Recording};
+
+/// Most vehicles behind a leader that become part of a scenario: further back, a wave has taken longer than an episode lasts.
+const MOST_FOLLOWERS: usize = 9;
+/// Most lanes of a recording.
+const MOST_LANES: usize = 10_000;
+/// Length of a vehicle that no road has, in metres.
+const LONGEST_M: f64 = 100.0;
+
+/// Vehicles that come, go and change their places.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Traffic {
+    /// In order of vehicle, then of time.
+    places: Vec<Place>,
+}
+
+/// One vehicle at one instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Place {
+    vehicle: u32,
+    lane: u32,
+    time_ms: i64,
+    line: u64,
+    /// Along the road, as recorded, in metres.
+    position_m: f64,
+    /// As recorded, of either sign, in m/s.
+    speed_mps: Option<f64>,
+    length_m: f64,
+    /// Front bumper in the direction of driving, in metres.
+    front_m: f64,
+    /// Whether positions fall as it drives.
+    falls: bool,
+    /// Gap ahead, in metres, and the place of who is there.
+    ahead: Option<(f64, u32)>,
+    /// The place of who is behind.
+    behind: Option<u32>,
+}
+
+/// Reads what follows the names of the columns.
+pub(super) fn read<R: Read>(
+    table: &mut Table<'_, R>,
+    (map, tracks): (&MapSpec, &TracksSpec),
+    names: &Row<'_>,
+) -> Result<Recording, RecordingError> {
+    let clock = Clock::new(Column::of_time(names, &map.time)?);
+    let vehicle = Column::find(names, &tracks.vehicle, 1.0)?;
+    let lane = tracks.lane.as_ref().map(|name| Column::find(names, name, 1.0)).transpose()?;
+    let series = |name: &str, factor| Ok(Series::new(Column::find(names, name, factor)?, Quantity::Signed));
+    let mut position = series(&tracks.position.column, tracks.position.unit.factor())?;
+    let mut speed = series(&tracks.speed.column, tracks.speed.unit.factor())?;
+    let (mut length, same_m) = match &tracks.length {
+        LengthSpec::Column(column) => (Some(series(&column.name, column.unit.factor())?), 0.0),
+        LengthSpec::Metres(metres) => (None, *metres),
+    };
+    let mut lanes = BTreeMap::new();
+    let mut extent = Extent::new(&names.fields, 2);
+    let mut places = Vec::new();
+    while let Some(row) = table.next_row()? {
+        extent.admit(row)?;
+        let time_s = clock.read(row)?;
+        let vehicle = whole(row, &vehicle)?;
+        let lane = match &lane {
+            Some(column) => {
+                let next = lanes.len();
+                let known = *lanes.entry(row.text(column.index).to_owned()).or_insert(next);
+                if lanes.len() > MOST_LANES {
+                    return row.too_large(MOST_LANES, "lanes");
+                }
+                known as u32
+            }
+            None => 0,
+        };
+        let (position_m, speed_mps) = (position.read(row)?, speed.read(row)?);
+        let length_m = length.as_mut().map_or(Ok(Some(same_m)), |series| series.read(row))?;
+        let length_m = length_m.filter(|length_m| (0.1..=LONGEST_M).contains(length_m));
+        if let (Some(position_m), Some(length_m)) = (position_m, length_m) {
+            let time_ms = (time_s * 1000.0).round() as i64;
+            let (line, front_m, falls, ahead, behind) = (row.line, 0.0, false, None, None);
+            places.push(Place {
+                vehicle,
+                lane,
+                time_ms,
+                line,
+                position_m,
+                speed_mps,
+                length_m,
+                front_m,
+                falls,
+                ahead,
+                behind,
+            });
+        }
+    }
+    if extent.rows == 0 {
+        return Err(table.cut_short("its first sample"));
+    }
+    let path = table.path();
+    let mut dropped = Vec::new();
+    for series in [Some(&position), Some(&speed), length.as_ref()].into_iter().flatten() {
+        series.report(path, extent.rows, &mut dropped);
+    }
+    places.sort_unstable_by_key(|place: &Place| (place.vehicle, place.time_ms, place.line));
+    let what = |what, line| Dropped { path: path.to_owned(), line, what };
+    if let Some((twice, count)) = once(&mut places) {
+        dropped.push(what(Omission::Twice { vehicle: twice.vehicle, count }, twice.line));
+    }
+    let filled = fill(&mut places, map.interpolate_s).map_err(|line| RecordingError::TooLarge {
+        path: path.to_owned(),
+        line,
+        limit: MOST_ROWS,
+        what: "rows, with those that are filled",
+    })?;
+    if let Some((line, count)) = filled {
+        dropped.push(what(Omission::Interpolated { column: excerpt(&tracks.vehicle), count }, line));
+    }
+    turn(&mut places, tracks.position.of);
+    if let Some((line, count)) = link(&mut places) {
+        dropped.push(what(Omission::Overlapping { count }, line));
+    }
+    let traffic = Some(Traffic { places });
+    Ok(Recording { path: path.to_owned(), format: Format::of(map), platoons: Vec::new(), traffic, dropped })
+}
+
+/// A whole number of a vehicle, which some tools write with a point.
+fn whole(row: &Row<'_>, column: &Column) -> Result<u32, RecordingError> {
+    match row.number(column)? {
+        Some(number) if number >= 0.0 && number <= f64::from(u32::MAX) && number.fract() == 0.0 => Ok(number as u32),
+        Some(_) => row.wrong(&column.name, ValueProblem::NotWhole { found: excerpt(row.text(column.index)) }),
+        None => row.wrong(&column.name, ValueProblem::Missing),
+    }
+}
+
+/// Leaves each vehicle in one place at a time: the first, and how many others there were.
+fn once(places: &mut Vec<Place>) -> Option<(Place, usize)> {
+    let mut twice: Option<(Place, usize)> = None;
+    places.dedup_by(|later, first| {
+        let is_twice = (later.vehicle, later.time_ms) == (first.vehicle, first.time_ms);
+        if is_twice {
+            twice.get_or_insert((*later, 0)).1 += 1;
+        }
+        is_twice
+    });
+    twice
+}
+
+/// Puts places between two of one vehicle in one lane that are further apart than usual, and no more than so long. Says the line of
+/// the first and how many they are; an error is the line at which they become too many.
+fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>, u64> {
+    let longest_ms = (longest_s * 1000.0).round() as i64;
+    let steps = places.windows(2).filter_map(|pair| match pair {
+        [a, b] if a.vehicle == b.vehicle && longest_ms > 0 => Some(b.time_ms - a.time_ms),
+        _ => None,
+    });
+    let mut steps: Vec<i64> = steps.collect();
+    steps.sort_unstable();
+    let Some(&step_ms) = steps.get(steps.len() / 2) else { return Ok(None) };
+    let mut filled = Vec::new();
+    for pair in places.windows(2) {
+        let [a, b] = pair else { continue };
+        let hole_ms = b.time_ms - a.time_ms;
+        if (a.vehicle, a.lane) != (b.vehicle, b.lane) || hole_ms > longest_ms {
+            continue;
+        }
+        // Frames are no whole milliseconds apart at some rates.
+        let parts = (hole_ms + step_ms / 2) / step_ms;
+        for part in 1..parts {
+            let share = part as f64 / parts as f64;
+            let between = |a: f64, b: f64| a + (b - a) * share;
+            filled.push(Place {
+                time_ms: between(a.time_ms as f64, b.time_ms as f64).round() as i64,
+                position_m: between(a.position_m, b.position_m),
+                speed_mps: a.speed_mps.zip(b.speed_mps).map(|(a, b)| between(a, b)),
+                ..*a
+            });
+        }
+        if places.len() + filled.len() > MOST_ROWS {
+            return Err(a.line);
+        }
+    }
+    let found = filled.first().map(|place: &Place| (place.line, filled.len()));
+    places.append(&mut filled);
+    places.sort_unstable_by_key(|place| (place.vehicle, place.time_ms));
+    Ok(found)
+}
+
+/// Finds out which way each vehicle drives, and where its front is.
+fn turn(places: &mut [Place], of: Point) {
+    for track in places.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
+        let moved_m =
+            track.last().map_or(0.0, |last| last.position_m) - track.first().map_or(0.0, |one| one.position_m);
+        let falls = match moved_m.partial_cmp(&0.0) {
+            Some(Ordering::Equal) | None => track.iter().filter_map(|place| place.speed_mps).sum::<f64>() < 0.0,
+            Some(order) => order == Ordering::Less,
+        };
+        for place in track {
+            let ahead_m = match of {
+                Point::Front => 0.0,
+                Point::Centre => place.length_m / 2.0,
+                Point::Rear => place.length_m,
+                Point::LowEnd if falls => 0.0,
+                Point::LowEnd => place.length_m,
+            };
+            place.falls = falls;
+            place.front_m = ahead_m + if falls { -place.position_m } else { place.position_m };
+            place.speed_mps = place.speed_mps.map(f64::abs).filter(|&mps| Quantity::Speed.allows(mps));
+        }
+    }
+}
+
+/// Links each place with those ahead of it and behind it; says where the first overlap is, and how many there are.
+fn link(places: &mut [Place]) -> Option<(u64, usize)> {
+    let mut order: Vec<u32> = (0..places.len() as u32).collect();
+    let at = |places: &[Place], index: u32| places.get(index as usize).copied();
+    let row = |place: &Place| (place.time_ms, place.lane, place.falls);
+    order.sort_by(|&a, &b| match (at(places, a), at(places, b)) {
+        (Some(a), Some(b)) => row(&a).cmp(&row(&b)).then(b.front_m.total_cmp(&a.front_m)),
+        _ => Ordering::Equal,
+    });
+    let mut overlapping: Option<(u64, usize)> = None;
+    for pair in order.windows(2) {
+        let &[front, rear] = pair else { continue };
+        let (Some(ahead), Some(behind)) = (at(places, front), at(places, rear)) else { continue };
+        if row(&ahead) != row(&behind) {
+            continue;
+        }
+        let gap_m = ahead.front_m - ahead.length_m - behind.front_m;
+        if Quantity::Gap.allows(gap_m) {
+            if let Some(place) = places.get_mut(rear as usize) {
+                place.ahead = Some((gap_m, front));
+            }
+            if let Some(place) = places.get_mut(front as usize) {
+                place.behind = Some(rear);
+            }
+        } else if rounded(gap_m) <= 0.0 {
+            overlapping.get_or_insert((behind.line, 0)).1 += 1;
+        }
+    }
+    overlapping
+}
+
+impl Traffic {
+    fn place(&self, index: usize) -> Option<&Place> {
+        self.places.get(index)
+    }
+
+    /// Every vehicle: each may have another behind it at some time.
+    pub(super) fn leads(&self) -> impl Iterator<Item = Box<dyn Lead + '_>> {
+        let mut from = 0;
+        self.places.chunk_by(|a, b| a.vehicle == b.vehicle).map(move |track| {
+            let first = from;
+            from += track.len();
+            Box::new(InTraffic { traffic: self, first, track }) as Box<dyn Lead>
+        })
+    }
+}
+
+/// One vehicle of many.
+struct InTraffic<'a> {
+    traffic: &'a Traffic,
+    /// Index of its first place.
+    first: usize,
+    track: &'a [Place],
+}
+
+impl Lead for InTraffic<'_> {
+    fn runs(&self) -> Vec<Vec<Sample>> {
+        let sample = |(index, place): (usize, &Place)| {
+            Some(Sample { index: self.first + index, time_ms: place.time_ms, speed_mps: rounded(place.speed_mps?) })
+        };
+        joined(self.track.iter().enumerate().filter_map(sample))
+    }
+
+    fn placed(&self, speed_mps: f64) -> Placed {
+        let (number, length_m) = self.track.first().map_or((0, 0.0), |place| (place.vehicle as usize, place.length_m));
+        Placed { number, name: None, gap_ahead_m: 0.0, speed_mps, length_m: Some(rounded(length_m)) }
+    }
+
+    fn followers_at(&self, sample: &Sample) -> Vec<Placed> {
+        let mut ahead = self.traffic.place(sample.index);
+        let next = || {
+            let behind = self.traffic.place(ahead?.behind? as usize)?;
+            ahead = Some(behind);
+            Some(Placed {
+                number: behind.vehicle as usize,
+                name: None,
+                gap_ahead_m: rounded(behind.ahead?.0),
+                speed_mps: rounded(behind.speed_mps?),
+                length_m: Some(rounded(behind.length_m)),
+            })
+        };
+        std::iter::from_fn(next).take(MOST_FOLLOWERS).collect()
+    }
+
+    fn next_behind(&self, _: usize) -> Option<usize> {
+        None
+    }
+
+    fn ahead_at(&self, sample: &Sample) -> Ahead {
+        let ahead = self.traffic.place(sample.index).and_then(|place| self.traffic.place(place.ahead?.1 as usize));
+        match ahead {
+            None => Ahead::Nobody,
+            Some(ahead) if ahead.speed_mps.is_some() => Ahead::Recorded(ahead.vehicle as usize),
+            Some(ahead) => Ahead::NotRecorded(ahead.vehicle as usize),
+        }
+    }
+
+    fn line_of(&self, sample: &Sample) -> u64 {
+        self.traffic.place(sample.index).map_or(0, |place| place.line)
+    }
+
+    fn event(&self) -> Option<&str> {
+        None
+    }
+}

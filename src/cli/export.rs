@@ -1,0 +1,133 @@
+//! `crumple export`: scenarios and runs for other simulators.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+
+use super::{Failure, choice, output, subject};
+use crumple_report::export::openscenario::{self, OpenScenario};
+use crumple_search::disk::{DiskError, Files};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::quoted::Terminal;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{AfterContact, NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
+
+/// Write scenarios for other simulators: OpenSCENARIO XML 1.2 on an OpenDRIVE road
+#[derive(Args)]
+#[command(after_long_help = "\
+For each scenario two files, NAME.xosc and NAME.xodr, the road, which the first names.
+
+`--as trajectories` (the default) simulates and writes what every vehicle did: timed polylines, followed by position in absolute time, \
+within 2 mm of the run. A run that ends in a contact ends there. `--as actions` writes what the scripted vehicles do, as actions with \
+triggers; every other vehicle has a controller, `under-test` or the name of its driver, that is yours to fill.
+
+A vehicle's position there is that of its rear axle, a fifth of its length ahead of the rear bumper.
+
+A file may have 1 million vertices (100 MB), a scenario what `crumple simulate` takes.
+
+Examples:
+  crumple export paper-1 --to openscenario --controller policy --out exported
+  crumple export my-scenario.toml --to openscenario --as actions --out exported")]
+pub(super) struct Export {
+    /// Built-in scenarios (see `crumple list scenarios`) or scenario files
+    #[arg(required = true, value_name = "SCENARIO")]
+    scenarios: Vec<String>,
+    /// The format
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    to: Target,
+    /// What is written
+    #[arg(long = "as", value_enum, value_name = "WHAT", default_value = "trajectories")]
+    what: What,
+    /// Controller of the vehicles under test, for trajectories (see `crumple list controllers`) [default: baseline]
+    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    controller: Option<NamedController>,
+    /// What the vehicles under test look through
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    estimator: EstimatorKind,
+    /// What happens when vehicles touch
+    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = choice::one_of(choice::AFTER_CONTACT))]
+    after_contact: AfterContact,
+    /// Folder for the files; made if it is not there
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Target {
+    /// ASAM OpenSCENARIO XML 1.2, with OpenDRIVE 1.7
+    #[value(name = "openscenario")]
+    OpenScenario,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum What {
+    /// What every vehicle did
+    Trajectories,
+    /// What the scripted vehicles do
+    Actions,
+}
+
+impl Export {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let Target::OpenScenario = self.to;
+        if self.what == What::Actions && self.controller.is_some() {
+            let problem = "--controller: drives in trajectories; with `--as actions` the controller is yours";
+            return Err(Failure::Input(problem.to_owned()));
+        }
+        let (mut written, mut said, mut names) = (Vec::new(), String::new(), Vec::new());
+        for given in &self.scenarios {
+            let scenario = subject::scenario(given)?;
+            let name = stem(&scenario.spec().name);
+            if names.contains(&name) {
+                let problem = "would be written over another of these: export them into folders of their own";
+                return Err(Failure::Input(format!("{given}: {name}.xosc {problem}")));
+            }
+            let road = format!("{name}.xodr");
+            let made = self.export(&scenario, &road, quiet)?;
+            let path = self.out.join(format!("{name}.xosc"));
+            let vehicles = scenario.vehicles().len();
+            said += &format!(
+                "{}: {vehicles} vehicles, {} vertices\n",
+                Terminal(&path.display().to_string()),
+                made.vertices
+            );
+            written.extend([(path, made.scenario), (self.out.join(&road), made.road)]);
+            names.push(name);
+        }
+        fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
+        let mut files = Files::default();
+        for (path, contents) in &written {
+            files.stage(&output::place(path)?, contents)?;
+        }
+        files.commit()?;
+        output::print(&said)
+    }
+
+    fn export(&self, scenario: &Scenario, road: &str, quiet: bool) -> Result<OpenScenario, Failure> {
+        let name = &scenario.spec().name;
+        let failed = |error: &dyn std::fmt::Display| Failure::Input(format!("{name}: {error}"));
+        if self.what == What::Actions {
+            return openscenario::actions(scenario, road).map_err(|error| failed(&error));
+        }
+        let controller = match &self.controller {
+            Some(named) => named.clone(),
+            None => NamedController::find("baseline", Path::new("")).map_err(Failure::input)?,
+        };
+        let options =
+            RunOptions::new(controller.kind).with_estimator(self.estimator).with_after_contact(self.after_contact);
+        let run = Run::new(scenario, options).map_err(|error| failed(&error))?;
+        let simulated = simulate(&run, RecordingLevel::Trace);
+        if let Outcome::ControllerFailed(why) = &simulated.outcome {
+            output::note(&format!("note: {name} ends where the controller failed: {why}"), quiet);
+        }
+        let trace = simulated.trace.ok_or_else(|| failed(&"no motion was recorded"))?;
+        openscenario::trajectories(scenario, &trace, road).map_err(|error| failed(&error))
+    }
+}
+
+/// A scenario's name as that of a file.
+fn stem(name: &str) -> String {
+    let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' };
+    name.chars().map(plain).take(60).collect()
+}

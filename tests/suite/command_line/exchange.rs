@@ -1,0 +1,108 @@
+//! `crumple export` and `crumple import --map` as a user meets them.
+
+use std::fs;
+use std::path::Path;
+
+use crumple_world::recording::map::{RecordingMap, json_schema};
+
+use super::{assert_refused, code, crumple, folder, names_in, stderr, stdout};
+use crate::schema::{assert_committed, validate};
+
+/// The examples are maps, the schema says what they are, and it is committed.
+#[test]
+fn the_schema_of_maps_is_committed_and_says_what_the_examples_are() {
+    let schema = json_schema();
+    assert_committed("crates/world/src/recording/map.schema.json", &schema);
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for folder in ["examples/maps", "crates/world/src/recording/built_in"] {
+        for name in names_in(&root.join(folder)) {
+            let map = RecordingMap::load(&root.join(folder).join(&name)).unwrap_or_else(|error| panic!("{error}"));
+            let stated = serde_json::to_value(map.spec()).unwrap();
+            validate(&schema, &schema, &stated, &name).unwrap();
+        }
+    }
+}
+
+/// A pair of which the leader brakes as hard as is said, by the map of a logged pair.
+fn logged(brake_mps2: f64) -> String {
+    let mut text = "t;v_ego;range;closing\n".to_owned();
+    for k in 0..150 {
+        let lost_mps = brake_mps2 * (f64::from(k) * 0.1 - 5.0).clamp(0.0, 3.0);
+        text += &format!("{};72;{};{lost_mps:.3}\n", 100 * k, 34.6);
+    }
+    text
+}
+
+#[test]
+fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
+    let folder = folder();
+    let map = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/maps/logged-pair.toml");
+    let map = map.to_str().unwrap();
+    fs::write(folder.path().join("hard.csv"), logged(3.0)).unwrap();
+    fs::write(folder.path().join("soft.csv"), logged(1.0)).unwrap();
+    let shown = crumple(folder.path(), &["import", "hard.csv", "--map", map, "--preview", "hard.svg"]);
+    let said = "hard.csv: logged-pair\n  1 vehicles that may lead, 150 samples, from 0.00 to 14.90 s, one each 0.100 s\n  \
+                speed 11.00 to 20.00 m/s, median 11.00\n  bumper gap 30.00 to 30.00 m, median 30.00\n  \
+                the hardest braking is 3.00 m/s within a second, of vehicle 1 from 5.";
+    assert!(stdout(&shown).starts_with(said), "{shown:?}");
+    assert!(fs::read_to_string(folder.path().join("hard.svg")).unwrap().contains("Bumper gap to the vehicle behind"));
+    assert_eq!(names_in(folder.path()), ["hard.csv", "hard.svg", "soft.csv"], "no scenario is written");
+    let imported = crumple(folder.path(), &["import", "hard.csv", "soft.csv", "--map", map, "--out", "episodes"]);
+    assert_eq!(stdout(&imported), "hard.csv: 1 scenario (logged-pair)\nsoft.csv: 0 scenarios (logged-pair)\n");
+    assert_eq!(names_in(&folder.path().join("episodes")), ["logged-pair-hard-01.toml"]);
+    let nothing = crumple(folder.path(), &["import", "soft.csv", "--map", map, "--out", "none"]);
+    assert_eq!(code(&nothing), 1);
+    let said =
+        "gate: no episode of 1.3 m/s² that makes a scenario; soft.csv: the hardest braking is 1.00 m/s within a second";
+    assert!(stderr(&nothing).starts_with(said), "{nothing:?}");
+    assert!(!folder.path().join("none").exists());
+}
+
+#[test]
+fn damaged_maps_and_files_name_file_line_and_field() {
+    let folder = folder();
+    let map = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/maps/logged-pair.toml")).unwrap();
+    let file = logged(3.0);
+    let cases = [
+        (
+            "length_m = 4.6",
+            "length_m = 0",
+            "",
+            "",
+            "m.toml:10: layout.pairs.length_m: must be from 0.1 to 100, found 0",
+        ),
+        ("\"km/h\"", "\"knots\"", "", "", "m.toml:11: layout.pairs.follower_speed.unit: unknown variant `knots`"),
+        ("\"v_ego\"", "\"v\"", "", "", "a.csv:1: v: there is no such column among `t, v_ego, range, closing`"),
+        ("", "", "200;72", "200;fast", "a.csv:4: v_ego: must be a finite number or empty, found `fast`"),
+        ("", "", "200;72;", "200;", "a.csv:4: closing: 3 fields in a row of 4"),
+        ("", "", "\n200;", "\n;", "a.csv:4: t: must not be empty"),
+    ];
+    for (good, bad, right, wrong, expected) in cases {
+        fs::write(folder.path().join("m.toml"), map.replacen(good, bad, 1)).unwrap();
+        fs::write(folder.path().join("a.csv"), file.replacen(right, wrong, 1)).unwrap();
+        assert_refused(&crumple(folder.path(), &["import", "a.csv", "--map", "m.toml"]), expected);
+    }
+    assert_refused(&crumple(folder.path(), &["import", "a.csv", "--map", "none.toml"]), "none.toml: ");
+    fs::write(folder.path().join("m.toml"), format!("{map}#{}", " ".repeat(1 << 16))).unwrap();
+    assert_refused(&crumple(folder.path(), &["import", "a.csv", "--map", "m.toml"]), "m.toml: holds more than 0 MiB");
+}
+
+#[test]
+fn exports_are_two_files_a_scenario() {
+    let folder = folder();
+    let export =
+        |more: &[&str]| crumple(folder.path(), &[&["export", "--to", "openscenario", "--out", "x"], more].concat());
+    let done = export(&["paper-1", "paper-2", "--controller", "idm"]);
+    assert_eq!((code(&done), stdout(&done).lines().count()), (0, 2), "{done:?}");
+    assert_eq!(names_in(&folder.path().join("x")), ["paper-1.xodr", "paper-1.xosc", "paper-2.xodr", "paper-2.xosc"]);
+    let read = || fs::read(folder.path().join("x/paper-1.xosc")).unwrap();
+    let before = read();
+    assert_eq!((code(&export(&["paper-1", "--controller", "idm"])), read()), (0, before), "the same again");
+    assert_eq!(code(&export(&["paper-1", "--as", "actions"])), 0);
+    assert_refused(&export(&["paper-1", "paper-1"]), "paper-1: paper-1.xosc would be written over another of these");
+    assert_refused(
+        &export(&["paper-1", "--as", "actions", "--controller", "idm"]),
+        "--controller: drives in trajectories",
+    );
+    assert_refused(&export(&["nowhere"]), "`nowhere` is neither a built-in scenario");
+}

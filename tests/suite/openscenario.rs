@@ -1,0 +1,217 @@
+//! Exports to OpenSCENARIO are what happened: read back by a reader that shares nothing with the writer.
+
+use std::iter;
+
+use crumple::report::export::openscenario::{actions, trajectories};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Brake, BrakeToSpeed, Driver, LeadProfile, Pieces, Scenario, built_in, built_in_names};
+use crumple_world::sim::{AfterContact, RunOptions, Trace};
+use proptest::prelude::*;
+use roxmltree::{Document, Node};
+
+use crate::generate::{any_scenario, cases, traced};
+
+/// Best agreement asked for: a centimetre, and a centimetre a second.
+const CLOSE: f64 = 0.01;
+
+fn number(node: Node<'_, '_>, attribute: &str) -> f64 {
+    node.attribute(attribute).expect("stated").parse().expect("a number")
+}
+
+fn all<'a>(node: Node<'a, 'a>, name: &'static str) -> impl Iterator<Item = Node<'a, 'a>> {
+    node.descendants().filter(move |found| found.has_tag_name(name))
+}
+
+fn only<'a>(node: Node<'a, 'a>, name: &'static str) -> Node<'a, 'a> {
+    let mut found = all(node, name);
+    let first = found.next().unwrap_or_else(|| panic!("no {name}"));
+    assert!(found.next().is_none(), "more than one {name}");
+    first
+}
+
+/// The entity of a name: how far its front bumper is ahead of its reference point, in metres.
+fn front_m(document: &Document<'_>, entity: &str, length_m: f64) -> f64 {
+    let object = all(document.root_element(), "ScenarioObject").find(|found| found.attribute("name") == Some(entity));
+    let (middle, size) = (only(object.expect("declared"), "Center"), only(object.expect("declared"), "Dimensions"));
+    assert!((number(size, "length") - length_m).abs() < 1e-8);
+    number(middle, "x") + length_m / 2.0
+}
+
+/// What a list says at a time, linear in between and held outside.
+fn at(points: &[(f64, f64)], time_s: f64) -> f64 {
+    match points.partition_point(|(from_s, _)| *from_s <= time_s) {
+        0 => points[0].1,
+        after if after == points.len() => points[after - 1].1,
+        after => {
+            let ((t0, x0), (t1, x1)) = (points[after - 1], points[after]);
+            x0 + (x1 - x0) * (time_s - t0) / (t1 - t0)
+        }
+    }
+}
+
+/// Every place of every vehicle within a centimetre; every speed within a centimetre a second of the mean over the step that is read.
+fn assert_is_the_run(scenario: &Scenario, trace: &Trace) {
+    let made = trajectories(scenario, trace, "road.xodr").expect("exports");
+    let text = String::from_utf8(made.scenario).expect("UTF-8");
+    let document = Document::parse(&text).expect("XML");
+    let groups: Vec<_> = all(document.root_element(), "ManeuverGroup").collect();
+    assert_eq!(groups.len(), scenario.vehicles().len());
+    assert_eq!(all(document.root_element(), "TrajectoryFollowingMode").count(), groups.len());
+    let [first_m, last_m] = road(&made.road);
+    for ((group, track), index) in groups.into_iter().zip(&trace.vehicles).zip(0..) {
+        let entity = only(group, "EntityRef").attribute("entityRef").expect("stated");
+        assert_eq!(entity, format!("vehicle_{index}"));
+        let front_m = front_m(&document, entity, track.length_m);
+        let vertex = |node| (number(node, "time"), number(only(node, "WorldPosition"), "x") + front_m);
+        let mut points: Vec<(f64, f64)> = all(group, "Vertex").map(vertex).collect();
+        let held = points.pop().expect("a vertex");
+        assert!(points.windows(2).all(|pair| pair[0].0 < pair[1].0), "time goes on");
+        assert!((held.1 - points.last().expect("a vertex").1).abs() < 1e-9 && held.0 > points.last().expect("one").0);
+        for (&time_s, &position_m) in trace.time_s.iter().zip(&track.position_m) {
+            let read_m = at(&points, time_s);
+            assert!((read_m - position_m).abs() <= CLOSE, "vehicle {index} at {time_s} s: {read_m}, not {position_m}");
+            assert!((first_m..=last_m).contains(&read_m) && (first_m..=last_m).contains(&(read_m - track.length_m)));
+        }
+        for (k, step) in trace.time_s.windows(2).enumerate().filter(|(_, step)| step[1] - step[0] > 1e-5) {
+            let duration_s = step[1] - step[0];
+            let read_mps = (at(&points, step[1]) - at(&points, step[0])) / duration_s;
+            let true_mps = (track.position_m[k + 1] - track.position_m[k]) / duration_s;
+            assert!(
+                (read_mps - true_mps).abs() <= CLOSE,
+                "vehicle {index} from {} s: {read_mps}, not {true_mps}",
+                step[0]
+            );
+        }
+    }
+}
+
+/// Where the road begins and ends along x, in metres: straight, and its one lane around y = 0.
+fn road(xml: &[u8]) -> [f64; 2] {
+    let text = std::str::from_utf8(xml).expect("UTF-8");
+    let document = Document::parse(text).expect("XML");
+    let geometry = only(document.root_element(), "geometry");
+    let lane = only(only(document.root_element(), "right"), "lane");
+    assert_eq!((only(geometry, "line").attributes().count(), lane.attribute("type")), (0, Some("driving")));
+    assert_eq!(number(geometry, "hdg"), 0.0);
+    assert!((number(geometry, "y") - number(only(lane, "width"), "a") / 2.0).abs() < 1e-12);
+    let from_m = number(geometry, "x");
+    [from_m, from_m + number(geometry, "length")]
+}
+
+fn options(after_contact: AfterContact) -> RunOptions {
+    RunOptions::new(ControllerSpec::named("baseline").expect("built in")).with_after_contact(after_contact)
+}
+
+#[test]
+fn built_in_scenarios_are_read_back_as_they_ran() {
+    for (name, _) in built_in_names() {
+        let scenario = built_in(name).expect("built in");
+        for after_contact in [AfterContact::Stop, AfterContact::Continue] {
+            assert_is_the_run(&scenario, &traced(&scenario, &options(after_contact)).trace.expect("traced"));
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(cases(200))]
+
+    #[test]
+    fn random_scenarios_are_read_back_as_they_ran(scenario in any_scenario(), goes_on: bool) {
+        let after_contact = if goes_on { AfterContact::Continue } else { AfterContact::Stop };
+        assert_is_the_run(&scenario, &traced(&scenario, &options(after_contact)).trace.expect("traced"));
+    }
+
+    /// Scripts are driven anew from their actions alone, until vehicles touch.
+    #[test]
+    fn scripts_of_random_scenarios_are_driven_from_their_actions(scenario in any_scenario()) {
+        let quiet = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|one| one.acceleration_noise_mps2 = 0.0));
+        assert_scripts_are_actions(&quiet.expect("valid"));
+    }
+}
+
+#[test]
+fn scripts_of_every_kind_are_driven_from_their_actions() {
+    for (name, _) in built_in_names() {
+        assert_scripts_are_actions(&built_in(name).expect("built in"));
+    }
+    let pieces = Pieces { from_s: vec![0.5, 1.25, 4.0], accel_mps2: vec![2.0, -7.5, 1.0] };
+    let scripts = [
+        LeadProfile::Brake(Brake { onset_s: 1.237, rate_mps2: 7.5 }),
+        LeadProfile::BrakeToSpeed(BrakeToSpeed { onset_s: 0.0, rate_mps2: 2.0, final_speed_mps: 7.5 }),
+        LeadProfile::BrakeToSpeed(BrakeToSpeed { onset_s: 1.0, rate_mps2: 2.0, final_speed_mps: 60.0 }),
+        LeadProfile::Brake(Brake { onset_s: 1.0, rate_mps2: 0.0 }),
+        LeadProfile::Pieces(pieces),
+        LeadProfile::ConstantSpeed,
+    ];
+    for script in scripts {
+        let edited = built_in("paper-1").expect("built in").edited(|spec| {
+            spec.environment.friction = 0.6;
+            spec.vehicles[0].driver = Driver::Profile(script.clone());
+        });
+        assert_scripts_are_actions(&edited.expect("valid"));
+    }
+}
+
+/// Who is driven by a script has its action and no controller, and who is not a controller and no action.
+fn assert_scripts_are_actions(scenario: &Scenario) {
+    let made = actions(scenario, "road.xodr").expect("exports");
+    let text = String::from_utf8(made.scenario).expect("UTF-8");
+    let document = Document::parse(&text).expect("XML");
+    let trace = traced(scenario, &options(AfterContact::Stop)).trace.expect("traced");
+    for (index, vehicle) in scenario.vehicles().iter().enumerate() {
+        let entity = format!("vehicle_{index}");
+        let group = all(document.root_element(), "ManeuverGroup")
+            .find(|group| only(*group, "EntityRef").attribute("entityRef") == Some(&entity));
+        let object =
+            all(document.root_element(), "ScenarioObject").find(|found| found.attribute("name") == Some(&entity));
+        let is_scripted = matches!(vehicle.driver, Driver::Profile(_));
+        assert_eq!(all(object.expect("declared"), "Controller").count(), usize::from(!is_scripted));
+        assert!(is_scripted || group.is_none());
+        if !is_scripted {
+            continue;
+        }
+        let speeds = group.map_or_else(|| vec![(0.0, vehicle.speed_mps)], |group| speeds(group, vehicle.speed_mps));
+        let track = &trace.vehicles[index];
+        // The last step may be cut short by a contact.
+        for (k, &time_s) in trace.time_s.iter().enumerate().rev().skip(1) {
+            let (read_mps, true_mps) = (at(&speeds, time_s), track.speed_mps[k]);
+            assert!((read_mps - true_mps).abs() <= CLOSE, "{entity} at {time_s} s: {read_mps}, not {true_mps}");
+        }
+    }
+}
+
+/// Speeds over time of a group's one action.
+fn speeds(group: Node<'_, '_>, start_mps: f64) -> Vec<(f64, f64)> {
+    let from_s = number(only(only(group, "StartTrigger"), "SimulationTimeCondition"), "value");
+    if let Some(action) = all(group, "SpeedAction").next() {
+        let (rate, to_mps) = (
+            number(only(action, "SpeedActionDynamics"), "value"),
+            number(only(action, "AbsoluteTargetSpeed"), "value"),
+        );
+        assert_eq!(only(action, "SpeedActionDynamics").attribute("dynamicsDimension"), Some("rate"));
+        return vec![(0.0, start_mps), (from_s, start_mps), (from_s + (start_mps - to_mps).abs() / rate, to_mps)];
+    }
+    let mut time_s = from_s;
+    let entries = all(group, "SpeedProfileEntry").map(|entry| {
+        time_s += number(entry, "time");
+        (time_s, number(entry, "speed"))
+    });
+    iter::once((0.0, start_mps)).chain(entries).collect()
+}
+
+/// Names and texts of users are texts in the files, whatever they hold.
+#[test]
+fn texts_of_users_stay_texts() {
+    for wild in ["$speed", "<a b=\"c\">&amp;", "line\nbreak\u{1b}[31m\u{0}\u{fffe}", "]]>--", "'\""] {
+        let name: String = wild.chars().filter(|c| !c.is_control()).collect();
+        let scenario = built_in("paper-1").expect("built in");
+        let scenario = scenario.edited(|spec| (spec.name, spec.about) = (name, wild.to_owned())).expect("free texts");
+        let made = actions(&scenario, "road.xodr").expect("exports");
+        for xml in [&made.scenario, &made.road] {
+            let text = std::str::from_utf8(xml).expect("UTF-8");
+            let document = Document::parse(text).unwrap_or_else(|error| panic!("{error}: {text}"));
+            let values = document.descendants().flat_map(|node| node.attributes()).map(|one| one.value().to_owned());
+            assert!(values.into_iter().all(|value| !value.starts_with('$')), "a parameter: {text}");
+        }
+    }
+}
