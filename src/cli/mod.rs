@@ -13,6 +13,7 @@ mod fsck;
 mod import;
 mod interrupt;
 mod list;
+mod merge;
 mod output;
 mod progress;
 mod rare;
@@ -36,7 +37,7 @@ const EXIT_CODES: &str = "\
 Exit codes:
   0    done
   1    a gate did not hold: --expect was not met, a training diverged, no round of
-       a retraining was accepted, a certificate was rejected
+       a retraining was accepted, a certificate was rejected, shards are missing
   2    unusable arguments or input; the message names file, line and field
   3    the environment failed: disk, permission
   130  interrupted";
@@ -67,6 +68,7 @@ enum Command {
     Benchmark(benchmark::Measure),
     Verify(verify::Verify),
     Suite(suite::SuiteCommand),
+    Merge(merge::Merge),
     Fsck(fsck::Fsck),
     List(list::List),
 }
@@ -104,6 +106,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Benchmark(command) => command.run(quiet),
         Command::Verify(command) => command.run(quiet),
         Command::Suite(command) => command.run(quiet),
+        Command::Merge(command) => command.run(quiet),
         Command::Fsck(command) => command.run(),
         Command::List(command) => command.run(),
     };

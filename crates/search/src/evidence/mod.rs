@@ -11,7 +11,10 @@ mod paired;
 pub mod rare;
 mod rate;
 mod rate_folder;
+mod rate_merge;
+mod rate_shard;
 mod reach;
+mod record;
 mod rerun;
 mod starts;
 
@@ -20,9 +23,12 @@ pub use block::CountedBlock;
 pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use paired::Discordant;
-pub use rate::{InvalidRate, RateConfig, RateError, RatePlan, Tally};
+pub use rate::{InvalidRate, RateConfig, RateError, RatePlan};
 pub use rate_folder::{RateCount, RateFolderError};
+pub use rate_merge::{MergeError, MergedCount, SoFar};
+pub use rate_shard::{RateShard, SHARD_OF_A_COUNT};
 pub use reach::{BoxSpec, Doubts, InvalidBox, MOST_BOXES, Partition, RangesSpec, ReachPlan, Shares};
+pub use record::{CountRecord, Tally};
 pub use rerun::{Confirmation, Rerun, RerunError, Sample};
 
 use crumple_verify::{Certificate, Statement};
