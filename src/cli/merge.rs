@@ -1,19 +1,20 @@
 //! `crumple merge`: put the shards of work together that was divided over machines.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::simulate::Format;
-use super::{Failure, output, verify};
-use crumple_search::evidence::{MergeError, MergedCount, SHARD_OF_A_COUNT, SoFar};
-use crumple_search::shard::as_array;
-use crumple_search::work::{Found, find};
+use super::{Failure, output, rare, verify};
+use crumple_search::evidence::rare::{MergedEstimate, SHARD_OF_AN_ESTIMATE};
+use crumple_search::evidence::{MergedCount, SHARD_OF_A_COUNT, SoFar};
+use crumple_search::shard::{MergeError, as_array};
+use crumple_search::work::{Finished, Found, find};
 
 /// Put shards together that were made on several machines (see --shard)
 #[derive(Args)]
 #[command(after_long_help = "\
-Folders are those of `crumple verify rate --shard I/N`, in any order, at most 100 000. A shard may be given twice; shards of several N may be \
+Folders are those of `crumple verify rate --shard I/N`, with --rare or without, in any order, at most 100 000. A shard may be given twice; shards of several N may be \
 mixed as long as no run is counted twice. Refused with exit code 2: shards of other work, shards that overlap, shards whose \
 files are not as they were written, and two that state different results for the same shard.
 
@@ -45,34 +46,53 @@ const MOST_FOLDERS: usize = 100_000;
 /// Missing ranges that are printed.
 const MOST_RANGES: usize = 20;
 
+/// Shards of one work.
+enum Merged {
+    Count(MergedCount),
+    Estimate(MergedEstimate),
+}
+
+/// The shards so far, and one more.
+fn taken(merged: Option<Merged>, folder: &Path, found: &Finished) -> Result<Merged, Failure> {
+    match (merged, found.kind()) {
+        (None, SHARD_OF_A_COUNT) => Ok(Merged::Count(MergedCount::of(folder, found)?)),
+        (None, SHARD_OF_AN_ESTIMATE) => Ok(Merged::Estimate(MergedEstimate::of(folder, found)?)),
+        (Some(Merged::Count(mut merged)), SHARD_OF_A_COUNT) => {
+            merged.take(folder, found)?;
+            Ok(Merged::Count(merged))
+        }
+        (Some(Merged::Estimate(mut merged)), SHARD_OF_AN_ESTIMATE) => {
+            merged.take(folder, found)?;
+            Ok(Merged::Estimate(merged))
+        }
+        (None, kind) => Err(Failure::Input(format!("{}: a {kind}, and no shard that can be merged", folder.display()))),
+        (Some(_), kind) => {
+            Err(Failure::Input(format!("{}: a {kind}, which those before it are not", folder.display())))
+        }
+    }
+}
+
 impl Merge {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         if self.folders.len() > MOST_FOLDERS {
             return Err(Failure::Input(format!("{} folders: at most {MOST_FOLDERS} are read", self.folders.len())));
         }
-        let mut open = Vec::new();
-        let mut merged: Option<MergedCount> = None;
+        let (mut merged, mut open) = (None, Vec::new());
         for folder in &self.folders {
             match find(folder)? {
                 Found::Nothing => open.push(format!("{}: not begun", folder.display())),
                 Found::HalfDone(kind) => open.push(format!("{}: a {kind}, half done", folder.display())),
-                Found::Finished(found) if found.kind() == SHARD_OF_A_COUNT => match &mut merged {
-                    Some(merged) => merged.take(folder, &found)?,
-                    None => merged = Some(MergedCount::of(folder, &found)?),
-                },
-                Found::Finished(found) => {
-                    let kind = found.kind();
-                    return Err(Failure::Input(format!("{}: a {kind}, and no shard", folder.display())));
-                }
+                Found::Finished(found) => merged = Some(taken(merged, folder, &found)?),
             }
         }
         for folder in &open {
             output::note(folder, quiet);
         }
-        let Some(merged) = merged else {
-            return Err(Failure::Gate("none of these folders holds a finished shard".to_owned()));
-        };
-        self.count(&merged)
+        match merged {
+            None => Err(Failure::Gate("none of these folders holds a finished shard".to_owned())),
+            Some(Merged::Count(merged)) => self.count(&merged),
+            Some(Merged::Estimate(merged)) => rare::merge(&merged, &self.out, self.format),
+        }
     }
 
     fn count(&self, merged: &MergedCount) -> Result<(), Failure> {

@@ -15,6 +15,7 @@ mod interrupt;
 mod list;
 mod merge;
 mod output;
+mod plan;
 mod progress;
 mod rare;
 mod reach;
@@ -68,6 +69,7 @@ enum Command {
     Benchmark(benchmark::Measure),
     Verify(verify::Verify),
     Suite(suite::SuiteCommand),
+    Plan(Box<plan::Plan>),
     Merge(merge::Merge),
     Fsck(fsck::Fsck),
     List(list::List),
@@ -106,6 +108,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Benchmark(command) => command.run(quiet),
         Command::Verify(command) => command.run(quiet),
         Command::Suite(command) => command.run(quiet),
+        Command::Plan(command) => command.run(quiet),
         Command::Merge(command) => command.run(quiet),
         Command::Fsck(command) => command.run(),
         Command::List(command) => command.run(),

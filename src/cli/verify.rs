@@ -70,7 +70,7 @@ struct Rate {
     /// Space that runs are drawn from (see `crumple list spaces`), or a space file
     #[arg(long, value_name = "S", default_value = "paper", value_parser = subject::space)]
     space: (String, Space),
-    /// Number of runs, fixed beforehand: 1 to 100 000 000
+    /// Number of runs, fixed beforehand: 1 to 1 000 000 000
     #[arg(long, value_name = "N", required_unless_present = "rare")]
     runs: Option<u64>,
     /// Confidence of the claim: above 0.5 and below 1
@@ -94,9 +94,9 @@ struct Rate {
     /// What the vehicles under test look through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Make shard I of N only, N at most the number of blocks of runs (a thousand, or runs/100 if that is less); `crumple
-    /// merge` puts shards together, and certifies
-    #[arg(long, value_name = "I/N", conflicts_with = "rare")]
+    /// Make shard I of N only: a range of the blocks of runs (runs/100, at most 1000; of more than 100 000 000 runs 10 000), with
+    /// --rare of the repetitions; `crumple merge` puts shards together, and certifies
+    #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
     /// Where registration, progress and certificate go [default: crumple-rate; of a shard, crumple-rate-shard-I-of-N]
     #[arg(long, value_name = "DIR")]
@@ -132,7 +132,7 @@ impl Shield {
 impl Rate {
     fn run(self, quiet: bool) -> Result<(), Failure> {
         let Some(runs) = self.runs else { return self.estimate(quiet) };
-        let is_comparison = self.against.is_some();
+        let (is_comparison, out) = (self.against.is_some(), self.out_of());
         let plan = RatePlan::new(RateConfig {
             controllers: (self.controller, self.against),
             space: self.space.1,
@@ -142,11 +142,6 @@ impl Rate {
             confidence: self.confidence,
         })
         .map_err(Failure::input)?;
-        let out = match (&self.out, self.shard) {
-            (Some(out), _) => out.clone(),
-            (None, None) => PathBuf::from(OUT),
-            (None, Some(shard)) => PathBuf::from(format!("{OUT}-shard-{}-of-{}", shard.index(), shard.of())),
-        };
         output::note_beginning(self.resume, &out, quiet);
         let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
         let kept = format!("what is counted is kept in {}", out.display());
@@ -174,8 +169,8 @@ impl Rate {
 
     fn estimate(self, quiet: bool) -> Result<(), Failure> {
         let plan = RarePlan {
-            controller: self.controller,
-            space: self.space.1,
+            controller: self.controller.clone(),
+            space: self.space.1.clone(),
             estimator: self.estimator,
             seed: self.seed,
             effort: Effort {
@@ -183,13 +178,19 @@ impl Rate {
                 repetitions: self.repetitions.unwrap_or(20) as usize,
             },
         };
-        rare::estimate(
-            &plan,
-            self.out.as_deref().unwrap_or(Path::new(OUT)),
-            self.resume,
-            self.format.unwrap_or(Format::Text),
-            quiet,
-        )
+        if let Some(shard) = self.shard {
+            return rare::shard(&plan, shard, &self.out_of(), self.resume, quiet);
+        }
+        rare::estimate(&plan, &self.out_of(), self.resume, self.format.unwrap_or(Format::Text), quiet)
+    }
+
+    /// Where it goes.
+    fn out_of(&self) -> PathBuf {
+        match (&self.out, self.shard) {
+            (Some(out), _) => out.clone(),
+            (None, None) => PathBuf::from(OUT),
+            (None, Some(shard)) => PathBuf::from(format!("{OUT}-shard-{}-of-{}", shard.index(), shard.of())),
+        }
     }
 }
 

@@ -20,8 +20,12 @@ use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOpti
 const TOGETHER: u64 = 1000;
 /// A block of runs that has a hash is no shorter than this...
 const SHORTEST_BLOCK: u64 = 100;
-/// ... and there are no more than this.
+/// ... and there are no more than this, ...
 const MOST_BLOCKS: u64 = 1000;
+/// ... but for more runs than this, which no machine counts alone, ...
+const MANY_RUNS: u64 = 100_000_000;
+/// ... of which there are so many blocks, as many as a certificate may hold.
+const MANY_BLOCKS: u64 = crumple_verify::rate::MOST_BLOCKS;
 
 /// What is to be counted: one controller, or two on the same draws.
 pub struct RatePlan {
@@ -148,7 +152,8 @@ impl RatePlan {
                 configuration.insert(format!("{place}_policy_sha256"), policy.digest());
             }
         }
-        let block_runs = runs.div_ceil(MOST_BLOCKS).max(SHORTEST_BLOCK);
+        let blocks = if runs > MANY_RUNS { MANY_BLOCKS } else { MOST_BLOCKS };
+        let block_runs = runs.div_ceil(blocks).max(SHORTEST_BLOCK);
         let registration = Registration { configuration, runs, confidence, block_runs: Some(block_runs) };
         Ok(Self { drivers, space, seed, estimator, record: CountRecord { registration, space_text } })
     }

@@ -105,12 +105,7 @@ pub(super) struct CountedShard {
 impl CountedShard {
     /// Reads it, and checks whatever can be checked without the controllers.
     pub(super) fn read(found: &Finished) -> Result<Self, WorkError> {
-        let unreadable = |name: &'static str| {
-            move |error: serde_json::Error| {
-                let problem = format!("line {}, column {}: not as crumple writes it", error.line(), error.column());
-                found.damaged(name, problem)
-            }
-        };
+        let unreadable = |name: &'static str| move |error: serde_json::Error| found.unreadable(name, &error);
         let file: ShardFile = serde_json::from_str(&found.read_configuration(SHARD)?).map_err(unreadable(SHARD))?;
         let ShardFile { version, shard, count: record } = file;
         if version != VERSION {

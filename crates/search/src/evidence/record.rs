@@ -164,7 +164,7 @@ pub(super) fn length(range: &Range<u64>) -> u64 {
 pub(super) fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
     let (k, n) = (failures as f64, runs as f64);
     let quantile = Beta::new(k + 1.0, n - k).map_or(1.0, |beta| beta.inverse_cdf(confidence));
-    // The quantile is approximate: step up until the outward-rounded tail agrees.
+    // The quantile is approximate: step up until the outward-rounded tail agrees. That rounds more the more runs there are.
     let candidates = (0..40).map(|doubling| quantile * (1.0 + 1e-10 * f64::from(2_u32.pow(doubling.min(30)))));
     candidates
         .take_while(|rate| *rate > 0.0 && *rate < 1.0)

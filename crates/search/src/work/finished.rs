@@ -86,6 +86,12 @@ impl Finished {
         }
     }
 
+    /// The error about one of its files that is no JSON of the right form.
+    #[must_use]
+    pub fn unreadable(&self, name: &str, error: &serde_json::Error) -> WorkError {
+        self.damaged(name, format!("line {}, column {}: not as crumple writes it", error.line(), error.column()))
+    }
+
     /// An error about one of its files.
     #[must_use]
     pub fn damaged(&self, name: &str, problem: impl std::fmt::Display) -> WorkError {

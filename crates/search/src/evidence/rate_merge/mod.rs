@@ -4,7 +4,6 @@
 //! of a count by one machine, in order, and so are the sums, the bound and the certificate: there is nothing to be combined that could
 //! round. Memory grows with the number of blocks, of which there are at most ten thousand, and not with the number of runs.
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -14,69 +13,15 @@ use serde::Serialize;
 use super::rate_folder::RateFolderError;
 use super::rate_shard::CountedShard;
 use super::record::{CountRecord, Tally, length};
-use crate::shard::Shard;
-use crate::work::{Finished, WorkError};
-
-/// Why shards do not go together.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum MergeError {
-    /// A folder cannot be read, or something in it is damaged.
-    #[error(transparent)]
-    Work(#[from] WorkError),
-    /// A shard of something else.
-    #[error("{}: a shard of another count than {}: {field} differs", folder.display(), first.display())]
-    Foreign {
-        /// Its folder.
-        folder: PathBuf,
-        /// The folder that was taken first.
-        first: PathBuf,
-        /// In what they differ.
-        field: String,
-    },
-    /// Two divisions of the work that count some runs twice.
-    #[error("{}: shard {shard} counts runs that shard {other} in {} has counted", folder.display(), taken.display())]
-    Overlapping {
-        /// Its folder.
-        folder: PathBuf,
-        /// Which shard it is.
-        shard: Shard,
-        /// The folder of the other.
-        taken: PathBuf,
-        /// Which shard that is.
-        other: Shard,
-    },
-    /// The same shard twice, with different results: one of them is wrong.
-    #[error(
-        "{}: shard {shard} came to something else in {}: one of them was not made by this configuration and build",
-        folder.display(), taken.display()
-    )]
-    Contradicting {
-        /// Its folder.
-        folder: PathBuf,
-        /// Which shard it is.
-        shard: Shard,
-        /// The folder of the other.
-        taken: PathBuf,
-    },
-}
+use crate::shard::{MergeError, Parts};
+use crate::work::Finished;
 
 /// Shards of one count.
 #[derive(Debug)]
 pub struct MergedCount {
     record: CountRecord,
-    first: PathBuf,
-    /// By the first block of each.
-    parts: BTreeMap<u64, Part>,
-    duplicates: u64,
-}
-
-#[derive(Debug)]
-struct Part {
-    folder: PathBuf,
-    shard: Shard,
-    blocks: Range<u64>,
-    tally: Tally,
+    /// Of blocks.
+    parts: Parts<Tally>,
 }
 
 /// What shards come to, all of them or not.
@@ -116,9 +61,8 @@ impl MergedCount {
     /// [`MergeError`] if it cannot be read.
     pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
         let shard = CountedShard::read(found)?;
-        let mut merged =
-            Self { record: shard.record.clone(), first: folder.to_owned(), parts: BTreeMap::new(), duplicates: 0 };
-        merged.place(folder, shard)?;
+        let mut merged = Self { record: shard.record.clone(), parts: Parts::of(folder) };
+        merged.parts.place(folder, shard.shard, shard.blocks, shard.tally)?;
         Ok(merged)
     }
 
@@ -129,8 +73,8 @@ impl MergedCount {
     pub fn take(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
         let shard = CountedShard::read(found)?;
         match self.difference(&shard.record) {
-            Some(field) => Err(MergeError::Foreign { folder: folder.to_owned(), first: self.first.clone(), field }),
-            None => self.place(folder, shard),
+            Some(field) => Err(self.parts.foreign(folder, field)),
+            None => self.parts.place(folder, shard.shard, shard.blocks, shard.tally),
         }
     }
 
@@ -148,27 +92,6 @@ impl MergedCount {
         key.or_else(|| fields.iter().find(|(_, differs)| *differs).map(|(name, _)| (*name).to_owned()))
     }
 
-    fn place(&mut self, folder: &Path, counted: CountedShard) -> Result<(), MergeError> {
-        let CountedShard { shard, blocks, tally, .. } = counted;
-        let folder = folder.to_owned();
-        // Of those that begin before its end, the last; they do not overlap each other.
-        let before = self.parts.range(..blocks.end).next_back().map(|(_, part)| part);
-        match before.filter(|part| part.blocks.end > blocks.start) {
-            Some(same) if same.shard == shard && same.tally == tally => self.duplicates += 1,
-            Some(same) if same.shard == shard => {
-                return Err(MergeError::Contradicting { folder, shard, taken: same.folder.clone() });
-            }
-            Some(part) => {
-                let (taken, other) = (part.folder.clone(), part.shard);
-                return Err(MergeError::Overlapping { folder, shard, taken, other });
-            }
-            None => {
-                self.parts.insert(blocks.start, Part { folder, shard, blocks, tally });
-            }
-        }
-        Ok(())
-    }
-
     /// What was fixed before the first run.
     #[must_use]
     pub fn record(&self) -> &CountRecord {
@@ -177,14 +100,7 @@ impl MergedCount {
 
     /// Blocks that no shard has.
     fn missing(&self) -> Vec<Range<u64>> {
-        let (mut missing, mut end) = (Vec::new(), 0);
-        for part in self.parts.values() {
-            missing.push(end..part.blocks.start);
-            end = part.blocks.end;
-        }
-        missing.push(end..self.record.blocks());
-        missing.retain(|blocks| !blocks.is_empty());
-        missing
+        self.parts.missing(self.record.blocks())
     }
 
     /// Whether every run was counted.
@@ -196,11 +112,9 @@ impl MergedCount {
     /// What the shards come to.
     #[must_use]
     pub fn so_far(&self) -> SoFar {
-        let sum = |of: fn(&Tally) -> u64| self.parts.values().map(|part| of(&part.tally)).sum::<u64>();
+        let sum = |of: fn(&Tally) -> u64| self.parts.contents().map(of).sum::<u64>();
         let missing: Vec<Range<u64>> = self.missing().into_iter().map(|blocks| self.record.runs_of(blocks)).collect();
-        let numbers: Vec<u32> = self.parts.values().map(|part| part.shard.of()).collect();
-        let of_shards = numbers.first().copied().filter(|of| numbers.iter().all(|other| other == of));
-        let present: BTreeSet<u32> = self.parts.values().map(|part| part.shard.index()).collect();
+        let (of_shards, missing_shards) = self.parts.missing_shards();
         let open: u64 = missing.iter().map(length).sum();
         let failures = sum(|tally| tally.failures);
         let worst = failures.saturating_add(open);
@@ -211,11 +125,10 @@ impl MergedCount {
             failures,
             only_first_failed: sum(|tally| tally.only_first_failed),
             only_second_failed: sum(|tally| tally.only_second_failed),
-            shards: self.parts.len() as u64,
-            duplicates: self.duplicates,
+            shards: self.parts.shards(),
+            duplicates: self.parts.duplicates(),
             missing_runs: missing.iter().map(|runs| [runs.start, runs.end]).collect(),
-            missing_shards: of_shards
-                .map_or_else(Vec::new, |of| (1..=of).filter(|one| !present.contains(one)).collect()),
+            missing_shards,
             of_shards,
             rate_at_most: (!self.record.is_of_two()).then(|| self.record.rate_at_most(worst)),
         }
@@ -228,10 +141,8 @@ impl MergedCount {
             return None;
         }
         let mut tally = self.record.tally();
-        for part in self.parts.values() {
-            for (index, block) in (part.blocks.start..).zip(&part.tally.blocks) {
-                tally.add(length(&self.record.runs_of(index..index.saturating_add(1))), block.clone());
-            }
+        for (index, block) in (0..).zip(self.parts.contents().flat_map(|part| &part.blocks)) {
+            tally.add(length(&self.record.runs_of(index..index + 1)), block.clone());
         }
         Some(tally)
     }

@@ -3,17 +3,19 @@
 //! A shard is a pure function of what decides the whole work, of I and of N: whoever makes it, wherever and however often, makes the
 //! same. Its folder says all of that, so that parts can be put together again by somebody who knows nothing else.
 
+mod parts;
+
 use std::fmt;
 use std::ops::Range;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+pub use parts::MergeError;
+pub(crate) use parts::Parts;
+
 /// The most shards that work is divided into.
 pub const MOST_SHARDS: u32 = 10_000;
-
-/// The kind of a folder that holds a shard of other work, begins so.
-pub const SHARD_OF: &str = "shard of a ";
 
 /// Shard I of N, counted from 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
