@@ -93,10 +93,10 @@ def one_round(number, engine, crumple, runs, single, seconds, root):
     missing = sum(not finished(shards / str(shard)) for shard in range(1, SHARDS + 1))
     again = 0
     while True:
-        merged = subprocess.run(
-            [crumple, "--quiet", "merge", *map(str, shards.iterdir()), "--out=rate"], stdout=subprocess.DEVNULL
-        )
-        if merged.returncode != 1 or again == 10:
+        folders = [str(folder) for folder in shards.glob("*")]
+        random.shuffle(folders)
+        merged = subprocess.run([crumple, "--quiet", "merge", *folders, "--out=rate"], capture_output=True)
+        if (folders and merged.returncode != 1) or again == 10:
             break
         again += 1
         subprocess.run([sys.executable, job, "--local", "2"], env=environment, capture_output=True)

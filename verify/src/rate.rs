@@ -195,30 +195,36 @@ fn check_rare(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<()
 /// An upper bound of F(k; n, p) for 0 < p < 1, within about n · 4e-16 of it; 1 for more than [`MOST_RUNS`] runs.
 #[must_use]
 pub fn tail_at_most(failures: u64, runs: u64, rate: f64) -> f64 {
-    if failures >= runs || runs > MOST_RUNS {
-        return 1.0;
+    match runs {
+        0..=ONE_BY_ONE => tail(failures, runs, rate, &[(up(1.0 - rate), 1)]),
+        _ => tail_by_powers(failures, runs, rate),
     }
-    let q = up(1.0 - rate);
-    let damping = if runs > ONE_BY_ONE { power_above_half(q, runs - failures) } else { (q, 1) };
-    tail(failures, runs, rate, damping)
+}
+
+/// Another upper bound of the same, as near to it, in about k + log n steps instead of n.
+#[must_use]
+pub fn tail_by_powers(failures: u64, runs: u64, rate: f64) -> f64 {
+    let mut powers = vec![(up(1.0 - rate), 1)];
+    while let Some(&(power, exponent)) = powers.last()
+        && exponent <= runs
+        && power * power >= 0.5
+    {
+        powers.push((up(power * power), 2 * exponent));
+    }
+    tail(failures, runs, rate, &powers)
 }
 
 fn up(rounded: f64) -> f64 {
     rounded.next_up()
 }
 
-/// An upper bound of a power of q that is not much below one half, and which power it is: at most `most`.
-fn power_above_half(q: f64, most: u64) -> (f64, u64) {
-    let (mut power, mut exponent) = (q, 1);
-    while exponent <= most / 2 && power * power >= 0.5 {
-        (power, exponent) = (up(power * power), 2 * exponent);
-    }
-    (power, exponent)
-}
-
-/// The tail, with a power of q (an upper bound of it, and the exponent) for as many factors as it is of.
-fn tail(failures: u64, runs: u64, rate: f64, (power, exponent): (f64, u64)) -> f64 {
+/// The tail. Of q = 1 - p, upper bounds of powers are given, each with its exponent, in order, the first of which is q itself: none but
+/// the first is small, so that the product does not vanish.
+fn tail(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
     let (k, n) = (failures, runs);
+    if k >= n || n > MOST_RUNS {
+        return 1.0;
+    }
     let q = up(1.0 - rate);
     // The last term, C(n, k) pᵏ qⁿ⁻ᵏ, by k factors p (n - k + i)/i and n - k factors q. A large factor is taken whenever the
     // product is below one and a small one otherwise, so that it neither overflows nor vanishes before its time.
@@ -228,13 +234,18 @@ fn tail(failures: u64, runs: u64, rate: f64, (power, exponent): (f64, u64)) -> f
         if taken < k && (term < 1.0 || damped == n - k) {
             taken += 1;
             term = up(term * up(up(rate * (n - k + taken) as f64) / taken as f64));
-        } else if n - k - damped >= exponent {
-            damped += exponent;
-            term = up(term * power);
-        } else {
-            damped += 1;
-            term = up(term * q);
+            continue;
         }
+        // What is left to be damped only becomes less.
+        while let [rest @ .., (_, exponent)] = powers
+            && *exponent > n - k - damped
+            && !rest.is_empty()
+        {
+            powers = rest;
+        }
+        let (power, exponent) = powers.last().copied().unwrap_or((q, 1));
+        damped += exponent;
+        term = up(term * power);
     }
     // The terms before it, each from the next: C(n, i-1)/C(n, i) = i/(n - i + 1).
     let odds = up(q / rate);
@@ -256,8 +267,8 @@ mod tests {
         for (failures, runs, rate) in
             [(0, 300_000, 3e-5), (7, 300_000, 5e-5), (900, 300_000, 3.2e-3), (1, 1000, 1e-7), (140_000, 300_000, 0.47)]
         {
-            let one_by_one = tail(failures, runs, rate, (up(1.0 - rate), 1));
-            let together = tail(failures, runs, rate, power_above_half(up(1.0 - rate), runs - failures));
+            let one_by_one = tail_at_most(failures, runs, rate);
+            let together = tail_by_powers(failures, runs, rate);
             assert!((together / one_by_one - 1.0).abs() < 2e-10, "{failures} {runs} {rate}: {together} {one_by_one}");
         }
         // q^n for q = 1 - 2^-27 and n = 2^29, which is exp(-4) to within 2e-8.

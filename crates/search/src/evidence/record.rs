@@ -164,12 +164,29 @@ pub(super) fn length(range: &Range<u64>) -> u64 {
 pub(super) fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
     let (k, n) = (failures as f64, runs as f64);
     let quantile = Beta::new(k + 1.0, n - k).map_or(1.0, |beta| beta.inverse_cdf(confidence));
-    // The quantile is approximate: step up until the outward-rounded tail agrees. That rounds more the more runs there are.
+    let suffices = |rate: &f64| tail_at_most(failures, runs, *rate) <= 1.0 - confidence;
+    if runs > FEW_RUNS {
+        return bisected(quantile, suffices);
+    }
+    // The quantile is approximate: step up until the outward-rounded tail agrees.
     let candidates = (0..40).map(|doubling| quantile * (1.0 + 1e-10 * f64::from(2_u32.pow(doubling.min(30)))));
-    candidates
-        .take_while(|rate| *rate > 0.0 && *rate < 1.0)
-        .find(|&rate| tail_at_most(failures, runs, rate) <= 1.0 - confidence)
-        .unwrap_or(1.0)
+    candidates.take_while(|rate| *rate > 0.0 && *rate < 1.0).find(suffices).unwrap_or(1.0)
+}
+
+/// For more runs than this the quantile has few digits, and the tail is quick.
+const FEW_RUNS: u64 = 100_000_000;
+
+/// The smallest rate that suffices, to nine digits, from one that is near it; 1 if none is found.
+fn bisected(near: f64, suffices: impl Fn(&f64) -> bool) -> f64 {
+    let widths = (0..20).map(|doubling| 1e-3 * f64::from(2_u32.pow(doubling)));
+    let high = widths.map(|width| near * (1.0 + width)).take_while(|rate| *rate > 0.0 && *rate < 1.0).find(&suffices);
+    let Some(mut high) = high else { return 1.0 };
+    let mut low = 0.99 * near.min(high);
+    while high - low > 1e-9 * high {
+        let middle = low + 0.5 * (high - low);
+        if suffices(&middle) { high = middle } else { low = middle }
+    }
+    high
 }
 
 #[cfg(test)]
@@ -188,5 +205,13 @@ mod tests {
         assert!(upper_bound(0, 138_149, 1.0 - 1e-6) <= 1e-4);
         assert!(upper_bound(0, 138_148, 1.0 - 1e-6) > 1e-4);
         assert_eq!(upper_bound(10, 10, 0.99), 1.0);
+        for (failures, confidence) in [(0, 0.999), (3, 0.99), (2000, 0.9)] {
+            let bound = upper_bound(failures, 700_000_000, confidence);
+            assert!(tail_at_most(failures, 700_000_000, bound) <= 1.0 - confidence);
+            assert!(tail_at_most(failures, 700_000_000, bound * (1.0 - 1e-8)) > 1.0 - confidence, "{failures} {bound}");
+        }
+        // 1 - (1 - γ)^(1/n), within what the tail rounds.
+        let (bound, exact) = (upper_bound(0, 700_000_000, 0.999), -(0.001_f64.ln() / 7e8).exp_m1());
+        assert!(bound >= exact && bound < exact * (1.0 + 1e-7), "{bound} {exact}");
     }
 }

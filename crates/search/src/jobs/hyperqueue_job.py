@@ -33,7 +33,7 @@ def main():
     with ExitStack() as stack:
         if arguments.local:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="crumple-hyperqueue-"))
-            cluster = stack.enter_context(LocalCluster(Path(folder), WorkerConfig(cores=arguments.local)))
+            cluster = stack.enter_context(LocalCluster(folder, WorkerConfig(cores=arguments.local)))
             client = cluster.client()
         else:
             client = Client(arguments.server_dir)

@@ -49,7 +49,8 @@ fn shards_of_an_estimate_come_to_the_estimate_of_one_machine() {
     let mut complete = 0;
     for _ in 0..20 {
         let of = random.random_range(1..=7);
-        let mut folders: Vec<PathBuf> = (1..=of).filter(|_| random.random_bool(0.9)).map(|index| made(index, of)).collect();
+        let mut folders: Vec<PathBuf> =
+            (1..=of).filter(|_| random.random_bool(0.9)).map(|index| made(index, of)).collect();
         folders.extend(folders.first().cloned());
         let Some(first) = folders.first().cloned() else { continue };
         let is_whole = folders.len() as u32 == of + 1;

@@ -7,6 +7,7 @@ use rand::{Rng, RngExt};
 use super::*;
 use crate::evidence::rate_shard::SHARD;
 use crate::evidence::{RateConfig, RatePlan, SHARD_OF_A_COUNT};
+use crate::shard::Shard;
 use crate::work::{Found, find};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
