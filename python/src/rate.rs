@@ -47,9 +47,8 @@ pub(crate) fn rate<'py>(
     .map_err(|error| wrong(&error))?;
     let (counted, tally) = watched(py, &stop, progress.as_ref(), |say| {
         let mut count = plan.register_in(&folder, resume)?;
-        let counted = count.certificate_until(&mut |tally: &Tally| {
-            let failures = tally.failures + tally.only_first_failed + tally.only_second_failed;
-            say((tally.runs, runs, failures));
+        let counted = count.certificate_until(&mut |done, failed| {
+            say((done, runs, failed));
             if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         let tally = count.tally().clone();

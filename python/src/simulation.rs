@@ -31,6 +31,7 @@ pub(crate) struct Track {
     position_m: Py<PyArray1<f64>>,
     speed_mps: Py<PyArray1<f64>>,
     acceleration_mps2: Py<PyArray1<f64>>,
+    in_lane_s: [f64; 2],
 }
 
 /// The motion of all vehicles of a run.
@@ -51,6 +52,7 @@ impl Trace {
                 position_m: array(track.position_m),
                 speed_mps: array(track.speed_mps),
                 acceleration_mps2: array(track.acceleration_mps2),
+                in_lane_s: track.in_lane_s,
             };
             Py::new(py, track)
         };
@@ -71,6 +73,7 @@ impl Trace {
                 position_m: samples(&track.position_m)?,
                 speed_mps: samples(&track.speed_mps)?,
                 acceleration_mps2: samples(&track.acceleration_mps2)?,
+                in_lane_s: track.in_lane_s,
             })
         };
         let vehicles = self.vehicles.iter().map(track).collect::<PyResult<_>>()?;

@@ -18,11 +18,10 @@ pub(crate) fn stream(trace: &Trace) -> Result<FFI_ArrowArrayStream, ArrowError> 
         let value = |(sample, vehicle): (usize, usize)| trace.vehicles.get(vehicle).map(|track| at(of(track), sample));
         Arc::new(Float64Array::from_iter_values(rows().map(|row| value(row).unwrap_or(f64::NAN))))
     };
-    let gaps_m: Vec<Option<Vec<f64>>> =
-        (0..vehicles).map(|rear| trace.pair(rear).map(|pair| pair.gaps_m().collect())).collect();
+    let gaps_m: Vec<Vec<Option<f64>>> = (0..vehicles).map(|rear| trace.gaps_m(rear)).collect();
     let mut gap_m = Float64Builder::with_capacity(samples * vehicles);
     for (sample, vehicle) in rows() {
-        gap_m.append_option(gaps_m.get(vehicle).and_then(Option::as_ref).map(|gaps_m| at(gaps_m, sample)));
+        gap_m.append_option(gaps_m.get(vehicle).and_then(|gaps_m| gaps_m.get(sample).copied().flatten()));
     }
     let columns: [(&str, ArrayRef); 6] = [
         ("time_s", Arc::new(Float64Array::from_iter_values(rows().map(|(sample, _)| at(&trace.time_s, sample))))),

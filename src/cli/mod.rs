@@ -14,7 +14,9 @@ mod fsck;
 mod import;
 mod interrupt;
 mod list;
+mod merge;
 mod output;
+mod plan;
 mod progress;
 mod rare;
 mod reach;
@@ -38,7 +40,7 @@ const EXIT_CODES: &str = "\
 Exit codes:
   0    done
   1    a gate did not hold: --expect was not met, a training diverged, no round of
-       a retraining was accepted, a certificate was rejected
+       a retraining was accepted, a certificate was rejected, shards are missing
   2    unusable arguments or input; the message names file, line and field
   3    the environment failed: disk, permission
   130  interrupted";
@@ -70,6 +72,8 @@ enum Command {
     Benchmark(benchmark::Measure),
     Verify(verify::Verify),
     Suite(suite::SuiteCommand),
+    Plan(Box<plan::Plan>),
+    Merge(merge::Merge),
     Fsck(fsck::Fsck),
     List(list::List),
 }
@@ -108,6 +112,8 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Benchmark(command) => command.run(quiet),
         Command::Verify(command) => command.run(quiet),
         Command::Suite(command) => command.run(quiet),
+        Command::Plan(command) => command.run(quiet),
+        Command::Merge(command) => command.run(quiet),
         Command::Fsck(command) => command.run(),
         Command::List(command) => command.run(),
     };

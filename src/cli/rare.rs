@@ -5,7 +5,8 @@ use std::path::Path;
 
 use super::simulate::Format;
 use super::{Failure, interrupt, output, progress};
-use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, RareError, RarePlan, RareReport};
+use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, MergedEstimate, RareError, RarePlan, RareReport};
+use crumple_search::shard::{Shard, as_array};
 
 /// Estimates, writes the estimate to `folder` and prints it; of one that is there, and with `resume`, prints it.
 pub(super) fn estimate(
@@ -35,6 +36,40 @@ pub(super) fn estimate(
             output::note(&format!("wrote {}", folder.path().display()), quiet);
             report
         }
+    };
+    output::print(&match format {
+        Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
+        Format::Text => text(&report),
+    })
+}
+
+/// Makes a shard of an estimate, in `folder`, unless it is there.
+pub(super) fn shard(plan: &RarePlan, shard: Shard, folder: &Path, resume: bool, quiet: bool) -> Result<(), Failure> {
+    let part = plan.shard_in_folder(shard, folder, resume)?;
+    if !part.is_complete() {
+        interrupt::says(
+            "nothing of a shard is kept halfway: the same command with --resume begins it anew".to_owned(),
+            quiet,
+        );
+        let bar = progress::counter("placing levels", quiet);
+        let pilot = plan.pilot(&|runs| bar.inc(runs));
+        bar.finish_and_clear();
+        let bar = progress::counter("climbing", quiet);
+        let repeated = part.repeat(&pilot?, &|runs| bar.inc(runs));
+        bar.finish_and_clear();
+        repeated?;
+    }
+    let said = "`crumple merge` puts it together with the others";
+    output::print(&format!("{}: shard {shard}; {said}\n", folder.display()))
+}
+
+/// Puts shards of an estimate together, and prints the estimate.
+pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: Format) -> Result<(), Failure> {
+    let Some((_, report)) = merged.write_in(folder)? else {
+        let (of, missing) = merged.missing_shards();
+        let which = of.map_or_else(String::new, |of| format!(", shards {} of {of}", as_array(&missing)));
+        let repetitions = merged.missing();
+        return Err(Failure::Gate(format!("{repetitions} repetitions are missing{which}, and nothing is written")));
     };
     output::print(&match format {
         Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",

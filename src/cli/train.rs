@@ -13,6 +13,7 @@ use crumple_learn::rl::{
     finished_trainings, seed_folder, side_by_side,
 };
 use crumple_search::disk::{self, Files};
+use crumple_search::shard::Shard;
 use crumple_search::work;
 
 /// Train a driving policy by reinforcement learning
@@ -42,6 +43,7 @@ is better than the untrained network, is said to: it leaves no policy of the unt
 Examples:
   crumple train --seed 7
   crumple train --seeds 30 --out runs/fast
+  crumple train --seeds 30 --shard 2/3 --out runs/fast-2
   crumple train --preset road --space traffic=0.5 --space high-risk=0.3 --space wet.toml=0.2
   crumple simulate paper-1 --controller runs/fast/seed-3/policy.safetensors")]
 pub(super) struct Train {
@@ -58,6 +60,9 @@ pub(super) struct Train {
     /// Train seeds 0 to N - 1: 1 to 100 000
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: Option<u64>,
+    /// Of these seeds, train shard I of N only, N at most their number: their `seed-N` folders, copied into one --out, are those of all
+    #[arg(long, value_name = "I/N", requires = "seeds")]
+    shard: Option<Shard>,
     /// Folder for policies, logs and checkpoints; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "crumple-training")]
     out: PathBuf,
@@ -89,9 +94,10 @@ struct TrainingResult<'a> {
 impl Train {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let config = self.config()?;
-        let seeds: Vec<u64> = match self.seeds {
-            Some(count) => (0..count).collect(),
-            None => vec![self.seed.unwrap_or(0)],
+        let seeds: Vec<u64> = match (self.seeds, self.shard) {
+            (Some(count), Some(shard)) => shard.range(count, "seeds").map_err(Failure::input)?.collect(),
+            (Some(count), None) => (0..count).collect(),
+            (None, _) => vec![self.seed.unwrap_or(0)],
         };
         let folder = |seed: &u64| seed_folder(&self.out, *seed);
         if let Some(taken) = seeds.iter().map(folder).find(|folder| !self.resume && folder.exists()) {

@@ -11,6 +11,7 @@ use super::simulate::Format;
 use super::{Failure, choice, interrupt, progress, rare, reach, subject};
 use crumple_search::evidence::rare::{Effort, RarePlan};
 use crumple_search::evidence::{RateConfig, RateFolderError, RatePlan, Tally, shipped_kernels};
+use crumple_search::shard::Shard;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::Space;
 use crumple_world::sim::NamedController;
@@ -57,6 +58,7 @@ says so. Nothing of it is kept halfway.
 
 Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
+  crumple verify rate --controller policy --runs 1000000 --shard 3/8 --out shards/3
   crumple verify rate --controller policy --space high-risk --rare")]
 struct Rate {
     /// Controller of the vehicles under test (see `crumple list controllers`), or the file of one
@@ -68,7 +70,7 @@ struct Rate {
     /// Space that runs are drawn from (see `crumple list spaces`), or a space file
     #[arg(long, value_name = "S", default_value = "paper", value_parser = subject::space)]
     space: (String, Space),
-    /// Number of runs, fixed beforehand: 1 to 100 000 000
+    /// Number of runs, fixed beforehand: 1 to 1 000 000 000
     #[arg(long, value_name = "N", required_unless_present = "rare")]
     runs: Option<u64>,
     /// Confidence of the claim: above 0.5 and below 1
@@ -92,9 +94,13 @@ struct Rate {
     /// What the vehicles under test look through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Where registration, progress and certificate go
-    #[arg(long, value_name = "DIR", default_value = "crumple-rate")]
-    out: PathBuf,
+    /// Make shard I of N only: a range of the blocks of runs (runs/100, at most 1000; of more than 100 000 000 runs 10 000), with
+    /// --rare of the repetitions; `crumple merge` puts shards together, and certifies
+    #[arg(long, value_name = "I/N")]
+    shard: Option<Shard>,
+    /// Where registration, progress and certificate go [default: crumple-rate; of a shard, crumple-rate-shard-I-of-N]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// Go on with an interrupted count; with --rare, print the estimate that is there
     #[arg(long)]
     resume: bool,
@@ -126,7 +132,7 @@ impl Shield {
 impl Rate {
     fn run(self, quiet: bool) -> Result<(), Failure> {
         let Some(runs) = self.runs else { return self.estimate(quiet) };
-        let is_comparison = self.against.is_some();
+        let (is_comparison, out) = (self.against.is_some(), self.out_of());
         let plan = RatePlan::new(RateConfig {
             controllers: (self.controller, self.against),
             space: self.space.1,
@@ -136,28 +142,35 @@ impl Rate {
             confidence: self.confidence,
         })
         .map_err(Failure::input)?;
-        output::note_beginning(self.resume, &self.out, quiet);
-        let mut count = plan.register_in(&self.out, self.resume)?;
-        output::note(&format!("registered as {}", plan.registration().digest()), quiet);
-        let kept = format!("what is counted is kept in {}", self.out.display());
-        interrupt::says(format!("{kept}: the same command with --resume goes on"), quiet);
+        output::note_beginning(self.resume, &out, quiet);
+        let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
+        let kept = format!("what is counted is kept in {}", out.display());
+        let go_on = || interrupt::says(format!("{kept}: the same command with --resume goes on"), quiet);
+        if let Some(shard) = self.shard {
+            let mut part = plan.register_shard_in(shard, &out, self.resume)?;
+            registered();
+            go_on();
+            let bar = progress::bar("counting", part.runs(), quiet);
+            let done = part.count(&mut |done| bar.set_position(done));
+            bar.finish_and_clear();
+            done?;
+            let said = format!("{}: shard {shard}; `crumple merge` puts it together with the others\n", out.display());
+            return output::print(&format!("{}{said}", counted(is_comparison, part.tally())));
+        }
+        let mut count = plan.register_in(&out, self.resume)?;
+        registered();
+        go_on();
         let bar = progress::bar("counting", runs, quiet);
         let certificate = count.certificate(&mut |done| bar.set_position(done));
         bar.finish_and_clear();
         let said = judged(&count.certificate_path(), &certificate?)?;
-        let Tally { runs, failures, only_first_failed, only_second_failed, .. } = count.tally();
-        let counts = if is_comparison {
-            format!("{only_first_failed} runs in which only the first failed, {only_second_failed} only the second")
-        } else {
-            format!("{failures} failures")
-        };
-        output::print(&format!("{counts}, of {runs} runs\n{said}"))
+        output::print(&format!("{}{said}", counted(is_comparison, count.tally())))
     }
 
     fn estimate(self, quiet: bool) -> Result<(), Failure> {
         let plan = RarePlan {
-            controller: self.controller,
-            space: self.space.1,
+            controller: self.controller.clone(),
+            space: self.space.1.clone(),
             estimator: self.estimator,
             seed: self.seed,
             effort: Effort {
@@ -165,12 +178,38 @@ impl Rate {
                 repetitions: self.repetitions.unwrap_or(20) as usize,
             },
         };
-        rare::estimate(&plan, &self.out, self.resume, self.format.unwrap_or(Format::Text), quiet)
+        if let Some(shard) = self.shard {
+            return rare::shard(&plan, shard, &self.out_of(), self.resume, quiet);
+        }
+        rare::estimate(&plan, &self.out_of(), self.resume, self.format.unwrap_or(Format::Text), quiet)
+    }
+
+    /// Where it goes.
+    fn out_of(&self) -> PathBuf {
+        match (&self.out, self.shard) {
+            (Some(out), _) => out.clone(),
+            (None, None) => PathBuf::from(OUT),
+            (None, Some(shard)) => PathBuf::from(format!("{OUT}-shard-{}-of-{}", shard.index(), shard.of())),
+        }
     }
 }
 
+/// Where a count goes by default.
+const OUT: &str = "crumple-rate";
+
+/// What was counted, in a line.
+pub(super) fn counted(is_comparison: bool, tally: &Tally) -> String {
+    let Tally { runs, failures, only_first_failed, only_second_failed, .. } = tally;
+    let counts = if is_comparison {
+        format!("{only_first_failed} runs in which only the first failed, {only_second_failed} only the second")
+    } else {
+        format!("{failures} failures")
+    };
+    format!("{counts}, of {runs} runs\n")
+}
+
 /// What the checker says of a certificate that goes to `path`.
-fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
+pub(super) fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
     let name = path.display();
     match check(certificate) {
         Ok(accepted) => Ok(format!("{name}: accepted: {accepted}\n")),

@@ -296,13 +296,10 @@ fn own_suites_cut_in_and_out() {
         assert!(test.controllers[0].verdict.is_passed(), "{}", test.name);
         assert!(test.controllers[1].verdict.is_failure() && test.controllers[1].passed == 0, "{}", test.name);
     }
-    let held_back = run(&suite, &[named("constant-brake")], EstimatorKind::Truth);
-    let held_back =
-        held_back.unwrap().tests().flat_map(|(_, test)| test.controllers.clone()).map(|tested| tested.verdict);
-    assert!(
-        held_back.into_iter().all(|verdict| matches!(verdict, TestVerdict::Refused { .. })),
-        "nobody cuts in before it"
-    );
+    let held_back = run(&suite, &[named("constant-brake")], EstimatorKind::Truth).unwrap();
+    for (_, test) in held_back.tests() {
+        assert!(matches!(test.controllers[0].verdict, TestVerdict::Refused { .. }), "it never comes to {}", test.name);
+    }
 }
 
 #[test]

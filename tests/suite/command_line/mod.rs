@@ -7,6 +7,7 @@ pub(crate) mod falsify;
 mod outputs;
 mod reports;
 mod retrain;
+mod shards;
 mod train;
 mod verify;
 mod worst_case;

@@ -7,7 +7,7 @@
 mod columnar;
 pub mod openscenario;
 
-use crumple_world::sim::{Pair, Trace};
+use crumple_world::sim::Trace;
 
 #[cfg(feature = "parquet")]
 pub use columnar::parquet;
@@ -37,14 +37,7 @@ struct Row {
 }
 
 fn rows(trace: &Trace) -> Vec<Row> {
-    let gaps_m = |rear| {
-        let mut gaps_m = vec![None; trace.len()];
-        for (sample, gap_m) in trace.pairs(rear).iter().flat_map(Pair::gaps_m) {
-            gaps_m[sample] = Some(gap_m);
-        }
-        gaps_m
-    };
-    let gaps_m: Vec<Vec<Option<f64>>> = (0..trace.vehicles.len()).map(gaps_m).collect();
+    let gaps_m: Vec<Vec<Option<f64>>> = (0..trace.vehicles.len()).map(|rear| trace.gaps_m(rear)).collect();
     let mut rows = Vec::with_capacity(trace.len() * trace.vehicles.len());
     for (sample, &time_s) in trace.time_s.iter().enumerate() {
         for (vehicle, (track, gaps_m)) in trace.vehicles.iter().zip(&gaps_m).enumerate() {

@@ -3,14 +3,13 @@
 use std::collections::BTreeMap;
 use std::ops::{ControlFlow, Range};
 
-use crumple_verify::rate::{MOST_RUNS, tail_at_most};
-use crumple_verify::{Certificate, Comparison, Rate, Registration, Statement};
+use crumple_verify::rate::MOST_RUNS;
+use crumple_verify::{Certificate, Registration};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-use statrs::distribution::{Beta, ContinuousCDF};
 
 use super::block::{CountedBlock, Ending};
-use crate::worst_case::certificate_about;
+use super::record::{CountRecord, Tally, length};
+use crate::shard::{Shard, TooManyShards};
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
@@ -21,19 +20,20 @@ use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOpti
 const TOGETHER: u64 = 1000;
 /// A block of runs that has a hash is no shorter than this...
 const SHORTEST_BLOCK: u64 = 100;
-/// ... and there are no more than this.
+/// ... and there are no more than this, ...
 const MOST_BLOCKS: u64 = 1000;
+/// ... but for more runs than this, which no machine counts alone, ...
+const MANY_RUNS: u64 = 100_000_000;
+/// ... of which there are so many blocks, as many as a certificate may hold.
+const MANY_BLOCKS: u64 = crumple_verify::rate::MOST_BLOCKS;
 
 /// What is to be counted: one controller, or two on the same draws.
 pub struct RatePlan {
     drivers: Vec<NamedController>,
     space: Space,
-    /// The space as a file.
-    space_text: String,
     seed: u64,
     estimator: EstimatorKind,
-    registration: Registration,
-    block_runs: u64,
+    record: CountRecord,
 }
 
 /// What a plan is made of.
@@ -113,24 +113,6 @@ pub enum RateError {
     BrokenOff,
 }
 
-/// What has been counted so far. A run fails if vehicles touch, or if its controller fails.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Tally {
-    /// Digest of the registration this belongs to.
-    pub registration_sha256: String,
-    /// Runs made.
-    pub runs: u64,
-    /// Runs in which the controller failed; of two, both.
-    pub failures: u64,
-    /// Of two controllers: runs in which only the first failed.
-    pub only_first_failed: u64,
-    /// Runs in which only the second failed.
-    pub only_second_failed: u64,
-    /// The blocks that these runs make, in order.
-    pub blocks: Vec<CountedBlock>,
-}
-
 impl RatePlan {
     /// Fixes what is to be counted.
     ///
@@ -173,21 +155,28 @@ impl RatePlan {
                 configuration.insert(format!("{place}_policy_sha256"), policy.digest());
             }
         }
-        let block_runs = runs.div_ceil(MOST_BLOCKS).max(SHORTEST_BLOCK);
+        let blocks = if runs > MANY_RUNS { MANY_BLOCKS } else { MOST_BLOCKS };
+        let block_runs = runs.div_ceil(blocks).max(SHORTEST_BLOCK);
         let registration = Registration { configuration, runs, confidence, block_runs: Some(block_runs) };
-        Ok(Self { drivers, space, space_text, seed, estimator, registration, block_runs })
+        Ok(Self { drivers, space, seed, estimator, record: CountRecord { registration, space_text } })
     }
 
     /// What must be on record before the first run.
     #[must_use]
     pub fn registration(&self) -> &Registration {
-        &self.registration
+        self.record.registration()
+    }
+
+    /// The same, with the space: what is said of a count wherever it is made.
+    #[must_use]
+    pub fn record(&self) -> &CountRecord {
+        &self.record
     }
 
     /// Nothing counted yet.
     #[must_use]
     pub fn tally(&self) -> Tally {
-        Tally { registration_sha256: self.registration.digest(), ..Tally::default() }
+        self.record.tally()
     }
 
     /// Makes the next runs, some blocks of them, and adds them to `tally`; nothing once all are made.
@@ -195,43 +184,36 @@ impl RatePlan {
     /// # Errors
     /// [`RateError`] names the draw that could not be run; `tally` is then as it was.
     pub fn count_block(&self, tally: &mut Tally) -> Result<(), RateError> {
-        self.count_block_until(tally, &mut || ControlFlow::Continue(()))
+        self.count_next(&(0..self.blocks()), tally, &mut || ControlFlow::Continue(()))
     }
 
-    /// The same as long as `go_on` says so, which is asked after every thousand runs. Who ends it may have ended runs halfway: what came
-    /// of these does not count.
+    /// The same for a tally of some blocks that follow each other, as long as `go_on` says so, which is asked after every thousand runs.
+    /// Who ends it may have ended runs halfway: what came of these does not count.
     ///
     /// # Errors
     /// As [`Self::count_block`], and [`RateError::BrokenOff`]; `tally` is then as it was.
-    pub fn count_block_until(
+    pub(super) fn count_next(
         &self,
+        part: &Range<u64>,
         tally: &mut Tally,
         go_on: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<(), RateError> {
-        let together = self.block_runs * (TOGETHER / self.block_runs).max(1);
-        let end = (tally.runs + together).min(self.registration.runs);
-        let counted = self.count(tally.runs..end, go_on)?;
-        tally.runs = end;
-        for block in counted {
-            tally.failures += block.failures;
-            tally.only_first_failed += block.only_first_failed;
-            tally.only_second_failed += block.only_second_failed;
-            tally.blocks.push(block);
+        let first = part.start + tally.blocks.len() as u64;
+        let together = (TOGETHER / self.record.block_runs()).max(1);
+        let blocks = first..first.saturating_add(together).min(part.end);
+        let counted = self.count(self.record.runs_of(blocks.clone()), go_on)?;
+        for (index, block) in blocks.zip(counted) {
+            tally.add(length(&self.runs_of(index)), block);
         }
         Ok(())
     }
 
-    /// Whether what was counted before is whole blocks that add up.
-    #[must_use]
-    pub(super) fn is_sound(&self, tally: &Tally) -> bool {
-        let sum = |of: fn(&CountedBlock) -> u64| tally.blocks.iter().map(of).fold(0, u64::saturating_add);
-        let whole = tally.runs == self.registration.runs || tally.runs.is_multiple_of(self.block_runs);
-        whole
-            && tally.runs <= self.registration.runs
-            && tally.blocks.len() as u64 == tally.runs.div_ceil(self.block_runs)
-            && sum(|block| block.failures) == tally.failures
-            && sum(|block| block.only_first_failed) == tally.only_first_failed
-            && sum(|block| block.only_second_failed) == tally.only_second_failed
+    /// The blocks that a shard counts.
+    ///
+    /// # Errors
+    /// [`TooManyShards`] if there are fewer blocks than shards.
+    pub fn blocks_of(&self, shard: Shard) -> Result<Range<u64>, TooManyShards> {
+        shard.range(self.blocks(), "blocks of runs")
     }
 
     /// Whether it is of one controller.
@@ -242,14 +224,13 @@ impl RatePlan {
     /// How many blocks there are.
     #[must_use]
     pub fn blocks(&self) -> u64 {
-        self.registration.runs.div_ceil(self.block_runs)
+        self.record.blocks()
     }
 
     /// The runs of a block.
     #[must_use]
     pub fn runs_of(&self, block: u64) -> Range<u64> {
-        let at = |block: u64| block.saturating_mul(self.block_runs).min(self.registration.runs);
-        at(block)..at(block.saturating_add(1))
+        self.record.runs_of(block..block.saturating_add(1))
     }
 
     /// Makes the runs of a block, whatever was made before.
@@ -276,9 +257,9 @@ impl RatePlan {
                 return Err(RateError::BrokenOff);
             }
         }
-        let registered = self.registration.digest();
+        let registered = self.registration().digest();
         let places: Vec<usize> = (0..indices.len()).collect();
-        let counted = places.chunks(self.block_runs as usize).map(|places| {
+        let counted = places.chunks(self.record.block_runs() as usize).map(|places| {
             let first = places.first().and_then(|&place| indices.get(place)).copied().unwrap_or_default();
             let of_run = |&place: &usize| endings.iter().filter_map(|of| of.get(place)).collect::<Vec<&Ending>>();
             CountedBlock::of(&registered, first, places.iter().map(of_run))
@@ -304,40 +285,8 @@ impl RatePlan {
     /// What a full tally shows. For one controller the lowest rate that is accepted, to nine digits.
     #[must_use]
     pub fn certificate(&self, tally: &Tally) -> Certificate {
-        let registration = self.registration.clone();
-        let registration_sha256 = registration.digest();
-        let statement = if self.drivers.len() == 2 {
-            Statement::Comparison(Comparison {
-                registration,
-                registration_sha256,
-                only_first_failed: tally.only_first_failed,
-                only_second_failed: tally.only_second_failed,
-                blocks: tally
-                    .blocks
-                    .iter()
-                    .map(|block| ([block.only_first_failed, block.only_second_failed], block.sha256.clone()))
-                    .collect(),
-            })
-        } else {
-            let rate_at_most = upper_bound(tally.failures, registration.runs, registration.confidence);
-            let blocks = tally.blocks.iter().map(|block| (block.failures, block.sha256.clone())).collect();
-            Statement::Rate(Rate { registration, registration_sha256, failures: tally.failures, rate_at_most, blocks })
-        };
-        let (name, text) = (self.space.name().to_owned(), self.space_text.clone());
-        certificate_about(name, Some(text), None, statement)
+        self.record.certificate(tally)
     }
-}
-
-/// A rate that the checker accepts, little above the bound of Clopper and Pearson; 1 if there is none below.
-fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
-    let (k, n) = (failures as f64, runs as f64);
-    let quantile = Beta::new(k + 1.0, n - k).map_or(1.0, |beta| beta.inverse_cdf(confidence));
-    // The quantile is approximate: step up until the outward-rounded tail agrees.
-    let candidates = (0..40).map(|doubling| quantile * (1.0 + 1e-10 * f64::from(2_u32.pow(doubling.min(30)))));
-    candidates
-        .take_while(|rate| *rate > 0.0 && *rate < 1.0)
-        .find(|&rate| tail_at_most(failures, runs, rate) <= 1.0 - confidence)
-        .unwrap_or(1.0)
 }
 
 #[cfg(test)]
@@ -366,20 +315,6 @@ mod tests {
             plan.count_block(&mut tally).unwrap();
         }
         tally
-    }
-
-    #[test]
-    fn bounds_are_accepted_and_hardly_above_the_closed_form() {
-        for (failures, runs, confidence) in
-            [(0, 1000, 0.99), (3, 1000, 0.999), (0, 138_149, 1.0 - 1e-6), (999, 1000, 0.9)]
-        {
-            let bound = upper_bound(failures, runs, confidence);
-            assert!(tail_at_most(failures, runs, bound) <= 1.0 - confidence);
-            assert!(tail_at_most(failures, runs, bound * (1.0 - 1e-6)) > 1.0 - confidence, "{failures} {runs} {bound}");
-        }
-        assert!(upper_bound(0, 138_149, 1.0 - 1e-6) <= 1e-4);
-        assert!(upper_bound(0, 138_148, 1.0 - 1e-6) > 1e-4);
-        assert_eq!(upper_bound(10, 10, 0.99), 1.0);
     }
 
     #[test]

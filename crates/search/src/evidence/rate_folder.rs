@@ -1,15 +1,17 @@
 //! A count in a folder: `registration.json` before the first run, `progress.json` every second, `certificate.json` once the
 //! checker has accepted it; `work.json` says of each what it is.
 
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crumple_verify::{Certificate, Rejection, check};
 use serde::Serialize;
 
-use super::{RateError, RatePlan, Tally};
+use super::record::{CountRecord, Tally, length};
+use super::{RateError, RatePlan};
 use crate::disk::DiskError;
+use crate::shard::TooManyShards;
 use crate::work::{Asked, Work, WorkError};
 
 /// Work that may be lost when a count is interrupted: writing progress down costs milliseconds.
@@ -31,6 +33,9 @@ pub enum RateFolderError {
     /// A run cannot be made, or whoever was told of the progress ended it.
     #[error(transparent)]
     Run(#[from] RateError),
+    /// There are more shards than blocks of runs.
+    #[error(transparent)]
+    Shards(#[from] TooManyShards),
     /// The checker does not accept what the counts would show.
     #[error("{failures} of {runs} runs failed, and nothing is shown by {}: {rejection}", path.display())]
     Rejected {
@@ -47,10 +52,20 @@ pub enum RateFolderError {
 
 /// A count that is on record in a folder.
 pub struct RateCount<'a> {
-    plan: &'a RatePlan,
     work: Work,
+    counting: Counting<'a>,
+}
+
+/// What is being counted: some blocks of a plan that follow each other.
+pub(super) struct Counting<'a> {
+    plan: &'a RatePlan,
+    blocks: Range<u64>,
     tally: Tally,
 }
+
+const REGISTRATION: &str = "registration.json";
+pub(super) const PROGRESS: &str = "progress.json";
+const CERTIFICATE: &str = "certificate.json";
 
 impl RatePlan {
     /// Puts the plan on record in `folder`, which is made if it is not there; where `resume` says so, takes up what was counted
@@ -59,6 +74,15 @@ impl RatePlan {
     /// # Errors
     /// [`RateFolderError`] if the folder cannot be used, or holds another count, or another build's.
     pub fn register_in(&self, folder: &Path, resume: bool) -> Result<RateCount<'_>, RateFolderError> {
+        let work = self.record().register_in(folder, resume)?;
+        let counting = Counting::in_folder(self, 0..self.blocks(), &work)?;
+        Ok(RateCount { work, counting })
+    }
+}
+
+impl CountRecord {
+    /// Puts it on record.
+    fn register_in(&self, folder: &Path, resume: bool) -> Result<Work, RateFolderError> {
         let path = folder.join(REGISTRATION);
         let registration = json(&path, self.registration())?;
         let asked = Asked {
@@ -73,24 +97,96 @@ impl RatePlan {
             other => other.into(),
         })?;
         work.write(REGISTRATION, registration)?;
+        Ok(work)
+    }
+
+    /// Writes what was counted of all runs, and the certificate if the checker accepts it.
+    fn finish_in(&self, work: &Work, tally: &Tally) -> Result<Certificate, RateFolderError> {
+        let path = work.path(PROGRESS);
+        work.write(PROGRESS, json(&path, tally)?)?;
+        let certificate = self.certificate(tally);
+        let Tally { runs, failures, .. } = *tally;
+        let checked = check(&certificate);
+        if checked.is_ok() {
+            work.write(CERTIFICATE, json(&work.path(CERTIFICATE), &certificate)?)?;
+        }
+        // Also where nothing is shown: all is counted.
+        work.finish()?;
+        match checked {
+            Ok(_) => Ok(certificate),
+            Err(rejection) => Err(RateFolderError::Rejected { path, runs, failures, rejection }),
+        }
+    }
+
+    /// Writes what was counted elsewhere into a folder, which is then that of a count by one machine, to the byte; one in which it is
+    /// already is left as it is.
+    ///
+    /// # Errors
+    /// [`RateFolderError`] if the folder cannot be used, holds other work or other counts, or nothing is shown.
+    pub(super) fn write_in(&self, folder: &Path, tally: &Tally) -> Result<(PathBuf, Certificate), RateFolderError> {
+        let work = self.register_in(folder, true)?;
+        let path = work.path(PROGRESS);
+        if work.is_complete() && work.read_present(PROGRESS)? != json(&path, tally)?.into_bytes() {
+            return Err(WorkError::damaged(
+                &path,
+                "there is a count of the same registration that came to something else",
+            )
+            .into());
+        }
+        Ok((work.path(CERTIFICATE), self.finish_in(&work, tally)?))
+    }
+}
+
+impl<'a> Counting<'a> {
+    /// What is left of some blocks of a plan, after what is in a folder.
+    pub(super) fn in_folder(plan: &'a RatePlan, blocks: Range<u64>, work: &Work) -> Result<Self, RateFolderError> {
         let tally = match work.read(PROGRESS)? {
-            None => self.tally(),
+            None => plan.tally(),
             Some(bytes) => {
                 let tally: Tally = serde_json::from_slice(&bytes)
                     .map_err(|problem| WorkError::damaged(&work.path(PROGRESS), problem.to_string()))?;
-                if tally.registration_sha256 != self.tally().registration_sha256 || !self.is_sound(&tally) {
+                if !plan.record().is_sound(&blocks, &tally) {
                     return Err(WorkError::damaged(&work.path(PROGRESS), "not of this registration").into());
                 }
                 tally
             }
         };
-        Ok(RateCount { plan: self, work, tally })
+        Ok(Self { plan, blocks, tally })
+    }
+
+    /// What has been counted so far.
+    pub(super) fn tally(&self) -> &Tally {
+        &self.tally
+    }
+
+    /// How many runs there are to count, those that were counted among them.
+    pub(super) fn runs(&self) -> u64 {
+        length(&self.plan.record().runs_of(self.blocks.clone()))
+    }
+
+    /// Counts what is left, and keeps it in the folder. `progress` hears after every thousand runs how many were made before them and how
+    /// many of those failed, and breaks it off if it says so.
+    pub(super) fn count(
+        &mut self,
+        work: &Work,
+        progress: &mut dyn FnMut(u64, u64) -> ControlFlow<()>,
+    ) -> Result<(), RateFolderError> {
+        let path = work.path(PROGRESS);
+        let mut written = Instant::now();
+        while (self.tally.blocks.len() as u64) < length(&self.blocks) {
+            let (runs, failed) = (self.tally.runs, self.tally.failed());
+            self.plan.count_next(&self.blocks, &mut self.tally, &mut || progress(runs, failed))?;
+            if written.elapsed() > BETWEEN {
+                work.advance(PROGRESS, json(&path, &self.tally)?)?;
+                written = Instant::now();
+            }
+        }
+        if progress(self.tally.runs, self.tally.failed()).is_break() {
+            return Err(RateError::BrokenOff.into());
+        }
+        Ok(work.write(PROGRESS, json(&path, &self.tally)?)?)
     }
 }
-
-const REGISTRATION: &str = "registration.json";
-const PROGRESS: &str = "progress.json";
-const CERTIFICATE: &str = "certificate.json";
 
 impl RateCount<'_> {
     /// Counts what is left, and writes the certificate. `progress` hears how many runs are done, after every thousand.
@@ -98,52 +194,29 @@ impl RateCount<'_> {
     /// # Errors
     /// [`RateFolderError`] if a run cannot be made, a file not written, or nothing is shown.
     pub fn certificate(&mut self, progress: &mut dyn FnMut(u64)) -> Result<Certificate, RateFolderError> {
-        self.certificate_until(&mut |tally| {
-            progress(tally.runs);
+        self.certificate_until(&mut |runs, _| {
+            progress(runs);
             ControlFlow::Continue(())
         })
     }
 
-    /// The same until `progress` breaks it off: what was counted by then stays in the folder, for another time.
+    /// The same until `progress`, which hears how many runs are done and how many of them failed, breaks it off: what was counted by then
+    /// stays in the folder, for another time.
     ///
     /// # Errors
     /// As [`Self::certificate`], and [`RateError::BrokenOff`].
     pub fn certificate_until(
         &mut self,
-        progress: &mut dyn FnMut(&Tally) -> ControlFlow<()>,
+        progress: &mut dyn FnMut(u64, u64) -> ControlFlow<()>,
     ) -> Result<Certificate, RateFolderError> {
-        let path = self.work.path(PROGRESS);
-        let mut written = Instant::now();
-        while self.tally.runs < self.plan.registration().runs {
-            let told = self.tally.clone();
-            self.plan.count_block_until(&mut self.tally, &mut || progress(&told))?;
-            if written.elapsed() > BETWEEN {
-                self.work.advance(PROGRESS, json(&path, &self.tally)?)?;
-                written = Instant::now();
-            }
-        }
-        if progress(&self.tally).is_break() {
-            return Err(RateError::BrokenOff.into());
-        }
-        self.work.write(PROGRESS, json(&path, &self.tally)?)?;
-        let certificate = self.plan.certificate(&self.tally);
-        let Tally { runs, failures, .. } = self.tally;
-        let checked = check(&certificate);
-        if checked.is_ok() {
-            self.work.write(CERTIFICATE, json(&self.certificate_path(), &certificate)?)?;
-        }
-        // Also where nothing is shown: all is counted.
-        self.work.finish()?;
-        match checked {
-            Ok(_) => Ok(certificate),
-            Err(rejection) => Err(RateFolderError::Rejected { path, runs, failures, rejection }),
-        }
+        self.counting.count(&self.work, progress)?;
+        self.counting.plan.record().finish_in(&self.work, self.tally())
     }
 
     /// What has been counted so far.
     #[must_use]
     pub fn tally(&self) -> &Tally {
-        &self.tally
+        self.counting.tally()
     }
 
     /// Where the certificate goes.
@@ -153,7 +226,7 @@ impl RateCount<'_> {
     }
 }
 
-fn json(path: &Path, value: &impl Serialize) -> Result<String, WorkError> {
+pub(super) fn json(path: &Path, value: &impl Serialize) -> Result<String, WorkError> {
     let text = serde_json::to_string_pretty(value).map_err(|error| DiskError::at(path)(error.into()))?;
     Ok(text + "\n")
 }
@@ -183,10 +256,10 @@ mod tests {
     fn interrupted(plan: &RatePlan, change: impl FnOnce(&mut Tally)) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let mut count = plan.register_in(folder.path(), false).unwrap();
-        plan.count_block(&mut count.tally).unwrap();
-        assert!(count.tally.runs < 1200, "one call does not count them all");
-        change(&mut count.tally);
-        count.work.write(PROGRESS, json(Path::new(PROGRESS), &count.tally).unwrap()).unwrap();
+        plan.count_block(&mut count.counting.tally).unwrap();
+        assert!(count.tally().runs < 1200, "one call does not count them all");
+        change(&mut count.counting.tally);
+        count.work.write(PROGRESS, json(Path::new(PROGRESS), count.tally()).unwrap()).unwrap();
         folder
     }
 
@@ -205,7 +278,7 @@ mod tests {
             assert_eq!(read(part.path()), read(whole.path()), "{name}");
         }
         let read_again = plan.register_in(whole.path(), true).unwrap();
-        assert_eq!((read_again.work.is_complete(), read_again.tally.runs), (true, 1200));
+        assert_eq!((read_again.work.is_complete(), read_again.tally().runs), (true, 1200));
     }
 
     /// More runs than were made, other failures, and counts that do not add up, whether the manifest was told of them or not.

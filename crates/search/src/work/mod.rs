@@ -14,6 +14,7 @@
 
 mod changes;
 mod examine;
+mod finished;
 mod generation;
 mod lock;
 mod manifest;
@@ -22,6 +23,7 @@ mod state;
 
 pub use changes::Changes;
 pub use examine::{Examined, examine};
+pub use finished::{Finished, Found, find};
 pub use generation::{Restored, restore};
 pub use lock::{Lock, exclusively};
 pub use state::Prefix;

@@ -108,6 +108,18 @@ impl Trace {
         pairs
     }
 
+    /// Bumper gap ahead of a vehicle in metres at each sample; none where nobody is ahead of it in the lane.
+    #[must_use]
+    pub fn gaps_m(&self, rear: usize) -> Vec<Option<f64>> {
+        let mut gaps_m = vec![None; self.len()];
+        for (sample, gap_m) in self.pairs(rear).iter().flat_map(Pair::gaps_m) {
+            if let Some(at_sample) = gaps_m.get_mut(sample) {
+                *at_sample = Some(gap_m);
+            }
+        }
+        gaps_m
+    }
+
     /// Who is ahead of a vehicle in the lane at each sample.
     pub fn ahead(&self, rear: usize) -> impl Iterator<Item = Option<&Track>> {
         let own = self.vehicles.get(rear);

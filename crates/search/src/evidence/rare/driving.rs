@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Effort, Estimate, Problem, Splitting, State};
+use crate::shard::TooManyShards;
 use crate::work::WorkError;
 use crumple_world::digest::sha256;
 use crumple_world::measure::{Specification, SpecificationError};
@@ -50,6 +51,9 @@ pub enum RareError {
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
     Work(#[from] WorkError),
+    /// There are more shards than repetitions.
+    #[error(transparent)]
+    Shards(#[from] TooManyShards),
     /// What was estimated earlier cannot be told to be of the same controller.
     #[error("the controller `{0}` states no identity: begin anew, without --resume, in another --out")]
     Unknown(String),
@@ -87,6 +91,23 @@ pub struct RareReport {
     /// What came of it.
     #[serde(flatten)]
     pub estimate: Estimate,
+}
+
+/// All that decides an estimate and that its report says.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RareRecord {
+    pub(super) crumple: String,
+    pub(super) controller: String,
+    pub(super) controller_sha256: Option<String>,
+    policy_sha256: Option<String>,
+    nondeterministic: bool,
+    pub(super) estimator: EstimatorKind,
+    space: String,
+    pub(super) space_sha256: String,
+    failure: String,
+    pub(super) seed: u64,
+    pub(super) effort: Effort,
 }
 
 impl Problem for RarePlan {
@@ -127,12 +148,15 @@ impl RarePlan {
     /// # Errors
     /// [`RareError`] if a run cannot be made.
     pub fn report(&self, pilot: &Splitting, done: &(dyn Fn(u64) + Sync)) -> Result<RareReport, RareError> {
-        let estimate = pilot.estimate(self, done)?;
-        Ok(RareReport {
-            version: 1,
+        Ok(self.record()?.report(pilot.estimate(self, done)?))
+    }
+
+    /// All that decides the estimate, but the space's text.
+    pub(super) fn record(&self) -> Result<RareRecord, RareError> {
+        Ok(RareRecord {
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
-            certified: false,
             controller: self.controller.name.clone(),
+            controller_sha256: self.controller.kind.identity(),
             policy_sha256: self.controller.policy().map(|policy| policy.digest()),
             nondeterministic: !self.controller.kind.is_deterministic(),
             estimator: self.estimator,
@@ -141,8 +165,29 @@ impl RarePlan {
             failure: self.controller.failure().to_owned(),
             seed: self.seed,
             effort: self.effort,
-            estimate,
         })
+    }
+}
+
+impl RareRecord {
+    /// The report of an estimate.
+    pub(super) fn report(&self, estimate: Estimate) -> RareReport {
+        let record = self.clone();
+        RareReport {
+            version: 1,
+            crumple: record.crumple,
+            certified: false,
+            controller: record.controller,
+            policy_sha256: record.policy_sha256,
+            nondeterministic: record.nondeterministic,
+            estimator: record.estimator,
+            space: record.space,
+            space_sha256: record.space_sha256,
+            failure: record.failure,
+            seed: record.seed,
+            effort: record.effort,
+            estimate,
+        }
     }
 }
 

@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
+use super::driving::RareRecord;
 use super::{RareError, RarePlan, RareReport};
 use crate::work::{Asked, Work, WorkError};
-use crumple_world::digest::sha256;
-use crumple_world::scenario::space::file;
 
 const ESTIMATE: &str = "rare-estimate.json";
 
@@ -23,15 +22,21 @@ impl RarePlan {
     /// # Errors
     /// [`RareError`] if the folder cannot be used, holds something else, or is damaged.
     pub fn in_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
-        let identity = self.controller.kind.identity();
-        if resume && identity.is_none() {
+        if resume && self.controller.kind.identity().is_none() {
             return Err(RareError::Unknown(self.controller.name.clone()));
         }
+        self.record()?.in_folder(folder, resume)
+    }
+}
+
+impl RareRecord {
+    /// The folder of the whole estimate.
+    pub(super) fn in_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
         let configuration = json!({
-            "controller": self.controller.name,
-            "controller_sha256": identity,
+            "controller": self.controller,
+            "controller_sha256": self.controller_sha256,
             "estimator": self.estimator,
-            "space_sha256": sha256(file::to_toml(&self.space)?),
+            "space_sha256": self.space_sha256,
             "seed": self.seed,
             "effort": self.effort,
         });

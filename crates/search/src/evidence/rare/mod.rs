@@ -28,6 +28,9 @@
 
 mod driving;
 mod folder;
+mod shard;
+#[cfg(test)]
+mod shard_tests;
 mod splitting;
 #[cfg(test)]
 mod tests;
@@ -36,7 +39,8 @@ use serde::{Deserialize, Serialize};
 
 pub use driving::{RareError, RarePlan, RareReport};
 pub use folder::RareFolder;
-pub use splitting::{MOST_LEVELS, Problem, Splitting, State};
+pub use shard::{MergedEstimate, RareShard, SHARD_OF_AN_ESTIMATE};
+pub use splitting::{MOST_LEVELS, Problem, Repetition, Splitting, State};
 
 /// How much work goes into an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

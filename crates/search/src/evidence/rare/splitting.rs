@@ -1,8 +1,11 @@
 //! The climb: a pilot that places the levels, and repetitions that are unbiased.
 
+use std::ops::Range;
+
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Effort, Estimate, Level};
@@ -47,7 +50,8 @@ pub trait Problem: Sync {
 }
 
 /// The levels that a pilot has placed.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Splitting {
     effort: Effort,
     seed: u64,
@@ -60,7 +64,8 @@ pub struct Splitting {
 }
 
 /// A level on the way.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Stage {
     threshold: f64,
     is_last: bool,
@@ -87,8 +92,19 @@ struct Climber<'a, P: Problem> {
     done: &'a (dyn Fn(u64) + Sync),
 }
 
+/// What came of one repetition.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Repetition {
+    /// At each level that it reached.
+    seen: Vec<Seen>,
+    /// Runs made.
+    evaluations: u64,
+}
+
 /// What a repetition saw at one level.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Seen {
     share: f64,
     accepted: u64,
@@ -173,26 +189,63 @@ impl Splitting {
     /// # Errors
     /// Those of the problem.
     pub fn estimate<P: Problem>(&self, problem: &P, done: &(dyn Fn(u64) + Sync)) -> Result<Estimate, P::Error> {
+        Ok(self.summary(self.repeat(problem, 0..self.repetitions(), done)?))
+    }
+
+    /// How many repetitions there are; none where the pilot did not reach a failure.
+    #[must_use]
+    pub fn repetitions(&self) -> u64 {
+        if self.reached { self.effort.repetitions as u64 } else { 0 }
+    }
+
+    /// Runs some of the repetitions: each is a function of the seed and its number alone.
+    ///
+    /// # Errors
+    /// Those of the problem.
+    pub fn repeat<P: Problem>(
+        &self,
+        problem: &P,
+        repetitions: Range<u64>,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<Repetition>, P::Error> {
+        let repetitions = repetitions.start..repetitions.end.min(self.repetitions());
+        let repeat = |index: u64| {
+            let random = stream(self.seed, Purpose::RareEvents, 1 + index);
+            let mut climber = Climber::new(problem, self.effort.samples, random, done);
+            let seen = climber.climb(&self.stages)?;
+            Ok(Repetition { seen, evaluations: climber.evaluations })
+        };
+        repetitions.into_par_iter().map(repeat).collect()
+    }
+
+    /// Whether it was placed by that seed with that effort.
+    pub(super) fn is_of(&self, effort: Effort, seed: u64) -> bool {
+        self.effort == Effort { samples: effort.samples.max(50), repetitions: effort.repetitions.max(5) }
+            && self.seed == seed
+    }
+
+    /// Whether these repetitions could have come of it.
+    pub(super) fn may_have(&self, repetitions: &[Repetition]) -> bool {
+        let is_share = |seen: &Seen| (0.0..=1.0).contains(&seen.share) && seen.accepted <= seen.proposed;
+        let may_be = |one: &Repetition| one.seen.len() <= self.stages.len() && one.seen.iter().all(is_share);
+        repetitions.iter().all(may_be)
+    }
+
+    /// What all repetitions come to, in their order.
+    #[must_use]
+    pub fn summary(&self, repeated: Vec<Repetition>) -> Estimate {
         if !self.reached {
-            return Ok(Estimate {
+            return Estimate {
                 probability: None,
                 coefficient_of_variation: None,
                 interval_95: None,
                 repetitions: Vec::new(),
                 evaluations: self.pilot,
                 levels: self.pilot_levels.clone(),
-            });
+            };
         }
-        let repeat = |index: usize| {
-            let random = stream(self.seed, Purpose::RareEvents, 1 + index as u64);
-            let mut climber = Climber::new(problem, self.effort.samples, random, done);
-            let seen = climber.climb(&self.stages)?;
-            Ok((seen, climber.evaluations))
-        };
-        let repeated =
-            (0..self.effort.repetitions).into_par_iter().map(repeat).collect::<Result<Vec<_>, P::Error>>()?;
-        let evaluations = self.pilot + repeated.iter().map(|(_, evaluations)| evaluations).sum::<u64>();
-        let seen: Vec<Vec<Seen>> = repeated.into_iter().map(|(seen, _)| seen).collect();
+        let evaluations = repeated.iter().map(|one| one.evaluations).fold(self.pilot, u64::saturating_add);
+        let seen: Vec<Vec<Seen>> = repeated.into_iter().map(|one| one.seen).collect();
         // A repetition that died out before the last level has seen no failure.
         let product = |seen: &Vec<Seen>, levels: usize| -> f64 {
             if seen.len() < levels { 0.0 } else { seen.iter().take(levels).map(|seen| seen.share).product() }
@@ -213,14 +266,14 @@ impl Splitting {
         let repetitions: Vec<f64> = seen.iter().map(|seen| product(seen, self.stages.len())).collect();
         let probability = mean(&repetitions);
         let coefficient_of_variation = variation_of_mean(&repetitions, probability);
-        Ok(Estimate {
+        Estimate {
             probability: Some(probability),
             coefficient_of_variation,
             interval_95: coefficient_of_variation.and_then(|cv| interval_95(probability, cv, repetitions.len())),
             repetitions,
             evaluations,
             levels,
-        })
+        }
     }
 }
 

@@ -1,0 +1,80 @@
+use std::fs;
+use std::path::PathBuf;
+
+use rand::RngExt;
+use rand::seq::SliceRandom;
+
+use super::*;
+use crate::shard::{MergeError, Shard};
+use crate::work::{Finished, Found, find};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::random::{Purpose, stream};
+use crumple_world::scenario::space::built_in_space;
+
+fn plan(seed: u64) -> RarePlan {
+    RarePlan {
+        controller: ControllerSpec::named("match-leader").unwrap().into(),
+        space: built_in_space("paper").unwrap(),
+        estimator: EstimatorKind::Truth,
+        seed,
+        effort: Effort { samples: 50, repetitions: 7 },
+    }
+}
+
+fn finished(folder: &std::path::Path) -> Finished {
+    match find(folder).unwrap() {
+        Found::Finished(finished) => finished,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// In any order, some twice: the bytes of an estimate by one machine, or nothing while some are missing.
+#[test]
+fn shards_of_an_estimate_come_to_the_estimate_of_one_machine() {
+    let (plan, root) = (plan(2), tempfile::tempdir().unwrap());
+    let pilot = plan.pilot(&|_| ()).unwrap();
+    let single = root.path().join("single");
+    plan.in_folder(&single, false).unwrap().keep(&plan.report(&pilot, &|_| ()).unwrap()).unwrap();
+    let made = |index: u32, of: u32| -> PathBuf {
+        let folder = root.path().join(format!("{index}-of-{of}"));
+        let part = plan.shard_in_folder(Shard::new(index, of).unwrap(), &folder, true).unwrap();
+        if !part.is_complete() {
+            part.repeat(&pilot, &|_| ()).unwrap();
+        }
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 4);
+        folder
+    };
+    let mut random = stream(25, Purpose::RareEvents, 1);
+    let mut complete = 0;
+    for _ in 0..20 {
+        let of = random.random_range(1..=7);
+        let mut folders: Vec<PathBuf> =
+            (1..=of).filter(|_| random.random_bool(0.9)).map(|index| made(index, of)).collect();
+        folders.extend(folders.first().cloned());
+        let Some(first) = folders.first().cloned() else { continue };
+        let is_whole = folders.len() as u32 == of + 1;
+        folders.shuffle(&mut random);
+        let mut merged = MergedEstimate::of(&first, &finished(&first)).unwrap();
+        folders.iter().for_each(|folder| merged.take(folder, &finished(folder)).unwrap());
+        let out = root.path().join("merged");
+        assert_eq!(merged.write_in(&out).unwrap().is_some(), is_whole);
+        assert_eq!(merged.missing() == 0, is_whole);
+        if is_whole {
+            complete += 1;
+            for name in ["rare-estimate.json", "work.json"] {
+                assert_eq!(fs::read(out.join(name)).unwrap(), fs::read(single.join(name)).unwrap(), "{name}");
+            }
+        }
+    }
+    assert!(complete > 5, "{complete}");
+
+    let mut merged = MergedEstimate::of(&made(1, 2), &finished(&made(1, 2))).unwrap();
+    let overlapping = merged.take(&made(2, 7), &finished(&made(2, 7))).unwrap_err();
+    assert!(matches!(overlapping, MergeError::Overlapping { .. }), "{overlapping}");
+    let (other, folder) = (self::plan(3), root.path().join("other"));
+    let part = other.shard_in_folder(Shard::new(2, 2).unwrap(), &folder, false).unwrap();
+    part.repeat(&other.pilot(&|_| ()).unwrap(), &|_| ()).unwrap();
+    assert!(matches!(merged.take(&folder, &finished(&folder)), Err(MergeError::Foreign { .. })));
+    assert!(plan.shard_in_folder(Shard::new(1, 8).unwrap(), &folder, false).is_err());
+}

@@ -1,0 +1,239 @@
+use std::collections::HashMap;
+use std::fs;
+
+use rand::seq::SliceRandom;
+use rand::{Rng, RngExt};
+
+use super::*;
+use crate::evidence::rate_shard::SHARD;
+use crate::evidence::{RateConfig, RatePlan, SHARD_OF_A_COUNT};
+use crate::shard::Shard;
+use crate::work::{Found, find};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::random::{Purpose, stream};
+use crumple_world::scenario::space::built_in_space;
+
+const FILES: [&str; 4] = ["registration.json", "progress.json", "certificate.json", "work.json"];
+
+fn plan(seed: u64) -> RatePlan {
+    plan_of("idm", None, seed)
+}
+
+fn plan_of(controller: &str, against: Option<&str>, seed: u64) -> RatePlan {
+    let named = |name: &str| ControllerSpec::named(name).unwrap().into();
+    RatePlan::new(RateConfig {
+        controllers: (named(controller), against.map(named)),
+        space: built_in_space("high-risk").unwrap(),
+        seed,
+        estimator: EstimatorKind::Truth,
+        // The last of 24 blocks is a short one.
+        runs: 2350,
+        confidence: 0.9,
+    })
+    .unwrap()
+}
+
+fn finished(folder: &Path) -> Finished {
+    match find(folder).unwrap() {
+        Found::Finished(finished) => finished,
+        other => panic!("{other:?}"),
+    }
+}
+
+fn taken(merged: &mut Option<MergedCount>, folder: &Path) -> Result<(), MergeError> {
+    let found = finished(folder);
+    match merged {
+        Some(merged) => merged.take(folder, &found),
+        None => {
+            *merged = Some(MergedCount::of(folder, &found)?);
+            Ok(())
+        }
+    }
+}
+
+fn whole(plan: &RatePlan) -> (tempfile::TempDir, Tally) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut count = plan.register_in(folder.path(), false).unwrap();
+    count.certificate(&mut |_| ()).unwrap();
+    let tally = count.tally().clone();
+    (folder, tally)
+}
+
+/// Shards of a plan, each counted once.
+struct Shards<'a> {
+    plan: &'a RatePlan,
+    root: tempfile::TempDir,
+    counted: HashMap<Shard, PathBuf>,
+}
+
+impl<'a> Shards<'a> {
+    fn of(plan: &'a RatePlan) -> Self {
+        Self { plan, root: tempfile::tempdir().unwrap(), counted: HashMap::new() }
+    }
+
+    fn folder(&mut self, shard: Shard) -> PathBuf {
+        let make = || {
+            let folder = self.root.path().join(format!("{}-of-{}", shard.index(), shard.of()));
+            self.plan.register_shard_in(shard, &folder, false).unwrap().count(&mut |_| ()).unwrap();
+            folder
+        };
+        self.counted.entry(shard).or_insert_with(make).clone()
+    }
+}
+
+fn shard(index: u32, of: u32) -> Shard {
+    Shard::new(index, of).unwrap()
+}
+
+/// A random division, some shards of which come twice and some not at all; at times some of another division beside them.
+fn drawn(random: &mut impl Rng) -> Vec<Shard> {
+    let of = random.random_range(1..=24);
+    let keep = if random.random_bool(0.5) { 1.0 } else { random.random_range(0.3..1.0) };
+    let mut shards: Vec<Shard> = (1..=of).map(|index| shard(index, of)).filter(|_| random.random_bool(keep)).collect();
+    let again: Vec<Shard> = shards.iter().copied().filter(|_| random.random_bool(0.2)).collect();
+    shards.extend(again);
+    if random.random_bool(0.3) || shards.is_empty() {
+        let other = random.random_range(1..=24);
+        shards.push(shard(random.random_range(1..=other), other));
+    }
+    shards.shuffle(random);
+    shards
+}
+
+/// The model is the single run and an owner of each of its blocks.
+#[test]
+fn two_hundred_random_splits_come_to_the_single_run_or_say_what_is_missing() {
+    let plan = plan(3);
+    let (single, tally) = whole(&plan);
+    assert!(tally.failures > 0 && tally.failures < tally.runs, "{}", tally.failures);
+    let (mut shards, mut random) = (Shards::of(&plan), stream(25, Purpose::RareEvents, 0));
+    let (mut complete, mut refused) = (0, 0);
+    for _ in 0..200 {
+        let (mut merged, mut owners, mut duplicates) = (None, vec![None; 24], 0);
+        for shard in drawn(&mut random) {
+            let taken = taken(&mut merged, &shards.folder(shard));
+            let blocks = plan.blocks_of(shard).unwrap();
+            let own = &mut owners[blocks.start as usize..blocks.end as usize];
+            if own.iter().all(|owner| *owner == Some(shard)) {
+                duplicates += 1;
+                taken.unwrap();
+            } else if own.iter().any(Option::is_some) {
+                refused += 1;
+                assert!(matches!(taken, Err(MergeError::Overlapping { .. })), "{shard}");
+            } else {
+                own.fill(Some(shard));
+                taken.unwrap();
+            }
+        }
+        let (merged, out) = (merged.unwrap(), tempfile::tempdir().unwrap());
+        let there = || (0..24).filter(|&block| owners[block as usize].is_some());
+        let so_far = merged.so_far();
+        let runs: u64 = there().map(|block| length(&plan.runs_of(block))).sum();
+        let failures: u64 = there().map(|block| tally.blocks[block as usize].failures).sum();
+        assert_eq!((so_far.runs, so_far.failures, so_far.duplicates), (runs, failures, duplicates));
+        let missing: u64 = so_far.missing_runs.iter().map(|[start, end]| end - start).sum();
+        assert_eq!(missing, 2350 - runs);
+        assert!(so_far.rate_at_most >= Some(plan.record().rate_at_most(tally.failures)));
+        match merged.write_in(out.path()).unwrap() {
+            None => {
+                assert!(there().count() < 24);
+                assert_eq!(fs::read_dir(out.path()).unwrap().count(), 0);
+            }
+            Some(_) => {
+                complete += 1;
+                assert_eq!(there().count(), 24);
+                // Once more, into what is there.
+                merged.write_in(out.path()).unwrap();
+                for name in FILES {
+                    let read = |folder: &Path| fs::read(folder.join(name)).unwrap();
+                    assert_eq!(read(out.path()), read(single.path()), "{name}");
+                }
+            }
+        }
+    }
+    assert!(complete > 50 && refused > 20, "{complete} {refused}");
+}
+
+#[test]
+fn a_comparison_is_put_together_and_a_shard_that_was_interrupted_goes_on() {
+    let plan = plan_of("idm", Some("baseline"), 3);
+    let ((single, _), mut shards) = (whole(&plan), Shards::of(&plan));
+    // Killed after some blocks were kept.
+    let folder = shards.root.path().join("2-of-2");
+    let half = tempfile::tempdir().unwrap();
+    plan.register_shard_in(shard(2, 2), half.path(), false).unwrap();
+    assert!(matches!(find(half.path()).unwrap(), Found::HalfDone(kind) if kind == SHARD_OF_A_COUNT));
+    plan.register_shard_in(shard(2, 2), half.path(), true).unwrap().count(&mut |_| ()).unwrap();
+    let mut merged = None;
+    taken(&mut merged, half.path()).unwrap();
+    taken(&mut merged, &shards.folder(shard(1, 2))).unwrap();
+    taken(&mut merged, &shards.folder(shard(2, 2))).unwrap();
+    assert_eq!(fs::read(folder.join("work.json")).unwrap(), fs::read(half.path().join("work.json")).unwrap());
+    let (merged, out) = (merged.unwrap(), tempfile::tempdir().unwrap());
+    assert_eq!(merged.so_far().duplicates, 1);
+    merged.write_in(out.path()).unwrap().unwrap();
+    for name in FILES {
+        assert_eq!(fs::read(out.path().join(name)).unwrap(), fs::read(single.path().join(name)).unwrap(), "{name}");
+    }
+    assert!(plan.register_shard_in(shard(1, 25), &folder, false).is_err(), "24 blocks make no 25 shards");
+    assert_eq!(fs::read_dir(half.path()).unwrap().count(), 4, "a shard leaves four files");
+}
+
+/// Whatever is done to one file of a shard is found, and so is a shard of anything else.
+#[test]
+fn what_is_foreign_tampered_or_contradicts_is_refused() {
+    let (mine, other) = (plan(3), plan(4));
+    let (mut own, mut foreign) = (Shards::of(&mine), Shards::of(&other));
+    let mut merged = None;
+    taken(&mut merged, &own.folder(shard(1, 3))).unwrap();
+    let error = taken(&mut merged, &foreign.folder(shard(2, 3))).unwrap_err().to_string();
+    assert!(error.ends_with("configuration.seed differs"), "{error}");
+
+    let second = own.folder(shard(2, 3));
+    for name in [SHARD, "progress.json", "work.json"] {
+        let path = second.join(name);
+        let bytes = fs::read(&path).unwrap();
+        for place in (0..bytes.len()).step_by(bytes.len() / 40 + 1) {
+            let mut changed = bytes.clone();
+            changed[place] ^= 1;
+            fs::write(&path, changed).unwrap();
+            let found = find(&second);
+            let refused = match found {
+                Ok(Found::Finished(found)) => merged.as_mut().unwrap().take(&second, &found).is_err(),
+                Ok(_) => false,
+                Err(_) => true,
+            };
+            assert!(refused, "{name} {place}");
+        }
+        fs::remove_file(&path).unwrap();
+        assert!(
+            find(&second)
+                .and_then(|found| match found {
+                    Found::Finished(found) => CountedShard::read(&found).map(|_| ()),
+                    _ => Ok(()),
+                })
+                .is_err(),
+            "{name}"
+        );
+        fs::write(&path, bytes).unwrap();
+    }
+    taken(&mut merged, &second).unwrap();
+
+    // Made anew with another result, manifest and all.
+    let forged = tempfile::tempdir().unwrap();
+    let progress = fs::read_to_string(second.join("progress.json")).unwrap();
+    let hash = progress.rfind("\"sha256\": \"").unwrap() + 11;
+    let digit = if progress.as_bytes()[hash] == b'0' { "1" } else { "0" };
+    let forge = |work: &crate::work::Work| {
+        let changed = format!("{}{digit}{}", &progress[..hash], &progress[hash + 1..]);
+        work.write("progress.json", changed).unwrap();
+        work.finish().unwrap();
+    };
+    let begun = mine.register_shard_in(shard(2, 3), forged.path(), false).unwrap();
+    forge(begun.work());
+    drop(begun);
+    let error = taken(&mut merged, forged.path()).unwrap_err();
+    assert!(matches!(error, MergeError::Contradicting { .. }), "{error}");
+    assert_eq!(merged.unwrap().so_far().missing_shards, [3]);
+}

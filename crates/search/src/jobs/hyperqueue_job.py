@@ -1,0 +1,61 @@
+#!/usr/bin/env python3
+"""Has the shards made by HyperQueue: by the workers of the server that runs, or with --local N on N cores of this machine.
+
+    python3 hyperqueue_job.py [--local N] [--server-dir DIR] [SHARD ...]
+
+Begin it where `crumple plan` was begun. What is done is not done again: run it until it ends with exit code 0. All machines need the
+same files in the same places, and the same build of crumple ($CRUMPLE, or `crumple` on the PATH).
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+
+from hyperqueue import Job
+from hyperqueue.client import Client
+from hyperqueue.cluster import LocalCluster, WorkerConfig
+from hyperqueue.ffi.protocol import ResourceRequest
+
+SHARDS = @SHARDS@
+CORES = @CORES@
+TASK = Path(__file__).resolve().parent / "task.sh"
+
+
+def main():
+    parser = argparse.ArgumentParser(description="Has the shards made by HyperQueue.")
+    parser.add_argument("--local", type=int, metavar="N", help="on N cores of this machine")
+    parser.add_argument("--server-dir", metavar="DIR", help="where the server keeps its files, if not in its usual place")
+    parser.add_argument("shards", nargs="*", type=int, metavar="SHARD", help="these alone")
+    arguments = parser.parse_args()
+    with ExitStack() as stack:
+        if arguments.local:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="crumple-hyperqueue-"))
+            cluster = stack.enter_context(LocalCluster(folder, WorkerConfig(cores=arguments.local)))
+            client = cluster.client()
+        else:
+            client = Client(arguments.server_dir)
+        crumple = os.environ.get("CRUMPLE", "crumple")
+        job = Job(default_workdir=os.getcwd(), max_fails=None, default_env={"CRUMPLE": crumple}, name="crumple")
+        logs = TASK.parent / "logs"
+        logs.mkdir(exist_ok=True)
+        tasks = {}
+        for shard in arguments.shards or range(1, SHARDS + 1):
+            task = job.program(
+                ["sh", str(TASK), str(shard)],
+                stdout=str(logs / f"{shard}.out"),
+                stderr=str(logs / f"{shard}.err"),
+                resources=ResourceRequest(cpus=CORES),
+            )
+            tasks[task.task_id] = shard
+        submitted = client.submit(job)
+        if not client.wait_for_jobs([submitted], raise_on_error=False):
+            failed = client.get_failed_tasks(submitted)
+            shards = sorted(tasks[task] for task in failed)
+            sys.exit(f"not made: {shards}, see {logs}; run this again")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,190 @@
+//! A part of work that is divided over machines: shard I of N.
+//!
+//! A shard is a pure function of what decides the whole work, of I and of N: whoever makes it, wherever and however often, makes the
+//! same. Its folder says all of that, so that parts can be put together again by somebody who knows nothing else.
+
+mod parts;
+
+use std::fmt;
+use std::ops::Range;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+pub use parts::MergeError;
+pub(crate) use parts::Parts;
+
+/// The most shards that work is divided into.
+pub const MOST_SHARDS: u32 = 10_000;
+
+/// Shard I of N, counted from 1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Shard {
+    of: u32,
+    index: u32,
+}
+
+/// What is no shard.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no shard: write I/N, shard I of N, with 1 <= I <= N <= {MOST_SHARDS}")]
+pub struct NoShard(String);
+
+/// Work with fewer parts than shards were asked for: some would be empty.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("shard {shard}: there are {parts} {what}, which make {parts} shards at most")]
+pub struct TooManyShards {
+    /// What was asked for.
+    pub shard: Shard,
+    /// What there is to divide.
+    pub parts: u64,
+    /// What that is, in the plural.
+    pub what: &'static str,
+}
+
+impl Shard {
+    /// Shard `index` of `of`, counted from 1.
+    ///
+    /// # Errors
+    /// [`NoShard`] unless 1 ≤ `index` ≤ `of` ≤ [`MOST_SHARDS`].
+    pub fn new(index: u32, of: u32) -> Result<Self, NoShard> {
+        match (1..=of).contains(&index) && of <= MOST_SHARDS {
+            true => Ok(Self { of, index }),
+            false => Err(NoShard(format!("{index}/{of}"))),
+        }
+    }
+
+    /// Which, from 1.
+    #[must_use]
+    pub fn index(self) -> u32 {
+        self.index
+    }
+
+    /// Of how many.
+    #[must_use]
+    pub fn of(self) -> u32 {
+        self.of
+    }
+
+    /// Its share of `parts` that come in order, counted from 0: ranges of shards 1 to N follow each other, and their lengths differ
+    /// by one at most.
+    ///
+    /// # Errors
+    /// [`TooManyShards`] if some shard would have nothing to do; `what` names the parts.
+    pub fn range(self, parts: u64, what: &'static str) -> Result<Range<u64>, TooManyShards> {
+        if u64::from(self.of) > parts {
+            return Err(TooManyShards { shard: self, parts, what });
+        }
+        // Of at most 2^64 parts, so that the quotient is no larger.
+        let before = |shards: u32| (u128::from(parts) * u128::from(shards) / u128::from(self.of)) as u64;
+        Ok(before(self.index - 1)..before(self.index))
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}/{}", self.index, self.of)
+    }
+}
+
+impl From<Shard> for String {
+    fn from(shard: Shard) -> Self {
+        shard.to_string()
+    }
+}
+
+impl TryFrom<String> for Shard {
+    type Error = NoShard;
+
+    fn try_from(text: String) -> Result<Self, NoShard> {
+        text.parse()
+    }
+}
+
+impl FromStr for Shard {
+    type Err = NoShard;
+
+    fn from_str(text: &str) -> Result<Self, NoShard> {
+        let number = |digits: &str| digits.parse().ok().filter(|number: &u32| number.to_string() == digits);
+        let shard = text.split_once('/').and_then(|(index, of)| Self::new(number(index)?, number(of)?).ok());
+        shard.ok_or_else(|| NoShard(text.to_owned()))
+    }
+}
+
+/// Numbers as the arrays of Slurm and HyperQueue take them: `1,4-6`. They have to be in order.
+#[must_use]
+pub fn as_array(numbers: &[u32]) -> String {
+    let mut runs: Vec<Range<u32>> = Vec::new();
+    for &number in numbers {
+        match runs.last_mut() {
+            Some(run) if run.end == number => run.end += 1,
+            _ => runs.push(number..number.saturating_add(1)),
+        }
+    }
+    let words = runs.into_iter().map(|run| match run.end - run.start {
+        1 => run.start.to_string(),
+        _ => format!("{}-{}", run.start, run.end - 1),
+    });
+    words.collect::<Vec<_>>().join(",")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Together the shards are everything, in order and once, and none is empty.
+        #[test]
+        fn shards_divide_whatever_there_is(parts in 1..=u64::MAX, of in 1..=200_u32) {
+            let shards = (1..=of).map(|index| Shard::new(index, of).unwrap());
+            let ranges: Vec<_> = shards.map(|shard| shard.range(parts, "parts")).collect();
+            if u64::from(of) > parts {
+                prop_assert!(ranges.iter().all(Result::is_err));
+            } else {
+                let mut end = 0;
+                for range in ranges {
+                    let range = range.unwrap();
+                    prop_assert!(range.start == end && range.end > end && range.end - range.start <= parts / u64::from(of) + 1);
+                    end = range.end;
+                }
+                prop_assert_eq!(end, parts);
+            }
+        }
+
+        #[test]
+        fn a_shard_is_read_as_it_is_written(of in 1..=MOST_SHARDS, index in 1..=MOST_SHARDS) {
+            prop_assume!(index <= of);
+            let shard = Shard::new(index, of).unwrap();
+            prop_assert_eq!(shard.to_string().parse(), Ok(shard));
+        }
+    }
+
+    #[test]
+    fn what_is_no_shard_is_refused() {
+        for text in [
+            "",
+            "/",
+            "1",
+            "0/3",
+            "4/3",
+            "1/0",
+            "+1/3",
+            "01/3",
+            " 1/3",
+            "1/3 ",
+            "1/10001",
+            "1/2/3",
+            "-1/3",
+            "1/99999999999",
+        ] {
+            assert_eq!(text.parse::<Shard>(), Err(NoShard(text.to_owned())));
+        }
+    }
+
+    #[test]
+    fn numbers_in_a_row_are_one_range() {
+        assert_eq!(as_array(&[]), "");
+        assert_eq!(as_array(&[1, 3, 4, 5, 8, 9]), "1,3-5,8-9");
+    }
+}

@@ -1,0 +1,143 @@
+//! Shards that come back, in any order, some perhaps twice, and where they go.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use super::Shard;
+use crate::work::WorkError;
+
+/// Why shards do not go together.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MergeError {
+    /// A folder cannot be read, or something in it is damaged.
+    #[error(transparent)]
+    Work(#[from] WorkError),
+    /// A shard of something else.
+    #[error("{}: a shard of other work than {}: {field} differs", folder.display(), first.display())]
+    Foreign {
+        /// Its folder.
+        folder: PathBuf,
+        /// The folder that was taken first.
+        first: PathBuf,
+        /// In what they differ.
+        field: String,
+    },
+    /// Two divisions of the work that do some of it twice.
+    #[error("{}: shard {shard} has done what shard {other} in {} has done, too", folder.display(), taken.display())]
+    Overlapping {
+        /// Its folder.
+        folder: PathBuf,
+        /// Which shard it is.
+        shard: Shard,
+        /// The folder of the other.
+        taken: PathBuf,
+        /// Which shard that is.
+        other: Shard,
+    },
+    /// The same shard twice, with different results: one of them is wrong.
+    #[error(
+        "{}: shard {shard} came to something else in {}: one of them was not made by this configuration and build",
+        folder.display(), taken.display()
+    )]
+    Contradicting {
+        /// Its folder.
+        folder: PathBuf,
+        /// Which shard it is.
+        shard: Shard,
+        /// The folder of the other.
+        taken: PathBuf,
+    },
+}
+
+/// The parts of work that were done, each by a shard; they do not overlap.
+#[derive(Debug)]
+pub(crate) struct Parts<T> {
+    first: PathBuf,
+    /// By where each begins.
+    parts: BTreeMap<u64, Part<T>>,
+    duplicates: u64,
+}
+
+#[derive(Debug)]
+struct Part<T> {
+    folder: PathBuf,
+    shard: Shard,
+    range: Range<u64>,
+    contents: T,
+}
+
+impl<T: PartialEq> Parts<T> {
+    /// None yet; the folder is the one that others are compared with.
+    pub(crate) fn of(first: &Path) -> Self {
+        Self { first: first.to_owned(), parts: BTreeMap::new(), duplicates: 0 }
+    }
+
+    /// The error about a shard that differs from the first.
+    pub(crate) fn foreign(&self, folder: &Path, field: String) -> MergeError {
+        MergeError::Foreign { folder: folder.to_owned(), first: self.first.clone(), field }
+    }
+
+    /// Takes in what a shard has come to. After an error all is as it was.
+    pub(crate) fn place(
+        &mut self,
+        folder: &Path,
+        shard: Shard,
+        range: Range<u64>,
+        contents: T,
+    ) -> Result<(), MergeError> {
+        let folder = folder.to_owned();
+        // Of those that begin before its end, the last: they do not overlap each other.
+        let before = self.parts.range(..range.end).next_back().map(|(_, part)| part);
+        match before.filter(|part| part.range.end > range.start) {
+            Some(same) if same.shard == shard && same.contents == contents => self.duplicates += 1,
+            Some(same) if same.shard == shard => {
+                return Err(MergeError::Contradicting { folder, shard, taken: same.folder.clone() });
+            }
+            Some(part) => {
+                let (taken, other) = (part.folder.clone(), part.shard);
+                return Err(MergeError::Overlapping { folder, shard, taken, other });
+            }
+            None => {
+                self.parts.insert(range.start, Part { folder, shard, range, contents });
+            }
+        }
+        Ok(())
+    }
+
+    /// What no shard has done, of work of that many parts.
+    pub(crate) fn missing(&self, parts: u64) -> Vec<Range<u64>> {
+        let (mut missing, mut end) = (Vec::new(), 0);
+        for part in self.parts.values() {
+            missing.push(end..part.range.start);
+            end = part.range.end;
+        }
+        missing.push(end..parts);
+        missing.retain(|range| !range.is_empty());
+        missing
+    }
+
+    /// Of how many shards they are, and which of these are missing; nothing where they are of several numbers.
+    pub(crate) fn missing_shards(&self) -> (Option<u32>, Vec<u32>) {
+        let mut numbers = self.parts.values().map(|part| part.shard.of());
+        let of = numbers.next().filter(|of| numbers.all(|other| other == *of));
+        let present: BTreeSet<u32> = self.parts.values().map(|part| part.shard.index()).collect();
+        (of, of.map_or_else(Vec::new, |of| (1..=of).filter(|index| !present.contains(index)).collect()))
+    }
+
+    /// What they came to, in order.
+    pub(crate) fn contents(&self) -> impl Iterator<Item = &T> {
+        self.parts.values().map(|part| &part.contents)
+    }
+
+    /// How many shards there are.
+    pub(crate) fn shards(&self) -> u64 {
+        self.parts.len() as u64
+    }
+
+    /// How many were given more than once.
+    pub(crate) fn duplicates(&self) -> u64 {
+        self.duplicates
+    }
+}

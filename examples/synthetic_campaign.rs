@@ -1,0 +1,64 @@
+//! Shards of a count that nobody made: folders as `crumple verify rate --shard` leaves them, with invented results, to measure what it
+//! takes to put many of them together.
+//!
+//! ```sh
+//! cargo run --release --example synthetic_campaign -- /dev/shm/campaign 1000000000 10000
+//! time crumple merge /dev/shm/campaign/shards/* --out /dev/shm/campaign/rate
+//! ```
+//!
+//! The certificate that comes of it is refused by `crumple check --rerun`, as every invented count is.
+
+use std::error::Error;
+use std::path::Path;
+
+use crumple_search::evidence::{CountedBlock, RateConfig, RatePlan, SHARD_OF_A_COUNT};
+use crumple_search::shard::Shard;
+use crumple_search::work::{Asked, Work};
+use crumple_world::control::ControllerSpec;
+use crumple_world::digest::sha256;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::built_in_space;
+use rayon::prelude::*;
+
+fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [folder, runs, shards] = arguments.as_slice() else {
+        return Err("usage: synthetic_campaign FOLDER RUNS SHARDS".into());
+    };
+    let controller = ControllerSpec::named("idm").ok_or("no such controller")?;
+    let plan = RatePlan::new(RateConfig {
+        controllers: (controller.into(), None),
+        space: built_in_space("paper").ok_or("no such space")?,
+        seed: 0,
+        estimator: EstimatorKind::Kalman,
+        runs: runs.parse()?,
+        confidence: 0.999,
+    })?;
+    let (of, root) = (shards.parse()?, Path::new(folder).join("shards"));
+    (1..=of).into_par_iter().try_for_each(|index| write(&plan, Shard::new(index, of)?, &root.join(index.to_string())))
+}
+
+/// A failure in every hundredth block.
+fn write(plan: &RatePlan, shard: Shard, folder: &Path) -> Result<(), Box<dyn Error + Send + Sync>> {
+    let says = serde_json::json!({ "version": 1, "shard": shard, "count": plan.record() });
+    let configuration = serde_json::to_string_pretty(&says)? + "\n";
+    let asked = Asked {
+        kind: SHARD_OF_A_COUNT,
+        configuration: &configuration,
+        configuration_file: "shard.json",
+        resume: false,
+        outputs: &["shard.json", "progress.json"],
+    };
+    let mut tally = plan.tally();
+    for block in plan.blocks_of(shard)? {
+        let (runs, failures) = (plan.runs_of(block), u64::from(block % 100 == 0));
+        tally.runs += runs.end - runs.start;
+        tally.failures += failures;
+        let sha256 = sha256(format!("invented {block}"));
+        tally.blocks.push(CountedBlock { failures, sha256, ..CountedBlock::default() });
+    }
+    let work = Work::open(folder, asked)?;
+    let progress = serde_json::to_string_pretty(&tally)? + "\n";
+    work.changes().write("shard.json", configuration.clone()).write("progress.json", progress).commit()?;
+    Ok(work.finish()?)
+}
