@@ -2,7 +2,9 @@
 
 import contextlib
 import csv
+import functools
 import io
+import json
 import logging
 import os
 import random
@@ -10,13 +12,12 @@ import re
 import subprocess
 import sys
 import tempfile
-import warnings
+import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 logging.disable(logging.CRITICAL)
-warnings.filterwarnings("error", message=".*not valid according to the OpenSCENARIO schema.*")
 
 import schemas  # Of scenariogeneration: the schemas of OpenDRIVE.
 from lxml import etree
@@ -54,14 +55,19 @@ def objections(path):
     return found + ([] if done >= 10 else [f"only {done} checks were made"])
 
 
+@functools.cache
+def road_schema():
+    return etree.XMLSchema(etree.parse(str(Path(next(iter(schemas.__path__))) / "opendrive_17_core.xsd")))
+
+
 def valid_road(path):
-    schema = etree.XMLSchema(etree.parse(str(Path(next(iter(schemas.__path__))) / "opendrive_17_core.xsd")))
-    schema.assertValid(etree.parse(str(path)))
+    road_schema().assertValid(etree.parse(str(path)))
 
 
 def polylines(path):
     """Time and front bumper of each vehicle, in the order of the entities."""
-    scenario = xosc.ParseOpenScenario(str(path))
+    # Without its own check of the schema, which takes seconds: ASAM's has made it.
+    scenario = xosc.Scenario.parse(ElementTree.parse(path))
     lengths = {}
     for thing in scenario.entities.scenario_objects:
         lengths[thing.name] = thing.entityobject.boundingbox.boundingbox.length
@@ -126,6 +132,36 @@ def check(task):
     return errors
 
 
+def script(chance, speed):
+    """A lead profile of any kind."""
+    onset, rate = chance.uniform(0, 5), chance.uniform(0.1, 5)
+    times = sorted({round(chance.uniform(0, 12), 2) for _ in range(chance.randint(2, 6))})
+    return chance.choice([
+        "constant-speed",
+        {"brake": {"onset_s": onset, "rate_mps2": rate}},
+        {"brake-to-speed": {"onset_s": onset, "rate_mps2": rate, "final_speed_mps": chance.uniform(0, speed)}},
+        {"ramp-brake": {"onset_s": onset, "rate_mps2": rate, "ramp_s": chance.uniform(0, 2), "release_s": chance.uniform(0, 1)}},
+        {"pieces": {"from_s": times, "accel_mps2": [chance.uniform(-5, 1.5) for _ in times]}},
+        {"recorded": {"time_s": times, "speed_mps": [chance.uniform(0, 30) for _ in times]}},
+    ])
+
+
+def scenario(chance, number):
+    """A line of vehicles that do anything."""
+    vehicles, position = [], chance.uniform(-500, 500)
+    for index in range(chance.randint(2, 6)):
+        speed, length = chance.uniform(0, 35), chance.uniform(2, 20)
+        follow = chance.choice(["under-test", "under-test", "baseline", "idm", script(chance, speed)])
+        vehicle = {"class": chance.choice(["light", "heavy"]), "position_m": position, "speed_mps": speed, "length_m": length}
+        vehicle["driver"] = script(chance, speed) if index == 0 else follow
+        vehicle["acceleration_noise_mps2"] = chance.choice([0.0, 0.3])
+        vehicles.append(vehicle)
+        position -= length + chance.uniform(1, 60)
+    made = {"version": 1, "name": f"random {number}", "duration_s": chance.choice([5.0, 15.0]), "seed": number}
+    made["step_s"] = chance.choice([0.01, 0.05])
+    return made | {"environment": {"friction": chance.uniform(0.2, 1)}, "vehicles": vehicles}
+
+
 def undeclared_entity_is_found(folder):
     """The checker sees what it is there to see."""
     crumple("export", "paper-1", "--to", "openscenario", "--out", folder)
@@ -146,10 +182,8 @@ def main():
         chance = random.Random(24)
         tasks = [(name, folder / name) for name in known]
         for k in range(COUNT):
-            (folder / f"{k}.bytes").write_bytes(chance.randbytes(4096))
-            written = folder / f"random-{k}.toml"
-            with open(written, "wb") as out:
-                subprocess.run([BIN / "examples" / "scenario_of_input", folder / f"{k}.bytes"], stdout=out, check=True)
+            written = folder / f"random-{k}.json"
+            written.write_text(json.dumps(scenario(chance, k)))
             tasks.append((written, folder / f"random-{k}"))
         with ProcessPoolExecutor(os.cpu_count()) as pool:
             errors = list(pool.map(check, tasks, chunksize=8))

@@ -42,7 +42,7 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     fs::write(folder.path().join("soft.csv"), logged(1.0)).unwrap();
     let shown = crumple(folder.path(), &["import", "hard.csv", "--map", map, "--preview", "hard.svg"]);
     let said = "hard.csv: logged-pair\n  1 vehicles that may lead, 150 samples, from 0.00 to 14.90 s, one each 0.100 s\n  \
-                speed 11.00 to 20.00 m/s, median 11.00\n  bumper gap 30.00 to 30.00 m, median 30.00\n  \
+                speed 11.00 to 20.00 m/s, median 12.80\n  bumper gap 30.00 to 30.00 m, median 30.00\n  \
                 the hardest braking is 3.00 m/s within a second, of vehicle 1 from 5.";
     assert!(stdout(&shown).starts_with(said), "{shown:?}");
     assert!(fs::read_to_string(folder.path().join("hard.svg")).unwrap().contains("Bumper gap to the vehicle behind"));
