@@ -49,14 +49,14 @@ const MOST_RANGES: usize = 20;
 /// Shards of one work.
 enum Merged {
     Count(MergedCount),
-    Estimate(MergedEstimate),
+    Estimate(Box<MergedEstimate>),
 }
 
 /// The shards so far, and one more.
 fn taken(merged: Option<Merged>, folder: &Path, found: &Finished) -> Result<Merged, Failure> {
     match (merged, found.kind()) {
         (None, SHARD_OF_A_COUNT) => Ok(Merged::Count(MergedCount::of(folder, found)?)),
-        (None, SHARD_OF_AN_ESTIMATE) => Ok(Merged::Estimate(MergedEstimate::of(folder, found)?)),
+        (None, SHARD_OF_AN_ESTIMATE) => Ok(Merged::Estimate(Box::new(MergedEstimate::of(folder, found)?))),
         (Some(Merged::Count(mut merged)), SHARD_OF_A_COUNT) => {
             merged.take(folder, found)?;
             Ok(Merged::Count(merged))

@@ -58,11 +58,14 @@ def killed_hyperqueue(job, environment, seconds):
     """Four workers with two shards each, two of which are killed."""
     share = [[str(shard) for shard in range(1 + node, SHARDS + 1, 4)] for node in range(4)]
     workers = [begun([sys.executable, job, "--local", "1", *shards], environment) for shards in share]
-    victims = sorted((random.uniform(0.5, seconds), worker) for worker in random.sample(workers, 2))
     killed, start = 0, time.monotonic()
-    for moment, worker in victims:
+    for moment in sorted(random.uniform(0.3, 0.35 * seconds) for _ in range(2)):
         time.sleep(max(0.0, start + moment - time.monotonic()))
-        killed += kill(worker.pid) if worker.poll() is None else 0
+        alive = [worker for worker in workers if worker.poll() is None]
+        victim = random.choice(alive) if alive else None
+        if victim is not None and kill(victim.pid):
+            victim.wait()
+            killed += 1
     for worker in workers:
         worker.wait()
     return killed

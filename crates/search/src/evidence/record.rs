@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crumple_verify::rate::{MOST_BLOCKS, MOST_RUNS, tail_at_most};
+use crumple_verify::rate::{MOST_BLOCKS, MOST_RUNS, tail_at_most, tail_by_powers};
 use crumple_verify::{Certificate, Comparison, Rate, Registration, Statement};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{Beta, ContinuousCDF};
@@ -169,28 +169,32 @@ pub(super) fn length(range: &Range<u64>) -> u64 {
 /// A rate that the checker accepts, little above the bound of Clopper and Pearson; 1 if there is none below.
 pub(super) fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
     let (k, n) = (failures as f64, runs as f64);
-    let quantile = Beta::new(k + 1.0, n - k).map_or(1.0, |beta| beta.inverse_cdf(confidence));
-    let suffices = |rate: &f64| tail_at_most(failures, runs, *rate) <= 1.0 - confidence;
-    if runs > FEW_RUNS {
-        return bisected(quantile, suffices);
-    }
+    let quantile = if runs > FEW_RUNS {
+        bisected(failures, runs, 1.0 - confidence)
+    } else {
+        Beta::new(k + 1.0, n - k).map_or(1.0, |beta| beta.inverse_cdf(confidence))
+    };
     // The quantile is approximate: step up until the outward-rounded tail agrees.
     let candidates = (0..40).map(|doubling| quantile * (1.0 + 1e-10 * f64::from(2_u32.pow(doubling.min(30)))));
-    candidates.take_while(|rate| *rate > 0.0 && *rate < 1.0).find(suffices).unwrap_or(1.0)
+    candidates
+        .take_while(|rate| *rate > 0.0 && *rate < 1.0)
+        .find(|&rate| tail_at_most(failures, runs, rate) <= 1.0 - confidence)
+        .unwrap_or(1.0)
 }
 
-/// For more runs than this the quantile has few digits, and the tail is quick.
-const FEW_RUNS: u64 = 100_000_000;
+/// For more runs than this the quantile of statrs has few digits, or does not come back.
+const FEW_RUNS: u64 = 10_000_000;
 
-/// The smallest rate that suffices, to nine digits, from one that is near it; 1 if none is found.
-fn bisected(near: f64, suffices: impl Fn(&f64) -> bool) -> f64 {
-    let widths = (0..20).map(|doubling| 1e-3 * f64::from(2_u32.pow(doubling)));
-    let high = widths.map(|width| near * (1.0 + width)).take_while(|rate| *rate > 0.0 && *rate < 1.0).find(&suffices);
-    let Some(mut high) = high else { return 1.0 };
-    let mut low = 0.99 * near.min(high);
-    while high - low > 1e-9 * high {
+/// The smallest rate, to ten digits, at which that many failures or fewer are as unlikely as `allowed`; 1 if there is none.
+fn bisected(failures: u64, runs: u64, allowed: f64) -> f64 {
+    let suffices = |rate: f64| tail_by_powers(failures, runs, rate) <= allowed;
+    let observed = (failures as f64 + 1.0) / runs as f64;
+    let widths = (0..40).map(|doubling| 1e-4 * f64::from(2_u32.pow(doubling.min(30))));
+    let above = widths.map(|width| observed * (1.0 + width)).take_while(|rate| *rate < 1.0);
+    let (mut low, Some(mut high)) = (0.0, above.into_iter().find(|&rate| suffices(rate))) else { return 1.0 };
+    while high - low > 1e-10 * high {
         let middle = low + 0.5 * (high - low);
-        if suffices(&middle) { high = middle } else { low = middle }
+        if suffices(middle) { high = middle } else { low = middle }
     }
     high
 }

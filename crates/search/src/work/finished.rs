@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::lock::LOCK;
-use super::manifest::{Manifest, entries_of};
+use super::manifest::{MOST_BYTES, Manifest, entries_of};
 use super::{MANIFEST, UNKNOWN, WorkError, generation};
 use crate::disk::{self, DiskError};
 use crumple_world::digest::sha256;
@@ -67,6 +67,9 @@ impl Finished {
     /// [`WorkError`] if it is not there, is not as it was written, or is no text.
     pub fn read(&self, name: &str) -> Result<String, WorkError> {
         let path = self.folder.join(name);
+        if self.manifest.state(name).is_some_and(|state| state.bytes() > MOST_BYTES) {
+            return Err(WorkError::damaged(&path, format!("longer than {MOST_BYTES} bytes, which no such file is")));
+        }
         let bytes = self.manifest.contents(&self.folder, name)?;
         self.manifest.check(name, bytes.as_deref()).map_err(|problem| WorkError::damaged(&path, problem))?;
         let bytes = bytes.ok_or_else(|| WorkError::missing(&path))?;
