@@ -112,6 +112,8 @@ def test_a_window_is_cut_at_the_end_of_the_trace():
         ("x > 0", {"x": [[1.0], [2.0]], "y": [[1.0], [2.0], [3.0]]}, 1.0, "`x` has 2 rows"),
         ("x > 0", {"x": [[[1.0]]]}, 1.0, "3 dimensions"),
         ("x > 0", {"x": "fast"}, 1.0, "no array of numbers"),
+        ("x > 0", {"x": [1j]}, 1.0, "no array of numbers"),
+        ("x > 0", {"x": [[1.0], [1.0, 2.0]]}, 1.0, "no array of numbers"),
         ("x > 0", {"x": 1.0}, 1.0, "0 dimensions"),
         ("x > 0", {"x": [1.0]}, 0.0, "step"),
         ("always[0.4,0.6] x > 0", {"x": [1.0]}, 1.0, "no sample"),
@@ -120,6 +122,14 @@ def test_a_window_is_cut_at_the_end_of_the_trace():
 def test_what_cannot_be_monitored_says_why(text, signals, step_s, said):
     with pytest.raises(crumple.FormulaError, match=said):
         crumple.monitor(text, signals, step_s=step_s)
+
+
+def test_a_failure_of_a_formula_is_replayed_as_it_was_judged():
+    text = "always v1.gap_m > 1.5"
+    found = crumple.falsify("match-leader", spec=text, budget=60)
+    assert found.failures
+    for failure in found.failures:
+        assert failure.replay().robustness(text) == failure.facts["robustness"] < 0
 
 
 def test_a_run_is_judged_as_the_command_line_judges_it(told_by_command_line):

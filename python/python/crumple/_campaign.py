@@ -25,10 +25,11 @@ class Failure:
     """What the campaign's summary says of it."""
     _controller: ControllerLike = field(repr=False)
     _estimator: Literal["kalman", "truth"] = field(repr=False)
+    _after_contact: Literal["stop", "continue"] = field(repr=False)
 
     def replay(self) -> Simulation:
-        """Simulate it again, with a trace."""
-        return simulate(self.scenario, self._controller, self._estimator)
+        """Simulate it again, with a trace; a failure of a formula beyond contacts, as it was judged."""
+        return simulate(self.scenario, self._controller, self._estimator, after_contact=self._after_contact)
 
     def plot(self, layout: Literal["wide", "stacked", "column"] = "wide") -> Figure:
         """Position, speed and spacing over time, of the failure simulated again."""
@@ -94,8 +95,9 @@ def falsify(
     summary, text = _falsify(
         given, find_space(space), spec, method, aim, budget, seed, estimator, Path(folder), resume, progress
     )
+    after_contact: Literal["stop", "continue"] = "stop" if summary["specification"] == "no contact" else "continue"
     failures = [
-        Failure(Scenario.load(Path(folder) / found["file"]), found["kind"], found, controller, estimator)
+        Failure(Scenario.load(Path(folder) / found["file"]), found["kind"], found, controller, estimator, after_contact)
         for found in summary["counterexamples"]
     ]
     return Campaign(failures, summary, text)

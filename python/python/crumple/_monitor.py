@@ -31,7 +31,7 @@ def monitor(
     arrays: dict[str, NDArray[np.float64]] = {}
     for name, values in signals.items():
         try:
-            array = np.asarray(values, np.float64)
+            array = np.asarray(values).astype(np.float64, casting="same_kind", copy=False)
         except (TypeError, ValueError) as error:
             raise FormulaError(f"signal `{name}` is no array of numbers: {error}") from error
         if array.ndim not in (1, 2):
