@@ -361,8 +361,8 @@ fn a_recording_is_assessed_as_its_episodes() {
     let traffic = found.traffic.as_ref().expect("a part");
     assert_eq!(
         (traffic.scenarios.len(), found.summary.gates[0].holds),
-        (1, true),
-        "{}",
+        (2, true),
+        "each car that brakes leads one: {}",
         found.summary.gates[0].because
     );
     assert!(found.command_files.iter().any(|file| file.file.starts_with("scenarios/openacc")));

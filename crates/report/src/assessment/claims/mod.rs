@@ -12,6 +12,7 @@ mod strength;
 
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +35,13 @@ impl Known {
     /// Something whose content is known.
     pub fn of(name: impl Into<String>, content: impl AsRef<[u8]>) -> Self {
         Self { name: name.into(), sha256: sha256(content) }
+    }
+
+    /// A scenario with every field that it states, its seed among them; fields that it leaves out do not count, so that it stays
+    /// what it is when the format grows.
+    pub fn scenario(name: impl Into<String>, scenario: &Scenario) -> Self {
+        let spec = scenario.spec();
+        Self::of(name, serde_json::to_string(spec).unwrap_or_else(|_| format!("{spec:?}")))
     }
 }
 

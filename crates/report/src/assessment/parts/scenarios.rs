@@ -57,8 +57,7 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
         super::paper::ANCHOR => "the paper's scenarios",
         _ => "recorded traffic and other scenarios",
     };
-    // Every field of a scenario, its seed among them.
-    let known = |cases: &ScenarioCases| Known::of(cases.scenario.as_str(), format!("{:?}", cases.drawn.spec()));
+    let known = |cases: &ScenarioCases| Known::scenario(cases.scenario.as_str(), &cases.drawn);
     Domain::Scenarios { about: Words(about.to_owned()), all: scenarios.iter().map(known).collect() }
 }
 

@@ -118,8 +118,7 @@ impl Usefulness {
         let spaces = [traffic_known.map_err(StoreError::encoding)?, high_risk_known.map_err(StoreError::encoding)?];
         let draws = |space: Space| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
         let (traffic, high_risk, line) = (draws(traffic)?, draws(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
-        let known_line =
-            Known::of("a line of five vehicles behind a leader that slows down", format!("{:?}", line.spec()));
+        let known_line = Known::scenario("a line of five vehicles behind a leader that slows down", &line);
         let useful = |controller: &NamedController| -> Result<Useful, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
             let drives = Drive::all(&traffic, &options)?;

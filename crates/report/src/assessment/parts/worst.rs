@@ -85,7 +85,7 @@ impl WorstProfiles {
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
         let Some(scenario) = built_in(SCENARIO).filter(|_| plan.config.paper) else { return Ok(None) };
         let scenario = scenario.edited(|spec| spec.seed = plan.config.seed)?;
-        let known = Known::of(SCENARIO, format!("{:?}", scenario.spec()));
+        let known = Known::scenario(SCENARIO, &scenario);
         let envelope = Envelope::of(&scenario);
         let against = |controller: &NamedController| {
             let item = format!("worst profile against {}", controller.name);
