@@ -8,6 +8,7 @@ use super::family::Family;
 use super::program::{Grid, Objective};
 use super::reason::Reason;
 use super::situation::Situation;
+use super::trial;
 use super::witness::Escape;
 use crumple_world::scenario::{Scenario, whole_multiple};
 
@@ -163,6 +164,20 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
 /// # Errors
 /// [`AvoidError`] if the options do not fit the scenario.
 pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
+    let mut found = solved(family, options)?;
+    if let AvoidanceVerdict::Undecided(reason) = &found.verdict
+        && family.is_point()
+        && reason.is_not_modelled()
+        && let Some(escape) = trial::escape(family.centre())
+    {
+        found.best_min_gap_m = Some(escape.min_gap_m);
+        found.verdict = AvoidanceVerdict::Avoidable(Box::new(escape));
+    }
+    Ok(found)
+}
+
+/// What the programs say.
+fn solved(family: &Family, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
     let (cells, first) = cells(family.centre(), options)?;
     check_size(family.centre())?;
     let situation = match Situation::new(family) {

@@ -5,7 +5,8 @@
 //! at which that brake may fire the question is a linear program (`program`), and few of them have to be solved, since the
 //! multipliers of one bound all others (`multipliers`, `branches`). [`avoid()`] ends in one of three verdicts:
 //!
-//! - *avoidable*, with a profile that the ordinary simulation replays without contact at two step sizes (`witness`);
+//! - *avoidable*, with a profile that the ordinary simulation replays without contact at two step sizes (`witness`), found by the
+//!   programs, or by trying scripts where they do not model who drives behind or enters the lane (`trial`);
 //! - *unavoidable*, with multipliers that prove it about every driver and in continuous time, accepted by
 //!   `crumple_verify::check` (`certificate`);
 //! - *undecided*, with the [`Reason`].
@@ -32,6 +33,7 @@ mod report;
 mod scripted;
 mod sequential;
 mod situation;
+mod trial;
 mod witness;
 
 pub use attack::{

@@ -90,3 +90,10 @@ fn undecided_gap(low_m: f64, high_m: f64) -> String {
         format!("no escape was found, and all that is proved is that nobody keeps more than {high_m:.6} m")
     }
 }
+
+impl Reason {
+    /// Whether it is that the programs do not model who drives: an escape may be found without them.
+    pub(super) fn is_not_modelled(&self) -> bool {
+        matches!(self, Self::Leader | Self::LaneChanges | Self::Follower { .. } | Self::BehindFollower { .. })
+    }
+}

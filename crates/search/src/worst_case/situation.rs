@@ -261,7 +261,7 @@ fn last_ego(scenario: &Scenario) -> Result<usize, Reason> {
 }
 
 /// Reaction and actuator delay in whole steps, as the simulation counts them.
-fn delay_steps(scenario: &Scenario, vehicle: &VehicleSpec) -> usize {
+pub(super) fn delay_steps(scenario: &Scenario, vehicle: &VehicleSpec) -> usize {
     let delay_s = vehicle.reaction_delay_s + vehicle.actuator_delay_s;
     ((delay_s / scenario.spec().step_s).round() as usize).min(scenario.steps())
 }

@@ -4,8 +4,8 @@ use super::branches::FoundBranches;
 use super::situation::Situation;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Pieces, Scenario};
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Pieces, Scenario, VehicleSpec};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
 
 /// An escape that was replayed.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,17 +25,8 @@ impl Escape {
     pub(super) fn replay(scenario: &Scenario, situation: &Situation, found: &FoundBranches) -> Option<Self> {
         let acceleration_mps2: Vec<Vec<f64>> =
             found.acceleration_mps2.iter().map(|cells| each_step(found, situation.steps, cells)).collect();
-        let scripted = scripted(scenario, &acceleration_mps2).ok()?;
-        let options =
-            RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth);
-        let run = Run::new(&scripted, options.clone()).ok()?;
-        let coarse = simulate(&run, RecordingLevel::Trace);
-        let run = Run::new(&scripted, options.with_dt_s(0.1 * scripted.spec().step_s)).ok()?;
-        let fine = simulate(&run, RecordingLevel::Summary);
-        if coarse.outcome != Outcome::NoCollision || fine.outcome != Outcome::NoCollision {
-            return None;
-        }
-        let trigger_time_s = situation.follower.as_ref().and_then(|follower| {
+        let (mut escape, coarse) = Self::of(scenario, 1, acceleration_mps2, "by convex programming")?;
+        escape.trigger_time_s = situation.follower.as_ref().and_then(|follower| {
             let trace = coarse.trace.as_ref()?;
             let pairs = trace.pairs(situation.egos.len() + 1);
             let pair = pairs.first()?;
@@ -44,9 +35,28 @@ impl Escape {
             let step = fires.take(situation.steps).position(|fires| fires)?;
             Some(situation.time_s(step))
         });
+        Some(escape)
+    }
+
+    /// Replays accelerations of the vehicles under test, the first of which is `first`, at the scenario's step and at a tenth of it;
+    /// none if vehicles touch in either.
+    pub(super) fn of(
+        scenario: &Scenario,
+        first: usize,
+        acceleration_mps2: Vec<Vec<f64>>,
+        how: &str,
+    ) -> Option<(Self, Simulated)> {
+        let scripted = scripted(scenario, first, &acceleration_mps2, how).ok()?;
+        let run = Run::new(&scripted, by_script()).ok()?;
+        let coarse = simulate(&run, RecordingLevel::Trace);
+        let run = Run::new(&scripted, by_script().with_dt_s(0.1 * scripted.spec().step_s)).ok()?;
+        let fine = simulate(&run, RecordingLevel::Summary);
+        if coarse.outcome != Outcome::NoCollision || fine.outcome != Outcome::NoCollision {
+            return None;
+        }
         let gaps = fine.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
         let min_gap_m = gaps.fold(f64::INFINITY, f64::min);
-        Some(Self { scenario: scripted, min_gap_m, trigger_time_s, acceleration_mps2 })
+        Some((Self { scenario: scripted, min_gap_m, trigger_time_s: None, acceleration_mps2 }, coarse))
     }
 
     /// Σ ∫ a² of the vehicles under test, in m²/s³: how rough the escape is.
@@ -55,6 +65,11 @@ impl Escape {
         let step_s = self.scenario.spec().step_s;
         self.acceleration_mps2.iter().flatten().map(|a| a * a * step_s).sum()
     }
+}
+
+/// Runs of a scenario in which nobody is under test.
+pub(super) fn by_script() -> RunOptions {
+    RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth)
 }
 
 /// The acceleration of every step from that of every cell.
@@ -68,17 +83,27 @@ fn each_step(found: &FoundBranches, steps: usize, cells: &[f64]) -> Vec<f64> {
 }
 
 /// The scenario with a script in place of every vehicle under test.
-fn scripted(scenario: &Scenario, acceleration_mps2: &[Vec<f64>]) -> Result<Scenario, InvalidField> {
+fn scripted(
+    scenario: &Scenario,
+    first: usize,
+    acceleration_mps2: &[Vec<f64>],
+    how: &str,
+) -> Result<Scenario, InvalidField> {
     let step_s = scenario.spec().step_s;
     scenario.edited(|spec| {
         spec.name = format!("{}-escape", spec.name.chars().take(190).collect::<String>());
-        spec.about = format!("An escape from {}, found by convex programming.", scenario.spec().name);
-        for (vehicle, each) in spec.vehicles.iter_mut().skip(1).zip(acceleration_mps2) {
-            vehicle.driver = Driver::Profile(LeadProfile::Pieces(pieces(each, step_s)));
-            // A script has no delay; the profile already is what the vehicle does.
-            (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (0.0, 0.0);
+        spec.about = format!("An escape from {}, found {how}.", scenario.spec().name);
+        for (vehicle, each) in spec.vehicles.iter_mut().skip(first).zip(acceleration_mps2) {
+            follow(vehicle, pieces(each, step_s));
         }
     })
+}
+
+/// A script in place of who drives.
+pub(super) fn follow(vehicle: &mut VehicleSpec, pieces: Pieces) {
+    vehicle.driver = Driver::Profile(LeadProfile::Pieces(pieces));
+    // A script has no delay; the profile already is what the vehicle does.
+    (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (0.0, 0.0);
 }
 
 /// A script that holds an acceleration in each step.
