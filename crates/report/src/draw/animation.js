@@ -18,6 +18,8 @@
     const views = [...block.querySelectorAll('.draw-view')].map((view) => ({
       width: Number(view.dataset.width),
       scale: Number(view.dataset.scale),
+      middle: Number(view.dataset.lane),
+      beside: Number(view.dataset.beside),
       lane: view.querySelector('.draw-lane'),
       vehicles: [...view.querySelectorAll('.draw-vehicle')],
       gaps: [...view.querySelectorAll('.draw-gap')],
@@ -33,26 +35,28 @@
       const at = (values) => values[sample] + (values[sample + 1] - values[sample]) * share;
       const fronts = vehicles.map((vehicle) => at(vehicle.position_m));
       const held = (vehicle) => vehicle.acceleration_mps2[share > 1 - 1e-6 ? sample + 1 : sample];
-      const gap = (rear) => fronts[rear - 1] - vehicles[rear - 1].length_m - fronts[rear];
+      const inLane = ({ in_lane_s: span }) => !span || (span[0] <= now + 1e-6 && now < span[1] - 1e-6);
+      const gap = (rear) => {
+        const ahead = inLane(vehicles[rear]) ? vehicles.findLastIndex((vehicle, index) => index < rear && inLane(vehicle)) : -1;
+        return ahead < 0 ? null : fronts[ahead] - vehicles[ahead].length_m - fronts[rear];
+      };
       const [first, end] = data.centred;
       const camera = (fronts[first] + fronts[end] - vehicles[end].length_m) / 2;
       for (const view of views) {
         const x = (position) => view.width / 2 + (position - camera) * view.scale;
-        const move = (element, to) => {
-          const y = element.transform.baseVal.getItem(0).matrix.f;
+        const move = (element, to, y = element.transform.baseVal.getItem(0).matrix.f) =>
           element.setAttribute('transform', `translate(${to.toFixed(1)} ${y})`);
-        };
         const left = camera - view.width / 2 / view.scale;
         view.lane.setAttribute('stroke-dashoffset', ((((left % dash) + dash) % dash) * view.scale).toFixed(1));
         view.vehicles.forEach((vehicle, index) => {
-          move(vehicle, x(fronts[index]));
+          move(vehicle, x(fronts[index]), inLane(vehicles[index]) ? view.middle : view.beside);
           const braking = held(vehicles[index]) < -0.5;
           vehicle.querySelector('.draw-brake').setAttribute('visibility', braking ? 'visible' : 'hidden');
         });
         view.gaps.forEach((label, before) => {
           const rear = before + 1;
-          move(label, x(fronts[rear] + gap(rear) / 2));
-          label.querySelector('text').textContent = `${fixed(gap(rear), 1)} m`;
+          move(label, x(fronts[rear] + (gap(rear) || 0) / 2));
+          label.querySelector('text').textContent = gap(rear) === null ? '' : `${fixed(gap(rear), 1)} m`;
         });
         view.impacts.forEach((star, index) => {
           move(star, x(fronts[data.impacts[index].rear]));
@@ -62,13 +66,13 @@
       cells.forEach(([speed, acceleration, ahead], index) => {
         speed.textContent = fixed(at(vehicles[index].speed_mps), 1);
         acceleration.textContent = fixed(held(vehicles[index]), 1);
-        if (index > 0) ahead.textContent = fixed(gap(index), 2);
+        if (index > 0) ahead.textContent = gap(index) === null ? '\u2013' : fixed(gap(index), 2);
       });
       clock.textContent = `${now.toFixed(2)} s`;
       const hits = data.impacts.filter((impact) => impact.time_s <= now + 1e-6);
       const hit = hits[hits.length - 1];
       event.textContent = hit
-        ? `\u2717 ${hit.rear} hits ${hit.rear - 1} at ${hit.time_s.toFixed(2)} s, ${hit.impact_speed_mps.toFixed(1)} m/s`
+        ? `\u2717 ${hit.rear} hits ${hit.front} at ${hit.time_s.toFixed(2)} s, ${hit.impact_speed_mps.toFixed(1)} m/s`
         : 'no contact';
       slider.value = String(share > 0.5 ? sample + 1 : sample);
       slider.setAttribute('aria-valuetext', `${now.toFixed(2)} s, ${event.textContent}`);

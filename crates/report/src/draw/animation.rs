@@ -26,6 +26,8 @@ pub const ANIMATION_SCRIPT: &str = include_str!("animation.js");
 const LANE: f64 = 46.0;
 const ABOVE: f64 = 26.0;
 const BELOW_LANE: f64 = 44.0;
+/// What the lane beside takes more below, where vehicles enter or leave.
+const LANE_BESIDE: f64 = 34.0;
 
 /// A dash of the lane's middle and the pause after it are together this long, in metres.
 const DASH_M: f64 = 10.0;
@@ -92,12 +94,15 @@ impl View<'_> {
         let last = self.data.samples().saturating_sub(1);
         let (top, bottom) = (ABOVE, ABOVE + LANE);
         let middle = ABOVE + LANE / 2.0;
+        let below = BELOW_LANE + if self.data.changes_lanes() { LANE_BESIDE } else { 0.0 };
+        let beside = bottom + BELOW_LANE - 16.0;
         let clip = Svg::id(prefix, "clip");
         let edge = |y| straight((0.0, y), (self.width, y), Stroke::solid(Ink::Axis, 1.4));
         let dash = DASH_M * self.px_per_m;
         let content = html! {
-            clipPath id=(clip) { rect x="0" y="0" width=(Px(self.width)) height=(Px(bottom + BELOW_LANE)) {} }
+            clipPath id=(clip) { rect x="0" y="0" width=(Px(self.width)) height=(Px(bottom + below)) {} }
             g class="draw-view" data-width=(Px(self.width)) data-scale=(format!("{:.4}", self.px_per_m))
+                data-lane=(Px(middle)) data-beside=(Px(beside))
                 clip-path={ "url(#" (clip) ")" } {
                 (edge(top)) (edge(bottom))
                 path class="draw-lane" d={ "M0 " (Px(bottom + 5.0)) "H" (Px(self.width)) } stroke=(Ink::Muted.hex())
@@ -107,12 +112,14 @@ impl View<'_> {
                     @let class = classes.get(index).copied().unwrap_or(VehicleClass::Light);
                     @let x = self.x(vehicle.position_m(last).unwrap_or(0.0));
                     @let braking = vehicle.acceleration_mps2(last).is_some_and(|a| a < -0.5);
-                    g class="draw-vehicle" transform={ "translate(" (Px(x)) " " (Px(middle)) ")" } {
+                    @let y = if self.data.is_in_lane(index, last) { middle } else { beside };
+                    g class="draw-vehicle" transform={ "translate(" (Px(x)) " " (Px(y)) ")" } {
                         (self.body(vehicle.length_m(), class, index, braking))
                     }
                 }
                 @for rear in 1..self.data.vehicles().len() {
-                    (self.gap(rear, last, if rear % 2 == 1 { bottom + 22.0 } else { top - 8.0 }))
+                    @let is_below = rear % 2 == 1 && !self.data.changes_lanes();
+                    (self.gap(rear, last, if is_below { bottom + 22.0 } else { top - 8.0 }))
                 }
                 @for impact in self.data.impacts() {
                     @let x = self.x(self.data.hit_m(impact, last));
@@ -121,11 +128,11 @@ impl View<'_> {
                     }
                 }
             }
-            (self.scale_bar((self.width - 8.0, bottom + BELOW_LANE - 6.0)))
+            (self.scale_bar((self.width - 8.0, bottom + below - 6.0)))
         };
         let description = "The vehicles of a run on their lane, seen from above, moving to the right. Lengths and gaps are to \
             scale, widths are not. A bar at a vehicle's rear means that it brakes, a star contact.";
-        Svg::new(prefix, (self.width, bottom + BELOW_LANE), title, description, content)
+        Svg::new(prefix, (self.width, bottom + below), title, description, content)
     }
 
     /// A vehicle that ends at x = 0 in front, centred on y = 0.
@@ -155,12 +162,14 @@ impl View<'_> {
 
     /// The gap ahead of a vehicle as a line between two bumpers, and its length in words.
     fn gap(&self, rear: usize, sample: usize, y: f64) -> Markup {
-        let gap_m = self.data.gap_m(rear, sample).unwrap_or(0.0);
+        let ahead_m = self.data.gap_m(rear, sample);
+        let gap_m = ahead_m.unwrap_or(0.0);
         let from = self.data.vehicles().get(rear).and_then(|vehicle| vehicle.position_m(sample)).unwrap_or(0.0);
         let place: Place = (self.x(from + gap_m / 2.0), y);
         html! {
             g class="draw-gap" transform={ "translate(" (Px(place.0)) " " (Px(place.1)) ")" } {
-                (words((0.0, 0.0), Anchor::Middle, &format!("{} m", signed(gap_m, 1)), SMALL, Ink::Text, false))
+                @let said = ahead_m.map_or(String::new(), |gap_m| format!("{} m", signed(gap_m, 1)));
+                (words((0.0, 0.0), Anchor::Middle, &said, SMALL, Ink::Text, false))
             }
         }
     }

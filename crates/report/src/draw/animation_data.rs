@@ -33,12 +33,16 @@ pub(super) struct VehicleData {
     position_m: Vec<f64>,
     speed_mps: Vec<f64>,
     acceleration_mps2: Vec<f64>,
+    /// From when until when it is in the lane, in seconds; none for throughout.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    in_lane_s: Option<[f64; 2]>,
 }
 
 /// One impact, in order of time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct ImpactData {
     pub(super) time_s: f64,
+    pub(super) front: usize,
     pub(super) rear: usize,
     pub(super) impact_speed_mps: f64,
 }
@@ -60,6 +64,7 @@ impl AnimationData {
             .filter(|contact| contact.time_s.is_finite() && (1..vehicles.len()).contains(&contact.rear_vehicle))
             .map(|contact| ImpactData {
                 time_s: rounded(contact.time_s, 4),
+                front: contact.front_vehicle,
                 rear: contact.rear_vehicle,
                 // As a report rounds it, so that both say the same.
                 impact_speed_mps: rounded(contact.impact_speed_mps, 1),
@@ -75,7 +80,7 @@ impl AnimationData {
         };
         // A line too long for the picture is seen where it touches first.
         if let (true, Some(first)) = (data.widest_m() > WINDOW_M.1, data.impacts.first()) {
-            data.centred = (first.rear - 1, first.rear);
+            data.centred = (first.front, first.rear);
         }
         data
     }
@@ -116,9 +121,23 @@ impl AnimationData {
         (front.unwrap_or(0.0) + rear.unwrap_or(0.0)) / 2.0
     }
 
-    /// The gap ahead of a vehicle; none for the leader.
+    /// Whether some vehicle is beside the lane at some time.
+    pub(super) fn changes_lanes(&self) -> bool {
+        self.vehicles.iter().any(|vehicle| vehicle.in_lane_s.is_some())
+    }
+
+    /// Whether a vehicle is in the lane at a sample.
+    pub(super) fn is_in_lane(&self, vehicle: usize, sample: usize) -> bool {
+        let time_s = (self.start_s + sample as f64 * self.step_s).min(self.end_s);
+        let in_lane_s = self.vehicles.get(vehicle).and_then(|vehicle| vehicle.in_lane_s);
+        in_lane_s.is_none_or(|[from_s, to_s]| from_s <= time_s && time_s < to_s)
+    }
+
+    /// The gap ahead of a vehicle; none where nobody is ahead of it in the lane.
     pub(super) fn gap_m(&self, rear: usize, sample: usize) -> Option<f64> {
-        let front = self.vehicles.get(rear.checked_sub(1)?)?;
+        let is_there = |vehicle: &usize| self.is_in_lane(*vehicle, sample);
+        let ahead = (0..rear).rev().find(is_there).filter(|_| is_there(&rear))?;
+        let front = self.vehicles.get(ahead)?;
         Some(front.position_m(sample)? - front.length_m - self.vehicles.get(rear)?.position_m(sample)?)
     }
 
@@ -132,8 +151,8 @@ impl AnimationData {
         let so_far: Vec<_> = self.impacts.iter().filter(|impact| impact.time_s <= time_s).collect();
         match so_far.last() {
             None => "no contact".to_owned(),
-            Some(ImpactData { time_s, rear, impact_speed_mps }) => {
-                format!("✗ {rear} hits {} at {time_s:.2} s, {impact_speed_mps:.1} m/s", rear - 1)
+            Some(ImpactData { time_s, front, rear, impact_speed_mps }) => {
+                format!("✗ {rear} hits {front} at {time_s:.2} s, {impact_speed_mps:.1} m/s")
             }
         }
     }
@@ -149,7 +168,11 @@ impl VehicleData {
         let sampled = |values: &[f64], digits| -> Vec<f64> {
             at_s.iter().map(|&at| rounded(between(time_s, values, at), digits)).collect()
         };
+        // JSON has no infinity: beyond the run is as good.
+        let [first_s, last_s] = [at_s.first(), at_s.last()].map(|at_s| at_s.copied().unwrap_or(0.0));
+        let within = |time_s: f64| rounded(time_s.clamp(first_s - 1.0, last_s + 1.0), 4);
         Self {
+            in_lane_s: (track.in_lane_s != Track::THROUGHOUT_S).then(|| track.in_lane_s.map(within)),
             length_m: rounded(track.length_m, 2),
             position_m: sampled(&track.position_m, 2),
             speed_mps: sampled(&track.speed_mps, 2),
