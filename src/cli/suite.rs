@@ -73,7 +73,7 @@ struct RunSuite {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Expectation {
-    /// No contact and no controller that fails, wherever a test can be run
+    /// No contact and no controller that fails, wherever a test can be run, and none found within the ranges that a clause allows
     Passed,
 }
 
@@ -162,7 +162,8 @@ impl RunSuite {
             Format::Junit => suite::xml(&result).map_err(Failure::input)?,
             Format::Text => suite::text(&result, |failed, tested| self.replay(failed, tested)),
         };
-        let has_failed = result.tests().any(|(_, test)| test.controllers.iter().any(|one| !one.failed.is_empty()));
+        let has_failed =
+            result.tests().any(|(_, test)| test.controllers.iter().any(|one| one.failures().next().is_some()));
         if has_failed && self.out.is_none() {
             output::note("note: --out FOLDER writes the scenarios that failed, to be replayed", quiet);
         }
@@ -175,7 +176,7 @@ impl RunSuite {
         std::fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
         let tested = result.tests().flat_map(|(_, test)| &test.controllers);
         let failed: BTreeMap<&str, &Failed> =
-            tested.flat_map(|one| &one.failed).map(|one| (one.scenario_name.as_str(), one)).collect();
+            tested.flat_map(Tested::failures).map(|one| (one.scenario_name.as_str(), one)).collect();
         let mut files = Files::default();
         for (name, failed) in failed {
             let text = file::to_toml(&failed.scenario).map_err(Failure::input)?;
@@ -197,8 +198,7 @@ impl RunSuite {
     fn check(&self, result: &SuiteResult) -> Result<(), Failure> {
         let missed = result.tests().flat_map(|(_, test)| {
             let missed = test.controllers.iter().filter(|tested| {
-                !tested.verdict.is_passed()
-                    && !matches!(tested.verdict, TestVerdict::Refused { .. } if tested.points == 0)
+                !tested.is_passed() && !matches!(tested.verdict, TestVerdict::Refused { .. } if tested.points == 0)
             });
             missed.map(move |tested| format!("{} ({})", test.name, tested.controller))
         });

@@ -8,7 +8,7 @@ use crumple_search::suite::{
 };
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::LaneChange;
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
 use crate::command_line::{code, crumple, folder};
 use crate::schema::{assert_committed, validate};
@@ -262,6 +262,40 @@ fn every_situation_is_the_one_that_its_figures_say() {
             }
         }
     }
+}
+
+/// What is found within the ranges of a clause is about as bad as its grid or worse, lies within them, and replays.
+#[test]
+fn the_worst_within_a_clause_is_no_better_than_its_grid() {
+    let suite = shipped("fmvss-127");
+    let drivers = ["match-leader", "idm", "acc-aeb", "constant-brake"].map(named);
+    let result = run(&suite, &drivers, EstimatorKind::Truth).unwrap();
+    let (_, test) = result.tests().find(|(_, test)| test.name == "decelerating-lead").unwrap();
+    for (tested, driver) in test.controllers.iter().zip(&drivers) {
+        let within = tested.within.as_ref().expect("the clause has ranges");
+        assert_eq!(within.tried, 256 + 5 * 48);
+        let impact_mps = |verdict: &TestVerdict| match verdict {
+            TestVerdict::Failed { impact_speed_mps, .. } => *impact_speed_mps,
+            _ => 0.0,
+        };
+        assert!(impact_mps(&within.verdict) > impact_mps(&tested.verdict) - 0.3, "{}: {within:?}", tested.controller);
+        if let (true, Some(gap_m), Some(grid_m)) = (tested.is_passed(), within.min_gap_m, tested.min_gap_m) {
+            assert!(gap_m < grid_m + 0.3, "{}: {gap_m} {grid_m}", tested.controller);
+        }
+        if let Some(failed) = &within.failed {
+            let options = RunOptions::new(driver.kind.clone()).with_estimator(EstimatorKind::Truth);
+            let again = simulate(&Run::new(&failed.scenario, options).unwrap(), RecordingLevel::Summary);
+            let contact = again.outcome.contact().expect("replays");
+            assert_eq!(contact.impact_speed_mps, impact_mps(&within.verdict));
+            let gap_m = failed.scenario.initial_gap_m(1).unwrap();
+            assert!((12.0..=40.0).contains(&gap_m));
+        }
+    }
+    assert_eq!(run(&suite, &drivers[1..2], EstimatorKind::Truth).unwrap().clauses[0].tests, {
+        let mut alone = result.clauses[0].tests.clone();
+        alone.iter_mut().for_each(|test| test.controllers = vec![test.controllers[1].clone()]);
+        alone
+    });
 }
 
 /// Delayed braking against a vehicle that cuts in Δv slower touches within Δv / (2 b) + τ of a collision; the driver decides at the

@@ -2,7 +2,7 @@
 
 use quick_junit::{NonSuccessKind, Property, Report, SerializeError, TestCase, TestCaseStatus, TestSuite};
 
-use super::{least_margins, verdict};
+use super::{least_margins, verdict, within_in_words};
 use crumple_search::suite::{SuiteResult, TestResult, TestVerdict, Tested};
 use crumple_world::quoted::Lines;
 
@@ -30,14 +30,22 @@ pub fn xml(result: &SuiteResult) -> Result<String, JunitError> {
 }
 
 fn case(test: &TestResult, tested: &Tested) -> TestCase {
+    let within = tested.within.as_ref().filter(|within| within.verdict.is_failure());
     let mut status = match &tested.verdict {
+        TestVerdict::Passed if within.is_some() => TestCaseStatus::non_success(NonSuccessKind::Failure),
         TestVerdict::Passed => TestCaseStatus::success(),
         TestVerdict::Failed { .. } => TestCaseStatus::non_success(NonSuccessKind::Failure),
         TestVerdict::ControllerFailed { .. } => TestCaseStatus::non_success(NonSuccessKind::Error),
         TestVerdict::Refused { .. } => TestCaseStatus::skipped(),
     };
-    if !tested.verdict.is_passed() {
-        status.set_message(verdict(&tested.verdict));
+    match within {
+        _ if !tested.verdict.is_passed() => {
+            status.set_message(verdict(&tested.verdict));
+        }
+        Some(within) => {
+            status.set_message(within_in_words(within));
+        }
+        None => {}
     }
     let mut case = TestCase::new(format!("{}: {}", test.name, tested.controller), status);
     case.set_system_out(least_margins(&tested.margins).join("\n"));

@@ -4,7 +4,9 @@ mod junit;
 
 use std::fmt::Write;
 
-use crumple_search::suite::{Failed, Margin, MarginEnd, Prevention, SuiteResult, TestResult, TestVerdict, Tested};
+use crumple_search::suite::{
+    Failed, Margin, MarginEnd, Prevention, SuiteResult, TestResult, TestVerdict, Tested, Within,
+};
 use crumple_world::quoted::Terminal;
 
 pub use junit::{JunitError, xml};
@@ -45,7 +47,10 @@ fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&Failed, &Te
         for line in least_margins(&tested.margins) {
             let _ = writeln!(out, "      {line}");
         }
-        for failed in &tested.failed {
+        if let Some(within) = &tested.within {
+            let _ = writeln!(out, "      {}", Terminal(&within_in_words(within)));
+        }
+        for failed in tested.failures() {
             let _ = writeln!(out, "      fails at {}: {}", failed.point, Terminal(&verdict(&failed.verdict)));
             let _ = writeln!(out, "        {}", Terminal(&preventable(failed)));
             if let Some(command) = replay(failed, tested) {
@@ -65,6 +70,14 @@ fn verdict(verdict: &TestVerdict) -> String {
         TestVerdict::ControllerFailed { time_s, reason } => format!("CONTROLLER FAILED at {time_s:.2} s: {reason}"),
         TestVerdict::Refused { reason } => format!("REFUSED: {reason}"),
     }
+}
+
+/// The worst point within the ranges of a clause, in words.
+fn within_in_words(within: &Within) -> String {
+    let Within { point, verdict: found, min_gap_m, tried, .. } = within;
+    let gap =
+        min_gap_m.filter(|_| found.is_passed()).map_or(String::new(), |gap_m| format!(", smallest gap {gap_m:.2} m"));
+    format!("worst of {tried} points within the ranges: {}{gap}, at {point}", verdict(found))
 }
 
 /// In each direction the least margin, in words, and of how many it is the least.

@@ -112,6 +112,15 @@ pub enum SuiteProblem {
     /// A vehicle ahead that is not slower.
     #[error("the vehicle ahead must be slower than the vehicle under test at every point")]
     NotSlower,
+    /// A range of a figure without two values.
+    #[error("{} has no two values between which there is a range", parameter.words())]
+    NoRange {
+        /// The figure.
+        parameter: Parameter,
+    },
+    /// A range that is stated twice.
+    #[error("is stated twice")]
+    RangeTwice,
     /// More points than a suite may have.
     #[error("makes {found} points, and a suite may have {MOST_POINTS}")]
     TooMany {
@@ -173,7 +182,8 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
         (Some(lead), None) => lead,
         (None, Some(why)) => {
             text(why, format!("{place}.refused"))?;
-            let misplaced = test.figures.stated().next().is_some() || !test.margins.is_empty();
+            let misplaced =
+                test.figures.stated().next().is_some() || !test.margins.is_empty() || !test.ranges.is_empty();
             return holds(!misplaced, place, SuiteProblem::Either).map(|()| 0);
         }
         _ => return Err((place.to_owned(), SuiteProblem::Either)),
@@ -191,6 +201,12 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
     holds(found <= MOST_POINTS, format!("{place}.figures"), SuiteProblem::TooMany { found })?;
     let grid = test.grid();
     grid.iter().try_for_each(|point| check_point(test, lead, point, &format!("{place}.figures")))?;
+    for (index, &parameter) in test.ranges.iter().enumerate() {
+        let field = format!("{place}.ranges[{index}]");
+        let has_range = test.place(parameter).is_some_and(|(_, figure)| figure.values.len() > 1);
+        holds(has_range, &field, SuiteProblem::NoRange { parameter })?;
+        holds(!test.ranges[..index].contains(&parameter), field, SuiteProblem::RangeTwice)?;
+    }
     length(test.margins.len(), 0, 10, format!("{place}.margins"))?;
     for (index, margin) in test.margins.iter().enumerate() {
         let field = format!("{place}.margins[{index}]");

@@ -14,6 +14,7 @@ mod preventable;
 mod result;
 mod run;
 mod spec;
+mod within;
 
 use std::path::Path;
 
@@ -24,6 +25,7 @@ pub use preventable::{Prevention, ReferenceRun};
 pub use result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
 pub use run::run;
 pub use spec::{ClauseSpec, Lead, Push, SuiteSpec, TestSpec};
+pub use within::Within;
 
 /// The version of the suite file format this release reads.
 pub const SUITE_VERSION: u32 = 1;

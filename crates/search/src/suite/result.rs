@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::figure::Figures;
 use super::margin::Margin;
 use super::preventable::ReferenceRun;
+use super::within::Within;
 use crate::falsify::counterexample::Avoidability;
 
 /// What goes with every result.
@@ -74,7 +75,10 @@ pub struct Tested {
     pub min_gap_m: Option<f64>,
     /// How far the test can be pushed until it fails.
     pub margins: Vec<Margin>,
-    /// The points that failed.
+    /// The worst point found within the ranges that the clause allows; none where it states none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub within: Option<Within>,
+    /// The points of the grid that failed.
     pub failed: Vec<Failed>,
 }
 
@@ -122,6 +126,19 @@ pub enum TestVerdict {
         /// Why not.
         reason: String,
     },
+}
+
+impl Tested {
+    /// Every failure: of the grid, and the worst within the ranges.
+    pub fn failures(&self) -> impl Iterator<Item = &Failed> {
+        self.failed.iter().chain(self.within.as_ref().and_then(|within| within.failed.as_ref()))
+    }
+
+    /// Whether it passed on the grid, and nothing was found to fail within the ranges.
+    #[must_use]
+    pub fn is_passed(&self) -> bool {
+        self.verdict.is_passed() && self.within.as_ref().is_none_or(|within| !within.verdict.is_failure())
+    }
 }
 
 impl TestVerdict {

@@ -13,6 +13,7 @@ use super::margin::margins;
 use super::preventable::{Prevented, prevented};
 use super::result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
 use super::spec::{ClauseSpec, Lead, TestSpec};
+use super::within::{Within, Worst, worst};
 
 /// What drives, and what it looks through.
 pub(super) struct Driven<'c> {
@@ -78,7 +79,7 @@ fn run_clause(
     let mut tests = Vec::new();
     for test in &clause.tests {
         let about = format!("{}: {}", clause.clause, clause.says);
-        let course = Course::new(suite, test, &about)?;
+        let course = Course::new(suite, test, about)?;
         let tested = controllers.iter().map(|controller| course.tested(controller, estimator, known));
         tests.push(TestResult {
             name: test.name.clone(),
@@ -92,6 +93,9 @@ fn run_clause(
 
 /// A test with the scenarios of its grid.
 struct Course<'t> {
+    /// What begins the names of its scenarios.
+    name: String,
+    about: String,
     test: &'t TestSpec,
     lead: Option<Lead>,
     grid: Vec<Vec<f64>>,
@@ -99,14 +103,15 @@ struct Course<'t> {
 }
 
 impl<'t> Course<'t> {
-    fn new(suite: &str, test: &'t TestSpec, about: &str) -> Result<Self, InvalidField> {
+    fn new(suite: &str, test: &'t TestSpec, about: String) -> Result<Self, InvalidField> {
         let grid = if test.lead.is_some() { test.grid() } else { Vec::new() };
+        let name = format!("{suite}-{}", test.name);
         let named = |(point, number): (&Vec<f64>, usize)| {
             let about = format!("{about} ({}.) {STATEMENT}", test.in_words(point));
-            test.scenario(&format!("{suite}-{}-{number:03}", test.name), &about, point)
+            test.scenario(&format!("{name}-{number:03}"), &about, point)
         };
         let scenarios = grid.iter().zip(1..).map(named).collect::<Result<_, _>>()?;
-        Ok(Self { test, lead: test.lead, grid, scenarios })
+        Ok(Self { name, about: format!("{about} {STATEMENT}"), test, lead: test.lead, grid, scenarios })
     }
 
     fn tested(&self, controller: &NamedController, estimator: EstimatorKind, known: &mut Known) -> Tested {
@@ -115,21 +120,36 @@ impl<'t> Course<'t> {
             (Some(lead), _) => driven.seen(lead, &self.scenarios),
             (None, reason) => vec![Seen::refused(reason.clone().unwrap_or_default())],
         };
-        let worst = TestVerdict::worst(seen.iter().map(|seen| &seen.verdict)).unwrap_or(&TestVerdict::Passed);
+        let of_grid = TestVerdict::worst(seen.iter().map(|seen| &seen.verdict)).unwrap_or(&TestVerdict::Passed);
         let gaps = seen.iter().filter_map(|seen| seen.min_gap_m);
         Tested {
             controller: controller.name.clone(),
-            verdict: worst.clone(),
+            verdict: of_grid.clone(),
             points: self.grid.len(),
             passed: seen.iter().filter(|seen| seen.verdict.is_passed()).count(),
             min_gap_m: gaps.reduce(f64::min),
             margins: self.lead.map(|lead| margins(self.test, lead, &driven)).unwrap_or_default(),
-            failed: self.failed(&seen, known),
+            within: self.within(&driven, known),
+            failed: self.failed(&self.grid, &self.scenarios, &seen, known),
         }
     }
 
-    fn failed(&self, seen: &[Seen], known: &mut Known) -> Vec<Failed> {
-        let all = self.grid.iter().zip(&self.scenarios).zip(seen);
+    fn within(&self, driven: &Driven<'_>, known: &mut Known) -> Option<Within> {
+        let Worst { point, scenario, seen, tried } = worst(&self.name, &self.about, self.test, self.lead?, driven)?;
+        let (points, scenarios, all) = ([point], [scenario], [seen]);
+        let failed = self.failed(&points, &scenarios, &all, known).pop();
+        let ([point], [seen]) = (points, all);
+        Some(Within {
+            point: self.test.in_words(&point),
+            verdict: seen.verdict,
+            min_gap_m: seen.min_gap_m,
+            tried,
+            failed,
+        })
+    }
+
+    fn failed(&self, points: &[Vec<f64>], scenarios: &[Scenario], seen: &[Seen], known: &mut Known) -> Vec<Failed> {
+        let all = points.iter().zip(scenarios).zip(seen);
         let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
         let scenarios: Vec<_> = failed.iter().map(|((_, scenario), _)| *scenario).collect();
         let prevented = self.lead.map(|lead| prevented(lead, &scenarios, known)).unwrap_or_default();

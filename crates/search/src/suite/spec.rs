@@ -61,6 +61,10 @@ pub struct TestSpec {
     /// Its figures. The test is run at every combination of their values.
     #[serde(default)]
     pub figures: Figures,
+    /// Figures of which the document allows every value from the smallest to the largest: the worst point is searched for there.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(length(max = 6))]
+    pub ranges: Vec<Parameter>,
     /// How it is pushed until it fails.
     #[serde(default)]
     #[schemars(length(max = 10))]
