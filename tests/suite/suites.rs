@@ -145,6 +145,11 @@ fn bad_suites_are_refused_by_file_line_and_field() {
             "to = 40.0",
             "own.toml:15: clauses[0].tests[0].margins[0].to: must lie beyond all values of own speed",
         ),
+        (
+            "lead = \"stopped\"",
+            "lead = \"stopped\"\nranges = [\"closing_time\"]",
+            "own.toml:15: clauses[0].tests[0].ranges[0]: closing time has no two values",
+        ),
         ("push = \"own_speed\"", "push = \"gap\"", "own.toml:15: clauses[0].tests[0].margins[0].push: has no place"),
         ("edition", "editon", "own.toml:5: editon: unknown field `editon`"),
         ("[[clauses]]", "[clauses]", ": clauses"),

@@ -376,7 +376,12 @@ fn what_is_not_modelled_is_undecided_or_still_proved() {
     };
     let idm = ControllerSpec::named("idm").unwrap();
     let idm = crumple_world::scenario::Driver::Controller(idm);
-    assert_eq!(reason(&|s| s.vehicles[0].driver = idm.clone()), Some(Reason::Leader));
+    // Whoever leads, a script that touches nobody is an escape; where none is found nothing is said.
+    assert_eq!(reason(&|s| s.vehicles[0].driver = idm.clone()), None);
+    let wall = |s: &mut crumple_world::scenario::ScenarioSpec| {
+        (s.vehicles[0].speed_mps, s.vehicles[0].driver) = (0.0, idm.clone());
+    };
+    assert_eq!(reason(&wall), Some(Reason::Leader));
     assert_eq!(reason(&|s| s.vehicles[1].driver = idm.clone()), Some(Reason::NoEgo));
     assert_eq!(reason(&|s| s.vehicles[1].actuator_lag_s = 0.2), Some(Reason::EgoResponse { vehicle: 1 }));
     // A delay of the ego is part of the escape; nobody helps a car that runs into a wall, lag or not.

@@ -52,7 +52,7 @@ pub(super) fn worst(name: &str, about: &str, test: &TestSpec, lead: Lead, driven
         let mut point = grid.get(index % grid.len())?.clone();
         for &(place, figure) in &ranges {
             let [low, high] = ends(figure)?;
-            *point.get_mut(place)? = low + (high - low) * stream.random::<f64>();
+            *point.get_mut(place)? = rounded(low + (high - low) * stream.random::<f64>());
         }
         Some(point)
     });
@@ -93,10 +93,15 @@ fn near(centre: &[f64], ranges: &[(usize, &Figure)], width: f64, stream: &mut St
     for &(place, figure) in ranges {
         if let (Some([low, high]), Some(value)) = (ends(figure), point.get_mut(place)) {
             let normal: f64 = StandardNormal.sample(stream);
-            *value = (*value + width * (high - low) * normal).clamp(low, high);
+            *value = rounded(*value + width * (high - low) * normal).clamp(low, high);
         }
     }
     point
+}
+
+/// A value as somebody would state it.
+fn rounded(value: f64) -> f64 {
+    (value * 1e3).round() / 1e3
 }
 
 /// How bad a point is: contacts by their speed, then failures of controllers, then small gaps; what was refused is not looked for.
