@@ -12,7 +12,7 @@ use super::output;
 use super::{Failure, choice, subject};
 use crumple_search::disk::Files;
 use crumple_search::worst_case::{
-    AvoidOptions, Avoidance, AvoidanceVerdict, Escape, EscapeKind, Family, Ranges, Reason, avoid_all, certify,
+    AvoidOptions, Avoidance, AvoidanceVerdict, Escape, EscapeKind, Family, FoundBy, Ranges, Reason, avoid_all, certify,
 };
 use crumple_world::quoted::Terminal;
 use crumple_world::scenario::{Scenario, file};
@@ -78,6 +78,8 @@ struct Report<'a> {
     trigger_time_s: Option<f64>,
     effort_m2ps3: Option<f64>,
     escape_is_best_for: Option<&'static str>,
+    /// `programs`, or `trial` where these do not model who drives.
+    escape_found_by: Option<&'static str>,
     programs: usize,
     reason: Option<&'a Reason>,
 }
@@ -133,7 +135,13 @@ impl Avoid {
             min_gap_bound_is_certified: avoidance.bound_certificate.is_some(),
             trigger_time_s: escape.and_then(|escape| escape.trigger_time_s),
             effort_m2ps3: escape.map(Escape::effort_m2ps3),
-            escape_is_best_for: escape.map(|_| self.escape.is_best_for()),
+            escape_is_best_for: escape.map(|escape| match escape.found_by {
+                FoundBy::Programs => self.escape.is_best_for(),
+                FoundBy::Trial => {
+                    "the largest smallest gap of the scripts tried, for the programs do not model who drives"
+                }
+            }),
+            escape_found_by: escape.map(|escape| escape.found_by.name()),
             programs: avoidance.programs,
             reason,
         }
@@ -179,12 +187,14 @@ fn describe(report: &Report<'_>) -> String {
             if report.min_gap_bound_is_certified { "proved" } else { "by a computed bound without a certificate" }
         );
     }
-    match (trigger_time_s, escape_min_gap_m) {
+    match (trigger_time_s, report.escape_found_by) {
         (Some(time_s), _) => {
             let _ = writeln!(text, "  the follower's emergency brake fires at {time_s:.2} s");
         }
-        (None, Some(_)) => text.push_str("  no emergency brake behind fires\n"),
-        (None, None) => {}
+        (None, Some(found_by)) if found_by == FoundBy::Programs.name() => {
+            text.push_str("  no emergency brake behind fires\n")
+        }
+        _ => {}
     }
     if let (Some(best_for), Some(effort)) = (report.escape_is_best_for, report.effort_m2ps3) {
         let _ = writeln!(text, "  ∫a² of the escape {effort:.1} m²/s³: {best_for}");

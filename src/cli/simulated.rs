@@ -165,14 +165,15 @@ fn in_words(change: &LaneChanges, scenario: &Scenario) -> String {
         (true, None) => "stays beside the lane: the moment does not come, or there is no room".to_owned(),
         (false, _) => String::new(),
     };
+    let lane = if entered.is_empty() { "the lane" } else { "it" };
     let left = match (is_to(|vehicle| vehicle.leaves), left_s) {
-        (true, Some(time_s)) => format!("leaves the lane at {time_s:.2} s"),
+        (true, Some(time_s)) => format!("leaves {lane} at {time_s:.2} s"),
         (true, None) if entered_s.is_some() || entered.is_empty() => {
-            "does not leave the lane: the moment does not come".to_owned()
+            format!("does not leave {lane}: the moment does not come")
         }
         _ => String::new(),
     };
-    let both = if entered.is_empty() || left.is_empty() { "" } else { ", and " };
+    let both = if entered.is_empty() || left.is_empty() { "" } else { " and " };
     format!("vehicle {vehicle} {entered}{both}{left}")
 }
 

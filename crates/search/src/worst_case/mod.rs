@@ -50,4 +50,4 @@ pub(crate) use descent::{Descent, Limits, Pace};
 pub use family::{Family, FamilyError, FieldRange, Ranges};
 pub use reason::Reason;
 pub use report::AttackReport;
-pub use witness::Escape;
+pub use witness::{Escape, FoundBy};

@@ -6,7 +6,7 @@ use std::cmp::Ordering;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::situation::delay_steps;
-use super::witness::{Escape, by_script, follow, pieces};
+use super::witness::{Escape, FoundBy, by_script, follow, pieces};
 use crumple_world::random::{self, Purpose, Stream};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{Outcome, RecordingLevel, Run, Simulated, simulate_batch};
@@ -51,7 +51,7 @@ pub(super) fn escape(scenario: &Scenario) -> Option<Escape> {
         }
     }
     let accelerations = trial.accelerations(best.1);
-    Escape::of(scenario, trial.ego, vec![accelerations], "by trying scripts").map(|(escape, _)| escape)
+    Escape::of(scenario, trial.ego, vec![accelerations], FoundBy::Trial).map(|(escape, _)| escape)
 }
 
 impl Script {

@@ -7,6 +7,33 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Pieces, Scenario, VehicleSpec};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
 
+/// How an escape was found. That it is one its replay says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FoundBy {
+    /// By convex programs, which know when the emergency brake behind fires.
+    Programs,
+    /// By trying scripts: the programs do not model who drives.
+    Trial,
+}
+
+impl FoundBy {
+    /// Its name in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Programs => "programs",
+            Self::Trial => "trial",
+        }
+    }
+
+    fn in_words(self) -> &'static str {
+        match self {
+            Self::Programs => "by convex programming",
+            Self::Trial => "by trying scripts",
+        }
+    }
+}
+
 /// An escape that was replayed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Escape {
@@ -14,7 +41,9 @@ pub struct Escape {
     pub scenario: Scenario,
     /// Smallest gap between any two vehicles at any instant, in metres, at a tenth of the scenario's step.
     pub min_gap_m: f64,
-    /// When the emergency brake of the follower fires, in seconds; none if it never does or there is none.
+    /// How it was found.
+    pub found_by: FoundBy,
+    /// When the emergency brake of the follower fires, in seconds; none if it never does, there is none, or no program knows of it.
     pub trigger_time_s: Option<f64>,
     /// Acceleration of each vehicle under test over each step, in m/s².
     pub acceleration_mps2: Vec<Vec<f64>>,
@@ -25,7 +54,7 @@ impl Escape {
     pub(super) fn replay(scenario: &Scenario, situation: &Situation, found: &FoundBranches) -> Option<Self> {
         let acceleration_mps2: Vec<Vec<f64>> =
             found.acceleration_mps2.iter().map(|cells| each_step(found, situation.steps, cells)).collect();
-        let (mut escape, coarse) = Self::of(scenario, 1, acceleration_mps2, "by convex programming")?;
+        let (mut escape, coarse) = Self::of(scenario, 1, acceleration_mps2, FoundBy::Programs)?;
         escape.trigger_time_s = situation.follower.as_ref().and_then(|follower| {
             let trace = coarse.trace.as_ref()?;
             let pairs = trace.pairs(situation.egos.len() + 1);
@@ -44,9 +73,9 @@ impl Escape {
         scenario: &Scenario,
         first: usize,
         acceleration_mps2: Vec<Vec<f64>>,
-        how: &str,
+        found_by: FoundBy,
     ) -> Option<(Self, Simulated)> {
-        let scripted = scripted(scenario, first, &acceleration_mps2, how).ok()?;
+        let scripted = scripted(scenario, first, &acceleration_mps2, found_by).ok()?;
         let run = Run::new(&scripted, by_script()).ok()?;
         let coarse = simulate(&run, RecordingLevel::Trace);
         let run = Run::new(&scripted, by_script().with_dt_s(0.1 * scripted.spec().step_s)).ok()?;
@@ -56,7 +85,7 @@ impl Escape {
         }
         let gaps = fine.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
         let min_gap_m = gaps.fold(f64::INFINITY, f64::min);
-        Some((Self { scenario: scripted, min_gap_m, trigger_time_s: None, acceleration_mps2 }, coarse))
+        Some((Self { scenario: scripted, min_gap_m, found_by, trigger_time_s: None, acceleration_mps2 }, coarse))
     }
 
     /// Σ ∫ a² of the vehicles under test, in m²/s³: how rough the escape is.
@@ -87,12 +116,12 @@ fn scripted(
     scenario: &Scenario,
     first: usize,
     acceleration_mps2: &[Vec<f64>],
-    how: &str,
+    found_by: FoundBy,
 ) -> Result<Scenario, InvalidField> {
     let step_s = scenario.spec().step_s;
     scenario.edited(|spec| {
         spec.name = format!("{}-escape", spec.name.chars().take(190).collect::<String>());
-        spec.about = format!("An escape from {}, found {how}.", scenario.spec().name);
+        spec.about = format!("An escape from {}, found {}.", scenario.spec().name, found_by.in_words());
         for (vehicle, each) in spec.vehicles.iter_mut().skip(first).zip(acceleration_mps2) {
             follow(vehicle, pieces(each, step_s));
         }
