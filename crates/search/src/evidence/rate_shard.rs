@@ -8,14 +8,12 @@ use serde::{Deserialize, Serialize};
 use super::RatePlan;
 use super::rate_folder::{Counting, PROGRESS, RateFolderError, json};
 use super::record::{CountRecord, Tally, length};
-use crate::shard::Shard;
-use crate::work::{Asked, Finished, Work, WorkError};
+use crate::shard::{self, SHARD, Shard};
+use crate::work::{Finished, Work, WorkError};
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_A_COUNT: &str = "shard of a count";
 
-/// The file that says what a shard is.
-pub(super) const SHARD: &str = "shard.json";
 /// The version of that file.
 const VERSION: u32 = 1;
 
@@ -48,18 +46,11 @@ impl RatePlan {
         let blocks = self.blocks_of(shard)?;
         let file = ShardFile { version: VERSION, shard, count: self.record().clone() };
         let configuration = json(&folder.join(SHARD), &file)?;
-        let asked = Asked {
-            kind: SHARD_OF_A_COUNT,
-            configuration: &configuration,
-            configuration_file: SHARD,
-            resume,
-            outputs: &[SHARD, PROGRESS],
-        };
-        let work = Work::open(folder, asked).map_err(|error| match error {
+        let work = shard::open(folder, SHARD_OF_A_COUNT, &configuration, PROGRESS, resume);
+        let work = work.map_err(|error| match error {
             WorkError::OtherConfiguration { path, .. } => RateFolderError::OtherRegistration { path },
             other => other.into(),
         })?;
-        work.write(SHARD, configuration)?;
         let counting = Counting::in_folder(self, blocks, &work)?;
         Ok(RateShard { work, counting })
     }

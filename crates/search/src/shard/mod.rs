@@ -7,12 +7,32 @@ mod parts;
 
 use std::fmt;
 use std::ops::Range;
+use std::path::Path;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::work::{Asked, Work, WorkError};
+
 pub use parts::MergeError;
 pub(crate) use parts::Parts;
+
+/// The file that says all that decides a shard.
+pub(crate) const SHARD: &str = "shard.json";
+
+/// The folder of a shard in use, with what decides it: a kind of work whose results stand in `results` beside it.
+pub(crate) fn open(
+    folder: &Path,
+    kind: &'static str,
+    configuration: &str,
+    results: &'static str,
+    resume: bool,
+) -> Result<Work, WorkError> {
+    let outputs = &[SHARD, results];
+    let work = Work::open(folder, Asked { kind, configuration, configuration_file: SHARD, resume, outputs })?;
+    work.write(SHARD, configuration)?;
+    Ok(work)
+}
 
 /// The most shards that work is divided into.
 pub const MOST_SHARDS: u32 = 10_000;

@@ -9,13 +9,12 @@ use serde::{Deserialize, Serialize};
 use super::driving::RareRecord;
 use super::splitting::Repetition;
 use super::{RareError, RarePlan, RareReport, Splitting};
-use crate::shard::{MergeError, Parts, Shard};
-use crate::work::{Asked, Finished, Work, WorkError};
+use crate::shard::{self, MergeError, Parts, SHARD, Shard};
+use crate::work::{Finished, Work, WorkError};
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_AN_ESTIMATE: &str = "shard of a rare-failure estimate";
 
-const SHARD: &str = "shard.json";
 const REPETITIONS: &str = "repetitions.json";
 /// The version of these files.
 const VERSION: u32 = 1;
@@ -55,15 +54,7 @@ impl RarePlan {
         }
         shard.range(self.effort.repetitions as u64, WHAT)?;
         let configuration = serde_json::to_string_pretty(&ShardFile { version: VERSION, shard, estimate })? + "\n";
-        let asked = Asked {
-            kind: SHARD_OF_AN_ESTIMATE,
-            configuration: &configuration,
-            configuration_file: SHARD,
-            resume,
-            outputs: &[SHARD, REPETITIONS],
-        };
-        let work = Work::open(folder, asked)?;
-        work.write(SHARD, configuration)?;
+        let work = shard::open(folder, SHARD_OF_AN_ESTIMATE, &configuration, REPETITIONS, resume)?;
         Ok(RareShard { plan: self, shard, work })
     }
 }

@@ -5,8 +5,8 @@ use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 
 use super::*;
-use crate::evidence::rate_shard::SHARD;
 use crate::evidence::{RateConfig, RatePlan, SHARD_OF_A_COUNT};
+use crate::shard::SHARD;
 use crate::shard::Shard;
 use crate::work::{Found, find};
 use crumple_world::control::ControllerSpec;
