@@ -169,7 +169,7 @@ fn in_words(change: &LaneChanges, scenario: &Scenario) -> String {
     let left = match (is_to(|vehicle| vehicle.leaves), left_s) {
         (true, Some(time_s)) => format!("leaves {lane} at {time_s:.2} s"),
         (true, None) if entered_s.is_some() || entered.is_empty() => {
-            format!("does not leave {lane}: the moment does not come")
+            format!("does not leave {lane}: the moment does not come, or it touches somebody before")
         }
         _ => String::new(),
     };

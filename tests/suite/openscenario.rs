@@ -2,9 +2,11 @@
 
 use std::iter;
 
-use crumple::report::export::openscenario::{actions, trajectories};
+use crumple::report::export::openscenario::{OpenScenarioError, actions, trajectories};
 use crumple_world::control::ControllerSpec;
-use crumple_world::scenario::{Brake, BrakeToSpeed, Driver, LeadProfile, Pieces, Scenario, built_in, built_in_names};
+use crumple_world::scenario::{
+    Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, Pieces, Scenario, built_in, built_in_names,
+};
 use crumple_world::sim::{AfterContact, RunOptions, Trace};
 use proptest::prelude::*;
 use roxmltree::{Document, Node};
@@ -109,6 +111,19 @@ fn built_in_scenarios_are_read_back_as_they_ran() {
         for after_contact in [AfterContact::Stop, AfterContact::Continue] {
             assert_is_the_run(&scenario, &traced(&scenario, &options(after_contact)).trace.expect("traced"));
         }
+    }
+}
+
+/// On a road of one lane who drives beside it would drive through the others.
+#[test]
+fn changes_of_lanes_are_refused() {
+    let cut_in = built_in("paper-1").expect("built in").edited(|spec| {
+        spec.vehicles[0].enters = Some(LaneChange::At(1.0));
+    });
+    let cut_in = cut_in.expect("valid");
+    let trace = traced(&cut_in, &options(AfterContact::Stop)).trace.expect("traced");
+    for refused in [trajectories(&cut_in, &trace, "road.xodr").err(), actions(&cut_in, "road.xodr").err()] {
+        assert!(matches!(refused, Some(OpenScenarioError::LaneChanges)), "{refused:?}");
     }
 }
 

@@ -139,7 +139,7 @@ impl Failure {
         let run = Run::new(&scenario, RunOptions::new(controller.kind.clone()).with_estimator(estimator))?;
         let trace = simulate(&run, RecordingLevel::Trace).trace;
         let road = format!("{}.{ROAD}", self.short_name());
-        // None of a run that is too long for such a file.
+        // None of a run that is too long for such a file, or in which vehicles change lanes.
         self.run = trace.and_then(|trace| trajectories(&scenario, &trace, &road).ok());
         Ok(self)
     }

@@ -49,6 +49,9 @@ pub enum OpenScenarioError {
         /// How many it takes.
         found: usize,
     },
+    /// The road has one lane.
+    #[error("vehicles enter or leave the lane, and the road that is exported has one lane")]
+    LaneChanges,
     /// A script that cannot be driven by itself.
     #[error("vehicle {vehicle}: cannot be driven alone: {why}")]
     Script {
@@ -64,6 +67,11 @@ pub enum OpenScenarioError {
 
 type Xml = Writer<Vec<u8>>;
 
+/// Refuses who drives beside the lane: on a road of one lane it would drive through the others.
+fn in_one_lane(scenario: &Scenario) -> Result<(), OpenScenarioError> {
+    if scenario.keeps_lanes() { Ok(()) } else { Err(OpenScenarioError::LaneChanges) }
+}
+
 /// What every vehicle did: one polyline each, in absolute time. Where the run ended in a contact, so do they; a second later
 /// a last vertex holds the place, so that no simulator takes over before the scenario stops.
 ///
@@ -71,8 +79,10 @@ type Xml = Writer<Vec<u8>>;
 /// `road` is the name of the OpenDRIVE file as the scenario gives it.
 ///
 /// # Errors
-/// [`OpenScenarioError::TooLong`] for more than [`MOST_VERTICES`].
+/// [`OpenScenarioError::TooLong`] for more than [`MOST_VERTICES`], [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
+/// lane.
 pub fn trajectories(scenario: &Scenario, trace: &Trace, road: &str) -> Result<OpenScenario, OpenScenarioError> {
+    in_one_lane(scenario)?;
     let kept: Vec<Vec<usize>> = trace.vehicles.iter().map(|track| polyline::vertices(&trace.time_s, track)).collect();
     let vertices = bounded(kept.iter().map(Vec::len).sum())?;
     let end_s = trace.time_s.last().copied().unwrap_or(0.0);
@@ -93,9 +103,10 @@ pub fn trajectories(scenario: &Scenario, trace: &Trace, road: &str) -> Result<Op
 /// Noise of a scripted vehicle's acceleration is left out.
 ///
 /// # Errors
-/// [`OpenScenarioError::TooLong`] for more than [`MOST_VERTICES`], and [`OpenScenarioError::Script`] for a script that cannot
-/// be driven alone, which no valid scenario has.
+/// [`OpenScenarioError::TooLong`] for more than [`MOST_VERTICES`], [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
+/// lane, and [`OpenScenarioError::Script`] for a script that cannot be driven alone, which no valid scenario has.
 pub fn actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScenarioError> {
+    in_one_lane(scenario)?;
     let moves = actions::of(scenario)?;
     let vertices = bounded(moves.iter().map(actions::Scripted::entries).sum())?;
     let end_s = scenario.spec().duration_s;
