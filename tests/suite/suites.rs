@@ -16,7 +16,7 @@ use crate::tiny::changed;
 
 /// What the documents state, written down a second time and from nothing in the suites' files: suite, test, what, smallest and
 /// largest value, unit.
-const STATED: [(&str, &str, Parameter, [f64; 2], Unit); 17] = {
+const STATED: [(&str, &str, Parameter, [f64; 2], Unit); 20] = {
     use Parameter::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp};
     use Unit::{Gravity, Kmph, Metre, Mps2, Second};
     [
@@ -40,6 +40,9 @@ const STATED: [(&str, &str, Parameter, [f64; 2], Unit); 17] = {
         ("afgbv-cut-in", "cut-in-10", ClosingTime, [0.48, 0.48], Second),
         ("afgbv-cut-in", "cut-in-20", ClosingTime, [0.71, 0.71], Second),
         ("afgbv-cut-in", "cut-in-30", ClosingTime, [0.94, 0.94], Second),
+        ("afgbv-cut-in", "cut-in-40", ClosingTime, [1.18, 1.18], Second),
+        ("afgbv-cut-in", "cut-in-50", ClosingTime, [1.41, 1.41], Second),
+        ("afgbv-cut-in", "cut-in-60", ClosingTime, [1.64, 1.64], Second),
     ]
 };
 

@@ -1,6 +1,6 @@
 //! The careful and competent human driver of UN Regulation No. 157, for car following.
 
-use super::reaction::{Noticed, whole_steps};
+use super::reaction::{Noticed, Ramp, whole_steps};
 use super::settings::settings;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role};
 use crate::observation::Observation;
@@ -35,8 +35,8 @@ pub struct CompetentHuman {
     settings: CompetentHumanSettings,
     coasts_after_steps: u32,
     brakes_after_steps: u32,
-    step_s: f64,
     noticed: Noticed,
+    braking: Ramp,
 }
 
 impl BuiltIn for CompetentHuman {
@@ -52,22 +52,9 @@ impl BuiltIn for CompetentHuman {
             settings: settings.clone(),
             coasts_after_steps,
             brakes_after_steps: coasts_after_steps.saturating_add(whole_steps(settings.reaction_s, ego.step_s)),
-            step_s: ego.step_s,
             noticed: Noticed::default(),
+            braking: Ramp::new(settings.coasting_mps2, settings.jerk_mps3, ego.step_s),
         }
-    }
-}
-
-impl CompetentHuman {
-    /// Braking over the step that begins `steps` steps after it began: its mean, so that speeds between steps are exact.
-    fn built_up_mps2(&self, steps: u32) -> f64 {
-        let CompetentHumanSettings { coasting_mps2, jerk_mps3, brake_mps2, .. } = self.settings;
-        let from_s = f64::from(steps) * self.step_s;
-        // The share of the step before braking is built up.
-        let rise_s = ((brake_mps2 - coasting_mps2) / jerk_mps3).max(0.0);
-        let rising_s = (rise_s - from_s).max(0.0).min(self.step_s);
-        let rising_mps2 = coasting_mps2 + jerk_mps3 * (from_s + 0.5 * rising_s);
-        (rising_mps2 * rising_s + brake_mps2 * (self.step_s - rising_s)) / self.step_s
     }
 }
 
@@ -76,7 +63,7 @@ impl Controller for CompetentHuman {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let is_risky = seen.ahead.is_some_and(|ahead| ahead.acceleration_mps2 < -self.settings.risk_brake_mps2);
         Ok(match self.noticed.steps(is_risky) {
-            Some(steps) if steps >= self.brakes_after_steps => -self.built_up_mps2(steps - self.brakes_after_steps),
+            Some(steps) if steps >= self.brakes_after_steps => -self.braking.towards(self.settings.brake_mps2),
             Some(steps) if steps >= self.coasts_after_steps => -self.settings.coasting_mps2,
             _ => 0.0,
         })

@@ -30,6 +30,8 @@ macro_rules! with_controllers {
                 CompetentHuman,
                 /// Reference driver: the simple model of UN R157.
                 R157Simple,
+                /// Reference driver: the fuzzy safety model of UN R157.
+                FuzzySafety,
                 /// Reference driver: Responsibility-Sensitive Safety.
                 Rss,
                 /// Full acceleration at all times.
@@ -52,6 +54,7 @@ mod baseline;
 mod built_in;
 mod competent_human;
 mod constant_brake;
+mod fuzzy_safety;
 mod history;
 mod idm;
 mod interval;
@@ -75,6 +78,7 @@ pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
 pub use built_in::{AnyController, BuiltIn, ControllerSpec, InvalidSetting, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
+pub use fuzzy_safety::{FuzzySafety, FuzzySafetySettings};
 pub use idm::{Idm, IdmSettings};
 pub use mapping::{Input, InvalidMapping, Mapping, Output, Squash};
 pub use match_leader::MatchLeader;

@@ -20,3 +20,34 @@ impl Noticed {
 pub(super) fn whole_steps(delay_s: f64, step_s: f64) -> u32 {
     (delay_s / step_s).round() as u32
 }
+
+/// Braking that builds up no faster than a limit of jerk, and ends at once.
+///
+/// A command holds over a step: its mean is commanded, so that speeds at steps are those of the ramp.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Ramp {
+    now_mps2: f64,
+    jerk_mps3: f64,
+    step_s: f64,
+}
+
+impl Ramp {
+    pub(super) fn new(from_mps2: f64, jerk_mps3: f64, step_s: f64) -> Self {
+        Self { now_mps2: from_mps2, jerk_mps3, step_s }
+    }
+
+    /// Braking over the next step where so much is asked for, its mean, in m/s², positive.
+    #[inline]
+    pub(super) fn towards(&mut self, asked_mps2: f64) -> f64 {
+        let Self { now_mps2, jerk_mps3, step_s } = *self;
+        let rise_s = (asked_mps2 - now_mps2) / jerk_mps3;
+        if rise_s <= 0.0 {
+            self.now_mps2 = asked_mps2;
+            return asked_mps2;
+        }
+        let rising_s = rise_s.min(step_s);
+        let risen_mps2 = jerk_mps3 * rising_s;
+        self.now_mps2 = if rise_s <= step_s { asked_mps2 } else { now_mps2 + risen_mps2 };
+        ((now_mps2 + 0.5 * risen_mps2) * rising_s + asked_mps2 * (step_s - rising_s)) / step_s
+    }
+}
