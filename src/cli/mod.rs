@@ -6,6 +6,7 @@ mod benchmark;
 mod check;
 mod checked;
 mod choice;
+mod doctor;
 mod export;
 mod failure;
 mod falsify;
@@ -21,6 +22,7 @@ mod progress;
 mod rare;
 mod reach;
 mod retrain;
+mod shell;
 mod simulate;
 mod simulated;
 mod subject;
@@ -76,27 +78,29 @@ enum Command {
     Merge(merge::Merge),
     Fsck(fsck::Fsck),
     List(list::List),
+    Doctor(doctor::Doctor),
+    Completions(shell::Completions),
+    Man(shell::Man),
 }
 
 /// Runs the command line with given arguments, the program's name first.
 pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     interrupt::limits_are_errors();
-    let command = Arguments::command().mut_subcommands(with_exit_codes);
-    let arguments = match command.try_get_matches_from(arguments).and_then(|found| Arguments::from_arg_matches(&found))
-    {
-        Ok(arguments) => arguments,
-        Err(usage) => {
-            // Help and version are not errors; clap prints them to standard output.
-            let code = if usage.use_stderr() { 2 } else { 0 };
-            match usage.use_stderr() {
-                // Without colours: it quotes what was typed, which may hold sequences of its own.
-                true => output::warn(usage.render().to_string().trim_end()),
-                // Nothing can be done about a standard stream that is closed.
-                false => drop(usage.print()),
+    let arguments =
+        match commands().try_get_matches_from(arguments).and_then(|found| Arguments::from_arg_matches(&found)) {
+            Ok(arguments) => arguments,
+            Err(usage) => {
+                // Help and version are not errors; clap prints them to standard output.
+                let code = if usage.use_stderr() { 2 } else { 0 };
+                match usage.use_stderr() {
+                    // Without colours: it quotes what was typed, which may hold sequences of its own.
+                    true => output::warn(usage.render().to_string().trim_end()),
+                    // Nothing can be done about a standard stream that is closed.
+                    false => drop(usage.print()),
+                }
+                return ExitCode::from(code);
             }
-            return ExitCode::from(code);
-        }
-    };
+        };
     let quiet = arguments.quiet;
     let done = match arguments.command {
         Command::Assess(command) => command.run(quiet),
@@ -116,6 +120,9 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Merge(command) => command.run(quiet),
         Command::Fsck(command) => command.run(),
         Command::List(command) => command.run(),
+        Command::Doctor(command) => command.run(),
+        Command::Completions(command) => command.run(commands()),
+        Command::Man(command) => command.run(commands(), quiet),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -124,6 +131,11 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             failure.exit_code()
         }
     }
+}
+
+/// All commands, as `--help` shows them.
+fn commands() -> clap::Command {
+    Arguments::command().mut_subcommands(with_exit_codes)
 }
 
 /// Puts the exit codes at the end of a command's long help, and of that of its own subcommands.
@@ -149,6 +161,6 @@ mod tests {
             assert!(help.trim_end().ends_with("130  interrupted"), "{}: {help}", command.get_name());
             command.get_subcommands_mut().filter(|sub| sub.get_name() != "help").for_each(check);
         }
-        check(&mut Arguments::command().mut_subcommands(with_exit_codes));
+        check(&mut commands());
     }
 }

@@ -8,6 +8,7 @@ mod outputs;
 mod reports;
 mod retrain;
 mod shards;
+mod shell;
 mod train;
 mod verify;
 mod worst_case;

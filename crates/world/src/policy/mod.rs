@@ -18,9 +18,9 @@ pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader,
 pub(crate) use network::Acting;
 pub use network::{Network, Workspace};
 pub use product::{Left, Panels, Right, multiply_vector, with_hands_ready};
-pub use simd::InSimd;
 #[cfg(test)]
 pub(crate) use simd::every_path;
+pub use simd::{InSimd, doubles_at_once};
 
 use crate::observation::Observation;
 

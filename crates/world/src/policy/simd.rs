@@ -17,6 +17,20 @@ impl<R, F: FnMut() -> R> WithSimd for InSimd<F> {
     }
 }
 
+/// Doubles in the widest vector register that the loops use on this machine. It changes times, and no bit of a result.
+#[must_use]
+pub fn doubles_at_once() -> usize {
+    struct Width;
+    impl WithSimd for Width {
+        type Output = usize;
+
+        fn with_simd<S: Simd>(self, _: S) -> usize {
+            S::F64_LANES
+        }
+    }
+    pulp::Arch::new().dispatch(Width)
+}
+
 /// All widths of registers that this machine has, the narrowest first.
 #[cfg(test)]
 pub(crate) fn every_path() -> Vec<pulp::Arch> {

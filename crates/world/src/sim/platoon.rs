@@ -96,18 +96,21 @@ impl Platoon {
             *end = motion.after(dt_s);
         }
         let mut gaps_m = [f64::INFINITY; SHORT_LINE];
-        for (rear, gap_m) in gaps_m.iter_mut().enumerate().take(ends.len()).skip(1) {
-            let ([front, behind], [front_end, behind_end]) =
-                ([self.motion[rear - 1], self.motion[rear]], [ends[rear - 1], ends[rear]]);
-            let closing_mps = [behind.speed_mps - front.speed_mps, behind_end.speed_mps - front_end.speed_mps];
-            let behind_mps = [behind.speed_mps, behind_end.speed_mps];
-            if self.sticks[rear] || needs_care(self.gap_between_m(rear - 1, rear), behind_mps, closing_mps, dt_s) {
+        let pairs = self.motion.windows(2).zip(ends.windows(2)).zip(&self.length_m);
+        for ((gap_m, &sticks), ((now, end), length_m)) in gaps_m.iter_mut().zip(&self.sticks).skip(1).zip(pairs) {
+            let ([front, rear], [front_end, rear_end]) = (now, end) else { continue };
+            let closing_mps = [rear.speed_mps - front.speed_mps, rear_end.speed_mps - front_end.speed_mps];
+            let before_m = front.position_m - length_m - rear.position_m;
+            if sticks || needs_care(before_m, [rear.speed_mps, rear_end.speed_mps], closing_mps, dt_s) {
                 return false;
             }
-            *gap_m = front_end.position_m - self.length_m[rear - 1] - behind_end.position_m;
+            *gap_m = front_end.position_m - length_m - rear_end.position_m;
         }
         for (least_m, gap_m) in self.min_gap_m.iter_mut().zip(gaps_m) {
-            *least_m = least_m.min(gap_m);
+            // By hand, since `f64::min` spends time on NaN, of which there is none here.
+            if gap_m < *least_m {
+                *least_m = gap_m;
+            }
         }
         self.motion.copy_from_slice(ends);
         true

@@ -206,10 +206,26 @@ impl<'r, 's> Stepper<'r, 's> {
 }
 
 fn see_ttc(tallies: &mut [Tally], platoon: &Platoon) {
+    let see = |tally: &mut Tally, gap_m: f64, closing_mps: f64| {
+        let ttc_s = ttc_s(gap_m, closing_mps);
+        // By hand, since `f64::min` spends time on NaN, of which there is none here.
+        if ttc_s < tally.min_ttc_s {
+            tally.min_ttc_s = ttc_s;
+        }
+    };
+    if platoon.lane.is_plain() {
+        // Most runs, and most steps: whoever is ahead is the one before in the list.
+        let pairs = platoon.motion.windows(2).zip(&platoon.length_m);
+        for (tally, (pair, length_m)) in tallies.iter_mut().skip(1).zip(pairs) {
+            let [front, rear] = pair else { continue };
+            see(tally, front.position_m - length_m - rear.position_m, rear.speed_mps - front.speed_mps);
+        }
+        return;
+    }
     for (rear, tally) in tallies.iter_mut().enumerate() {
         if let Some(front) = platoon.lane.ahead(rear) {
             let closing_mps = platoon.motion[rear].speed_mps - platoon.motion[front].speed_mps;
-            tally.min_ttc_s = tally.min_ttc_s.min(ttc_s(platoon.gap_between_m(front, rear), closing_mps));
+            see(tally, platoon.gap_between_m(front, rear), closing_mps);
         }
     }
 }

@@ -1,0 +1,164 @@
+//! `crumple doctor`: what this build can do on this machine.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use clap::Args;
+use serde::Serialize;
+
+use super::simulate::Format;
+use super::{Failure, output};
+
+/// Say what this build can do on this machine, and what it would need for the rest
+#[derive(Args)]
+pub(super) struct Doctor {
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+/// What was found.
+#[derive(Serialize)]
+struct Report {
+    version: &'static str,
+    system: &'static str,
+    processor: &'static str,
+    /// Width of the widest vector registers that both the program and the processor have. It changes times, and no bit of a result.
+    register_bits: usize,
+    threads: usize,
+    optimised: bool,
+    /// SHA-256 of the program: interrupted work is gone on with by the same one alone.
+    program_sha256: Option<&'static str>,
+    needs: Vec<Need>,
+}
+
+/// Something that a part of crumple needs besides itself.
+#[derive(Serialize)]
+struct Need {
+    name: &'static str,
+    /// Where it is; null if it is not there.
+    found: Option<String>,
+    /// What needs it.
+    used_for: &'static str,
+    /// How to have it.
+    install: &'static str,
+}
+
+impl Doctor {
+    pub(super) fn run(self) -> Result<(), Failure> {
+        let report = Report {
+            version: env!("CARGO_PKG_VERSION"),
+            system: std::env::consts::OS,
+            processor: std::env::consts::ARCH,
+            register_bits: 64 * crumple_world::policy::doubles_at_once(),
+            threads: rayon::current_num_threads(),
+            optimised: !cfg!(debug_assertions),
+            program_sha256: crumple_search::program::identity().ok(),
+            needs: needs(),
+        };
+        let text = match self.format {
+            Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
+            Format::Text => report.text(),
+        };
+        output::print(&text)
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let Self { version, system, processor, register_bits, threads, .. } = self;
+        let mut text = format!(
+            "crumple {version} on {system}, {processor}, vector registers of {register_bits} bits, {threads} threads\n"
+        );
+        // Writing to a string cannot fail.
+        if !self.optimised {
+            let _ = writeln!(text, "  built without optimisation: `cargo build --release` is some ten times as fast");
+        }
+        match &self.program_sha256 {
+            Some(identity) => drop(writeln!(text, "  this program is {identity}")),
+            None => drop(writeln!(text, "  this program cannot be read: nothing that is kept can be gone on with")),
+        }
+        text += "  all that crumple does works by itself; with it work\n";
+        for Need { name, found, used_for, install } in &self.needs {
+            let there = found.as_ref().map_or_else(|| format!("not found: {install}"), Clone::clone);
+            let _ = writeln!(text, "    {name:<14}{used_for}\n{:18}{there}", "");
+        }
+        text
+    }
+}
+
+fn needs() -> Vec<Need> {
+    let python = ["python3", "python"].into_iter().find_map(program);
+    let module = |name: &str| {
+        let python = python.as_ref()?;
+        let look = format!("import importlib.util as u; s = u.find_spec('{name}'); print(s.origin if s else '')");
+        printed(Command::new(python).args(["-I", "-c", &look])).filter(|origin| !origin.is_empty())
+    };
+    let shown = |path: Option<PathBuf>| path.map(|path| path.display().to_string());
+    vec![
+        Need {
+            name: "python",
+            found: shown(python.clone()),
+            used_for: "controllers in Python, job files of `crumple plan`",
+            install: "https://www.python.org",
+        },
+        Need {
+            name: "crumple (PyPI)",
+            found: module("crumple"),
+            used_for: "notebooks, Gymnasium, callables as controllers",
+            install: "pip install ./python",
+        },
+        Need {
+            name: "hyperqueue",
+            found: module("hyperqueue").or_else(|| shown(program("hq"))),
+            used_for: "campaigns on many machines by HyperQueue",
+            install: "pip install hyperqueue",
+        },
+        Need {
+            name: "ray",
+            found: module("ray"),
+            used_for: "campaigns on many machines by Ray",
+            install: "pip install ray",
+        },
+        Need {
+            name: "sbatch",
+            found: shown(program("sbatch")),
+            used_for: "campaigns on many machines by Slurm",
+            install: "a cluster has it",
+        },
+        Need {
+            name: "cargo-fuzz",
+            found: shown(program("cargo-fuzz")),
+            used_for: "`cargo fuzz run scenario`, in a clone",
+            install: "cargo install cargo-fuzz, and a nightly toolchain",
+        },
+    ]
+}
+
+/// A program on the `PATH`.
+fn program(name: &str) -> Option<PathBuf> {
+    let file = format!("{name}{}", std::env::consts::EXE_SUFFIX);
+    let path = std::env::var_os("PATH")?;
+    std::env::split_paths(&path)
+        .filter(|folder| folder.is_absolute())
+        .map(|folder| folder.join(&file))
+        .find(|at| is_program(at))
+}
+
+#[cfg(unix)]
+fn is_program(path: &Path) -> bool {
+    use std::os::unix::fs::PermissionsExt;
+    path.metadata().is_ok_and(|found| found.is_file() && found.permissions().mode() & 0o111 != 0)
+}
+
+#[cfg(not(unix))]
+fn is_program(path: &Path) -> bool {
+    path.is_file()
+}
+
+/// What a program prints, if it succeeds.
+fn printed(command: &mut Command) -> Option<String> {
+    let done = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
+    done.status.success().then(|| String::from_utf8_lossy(&done.stdout).trim().to_owned())
+}
