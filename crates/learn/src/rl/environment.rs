@@ -3,7 +3,7 @@
 use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::Earnings;
 use crumple_world::policy::{ActionBounds, ObservationScaling, STATE};
-use crumple_world::sim::{Motion, RecordingLevel, Run, Stepper};
+use crumple_world::sim::{Motion, Run, Stepper};
 
 /// Index of the vehicle the agent drives.
 pub(super) const EGO: usize = 1;
@@ -58,7 +58,7 @@ impl<'r, 's> Episode<'r, 's> {
     /// An episode on a run with one vehicle under test behind the leader. `discount` is that of one decision.
     #[must_use]
     pub fn new(run: &'r Run<'s>, config: &EnvironmentConfig, discount: f64) -> Self {
-        let stepper = Stepper::new(run, RecordingLevel::Summary);
+        let stepper = Stepper::without_summaries(run);
         Self {
             earnings: Earnings::new(&stepper, run.scenario().spec().step_s),
             stepper,

@@ -20,6 +20,7 @@ pub struct Stepper<'r, 's> {
     platoon: Platoon,
     loops: Vec<VehicleLoop<'s>>,
     decided_mps2: Vec<f64>,
+    /// One a vehicle; none of them where nobody wants summaries.
     tallies: Vec<Tally>,
     trace: Option<Trace>,
     impacts: Vec<Impact>,
@@ -77,6 +78,13 @@ impl<'r, 's> Stepper<'r, 's> {
             step: 0,
             ended: run.scenario().steps() == 0,
         }
+    }
+
+    /// The same for somebody who looks at each step, as a learner does: smallest times to collision and hardest brakings are not
+    /// noted, and [`finish`](Self::finish) has no summaries of vehicles.
+    #[must_use]
+    pub fn without_summaries(run: &'r Run<'s>) -> Self {
+        Self { tallies: Vec::new(), ..Self::new(run, RecordingLevel::Summary) }
     }
 
     /// Steps of the scenario that were made, the one that ended in a contact included.
@@ -340,6 +348,22 @@ mod tests {
                 stepper.step();
             }
             assert_eq!(stepper.finish(), inside);
+        }
+    }
+
+    /// Without summaries a run ends as with them.
+    #[test]
+    fn summaries_change_nothing_else() {
+        let spec = ControllerSpec::BaselineUnlatched(AebSettings::default());
+        for index in 0..20 {
+            let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
+            let run = Run::new(&scenario, RunOptions::new(spec.clone())).unwrap();
+            let mut stepper = Stepper::without_summaries(&run);
+            while !stepper.has_ended() {
+                stepper.step();
+            }
+            let with = simulate(&run, RecordingLevel::Summary);
+            assert_eq!(stepper.finish(), Simulated { vehicles: Vec::new(), ..with });
         }
     }
 
