@@ -50,6 +50,7 @@ A suite may have 2000 points and a file of 3 MiB. After the document, on a point
 Examples:
   crumple suite run fmvss-127 --controller acc-aeb --controller policy
   crumple suite run euro-ncap-2023 --controller idm --estimator truth --format junit
+  crumple suite run euro-ncap-2023 --controller full-throttle --out failures --format html > euro-ncap.html
   crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed")]
 struct RunSuite {
     /// A suite that is shipped (see `crumple suite list`), or a file
@@ -85,6 +86,8 @@ enum Format {
     Json,
     /// For a build server
     Junit,
+    /// A page that needs nothing else: the matrix, and what failed, drawn
+    Html,
 }
 
 impl SuiteCommand {
@@ -160,6 +163,7 @@ impl RunSuite {
         let text = match self.format {
             Format::Json => serde_json::to_string(&result).map_err(Failure::input)? + "\n",
             Format::Junit => suite::xml(&result).map_err(Failure::input)?,
+            Format::Html => suite::html(&result, &self.controllers, |failed, tested| self.replay(failed, tested)),
             Format::Text => suite::text(&result, |failed, tested| self.replay(failed, tested)),
         };
         let has_failed =
