@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
 
-use super::{Failure, choice, output, subject};
+use super::{Failure, choice, output, subject, suite_map};
 use crumple_report::suite;
 use crumple_search::disk::{DiskError, Files};
 use crumple_search::suite::{Failed, SHIPPED, STATEMENT, Suite, SuiteError, SuiteResult, TestVerdict, Tested, run};
@@ -36,6 +36,7 @@ enum Command {
         suite: String,
     },
     Run(RunSuite),
+    Map(suite_map::MapCommand),
 }
 
 /// Run a suite: clause, test, verdict, margin
@@ -96,6 +97,7 @@ impl SuiteCommand {
             Command::List { format } => list(format),
             Command::Show { suite } => show(&suite),
             Command::Run(command) => command.run(quiet),
+            Command::Map(command) => command.run(),
         }
     }
 }

@@ -37,6 +37,7 @@ mod search;
 mod seeds;
 mod shield;
 mod spaces;
+mod suite_pages;
 mod suites;
 mod test_cases;
 mod tiny;

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use maud::{Markup, html};
 
 use super::label::{Frame, text_width};
-use super::panel::{Anchor, straight, words};
+use super::panel::{Anchor, Marker, mark, straight, words};
 use super::theme::{Ink, SMALL, Stroke, TEXT};
 
 /// Height of a row of the key, and side of a sample in it, in pixels.
@@ -32,6 +32,8 @@ pub enum KeyEntry<'a> {
     Cell(CellLook, &'a str),
     /// A line, and what it means.
     Line(Stroke, &'a str),
+    /// A mark, and what it means.
+    Mark(Marker, &'a str),
 }
 
 /// The cells of a grid within a frame, row by row from the top.
@@ -93,7 +95,7 @@ pub fn key(entries: &[KeyEntry<'_>], width: f64) -> (Markup, f64) {
     let (mut x, mut row) = (0.0, 0.0);
     let mut drawn = Vec::new();
     for entry in entries {
-        let (KeyEntry::Cell(_, text) | KeyEntry::Line(_, text)) = *entry;
+        let (KeyEntry::Cell(_, text) | KeyEntry::Line(_, text) | KeyEntry::Mark(_, text)) = *entry;
         let wide = SAMPLE + 7.0 + text_width(text, TEXT);
         if x > 0.0 && x + wide > width {
             (x, row) = (0.0, row + 1.0);
@@ -108,6 +110,7 @@ pub fn key(entries: &[KeyEntry<'_>], width: f64) -> (Markup, f64) {
                     rect x=(format!("{:.1}", sample.left)) y=(format!("{:.1}", sample.top)) width=(SAMPLE) height=(SAMPLE)
                         fill="none" stroke=(Ink::Axis.hex()) stroke-width="0.8" {}
                 }
+                KeyEntry::Mark(marker, _) => (mark((sample.left + SAMPLE / 2.0, y), *marker, Ink::Text))
                 KeyEntry::Line(stroke, _) => (straight((sample.left, y), (sample.right(), y), *stroke))
             }
             (words((after, y + TEXT * 0.35), Anchor::Start, text, TEXT, Ink::Text, false))

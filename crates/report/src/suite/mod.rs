@@ -1,6 +1,8 @@
-//! Runs of suites, told: a matrix for readers as text or as a page, JUnit for build servers.
+//! Runs of suites, told: a matrix for readers as text or as a page, JUnit for build servers; crash maps as pictures.
 
 mod junit;
+mod map;
+mod map_figure;
 mod page;
 mod words;
 
@@ -10,9 +12,10 @@ use crumple_search::suite::{Failed, SuiteResult, TestResult, Tested};
 use crumple_world::quoted::Terminal;
 
 pub use junit::{JunitError, xml};
+pub use map::{map_html, map_text};
+pub use map_figure::map_figure;
 pub use page::html;
-use words::preventable;
-pub(crate) use words::{least_margins, verdict, within_in_words};
+pub(crate) use words::{least_margins, preventable, verdict, within_in_words};
 
 /// The matrix clause, test, controller, verdict and margin, what failed, and what it does not say. `replay` is the command that
 /// shows a failure of a controller; none where its scenario was not written.

@@ -176,7 +176,7 @@ impl Page<'_> {
     }
 }
 
-fn head(title: &str) -> Markup {
+pub(super) fn head(title: &str) -> Markup {
     html! {
         head {
             meta charset="utf-8";
@@ -188,7 +188,7 @@ fn head(title: &str) -> Markup {
     }
 }
 
-fn seen(estimator: EstimatorKind) -> &'static str {
+pub(super) fn seen(estimator: EstimatorKind) -> &'static str {
     match estimator {
         EstimatorKind::Truth => "nothing: they see the true state",
         EstimatorKind::Kalman => "noisy sensors and a Kalman filter",

@@ -81,7 +81,7 @@ fn does(beyond: Beyond) -> &'static str {
 }
 
 /// Who could have prevented a failure, in words.
-pub(super) fn preventable(failed: &Failed) -> String {
+pub(crate) fn preventable(failed: &Failed) -> String {
     let mut words: Vec<_> =
         failed.references.iter().map(|run| format!("{} {}", run.driver, prevention(run.prevention))).collect();
     words.extend(failed.avoidability.describe());

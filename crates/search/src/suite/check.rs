@@ -213,7 +213,8 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
         holds(has_range, &field, SuiteProblem::NoRange { parameter })?;
         holds(!test.ranges[..index].contains(&parameter), field, SuiteProblem::RangeTwice)?;
     }
-    for (at, (parameter, figure)) in test.figures.stated().enumerate().filter(|(_, (_, figure))| figure.tolerance > 0.0) {
+    for (at, (parameter, figure)) in test.figures.stated().enumerate().filter(|(_, (_, figure))| figure.tolerance > 0.0)
+    {
         let field = format!("{place}.figures.{}.tolerance", parameter.name());
         for point in &grid {
             for tolerance in [-figure.tolerance, figure.tolerance] {

@@ -71,6 +71,8 @@ pub struct MapPanel {
     pub is_reference: bool,
     /// How many cells end in contact.
     pub contacts: usize,
+    /// How many of them without having braked: of a reference driver, situations that it is no model of.
+    pub without_reaction: usize,
     /// In how many cells its own closed form says otherwise; none where it has none.
     pub unlike_closed_form: Option<usize>,
     /// Every cell, row by row from the bottom, each row from the left.
@@ -89,6 +91,8 @@ pub struct CrashCell {
     pub verdict: TestVerdict,
     /// The smallest gap, in metres.
     pub min_gap_m: Option<f64>,
+    /// The hardest braking of the vehicle under test, in m/s², positive: 0 where it never reacted.
+    pub max_brake_mps2: f64,
 }
 
 impl MapSpec {
@@ -124,18 +128,23 @@ impl MapSpec {
             .collect();
         let scenarios =
             points.iter().map(|&[across, up]| situation.scenario(across, up)).collect::<Result<Vec<_>, _>>()?;
-        let boundaries = situation.boundaries(&across);
+        let boundaries = situation.boundaries([&across, &up]);
         let references = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Reference);
-        let references = references.map(|spec| {
-            (spec.name().to_owned(), ControllerKind::from(spec), EstimatorKind::Truth, true)
-        });
+        let references =
+            references.map(|spec| (spec.name().to_owned(), ControllerKind::from(spec), EstimatorKind::Truth, true));
         let asked = controllers.iter().map(|one| (one.name.clone(), one.kind.clone(), estimator, false));
         let panel = |(driver, controller, estimator, is_reference): (String, ControllerKind, _, bool)| {
             let seen = Driven { controller: &controller, estimator }.seen(situation.lead(), &scenarios);
             let cells: Vec<CrashCell> = points
                 .iter()
                 .zip(seen)
-                .map(|(&[across, up], seen)| CrashCell { across, up, verdict: seen.verdict, min_gap_m: seen.min_gap_m })
+                .map(|(&[across, up], seen)| CrashCell {
+                    across,
+                    up,
+                    verdict: seen.verdict,
+                    min_gap_m: seen.min_gap_m,
+                    max_brake_mps2: seen.max_brake_mps2,
+                })
                 .collect();
             let own = boundaries.iter().find(|line| is_reference && line.driver == Some(driver.as_str()));
             let unlike = |line: &Boundary| {
@@ -144,6 +153,7 @@ impl MapSpec {
             };
             MapPanel {
                 contacts: cells.iter().filter(|cell| cell.is_contact()).count(),
+                without_reaction: cells.iter().filter(|cell| cell.is_without_reaction()).count(),
                 unlike_closed_form: own.map(unlike),
                 driver,
                 is_reference,
@@ -162,11 +172,18 @@ impl CrashCell {
     pub fn is_contact(&self) -> bool {
         matches!(self.verdict, TestVerdict::Failed { .. })
     }
+
+    /// Whether it ends in contact without having braked.
+    #[must_use]
+    pub fn is_without_reaction(&self) -> bool {
+        self.is_contact() && self.max_brake_mps2 == 0.0
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crumple_world::scenario::VehicleClass;
 
     const SITUATIONS: [Situation; 3] = [
         Situation::CarFollowing { time_gap_s: 1.0 },
@@ -183,12 +200,23 @@ mod tests {
             let drivers = ["full-brake", "baseline", "acc-aeb"].map(|name| NamedController::find(name, "".as_ref()));
             let drivers: Vec<_> = drivers.into_iter().flatten().collect();
             let map = spec.run(&drivers, EstimatorKind::Truth).unwrap();
-            let nobody = map.boundaries.iter().find(|line| line.driver.is_none()).expect("a line");
+            let hardest = Boundary {
+                words: String::new(),
+                driver: None,
+                reaction_s: 0.0,
+                brake_mps2: VehicleClass::Light.max_brake_mps2(),
+                points: Vec::new(),
+            };
             for panel in &map.panels {
                 assert_eq!(panel.cells.len(), 120);
                 for cell in &panel.cells {
-                    let touches = situation.touches(nobody, [cell.across, cell.up]).unwrap();
-                    assert!(!touches || !cell.verdict.is_passed(), "{}: {} at {cell:?}", situation.name(), panel.driver);
+                    let touches = situation.touches(&hardest, [cell.across, cell.up]).unwrap();
+                    assert!(
+                        !touches || !cell.verdict.is_passed(),
+                        "{}: {} at {cell:?}",
+                        situation.name(),
+                        panel.driver
+                    );
                 }
             }
             let simple = map.panels.iter().find(|panel| panel.driver == "r157-simple").unwrap();

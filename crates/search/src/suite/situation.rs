@@ -115,7 +115,8 @@ impl Situation {
     /// The figure across and the one up, with so many cells.
     pub(super) fn axes(self, [across, up]: [usize; 2]) -> [MapAxis; 2] {
         let axis = |title, unit, low, high, cells| MapAxis { title, unit, low, high, cells };
-        let slower = |own_kmph: f64| axis("How much slower it is (km/h)", "km/h", 5.0, (own_kmph - 10.0).min(90.0), across);
+        let slower =
+            |own_kmph: f64| axis("How much slower it is (km/h)", "km/h", 5.0, (own_kmph - 10.0).min(90.0), across);
         match self {
             Self::CarFollowing { .. } => [
                 axis("Braking of the vehicle ahead (m/s²)", "m/s²", 1.0, 10.0, across),
@@ -164,21 +165,22 @@ impl Situation {
         matches!(self, Self::CutInTime { .. })
     }
 
-    /// The lines of closed forms: of whoever brakes as hard as the vehicle can at once, and of the simple driver of UN R157.
-    pub(super) fn boundaries(self, across: &MapAxis) -> Vec<Boundary> {
+    /// The lines of closed forms that cross the map: of whoever brakes as hard as the vehicle can at once, and of the simple driver of UN R157.
+    pub(super) fn boundaries(self, [across, up]: [&MapAxis; 2]) -> Vec<Boundary> {
         let simple = R157SimpleSettings::default();
         let hardest_mps2 = VehicleClass::Light.max_brake_mps2();
         let lines = [
-            (None, "nobody does without contact what lies beyond", 0.0, hardest_mps2),
+            (None, "beyond, even this touches", 0.0, hardest_mps2),
             (Some("r157-simple"), "closed form of r157-simple", simple.reaction_s, simple.brake_mps2),
         ];
         let line = |(driver, words, reaction_s, brake_mps2): (_, &str, f64, f64)| {
             let points = (0..=200).map(|part| across.low + (across.high - across.low) * f64::from(part) / 200.0);
             let points = points.filter_map(|at| Some([at, self.limit(at, reaction_s, brake_mps2)?])).collect();
-            let words = format!("{words}: {brake_mps2} m/s² from {reaction_s} s on");
+            let words = format!("{words}: {brake_mps2} m/s² from {reaction_s} s");
             Boundary { words, driver, reaction_s, brake_mps2, points }
         };
-        lines.into_iter().map(line).filter(|line| !line.points.is_empty()).collect()
+        let is_on_map = |line: &Boundary| line.points.iter().any(|[_, at]| (up.low..=up.high).contains(at));
+        lines.into_iter().map(line).filter(is_on_map).collect()
     }
 
     /// Where full braking from a reaction time on just touches; none where it touches at no speed.
@@ -204,6 +206,12 @@ impl Situation {
         let limit = self.limit(across, line.reaction_s, line.brake_mps2);
         match self {
             Self::CarFollowing { time_gap_s } if time_gap_s < line.reaction_s => None,
+            // What is not noticed at once is another story.
+            Self::CarFollowing { .. }
+                if line.driver.is_some() && across <= R157SimpleSettings::default().seen_brake_mps2 =>
+            {
+                None
+            }
             Self::CarFollowing { .. } => Some(limit.is_some_and(|limit| up > limit)),
             Self::CutInGap { .. } | Self::CutInTime { .. } => limit.map(|limit| up < limit),
         }

@@ -26,8 +26,10 @@ pub struct Within {
     pub verdict: TestVerdict,
     /// The smallest gap there, in metres.
     pub min_gap_m: Option<f64>,
-    /// How many points were tried: that none of them failed proves nothing of the others.
+    /// How many points were run: that none of them failed proves nothing of the others.
     pub tried: usize,
+    /// How many of them failed.
+    pub failures: usize,
     /// What is known of it, if it failed.
     pub failed: Option<Failed>,
 }
@@ -38,6 +40,7 @@ pub(super) struct Worst {
     pub(super) scenario: Scenario,
     pub(super) seen: Seen,
     pub(super) tried: usize,
+    pub(super) failures: usize,
 }
 
 /// A figure that is searched over.
@@ -63,8 +66,10 @@ impl Range<'_> {
 /// What is searched over: the ranges that the clause states, and tolerances.
 fn ranges(test: &TestSpec) -> Vec<Range<'_>> {
     let stated = test.figures.stated().enumerate();
-    let range = |(place, (parameter, figure)): (usize, (_, _))| {
-        Range { place, figure, is_whole: test.ranges.contains(&parameter) }
+    let range = |(place, (parameter, figure)): (usize, (_, _))| Range {
+        place,
+        figure,
+        is_whole: test.ranges.contains(&parameter),
     };
     stated.map(range).filter(|range| range.is_whole || range.figure.tolerance > 0.0).collect()
 }
@@ -77,7 +82,7 @@ pub(super) fn worst(name: &str, about: &str, test: &TestSpec, lead: Lead, driven
         return None;
     }
     let grid = test.grid();
-    let mut search = Search { name, about, test, lead, driven, worst: None, tried: 0 };
+    let mut search = Search { name, about, test, lead, driven, worst: None, tried: 0, failures: 0 };
     let mut stream = random::stream(0, Purpose::Search, 1);
     let drawn = (0..DRAWN).filter_map(|index| {
         let home = grid.get(index % grid.len())?;
@@ -86,7 +91,9 @@ pub(super) fn worst(name: &str, about: &str, test: &TestSpec, lead: Lead, driven
     });
     search.look(drawn.collect());
     for round in 1..=ROUNDS {
-        let Some((home, centre)) = search.worst.as_ref().map(|(home, worst)| (*home, worst.point.clone())) else { break };
+        let Some((home, centre)) = search.worst.as_ref().map(|(home, worst)| (*home, worst.point.clone())) else {
+            break;
+        };
         let width = 0.25 * 0.5_f64.powi(round);
         let near = (0..NEAR).map(|_| {
             let draw = |[low, high]: [f64; 2], value: f64| {
@@ -97,8 +104,8 @@ pub(super) fn worst(name: &str, about: &str, test: &TestSpec, lead: Lead, driven
         });
         search.look(near.collect());
     }
-    let tried = search.tried;
-    search.worst.map(|(_, worst)| Worst { tried, ..worst })
+    let (tried, failures) = (search.tried, search.failures);
+    search.worst.map(|(_, worst)| Worst { tried, failures, ..worst })
 }
 
 /// A search for the worst point.
@@ -111,6 +118,7 @@ struct Search<'t> {
     /// The worst so far, with the point of the grid that it belongs to.
     worst: Option<(&'t [f64], Worst)>,
     tried: usize,
+    failures: usize,
 }
 
 impl<'t> Search<'t> {
@@ -122,11 +130,12 @@ impl<'t> Search<'t> {
             Some((self.test.scenario(&name, &about, &point).ok()?, (home, point)))
         });
         let (scenarios, points): (Vec<Scenario>, Vec<(&[f64], Vec<f64>)>) = made.unzip();
-        self.tried += scenarios.len();
         let seen = self.driven.seen(self.lead, &scenarios);
+        self.tried += seen.iter().filter(|seen| !seen.verdict.is_refusal()).count();
+        self.failures += seen.iter().filter(|seen| seen.verdict.is_failure()).count();
         for (((home, point), scenario), seen) in points.into_iter().zip(scenarios).zip(seen) {
             if self.worst.as_ref().is_none_or(|(_, worst)| badness(&seen) > badness(&worst.seen)) {
-                self.worst = Some((home, Worst { point, scenario, seen, tried: 0 }));
+                self.worst = Some((home, Worst { point, scenario, seen, tried: 0, failures: 0 }));
             }
         }
     }
