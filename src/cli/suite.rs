@@ -36,6 +36,7 @@ enum Command {
         suite: String,
     },
     Run(RunSuite),
+    Table(TableOfSuites),
     Map(suite_map::MapCommand),
 }
 
@@ -73,6 +74,29 @@ struct RunSuite {
     format: Format,
 }
 
+/// Run every suite that is shipped, and print one table in Markdown
+#[derive(Args)]
+#[command(after_long_help = "\
+Example:
+  crumple suite table --controller idm --controller acc-aeb --controller policy > suites.md")]
+struct TableOfSuites {
+    /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated
+    #[arg(long = "controller", value_name = "C", required = true, value_parser = subject::controller)]
+    controllers: Vec<NamedController>,
+    /// What the vehicle under test looks through
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    estimator: EstimatorKind,
+}
+
+impl TableOfSuites {
+    fn run(self) -> Result<(), Failure> {
+        let run =
+            |(name, _): &(&str, &str)| run(&find(name)?, &self.controllers, self.estimator).map_err(Failure::input);
+        let results = SHIPPED.iter().map(run).collect::<Result<Vec<_>, Failure>>()?;
+        output::print(&suite::table(&results))
+    }
+}
+
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Expectation {
     /// No contact and no controller that fails, wherever a test can be run, and none found within the ranges that a clause allows
@@ -97,6 +121,7 @@ impl SuiteCommand {
             Command::List { format } => list(format),
             Command::Show { suite } => show(&suite),
             Command::Run(command) => command.run(quiet),
+            Command::Table(command) => command.run(),
             Command::Map(command) => command.run(),
         }
     }

@@ -19,6 +19,7 @@ mod forgery;
 mod formulas;
 mod generate;
 mod hostile_names;
+mod lanes;
 mod measures;
 mod networks;
 mod obligations;

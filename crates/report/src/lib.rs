@@ -12,4 +12,5 @@ pub mod assessment;
 pub mod draw;
 pub mod export;
 pub mod figures;
+mod markdown;
 pub mod suite;

@@ -11,7 +11,6 @@ mod commands;
 mod config;
 mod gate;
 mod junit;
-mod markdown;
 mod page;
 mod parts;
 mod plan;
@@ -22,6 +21,7 @@ mod store;
 mod table;
 mod work;
 
+use crate::markdown;
 use std::ops::ControlFlow;
 use std::path::{Component, Path};
 
@@ -29,6 +29,7 @@ use maud::Markup;
 use schemars::JsonSchema;
 use serde::Serialize;
 
+pub use crate::markdown::Markdown;
 pub use best::Best;
 pub use case::{Case, CaseVerdict, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards};
 pub use claims::{
@@ -38,7 +39,6 @@ pub use claims::{
 pub use commands::{Command, CommandFile};
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};
 pub use gate::{Gate, GateResult};
-pub use markdown::Markdown;
 pub use parts::{
     Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
     Distributions, EXAMPLE_MPS, Earlier, Element, ElementKind, Failure, FailureMap, FailureMaps, FirstPage, Glossary,

@@ -4,6 +4,7 @@ mod junit;
 mod map;
 mod map_figure;
 mod page;
+mod table;
 mod words;
 
 use std::fmt::Write;
@@ -15,6 +16,7 @@ pub use junit::{JunitError, xml};
 pub use map::{map_html, map_text};
 pub use map_figure::map_figure;
 pub use page::html;
+pub use table::table;
 pub(crate) use words::{least_margins, preventable, verdict, within_in_words};
 
 /// The matrix clause, test, controller, verdict and margin, what failed, and what it does not say. `replay` is the command that

@@ -24,14 +24,21 @@ pub(crate) fn within_in_words(within: &Within) -> String {
 
 /// In each direction the least margin, in words, and of how many it is the least.
 pub(crate) fn least_margins(margins: &[Margin]) -> Vec<String> {
+    let told = |(least, many): (&Margin, usize)| {
+        let of = if many > 1 { format!(" (the least of {many})") } else { String::new() };
+        margin_in_words(least) + &of
+    };
+    least(margins).into_iter().map(told).collect()
+}
+
+/// In each direction the least margin, and of how many it is the least.
+pub(super) fn least(margins: &[Margin]) -> Vec<(&Margin, usize)> {
     let mut directions: Vec<_> = margins.iter().map(|margin| (margin.push, margin.to)).collect();
     directions.dedup();
     let least = |&(push, to): &(_, f64)| {
         let along: Vec<_> = margins.iter().filter(|margin| (margin.push, margin.to) == (push, to)).collect();
-        let least =
-            along.iter().copied().reduce(|least, next| if share(next) < share(least) { next } else { least })?;
-        let of = if along.len() > 1 { format!(" (the least of {})", along.len()) } else { String::new() };
-        Some(margin_in_words(least) + &of)
+        let less = |least, next| if share(next) < share(least) { next } else { least };
+        Some((along.iter().copied().reduce(less)?, along.len()))
     };
     directions.iter().filter_map(least).collect()
 }
