@@ -80,7 +80,7 @@ impl Page<'_> {
                     @for tested in &test.controllers { td.judged.(class(tested)) { (cell(tested)) } }
                 } } }
             } }
-            p.kicker { "✓ every point of the grid passes, and none was found to fail within the ranges and tolerances; ✗ some point fails; – cannot be run." }
+            p.kicker { "✓ every point of the grid passes, and none was found to fail that the clause allows; ✗ some point fails; – cannot be run." }
         }
     }
 
@@ -99,7 +99,7 @@ impl Page<'_> {
             h3 id={ "test-" (test.name) } { (test.name) }
             @if test.figures.stated().next().is_some() { (figures(test)) }
             div.scroll tabindex="0" { table {
-                thead { tr { @for name in ["controller", "verdict", "margins", "worst within ranges and tolerances"] { th scope="col" { (name) } } } }
+                thead { tr { @for name in ["controller", "verdict", "margins", "worst that the clause allows"] { th scope="col" { (name) } } } }
                 tbody { @for tested in &test.controllers { tr {
                     th scope="row" { (tested.controller) }
                     td.judged.(class(tested)) { (sign(tested)) (verdict(&tested.verdict)) (points(tested)) }

@@ -13,7 +13,7 @@ pub fn table(results: &[SuiteResult]) -> String {
     text.heading(1, "Suites after regulations");
     text.paragraph(STATEMENT);
     text.paragraph(
-        "✓: every point of the grid passes, and none was found to fail within ranges; ✗: some point fails; –: it cannot be run. \
+        "✓: every point of the grid passes, and none was found to fail that the clause allows; ✗: some point fails; –: it cannot be run. \
          Then how many points pass, the fastest impact, or the least margin of the first direction.",
     );
     let Some((_, first)) = tests().next() else { return text.into_string() };

@@ -19,7 +19,7 @@ pub(crate) fn within_in_words(within: &Within) -> String {
     let Within { point, verdict: found, min_gap_m, tried, .. } = within;
     let gap =
         min_gap_m.filter(|_| found.is_passed()).map_or(String::new(), |gap_m| format!(", smallest gap {gap_m:.2} m"));
-    format!("worst of {tried} points within the ranges: {}{gap}, at {point}", verdict(found))
+    format!("worst of {tried} points that the clause allows: {}{gap}, at {point}", verdict(found))
 }
 
 /// In each direction the least margin, in words, and of how many it is the least.

@@ -293,14 +293,8 @@ impl SuiteFindings {
     }
 
     fn details(&self) -> Table {
-        let header = [
-            "test",
-            "controller",
-            "verdict",
-            "margins",
-            "worst within ranges and tolerances",
-            "who could have prevented it",
-        ];
+        let header =
+            ["test", "controller", "verdict", "margins", "worst that the clause allows", "who could have prevented it"];
         let mut table = Table::new(&header);
         for test in &self.tests {
             for (controller, outcome) in self.controllers.iter().zip(&test.outcomes) {
