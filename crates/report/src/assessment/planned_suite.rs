@@ -100,7 +100,7 @@ fn find(name: &str, folder: &Path) -> Result<Suite, String> {
     if let Some(suite) = Suite::shipped(name) {
         return suite.map_err(|error| error.to_string());
     }
-    if !Path::new(name).extension().is_some_and(|ending| ending == "toml") {
+    if Path::new(name).extension().is_none_or(|ending| ending != "toml") {
         let known: Vec<_> = SHIPPED.iter().map(|(name, _)| *name).collect();
         return Err(format!("`{name}` is neither a suite that is shipped ({}) nor a .toml file", known.join(", ")));
     }

@@ -69,7 +69,7 @@ fn panel(map: &CrashMap, shown: &MapPanel, frame: Frame) -> Panel {
     panel.overlay(words(above, Anchor::Start, map.up.title, SMALL, Ink::Muted, false));
     let (columns, rows) = (map.across.cells, map.up.cells);
     // Cells come row by row from the bottom, frames from the top.
-    let from_top = shown.cells.chunks(columns.max(1)).rev().flatten().map(|cell| letter(cell));
+    let from_top = shown.cells.chunks(columns.max(1)).rev().flatten().map(letter);
     let cells: Vec<(char, Frame)> = from_top.zip(grid_frames(frame, columns, rows)).collect();
     for (kind, _) in LETTERS {
         let of_kind = cells.iter().filter(|(letter, _)| *letter == kind).map(|(_, frame)| *frame);

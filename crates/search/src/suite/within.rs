@@ -108,6 +108,9 @@ pub(super) fn worst(name: &str, about: &str, test: &TestSpec, lead: Lead, driven
     search.worst.map(|(_, worst)| Worst { tried, failures, ..worst })
 }
 
+/// A point, after the point of the grid that it belongs to.
+type Near<'t> = (&'t [f64], Vec<f64>);
+
 /// A search for the worst point.
 struct Search<'t> {
     name: &'t str,
@@ -123,13 +126,13 @@ struct Search<'t> {
 
 impl<'t> Search<'t> {
     /// Runs points, each with the point of the grid that it belongs to.
-    fn look(&mut self, points: Vec<(&'t [f64], Vec<f64>)>) {
+    fn look(&mut self, points: Vec<Near<'t>>) {
         let made = points.into_iter().filter_map(|(home, point)| {
             let name = format!("{}-within-{}", self.name, sha256(self.test.in_words(&point)).get(..8)?);
             let about = format!("{} ({}.)", self.about, self.test.in_words(&point));
             Some((self.test.scenario(&name, &about, &point).ok()?, (home, point)))
         });
-        let (scenarios, points): (Vec<Scenario>, Vec<(&[f64], Vec<f64>)>) = made.unzip();
+        let (scenarios, points): (Vec<Scenario>, Vec<Near<'t>>) = made.unzip();
         let seen = self.driven.seen(self.lead, &scenarios);
         self.tried += seen.iter().filter(|seen| !seen.verdict.is_refusal()).count();
         self.failures += seen.iter().filter(|seen| seen.verdict.is_failure()).count();
