@@ -82,7 +82,7 @@ pub fn entering_at_once_is_being_there(question: &Question<'_>) -> Finding {
     Ok(Checked::Holds)
 }
 
-/// Behind those who look ahead alone, the last vehicle may leave or stay: up to the first impact the others move alike, to the last bit.
+/// Behind those who look ahead alone and change lanes by the clock, the last vehicle may leave or stay: up to the first impact the others move alike, to the last bit.
 ///
 /// # Errors
 /// [`Law::Lanes`].
@@ -98,7 +98,11 @@ pub fn who_leaves_behind_changes_nothing_ahead(question: &Question<'_>) -> Findi
         }
     });
     let Ok(keeps) = keeps else { return Ok(Checked::DoesNotApply) };
-    if keeps == *scenario || !scenario.vehicles().iter().all(looks_ahead) {
+    // A gap or a time to collision may be that to the last vehicle.
+    let is_by_time = |change: &LaneChange| matches!(change, LaneChange::At(_));
+    let others = scenario.vehicles().iter().rev().skip(1).flat_map(|vehicle| [vehicle.enters, vehicle.leaves]);
+    let is_free = others.flatten().all(|change| is_by_time(&change));
+    if keeps == *scenario || !is_free || !scenario.vehicles().iter().all(looks_ahead) {
         return Ok(Checked::DoesNotApply);
     }
     let Some(stays) = run(question, &keeps) else { return Ok(Checked::DoesNotApply) };
