@@ -34,6 +34,7 @@ the best escape found from each scenario (see avoid), and with every certificate
   scenarios = [\"episodes\"]                 # scenario files, and folders of them, relative to this file
   recordings = [\"platoon.csv\"]             # whose braking episodes are scenarios too (see import)
   search = { spaces = [\"paper\", \"high-risk\"], budget = 400 }
+  suites = [{ suite = \"fmvss-127\", controllers = [\"policy\"] }]   # tests after regulations (see suite list); at most 20
   rates = { runs = 4000, confidence = 0.999 }
   certificates = [\"escape.json\"]           # to be checked again
   [[gates]]                                # what must hold, or the exit code is 1
@@ -44,7 +45,7 @@ the best escape found from each scenario (see avoid), and with every certificate
 A folder of scenarios may hold 10 000 files and 64 MiB, any other file 3 MiB of TOML, certificates 64 MiB, recordings what import takes.
 
 Other gates: no-contact-in-paper-scenarios, no-contact-in-traffic and no-avoidable-failure (with a space) for a controller, \
-needless-braking-at-most and left-behind-at-most (with percent), string-stable, rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
+needless-braking-at-most and left-behind-at-most (with percent), string-stable, suite-passed (with a suite), rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
 
 Evidence is kept in the folder `evidence` of the report, by the hash of everything it depends on: what has not changed is not \
 gathered again, and an assessment that was interrupted goes on where it stopped. Each file holds hashes of the program, of what it \

@@ -27,6 +27,7 @@ mod simulate;
 mod simulated;
 mod subject;
 mod suite;
+mod suite_map;
 mod train;
 mod verify;
 mod worst_case;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
 
-use super::{Failure, choice, output, subject};
+use super::{Failure, choice, output, subject, suite_map};
 use crumple_report::suite;
 use crumple_search::disk::{DiskError, Files};
 use crumple_search::suite::{Failed, SHIPPED, STATEMENT, Suite, SuiteError, SuiteResult, TestVerdict, Tested, run};
@@ -36,6 +36,8 @@ enum Command {
         suite: String,
     },
     Run(RunSuite),
+    Table(TableOfSuites),
+    Map(suite_map::MapCommand),
 }
 
 /// Run a suite: clause, test, verdict, margin
@@ -50,6 +52,7 @@ A suite may have 2000 points and a file of 3 MiB. After the document, on a point
 Examples:
   crumple suite run fmvss-127 --controller acc-aeb --controller policy
   crumple suite run euro-ncap-2023 --controller idm --estimator truth --format junit
+  crumple suite run euro-ncap-2023 --controller full-throttle --out failures --format html > euro-ncap.html
   crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed")]
 struct RunSuite {
     /// A suite that is shipped (see `crumple suite list`), or a file
@@ -71,6 +74,29 @@ struct RunSuite {
     format: Format,
 }
 
+/// Run every suite that is shipped, and print one table in Markdown
+#[derive(Args)]
+#[command(after_long_help = "\
+Example:
+  crumple suite table --controller idm --controller acc-aeb --controller policy > suites.md")]
+struct TableOfSuites {
+    /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated
+    #[arg(long = "controller", value_name = "C", required = true, value_parser = subject::controller)]
+    controllers: Vec<NamedController>,
+    /// What the vehicle under test looks through
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    estimator: EstimatorKind,
+}
+
+impl TableOfSuites {
+    fn run(self) -> Result<(), Failure> {
+        let run =
+            |(name, _): &(&str, &str)| run(&find(name)?, &self.controllers, self.estimator).map_err(Failure::input);
+        let results = SHIPPED.iter().map(run).collect::<Result<Vec<_>, Failure>>()?;
+        output::print(&suite::table(&results))
+    }
+}
+
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Expectation {
     /// No contact and no controller that fails, wherever a test can be run, and none found within the ranges that a clause allows
@@ -85,6 +111,8 @@ enum Format {
     Json,
     /// For a build server
     Junit,
+    /// A page that needs nothing else: the matrix, and what failed, drawn
+    Html,
 }
 
 impl SuiteCommand {
@@ -93,6 +121,8 @@ impl SuiteCommand {
             Command::List { format } => list(format),
             Command::Show { suite } => show(&suite),
             Command::Run(command) => command.run(quiet),
+            Command::Table(command) => command.run(),
+            Command::Map(command) => command.run(),
         }
     }
 }
@@ -160,6 +190,7 @@ impl RunSuite {
         let text = match self.format {
             Format::Json => serde_json::to_string(&result).map_err(Failure::input)? + "\n",
             Format::Junit => suite::xml(&result).map_err(Failure::input)?,
+            Format::Html => suite::html(&result, &self.controllers, |failed, tested| self.replay(failed, tested)),
             Format::Text => suite::text(&result, |failed, tested| self.replay(failed, tested)),
         };
         let has_failed =

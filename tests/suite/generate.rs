@@ -5,7 +5,8 @@
 
 use arbitrary::Unstructured;
 use crumple_fuzzing::{
-    self, Checked, Crumple, Oracle, SCENARIO_BYTES, SETUP_BYTES, Setup, Shape, TEST_CASE_BYTES, TestCase,
+    self, Checked, Crumple, LANE_CASE_BYTES, Oracle, SCENARIO_BYTES, SETUP_BYTES, Setup, Shape, TEST_CASE_BYTES,
+    TestCase,
 };
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec};
@@ -41,6 +42,11 @@ pub(crate) fn bytes(count: usize) -> impl Strategy<Value = Vec<u8>> {
 /// Any test case.
 pub(crate) fn any_test_case() -> impl Strategy<Value = TestCase> {
     bytes(TEST_CASE_BYTES).prop_map(|bytes| TestCase::of_bytes(&bytes))
+}
+
+/// Any test case in which vehicles may enter the lane and leave it.
+pub(crate) fn any_lane_case() -> impl Strategy<Value = TestCase> {
+    bytes(LANE_CASE_BYTES).prop_map(|bytes| TestCase::with_lanes(&bytes))
 }
 
 /// Any valid scenario, with all that a file can say.

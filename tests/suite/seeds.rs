@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crumple_fuzzing::targets::TARGETS;
-use crumple_fuzzing::{self, FileFormat, TEST_CASE_BYTES, TestCase};
+use crumple_fuzzing::{self, FileFormat, LANE_CASE_BYTES, TEST_CASE_BYTES, TestCase};
 use crumple_search::evidence::{BoxSpec, ReachPlan, shipped_kernels};
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Family, avoid, certify};
 use crumple_verify::reach::{Cell, Dimension};
@@ -38,7 +38,8 @@ fn folder_changes() -> Vec<Vec<u8>> {
 fn fresh_seeds() {
     for (target, _) in TARGETS {
         let inputs = match target {
-            "scenario" => scenarios(),
+            "scenario" => scenarios(TEST_CASE_BYTES),
+            "lanes" => scenarios(LANE_CASE_BYTES),
             "scenario_file" => scenario_files(),
             "policy_file" => policy_files(),
             "certificate" => certificates(),
@@ -73,8 +74,8 @@ fn kept_scenarios() -> Vec<(PathBuf, Scenario)> {
 }
 
 /// As long as a test case can be, and shorter: what is cut off is nominal.
-fn scenarios() -> Vec<Vec<u8>> {
-    first(OF_EACH, &prop::collection::vec(any::<u8>(), 0..=TEST_CASE_BYTES))
+fn scenarios(bytes: usize) -> Vec<Vec<u8>> {
+    first(OF_EACH, &prop::collection::vec(any::<u8>(), 0..=bytes))
 }
 
 fn scenario_files() -> Vec<Vec<u8>> {

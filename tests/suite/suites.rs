@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_search::suite::{
-    Lead, MarginEnd, Origin, Parameter, Prevention, SHIPPED, Suite, TestVerdict, Unit, json_schema, run,
+    Beyond, Lead, MarginEnd, Origin, Parameter, Prevention, SHIPPED, Suite, TestVerdict, Unit, json_schema, run,
 };
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::LaneChange;
@@ -226,7 +226,7 @@ fn failures_say_who_could_have_prevented_them_and_refusals_why() {
     let stopped = &test("stopped-lead")[0];
     assert!(matches!(stopped.verdict, TestVerdict::Failed { impact_speed_mps, .. } if impact_speed_mps > 20.0));
     assert_eq!((stopped.passed, stopped.failed.len()), (0, 2));
-    assert!(stopped.margins.iter().all(|margin| margin.end == MarginEnd::None));
+    assert!(stopped.margins.iter().all(|margin| margin.end == MarginEnd::None { beyond: Beyond::Fails }));
     let does = |driver: &str| stopped.failed[0].references.iter().find(|run| run.driver == driver).unwrap().prevention;
     assert_eq!(does("competent-human"), Prevention::DoesNotReact, "it is a model of following a vehicle that brakes");
     assert_eq!((does("r157-simple"), does("rss")), (Prevention::Prevents, Prevention::Prevents));

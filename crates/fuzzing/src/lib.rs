@@ -15,6 +15,7 @@ mod collision_search;
 mod driver;
 mod folder;
 mod formula;
+mod lanes;
 pub mod oracle;
 mod scenario;
 mod setup;
@@ -31,7 +32,8 @@ pub use collection::Collection;
 pub use collision_search::{CollisionSearch, CollisionSearchError};
 pub use driver::{CONTROLLERS, controller, profile, script};
 pub use formula::any_formula;
-pub use oracle::{Checked, ORACLES, ORACLES_OF_A_RUN, Oracle, Question};
+pub use lanes::{LANE_BYTES, with_lane_changes};
+pub use oracle::{Checked, LANE_ORACLES, ORACLES, ORACLES_OF_A_RUN, Oracle, Question};
 pub use scenario::{SCENARIO_BYTES, scenario, scenario_of};
 pub use setup::{FoundController, SETUP_BYTES, Setup, TestedController};
 pub use shape::{Kind, Shape};
@@ -43,6 +45,9 @@ use crumple_world::sim::Simulated;
 
 /// Bytes that a test case is read from.
 pub const TEST_CASE_BYTES: usize = SCENARIO_BYTES + SETUP_BYTES;
+
+/// Bytes that a test case with changes of lanes is read from.
+pub const LANE_CASE_BYTES: usize = TEST_CASE_BYTES + LANE_BYTES;
 
 /// A scenario and how it is run. Its debug format is a reproducer: a scenario file that says how to run it.
 #[derive(Clone, PartialEq)]
@@ -77,6 +82,14 @@ impl TestCase {
         Self { scenario: scenario(&mut from), setup: Setup::read(&mut from) }
     }
 
+    /// The test case that bytes stand for, with changes of lanes after the others; without them it is that of [`TestCase::of_bytes`].
+    #[must_use]
+    pub fn with_lanes(bytes: &[u8]) -> Self {
+        let mut from = Unstructured::new(bytes);
+        let (scenario, setup) = (scenario(&mut from), Setup::read(&mut from));
+        Self { scenario: with_lane_changes(scenario, &mut from), setup }
+    }
+
     /// This test case with another controller under test.
     #[must_use]
     pub fn under_test(mut self, controller: TestedController) -> Self {
@@ -90,6 +103,14 @@ impl TestCase {
     /// The first [`Violation`] found.
     pub fn examine(&self, system: &dyn System) -> Result<Simulated, Violation> {
         self.ask_all(&ORACLES, system)
+    }
+
+    /// Asks every oracle that holds where vehicles enter or leave the lane.
+    ///
+    /// # Errors
+    /// The first [`Violation`] found.
+    pub fn examine_lanes(&self, system: &dyn System) -> Result<Simulated, Violation> {
+        self.ask_all(&LANE_ORACLES, system)
     }
 
     /// Asks the oracles that look at one run only, which costs little more than the run.

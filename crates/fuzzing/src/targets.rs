@@ -20,8 +20,9 @@ use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 pub type Target = fn(&[u8]) -> Result<(), Violation>;
 
 /// Every target and its name, which is that of its seeds' folder.
-pub const TARGETS: [(&str, Target); 7] = [
+pub const TARGETS: [(&str, Target); 8] = [
     ("scenario", scenario),
+    ("lanes", lanes),
     ("scenario_file", scenario_file),
     ("policy_file", policy_file),
     ("certificate", certificate),
@@ -43,6 +44,14 @@ const SAMPLES: usize = 16;
 /// What an oracle found.
 pub fn scenario(bytes: &[u8]) -> Result<(), Violation> {
     TestCase::of_bytes(bytes).examine(&Crumple).map(drop)
+}
+
+/// Any test case in which vehicles enter or leave the lane, and every oracle that holds then.
+///
+/// # Errors
+/// What an oracle found.
+pub fn lanes(bytes: &[u8]) -> Result<(), Violation> {
+    TestCase::with_lanes(bytes).examine_lanes(&Crumple).map(drop)
 }
 
 /// How many of the oracles were not left in doubt by the test case that bytes stand for.

@@ -52,6 +52,8 @@ pub enum Law {
     Reading,
     /// What lies in a folder of work is what was written there, or is refused.
     Folders,
+    /// Who is in the lane is one story, and whoever is beside it changes nothing.
+    Lanes,
 }
 
 impl fmt::Display for Law {
@@ -75,6 +77,7 @@ impl fmt::Display for Law {
             Self::Avoidability => "no driver does what is proved impossible for all",
             Self::Certificates => "the checker accepts what it accepted before it was written and read again",
             Self::Reading => "a file is read, or refused with a reason",
+            Self::Lanes => "who is in the lane is one story, and nobody beside it counts",
             Self::Folders => "what lies in a folder of work is what was written there, or is refused",
         })
     }

@@ -5,11 +5,12 @@
 //! | [`draw`] | traces and curves as pictures |
 //! | [`figures`] | figures of trainings |
 //! | [`export`] | traces as tables |
+//! | [`suite`] | runs of suites: the matrix, JUnit; crash maps |
 //! | [`assessment`] | the safety case and its renderings |
-//! | [`suite`] | runs of suites: the matrix, JUnit |
 
 pub mod assessment;
 pub mod draw;
 pub mod export;
 pub mod figures;
+mod markdown;
 pub mod suite;

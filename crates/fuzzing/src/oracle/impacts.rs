@@ -27,8 +27,10 @@ pub fn impacts_are_inelastic(question: &Question<'_>) -> Finding {
         must(!again, Law::Sticking, || format!("vehicle {rear} hits the same vehicle twice"))?;
         let pairs = trace.pairs(rear);
         let Some(pair) = pairs.last() else { continue };
-        let speeds = pair.front.speed_mps.iter().zip(&pair.rear.speed_mps);
-        for ((t, (_, gap_m)), (front, behind)) in trace.time_s.iter().zip(pair.gaps_m()).zip(speeds) {
+        let speeds = |sample: usize| pair.front.speed_mps.get(sample).zip(pair.rear.speed_mps.get(sample));
+        let samples =
+            pair.gaps_m().filter_map(|(sample, gap_m)| Some((trace.time_s.get(sample)?, gap_m, speeds(sample)?)));
+        for (t, gap_m, (front, behind)) in samples {
             let together = gap_m.abs() < STUCK_M && front == behind;
             let is_after = *t > impact.contact.time_s + 1e-9;
             must(!is_after || together, Law::Sticking, || {
@@ -42,7 +44,8 @@ pub fn impacts_are_inelastic(question: &Question<'_>) -> Finding {
 fn check(trace: &Trace, impact: &Impact) -> Result<(), (Law, String)> {
     let contact = &impact.contact;
     let mass_kg = |vehicles: std::ops::RangeInclusive<usize>| -> f64 {
-        trace.vehicles.get(vehicles).into_iter().flatten().map(|track| track.mass_kg).sum()
+        let involved = vehicles.filter(|vehicle| !impact.beside.contains(vehicle));
+        involved.filter_map(|vehicle| trace.vehicles.get(vehicle)).map(|track| track.mass_kg).sum()
     };
     let front_kg = mass_kg(impact.first_involved..=contact.front_vehicle);
     let rear_kg = mass_kg(contact.rear_vehicle..=impact.last_involved);

@@ -5,6 +5,7 @@ mod engines;
 mod estimates;
 mod files;
 mod impacts;
+mod lanes;
 mod monitor;
 mod motion;
 mod shielded;
@@ -19,6 +20,7 @@ pub use engines::{bits, engines_agree};
 pub use estimates::estimates_are_sane;
 pub use files::files_keep_scenarios;
 pub use impacts::impacts_are_inelastic;
+pub use lanes::{entering_at_once_is_being_there, lanes_are_kept, who_leaves_behind_changes_nothing_ahead};
 pub use monitor::monitor_agrees;
 pub use motion::motion_is_physical;
 pub use shielded::shield_keeps_clear;
@@ -59,7 +61,19 @@ pub const ORACLES: [Oracle; 10] = [
     nobody_does_the_impossible,
 ];
 
-/// How many of them, the first ones, look at one run only.
+/// The oracles of scenarios in which vehicles enter or leave the lane. The others of [`ORACLES`] are about neighbours that stay.
+pub const LANE_ORACLES: [Oracle; 8] = [
+    motion_is_physical,
+    lanes_are_kept,
+    impacts_are_inelastic,
+    files_keep_scenarios,
+    entering_at_once_is_being_there,
+    who_leaves_behind_changes_nothing_ahead,
+    engines_agree,
+    step_size_decides_nothing,
+];
+
+/// How many of [`ORACLES`], the first ones, look at one run only.
 pub const ORACLES_OF_A_RUN: usize = 3;
 
 /// A test case, the system that is questioned about it, and the run it made of it.

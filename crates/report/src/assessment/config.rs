@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::gate::Gate;
+use super::planned_suite::SuiteConfig;
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
@@ -56,6 +57,9 @@ pub struct AssessConfig {
     /// `crumple import` makes it. Default none.
     #[serde(default)]
     pub recordings: Vec<PathBuf>,
+    /// Suites of tests after regulations. Default none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub suites: Vec<SuiteConfig>,
     /// How failures are searched for.
     #[serde(default)]
     pub search: SearchConfig,
@@ -161,6 +165,7 @@ impl Default for AssessConfig {
             seed: 0,
             scenarios: Vec::new(),
             recordings: Vec::new(),
+            suites: Vec::new(),
             search: SearchConfig::default(),
             rates: RatesConfig::default(),
             certificates: None,

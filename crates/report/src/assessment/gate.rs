@@ -68,6 +68,13 @@ pub enum Gate {
         /// The controller.
         controller: String,
     },
+    /// A controller passes every test of a suite that can be run.
+    SuitePassed {
+        /// The controller.
+        controller: String,
+        /// The suite, as `suites` names it.
+        suite: String,
+    },
     /// Every certificate is accepted.
     ProofsAccepted {},
     /// Nothing is worse than in the assessment that this one is compared with, and there is one.
@@ -96,6 +103,7 @@ impl Gate {
             | Self::NeedlessBrakingAtMost { controller, .. }
             | Self::LeftBehindAtMost { controller, .. }
             | Self::StringStable { controller }
+            | Self::SuitePassed { controller, .. }
             | Self::NoAvoidableFailure { controller, .. } => vec![("controller", controller)],
             Self::ProofsAccepted {} | Self::NothingWorse {} => Vec::new(),
         }
@@ -125,6 +133,7 @@ impl Gate {
                 share_problem(*percent).or_else(needs_drives)
             }
             Self::StringStable { .. } => needs_drives(),
+            Self::SuitePassed { controller, suite } => suite_problem(config, controller, suite),
             _ => None,
         }
     }
@@ -153,6 +162,7 @@ impl Gate {
                 drives_at_most(found, controller, *percent, |useful| useful.left_behind)
             }
             Self::StringStable { controller } => string_stable(found, controller),
+            Self::SuitePassed { controller, suite } => suite_passed(plan, found, controller, suite),
             Self::ProofsAccepted {} => proofs_accepted(found),
             Self::NothingWorse {} => nothing_worse(found.comparison.as_ref()),
         };
@@ -185,6 +195,9 @@ impl Gate {
                 format!("{controller}: left behind in at most {percent} % of drives in everyday traffic")
             }
             Self::StringStable { controller } => format!("{controller}: no disturbance grows along a line"),
+            Self::SuitePassed { controller, suite } => {
+                format!("{controller}: every test of suite `{suite}` passes that can be run")
+            }
             Self::ProofsAccepted {} => "every proof is accepted".to_owned(),
             Self::NothingWorse {} => "nothing is worse than before".to_owned(),
         }
@@ -282,6 +295,29 @@ fn drives_at_most(
 fn string_stable(found: &Assessment, controller: &str) -> (bool, String) {
     let line = found.usefulness.as_ref().and_then(|all| Some(&all.of(controller)?.line));
     line.map_or((false, "no line was driven".to_owned()), |line| (line.holds(), line.words()))
+}
+
+fn suite_problem(config: &AssessConfig, controller: &String, suite: &str) -> Option<(&'static str, String)> {
+    let Some(named) = config.suites.iter().find(|named| named.suite == suite) else {
+        return Some(("suite", format!("`{suite}` is not among `suites`")));
+    };
+    let is_tested = named.controllers.as_ref().is_none_or(|tested| tested.contains(controller));
+    (!is_tested).then(|| ("controller", format!("`{controller}` is not tested by suite `{suite}`")))
+}
+
+/// What cannot be run does not count; but something has to.
+fn suite_passed(plan: &AssessmentPlan, found: &Assessment, controller: &str, suite: &str) -> (bool, String) {
+    let place = plan.suites.iter().position(|planned| planned.named == suite);
+    let of_controller = place.zip(found.suites.as_ref());
+    let outcomes: Vec<_> = of_controller.iter().flat_map(|(place, suites)| suites.of(*place, controller)).collect();
+    let run: Vec<_> = outcomes.iter().filter(|(_, outcome)| outcome.points > 0).collect();
+    let missed: Vec<_> =
+        run.iter().filter(|(_, outcome)| outcome.passed != Some(true)).map(|(test, _)| test.test.as_str()).collect();
+    match (run.len(), missed.as_slice()) {
+        (0, _) => (false, "no test could be run".to_owned()),
+        (all, []) => (true, format!("{all} of {all} tests pass")),
+        (_, missed) => (false, format!("these do not pass: {}", missed.join(", "))),
+    }
 }
 
 fn share_problem(percent: f64) -> Option<(&'static str, String)> {

@@ -11,16 +11,17 @@ mod commands;
 mod config;
 mod gate;
 mod junit;
-mod markdown;
 mod page;
 mod parts;
 mod plan;
+mod planned_suite;
 mod prose;
 mod rounded;
 mod store;
 mod table;
 mod work;
 
+use crate::markdown;
 use std::ops::ControlFlow;
 use std::path::{Component, Path};
 
@@ -28,6 +29,7 @@ use maud::Markup;
 use schemars::JsonSchema;
 use serde::Serialize;
 
+pub use crate::markdown::Markdown;
 pub use best::Best;
 pub use case::{Case, CaseVerdict, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards};
 pub use claims::{
@@ -37,16 +39,16 @@ pub use claims::{
 pub use commands::{Command, CommandFile};
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};
 pub use gate::{Gate, GateResult};
-pub use markdown::Markdown;
 pub use parts::{
     Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
     Distributions, EXAMPLE_MPS, Earlier, Element, ElementKind, Failure, FailureMap, FailureMaps, FirstPage, Glossary,
     Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, LineVerdict, MOST_EVIDENCE_BYTES, Made, MapAxis, MapCell,
     MapRow, MethodReached, Mildest, NamedThing, Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs,
-    Provenance, Sampled, ScenarioCases, Search, Searches, SpaceSearches, SpeaksOf, Summary, Traffic, UnknownCell,
-    Useful, Usefulness, WorstProfile, WorstProfiles,
+    Provenance, Sampled, ScenarioCases, Search, Searches, SpaceSearches, SpeaksOf, SuiteFailure, SuiteFindings,
+    SuiteOutcome, SuiteTest, Suites, Summary, Traffic, UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
+pub use planned_suite::SuiteConfig;
 pub use rounded::Rounded;
 pub use store::{EvidenceHash, Store, StoreError};
 
@@ -78,6 +80,9 @@ pub struct Assessment {
     pub distributions: Distributions,
     /// Scenarios from files; none if the configuration names none.
     pub traffic: Option<Traffic>,
+    /// Tests after regulations; none if the configuration names no suites.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub suites: Option<Suites>,
     /// What a search for failures found.
     pub searches: Searches,
     /// The mildest lead braking against each controller.
@@ -193,6 +198,7 @@ pub fn assess_until(
     let paper_scenarios = PaperScenarios::gather(plan, &work)?;
     let distributions = Distributions::gather(plan, &work)?;
     let traffic = Traffic::gather(plan, &work)?;
+    let suites = Suites::gather(plan, &work)?;
     let searches = Searches::gather(plan, &work)?;
     let worst_profiles = WorstProfiles::gather(plan, &work)?;
     let failure_maps = FailureMaps::gather(plan, &work)?;
@@ -205,6 +211,7 @@ pub fn assess_until(
         paper: paper_scenarios.as_ref(),
         distributions: &distributions,
         traffic: traffic.as_ref(),
+        suites: suites.as_ref(),
         worst: worst_profiles.as_ref(),
         searches: &searches,
         usefulness: usefulness.as_ref(),
@@ -226,6 +233,7 @@ pub fn assess_until(
         paper_scenarios,
         distributions,
         traffic,
+        suites,
         searches,
         worst_profiles,
         failure_maps,
@@ -252,7 +260,8 @@ impl AssessmentPlan {
         let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
         let counted = self.distributions.len() as u64 * (learned + 1);
-        driven + controllers.saturating_mul(each) + counted.saturating_mul(self.config.rates.runs)
+        let tested: u64 = self.suites.iter().map(planned_suite::PlannedSuite::points).sum();
+        tested + driven + controllers.saturating_mul(each) + counted.saturating_mul(self.config.rates.runs)
     }
 }
 
@@ -271,6 +280,7 @@ impl Assessment {
         parts.extend(self.comparison.as_ref().map(|comparison| comparison as &dyn Part));
         parts.extend(self.paper_scenarios.as_ref().map(|paper| paper as &dyn Part));
         parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
+        parts.extend(self.suites.as_ref().map(|suites| suites as &dyn Part));
         let (is_drawn, is_searched) = (!self.distributions.spaces.is_empty(), !self.searches.spaces.is_empty());
         parts.extend(is_drawn.then_some(&self.distributions as &dyn Part));
         parts.extend(is_searched.then_some(&self.searches as &dyn Part));
@@ -335,13 +345,16 @@ impl Assessment {
         texts.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
         let texts = texts.into_iter().map(|(name, text)| (name, text.into_bytes()));
         let needed = self.command_files.iter().map(|needed| (needed.file.clone(), needed.contents.clone()));
-        Ok(texts.chain(self.searches.failures().flat_map(Failure::files)).chain(needed).collect())
+        let failures = self.searches.failures().flat_map(Failure::files);
+        let of_suites = self.suites.iter().flat_map(Suites::files);
+        Ok(texts.chain(failures).chain(of_suites).chain(needed).collect())
     }
 
     /// Every command that shows again what the report shows, in its order.
     pub fn commands(&self) -> impl Iterator<Item = &Command> {
         let failures = self.searches.failures().filter_map(|failure| failure.replay.as_ref());
-        failures.chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
+        let of_suites = self.suites.iter().flat_map(Suites::commands);
+        failures.chain(of_suites).chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
     }
 }
 
@@ -359,7 +372,9 @@ pub fn files_of_evidence(json: &str) -> Vec<String> {
     let named = |file: serde_json::Value| file["file"].as_str().map(str::to_owned);
     let counterexamples = failures.filter_map(named).flat_map(|file| Failure::beside(&file).into_iter().chain([file]));
     let others = list(&evidence["proofs"]["certificates"]).into_iter().chain(list(&evidence["command_files"]));
-    let names = counterexamples.chain(others.filter_map(named));
+    let tests = list(&evidence["suites"]["suites"]).into_iter().flat_map(|suite| list(&suite["tests"]));
+    let failed = tests.flat_map(|test| list(&test["outcomes"])).map(|outcome| outcome["worst"].clone());
+    let names = counterexamples.chain(others.chain(failed).filter_map(named));
     let is_plain = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
     let is_own = |name: &String| FOLDERS.iter().any(|folder| name.starts_with(folder)) && is_plain(name);
     names.filter(is_own).collect()

@@ -7,7 +7,7 @@ use super::{Assessment, Part};
 use crate::draw;
 use crumple_world::quoted::Lines;
 
-const STYLE: &str = include_str!("page.css");
+const STYLE: &str = include_str!("../page.css");
 const TITLE: &str = "Crash test of longitudinal driving controllers";
 
 pub(super) fn html(assessment: &Assessment) -> String {

@@ -10,6 +10,7 @@ use super::claims::{Known, Subject};
 use super::config::{AssessConfig, CONFIG_VERSION, ConfigError};
 use super::gate::Gate;
 use super::parts;
+use super::planned_suite::PlannedSuite;
 use crumple_world::control::ControllerSpec;
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
@@ -37,6 +38,7 @@ pub struct AssessmentPlan {
     pub(super) traffic: Vec<(PathBuf, Scenario)>,
     /// What of recordings is no scenario.
     pub(super) left_out: Vec<Dropped>,
+    pub(super) suites: Vec<PlannedSuite>,
     /// By whose law failures are counted, with the name in the configuration.
     pub(super) distributions: Vec<NamedSpace>,
     /// Where failures are searched for.
@@ -99,8 +101,8 @@ impl AssessmentPlan {
         };
         let (distributions, spaces) = (known(&config.distributions()), known(&config.searched()));
         let (subject, certificates) = (subject(&controllers), shipped(&controllers));
-        let (traffic, left_out) = (Vec::new(), Vec::new());
-        Self { subject, config, controllers, traffic, left_out, distributions, spaces, certificates }
+        let (traffic, left_out, suites) = (Vec::new(), Vec::new(), Vec::new());
+        Self { subject, config, controllers, traffic, left_out, suites, distributions, spaces, certificates }
     }
 
     /// An assessment of controllers of one's own, beside those that the configuration names. The argument is about the
@@ -254,6 +256,8 @@ impl Loading<'_> {
             None => subject(&controllers),
             Some(name) => place_of(name).ok_or_else(|| self.wrong("subject", not_among(name)))?,
         };
+        let suites = PlannedSuite::all(&mut config, self.folder, &controllers, place_of)
+            .map_err(|(field, problem)| self.wrong(&field, problem))?;
         for (index, gate) in config.gates.iter_mut().enumerate() {
             for (field, name) in gate.controllers_mut() {
                 place_of(name).ok_or_else(|| self.wrong(&format!("gates[{index}].{field}"), not_among(name)))?;
@@ -282,6 +286,7 @@ impl Loading<'_> {
             subject,
             traffic,
             left_out,
+            suites,
             distributions,
             spaces,
             certificates: Vec::new(),

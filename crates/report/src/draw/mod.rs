@@ -11,6 +11,7 @@
 mod animation;
 mod animation_data;
 mod axis;
+mod cells;
 mod closeup;
 mod label;
 mod motion;
@@ -28,6 +29,7 @@ use maud::{Markup, PreEscaped, html};
 
 pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, animation};
 pub use axis::{Axis, BELOW, LEFT};
+pub use cells::{CellLook, KeyEntry, cells, grid_frames, key};
 pub use label::{Frame, on_lines, shortened, spread, text_width, wrapped};
 pub use motion::{Layout, MotionFigure, motion, motion_beside, motion_on, motion_plate, motion_responsive};
 pub use motion_axes::MotionAxes;

@@ -169,6 +169,11 @@ impl Panel {
         self.taken.push(area);
     }
 
+    /// Adds something drawn in pixels to the data, cut off at the frame.
+    pub fn layer(&mut self, content: Markup) {
+        self.inside.push(content);
+    }
+
     /// Adds something drawn in pixels, above the data.
     pub fn overlay(&mut self, content: Markup) {
         self.above.push(content);

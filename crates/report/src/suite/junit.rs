@@ -2,7 +2,7 @@
 
 use quick_junit::{NonSuccessKind, Property, Report, SerializeError, TestCase, TestCaseStatus, TestSuite};
 
-use super::{least_margins, verdict, within_in_words};
+use super::words::{least_margins, verdict, within_in_words};
 use crumple_search::suite::{SuiteResult, TestResult, TestVerdict, Tested};
 use crumple_world::quoted::Lines;
 

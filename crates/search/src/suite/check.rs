@@ -118,6 +118,12 @@ pub enum SuiteProblem {
         /// The figure.
         parameter: Parameter,
     },
+    /// A tolerance that is none.
+    #[error("must be a number from 0 on, found {found}")]
+    Tolerance {
+        /// What was found.
+        found: f64,
+    },
     /// A range that is stated twice.
     #[error("is stated twice")]
     RangeTwice,
@@ -207,6 +213,16 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
         holds(has_range, &field, SuiteProblem::NoRange { parameter })?;
         holds(!test.ranges[..index].contains(&parameter), field, SuiteProblem::RangeTwice)?;
     }
+    for (at, (parameter, figure)) in test.figures.stated().enumerate().filter(|(_, (_, figure))| figure.tolerance > 0.0)
+    {
+        let field = format!("{place}.figures.{}.tolerance", parameter.name());
+        for point in &grid {
+            for tolerance in [-figure.tolerance, figure.tolerance] {
+                let value = point.get(at).map_or(0.0, |value| value + tolerance);
+                check_point(test, lead, &moved(point, at, value), &field)?;
+            }
+        }
+    }
     length(test.margins.len(), 0, 10, format!("{place}.margins"))?;
     for (index, margin) in test.margins.iter().enumerate() {
         let field = format!("{place}.margins[{index}]");
@@ -248,6 +264,11 @@ fn figure(parameter: Parameter, figure: &Figure, field: &str) -> Checked {
             let field = format!("{field}.values[{index}]");
             holds(before < found, field, SuiteProblem::NotIncreasing { before, found })?;
         }
+    }
+    let Figure { values, tolerance, .. } = figure;
+    holds(*tolerance >= 0.0 && tolerance.is_finite(), at("tolerance"), SuiteProblem::Tolerance { found: *tolerance })?;
+    for end in values.iter().take(1).map(|first| first - tolerance).chain(values.last().map(|last| last + tolerance)) {
+        value(parameter, end, figure.unit, &at("tolerance"))?;
     }
     if figure.note.is_empty() { Ok(()) } else { text(&figure.note, at("note")) }
 }

@@ -70,9 +70,18 @@ pub struct Figure {
     pub unit: Unit,
     /// Who says so.
     pub origin: Origin,
+    /// How far a test may be from a value, both ways, in the unit: it has to pass there too, and the worst is searched for.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub tolerance: f64,
     /// Where the document says so, or why they were chosen.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub note: String,
+}
+
+/// Whether a tolerance is none.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "as serde calls it")]
+fn is_none(tolerance: &f64) -> bool {
+    *tolerance == 0.0
 }
 
 /// The figures of a test.
@@ -177,6 +186,25 @@ impl fmt::Display for Unit {
             Self::Mps2 => "m/s²",
             Self::Gravity => "g",
         })
+    }
+}
+
+impl Origin {
+    /// In words.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Document => "stated",
+            Self::Ends => "ends stated, values between chosen",
+            Self::Chosen => "chosen",
+        }
+    }
+}
+
+impl Figure {
+    /// One value that was chosen here.
+    pub(super) fn chosen(value: f64, unit: Unit) -> Self {
+        Self { values: vec![value], unit, origin: Origin::Chosen, tolerance: 0.0, note: String::new() }
     }
 }
 

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::figure::{Parameter, Unit};
+use super::result::TestVerdict;
 use super::run::Driven;
 use super::spec::{Lead, TestSpec, moved};
 
@@ -34,7 +35,10 @@ pub struct Margin {
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum MarginEnd {
     /// The test does not pass from where it is pushed.
-    None,
+    None {
+        /// What it does there.
+        beyond: Beyond,
+    },
     /// It passes at the ends of all parts: nothing between them was run.
     Holds {
         /// How many parts.
@@ -46,12 +50,27 @@ pub enum MarginEnd {
         passes_at: f64,
         /// The first that does not.
         fails_at: f64,
+        /// What it does there.
+        beyond: Beyond,
         /// Whether it passes nowhere beyond on the grid of parts. If it does, this is the first failure that was found there.
         is_monotone: bool,
         /// How many parts the grid has.
         parts: usize,
     },
 }
+
+/// How a test does not pass.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Beyond {
+    /// A contact, or no usable answer of the controller.
+    Fails,
+    /// It cannot be run: the vehicle under test never comes to the change of lanes.
+    Refused,
+}
+
+/// What a test does at a value: it passes, or does not in some way.
+type Found = Result<(), Beyond>;
 
 /// A direction from a base.
 struct Line<'t> {
@@ -78,11 +97,11 @@ pub(super) fn margins(test: &TestSpec, lead: Lead, driven: &Driven<'_>) -> Vec<M
         .flat_map(|line| (0..=PARTS).map(move |part| (line, part)))
         .map(|(line, part)| (line, lines[line].value(part)))
         .collect();
-    let passes = passes(&lines, &ends, lead, driven);
-    let mut found: Vec<MarginEnd> =
-        passes.chunks(PARTS + 1).zip(&lines).map(|(passes, line)| coarse(line, passes)).collect();
+    let at_ends = found(&lines, &ends, lead, driven);
+    let mut margin_ends: Vec<MarginEnd> =
+        at_ends.chunks(PARTS + 1).zip(&lines).map(|(found, line)| coarse(line, found)).collect();
     for _ in 0..HALVINGS {
-        halve(&mut found, &lines, lead, driven);
+        halve(&mut margin_ends, &lines, lead, driven);
     }
     let margin = |(line, end): (&Line<'_>, MarginEnd)| Margin {
         push: line.push,
@@ -92,7 +111,7 @@ pub(super) fn margins(test: &TestSpec, lead: Lead, driven: &Driven<'_>) -> Vec<M
         held: line.test.words(&line.base, Some(line.at)),
         end,
     };
-    lines.iter().zip(found).map(margin).collect()
+    lines.iter().zip(margin_ends).map(margin).collect()
 }
 
 fn lines(test: &TestSpec) -> Vec<Line<'_>> {
@@ -109,36 +128,40 @@ fn lines(test: &TestSpec) -> Vec<Line<'_>> {
 }
 
 /// What the ends of the parts say.
-fn coarse(line: &Line<'_>, passes: &[bool]) -> MarginEnd {
-    match passes.iter().position(|passes| !passes) {
+fn coarse(line: &Line<'_>, found: &[Found]) -> MarginEnd {
+    let first = found.iter().zip(0..).find_map(|(found, part)| found.err().map(|beyond| (part, beyond)));
+    match first {
         None => MarginEnd::Holds { parts: PARTS },
-        Some(0) => MarginEnd::None,
-        Some(first) => MarginEnd::Boundary {
+        Some((0, beyond)) => MarginEnd::None { beyond },
+        Some((first, beyond)) => MarginEnd::Boundary {
             passes_at: line.value(first - 1),
             fails_at: line.value(first),
-            is_monotone: !passes.iter().skip(first).any(|&passes| passes),
+            beyond,
+            is_monotone: !found.iter().skip(first).any(Result::is_ok),
             parts: PARTS,
         },
     }
 }
 
 /// Halves every part with a boundary.
-fn halve(found: &mut [MarginEnd], lines: &[Line<'_>], lead: Lead, driven: &Driven<'_>) {
+fn halve(margin_ends: &mut [MarginEnd], lines: &[Line<'_>], lead: Lead, driven: &Driven<'_>) {
     let middle = |(line, end): (usize, &MarginEnd)| match end {
         MarginEnd::Boundary { passes_at, fails_at, .. } => Some((line, 0.5 * (passes_at + fails_at))),
-        MarginEnd::None | MarginEnd::Holds { .. } => None,
+        MarginEnd::None { .. } | MarginEnd::Holds { .. } => None,
     };
-    let middles: Vec<_> = found.iter().enumerate().filter_map(middle).collect();
-    let passes = passes(lines, &middles, lead, driven);
-    for ((line, middle), passes) in middles.into_iter().zip(passes) {
-        if let Some(MarginEnd::Boundary { passes_at, fails_at, .. }) = found.get_mut(line) {
-            *(if passes { passes_at } else { fails_at }) = middle;
+    let middles: Vec<_> = margin_ends.iter().enumerate().filter_map(middle).collect();
+    let at_middles = found(lines, &middles, lead, driven);
+    for ((line, middle), found) in middles.into_iter().zip(at_middles) {
+        let Some(MarginEnd::Boundary { passes_at, fails_at, beyond, .. }) = margin_ends.get_mut(line) else { continue };
+        match found {
+            Ok(()) => *passes_at = middle,
+            Err(found) => (*fails_at, *beyond) = (middle, found),
         }
     }
 }
 
-/// Whether the test passes at values of lines.
-fn passes(lines: &[Line<'_>], values: &[(usize, f64)], lead: Lead, driven: &Driven<'_>) -> Vec<bool> {
+/// What the test does at values of lines.
+fn found(lines: &[Line<'_>], values: &[(usize, f64)], lead: Lead, driven: &Driven<'_>) -> Vec<Found> {
     let scenario = |&(line, value): &(usize, f64)| {
         let line: &Line<'_> = lines.get(line)?;
         line.test.scenario("margin", "", &moved(&line.base, line.at, value)).ok()
@@ -146,6 +169,10 @@ fn passes(lines: &[Line<'_>], values: &[(usize, f64)], lead: Lead, driven: &Driv
     let scenarios: Vec<_> = values.iter().map(scenario).collect();
     let valid: Vec<_> = scenarios.iter().flatten().cloned().collect();
     let mut seen = driven.seen(lead, &valid).into_iter();
-    let passes = |is_valid: bool| is_valid && seen.next().is_some_and(|seen| seen.verdict.is_passed());
-    scenarios.iter().map(Option::is_some).map(passes).collect()
+    let found = |is_valid: bool| match is_valid.then(|| seen.next()).flatten().map(|seen| seen.verdict) {
+        Some(TestVerdict::Passed) => Ok(()),
+        Some(TestVerdict::Failed { .. } | TestVerdict::ControllerFailed { .. }) => Err(Beyond::Fails),
+        Some(TestVerdict::Refused { .. }) | None => Err(Beyond::Refused),
+    };
+    scenarios.iter().map(Option::is_some).map(found).collect()
 }

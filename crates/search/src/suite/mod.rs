@@ -9,10 +9,12 @@
 mod check;
 mod course;
 mod figure;
+mod map;
 mod margin;
 mod preventable;
 mod result;
 mod run;
+mod situation;
 mod spec;
 mod within;
 
@@ -20,10 +22,12 @@ use std::path::Path;
 
 pub use check::{SuiteError, SuiteProblem};
 pub use figure::{Figure, Figures, Origin, Parameter, Unit};
-pub use margin::{Margin, MarginEnd};
+pub use map::{CrashCell, CrashMap, MapPanel, MapProblem, MapSpec};
+pub use margin::{Beyond, Margin, MarginEnd};
 pub use preventable::{Prevention, ReferenceRun};
 pub use result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
 pub use run::run;
+pub use situation::{Boundary, MapAxis, Situation};
 pub use spec::{ClauseSpec, Lead, Push, SuiteSpec, TestSpec};
 pub use within::Within;
 

@@ -154,6 +154,12 @@ impl TestVerdict {
         matches!(self, Self::Failed { .. } | Self::ControllerFailed { .. })
     }
 
+    /// Whether the test could not be run.
+    #[must_use]
+    pub fn is_refusal(&self) -> bool {
+        matches!(self, Self::Refused { .. })
+    }
+
     /// How bad it is: contacts by their speed, then failures of controllers, then refusals.
     fn badness(&self) -> (u8, f64) {
         match self {

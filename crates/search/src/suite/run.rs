@@ -135,7 +135,8 @@ impl<'t> Course<'t> {
     }
 
     fn within(&self, driven: &Driven<'_>, known: &mut Known) -> Option<Within> {
-        let Worst { point, scenario, seen, tried } = worst(&self.name, &self.about, self.test, self.lead?, driven)?;
+        let Worst { point, scenario, seen, tried, failures } =
+            worst(&self.name, &self.about, self.test, self.lead?, driven)?;
         let (points, scenarios, all) = ([point], [scenario], [seen]);
         let failed = self.failed(&points, &scenarios, &all, known).pop();
         let ([point], [seen]) = (points, all);
@@ -144,6 +145,7 @@ impl<'t> Course<'t> {
             verdict: seen.verdict,
             min_gap_m: seen.min_gap_m,
             tried,
+            failures,
             failed,
         })
     }

@@ -47,7 +47,7 @@ pub struct ClauseSpec {
 }
 
 /// A test of a clause: a situation and its figures, or the reason why there is none.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, expecting = "a test: a table of fields")]
 pub struct TestSpec {
     /// Short name, unique in the suite: small letters, digits and hyphens.

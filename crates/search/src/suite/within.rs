@@ -1,4 +1,4 @@
-//! The worst point of the ranges that a clause allows, between the values of its grid too.
+//! The worst point of the ranges and tolerances that a clause allows, between the values of its grid too.
 
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -9,7 +9,7 @@ use super::result::{Failed, TestVerdict};
 use super::run::{Driven, Seen};
 use super::spec::{Lead, TestSpec};
 use crumple_world::digest::sha256;
-use crumple_world::random::{self, Purpose, Stream};
+use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
 
 /// Points that are drawn evenly, then how often and how many near the worst so far.
@@ -26,8 +26,10 @@ pub struct Within {
     pub verdict: TestVerdict,
     /// The smallest gap there, in metres.
     pub min_gap_m: Option<f64>,
-    /// How many points were tried: that none of them failed proves nothing of the others.
+    /// How many points were run: that none of them failed proves nothing of the others.
     pub tried: usize,
+    /// How many of them failed.
+    pub failures: usize,
     /// What is known of it, if it failed.
     pub failed: Option<Failed>,
 }
@@ -38,62 +40,121 @@ pub(super) struct Worst {
     pub(super) scenario: Scenario,
     pub(super) seen: Seen,
     pub(super) tried: usize,
+    pub(super) failures: usize,
 }
 
-/// The worst point found within the ranges of a test; none of a test without ranges. What is drawn depends on the test alone.
+/// A figure that is searched over.
+struct Range<'t> {
+    place: usize,
+    figure: &'t Figure,
+    /// Whether the clause allows all values between those of the grid, not only their tolerances.
+    is_whole: bool,
+}
+
+impl Range<'_> {
+    /// Between what its value may lie at a point of the grid.
+    fn ends(&self, point: &[f64]) -> Option<[f64; 2]> {
+        let Figure { values, tolerance, .. } = self.figure;
+        let [first, last] = match self.is_whole {
+            true => [*values.first()?, *values.last()?],
+            false => [*point.get(self.place)?; 2],
+        };
+        Some([first - tolerance, last + tolerance])
+    }
+}
+
+/// What is searched over: the ranges that the clause states, and tolerances.
+fn ranges(test: &TestSpec) -> Vec<Range<'_>> {
+    let stated = test.figures.stated().enumerate();
+    let range = |(place, (parameter, figure)): (usize, (_, _))| Range {
+        place,
+        figure,
+        is_whole: test.ranges.contains(&parameter),
+    };
+    stated.map(range).filter(|range| range.is_whole || range.figure.tolerance > 0.0).collect()
+}
+
+/// The worst point found within the ranges and tolerances of a test; none of a test without them. What is drawn depends on the
+/// test alone.
 pub(super) fn worst(name: &str, about: &str, test: &TestSpec, lead: Lead, driven: &Driven<'_>) -> Option<Worst> {
-    let ranges: Vec<(usize, &Figure)> = test.ranges.iter().filter_map(|&parameter| test.place(parameter)).collect();
+    let ranges = ranges(test);
     if ranges.is_empty() {
         return None;
     }
     let grid = test.grid();
+    let mut search = Search { name, about, test, lead, driven, worst: None, tried: 0, failures: 0 };
     let mut stream = random::stream(0, Purpose::Search, 1);
     let drawn = (0..DRAWN).filter_map(|index| {
-        let mut point = grid.get(index % grid.len())?.clone();
-        for &(place, figure) in &ranges {
-            let [low, high] = ends(figure)?;
-            *point.get_mut(place)? = rounded(low + (high - low) * stream.random::<f64>());
-        }
-        Some(point)
+        let home = grid.get(index % grid.len())?;
+        let draw = |[low, high]: [f64; 2], _| low + (high - low) * stream.random::<f64>();
+        Some((home.as_slice(), moved_within(home, home, &ranges, draw)))
     });
-    let drawn: Vec<Vec<f64>> = drawn.collect();
-    let mut worst: Option<Worst> = None;
-    let mut tried = 0;
-    let mut look = |points: Vec<Vec<f64>>, worst: &mut Option<Worst>| {
-        let made = points.into_iter().filter_map(|point| {
-            let name = format!("{name}-within-{}", sha256(test.in_words(&point)).get(..8)?);
-            let about = format!("{about} ({}.)", test.in_words(&point));
-            Some((test.scenario(&name, &about, &point).ok()?, point))
+    search.look(drawn.collect());
+    for round in 1..=ROUNDS {
+        let Some((home, centre)) = search.worst.as_ref().map(|(home, worst)| (*home, worst.point.clone())) else {
+            break;
+        };
+        let width = 0.25 * 0.5_f64.powi(round);
+        let near = (0..NEAR).map(|_| {
+            let draw = |[low, high]: [f64; 2], value: f64| {
+                let normal: f64 = StandardNormal.sample(&mut stream);
+                value + width * (high - low) * normal
+            };
+            (home, moved_within(home, &centre, &ranges, draw))
         });
-        let (scenarios, points): (Vec<Scenario>, Vec<Vec<f64>>) = made.unzip();
-        tried += scenarios.len();
-        let seen = driven.seen(lead, &scenarios);
-        for ((point, scenario), seen) in points.into_iter().zip(scenarios).zip(seen) {
-            if worst.as_ref().is_none_or(|worst| badness(&seen) > badness(&worst.seen)) {
-                *worst = Some(Worst { point, scenario, seen, tried: 0 });
+        search.look(near.collect());
+    }
+    let (tried, failures) = (search.tried, search.failures);
+    search.worst.map(|(_, worst)| Worst { tried, failures, ..worst })
+}
+
+/// A point, after the point of the grid that it belongs to.
+type Near<'t> = (&'t [f64], Vec<f64>);
+
+/// A search for the worst point.
+struct Search<'t> {
+    name: &'t str,
+    about: &'t str,
+    test: &'t TestSpec,
+    lead: Lead,
+    driven: &'t Driven<'t>,
+    /// The worst so far, with the point of the grid that it belongs to.
+    worst: Option<(&'t [f64], Worst)>,
+    tried: usize,
+    failures: usize,
+}
+
+impl<'t> Search<'t> {
+    /// Runs points, each with the point of the grid that it belongs to.
+    fn look(&mut self, points: Vec<Near<'t>>) {
+        let made = points.into_iter().filter_map(|(home, point)| {
+            let name = format!("{}-within-{}", self.name, sha256(self.test.in_words(&point)).get(..8)?);
+            let about = format!("{} ({}.)", self.about, self.test.in_words(&point));
+            Some((self.test.scenario(&name, &about, &point).ok()?, (home, point)))
+        });
+        let (scenarios, points): (Vec<Scenario>, Vec<Near<'t>>) = made.unzip();
+        let seen = self.driven.seen(self.lead, &scenarios);
+        self.tried += seen.iter().filter(|seen| !seen.verdict.is_refusal()).count();
+        self.failures += seen.iter().filter(|seen| seen.verdict.is_failure()).count();
+        for (((home, point), scenario), seen) in points.into_iter().zip(scenarios).zip(seen) {
+            if self.worst.as_ref().is_none_or(|(_, worst)| badness(&seen) > badness(&worst.seen)) {
+                self.worst = Some((home, Worst { point, scenario, seen, tried: 0, failures: 0 }));
             }
         }
-    };
-    look(drawn, &mut worst);
-    for round in 1..=ROUNDS {
-        let Some(centre) = worst.as_ref().map(|worst| worst.point.clone()) else { break };
-        let width = 0.25 * 0.5_f64.powi(round);
-        let near = (0..NEAR).map(|_| near(&centre, &ranges, width, &mut stream));
-        look(near.collect(), &mut worst);
     }
-    worst.map(|worst| Worst { tried, ..worst })
 }
 
-fn ends(figure: &Figure) -> Option<[f64; 2]> {
-    Some([*figure.values.first()?, *figure.values.last()?])
-}
-
-fn near(centre: &[f64], ranges: &[(usize, &Figure)], width: f64, stream: &mut Stream) -> Vec<f64> {
-    let mut point = centre.to_vec();
-    for &(place, figure) in ranges {
-        if let (Some([low, high]), Some(value)) = (ends(figure), point.get_mut(place)) {
-            let normal: f64 = StandardNormal.sample(stream);
-            *value = rounded(*value + width * (high - low) * normal).clamp(low, high);
+/// A point with each value that is searched over moved by `draw`, of its ends and its value, to within its ends.
+fn moved_within(
+    home: &[f64],
+    from: &[f64],
+    ranges: &[Range<'_>],
+    mut draw: impl FnMut([f64; 2], f64) -> f64,
+) -> Vec<f64> {
+    let mut point = from.to_vec();
+    for range in ranges {
+        if let (Some([low, high]), Some(value)) = (range.ends(home), point.get_mut(range.place)) {
+            *value = rounded(draw([low, high], *value)).clamp(low, high);
         }
     }
     point

@@ -1,6 +1,6 @@
 //! A line of vehicles as bodies: how they move together through one step, and what happens when they touch.
 
-use super::lane::{Bodies, Lane};
+use super::lane::{Bodies, Lane, Stint};
 use super::motion::{Motion, closest_gap_until, first_contact, needs_care};
 use super::{AfterContact, Contact, Impact};
 
@@ -64,8 +64,10 @@ impl Platoon {
             return dt_s;
         }
         let mut done_s = 0.0;
-        while let Some((in_s, [front, rear])) = self.next_contact(from_s + done_s, dt_s - done_s) {
-            self.drift(from_s + done_s, in_s);
+        let mut stints = self.stints(from_s, dt_s);
+        while let Some((in_s, [front, rear])) = self.next_contact(stints.as_deref(), dt_s - done_s) {
+            let until = self.stints(from_s + done_s, in_s);
+            self.drift(until, in_s);
             done_s += in_s;
             let impact = self.impact(from_s + done_s, front, rear);
             self.min_gap_m[rear] = 0.0;
@@ -81,8 +83,9 @@ impl Platoon {
                 self.lane.keep(vehicle);
             }
             self.share_acceleration();
+            stints = self.stints(from_s + done_s, dt_s - done_s);
         }
-        self.drift(from_s + done_s, dt_s - done_s);
+        self.drift(stints, dt_s - done_s);
         dt_s
     }
 
@@ -120,13 +123,17 @@ impl Platoon {
         Bodies { motion: &self.motion, length_m: &self.length_m }
     }
 
-    /// The earliest contact within `within_s` from `now_s`: when, and who. The foremost of simultaneous ones.
-    fn next_contact(&self, now_s: f64, within_s: f64) -> Option<(f64, [usize; 2])> {
-        if self.lane.is_settled() {
-            return self.contact_in(&self.lane, [0.0, within_s]);
+    /// The parts of the next `within_s` seconds, if somebody is still to enter or leave the lane.
+    fn stints(&self, now_s: f64, within_s: f64) -> Option<Vec<Stint>> {
+        (!self.lane.is_settled()).then(|| self.lane.stints(self.bodies(), now_s, within_s))
+    }
+
+    /// The earliest contact within `within_s` seconds of these parts: when, and who. The foremost of simultaneous ones.
+    fn next_contact(&self, stints: Option<&[Stint]>, within_s: f64) -> Option<(f64, [usize; 2])> {
+        match stints {
+            None => self.contact_in(&self.lane, [0.0, within_s]),
+            Some(stints) => stints.iter().find_map(|stint| self.contact_in(&stint.lane, [stint.from_s, stint.to_s])),
         }
-        let stints = self.lane.stints(self.bodies(), now_s, within_s);
-        stints.iter().find_map(|stint| self.contact_in(&stint.lane, [stint.from_s, stint.to_s]))
     }
 
     /// The earliest contact between two instants in which nobody enters or leaves.
@@ -163,23 +170,28 @@ impl Platoon {
         if in_s == 0.0 { self.motion[vehicle] } else { self.motion[vehicle].after(in_s) }
     }
 
-    /// Moves everybody by `dt_s` in which nobody touches, and notes how close they came.
-    fn drift(&mut self, now_s: f64, dt_s: f64) {
-        if self.lane.is_settled() {
-            self.note_closest_and_move(dt_s);
-        } else {
-            let mut stints = self.lane.stints(self.bodies(), now_s, dt_s);
-            for (place, stint) in stints.iter().enumerate() {
-                // Who enters and leaves at one instant was never there.
-                if stint.from_s < stint.to_s || place + 1 == stints.len() {
-                    self.note_closest(&stint.lane, [stint.from_s, stint.to_s]);
+    /// Moves everybody by `dt_s`, of these parts, in which nobody touches, and notes how close they came.
+    fn drift(&mut self, stints: Option<Vec<Stint>>, dt_s: f64) {
+        match stints {
+            None => self.note_closest_and_move(dt_s),
+            Some(mut stints) => {
+                for (place, stint) in stints.iter().enumerate() {
+                    // Who enters and leaves at one instant was never there.
+                    if stint.from_s < stint.to_s || place + 1 == stints.len() {
+                        self.note_closest(&stint.lane, [stint.from_s, stint.to_s]);
+                    }
+                }
+                self.motion.iter_mut().for_each(|motion| *motion = motion.after(dt_s));
+                if let Some(last) = stints.pop() {
+                    self.lane = last.lane;
                 }
             }
-            self.motion.iter_mut().for_each(|motion| *motion = motion.after(dt_s));
-            if let Some(last) = stints.pop() {
-                self.lane = last.lane;
-            }
         }
+        self.close_ranks();
+    }
+
+    /// Whoever sticks together touches, exactly.
+    fn close_ranks(&mut self) {
         // The gap inside a group is exactly zero: an emergency brake that looks at its sign must not see rounding.
         for rear in 1..self.motion.len() {
             if self.sticks[rear]
@@ -327,8 +339,8 @@ mod tests {
             let mut long = platoon(&vehicles.collect::<Vec<_>>());
             let mut short = long.clone();
             if short.glide(dt_s) {
-                prop_assert_eq!(long.next_contact(0.0, dt_s), None);
-                long.drift(0.0, dt_s);
+                prop_assert_eq!(long.next_contact(None, dt_s), None);
+                long.drift(None, dt_s);
             }
             prop_assert_eq!(&short.motion, &long.motion);
             prop_assert_eq!(&short.min_gap_m, &long.min_gap_m);

@@ -89,8 +89,10 @@ impl Trace {
         changes_s.extend(Track::THROUGHOUT_S);
         changes_s.sort_by(f64::total_cmp);
         changes_s.dedup();
+        // Who leaves at the start was never there.
+        let before_s = self.time_s.first().map_or(f64::NEG_INFINITY, |first_s| first_s + SAME_INSTANT_S);
         let mut pairs: Vec<Pair<'_>> = Vec::new();
-        for (&from_s, &to_s) in changes_s.iter().zip(changes_s.iter().skip(1)) {
+        for (&from_s, &to_s) in changes_s.iter().zip(changes_s.iter().skip(1)).filter(|(_, to_s)| **to_s > before_s) {
             let is_there = |track: &&Track| track.in_lane_s[0] <= from_s && to_s <= track.in_lane_s[1];
             let Some(front_vehicle) = ahead.iter().rposition(|track| is_there(&track)).filter(|_| is_there(&rear))
             else {

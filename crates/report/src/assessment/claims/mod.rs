@@ -88,6 +88,8 @@ pub enum Property {
     NoNeedlessBraking,
     /// It is never left behind by a vehicle ahead that drives on.
     KeepsUp,
+    /// It passes every test of a suite that can be run.
+    PassesTests,
     /// No two vehicles touch that are both not under test.
     OthersKeepClear,
     /// A line of vehicles with it makes a disturbance no larger from one to the next.
@@ -129,6 +131,11 @@ pub enum Domain {
         seed: u64,
         /// Evaluations of each method.
         budget: u64,
+    },
+    /// Tests after a document, at the points that a suite has and those that were searched within its ranges.
+    Suite {
+        /// The suite.
+        suite: Known,
     },
     /// A box of starts and braking, with a follower and bounds on what is seen.
     Box {
@@ -181,6 +188,7 @@ impl Property {
             Self::FailsLessOften { than } => format!("fewer failures than {}", than.name),
             Self::NoNeedlessBraking => "no braking without cause".to_owned(),
             Self::KeepsUp => "never left behind".to_owned(),
+            Self::PassesTests => "every test passes that can be run".to_owned(),
             Self::OthersKeepClear => "no contact among the others".to_owned(),
             Self::StringStable => "no disturbance grows".to_owned(),
         }
@@ -197,6 +205,7 @@ impl Property {
             Self::FailsLessOften { than } => format!("no fewer failures than {}", than.name),
             Self::NoNeedlessBraking => "braking without cause".to_owned(),
             Self::KeepsUp => "left behind".to_owned(),
+            Self::PassesTests => "tests that fail".to_owned(),
             Self::OthersKeepClear => "contact among the others".to_owned(),
             Self::StringStable => "a disturbance that grows".to_owned(),
         }
@@ -229,6 +238,7 @@ impl Domain {
             Self::Search { space, budget, .. } => {
                 format!("that a search of `{}` finds ({budget} a method)", space.name)
             }
+            Self::Suite { suite } => format!("of suite `{}`, on point masses in one lane", suite.name),
             Self::Box { around } => format!("from {}", around.name),
             Self::AnyLeaderBraking { scenario, .. } => format!("in {}, however its leader brakes", scenario.name),
             Self::Kernels { limits_mps2 } => {

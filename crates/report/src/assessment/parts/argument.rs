@@ -177,9 +177,12 @@ impl Building {
 
 /// The goals below the top one: what is said, over what it is argued, and which properties it is about.
 type Kind = fn(&Property) -> bool;
-const GOALS: [(&str, &str, Kind); 5] = [
+const GOALS: [(&str, &str, Kind); 6] = [
     ("has no contact with others in any run that this report looks at", "over the situations looked at", |property| {
         matches!(property, Property::NoContact | Property::NoContactAhead)
+    }),
+    ("passes tests after regulations, as far as the model has them", "over suites of tests", |property| {
+        matches!(property, Property::PassesTests)
     }),
     ("fails rarely by the laws of the spaces drawn from", "over the spaces drawn from", |property| {
         matches!(property, Property::RateAtMost { .. })

@@ -6,13 +6,9 @@ use maud::{Markup, html};
 
 use super::{FailureMap, FailureMaps, MapAxis, MapCell};
 use crate::draw::{
-    Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, SMALL, Stroke, Svg, TEXT, Ticks, signed, straight,
-    text_width, words,
+    self, Anchor, Axis, BELOW, CellLook, Frame, HEADING, Ink, KeyEntry, LEFT, Panel, SMALL, Stroke, Svg, Ticks,
+    grid_frames, signed, words,
 };
-
-/// Height of a row of the key, and side of a sample in it, in pixels.
-const KEY_ROW: f64 = 22.0;
-const SAMPLE: f64 = 14.0;
 
 /// Width of the line around what is unavoidable.
 const LINE: f64 = 2.4;
@@ -70,62 +66,13 @@ fn axis(of: &MapAxis, title: &str) -> Axis {
 fn cells(map: &FailureMap, frame: Frame) -> Markup {
     let (columns, rows) = (map.rows.first().map_or(1, |row| row.0.len().max(1)), map.rows.len().max(1));
     let (width, height) = (frame.width / columns as f64, frame.height / rows as f64);
-    let placed = || {
-        map.rows.iter().enumerate().flat_map(move |(row, cells)| {
-            cells.0.iter().enumerate().map(move |(column, &cell)| {
-                let (left, top) = (frame.left + column as f64 * width, frame.top + row as f64 * height);
-                (cell, Frame { left, top, width, height })
-            })
-        })
-    };
+    let placed = || map.rows.iter().flat_map(|row| row.0.iter().copied()).zip(grid_frames(frame, columns, rows));
     html! {
         @for kind in MapCell::ALL {
-            (area(kind, placed().filter(|(cell, _)| *cell == kind).map(|(_, frame)| frame)))
+            (draw::cells(look(kind), placed().filter(|(cell, _)| *cell == kind).map(|(_, frame)| frame)))
         }
         path d=(boundary(map, frame, (width, height))) fill="none" stroke=(Ink::Text.hex()) stroke-width=(LINE)
             stroke-linecap="square" {}
-    }
-}
-
-/// All cells of one kind.
-fn area(kind: MapCell, frames: impl Iterator<Item = Frame>) -> Markup {
-    let (mut outline, mut strokes, mut marks) = (String::new(), String::new(), Vec::new());
-    for Frame { left, top, width, height } in frames {
-        let (x, y) = (left + width / 2.0, top + height / 2.0);
-        // Writing to a string cannot fail.
-        let _ = write!(outline, "M{left:.1} {top:.1}h{width:.1}v{height:.1}h{:.1}z", -width);
-        match kind {
-            MapCell::NoContact => {}
-            MapCell::Avoidable => {
-                let arm = 0.2 * width.min(height);
-                let (from, to) = (-2.0 * arm, 2.0 * arm);
-                let _ = write!(strokes, "M{:.1} {:.1}l{to:.1} {to:.1}m0 {from:.1}l{from:.1} {to:.1}", x - arm, y - arm);
-            }
-            MapCell::Unavoidable => {
-                let (w, h) = (width / 2.0, height / 2.0);
-                let bottom = top + height;
-                let _ = write!(
-                    strokes,
-                    "M{left:.1} {y:.1}l{w:.1} {:.1}M{left:.1} {bottom:.1}l{width:.1} {:.1}",
-                    -h, -height
-                );
-                let _ = write!(strokes, "M{x:.1} {bottom:.1}l{w:.1} {:.1}", -h);
-            }
-            MapCell::Undecided => {
-                marks.push(words((x, y + SMALL * 0.35), Anchor::Middle, "?", SMALL, Ink::Text, false));
-            }
-        }
-    }
-    let (ink, opacity) = match kind {
-        MapCell::NoContact => (Ink::Series(2), "0.16"),
-        MapCell::Avoidable => (Ink::Alert, "0.2"),
-        MapCell::Unavoidable => (Ink::Muted, "0.3"),
-        MapCell::Undecided => (Ink::Series(4), "0.25"),
-    };
-    html! {
-        @if !outline.is_empty() { path d=(outline) fill=(ink.hex()) fill-opacity=(opacity) {} }
-        @if !strokes.is_empty() { path d=(strokes) fill="none" stroke=(ink.hex()) stroke-width="1.1" {} }
-        @for mark in marks { (mark) }
     }
 }
 
@@ -151,30 +98,19 @@ fn boundary(map: &FailureMap, frame: Frame, (width, height): (f64, f64)) -> Stri
     data
 }
 
-/// What each kind of cell and the line look like, in rows no wider than the figure, and their height.
-fn key(width: f64) -> (Markup, f64) {
-    let (mut x, mut row) = (0.0, 0.0);
-    let mut entries = Vec::new();
-    let line = (None, "beyond it nobody avoids contact");
-    for (kind, text) in MapCell::ALL.map(|kind| (Some(kind), kind.words())).into_iter().chain([line]) {
-        let entry = SAMPLE + 7.0 + text_width(text, TEXT);
-        if x > 0.0 && x + entry > width {
-            (x, row) = (0.0, row + 1.0);
-        }
-        let y = KEY_ROW * (row + 0.5);
-        let sample = Frame::around((x + SAMPLE / 2.0 + 1.0, y), SAMPLE, SAMPLE);
-        let after = x + SAMPLE + 7.0;
-        entries.push(html! {
-            @if let Some(kind) = kind {
-                (area(kind, std::iter::once(sample)))
-                rect x=(format!("{:.1}", sample.left)) y=(format!("{:.1}", sample.top)) width=(SAMPLE) height=(SAMPLE)
-                    fill="none" stroke=(Ink::Axis.hex()) stroke-width="0.8" {}
-            } @else {
-                (straight((sample.left, y), (sample.right(), y), Stroke::solid(Ink::Text, LINE)))
-            }
-            (words((after, y + TEXT * 0.35), Anchor::Start, text, TEXT, Ink::Text, false))
-        });
-        x += entry + 16.0;
+/// What a cell looks like.
+fn look(kind: MapCell) -> CellLook {
+    match kind {
+        MapCell::NoContact => CellLook::Blank,
+        MapCell::Avoidable => CellLook::Crossed,
+        MapCell::Unavoidable => CellLook::Hatched,
+        MapCell::Undecided => CellLook::Lettered("?"),
     }
-    (html! { @for entry in entries { (entry) } }, KEY_ROW * (row + 1.0))
+}
+
+/// What each kind of cell and the line look like, and the height that this takes.
+fn key(width: f64) -> (Markup, f64) {
+    let line = KeyEntry::Line(Stroke::solid(Ink::Text, LINE), "beyond it nobody avoids contact");
+    let kinds = MapCell::ALL.map(|kind| KeyEntry::Cell(look(kind), kind.words()));
+    draw::key(&kinds.into_iter().chain([line]).collect::<Vec<_>>(), width)
 }

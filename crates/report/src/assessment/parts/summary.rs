@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::certified::{kernel_domain, kernels, seeing};
-use super::{Distributions, PaperScenarios, Proofs, Searches, Traffic, Usefulness, WorstProfiles};
+use super::{Distributions, PaperScenarios, Proofs, Searches, Suites, Traffic, Usefulness, WorstProfiles};
 use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, Standing};
 use crate::assessment::markdown::Markdown;
 use crate::assessment::table::{Cell, Table};
@@ -58,6 +58,7 @@ pub(in crate::assessment) struct Findings<'a> {
     pub(in crate::assessment) paper: Option<&'a PaperScenarios>,
     pub(in crate::assessment) distributions: &'a Distributions,
     pub(in crate::assessment) traffic: Option<&'a Traffic>,
+    pub(in crate::assessment) suites: Option<&'a Suites>,
     pub(in crate::assessment) worst: Option<&'a WorstProfiles>,
     pub(in crate::assessment) searches: &'a Searches,
     pub(in crate::assessment) usefulness: Option<&'a Usefulness>,
@@ -71,6 +72,7 @@ impl Findings<'_> {
         all.extend(self.paper.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.distributions.evidence(plan));
         all.extend(self.traffic.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(self.suites.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.searches.evidence(plan));
         all.extend(self.worst.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.usefulness.iter().flat_map(|part| part.evidence(plan)));
@@ -199,6 +201,9 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     }
     if let Some(traffic) = found.traffic {
         add("traffic", None, of_all(Property::NoContact, traffic.domain(), own));
+    }
+    for claims in Suites::claims(plan) {
+        add("suites", None, claims);
     }
     let drawn_from = found.distributions.spaces.iter().zip(&plan.distributions);
     for (drawn, named) in drawn_from.filter(|(drawn, _)| drawn.draws > 0) {

@@ -95,6 +95,17 @@ fn who_finds_no_room_stays_beside() {
     }
 }
 
+/// On the trace as in the engine: the last one leaves before anything moves, and nobody was ever ahead of it.
+#[test]
+fn who_leaves_at_the_start_was_never_there() {
+    for leaves in [LaneChange::At(0.0), LaneChange::At(1e-10), LaneChange::TimeToCollision(1.4)] {
+        let simulated = run(&scenario(vec![steady(12.0, 20.0), leaving(steady(0.0, 28.0), leaves)], 3.0));
+        let trace = simulated.trace.as_ref().unwrap();
+        assert_eq!((simulated.vehicles[1].min_gap_m, trace.pairs(1).len()), (None, 0), "{leaves:?}");
+        assert_eq!(Ahead::of(trace, &simulated.impacts, 1), None);
+    }
+}
+
 /// Everything but the time in the lane.
 fn without_lanes(mut simulated: Simulated) -> Simulated {
     for track in simulated.trace.iter_mut().flat_map(|trace| &mut trace.vehicles) {

@@ -1,6 +1,6 @@
 //! Markdown being written: blocks with an empty line between them, and no way in for text that is not escaped.
 //!
-//! What goes in is *prose*, as in [`prose`](super::prose): what stands between backticks is code, and nothing else means
+//! What goes in is *prose*, as in the assessment's prose: what stands between backticks is code, and nothing else means
 //! anything, whoever wrote it.
 
 use std::fmt::Display;
@@ -15,28 +15,28 @@ pub struct Markdown {
 
 /// Words within a line of Markdown, escaped.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Inline {
+pub(crate) struct Inline {
     text: String,
 }
 
 impl Inline {
     /// Words, and code between backticks.
-    pub(super) fn prose(text: &str) -> Self {
+    pub(crate) fn prose(text: &str) -> Self {
         Self::default().and(text)
     }
 
     /// Code, whatever it holds.
-    pub(super) fn code(text: impl Display) -> Self {
+    pub(crate) fn code(text: impl Display) -> Self {
         Self::default().and_code(text)
     }
 
     /// In bold.
-    pub(super) fn strong(text: &str) -> Self {
+    pub(crate) fn strong(text: &str) -> Self {
         Self { text: format!("**{}**", Self::prose(text.trim()).text) }
     }
 
     /// With more words behind it.
-    pub(super) fn and(mut self, text: &str) -> Self {
+    pub(crate) fn and(mut self, text: &str) -> Self {
         for (index, piece) in text.split('`').enumerate() {
             match index % 2 == 1 && !piece.is_empty() {
                 true => self = self.and_code(piece),
@@ -47,7 +47,7 @@ impl Inline {
     }
 
     /// With code behind it.
-    pub(super) fn and_code(mut self, text: impl Display) -> Self {
+    pub(crate) fn and_code(mut self, text: impl Display) -> Self {
         // Two runs of backticks would be one.
         if self.text.ends_with('`') {
             self.text.push(' ');
@@ -66,7 +66,7 @@ impl Inline {
     }
 
     /// As a cell of a table, which ends at the next bar that is not escaped.
-    pub(super) fn cell(&self) -> String {
+    pub(crate) fn cell(&self) -> String {
         let mut cell = String::new();
         let mut backslashes = 0;
         for letter in self.text.chars() {
@@ -94,13 +94,13 @@ impl From<String> for Inline {
 
 impl Markdown {
     /// A heading, from 1 for the largest.
-    pub(super) fn heading(&mut self, depth: usize, text: &str) {
+    pub(crate) fn heading(&mut self, depth: usize, text: &str) {
         let Inline { text } = Inline::prose(text);
         self.block(&format!("{} {text}\n", "#".repeat(depth)));
     }
 
     /// A paragraph; none if there are no words.
-    pub(super) fn paragraph(&mut self, words: impl Into<Inline>) {
+    pub(crate) fn paragraph(&mut self, words: impl Into<Inline>) {
         let Inline { text } = words.into();
         if !text.is_empty() {
             self.block(&(text + "\n"));
@@ -108,7 +108,7 @@ impl Markdown {
     }
 
     /// A list, each entry so deep in it; none if there are no entries.
-    pub(super) fn outline<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = (usize, I)>) {
+    pub(crate) fn outline<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = (usize, I)>) {
         let line = |(depth, entry): (usize, I)| format!("{}- {}\n", "  ".repeat(depth), entry.into().text);
         let lines: String = entries.into_iter().map(line).collect();
         if !lines.is_empty() {
@@ -117,12 +117,12 @@ impl Markdown {
     }
 
     /// A flat list.
-    pub(super) fn list<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = I>) {
+    pub(crate) fn list<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = I>) {
         self.outline(entries.into_iter().map(|entry| (0, entry)));
     }
 
     /// A table: cells and how each column is set, in the words of Markdown.
-    pub(super) fn table(&mut self, header: &[String], columns: &[&str], rows: impl Iterator<Item = Vec<String>>) {
+    pub(crate) fn table(&mut self, header: &[String], columns: &[&str], rows: impl Iterator<Item = Vec<String>>) {
         let line = |cells: &[String]| {
             let cells: Vec<_> = cells.iter().map(|cell| Inline::prose(cell).cell()).collect();
             format!("| {} |\n", cells.join(" | "))
@@ -132,7 +132,7 @@ impl Markdown {
     }
 
     /// All blocks of another text.
-    pub(super) fn part(&mut self, other: &Self) {
+    pub(crate) fn part(&mut self, other: &Self) {
         if !other.text.is_empty() {
             self.block(&other.text);
         }
@@ -146,7 +146,7 @@ impl Markdown {
     }
 
     /// The text.
-    pub(super) fn into_string(self) -> String {
+    pub(crate) fn into_string(self) -> String {
         self.text
     }
 }

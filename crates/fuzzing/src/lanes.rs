@@ -1,0 +1,70 @@
+//! Scenarios in which vehicles enter the lane or leave it.
+
+use arbitrary::Unstructured;
+
+use super::choices::Choices;
+use super::shape::MOST_VEHICLES;
+use crumple_world::scenario::{LaneChange, Scenario, ScenarioSpec, VehicleSpec};
+
+/// For each vehicle whether, by what and when it enters, then the same of leaving.
+const CHANGE_BYTES: usize = 4;
+
+/// Bytes that changes of lanes are read from.
+pub const LANE_BYTES: usize = MOST_VEHICLES * 2 * CHANGE_BYTES;
+
+/// The scenario with changes of lanes, as far as they are valid: only scripted vehicles change lanes. No bytes leave it as it is.
+pub fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>) -> Scenario {
+    let mut choices = Choices::block(from, LANE_BYTES);
+    let places: [fn(&mut VehicleSpec) -> &mut Option<LaneChange>; 2] =
+        [|vehicle| &mut vehicle.enters, |vehicle| &mut vehicle.leaves];
+    (0..MOST_VEHICLES * places.len()).fold(scenario, |scenario, index| {
+        let change = change(&mut choices.sub_block(CHANGE_BYTES), scenario.spec().duration_s);
+        let (vehicle, place) = (index / places.len(), places[index % places.len()]);
+        let set = |spec: &mut ScenarioSpec| {
+            if let Some(vehicle) = spec.vehicles.get_mut(vehicle) {
+                *place(vehicle) = change;
+            }
+        };
+        match change {
+            Some(_) => scenario.edited(set).unwrap_or(scenario),
+            None => scenario,
+        }
+    })
+}
+
+fn change(choices: &mut Choices<'_>, duration_s: f64) -> Option<LaneChange> {
+    let happens = choices.happens(128);
+    let kind = choices.byte() % 3;
+    let change = match kind {
+        0 => LaneChange::At(choices.up_to(duration_s)),
+        1 => LaneChange::Gap(choices.about(10.0, [0.5, 40.0])),
+        _ => LaneChange::TimeToCollision(choices.about(2.0, [0.1, 8.0])),
+    };
+    happens.then_some(change)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::built_in;
+    use proptest::prelude::*;
+
+    #[test]
+    fn no_bytes_and_zero_bytes_keep_everybody_where_he_is() {
+        let paper = built_in("paper-1").unwrap();
+        for bytes in [vec![], vec![0; LANE_BYTES]] {
+            assert_eq!(with_lane_changes(paper.clone(), &mut Unstructured::new(&bytes)), paper);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn many_bytes_make_changes_of_all_kinds(bytes in prop::collection::vec(128_u8..=255, LANE_BYTES)) {
+            let paper = built_in("paper-1").unwrap();
+            let found = with_lane_changes(paper, &mut Unstructured::new(&bytes));
+            // Its leader is the only one that is scripted.
+            prop_assert!(!found.keeps_lanes());
+            prop_assert!(found.vehicles().iter().skip(1).all(VehicleSpec::keeps_lane));
+        }
+    }
+}

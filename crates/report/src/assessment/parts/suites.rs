@@ -1,0 +1,364 @@
+//! Tests after regulations: suites, each with its matrix.
+
+use std::collections::BTreeMap;
+
+use maud::{Markup, html};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
+use crate::assessment::commands::controller_word;
+use crate::assessment::markdown::Markdown;
+use crate::assessment::planned_suite::PlannedSuite;
+use crate::assessment::table::{Cell, Mark, Table};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, AssessmentPlan, Command, Part, StoreError};
+use crate::suite::{least_margins, preventable, verdict, within_in_words};
+use crumple_search::suite::{Failed, STATEMENT, TestVerdict, Tested, run};
+use crumple_world::digest::sha256;
+use crumple_world::scenario::file;
+use crumple_world::sim::NamedController;
+
+/// The part's anchor in the page.
+const ANCHOR: &str = "suites";
+
+/// What suites found.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct Suites {
+    /// What it is and is not.
+    pub statement: &'static str,
+    /// One entry a suite.
+    pub suites: Vec<SuiteFindings>,
+    /// Scenarios that failed, by their paths from the folder of the report.
+    #[serde(skip)]
+    files: BTreeMap<String, String>,
+}
+
+/// What one suite found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SuiteFindings {
+    /// The suite.
+    pub suite: Known,
+    /// The document that it is after, and its edition.
+    pub document: String,
+    /// What its figures were read from.
+    pub figures_from: String,
+    /// What the document asks for and the model does not have.
+    pub outside: Vec<String>,
+    /// Figures that were left out, and why.
+    pub left_out: Vec<String>,
+    /// Whom it tests, in the order of the outcomes of each test.
+    pub controllers: Vec<String>,
+    /// Its tests.
+    pub tests: Vec<SuiteTest>,
+}
+
+/// What was found of a test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SuiteTest {
+    /// The clause.
+    pub clause: String,
+    /// The test.
+    pub test: String,
+    /// Whether the document states its figures; else some were chosen.
+    pub is_as_stated: bool,
+    /// An entry a controller.
+    pub outcomes: Vec<SuiteOutcome>,
+}
+
+/// How a test ended for a controller.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SuiteOutcome {
+    /// Whether it passed; none if it could not be run.
+    pub passed: Option<bool>,
+    /// The worst of the points of its grid, in words.
+    pub verdict: String,
+    /// Points of the grid.
+    pub points: u64,
+    /// How many of them passed.
+    pub points_passed: u64,
+    /// How many points were run, of the grid and of the search within ranges and tolerances.
+    pub runs: u64,
+    /// How many of them failed.
+    pub failures: u64,
+    /// How far it can be pushed until it fails, in words.
+    pub margins: Vec<String>,
+    /// The worst point found within the ranges and tolerances of the clause, in words; none where there are none.
+    pub within: Option<String>,
+    /// The failure with the fastest impact.
+    pub worst: Option<SuiteFailure>,
+}
+
+/// A point that failed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SuiteFailure {
+    /// The scenario's file, from the folder of the report.
+    pub file: String,
+    /// SHA-256 of that file.
+    pub sha256: String,
+    /// How to see it happen; none of a controller from outside, and of one that failed.
+    pub replay: Option<Command>,
+    /// The point.
+    pub point: String,
+    /// What happened.
+    pub what: String,
+    /// Who could have prevented it.
+    pub preventable: String,
+}
+
+/// A suite's findings as they are kept, with the scenarios that failed.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    found: SuiteFindings,
+    files: BTreeMap<String, String>,
+}
+
+impl Suites {
+    /// None if the plan has no suites.
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        if plan.suites.is_empty() {
+            return Ok(None);
+        }
+        let mut all = Self { statement: STATEMENT, suites: Vec::new(), files: BTreeMap::new() };
+        for planned in &plan.suites {
+            let tested: Vec<NamedController> =
+                planned.tested.iter().filter_map(|&place| plan.controllers.get(place).cloned()).collect();
+            let identities: Vec<_> = tested.iter().map(|controller| plan.identity(controller)).collect();
+            let inputs = json!([planned.known.sha256, identities]);
+            let name = format!("suite {}", planned.known.name);
+            let Kept { found, files } = work.get(&name, &inputs, || ran(plan, planned, &tested))?;
+            work.did(planned.points())?;
+            all.suites.push(found);
+            all.files.extend(files);
+        }
+        Ok(Some(all))
+    }
+
+    /// What these runs say.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let each = plan.suites.iter().zip(&self.suites);
+        let of = |(planned, found): (&PlannedSuite, &SuiteFindings)| {
+            let claims = claims(plan, planned);
+            let of_tested = planned.tested.iter().enumerate().filter_map(|(column, &place)| {
+                let claim = claims.get(place)?.clone()?;
+                let outcomes = || found.tests.iter().filter_map(|test| test.outcomes.get(column));
+                let runs = outcomes().map(|outcome| outcome.runs).sum();
+                let strength = Strength::of(outcomes().map(|outcome| outcome.failures).sum(), runs);
+                Some(Evidence { claim, strength, source: Source::part(ANCHOR, format!("{runs} runs")) })
+            });
+            of_tested.collect::<Vec<_>>()
+        };
+        each.flat_map(of).collect()
+    }
+
+    /// A claim a suite of every controller; none of those that it does not test.
+    pub(in crate::assessment) fn claims(plan: &AssessmentPlan) -> impl Iterator<Item = Vec<Option<Claim>>> {
+        plan.suites.iter().map(|planned| claims(plan, planned))
+    }
+
+    /// How a controller did in every test of the suite at that place of the plan.
+    pub(in crate::assessment) fn of<'s>(
+        &'s self,
+        place: usize,
+        controller: &'s str,
+    ) -> impl Iterator<Item = (&'s SuiteTest, &'s SuiteOutcome)> {
+        let found = self.suites.get(place).into_iter();
+        found.flat_map(move |found| {
+            let column = found.controllers.iter().position(|name| name == controller);
+            found.tests.iter().filter_map(move |test| Some((test, test.outcomes.get(column?)?)))
+        })
+    }
+
+    /// Scenarios that failed, each a file of the report.
+    pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
+        self.files.iter().map(|(name, text)| (name.clone(), text.clone().into_bytes()))
+    }
+
+    /// How to see failures happen.
+    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
+        let outcomes = self.suites.iter().flat_map(|found| &found.tests).flat_map(|test| &test.outcomes);
+        outcomes.filter_map(|outcome| outcome.worst.as_ref()?.replay.as_ref())
+    }
+}
+
+fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<Claim>> {
+    let claim = |place: usize| {
+        let subject = plan.claimant(place, plan.config.estimator).filter(|_| planned.tested.contains(&place))?;
+        let domain = Domain::Suite { suite: planned.known.clone() };
+        Some(Claim { subject, property: Property::PassesTests, domain })
+    };
+    (0..plan.controllers.len()).map(claim).collect()
+}
+
+/// Runs a suite.
+fn ran(plan: &AssessmentPlan, planned: &PlannedSuite, tested: &[NamedController]) -> Result<Kept, AssessError> {
+    let result = run(&planned.suite, tested, plan.config.estimator)?;
+    let mut files = BTreeMap::new();
+    let mut tests = Vec::new();
+    for (clause, test) in result.tests() {
+        let mut outcomes = Vec::new();
+        for (tested, controller) in test.controllers.iter().zip(tested) {
+            outcomes.push(SuiteOutcome::of(tested, controller, plan, &mut files)?);
+        }
+        let (clause, test_name) = (clause.clause.clone(), test.name.clone());
+        tests.push(SuiteTest { clause, test: test_name, is_as_stated: test.is_as_stated, outcomes });
+    }
+    let found = SuiteFindings {
+        suite: planned.known.clone(),
+        document: format!("{}, {}", result.document, result.edition),
+        figures_from: result.figures_from,
+        outside: result.outside,
+        left_out: result.left_out,
+        controllers: tested.iter().map(|controller| controller.name.clone()).collect(),
+        tests,
+    };
+    Ok(Kept { found, files })
+}
+
+impl SuiteOutcome {
+    fn of(
+        tested: &Tested,
+        controller: &NamedController,
+        plan: &AssessmentPlan,
+        files: &mut BTreeMap<String, String>,
+    ) -> Result<Self, AssessError> {
+        let is_refused = matches!(tested.verdict, TestVerdict::Refused { .. });
+        let within = tested.within.as_ref();
+        let worst = tested.failures().max_by(|a, b| impact_mps(a).total_cmp(&impact_mps(b)));
+        let (failed, passed) = (tested.failed.len() as u64, tested.passed as u64);
+        Ok(Self {
+            passed: (tested.is_passed() || !is_refused).then(|| tested.is_passed()),
+            verdict: verdict(&tested.verdict),
+            points: tested.points as u64,
+            points_passed: passed,
+            runs: passed + failed + within.map_or(0, |within| within.tried as u64),
+            failures: failed + within.map_or(0, |within| within.failures as u64),
+            margins: least_margins(&tested.margins),
+            within: within.map(within_in_words),
+            worst: worst.map(|worst| SuiteFailure::of(worst, controller, plan, files)).transpose()?,
+        })
+    }
+
+    /// In a few words, for a matrix.
+    fn cell(&self) -> Cell {
+        let words = match (self.points, self.passed, &self.worst) {
+            (0, ..) => "not run".to_owned(),
+            (points, None, _) => format!("{} of {points}, the rest cannot be run", self.points_passed),
+            (points, Some(_), Some(worst)) => format!("{} of {points}; {}", self.points_passed, worst.what),
+            (points, Some(_), None) => format!("{} of {points}", self.points_passed),
+        };
+        Cell::marked(words, self.passed.map_or(Mark::None, |passed| if passed { Mark::Good } else { Mark::Bad }))
+    }
+}
+
+impl SuiteFailure {
+    fn of(
+        failed: &Failed,
+        controller: &NamedController,
+        plan: &AssessmentPlan,
+        files: &mut BTreeMap<String, String>,
+    ) -> Result<Self, StoreError> {
+        let text = file::to_toml(&failed.scenario).map_err(StoreError::encoding)?;
+        let (file, sha256) = (format!("counterexamples/suites/{}.toml", failed.scenario_name), sha256(&text));
+        let is_contact = matches!(failed.verdict, TestVerdict::Failed { .. });
+        let replay = controller_word(&controller.kind).filter(|_| is_contact).map(|word| {
+            Command::new(["simulate", file.as_str(), "--controller", word.as_str()])
+                .and(plan.estimator_words().iter().copied())
+                .and(["--expect", "collision"])
+        });
+        files.insert(file.clone(), text);
+        let (point, what) = (failed.point.clone(), verdict(&failed.verdict));
+        Ok(Self { file, sha256, replay, point, what, preventable: preventable(failed) })
+    }
+}
+
+fn impact_mps(failed: &Failed) -> f64 {
+    match failed.verdict {
+        TestVerdict::Failed { impact_speed_mps, .. } => impact_speed_mps,
+        _ => 0.0,
+    }
+}
+
+impl SuiteFindings {
+    fn matrix(&self) -> Table {
+        let names = self.controllers.iter().map(String::as_str);
+        let mut table = Table::new(&["test", "clause"].into_iter().chain(names).collect::<Vec<_>>());
+        for test in &self.tests {
+            let chosen = if test.is_as_stated { "" } else { " (some figures are chosen)" };
+            let head = [Cell::text(format!("{}{chosen}", test.test)), Cell::text(&test.clause)];
+            table.row(head.into_iter().chain(test.outcomes.iter().map(SuiteOutcome::cell)).collect());
+        }
+        table
+    }
+
+    fn details(&self) -> Table {
+        let header =
+            ["test", "controller", "verdict", "margins", "worst that the clause allows", "who could have prevented it"];
+        let mut table = Table::new(&header);
+        for test in &self.tests {
+            for (controller, outcome) in self.controllers.iter().zip(&test.outcomes) {
+                let dash = || "–".to_owned();
+                let margins = if outcome.margins.is_empty() { dash() } else { outcome.margins.join("; ") };
+                let prevented =
+                    outcome.worst.as_ref().map_or_else(dash, |worst| format!("{}: {}", worst.point, worst.preventable));
+                let within = outcome.within.clone().unwrap_or_else(dash);
+                let cells = [&test.test, controller, &outcome.verdict, &margins, &within, &prevented];
+                table.row(cells.into_iter().map(Cell::text).collect());
+            }
+        }
+        table
+    }
+
+    fn words(&self) -> String {
+        format!("After {}. Figures from: {} {STATEMENT}", self.document, self.figures_from)
+    }
+
+    fn outside(&self) -> impl Iterator<Item = &str> {
+        self.outside.iter().chain(&self.left_out).map(String::as_str)
+    }
+
+    fn replays(&self) -> impl Iterator<Item = &Command> {
+        let outcomes = self.tests.iter().flat_map(|test| &test.outcomes);
+        outcomes.filter_map(|outcome| outcome.worst.as_ref()?.replay.as_ref())
+    }
+}
+
+/// What the figures of the matrix are.
+const INTRODUCTION: &str = "Tests of documents as data: every combination of their figures is a scenario, and it passes if nothing \
+    touches before the test ends. A cell says how many of them pass, and the fastest impact. What regulations ask for besides is \
+    outside the model.";
+
+impl Part for Suites {
+    fn heading(&self) -> (&'static str, String) {
+        (ANCHOR, "Tests after regulations".to_owned())
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (INTRODUCTION) " " (self.statement) }
+            @for found in &self.suites {
+                h3 { (found.suite.name) }
+                p { (found.words()) }
+                (found.matrix().html())
+                details { summary { "verdicts, margins, the worst within each clause" } (found.details().html()) }
+                details { summary { "outside the model, and left out" } ul { @for line in found.outside() { li { (line) } } } }
+                p.replay { @for command in found.replays() { code { (command) } " " } }
+            }
+        }
+    }
+
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(format!("{INTRODUCTION} {}", self.statement));
+        for found in &self.suites {
+            text.heading(3, &found.suite.name);
+            text.paragraph(found.words());
+            found.matrix().markdown(&mut text);
+            found.details().markdown(&mut text);
+            text.paragraph("Outside the model, and left out:");
+            text.list(found.outside());
+        }
+        text
+    }
+}

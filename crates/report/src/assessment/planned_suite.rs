@@ -1,0 +1,114 @@
+//! Suites that a configuration names, and whom they test.
+
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::AssessConfig;
+use super::claims::Known;
+use crumple_search::suite::{SHIPPED, Suite};
+use crumple_world::sim::NamedController;
+
+/// Most suites of an assessment.
+const MOST_SUITES: usize = 20;
+
+/// A suite of tests after a regulation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a suite: a table of `suite` and `controllers`")]
+#[non_exhaustive]
+pub struct SuiteConfig {
+    /// A suite that is shipped (see `crumple suite list`), or a file, relative to the configuration.
+    pub suite: String,
+    /// Whom it tests, some of `controllers`. Default: all of them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controllers: Option<Vec<String>>,
+}
+
+/// A suite that was found valid, and whom it tests.
+#[derive(Debug, Clone)]
+pub(super) struct PlannedSuite {
+    /// The name in the configuration.
+    pub(super) named: String,
+    pub(super) suite: Suite,
+    /// Its hash, under its own name.
+    pub(super) known: Known,
+    /// Controllers by their places in the plan, in its order.
+    pub(super) tested: Vec<usize>,
+}
+
+impl PlannedSuite {
+    /// The suites of a configuration; else the field that is wrong, and what is wrong with it. `place_of` finds a controller by
+    /// a name, which it makes the one that the controller goes by.
+    pub(super) fn all(
+        config: &mut AssessConfig,
+        folder: &Path,
+        controllers: &[NamedController],
+        place_of: impl Fn(&mut String) -> Option<usize>,
+    ) -> Result<Vec<Self>, (String, String)> {
+        if config.suites.len() > MOST_SUITES {
+            return Err(("suites".to_owned(), format!("must be at most {MOST_SUITES}, found {}", config.suites.len())));
+        }
+        let mut planned: Vec<Self> = Vec::new();
+        for (index, asked) in config.suites.iter_mut().enumerate() {
+            let field = format!("suites[{index}].suite");
+            let suite = find(&asked.suite, folder).map_err(|problem| (field.clone(), problem))?;
+            if planned.iter().any(|known| known.suite.spec().name == suite.spec().name) {
+                return Err((field, format!("the name `{}` is taken by another suite", suite.spec().name)));
+            }
+            let mut tested = match &mut asked.controllers {
+                None => (0..controllers.len()).collect(),
+                Some(names) if names.is_empty() => {
+                    return Err((
+                        format!("suites[{index}].controllers"),
+                        "must name at least one controller".to_owned(),
+                    ));
+                }
+                Some(names) => {
+                    let mut places = Vec::new();
+                    for (place, name) in names.iter_mut().enumerate() {
+                        let found = place_of(name).ok_or_else(|| {
+                            (
+                                format!("suites[{index}].controllers[{place}]"),
+                                format!("`{name}` is not among `controllers`"),
+                            )
+                        })?;
+                        places.push(found);
+                    }
+                    places
+                }
+            };
+            tested.sort_unstable();
+            tested.dedup();
+            let text = serde_json::to_string(suite.spec()).map_err(|error| (field, error.to_string()))?;
+            let known = Known::of(suite.spec().name.as_str(), text);
+            planned.push(Self { named: asked.suite.clone(), suite, known, tested });
+        }
+        Ok(planned)
+    }
+
+    /// How many runs it takes, but for searches and margins.
+    pub(super) fn points(&self) -> u64 {
+        let tests = self.suite.spec().clauses.iter().flat_map(|clause| &clause.tests);
+        let points: usize = tests.filter(|test| test.lead.is_some()).map(|test| test.grid().len()).sum();
+        (points * self.tested.len()) as u64
+    }
+}
+
+/// The suite that is shipped under a name, or the one in a file.
+fn find(name: &str, folder: &Path) -> Result<Suite, String> {
+    if let Some(suite) = Suite::shipped(name) {
+        return suite.map_err(|error| error.to_string());
+    }
+    if Path::new(name).extension().is_none_or(|ending| ending != "toml") {
+        let known: Vec<_> = SHIPPED.iter().map(|(name, _)| *name).collect();
+        return Err(format!("`{name}` is neither a suite that is shipped ({}) nor a .toml file", known.join(", ")));
+    }
+    let suite = Suite::load(&folder.join(name)).map_err(|error| error.to_string())?;
+    match Suite::shipped(&suite.spec().name) {
+        Some(Ok(shipped)) if shipped != suite => {
+            Err(format!("the name `{}` is that of a suite that is shipped, with other contents", suite.spec().name))
+        }
+        _ => Ok(suite),
+    }
+}

@@ -1,0 +1,125 @@
+//! Crash maps told: text, and one page.
+
+use std::fmt::Write;
+
+use maud::{DOCTYPE, Markup, html};
+
+use super::map_figure;
+use super::page::{head, seen};
+use crumple_search::suite::{CrashCell, CrashMap, MapPanel, TestVerdict};
+use crumple_world::quoted::{Lines, Terminal};
+
+/// What no source at hand states.
+const PUBLISHED: &str =
+    "No counts of published maps could be read, so none are compared: the lines of closed forms and stated points are.";
+
+/// What of a cell is shown, and the letter for it.
+pub(super) fn letter(cell: &CrashCell) -> char {
+    match cell.verdict {
+        _ if cell.is_without_reaction() => '~',
+        TestVerdict::Passed => '.',
+        TestVerdict::Failed { .. } => 'x',
+        TestVerdict::ControllerFailed { .. } => '!',
+        TestVerdict::Refused { .. } => '-',
+    }
+}
+
+/// What letters mean, in the order of keys.
+pub(super) const LETTERS: [(char, &str); 5] = [
+    ('.', "no contact"),
+    ('x', "contact"),
+    ('~', "contact, never braked"),
+    ('!', "controller failed"),
+    ('-', "never comes to it"),
+];
+
+impl Told<'_> {
+    fn count(&self, letter_of: char) -> usize {
+        self.0.cells.iter().filter(|cell| letter(cell) == letter_of).count()
+    }
+
+    /// What came of a driver, in a line.
+    fn words(&self) -> String {
+        let MapPanel { contacts, without_reaction, unlike_closed_form, cells, .. } = self.0;
+        let mut words = format!("contact in {contacts} of {} cells", cells.len());
+        if *without_reaction > 0 {
+            words += &format!(" ({without_reaction} without having braked)");
+        }
+        for (letter, what) in LETTERS.iter().skip(3) {
+            let count = self.count(*letter);
+            if count > 0 {
+                words += &format!(", {what} in {count}");
+            }
+        }
+        if let Some(unlike) = unlike_closed_form {
+            words += &format!(", unlike its closed form in {unlike}");
+        }
+        words
+    }
+}
+
+/// A panel, to be told of.
+struct Told<'m>(&'m MapPanel);
+
+/// The name that a panel goes by.
+pub(super) fn heading(panel: &MapPanel) -> String {
+    if panel.is_reference { format!("reference: {}", panel.driver) } else { panel.driver.clone() }
+}
+
+/// A map for a terminal: a letter a cell, the highest row first.
+#[must_use]
+pub fn map_text(map: &CrashMap) -> String {
+    let CrashMap { situation, across, up, .. } = map;
+    let mut out = String::new();
+    // Writing to a string cannot fail.
+    let _ = writeln!(out, "{}: {}", situation.name(), situation.words());
+    let _ = writeln!(out, "  {}", map.statement);
+    for (name, axis) in [("across", across), ("up", up)] {
+        let _ = writeln!(out, "  {name}: {}, {} to {}, {} cells", axis.title, axis.low, axis.high, axis.cells);
+    }
+    let meanings: Vec<_> = LETTERS.iter().map(|(letter, what)| format!("{letter} {what}")).collect();
+    let _ = writeln!(out, "  {}", meanings.join(", "));
+    for line in &map.boundaries {
+        let _ = writeln!(out, "  {}", line.words);
+    }
+    for panel in &map.panels {
+        let _ = writeln!(out, "\n{}: {}", Terminal(&heading(panel)), Told(panel).words());
+        for row in panel.cells.chunks(across.cells.max(1)).rev() {
+            let row: String = row.iter().map(letter).collect();
+            let _ = writeln!(out, "  {row}");
+        }
+    }
+    let _ = writeln!(out, "\n{PUBLISHED}");
+    out
+}
+
+/// A map as one page that needs nothing else.
+#[must_use]
+pub fn map_html(map: &CrashMap) -> String {
+    let title = format!("Crash map: {}", map.situation.name());
+    let page: Markup = html! {
+        (DOCTYPE)
+        html lang="en" {
+            (head(&title))
+            body {
+                header {
+                    p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
+                    h1 { (title) }
+                    p.answer { (map.statement) }
+                    p { (map.situation.words()) " Reference drivers see the truth; the controllers look through " (seen(map.estimator)) "." }
+                }
+                main {
+                    figure { (map_figure::responsive(map)) }
+                    div.scroll tabindex="0" { table {
+                        thead { tr { th scope="col" { "driver" } th scope="col" { "what came of it" } } }
+                        tbody { @for panel in &map.panels { tr { th scope="row" { (heading(panel)) } td { (Told(panel).words()) } } } }
+                    } }
+                    ul { @for line in &map.boundaries { li { (line.words) } } }
+                    p { "Every cell is the scenario at its middle, run once for every driver. " (PUBLISHED) }
+                }
+                footer.statement { (map.statement) }
+            }
+        }
+    };
+    Lines(&page.into_string()).to_string()
+}

@@ -1,0 +1,250 @@
+//! A run of a suite as one page that needs nothing else: the matrix, then each test with what failed, drawn.
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::words::{least_margins, prevention, verdict, within_in_words};
+use crate::draw::{self, MotionFigure, motion_responsive, vehicle_names};
+use crumple_search::suite::{ClauseResult, Failed, SuiteResult, TestResult, TestVerdict, Tested};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::quoted::Lines;
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
+
+const STYLE: &str = include_str!("../page.css");
+const OWN_STYLE: &str = include_str!("page.css");
+
+/// Of so many failures of a test and a controller, those with the fastest impacts, there is a drawing.
+const MOST_DRAWN: usize = 2;
+
+/// A run of a suite as a page. `controllers` drive once more where something failed, for the drawings; `replay` is the command
+/// that shows a failure, none where its scenario was not written.
+#[must_use]
+pub fn html(
+    result: &SuiteResult,
+    controllers: &[NamedController],
+    replay: impl Fn(&Failed, &Tested) -> Option<String>,
+) -> String {
+    let page = Page { result, controllers, replay: &replay };
+    Lines(&page.document().into_string()).to_string()
+}
+
+struct Page<'a> {
+    result: &'a SuiteResult,
+    controllers: &'a [NamedController],
+    replay: &'a dyn Fn(&Failed, &Tested) -> Option<String>,
+}
+
+impl Page<'_> {
+    fn document(&self) -> Markup {
+        let SuiteResult { statement, suite, document, edition, figures_from, clauses, .. } = self.result;
+        let title = format!("{suite}: {document}");
+        html! {
+            (DOCTYPE)
+            html lang="en" {
+                (head(&title))
+                body {
+                    header {
+                        p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
+                        h1 { (title) }
+                        p.answer { (statement) }
+                        p { (edition) ". Figures from: " (figures_from) " The controllers look through " (seen(self.result.estimator)) "." }
+                        nav {
+                            a href="#matrix" { "Matrix" }
+                            @for (index, clause) in clauses.iter().enumerate() { " " a href={ "#clause-" (index) } { (clause.clause) } }
+                            " " a href="#outside" { "What it does not say" }
+                        }
+                    }
+                    main {
+                        section id="matrix" { h2 { "Matrix" } (self.matrix()) }
+                        @for (index, clause) in clauses.iter().enumerate() { (self.clause(index, clause)) }
+                        section id="outside" { h2 { "What it does not say" } (self.outside()) }
+                    }
+                    footer.statement { (statement) }
+                }
+            }
+        }
+    }
+
+    /// Clause and test down, controllers across.
+    fn matrix(&self) -> Markup {
+        let names = self.result.tests().next().map(|(_, test)| &test.controllers);
+        html! {
+            div.scroll tabindex="0" { table {
+                thead { tr {
+                    th scope="col" { "test" }
+                    th scope="col" { "clause" }
+                    @for tested in names.into_iter().flatten() { th scope="col" { (tested.controller) } }
+                } }
+                tbody { @for (clause, test) in self.result.tests() { tr {
+                    th scope="row" { a href={ "#test-" (test.name) } { (test.name) } }
+                    td { (clause.clause) }
+                    @for tested in &test.controllers { td.judged.(class(tested)) { (cell(tested)) } }
+                } } }
+            } }
+            p.kicker { "✓ every point of the grid passes, and none was found to fail that the clause allows; ✗ some point fails; – cannot be run." }
+        }
+    }
+
+    fn clause(&self, index: usize, clause: &ClauseResult) -> Markup {
+        html! {
+            section id={ "clause-" (index) } {
+                h2 { (clause.clause) }
+                p { (clause.says) }
+                @for test in &clause.tests { (self.test(test)) }
+            }
+        }
+    }
+
+    fn test(&self, test: &TestResult) -> Markup {
+        html! {
+            h3 id={ "test-" (test.name) } { (test.name) }
+            @if test.figures.stated().next().is_some() { (figures(test)) }
+            div.scroll tabindex="0" { table {
+                thead { tr { @for name in ["controller", "verdict", "margins", "worst that the clause allows"] { th scope="col" { (name) } } } }
+                tbody { @for tested in &test.controllers { tr {
+                    th scope="row" { (tested.controller) }
+                    td.judged.(class(tested)) { (sign(tested)) (verdict(&tested.verdict)) (points(tested)) }
+                    td.wide { @for line in least_margins(&tested.margins) { p { (line) } } }
+                    td.wide { @if let Some(within) = &tested.within { (within_in_words(within)) } @else { "–" } }
+                } } }
+            } }
+            @for tested in &test.controllers { @if tested.failures().next().is_some() { (self.failures(test, tested)) } }
+        }
+    }
+
+    /// What failed: every point in a table, the fastest impacts drawn.
+    fn failures(&self, test: &TestResult, tested: &Tested) -> Markup {
+        let mut worst: Vec<&Failed> = tested.failures().collect();
+        let all = worst.len();
+        worst.sort_by(|a, b| impact_mps(&b.verdict).total_cmp(&impact_mps(&a.verdict)));
+        worst.truncate(MOST_DRAWN);
+        let drivers = tested.failures().next().map(|failed| &failed.references);
+        html! {
+            details {
+                summary { (test.name) ", " (tested.controller) ": " (all) " point" @if all != 1 { "s" } " failed" }
+                div.scroll tabindex="0" { table {
+                    thead { tr {
+                        th scope="col" { "point" }
+                        th scope="col" { "what happened" }
+                        @for run in drivers.into_iter().flatten() { th scope="col" { (run.driver) } }
+                        th scope="col" { "could anybody?" }
+                    } }
+                    tbody { @for failed in tested.failures() { tr {
+                        th scope="row" { (failed.point) }
+                        td { (verdict(&failed.verdict)) }
+                        @for run in &failed.references { td { (prevention(run.prevention)) } }
+                        td { (failed.avoidability.describe().unwrap_or_else(|| "not asked".to_owned())) }
+                    } } }
+                } }
+                @for failed in tested.failures() {
+                    @if let Some(command) = (self.replay)(failed, tested) { p.replay { code { (command) } } }
+                }
+                @for failed in &worst { (self.figure(failed, tested)) }
+                @if all > worst.len() { p.kicker { "Drawn are the fastest impacts, " (worst.len()) " of " (all) "." } }
+            }
+        }
+    }
+
+    /// The motion of a failure, by driving it once more.
+    fn figure(&self, failed: &Failed, tested: &Tested) -> Markup {
+        let named = self.controllers.iter().find(|one| one.name == tested.controller);
+        let options = named.map(|one| RunOptions::new(one.kind.clone()).with_estimator(self.result.estimator));
+        let run = options.and_then(|options| Run::new(&failed.scenario, options).ok());
+        let simulated = run.map(|run| simulate(&run, RecordingLevel::Trace));
+        let place = self.controllers.iter().position(|one| one.name == tested.controller).unwrap_or_default();
+        let prefix = format!("{}-{place}", failed.scenario_name);
+        let title = format!("{}, {}", failed.point, tested.controller);
+        let labels = vehicle_names(&failed.scenario);
+        html! {
+            @if let Some(simulated) = simulated { @if let Some(trace) = &simulated.trace {
+                @let impacts = &simulated.impacts;
+                figure {
+                    (motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &labels, trace, impacts }))
+                    figcaption { (tested.controller) " at " (failed.point) ": " (verdict(&failed.verdict)) }
+                }
+            } }
+        }
+    }
+
+    fn outside(&self) -> Markup {
+        html! {
+            @for (title, list) in [("Outside the model", &self.result.outside), ("Left out", &self.result.left_out)] {
+                @if !list.is_empty() { h3 { (title) } ul { @for entry in list { li { (entry) } } } }
+            }
+            p { "Preventable is said by the reference drivers, who see the truth, and by a search for an escape of anybody who knows the future, \
+                 of the first three points of a test and controller. That nothing failed at the points that were run proves nothing of others." }
+        }
+    }
+}
+
+pub(super) fn head(title: &str) -> Markup {
+    html! {
+        head {
+            meta charset="utf-8";
+            meta name="viewport" content="width=device-width, initial-scale=1";
+            meta name="generator" content={ "crumple " (env!("CARGO_PKG_VERSION")) };
+            title { (title) }
+            style { (PreEscaped(STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(OWN_STYLE)) }
+        }
+    }
+}
+
+pub(super) fn seen(estimator: EstimatorKind) -> &'static str {
+    match estimator {
+        EstimatorKind::Truth => "nothing: they see the true state",
+        EstimatorKind::Kalman => "noisy sensors and a Kalman filter",
+    }
+}
+
+/// Every figure, and who says so.
+fn figures(test: &TestResult) -> Markup {
+    html! {
+        ul.short { @for (parameter, figure) in test.figures.stated() {
+            @let values: Vec<String> = figure.values.iter().map(f64::to_string).collect();
+            li {
+                (parameter.words()) ": " (values.join(", ")) " " (figure.unit) " (" (figure.origin.words()) ")"
+                @if !figure.note.is_empty() { ". " (figure.note) }
+            }
+        } }
+    }
+}
+
+fn impact_mps(verdict: &TestVerdict) -> f64 {
+    match verdict {
+        TestVerdict::Failed { impact_speed_mps, .. } => *impact_speed_mps,
+        _ => 0.0,
+    }
+}
+
+fn is_refused(tested: &Tested) -> bool {
+    matches!(tested.verdict, TestVerdict::Refused { .. })
+}
+
+fn class(tested: &Tested) -> &'static str {
+    match tested.is_passed() {
+        true => "good",
+        false if is_refused(tested) => "refused",
+        false => "bad",
+    }
+}
+
+fn sign(tested: &Tested) -> &'static str {
+    match tested.is_passed() {
+        true => "✓ ",
+        false if is_refused(tested) => "– ",
+        false => "✗ ",
+    }
+}
+
+fn points(tested: &Tested) -> String {
+    if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed, tested.points) }
+}
+
+/// A cell of the matrix: how many points pass, how hard the worst contact is, the first margin.
+fn cell(tested: &Tested) -> Markup {
+    let worst_mps = tested.failures().map(|failed| impact_mps(&failed.verdict)).fold(0.0, f64::max);
+    html! {
+        (sign(tested))
+        @if tested.points == 0 { "not run" } @else { (tested.passed) " of " (tested.points) }
+        @if worst_mps > 0.0 { br; "worst " (format!("{worst_mps:.1}")) " m/s" }
+    }
+}

@@ -1,0 +1,59 @@
+//! Runs of several suites with the same controllers, as one table in Markdown.
+
+use super::words::least;
+use crate::markdown::Markdown;
+use crumple_search::suite::{Margin, MarginEnd, STATEMENT, SuiteResult, TestVerdict, Tested};
+
+/// A row a test, a column a controller: how many points of the grid pass, the fastest impact, and how far the first direction of a
+/// test that passes can be pushed.
+#[must_use]
+pub fn table(results: &[SuiteResult]) -> String {
+    let tests = || results.iter().flat_map(|result| result.tests().map(move |(_, test)| (result, test)));
+    let mut text = Markdown::default();
+    text.heading(1, "Suites after regulations");
+    text.paragraph(STATEMENT);
+    text.paragraph(
+        "✓: every point of the grid passes, and none was found to fail that the clause allows; ✗: some point fails; –: it cannot be run. \
+         Then how many points pass, the fastest impact, or the least margin of the first direction.",
+    );
+    let Some((_, first)) = tests().next() else { return text.into_string() };
+    let names = first.controllers.iter().map(|tested| tested.controller.clone());
+    let header: Vec<String> = ["suite", "test"].map(str::to_owned).into_iter().chain(names).collect();
+    let columns = vec!["---"; header.len()];
+    let row = |(result, test): (&SuiteResult, &crumple_search::suite::TestResult)| {
+        let chosen = if test.is_as_stated { "" } else { "*" };
+        let head = [result.suite.clone(), format!("{}{chosen}", test.name)];
+        head.into_iter().chain(test.controllers.iter().map(cell)).collect()
+    };
+    text.table(&header, &columns, tests().map(row));
+    text.paragraph("*: some figures are chosen, not the document's.");
+    text.into_string()
+}
+
+fn cell(tested: &Tested) -> String {
+    let points = format!("{}/{}", tested.passed, tested.points);
+    if tested.points == 0 {
+        return "–".to_owned();
+    }
+    if !tested.is_passed() {
+        let impact_mps = |verdict: &TestVerdict| match verdict {
+            TestVerdict::Failed { impact_speed_mps, .. } => Some(*impact_speed_mps),
+            _ => None,
+        };
+        let fastest = tested.failures().filter_map(|failed| impact_mps(&failed.verdict)).reduce(f64::max);
+        let sign = if tested.verdict.is_refusal() { "–" } else { "✗" };
+        let impact = fastest.map_or_else(String::new, |mps| format!(", {mps:.1} m/s"));
+        return format!("{sign} {points}{impact}");
+    }
+    let margin = least(&tested.margins).first().map_or_else(String::new, |(margin, _)| format!(", {}", end(margin)));
+    format!("✓ {points}{margin}")
+}
+
+fn end(margin: &Margin) -> String {
+    let Margin { push, unit, to, end, .. } = margin;
+    match end {
+        MarginEnd::None { .. } => format!("{} not at all", push.words()),
+        MarginEnd::Holds { .. } => format!("{} to {to} {unit}", push.words()),
+        MarginEnd::Boundary { passes_at, .. } => format!("{} to {passes_at:.2} {unit}", push.words()),
+    }
+}

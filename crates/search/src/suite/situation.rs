@@ -1,0 +1,236 @@
+//! What a crash map is over: a situation and two of its figures.
+
+use crumple_world::control::R157SimpleSettings;
+use crumple_world::scenario::{InvalidField, Scenario, VehicleClass};
+use serde::Serialize;
+
+use super::Suite;
+use super::figure::{Figure, Figures, Origin, Unit};
+use super::result::STATEMENT;
+use super::spec::{Lead, TestSpec};
+
+/// Kilometres an hour in a metre a second.
+const KMPH: f64 = 3.6;
+
+/// A situation, what is held, and the two figures that a map is over.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum Situation {
+    /// The vehicle ahead, as fast as the vehicle under test, brakes at once and to standstill. Across its braking, up the speed.
+    CarFollowing {
+        /// The gap at the start as the time that driving it takes, in seconds.
+        time_gap_s: f64,
+    },
+    /// A slower vehicle cuts in. Across how much slower it is, up the gap when it enters.
+    CutInGap {
+        /// Speed of the vehicle under test, in km/h.
+        own_speed_kmph: f64,
+    },
+    /// A slower vehicle cuts in. Across how much slower it is, up the time to collision when it enters.
+    CutInTime {
+        /// Speed of the vehicle under test, in km/h.
+        own_speed_kmph: f64,
+    },
+}
+
+/// One of the two figures of a map.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct MapAxis {
+    /// What it is, for readers.
+    pub title: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// Where the first cell begins.
+    pub low: f64,
+    /// Where the last cell ends.
+    pub high: f64,
+    /// How many cells there are.
+    pub cells: usize,
+}
+
+impl MapAxis {
+    /// The middle of a cell, from 0, to a thousandth: what is run is what is shown.
+    #[must_use]
+    pub fn middle(&self, cell: usize) -> f64 {
+        let middle = self.low + (self.high - self.low) * ((cell as f64 + 0.5) / self.cells as f64);
+        (middle * 1e3).round() / 1e3
+    }
+}
+
+/// A line that a closed form draws: beyond it there is contact.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Boundary {
+    /// Whose it is, and its formula, for readers.
+    pub words: String,
+    /// The driver whose line it is; none for the line that nobody drives beyond.
+    pub driver: Option<&'static str>,
+    /// Time before it brakes, in seconds.
+    pub reaction_s: f64,
+    /// Braking, in m/s², positive.
+    pub brake_mps2: f64,
+    /// The line: across and up.
+    pub points: Vec<[f64; 2]>,
+}
+
+impl Situation {
+    /// The time gaps that a map may have, in seconds.
+    pub const TIME_GAP_S: [f64; 2] = [0.2, 10.0];
+    /// The speeds of the vehicle under test that a map may have, in km/h.
+    pub const OWN_SPEED_KMPH: [f64; 2] = [30.0, 250.0];
+
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::CarFollowing { .. } => "car-following",
+            Self::CutInGap { .. } => "cut-in-gap",
+            Self::CutInTime { .. } => "cut-in-time",
+        }
+    }
+
+    /// What it is, with what is held.
+    #[must_use]
+    pub fn words(self) -> String {
+        match self {
+            Self::CarFollowing { time_gap_s } => format!(
+                "The vehicle ahead brakes at once and to standstill; both drive at the same speed, {time_gap_s} s apart."
+            ),
+            Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => format!(
+                "A slower vehicle enters the lane and holds its speed; the vehicle under test drives at {own_speed_kmph} km/h."
+            ),
+        }
+    }
+
+    /// Whether what is held lies in its range.
+    pub(super) fn is_in_range(self) -> bool {
+        let ([low, high], value) = match self {
+            Self::CarFollowing { time_gap_s } => (Self::TIME_GAP_S, time_gap_s),
+            Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => {
+                (Self::OWN_SPEED_KMPH, own_speed_kmph)
+            }
+        };
+        (low..=high).contains(&value)
+    }
+
+    /// The figure across and the one up, with so many cells.
+    pub(super) fn axes(self, [across, up]: [usize; 2]) -> [MapAxis; 2] {
+        let axis = |title, unit, low, high, cells| MapAxis { title, unit, low, high, cells };
+        let slower =
+            |own_kmph: f64| axis("How much slower it is (km/h)", "km/h", 5.0, (own_kmph - 10.0).min(90.0), across);
+        match self {
+            Self::CarFollowing { .. } => [
+                axis("Braking of the vehicle ahead (m/s²)", "m/s²", 1.0, 10.0, across),
+                axis("Speed of both (km/h)", "km/h", 10.0, 130.0, up),
+            ],
+            Self::CutInGap { own_speed_kmph } => {
+                [slower(own_speed_kmph), axis("Gap when it enters (m)", "m", 1.0, 80.0, up)]
+            }
+            Self::CutInTime { own_speed_kmph } => {
+                [slower(own_speed_kmph), axis("Time to collision when it enters (s)", "s", 0.1, 4.0, up)]
+            }
+        }
+    }
+
+    pub(super) fn lead(self) -> Lead {
+        match self {
+            Self::CarFollowing { .. } => Lead::Decelerating,
+            Self::CutInGap { .. } | Self::CutInTime { .. } => Lead::CutIn,
+        }
+    }
+
+    /// The scenario of a cell.
+    pub(super) fn scenario(self, across: f64, up: f64) -> Result<Scenario, InvalidField> {
+        let figure = |value, unit| Some(Figure::chosen(value, unit));
+        let figures = match self {
+            Self::CarFollowing { time_gap_s } => Figures {
+                own_speed: figure(up, Unit::Kmph),
+                gap: figure(time_gap_s * up / KMPH, Unit::Metre),
+                deceleration: figure(across, Unit::Mps2),
+                ramp: figure(0.0, Unit::Second),
+                ..Figures::default()
+            },
+            Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => Figures {
+                own_speed: figure(own_speed_kmph, Unit::Kmph),
+                lead_speed: figure(own_speed_kmph - across, Unit::Kmph),
+                closing_time: figure(if self.is_by_time() { up } else { up / (across / KMPH) }, Unit::Second),
+                ..Figures::default()
+            },
+        };
+        let test = TestSpec { name: self.name().to_owned(), lead: Some(self.lead()), figures, ..TestSpec::default() };
+        let point: Vec<f64> = test.grid().concat();
+        test.scenario(&format!("{}-{across}-{up}", self.name()), STATEMENT, &point)
+    }
+
+    fn is_by_time(self) -> bool {
+        matches!(self, Self::CutInTime { .. })
+    }
+
+    /// The lines of closed forms that cross the map: of whoever brakes as hard as the vehicle can at once, and of the simple driver of UN R157.
+    pub(super) fn boundaries(self, [across, up]: [&MapAxis; 2]) -> Vec<Boundary> {
+        let simple = R157SimpleSettings::default();
+        let hardest_mps2 = VehicleClass::Light.max_brake_mps2();
+        let lines = [
+            (None, "beyond, even this touches", 0.0, hardest_mps2),
+            (Some("r157-simple"), "closed form of r157-simple", simple.reaction_s, simple.brake_mps2),
+        ];
+        let line = |(driver, words, reaction_s, brake_mps2): (_, &str, f64, f64)| {
+            let points = (0..=200).map(|part| across.low + (across.high - across.low) * f64::from(part) / 200.0);
+            let points = points.filter_map(|at| Some([at, self.limit(at, reaction_s, brake_mps2)?])).collect();
+            let words = format!("{words}: {brake_mps2} m/s² from {reaction_s} s");
+            Boundary { words, driver, reaction_s, brake_mps2, points }
+        };
+        let is_on_map = |line: &Boundary| line.points.iter().any(|[_, at]| (up.low..=up.high).contains(at));
+        lines.into_iter().map(line).filter(is_on_map).collect()
+    }
+
+    /// Where full braking from a reaction time on just touches; none where it touches at no speed.
+    ///
+    /// Following at a time gap T, the vehicle ahead braking harder than oneself: both stand at the nearest, and
+    /// T v + v²/(2 d) = τ v + v²/(2 b). Braking softer than oneself takes no more than T v as long as T is at least τ. Behind
+    /// one that cuts in Δv slower it takes Δv τ + Δv²/(2 b).
+    fn limit(self, across: f64, reaction_s: f64, brake_mps2: f64) -> Option<f64> {
+        let slower_mps = across / KMPH;
+        let needed_s = reaction_s + slower_mps / (2.0 * brake_mps2);
+        match self {
+            Self::CarFollowing { time_gap_s } => {
+                let harder = 1.0 / brake_mps2 - 1.0 / across;
+                (harder > 0.0 && time_gap_s >= reaction_s).then(|| KMPH * 2.0 * (time_gap_s - reaction_s) / harder)
+            }
+            Self::CutInTime { .. } => Some(needed_s),
+            Self::CutInGap { .. } => Some(needed_s * slower_mps),
+        }
+    }
+
+    /// Whether the closed form says that a cell ends in contact; none where it says nothing.
+    pub(super) fn touches(self, line: &Boundary, [across, up]: [f64; 2]) -> Option<bool> {
+        let limit = self.limit(across, line.reaction_s, line.brake_mps2);
+        match self {
+            Self::CarFollowing { time_gap_s } if time_gap_s < line.reaction_s => None,
+            // What is not noticed at once is another story.
+            Self::CarFollowing { .. }
+                if line.driver.is_some() && across <= R157SimpleSettings::default().seen_brake_mps2 =>
+            {
+                None
+            }
+            Self::CarFollowing { .. } => Some(limit.is_some_and(|limit| up > limit)),
+            Self::CutInGap { .. } | Self::CutInTime { .. } => limit.map(|limit| up < limit),
+        }
+    }
+
+    /// Points that a document states, beyond which contact has to be avoided: rows of the AFGBV's table.
+    pub(super) fn stated(self) -> Vec<[f64; 2]> {
+        let suite = match self {
+            Self::CarFollowing { .. } => None,
+            Self::CutInGap { .. } | Self::CutInTime { .. } => Suite::shipped("afgbv-cut-in").and_then(Result::ok),
+        };
+        let point = |test: &TestSpec| {
+            let first = |figure: &Option<Figure>| figure.as_ref()?.values.first().copied();
+            let stated = test.figures.closing_time.as_ref().filter(|figure| figure.origin == Origin::Document)?;
+            let slower_kmph = first(&test.figures.own_speed)? - first(&test.figures.lead_speed)?;
+            let time_s = *stated.values.first()?;
+            Some([slower_kmph, if self.is_by_time() { time_s } else { time_s * slower_kmph / KMPH }])
+        };
+        let tests = suite.iter().flat_map(|suite| &suite.spec().clauses).flat_map(|clause| &clause.tests);
+        tests.filter_map(point).collect()
+    }
+}

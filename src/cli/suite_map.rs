@@ -1,0 +1,136 @@
+//! `crumple suite map`: crash maps.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+
+use super::simulate::Format;
+use super::{Failure, choice, output, subject};
+use crumple_report::draw::PNG_SCALE;
+use crumple_report::suite::{map_figure, map_html, map_text};
+use crumple_search::disk::Files;
+use crumple_search::suite::{CrashMap, MapProblem, MapSpec, Situation};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::sim::NamedController;
+
+/// Draw a crash map: where reference drivers and controllers collide, over two figures of a situation
+#[derive(Args)]
+#[command(after_long_help = "\
+Every cell is the scenario at its middle. Hatched is contact of a driver that never braked: reference drivers react to what they are \
+models of. Lines are closed forms: beyond the solid one even full braking at once touches; the dashed one is that of r157-simple. On maps of cut-ins, dots are the rows of the AFGBV's table. There may be 100 cells each way.
+
+After the document, on a point-mass model in one lane: this is no certification.
+
+Examples:
+  crumple suite map car-following --controller acc-aeb --controller policy --out following.svg
+  crumple suite map cut-in-time --controller idm --own-speed 130 --out cut-in.html --out cut-in.png
+  crumple suite map cut-in-gap --controller idm --cells 12x8 --format json")]
+pub(super) struct MapCommand {
+    /// What is driven
+    #[arg(value_enum)]
+    situation: Kind,
+    /// Controller beside the reference drivers (see `crumple list controllers`); may be repeated
+    #[arg(long = "controller", value_name = "C", value_parser = subject::controller)]
+    controllers: Vec<NamedController>,
+    /// What the controllers look through; reference drivers see the truth
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    estimator: EstimatorKind,
+    /// Of car-following: the gap at the start as the time that driving it takes, 0.2 to 10 s
+    #[arg(long, value_name = "S", default_value_t = 1.5)]
+    time_gap: f64,
+    /// Of cut-ins: speed of the vehicle under test, 30 to 250 km/h
+    #[arg(long, value_name = "KM/H", default_value_t = 100.0)]
+    own_speed: f64,
+    /// Cells across and up, 2 to 100 each
+    #[arg(long, value_name = "AxB", default_value = "24x18", value_parser = cells)]
+    cells: [usize; 2],
+    /// Write the map here; may be repeated
+    #[arg(long, value_name = "F.svg|F.png|F.html|F.json", value_parser = Picture::of)]
+    out: Vec<Picture>,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Kind {
+    /// The vehicle ahead brakes: over its braking and the speed of both
+    CarFollowing,
+    /// A slower vehicle cuts in: over how much slower it is and the gap when it enters
+    CutInGap,
+    /// A slower vehicle cuts in: over how much slower it is and the time to collision when it enters
+    CutInTime,
+}
+
+/// A file, and what its ending says that it is.
+#[derive(Clone)]
+struct Picture {
+    path: PathBuf,
+    kind: PictureKind,
+}
+
+#[derive(Clone, Copy)]
+enum PictureKind {
+    Svg,
+    Png,
+    Html,
+    Json,
+}
+
+impl Picture {
+    fn of(path: &str) -> Result<Self, String> {
+        let kind = match Path::new(path).extension().and_then(|ending| ending.to_str()) {
+            Some("svg") => PictureKind::Svg,
+            Some("png") => PictureKind::Png,
+            Some("html") => PictureKind::Html,
+            Some("json") => PictureKind::Json,
+            _ => return Err("must end in .svg, .png, .html or .json".to_owned()),
+        };
+        Ok(Self { path: PathBuf::from(path), kind })
+    }
+}
+
+/// Two counts, such as `24x18`.
+fn cells(text: &str) -> Result<[usize; 2], String> {
+    let pair = text.split_once('x').and_then(|(across, up)| Some([across.parse().ok()?, up.parse().ok()?]));
+    pair.ok_or_else(|| "must be two counts, such as 24x18".to_owned())
+}
+
+impl MapCommand {
+    pub(super) fn run(self) -> Result<(), Failure> {
+        let (situation, held) = match self.situation {
+            Kind::CarFollowing => (Situation::CarFollowing { time_gap_s: self.time_gap }, "--time-gap"),
+            Kind::CutInGap => (Situation::CutInGap { own_speed_kmph: self.own_speed }, "--own-speed"),
+            Kind::CutInTime => (Situation::CutInTime { own_speed_kmph: self.own_speed }, "--own-speed"),
+        };
+        let spec = MapSpec::new(situation, self.cells).map_err(|problem| {
+            let option = if matches!(problem, MapProblem::Cells(..)) { "--cells" } else { held };
+            Failure::Input(format!("{option}: {problem}"))
+        })?;
+        let map = spec.run(&self.controllers, self.estimator).map_err(Failure::input)?;
+        let mut files = Files::default();
+        for picture in &self.out {
+            files.stage(&output::place(&picture.path)?, picture.render(&map)?)?;
+        }
+        files.commit()?;
+        output::print(&match self.format {
+            Format::Json => json(&map)?,
+            Format::Text => map_text(&map),
+        })
+    }
+}
+
+impl Picture {
+    fn render(&self, map: &CrashMap) -> Result<Vec<u8>, Failure> {
+        Ok(match self.kind {
+            PictureKind::Svg => map_figure(map).document().into_bytes(),
+            PictureKind::Png => map_figure(map).to_png(PNG_SCALE).map_err(Failure::input)?,
+            PictureKind::Html => map_html(map).into_bytes(),
+            PictureKind::Json => json(map)?.into_bytes(),
+        })
+    }
+}
+
+fn json(map: &CrashMap) -> Result<String, Failure> {
+    Ok(serde_json::to_string(map).map_err(Failure::input)? + "\n")
+}

@@ -1,0 +1,107 @@
+//! Vehicles that enter the lane and leave it, in any scenario: the laws that hold for them.
+
+use crumple_fuzzing::oracle::{
+    entering_at_once_is_being_there, lanes_are_kept, step_size_decides_nothing, who_leaves_behind_changes_nothing_ahead,
+};
+use crumple_fuzzing::{Checked, Crumple, LANE_ORACLES, Law, Oracle, System, TestCase};
+use crumple_world::scenario::LaneChange;
+use crumple_world::sim::{RecordingLevel, Run, Simulated, Track, simulate};
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
+
+use crate::generate::{any_lane_case, ask, cases};
+
+proptest! {
+    #![proptest_config(cases(256))]
+
+    /// All laws but that of the step, which rounding leaves undecided now and then.
+    #[test]
+    fn lanes_keep_their_laws(test_case in any_lane_case()) {
+        for oracle in LANE_ORACLES.into_iter().filter(|&oracle| oracle as usize != step_size_decides_nothing as Oracle as usize) {
+            ask(&test_case, oracle)?;
+        }
+    }
+
+    #[test]
+    fn steps_decide_nothing_where_lanes_change(test_case in any_lane_case()) {
+        ask(&test_case, step_size_decides_nothing)?;
+    }
+}
+
+/// The first test cases of the strategy, always the same ones.
+fn first(count: usize) -> Vec<TestCase> {
+    let mut runner = TestRunner::deterministic();
+    (0..count).map(|_| any_lane_case().new_tree(&mut runner).unwrap().current()).collect()
+}
+
+/// What is generated changes lanes, by every trigger, and the laws of lanes are decided.
+#[test]
+fn what_is_generated_changes_lanes() {
+    let all = first(200);
+    let entered = |test_case: &&TestCase| {
+        let options = test_case.setup.options(test_case.scenario.spec().step_s);
+        let result = simulate(&Run::new(&test_case.scenario, options).unwrap(), RecordingLevel::Trace);
+        result.trace.unwrap().vehicles.iter().any(|track| track.in_lane_s != Track::THROUGHOUT_S)
+    };
+    let changing: Vec<_> = all.iter().filter(|test_case| !test_case.scenario.keeps_lanes()).collect();
+    assert!(changing.len() >= 60, "{}", changing.len());
+    assert!(all.iter().filter(entered).count() >= 60);
+    let changes = || changing.iter().flat_map(|one| one.scenario.vehicles()).flat_map(|one| [one.enters, one.leaves]);
+    for field in ["at_s", "gap_m", "ttc_s"] {
+        assert!(changes().flatten().any(|change| change.field() == field), "{field}");
+    }
+    for oracle in [entering_at_once_is_being_there, who_leaves_behind_changes_nothing_ahead] {
+        let holds = all.iter().filter(|one| one.ask(oracle, &Crumple) == Ok(Checked::Holds)).count();
+        assert!(holds >= 1, "{holds}");
+    }
+}
+
+/// The program with something wrong about lanes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Wrong {
+    /// Whoever enters is said to have been there.
+    Forgotten,
+    /// Entering at the start takes a moment.
+    Late,
+    /// The first vehicle feels who leaves.
+    Felt,
+}
+
+impl System for Wrong {
+    fn simulate(&self, run: &Run<'_>, keep: RecordingLevel) -> Simulated {
+        let scenario = run.scenario();
+        let late = scenario.edited(|spec| {
+            for vehicle in spec.vehicles.iter_mut().filter(|vehicle| vehicle.enters == Some(LaneChange::At(0.0))) {
+                vehicle.enters = Some(LaneChange::At(0.3));
+            }
+        });
+        let mut result = match (self, late) {
+            (Self::Late, Ok(late)) => simulate(&Run::new(&late, run.options().clone()).unwrap(), keep),
+            _ => simulate(run, keep),
+        };
+        let tracks = result.trace.iter_mut().flat_map(|trace| &mut trace.vehicles);
+        match self {
+            Self::Forgotten => tracks.for_each(|track| track.in_lane_s = Track::THROUGHOUT_S),
+            Self::Felt if !scenario.keeps_lanes() => {
+                tracks.take(1).for_each(|track| track.position_m.iter_mut().for_each(|position_m| *position_m += 1e-6));
+            }
+            _ => {}
+        }
+        result
+    }
+}
+
+#[test]
+fn laws_of_lanes_notice_their_faults() {
+    let wrong: [(Wrong, Oracle); 3] = [
+        (Wrong::Forgotten, lanes_are_kept),
+        (Wrong::Late, entering_at_once_is_being_there),
+        (Wrong::Felt, who_leaves_behind_changes_nothing_ahead),
+    ];
+    let all = first(400);
+    for (fault, oracle) in wrong {
+        let notices = |one: &TestCase| matches!(one.ask(oracle, &fault), Err(found) if found.law == Law::Lanes);
+        assert!(all.iter().any(notices), "{fault:?} is missed");
+    }
+}

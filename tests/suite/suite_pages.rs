@@ -1,0 +1,223 @@
+//! Suites told: pages, crash maps, tolerances, and suites in assessments.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use crumple_report::assessment::{AssessmentPlan, Gate, Property, Store, Strength, SuiteConfig, assess};
+use crumple_report::suite::html;
+use crumple_search::suite::{Beyond, MarginEnd, STATEMENT, Suite, run};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::sim::NamedController;
+
+use crate::assessments::config;
+use crate::command_line::{code, crumple, folder};
+use crate::tiny::changed;
+
+fn named(name: &str) -> NamedController {
+    NamedController::find(name, Path::new("")).unwrap()
+}
+
+/// One file, whatever names are: nothing from elsewhere, no identifier twice, nothing but text where a user wrote text.
+#[test]
+fn a_page_needs_nothing_else_and_says_what_it_is() {
+    let suite = Suite::shipped("euro-ncap-2023").unwrap().unwrap();
+    let mut controllers = vec![named("full-throttle"), named("policy")];
+    controllers[1].name = "<script>alert(1)</script>\u{202e}".to_owned();
+    let result = run(&suite, &controllers, EstimatorKind::Kalman).unwrap();
+    let page = html(&result, &controllers, |failed, _| Some(format!("crumple simulate '<b>{}'", failed.scenario_name)));
+    assert!(page.matches(STATEMENT).count() >= 2 && page.contains("prefers-color-scheme:dark"));
+    assert!(!page.contains("<script") && page.contains("&lt;script&gt;") && !page.contains('\u{202e}'));
+    assert!(!page.contains("src=") && !page.contains("@import") && !page.contains("url(http"));
+    let links = page.split("href=\"").skip(1).filter_map(|rest| rest.split('"').next());
+    let ids: Vec<&str> = page.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+    assert_eq!(ids.iter().collect::<BTreeSet<_>>().len(), ids.len(), "an identifier stands twice");
+    for link in links {
+        assert!(link.strip_prefix('#').is_some_and(|target| ids.contains(&target)), "{link}");
+    }
+    assert!(page.matches("<svg").count() >= 12 && page.contains("&lt;b&gt;euro-ncap-2023-ccrs-"), "failures are drawn");
+    assert!(page.contains("prevents it") && page.contains("avoidable: an escape keeps"));
+}
+
+const STANDS: &str = r#"version = 1
+name = "stands"
+about = "A vehicle that stands."
+document = "None"
+edition = "First"
+figures_from = "Nothing."
+
+[[clauses]]
+clause = "1"
+says = "Touch nothing."
+
+[[clauses.tests]]
+name = "stands"
+lead = "stopped"
+figures.own_speed = { values = [60.0, 75.0], unit = "km/h", origin = "chosen", tolerance = 2.0 }
+figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
+"#;
+
+/// The baseline stops from 75.06 km/h and no more: at 75 it passes, and fails within a tolerance of 2 km/h.
+#[test]
+fn a_tolerance_belongs_to_the_criterion() {
+    let load = |text: &str| Suite::from_toml(text, Path::new("stands.toml"));
+    let tested = |text: &str| {
+        let result = run(&load(text).unwrap(), &[named("baseline")], EstimatorKind::Truth).unwrap();
+        result.clauses[0].tests[0].controllers[0].clone()
+    };
+    let with = tested(STANDS);
+    let within = with.within.as_ref().expect("a tolerance is searched within");
+    assert!(with.verdict.is_passed() && within.verdict.is_failure() && !with.is_passed());
+    let speed_kmph: f64 = within.point.split(' ').nth(2).unwrap().parse().unwrap();
+    assert!((75.06..=77.0).contains(&speed_kmph), "{}", within.point);
+    assert!(within.failures > 0 && within.failures < within.tried, "points about 60 km/h pass");
+    let without = tested(&changed(STANDS, &[(", tolerance = 2.0", "")]));
+    assert!(without.within.is_none() && without.is_passed());
+    let near = tested(&changed(STANDS, &[("75.0", "70.0")]));
+    assert!(near.is_passed() && near.within.is_some());
+    for (tolerance, said) in [
+        (
+            "-1.0",
+            "stands.toml:15: clauses[0].tests[0].figures.own_speed.tolerance: must be a number from 0 on, found -1",
+        ),
+        ("nan", "must be a number from 0 on, found NaN"),
+        ("inf", "must be a number from 0 on, found inf"),
+        ("59.0", "own_speed.tolerance: must be from 1.8 to 360 km/h, found 1"),
+    ] {
+        let text = changed(STANDS, &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))]);
+        let error = load(&text).unwrap_err().to_string();
+        assert!(error.contains(said), "{tolerance}: {error}");
+    }
+}
+
+#[test]
+fn a_margin_says_that_a_test_cannot_be_run() {
+    let suite = Suite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
+    let result = run(&suite, &[named("idm,desired_speed_mps=5")], EstimatorKind::Truth).unwrap();
+    let margins = &result.clauses[0].tests[0].controllers[0].margins;
+    assert!(!margins.is_empty());
+    assert!(margins.iter().all(|margin| margin.end == MarginEnd::None { beyond: Beyond::Refused }), "{margins:?}");
+}
+
+#[test]
+fn maps_are_drawn_and_told_the_same_on_any_threads() {
+    let folder = folder();
+    let map = |threads: &str, arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
+        command.current_dir(folder.path()).env("RAYON_NUM_THREADS", threads).args(["suite", "map"]);
+        command.args(["cut-in-time", "--controller", "idm", "--cells", "6x5"]).args(arguments).output().unwrap()
+    };
+    let files = ["--out", "m.svg", "--out", "m.png", "--out", "m.html", "--out", "m.json"];
+    let text = map("1", &files);
+    assert_eq!(code(&text), 0);
+    let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
+    let first = ["m.svg", "m.png", "m.html", "m.json"].map(read);
+    assert_eq!(map("2", &files).stdout, text.stdout);
+    assert_eq!(["m.svg", "m.png", "m.html", "m.json"].map(read), first);
+    assert_eq!(map("2", &["--format", "json"]).stdout, first[3]);
+    let text = String::from_utf8(text.stdout).unwrap();
+    assert!(text.contains("no certification") && text.contains("reference: r157-simple: contact in"), "{text}");
+    let [svg, png, page, json] = first;
+    assert!(png.starts_with(b"\x89PNG"));
+    let svg = String::from_utf8(svg).unwrap();
+    assert!(svg.contains("idm") && svg.contains("AFGBV") && svg.contains("no certification"));
+    assert!(String::from_utf8(page).unwrap().matches(STATEMENT).count() >= 2);
+    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    let panels = json["panels"].as_array().unwrap();
+    assert_eq!(panels.len(), 4);
+    assert!(panels.iter().all(|panel| panel["cells"].as_array().unwrap().len() == 30));
+    for (arguments, said) in [
+        (&["car-following", "--time-gap", "0.1"][..], "--time-gap: must be from 0.2 to 10 s, found 0.1"),
+        (&["car-following", "--time-gap", "nan"], "--time-gap: must be from 0.2 to 10 s, found NaN"),
+        (&["cut-in-gap", "--own-speed", "1e9"], "--own-speed: must be from 30 to 250 km/h"),
+        (&["cut-in-gap", "--cells", "101x3"], "--cells: must have 2 to 100 cells each way, found 101x3"),
+        (&["cut-in-gap", "--cells", "12"], "two counts"),
+        (&["cut-in-gap", "--out", "m.pdf"], "must end in .svg, .png, .html or .json"),
+        (&["overtaking"], "possible values"),
+    ] {
+        let output = crumple(folder.path(), &[&["suite", "map"], arguments].concat());
+        assert_eq!(code(&output), 2, "{arguments:?}");
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(error.contains(said), "{error}");
+    }
+}
+
+/// Suites of an assessment are claims, a part of every rendering, tests of the build, and files that replay; they are kept.
+#[test]
+fn suites_are_evidence_of_an_assessment() {
+    let folder = folder();
+    fs::write(folder.path().join("own.toml"), changed(STANDS, &[(", tolerance = 2.0", "")])).unwrap();
+    let suite = |suite: &str, controllers: &[&str]| -> SuiteConfig {
+        serde_json::from_value(serde_json::json!({ "suite": suite, "controllers": controllers })).unwrap()
+    };
+    let mut asked = config(&["idm", "full-throttle", "policy"]);
+    (asked.draws, asked.everyday_draws) = (0, 0);
+    asked.suites = vec![suite("fmvss-127", &["full-throttle", "idm"]), suite("own.toml", &["policy", "idm"])];
+    let gate = |controller: &str, suite: &str| Gate::SuitePassed {
+        controller: controller.to_owned(),
+        suite: suite.to_owned(),
+    };
+    asked.gates = vec![gate("idm", "fmvss-127"), gate("full-throttle", "fmvss-127"), gate("policy", "own.toml")];
+    let plan = AssessmentPlan::new(asked.clone(), [], folder.path()).unwrap();
+    let gather = || {
+        let store = Store::open(&folder.path().join("kept"), "program", false).unwrap();
+        (assess(&plan, &store, None, &|_| {}).unwrap(), store.reused())
+    };
+    let (found, _) = gather();
+    assert_eq!(found.summary.gates.iter().map(|gate| gate.holds).collect::<Vec<_>>(), [true, false, true]);
+    let row = found.summary.claims.iter().find(|row| row.part == "suites").expect("claimed");
+    assert!(row.claims.iter().flatten().all(|claim| claim.property == Property::PassesTests));
+    assert!(matches!(row.standings[0].strength, Strength::Tested { runs } if runs == 34 + 496), "{row:?}");
+    assert!(
+        matches!(row.standings[1].strength, Strength::Refuted { failures, runs } if failures == runs && runs == 530)
+    );
+    assert!(row.claims[2].is_none(), "the policy is not tested by it");
+    let files = found.files().unwrap();
+    let text = |name: &str| String::from_utf8(files.iter().find(|(file, _)| file == name).unwrap().1.clone()).unwrap();
+    for name in ["assessment.md", "assessment.html", "assessment.junit.xml"] {
+        assert!(text(name).contains("no certification"), "{name}");
+    }
+    let junit = text("assessment.junit.xml");
+    assert!(junit.contains("suite fmvss-127") && junit.contains("decelerating-lead: full-throttle"), "{junit}");
+    assert!(text("replay.sh").contains("counterexamples/suites/fmvss-127-stopped-lead-002.toml"));
+    let (name, scenario) = files.iter().find(|(file, _)| file.starts_with("counterexamples/suites/")).unwrap();
+    fs::write(folder.path().join("failed.toml"), scenario).unwrap();
+    let replayed =
+        crumple(folder.path(), &["simulate", "failed.toml", "--controller", "full-throttle", "--expect", "collision"]);
+    assert_eq!(code(&replayed), 0, "{name}");
+    let (again, (pieces, reused)) = gather();
+    assert_eq!(pieces, reused, "nothing is worked out again");
+    assert_eq!(again.files().unwrap(), files);
+    for (from, suites, gates, said) in [
+        ("nowhere", "fmvss-12", vec![], "suites[0].suite: `fmvss-12` is neither a suite that is shipped"),
+        ("a file that is not there", "gone.toml", vec![], "gone.toml"),
+        (
+            "another's gate",
+            "fmvss-127",
+            vec![gate("policy", "fmvss-127")],
+            "gates[0].controller: `policy` is not tested",
+        ),
+        (
+            "no such suite",
+            "fmvss-127",
+            vec![gate("idm", "own.toml")],
+            "gates[0].suite: `own.toml` is not among `suites`",
+        ),
+    ] {
+        let mut asked = asked.clone();
+        (asked.suites, asked.gates) = (vec![suite(suites, &["idm"])], gates);
+        let error = AssessmentPlan::new(asked, [], folder.path()).unwrap_err().to_string();
+        assert!(error.contains(said), "{from}: {error}");
+    }
+    for (suites, said) in [
+        (vec![suite("fmvss-127", &["rss"])], "suites[0].controllers[0]: `rss` is not among `controllers`"),
+        (vec![suite("fmvss-127", &[])], "suites[0].controllers: must name at least one"),
+        (vec![suite("own.toml", &["idm"]), suite("own.toml", &["idm"])], "suites[1].suite: the name `stands` is taken"),
+    ] {
+        let mut asked = asked.clone();
+        (asked.suites, asked.gates) = (suites, Vec::new());
+        let error = AssessmentPlan::new(asked, [], folder.path()).unwrap_err().to_string();
+        assert!(error.contains(said), "{error}");
+    }
+}
