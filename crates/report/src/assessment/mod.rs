@@ -14,9 +14,11 @@ mod junit;
 mod markdown;
 mod page;
 mod parts;
+mod pieces;
 mod plan;
 mod prose;
 mod rounded;
+mod shard;
 mod store;
 mod table;
 mod work;
@@ -48,6 +50,7 @@ pub use parts::{
 };
 pub use plan::AssessmentPlan;
 pub use rounded::Rounded;
+pub use shard::{EvidenceShardError, MergedEvidence, SHARD_OF_AN_ASSESSMENT, gather_shard};
 pub use store::{EvidenceHash, Store, StoreError};
 
 use crumple_search::evidence::{InvalidRate, RateError};

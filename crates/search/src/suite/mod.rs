@@ -12,7 +12,9 @@ mod figure;
 mod margin;
 mod preventable;
 mod result;
+mod rows;
 mod run;
+mod shard;
 mod spec;
 mod within;
 
@@ -24,6 +26,7 @@ pub use margin::{Margin, MarginEnd};
 pub use preventable::{Prevention, ReferenceRun};
 pub use result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
 pub use run::run;
+pub use shard::{MergedSuite, SHARD_OF_A_SUITE, SuiteShardError, run_shard};
 pub use spec::{ClauseSpec, Lead, Push, SuiteSpec, TestSpec};
 pub use within::Within;
 

@@ -95,7 +95,7 @@ impl Campaign {
         self.check(&terms.nominal)?;
         let (nondeterministic, campaign) = (terms.nondeterministic, terms.record.clone());
         let file = ShardFile { version: VERSION, shard, nondeterministic, campaign };
-        let work = shard::open(folder, SHARD_OF_A_CAMPAIGN, &json(&file)?, FINDINGS, resume)?;
+        let work = shard::open_shard(folder, SHARD_OF_A_CAMPAIGN, &json(&file)?, FINDINGS, resume)?;
         if work.is_complete() {
             let read = serde_json::from_slice(&work.read_present(FINDINGS)?);
             return Ok(FindingsFile::done(&read.map_err(CampaignError::encoding)?));
@@ -201,8 +201,7 @@ pub(super) struct Shared {
 impl MadeShard {
     /// What it is a shard of.
     pub(super) fn shared(found: &Finished) -> Result<(Shard, Shared), WorkError> {
-        let file: ShardFile =
-            serde_json::from_str(&found.read_configuration(SHARD)?).map_err(|error| found.unreadable(SHARD, &error))?;
+        let file: ShardFile = shard::read_shard(found)?;
         let ShardFile { version, shard, nondeterministic, campaign } = file;
         if version != VERSION {
             return Err(found.damaged(SHARD, format!("version: {version}, and this release reads {VERSION}")));
