@@ -27,6 +27,7 @@ mod findings;
 mod front;
 mod journal;
 mod merge;
+mod planned;
 mod regions;
 mod run;
 mod shard;

@@ -149,7 +149,7 @@ impl Campaign {
     }
 
     /// Verdicts at points, in their order.
-    fn evaluate(&self, space: &Space, points: &[Vec<f64>]) -> Result<Vec<RunVerdict>, CampaignError> {
+    pub(super) fn evaluate(&self, space: &Space, points: &[Vec<f64>]) -> Result<Vec<RunVerdict>, CampaignError> {
         let scenarios = points.iter().map(|point| space.at(point)).collect::<Result<Vec<_>, _>>()?;
         let options = self.options();
         let runs =
