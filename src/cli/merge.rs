@@ -122,13 +122,14 @@ impl Merged {
             let kind = found.kind();
             return Err(Failure::Input(format!("{}: a {kind}, which those before it are not", folder.display())));
         }
-        Ok(match self {
-            Self::Count(merged) => merged.take(folder, found)?,
-            Self::Estimate(merged) => merged.take(folder, found)?,
-            Self::Campaign(merged) => merged.take(folder, found)?,
-            Self::Suite(merged) => merged.take(folder, found)?,
-            Self::Assessment(merged) => merged.take(folder, found)?,
-        })
+        let taken = match self {
+            Self::Count(merged) => merged.take(folder, found),
+            Self::Estimate(merged) => merged.take(folder, found),
+            Self::Campaign(merged) => merged.take(folder, found),
+            Self::Suite(merged) => merged.take(folder, found),
+            Self::Assessment(merged) => merged.take(folder, found),
+        };
+        Ok(taken?)
     }
 }
 
