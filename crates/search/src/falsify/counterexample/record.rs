@@ -16,6 +16,9 @@ use crumple_world::scenario::{Scenario, file};
 /// Two failures of one kind that are nearer than this are one.
 pub const SAME_WITHIN: f64 = 0.1;
 
+/// Names and texts.
+type Files = Vec<(String, String)>;
+
 /// A failure after the closer look.
 #[derive(Debug, Clone)]
 pub(in crate::falsify) struct Examined {
@@ -135,7 +138,7 @@ impl Recorder<'_> {
     }
 
     /// What is said of them, and their files: names and texts.
-    fn told(&self, distinct: &[Examined]) -> Result<(Vec<Counterexample>, Vec<(String, String)>), CampaignError> {
+    fn told(&self, distinct: &[Examined]) -> Result<(Vec<Counterexample>, Files), CampaignError> {
         let mut index = ExpectedFile { version: EXPECTED_VERSION, expected: Vec::new() };
         let (mut found, mut files) = (Vec::new(), Vec::new());
         for (place, one) in (1..).zip(distinct) {
@@ -170,7 +173,7 @@ impl Recorder<'_> {
         &self,
         place: usize,
         one: &Examined,
-        files: &mut Vec<(String, String)>,
+        files: &mut Files,
         index: &mut ExpectedFile,
     ) -> Result<Counterexample, CampaignError> {
         let kind = one.kind.describe(&one.scenario);
