@@ -9,11 +9,12 @@ use clap::Args;
 use super::output;
 use super::{Failure, interrupt, progress};
 use crumple_report::assessment::{
-    AssessError, AssessmentPlan, ComparisonError, Earlier, FOLDERS, MOST_EVIDENCE_BYTES, Made, Store, StoreError,
-    assess, files_of_evidence,
+    AssessError, AssessmentPlan, ComparisonError, Earlier, EvidenceShardError, FOLDERS, MOST_EVIDENCE_BYTES, Made,
+    MergedEvidence, Store, StoreError, assess, files_of_evidence, gather_shard,
 };
 use crumple_search::disk::{self, DiskError, Files};
 use crumple_search::program;
+use crumple_search::shard::{Shard, as_array};
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
@@ -65,6 +66,10 @@ pub(super) struct Assess {
     /// Gather all evidence again
     #[arg(long)]
     fresh: bool,
+    /// Gather shard I of N of the evidence only, N at most the number of its pieces, and write no report: `crumple merge` puts it together
+    /// where `assess` finds it; interrupted, the same command goes on
+    #[arg(long, value_name = "I/N", conflicts_with_all = ["fresh", "against"])]
+    shard: Option<Shard>,
 }
 
 impl Assess {
@@ -73,6 +78,9 @@ impl Assess {
             None => AssessmentPlan::built_in(),
             Some(path) => AssessmentPlan::load(path)?,
         };
+        if let Some(shard) = self.shard {
+            return self.gather(&plan, shard, quiet);
+        }
         let against = self.against.as_deref().map(Earlier::load).transpose()?;
         if against.is_none() && plan.wants_earlier() {
             return Err(Failure::Input("--against: the gate `nothing-worse` needs an earlier assessment".to_owned()));
@@ -141,6 +149,40 @@ impl Assess {
     }
 }
 
+impl Assess {
+    fn gather(&self, plan: &AssessmentPlan, shard: Shard, quiet: bool) -> Result<(), Failure> {
+        let out = self.out.display();
+        interrupt::says(format!("what is gathered is kept in {out}: the same command goes on"), quiet);
+        let bar = progress::counter("gathering evidence", quiet);
+        let told = |done| bar.set_position(done);
+        let gathered = gather_shard(plan, (shard, &self.out, program::identity()?), &told);
+        bar.finish_and_clear();
+        let pieces = gathered?;
+        let said = "`crumple merge` puts it together with the others";
+        output::print(&format!("{pieces} pieces of evidence\n{out}: shard {shard}; {said}\n"))
+    }
+}
+
+/// Puts the evidence of shards where an assessment finds it. What is missing ends with exit code 1.
+pub(super) fn merge(merged: &MergedEvidence, out: &Path) -> Result<(), Failure> {
+    check_own_folders(out)?;
+    let pieces = merged.write_in(&out.join("evidence"))?;
+    let mut said = format!("{pieces} pieces of evidence in {}: ", out.join("evidence").display());
+    said += match merged.program() == program::identity()? {
+        true => "`crumple assess` with the same file and --out writes the report\n",
+        false => "`crumple assess` of the build that gathered it, which is not this one, writes the report\n",
+    };
+    let missing = merged.missing();
+    let gate = if missing.is_empty() {
+        Ok(())
+    } else {
+        let (of, which) = merged.missing_shards();
+        let which = of.map_or_else(String::new, |of| format!(", shards {} of {of}", as_array(&which)));
+        Err(Failure::Gate(format!("evidence is missing{which}, and `assess` would gather it: {}", missing.join(", "))))
+    };
+    Failure::gate_first(gate, output::print(&said))
+}
+
 /// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.
 fn check_own_folders(out: &Path) -> Result<(), Failure> {
     FOLDERS
@@ -204,6 +246,16 @@ impl From<StoreError> for Failure {
     fn from(error: StoreError) -> Self {
         match error {
             StoreError::Disk(error) => error.into(),
+            other => Self::input(other),
+        }
+    }
+}
+
+impl From<EvidenceShardError> for Failure {
+    fn from(error: EvidenceShardError) -> Self {
+        match error {
+            EvidenceShardError::Work(error) => error.into(),
+            EvidenceShardError::Assess(error) => error.into(),
             other => Self::input(other),
         }
     }

@@ -1,13 +1,17 @@
 //! `crumple falsify`: look for failures of a controller, and keep the distinct ones.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use super::simulate::Format;
 use super::{Failure, choice, interrupt, output, progress, subject};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Aim, Campaign, CampaignError, Progress};
+use crumple_search::falsify::campaign::{
+    Aim, Campaign, CampaignError, Log, MergedCampaign, Progress, ShardDone, Summary,
+};
+use crumple_search::shard::{Shard, as_array};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{Space, UnknownSpace, find_space};
@@ -24,14 +28,19 @@ was cut, edited, moved or left over is named, and nothing goes on. That is no pr
 
 Formulas for --spec are over signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 and \
 v1.jerk_mps3, vehicles counted from the front. A formula may have 4000 words and signs, 64 deep, and a space file 3 MiB. \
-An evaluation of --budget takes some 360 bytes of disk, and no memory that lasts: a million needs 360 MB, and in \
-the space `paper` some six minutes of two cores.
+An evaluation of --budget takes some 360 bytes of disk, with --log summary 40 while it lasts and none afterwards, and no memory that lasts: a \
+million needs 360 MB, and in the space `paper` some six minutes of two cores.
+
+Shard I of N (--shard, 1 <= I <= N <= 10 000, N at most --budget) makes the I-th of N parts of the budget of every method. The reference searches are \
+the same points as those of one machine; the method begins anew in every shard, by a seed of its own, so that N shards are N searches of budget/N. \
+`crumple merge` makes one campaign of them. A shard keeps four files: what it remembers, and no log.
 
 Examples:
   crumple falsify --controller baseline --space paper --out runs/baseline
   crumple falsify --controller policy --space high-risk --budget 20000 --seed 7 --out runs/policy
   crumple falsify --controller idm --spec 'always v1.time_gap_s > 0.3' --out runs/idm
   crumple falsify --controller policy --aim likeliest --out runs/likeliest
+  crumple falsify --controller policy --budget 1000000 --shard 3/64 --out shards/3
   crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline --plot crash.svg
   crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm --spec 'always v1.time_gap_s > 0.3' --expect violated")]
 pub(super) struct Falsify {
@@ -60,9 +69,15 @@ pub(super) struct Falsify {
     /// What the vehicles under test look through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Folder of the campaign; made if it is not there
-    #[arg(long, value_name = "DIR", default_value = "crumple-campaign")]
-    out: PathBuf,
+    /// What is kept of every evaluation [default: full; of a shard, summary]
+    #[arg(long, value_enum, value_name = "L")]
+    log: Option<LogName>,
+    /// Make shard I of N only: a part of the budget of every method; `crumple merge` puts shards together to one campaign
+    #[arg(long, value_name = "I/N")]
+    shard: Option<Shard>,
+    /// Folder of the campaign; made if it is not there [default: crumple-campaign; of a shard, crumple-campaign-shard-I-of-N]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// Go on with the campaign in the folder
     #[arg(long)]
     resume: bool,
@@ -71,8 +86,24 @@ pub(super) struct Falsify {
     format: Format,
 }
 
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum LogName {
+    /// All of it, as rows of Parquet files
+    Full,
+    /// Nothing: the summary and the counterexamples alone
+    Summary,
+}
+
 impl Falsify {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        if let (Some(shard), Some(LogName::Full)) = (self.shard, self.log) {
+            let problem = "a shard keeps no log, so that it is four files: leave --log away, or --shard";
+            return Err(Failure::Input(format!("--log: shard {shard}: {problem}")));
+        }
+        let out = self.out.clone().unwrap_or_else(|| match self.shard {
+            None => PathBuf::from("crumple-campaign"),
+            Some(shard) => PathBuf::from(format!("crumple-campaign-shard-{}-of-{}", shard.index(), shard.of())),
+        });
         let space = space(&self.space)?;
         let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
         let specification =
@@ -87,31 +118,95 @@ impl Falsify {
             budget: self.budget,
             seed: self.seed,
         };
-        let kept = format!("every evaluation is kept in {}", self.out.display());
+        let kept = format!("every evaluation is kept in {}", out.display());
         let again = match campaign.controller.kind.identity() {
             Some(_) => format!("{kept}: the same command with --resume goes on"),
             None => format!("{kept}; the controller states no identity, so nothing goes on with them"),
         };
         interrupt::says(again, quiet);
-        output::note_beginning(self.resume, &self.out, quiet);
-        let bar = progress::campaign_bar(self.budget.saturating_mul(campaign.methods().len() as u64), quiet);
+        output::note_beginning(self.resume, &out, quiet);
+        let part = match self.shard {
+            None => self.budget,
+            Some(shard) => {
+                shard.range(self.budget, "evaluations of each method").map_or(0, |part| part.end - part.start)
+            }
+        };
+        let bar = progress::campaign_bar(part.saturating_mul(campaign.methods().len() as u64), quiet);
         let mut show = |state: &Progress| {
             bar.set_position(state.evaluations);
             bar.set_message(match state.method {
                 Some(method) => format!("{method}: {}, best {:.2};", failures(state.failures), state.best_robustness),
                 None => format!("{}; replaying and shrinking;", failures(state.failures)),
             });
+            ControlFlow::Continue(())
         };
-        let summary = campaign.run(&self.out, self.resume, &mut show);
+        if let Some(shard) = self.shard {
+            let done = campaign.run_shard(shard, &out, self.resume, &mut show);
+            bar.finish_and_clear();
+            return made(shard, done?, &out, self.format);
+        }
+        let (log, kept) = match self.log {
+            Some(LogName::Summary) => (Log::Summary, "summary, counterexamples"),
+            Some(LogName::Full) | None => (Log::Full, "summary, counterexamples, evaluations"),
+        };
+        let summary = campaign.run_keeping(log, &out, self.resume, &mut show);
         bar.finish_and_clear();
         let summary = summary?;
-        let note = format!("wrote {} (summary, counterexamples, evaluations)", self.out.display());
-        output::note(&note, quiet);
-        output::print(&match self.format {
-            Format::Json => serde_json::to_string(&summary).map_err(Failure::input)? + "\n",
-            Format::Text => summary.to_text(),
-        })
+        output::note(&format!("wrote {} ({kept})", out.display()), quiet);
+        print(&summary, self.format)
     }
+}
+
+/// Says what came of a shard.
+fn made(shard: Shard, done: ShardDone, out: &Path, format: Format) -> Result<(), Failure> {
+    output::print(&match format {
+        Format::Json => serde_json::to_string(&done).map_err(Failure::input)? + "\n",
+        Format::Text => format!(
+            "{} evaluations, {} of {} kind{}\n{}: shard {shard}; `crumple merge` puts it together with the others\n",
+            done.evaluations,
+            failures(done.failures),
+            done.kinds,
+            if done.kinds == 1 { "" } else { "s" },
+            out.display()
+        ),
+    })
+}
+
+/// Puts shards together to a campaign, and prints its summary. What is missing ends with exit code 1, and keeps it from being written
+/// unless a part is asked for.
+pub(super) fn merge(
+    merged: &MergedCampaign,
+    folder: &Path,
+    (format, is_part_wanted): (Format, bool),
+    quiet: bool,
+) -> Result<(), Failure> {
+    let missing: u64 = merged.missing().iter().map(|range| range.end - range.start).sum();
+    let is_written = missing == 0 || is_part_wanted;
+    let summary = if is_written { merged.write_in(folder)? } else { merged.summary()? };
+    if is_written {
+        output::note(&format!("wrote {} (summary, counterexamples)", folder.display()), quiet);
+    }
+    let printed = print(&summary, format);
+    let gate = if missing == 0 {
+        Ok(())
+    } else {
+        let (of, which) = merged.missing_shards();
+        let which = of.map_or_else(String::new, |of| format!(", shards {} of {of}", as_array(&which)));
+        let written = if is_part_wanted {
+            "what is written is a part"
+        } else {
+            "nothing is written (--partial writes the part that is there)"
+        };
+        Err(Failure::Gate(format!("{missing} evaluations of each method are missing{which}, and {written}")))
+    };
+    Failure::gate_first(gate, printed)
+}
+
+fn print(summary: &Summary, format: Format) -> Result<(), Failure> {
+    output::print(&match format {
+        Format::Json => serde_json::to_string(summary).map_err(Failure::input)? + "\n",
+        Format::Text => summary.to_text(),
+    })
 }
 
 fn failures(count: u64) -> String {

@@ -6,10 +6,14 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
 
-use super::{Failure, choice, output, subject, suite_map};
+use super::{Failure, choice, interrupt, output, progress, subject, suite_map};
 use crumple_report::suite;
 use crumple_search::disk::{DiskError, Files};
-use crumple_search::suite::{Failed, SHIPPED, STATEMENT, Suite, SuiteError, SuiteResult, TestVerdict, Tested, run};
+use crumple_search::shard::{Shard, as_array};
+use crumple_search::suite::{
+    Failed, MergedSuite, SHIPPED, STATEMENT, Suite, SuiteError, SuiteResult, SuiteShardError, TestVerdict, Tested, run,
+    run_shard,
+};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::ShellWord;
 use crumple_world::scenario::file;
@@ -53,7 +57,8 @@ Examples:
   crumple suite run fmvss-127 --controller acc-aeb --controller policy
   crumple suite run euro-ncap-2023 --controller idm --estimator truth --format junit
   crumple suite run euro-ncap-2023 --controller full-throttle --out failures --format html > euro-ncap.html
-  crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed")]
+  crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed
+  crumple suite run fmvss-127 --controller policy --shard 2/4 --out tests/2")]
 struct RunSuite {
     /// A suite that is shipped (see `crumple suite list`), or a file
     suite: String,
@@ -63,9 +68,17 @@ struct RunSuite {
     /// What the vehicle under test looks through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Write the scenario of every point that failed into this folder
+    /// Write the scenario of every point that failed into this folder; of a shard, where it goes [default of a shard:
+    /// crumple-suite-shard-I-of-N]
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
+    /// Make shard I of N only: a range of the tests, each with a controller, N at most their number; `crumple merge` puts shards
+    /// together and prints what one machine would
+    #[arg(long, value_name = "I/N", conflicts_with_all = ["expect", "format"])]
+    shard: Option<Shard>,
+    /// Go on with an interrupted shard
+    #[arg(long, requires = "shard")]
+    resume: bool,
     /// Exit with 1 unless every test ends like this
     #[arg(long, value_enum)]
     expect: Option<Expectation>,
@@ -104,7 +117,7 @@ enum Expectation {
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Format {
+pub(super) enum Format {
     /// For a reader
     Text,
     /// One JSON object
@@ -185,14 +198,14 @@ fn show(name: &str) -> Result<(), Failure> {
 impl RunSuite {
     fn run(self, quiet: bool) -> Result<(), Failure> {
         let suite = find(&self.suite)?;
+        if let Some(shard) = self.shard {
+            return self.make(&suite, shard, quiet);
+        }
         let result = run(&suite, &self.controllers, self.estimator).map_err(Failure::input)?;
-        self.write(&result)?;
-        let text = match self.format {
-            Format::Json => serde_json::to_string(&result).map_err(Failure::input)? + "\n",
-            Format::Junit => suite::xml(&result).map_err(Failure::input)?,
-            Format::Html => suite::html(&result, &self.controllers, |failed, tested| self.replay(failed, tested)),
-            Format::Text => suite::text(&result, |failed, tested| self.replay(failed, tested)),
-        };
+        if let Some(folder) = &self.out {
+            write(&result, folder)?;
+        }
+        let text = rendered(&result, &self.controllers, self.out.as_deref(), self.format)?;
         let has_failed =
             result.tests().any(|(_, test)| test.controllers.iter().any(|one| one.failures().next().is_some()));
         if has_failed && self.out.is_none() {
@@ -201,29 +214,26 @@ impl RunSuite {
         Failure::gate_first(self.check(&result), output::print(&text))
     }
 
-    /// Writes the scenario of every point that failed, once.
-    fn write(&self, result: &SuiteResult) -> Result<(), Failure> {
-        let Some(folder) = &self.out else { return Ok(()) };
-        std::fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
-        let tested = result.tests().flat_map(|(_, test)| &test.controllers);
-        let failed: BTreeMap<&str, &Failed> =
-            tested.flat_map(Tested::failures).map(|one| (one.scenario_name.as_str(), one)).collect();
-        let mut files = Files::default();
-        for (name, failed) in failed {
-            let text = file::to_toml(&failed.scenario).map_err(Failure::input)?;
-            files.stage(&output::place(&folder.join(format!("{name}.toml")))?, text)?;
-        }
-        Ok(files.commit()?)
-    }
-
-    /// The command that shows a failure.
-    fn replay(&self, failed: &Failed, tested: &Tested) -> Option<String> {
-        let path = self.out.as_ref()?.join(format!("{}.toml", failed.scenario_name));
-        let path = path.to_str()?;
-        let estimator = self.estimator.name();
-        let words = ["simulate", path, "--controller", &tested.controller, "--estimator", estimator];
-        let words: Vec<_> = words.iter().map(|word| ShellWord(word).to_string()).collect();
-        Some(format!("crumple {}", words.join(" ")))
+    fn make(&self, suite: &Suite, shard: Shard, quiet: bool) -> Result<(), Failure> {
+        let default = || PathBuf::from(format!("crumple-suite-shard-{}-of-{}", shard.index(), shard.of()));
+        let out = self.out.clone().unwrap_or_else(default);
+        output::note_beginning(self.resume, &out, quiet);
+        interrupt::says(
+            format!("every test is kept in {}: the same command with --resume goes on", out.display()),
+            quiet,
+        );
+        let bar = progress::bar("testing", 0, quiet);
+        let what = (suite, self.controllers.as_slice(), self.estimator);
+        let made = run_shard(what, shard, &out, self.resume, &mut |done, all| {
+            bar.set_length(all);
+            bar.set_position(done);
+        });
+        bar.finish_and_clear();
+        let tests = made?;
+        output::print(&format!(
+            "{tests} tests, each with a controller\n{}: shard {shard}; `crumple merge` puts it together with the others\n",
+            out.display()
+        ))
     }
 
     fn check(&self, result: &SuiteResult) -> Result<(), Failure> {
@@ -239,6 +249,81 @@ impl RunSuite {
                 Err(Failure::Gate(format!("expected every test to pass, and these do not: {}", missed.join(", "))))
             }
             _ => Ok(()),
+        }
+    }
+}
+
+/// Puts shards together and prints what one machine would, with the scenarios that failed in a folder.
+pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: Format) -> Result<(), Failure> {
+    let Some(result) = merged.result() else {
+        let missing = merged.missing();
+        let (of, which) = merged.missing_shards();
+        let which = of.map_or_else(String::new, |of| format!(", shards {} of {of}", as_array(&which)));
+        let mut shown: Vec<_> = missing.iter().take(MOST_SHOWN).cloned().collect();
+        if let Some(more @ 1..) = missing.len().checked_sub(MOST_SHOWN) {
+            shown.push(format!("and {more} more"));
+        }
+        let shown = shown.join(", ");
+        return Err(Failure::Gate(format!("tests are missing{which}, and nothing is written: {shown}")));
+    };
+    write(&result, folder)?;
+    output::print(&rendered(&result, &known(&result), Some(folder), format)?)
+}
+
+/// Missing tests that are named.
+const MOST_SHOWN: usize = 20;
+
+/// The controllers of a run as far as they are found by what the run calls them: a page draws how they failed.
+fn known(result: &SuiteResult) -> Vec<NamedController> {
+    let mut names: Vec<&str> =
+        result.tests().flat_map(|(_, test)| &test.controllers).map(|tested| tested.controller.as_str()).collect();
+    names.sort_unstable();
+    names.dedup();
+    names.into_iter().filter_map(|name| NamedController::find(name, Path::new("")).ok()).collect()
+}
+
+fn rendered(
+    result: &SuiteResult,
+    controllers: &[NamedController],
+    out: Option<&Path>,
+    format: Format,
+) -> Result<String, Failure> {
+    let replay = |failed: &Failed, tested: &Tested| replay(out?, failed, tested, result.estimator);
+    Ok(match format {
+        Format::Json => serde_json::to_string(result).map_err(Failure::input)? + "\n",
+        Format::Junit => suite::xml(result).map_err(Failure::input)?,
+        Format::Html => suite::html(result, controllers, replay),
+        Format::Text => suite::text(result, replay),
+    })
+}
+
+/// Writes the scenario of every point that failed, once.
+fn write(result: &SuiteResult, folder: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
+    let tested = result.tests().flat_map(|(_, test)| &test.controllers);
+    let failed: BTreeMap<&str, &Failed> =
+        tested.flat_map(Tested::failures).map(|one| (one.scenario_name.as_str(), one)).collect();
+    let mut files = Files::default();
+    for (name, failed) in failed {
+        let text = file::to_toml(&failed.scenario).map_err(Failure::input)?;
+        files.stage(&output::place(&folder.join(format!("{name}.toml")))?, text)?;
+    }
+    Ok(files.commit()?)
+}
+
+/// The command that shows a failure.
+fn replay(out: &Path, failed: &Failed, tested: &Tested, estimator: EstimatorKind) -> Option<String> {
+    let path = out.join(format!("{}.toml", failed.scenario_name));
+    let words = ["simulate", path.to_str()?, "--controller", &tested.controller, "--estimator", estimator.name()];
+    let words: Vec<_> = words.iter().map(|word| ShellWord(word).to_string()).collect();
+    Some(format!("crumple {}", words.join(" ")))
+}
+
+impl From<SuiteShardError> for Failure {
+    fn from(error: SuiteShardError) -> Self {
+        match error {
+            SuiteShardError::Work(error) => error.into(),
+            other => Self::input(other),
         }
     }
 }

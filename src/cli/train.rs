@@ -8,12 +8,13 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::{Failure, interrupt, output, progress};
+pub(super) use crumple_learn::rl::is_of_trainings;
 use crumple_learn::rl::{
-    Event, HeldOut, LearningCurve, SeedResult, SpaceShare, TrainingConfig, TrainingError, TrainingFolder, UNSEEN_DRAWS,
-    finished_trainings, seed_folder, side_by_side,
+    Event, GatherError, HeldOut, LearningCurve, SeedResult, SpaceShare, TrainingConfig, TrainingError, TrainingFolder,
+    TrainingShard, UNSEEN_DRAWS, finished_trainings, seed_folder, side_by_side,
 };
 use crumple_search::disk::{self, Files};
-use crumple_search::shard::Shard;
+use crumple_search::shard::{Shard, as_array};
 use crumple_search::work;
 
 /// Train a driving policy by reinforcement learning
@@ -60,7 +61,7 @@ pub(super) struct Train {
     /// Train seeds 0 to N - 1: 1 to 100 000
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: Option<u64>,
-    /// Of these seeds, train shard I of N only, N at most their number: their `seed-N` folders, copied into one --out, are those of all
+    /// Of these seeds, train shard I of N only, N at most their number; `crumple merge` puts shards together, training.json included
     #[arg(long, value_name = "I/N", requires = "seeds")]
     shard: Option<Shard>,
     /// Folder for policies, logs and checkpoints; made if it is not there
@@ -107,6 +108,9 @@ impl Train {
         disk::make_folder(&self.out)?;
         // What cannot stand beside these is known before the work begins.
         finished_trainings(&self.out, &config)?;
+        if let (Some(count), Some(shard)) = (self.seeds, self.shard) {
+            TrainingShard::new(shard, count, &config)?.write_in(&self.out)?;
+        }
         let out = self.out.display();
         interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
         if work::is_there(&self.out) {
@@ -137,7 +141,7 @@ impl Train {
         }
         let mut printed = Ok(());
         if !done.is_empty() {
-            work::exclusively(&self.out, || self.write_results(&config, quiet))?;
+            work::exclusively(&self.out, || write_results(&self.out, &config, quiet))?;
             printed = output::print(&table(&done, config.evaluation.ranking_draws));
         }
         Failure::gate_first(failure.map_or_else(|| gate(&done), Err), printed)
@@ -174,25 +178,55 @@ impl Train {
         bar.inc(config.episodes.saturating_sub(result.episodes));
         Ok(result)
     }
+}
 
-    /// Writes what all seeds in the folder have come to, those of earlier commands with these.
-    fn write_results(&self, config: &TrainingConfig, quiet: bool) -> Result<(), Failure> {
-        disk::remove_unfinished(&self.out)?;
-        let (results, logs): (Vec<_>, Vec<_>) = finished_trainings(&self.out, config)?.into_iter().unzip();
-        let mut files = Files::default();
-        let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: &results };
-        let json = serde_json::to_string_pretty(&all).map_err(Failure::input)?;
-        files.stage(&self.out.join("training.json"), format!("{json}\n").as_bytes())?;
-        let curve = LearningCurve::from_logs(&config.name, &logs);
-        let json = serde_json::to_string_pretty(&curve).map_err(Failure::input)?;
-        files.stage(&self.out.join("learning-curve.json"), format!("{json}\n").as_bytes())?;
-        let picture = self.out.join("learning-curve.svg");
-        files.stage(&picture, crumple_report::figures::learning_curve(&curve).document().as_bytes())?;
-        files.commit()?;
-        let seeds = if results.len() == 1 { "1 seed".to_owned() } else { format!("{} seeds", results.len()) };
-        output::note(&format!("wrote {} (and training.json) of {seeds}", picture.display()), quiet);
-        Ok(())
+/// Writes what all seeds in the folder have come to, those of earlier commands with these.
+fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(), Failure> {
+    disk::remove_unfinished(out)?;
+    let (results, logs): (Vec<_>, Vec<_>) = finished_trainings(out, config)?.into_iter().unzip();
+    let mut files = Files::default();
+    let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: &results };
+    let json = serde_json::to_string_pretty(&all).map_err(Failure::input)?;
+    files.stage(&out.join("training.json"), format!("{json}\n").as_bytes())?;
+    let curve = LearningCurve::from_logs(&config.name, &logs);
+    let json = serde_json::to_string_pretty(&curve).map_err(Failure::input)?;
+    files.stage(&out.join("learning-curve.json"), format!("{json}\n").as_bytes())?;
+    let picture = out.join("learning-curve.svg");
+    files.stage(&picture, crumple_report::figures::learning_curve(&curve).document().as_bytes())?;
+    files.commit()?;
+    let seeds = if results.len() == 1 { "1 seed".to_owned() } else { format!("{} seeds", results.len()) };
+    output::note(&format!("wrote {} (and training.json) of {seeds}", picture.display()), quiet);
+    Ok(())
+}
+
+/// Puts the seeds of several shards together, with what they come to. Seeds that are missing end with exit code 1.
+pub(super) fn merge(folders: &[PathBuf], out: &Path, quiet: bool) -> Result<(), Failure> {
+    let Some((first, rest)) = folders.split_first() else { return Ok(()) };
+    if work::is_there(out) {
+        return Err(Failure::Input(format!(
+            "{}: holds other work: trainings need an --out of their own",
+            out.display()
+        )));
     }
+    let of_first = TrainingShard::read(first)?;
+    let config = of_first.config(first)?;
+    disk::make_folder(out)?;
+    for folder in std::iter::once(first).chain(rest) {
+        TrainingShard::read(folder)?.gather(folder, (first.as_path(), &of_first), out)?;
+    }
+    work::exclusively(out, || write_results(out, &config, quiet))?;
+    let done: Vec<SeedResult> = finished_trainings(out, &config)?.into_iter().map(|(result, _)| result).collect();
+    let printed = if done.is_empty() { Ok(()) } else { output::print(&table(&done, config.evaluation.ranking_draws)) };
+    let is_missing = |seed: &u64| !done.iter().any(|result| result.seed == *seed);
+    let missing: Vec<u32> = (0..of_first.seeds()).filter(is_missing).filter_map(|seed| seed.try_into().ok()).collect();
+    let all = of_first.seeds();
+    Failure::gate_first(
+        match missing.is_empty() {
+            true => gate(&done),
+            false => Err(Failure::Gate(format!("seeds are missing of {all}: {}", as_array(&missing)))),
+        },
+        printed,
+    )
 }
 
 /// Every seed has learned something.
@@ -274,6 +308,16 @@ fn table(results: &[SeedResult], ranking_draws: u64) -> String {
     }
     text + "held out, unseen: contacts in draws that select the policy, and in draws that had no part in it; gap: smallest \
             over all but the unseen\n"
+}
+
+impl From<GatherError> for Failure {
+    fn from(error: GatherError) -> Self {
+        match error {
+            GatherError::Work(error) => error.into(),
+            GatherError::Training(error) => error.into(),
+            other => Self::input(other),
+        }
+    }
 }
 
 impl From<TrainingError> for Failure {

@@ -72,6 +72,193 @@ fn shards_of_an_estimate_are_merged() {
     same_files(folder, "single", "rare");
 }
 
+const SEARCH: [&str; 5] =
+    ["falsify", "--controller=match-leader", "--estimator=truth", "--budget=60", "--method=halton"];
+
+/// Four files a shard; of a reference search the folder and the words of one machine, otherwise what is missing.
+#[test]
+fn shards_of_a_search_are_one_campaign() {
+    let folder = folder();
+    let folder = folder.path();
+    let single = crumple(folder, &[&SEARCH[..], &["--log=summary", "--out=single"]].concat());
+    assert_eq!(code(&single), 0, "{}", stderr(&single));
+    for index in ["1", "2", "3"] {
+        let which = format!("{index}/3");
+        let output = crumple(folder, &[&SEARCH[..], &["--shard", &which, "--out", index]].concat());
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        assert_eq!(names_in(&folder.join(index)), ["findings.json", "shard.json", "work.json", "work.lock"]);
+    }
+    let output = crumple(folder, &["merge", "3", "1", "--out=campaign"]);
+    assert_eq!(code(&output), 1);
+    assert!(stdout(&output).contains("INCOMPLETE: missing of 3 shards: 2\n"), "{}", stdout(&output));
+    assert!(
+        stderr(&output).contains("20 evaluations of each method are missing, shards 2 of 3, and nothing is written")
+    );
+    assert!(!folder.join("campaign").exists());
+    let output = crumple(folder, &["merge", "3", "1", "--partial", "--out=part"]);
+    assert_eq!(code(&output), 1);
+    assert!(names_in(&folder.join("part")).contains(&"summary.json".to_owned()));
+    for _ in 0..2 {
+        let output = crumple(folder, &["merge", "3", "1", "2", "3", "--out=campaign"]);
+        assert_eq!((code(&output), stdout(&output)), (0, stdout(&single)), "{}", stderr(&output));
+    }
+    for name in ["campaign.toml", "summary.json", "summary.txt", "work.json"] {
+        assert_eq!(
+            fs::read(folder.join("single").join(name)).unwrap(),
+            fs::read(folder.join("campaign").join(name)).unwrap()
+        );
+    }
+    same_files(folder, "single/counterexamples/originals", "campaign/counterexamples/originals");
+    // It is a campaign like any other.
+    assert_eq!(code(&crumple(folder, &["fsck", "campaign", "part"])), 0);
+    let again = crumple(folder, &[&SEARCH[..], &["--log=summary", "--out=campaign", "--resume"]].concat());
+    assert_eq!((code(&again), stdout(&again)), (0, stdout(&single)));
+    let part = crumple(folder, &[&SEARCH[..], &["--log=summary", "--out=part", "--resume"]].concat());
+    assert_refused(&part, "the campaign there has another `divided`");
+    assert_refused(&crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]), "another `divided.missing_");
+    assert_refused(&crumple(folder, &[&SEARCH[..], &["--shard=1/2", "--log=full"]].concat()), "a shard keeps no log");
+    assert_refused(&crumple(folder, &["merge", "1", "--format=junit", "--out=x"]), "JUnit is of suites");
+}
+
+#[test]
+fn shards_of_a_suite_say_what_one_machine_says() {
+    let folder = folder();
+    let folder = folder.path();
+    let run = ["suite", "run", "afgbv-cut-in", "--controller=match-leader", "--controller=idm", "--estimator=truth"];
+    for index in ["1", "2", "3", "4"] {
+        let which = format!("{index}/4");
+        let output = crumple(folder, &[&run[..], &["--shard", &which, "--out", index]].concat());
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+    }
+    for format in ["text", "json", "junit"] {
+        let single = crumple(folder, &[&run[..], &["--out=failures", "--format", format]].concat());
+        fs::rename(folder.join("failures"), folder.join("single")).unwrap();
+        let merged = crumple(folder, &["merge", "4", "2", "1", "3", "1", "--out=failures", "--format", format]);
+        assert_eq!((code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
+        same_files(folder, "single", "failures");
+        fs::remove_dir_all(folder.join("single")).unwrap();
+    }
+    let output = crumple(folder, &["merge", "1", "2", "4", "--out=x"]);
+    assert_eq!(code(&output), 1);
+    assert!(
+        stderr(&output).contains("tests are missing, shards 3 of 4, and nothing is written: cut-in-"),
+        "{}",
+        stderr(&output)
+    );
+    assert!(!folder.join("x").exists());
+    let other = crumple(folder, &["suite", "run", "afgbv-cut-in", "--controller=idm", "--shard=1/2", "--out=other"]);
+    assert_eq!(code(&other), 0, "{}", stderr(&other));
+    assert_refused(&crumple(folder, &["merge", "1", "other", "--out=x"]), "the list of controllers differs");
+    let results = folder.join("2/results.json");
+    let text = fs::read_to_string(&results).unwrap();
+    fs::write(&results, text.replacen("\"passed\":", "\"passed\": ", 1)).unwrap();
+    assert_refused(&crumple(folder, &["merge", "1", "2", "--out=x"]), "2/results.json: not as it was written");
+    assert_refused(&crumple(folder, &[&run[..], &["--shard=7/7"]].concat()), "which make 6 shards at most");
+}
+
+/// From merged evidence the report is written without gathering anything.
+#[test]
+fn shards_of_an_assessment_are_its_evidence() {
+    let folder = folder();
+    let folder = folder.path();
+    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\nsubject = \"idm\"\npaper = false\ndistributions = [\"paper\"]\n\
+                  draws = 20\neveryday_draws = 2\nsearch = { spaces = [\"paper\"], budget = 20 }\nrates = { runs = 100, confidence = 0.9 }\n";
+    fs::write(folder.join("a.toml"), config).unwrap();
+    assert_eq!(code(&crumple(folder, &["assess", "a.toml", "--out=single"])), 0);
+    for index in ["1", "2"] {
+        let which = format!("{index}/2");
+        let output = crumple(folder, &["assess", "a.toml", "--shard", &which, "--out", index]);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        assert_eq!(names_in(&folder.join(index)), ["evidence.json", "shard.json", "work.json", "work.lock"]);
+    }
+    let output = crumple(folder, &["merge", "2", "--out=report"]);
+    assert_eq!(code(&output), 1);
+    assert!(stderr(&output).contains("evidence is missing, shards 1 of 2, and `assess` would gather it: "));
+    let output = crumple(folder, &["merge", "2", "1", "2", "--out=report"]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    same_files(folder, "single/evidence", "report/evidence");
+    let output = crumple(folder, &["assess", "a.toml", "--out=report"]);
+    assert!(stderr(&output).contains("5 of 5 pieces of evidence were there"), "{}", stderr(&output));
+    let report = |of: &str| {
+        let text = fs::read_to_string(folder.join(of).join("assessment.json")).unwrap();
+        let mut report: serde_json::Value = serde_json::from_str(&text).unwrap();
+        // When it was made, and how long that took.
+        report["provenance"]["made"] = serde_json::Value::Null;
+        report
+    };
+    assert_eq!(report("single"), report("report"));
+    fs::write(folder.join("b.toml"), config.replace("draws = 20", "draws = 21")).unwrap();
+    assert_eq!(code(&crumple(folder, &["assess", "b.toml", "--shard=1/2", "--out=b"])), 0);
+    assert_refused(
+        &crumple(folder, &["merge", "2", "b", "--out=x"]),
+        "the configuration, or something that it names, differs",
+    );
+    assert_refused(&crumple(folder, &["assess", "a.toml", "--shard=6/6", "--out=x"]), "there are 5 pieces of evidence");
+}
+
+#[test]
+fn shards_of_trainings_are_put_together_with_their_results() {
+    let folder = folder();
+    let folder = folder.path();
+    let train = ["train", "--seeds=3", "--episodes=4"];
+    crumple(folder, &[&train[..], &["--out=single"]].concat());
+    for index in ["1", "2"] {
+        let which = format!("{index}/2");
+        crumple(folder, &[&train[..], &["--shard", &which, "--out", index]].concat());
+    }
+    assert!(stderr(&crumple(folder, &["merge", "2", "--out=all"])).contains("seeds are missing of 3: 0"));
+    let output = crumple(folder, &["merge", "2", "1", "2", "--out=all"]);
+    assert!(!stderr(&output).contains("missing"), "{}", stderr(&output));
+    assert_eq!(names_in(&folder.join("single")), names_in(&folder.join("all")));
+    for name in ["training.json", "learning-curve.json", "learning-curve.svg"] {
+        assert_eq!(
+            fs::read(folder.join("single").join(name)).unwrap(),
+            fs::read(folder.join("all").join(name)).unwrap()
+        );
+    }
+    for seed in 0..3 {
+        same_files(folder, &format!("single/seed-{seed}"), &format!("all/seed-{seed}"));
+    }
+    // A seed in another's place, a shard that says something else, one without a word of itself.
+    fs::rename(folder.join("1/seed-0"), folder.join("2/seed-2-was")).unwrap();
+    fs::rename(folder.join("2/seed-2"), folder.join("1/seed-0")).unwrap();
+    assert_refused(&crumple(folder, &["merge", "1", "2", "--out=x"]), "1/seed-0/training.toml: trained otherwise");
+    let text = fs::read_to_string(folder.join("2/shard.json")).unwrap();
+    fs::write(folder.join("2/shard.json"), text.replace("\"seeds\": 3", "\"seeds\": 4")).unwrap();
+    assert_refused(&crumple(folder, &["merge", "2", "--out=x"]), "2/shard.json: not as it was written");
+    assert_refused(&crumple(folder, &["merge", "single", "--out=x"]), "single/shard.json: the file is missing");
+}
+
+/// A plan of a search, made as an engine would.
+#[cfg(unix)]
+#[test]
+fn a_plan_of_a_search_makes_its_shards() {
+    let folder = folder();
+    let folder = folder.path();
+    let formula = "--spec=always v1.gap_m > 0.5";
+    let plan =
+        ["plan", "--controller=idm", "--space=high-risk", "--budget=40", "--shards=2", "--method=uniform", formula];
+    let output = crumple(folder, &[&plan[..], &["--out=p"]].concat());
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(stdout(&output).contains("80 evaluations: 40 by uniform"), "{}", stdout(&output));
+    for index in ["1", "2"] {
+        let mut task = std::process::Command::new("sh");
+        task.args(["p/task.sh", index]).current_dir(folder).env("CRUMPLE", env!("CARGO_BIN_EXE_crumple"));
+        assert!(task.output().unwrap().status.success());
+    }
+    let merged = crumple(folder, &["merge", "p/shards/1", "p/shards/2", "--out=campaign"]);
+    let planned: serde_json::Value = serde_json::from_slice(&fs::read(folder.join("p/plan.json")).unwrap()).unwrap();
+    let words: Vec<String> = serde_json::from_value(planned["command"].clone()).unwrap();
+    let words: Vec<&str> = words.iter().skip(1).map(String::as_str).collect();
+    let single = crumple(folder, &[&words[..], &["--log=summary", "--out=single"]].concat());
+    assert_eq!((code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
+    assert_refused(&crumple(folder, &[&plan[..], &["--runs=10"]].concat()), "cannot be used with");
+    assert_refused(
+        &crumple(folder, &["plan", "--controller=idm", "--budget=3", "--shards=4"]),
+        "there are 3 evaluations",
+    );
+}
+
 /// As an engine would, with the words that the plan says.
 #[cfg(unix)]
 #[test]

@@ -16,7 +16,7 @@ use crumple_search::disk::DiskError;
 use crumple_search::work::{Asked, MANIFEST, Work, WorkError};
 
 /// How it was trained: a file as `--preset` takes it.
-const CONFIGURATION: &str = "training.toml";
+pub(super) const CONFIGURATION: &str = "training.toml";
 const LOG: &str = "log.jsonl";
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const POLICY: &str = "policy.safetensors";
@@ -193,8 +193,7 @@ pub fn finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Vec<(Se
 /// The work of a seed; of an error that it was configured otherwise, in what.
 fn opened(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Result<Work, TrainingError> {
     let folder = seed_folder(out, seed);
-    // A training may be made longer.
-    let configuration = format!("seed = {seed}\n{}", text_of(&TrainingConfig { episodes: 0, ..config.clone() })?);
+    let configuration = identity_of(config, seed)?;
     let asked = Asked {
         kind: "training",
         configuration: &configuration,
@@ -212,7 +211,12 @@ fn opened(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Resul
     }
 }
 
-fn text_of(config: &TrainingConfig) -> Result<String, TrainingError> {
+/// What decides a training. It may be made longer.
+pub(super) fn identity_of(config: &TrainingConfig, seed: u64) -> Result<String, TrainingError> {
+    Ok(format!("seed = {seed}\n{}", text_of(&TrainingConfig { episodes: 0, ..config.clone() })?))
+}
+
+pub(super) fn text_of(config: &TrainingConfig) -> Result<String, TrainingError> {
     toml::to_string(config).map_err(TrainingError::Configuration)
 }
 

@@ -13,10 +13,12 @@ mod gate;
 mod junit;
 mod page;
 mod parts;
+mod pieces;
 mod plan;
 mod planned_suite;
 mod prose;
 mod rounded;
+mod shard;
 mod store;
 mod table;
 mod work;
@@ -50,6 +52,7 @@ pub use parts::{
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
 pub use rounded::Rounded;
+pub use shard::{EvidenceShardError, MergedEvidence, SHARD_OF_AN_ASSESSMENT, gather_shard};
 pub use store::{EvidenceHash, Store, StoreError};
 
 use crumple_search::evidence::{InvalidRate, RateError};

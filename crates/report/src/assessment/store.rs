@@ -93,13 +93,21 @@ impl Workplace {
 }
 
 /// What a file holds. Hashes guard against files that were cut, edited or moved, not against an author who recomputes them.
-#[derive(Serialize, Deserialize, JsonSchema)]
-struct Kept {
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Kept {
     name: String,
     inputs_sha256: String,
     program: String,
     evidence_sha256: String,
     evidence: String,
+}
+
+impl Kept {
+    /// Whether it is as a program gathered it.
+    pub(super) fn is_sound(&self, program: &str) -> bool {
+        self.program == program && sha256(&self.evidence) == self.evidence_sha256
+    }
 }
 
 impl Store {
@@ -185,6 +193,27 @@ impl Store {
         Ok(Workplace { path, _temporary: None })
     }
 
+    /// All evidence so far, as it is kept, in the order of names.
+    pub(super) fn kept(&self) -> Result<Vec<Kept>, StoreError> {
+        let Some(folder) = &self.folder else { return Ok(Vec::new()) };
+        let mut hashes = self.hashes();
+        hashes.dedup();
+        let read = |hash: &EvidenceHash| {
+            let path = folder.join(format!("{}.json", self.file_stem(&hash.name, &hash.inputs_sha256)));
+            let text = fs::read_to_string(&path).map_err(DiskError::at(&path))?;
+            serde_json::from_str(&text).map_err(StoreError::encoding)
+        };
+        hashes.iter().map(read).collect()
+    }
+
+    /// Keeps evidence that was gathered elsewhere. Says how many pieces that is.
+    pub(super) fn keep(&self, kept: &Kept) -> Result<usize, StoreError> {
+        let Some(folder) = &self.folder else { return Ok(0) };
+        let path = folder.join(format!("{}.json", self.file_stem(&kept.name, &kept.inputs_sha256)));
+        disk::write(&path, text(kept)?)?;
+        Ok(1)
+    }
+
     fn file_stem(&self, name: &str, inputs_sha256: &str) -> String {
         let key = sha256(format!("{}\n{name}\n{inputs_sha256}", self.program));
         format!("{}-{}", slug(name), key.get(..16).unwrap_or_default())
@@ -203,9 +232,10 @@ impl Store {
 
     fn believed<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
         let kept: Kept = serde_json::from_str(&fs::read_to_string(path).ok()?).ok()?;
-        let is_asked_for = kept.name == name && kept.inputs_sha256 == inputs_sha256 && kept.program == self.program;
-        let is_whole = sha256(&kept.evidence) == kept.evidence_sha256;
-        let value = (is_asked_for && is_whole).then(|| serde_json::from_str(&kept.evidence).ok()).flatten()?;
+        let is_asked_for = kept.name == name && kept.inputs_sha256 == inputs_sha256;
+        let value = (is_asked_for && kept.is_sound(&self.program))
+            .then(|| serde_json::from_str(&kept.evidence).ok())
+            .flatten()?;
         Some((kept.evidence, value))
     }
 

@@ -84,11 +84,7 @@ impl RatePlan {
             }
             Ok(runs as f64 / begun.elapsed().as_secs_f64().max(1e-9))
         };
-        match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
-            Ok(one) => one.install(measured),
-            // Without a pool of its own it is measured on all cores.
-            Err(_) => measured(),
-        }
+        crate::jobs::on_one_core(measured)
     }
 
     /// Bytes that all shards leave behind, more or less.

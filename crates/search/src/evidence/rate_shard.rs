@@ -46,7 +46,7 @@ impl RatePlan {
         let blocks = self.blocks_of(shard)?;
         let file = ShardFile { version: VERSION, shard, count: self.record().clone() };
         let configuration = json(&folder.join(SHARD), &file)?;
-        let work = shard::open(folder, SHARD_OF_A_COUNT, &configuration, PROGRESS, resume);
+        let work = shard::open_shard(folder, SHARD_OF_A_COUNT, &configuration, PROGRESS, resume);
         let work = work.map_err(|error| match error {
             WorkError::OtherConfiguration { path, .. } => RateFolderError::OtherRegistration { path },
             other => other.into(),
@@ -100,7 +100,7 @@ impl CountedShard {
     /// Reads it, and checks whatever can be checked without the controllers.
     pub(super) fn read(found: &Finished) -> Result<Self, WorkError> {
         let unreadable = |name: &'static str| move |error: serde_json::Error| found.unreadable(name, &error);
-        let file: ShardFile = serde_json::from_str(&found.read_configuration(SHARD)?).map_err(unreadable(SHARD))?;
+        let file: ShardFile = shard::read_shard(found)?;
         let ShardFile { version, shard, count: record } = file;
         if version != VERSION {
             return Err(found.damaged(SHARD, format!("version: {version}, and this release reads {VERSION}")));

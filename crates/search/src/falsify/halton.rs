@@ -56,6 +56,11 @@ impl Halton {
         let coordinates = primes().take(cube.dimension()).zip(0..).map(|(base, i)| Coordinate::new(base, seed, i));
         Self { coordinates: coordinates.collect(), next: 0 }
     }
+
+    /// What follows so many points.
+    pub(super) fn after(self, points: u64) -> Self {
+        Self { next: points, ..self }
+    }
 }
 
 fn primes() -> impl Iterator<Item = u64> {

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 use super::annealing::Annealing;
 use super::auto::Auto;
 use super::cma_es::CmaEs;
@@ -12,6 +14,7 @@ use super::halton::Halton;
 use super::sequential::Sequential;
 use super::signals::Signals;
 use super::uniform::Uniform;
+use crumple_world::random::derived_seed;
 
 /// A search for the smallest robustness in a unit cube.
 pub trait Search: fmt::Debug + Send {
@@ -24,7 +27,8 @@ pub trait Search: fmt::Debug + Send {
 }
 
 /// The search methods.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Method {
     /// Independent uniform points.
@@ -96,6 +100,24 @@ impl Method {
         }
     }
 
+    /// Whether it does not look at values: a reference search, any part of which can be made by itself.
+    #[must_use]
+    pub fn is_blind(self) -> bool {
+        matches!(self, Self::Uniform | Self::Halton)
+    }
+
+    /// The part of a search that begins after so many of its points: of a blind one the points that follow those, of any other a search
+    /// of its own, by a seed of its own.
+    #[must_use]
+    pub fn start_after(self, points: u64, cube: &Cube, seed: u64) -> Box<dyn Search> {
+        match self {
+            Self::Uniform => Box::new(Uniform::new(cube, seed).after(points)),
+            Self::Halton => Box::new(Halton::new(cube, seed).after(points)),
+            _ if points == 0 => self.start(cube, seed),
+            _ => self.start(cube, derived_seed(seed, points)),
+        }
+    }
+
     /// A search in `cube`, decided by `seed`.
     #[must_use]
     pub fn start(self, cube: &Cube, seed: u64) -> Box<dyn Search> {
@@ -115,6 +137,20 @@ impl Method {
 impl fmt::Display for Method {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(self.name())
+    }
+}
+
+impl From<Method> for String {
+    fn from(method: Method) -> Self {
+        method.name().to_owned()
+    }
+}
+
+impl TryFrom<String> for Method {
+    type Error = UnknownMethod;
+
+    fn try_from(name: String) -> Result<Self, UnknownMethod> {
+        name.parse()
     }
 }
 
@@ -138,6 +174,24 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        /// Parts of a search that does not look at values are that search; of any other they are searches of their own.
+        #[test]
+        fn a_part_of_a_blind_search_is_its_points(seed in any::<u64>(), points in 0..200_u64) {
+            let cube = Cube::new([1, 3]).unwrap();
+            for method in Method::ALL {
+                let mut whole = method.start(&cube, seed);
+                let mut all: Vec<Vec<f64>> = Vec::new();
+                while method.is_blind() && all.len() < points as usize + 32 {
+                    all.extend(whole.ask());
+                }
+                let part = method.start_after(points, &cube, seed).ask();
+                match method.is_blind() {
+                    true => prop_assert_eq!(&all[points as usize..][..32], &part[..]),
+                    false => prop_assert_eq!(points == 0 && part == whole.ask(), points == 0),
+                }
+            }
+        }
+
         #[test]
         fn every_method_stays_in_the_cube_and_repeats_itself(
             lengths in prop::collection::vec(prop_oneof![Just(1usize), 2usize..22], 1..4),

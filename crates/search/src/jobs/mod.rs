@@ -38,6 +38,15 @@ impl Engine {
     pub const ALL: [Self; 3] = [Self::HyperQueue, Self::Ray, Self::Slurm];
 }
 
+/// Does something on one core, as a shard would.
+pub fn on_one_core<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+        Ok(one) => one.install(work),
+        // Without a pool of its own it is done on all cores.
+        Err(_) => work(),
+    }
+}
+
 /// The script that makes a shard.
 pub const TASK: &str = "task.sh";
 

@@ -10,18 +10,21 @@ use std::ops::Range;
 use std::path::Path;
 use std::str::FromStr;
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::work::{Asked, Work, WorkError};
+use crate::work::{Asked, Finished, Work, WorkError};
 
-pub use parts::MergeError;
-pub(crate) use parts::Parts;
+pub use parts::{MergeError, Parts};
 
 /// The file that says all that decides a shard.
 pub(crate) const SHARD: &str = "shard.json";
 
 /// The folder of a shard in use, with what decides it: a kind of work whose results stand in `results` beside it.
-pub(crate) fn open(
+///
+/// # Errors
+/// [`WorkError`] if the folder cannot be used, or holds something else.
+pub fn open_shard(
     folder: &Path,
     kind: &'static str,
     configuration: &str,
@@ -32,6 +35,14 @@ pub(crate) fn open(
     let work = Work::open(folder, Asked { kind, configuration, configuration_file: SHARD, resume, outputs })?;
     work.write(SHARD, configuration)?;
     Ok(work)
+}
+
+/// What decides a shard that was made, as its folder says it.
+///
+/// # Errors
+/// [`WorkError`] if it is not as it was written, or of another form.
+pub fn read_shard<T: DeserializeOwned>(found: &Finished) -> Result<T, WorkError> {
+    serde_json::from_str(&found.read_configuration(SHARD)?).map_err(|error| found.unreadable(SHARD, &error))
 }
 
 /// The most shards that work is divided into.

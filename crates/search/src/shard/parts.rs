@@ -53,7 +53,7 @@ pub enum MergeError {
 
 /// The parts of work that were done, each by a shard; they do not overlap.
 #[derive(Debug)]
-pub(crate) struct Parts<T> {
+pub struct Parts<T> {
     first: PathBuf,
     /// By where each begins.
     parts: BTreeMap<u64, Part<T>>,
@@ -70,23 +70,22 @@ struct Part<T> {
 
 impl<T: PartialEq> Parts<T> {
     /// None yet; the folder is the one that others are compared with.
-    pub(crate) fn of(first: &Path) -> Self {
+    #[must_use]
+    pub fn of(first: &Path) -> Self {
         Self { first: first.to_owned(), parts: BTreeMap::new(), duplicates: 0 }
     }
 
     /// The error about a shard that differs from the first.
-    pub(crate) fn foreign(&self, folder: &Path, field: String) -> MergeError {
+    #[must_use]
+    pub fn foreign(&self, folder: &Path, field: String) -> MergeError {
         MergeError::Foreign { folder: folder.to_owned(), first: self.first.clone(), field }
     }
 
     /// Takes in what a shard has come to. After an error all is as it was.
-    pub(crate) fn place(
-        &mut self,
-        folder: &Path,
-        shard: Shard,
-        range: Range<u64>,
-        contents: T,
-    ) -> Result<(), MergeError> {
+    ///
+    /// # Errors
+    /// [`MergeError`] if some of it was done by another shard, or the same shard came to something else.
+    pub fn place(&mut self, folder: &Path, shard: Shard, range: Range<u64>, contents: T) -> Result<(), MergeError> {
         let folder = folder.to_owned();
         // Of those that begin before its end, the last: they do not overlap each other.
         let before = self.parts.range(..range.end).next_back().map(|(_, part)| part);
@@ -107,7 +106,8 @@ impl<T: PartialEq> Parts<T> {
     }
 
     /// What no shard has done, of work of that many parts.
-    pub(crate) fn missing(&self, parts: u64) -> Vec<Range<u64>> {
+    #[must_use]
+    pub fn missing(&self, parts: u64) -> Vec<Range<u64>> {
         let (mut missing, mut end) = (Vec::new(), 0);
         for part in self.parts.values() {
             missing.push(end..part.range.start);
@@ -119,7 +119,8 @@ impl<T: PartialEq> Parts<T> {
     }
 
     /// Of how many shards they are, and which of these are missing; nothing where they are of several numbers.
-    pub(crate) fn missing_shards(&self) -> (Option<u32>, Vec<u32>) {
+    #[must_use]
+    pub fn missing_shards(&self) -> (Option<u32>, Vec<u32>) {
         let mut numbers = self.parts.values().map(|part| part.shard.of());
         let of = numbers.next().filter(|of| numbers.all(|other| other == *of));
         let present: BTreeSet<u32> = self.parts.values().map(|part| part.shard.index()).collect();
@@ -127,17 +128,19 @@ impl<T: PartialEq> Parts<T> {
     }
 
     /// What they came to, in order.
-    pub(crate) fn contents(&self) -> impl Iterator<Item = &T> {
+    pub fn contents(&self) -> impl Iterator<Item = &T> {
         self.parts.values().map(|part| &part.contents)
     }
 
     /// How many shards there are.
-    pub(crate) fn shards(&self) -> u64 {
+    #[must_use]
+    pub fn shards(&self) -> u64 {
         self.parts.len() as u64
     }
 
     /// How many were given more than once.
-    pub(crate) fn duplicates(&self) -> u64 {
+    #[must_use]
+    pub fn duplicates(&self) -> u64 {
         self.duplicates
     }
 }

@@ -1,6 +1,6 @@
 //! How far a test can be pushed in a direction until it fails.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::figure::{Parameter, Unit};
 use super::result::TestVerdict;
@@ -14,7 +14,7 @@ const PARTS: usize = 16;
 const HALVINGS: usize = 7;
 
 /// How far a test can be pushed in a direction, the other figures held.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Margin {
     /// What is pushed.
     pub push: Parameter,
@@ -31,7 +31,7 @@ pub struct Margin {
 }
 
 /// Where a margin ends.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum MarginEnd {
     /// The test does not pass from where it is pushed.

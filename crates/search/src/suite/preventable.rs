@@ -5,7 +5,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::ControllerKind;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::result::TestVerdict;
 use super::run::{Driven, Known};
@@ -16,7 +16,7 @@ use crate::falsify::counterexample::Avoidability;
 const MOST_ASKED: usize = 3;
 
 /// What a reference driver does where a controller failed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Prevention {
     /// It touches nobody.
@@ -28,10 +28,10 @@ pub enum Prevention {
 }
 
 /// A reference driver and what it does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ReferenceRun {
     /// Its name among the controllers.
-    pub driver: &'static str,
+    pub driver: String,
     /// What it does.
     pub prevention: Prevention,
 }
@@ -50,7 +50,7 @@ pub(super) fn prevented(lead: Lead, scenarios: &[&Scenario], known: &mut Known) 
         scenarios.iter().filter(|scenario| !known.contains_key(&name(scenario))).map(|&one| one.clone()).collect();
     let references = references(lead, &new);
     for (index, scenario) in new.iter().enumerate() {
-        let references = references.iter().filter_map(|all| all.get(index).copied()).collect();
+        let references = references.iter().filter_map(|all| all.get(index).cloned()).collect();
         known.insert(name(scenario), Prevented { references, avoidability: Avoidability::NotAsked });
     }
     let is_open = |scenario: &&&Scenario| {
@@ -87,7 +87,7 @@ fn references(lead: Lead, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
             _ if seen.max_brake_mps2 > 0.0 => Prevention::Collides,
             _ => Prevention::DoesNotReact,
         };
-        seen.into_iter().map(|seen| ReferenceRun { driver, prevention: prevention(seen) }).collect()
+        seen.into_iter().map(|seen| ReferenceRun { driver: driver.to_owned(), prevention: prevention(seen) }).collect()
     });
     runs.collect()
 }

@@ -2,7 +2,7 @@
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::figure::Figures;
 use super::margin::Margin;
@@ -102,7 +102,7 @@ pub struct Failed {
 }
 
 /// How a test ended.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum TestVerdict {
     /// No contact before the test ended.

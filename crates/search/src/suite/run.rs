@@ -1,6 +1,7 @@
 //! Running a suite: every point of every grid with every controller.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{InvalidField, Scenario};
@@ -47,13 +48,64 @@ pub fn run(
     controllers: &[NamedController],
     estimator: EstimatorKind,
 ) -> Result<SuiteResult, InvalidField> {
+    let mut tested = Vec::new();
+    each(suite, controllers, estimator, 0..pieces(suite, controllers.len()), &mut |one| {
+        tested.push(one);
+        Ok::<(), InvalidField>(())
+    })?;
+    Ok(assembled(suite, estimator, controllers.len(), tested))
+}
+
+/// How many pieces there are that can be run by themselves: a test and a controller each, in the order of the suite.
+pub(super) fn pieces(suite: &Suite, controllers: usize) -> u64 {
+    suite.spec().clauses.iter().map(|clause| clause.tests.len() as u64).sum::<u64>() * controllers as u64
+}
+
+/// Runs some of the pieces, in order, and says of each what was found.
+pub(super) fn each<E: From<InvalidField>>(
+    suite: &Suite,
+    controllers: &[NamedController],
+    estimator: EstimatorKind,
+    wanted: Range<u64>,
+    found: &mut dyn FnMut(Tested) -> Result<(), E>,
+) -> Result<(), E> {
     let spec = suite.spec();
-    let mut known = BTreeMap::new();
-    let mut clauses = Vec::new();
-    for clause in &spec.clauses {
-        clauses.push(run_clause(&spec.name, clause, controllers, estimator, &mut known)?);
+    let tests = spec.clauses.iter().flat_map(|clause| clause.tests.iter().map(move |test| (clause, test)));
+    let (mut known, mut piece) = (Known::new(), 0);
+    for (clause, test) in tests {
+        let own = piece..piece + controllers.len() as u64;
+        piece = own.end;
+        if own.end <= wanted.start || own.start >= wanted.end {
+            continue;
+        }
+        let course = Course::new(&spec.name, test, format!("{}: {}", clause.clause, clause.says))?;
+        for (_, controller) in own.zip(controllers).filter(|(piece, _)| wanted.contains(piece)) {
+            found(course.tested(controller, estimator, &mut known))?;
+        }
     }
-    Ok(SuiteResult {
+    Ok(())
+}
+
+/// The result of a suite from that of all its pieces, which come in order.
+pub(super) fn assembled(
+    suite: &Suite,
+    estimator: EstimatorKind,
+    controllers: usize,
+    tested: impl IntoIterator<Item = Tested>,
+) -> SuiteResult {
+    let (spec, mut tested) = (suite.spec(), tested.into_iter());
+    let mut test = |test: &TestSpec| TestResult {
+        name: test.name.clone(),
+        is_as_stated: test.is_as_stated(),
+        figures: test.figures.clone(),
+        controllers: tested.by_ref().take(controllers).collect(),
+    };
+    let clause = |clause: &ClauseSpec| ClauseResult {
+        clause: clause.clause.clone(),
+        says: clause.says.clone(),
+        tests: clause.tests.iter().map(&mut test).collect(),
+    };
+    SuiteResult {
         statement: STATEMENT,
         suite: spec.name.clone(),
         document: spec.document.clone(),
@@ -62,34 +114,12 @@ pub fn run(
         outside: spec.outside.clone(),
         left_out: spec.left_out.clone(),
         estimator,
-        clauses,
-    })
+        clauses: spec.clauses.iter().map(clause).collect(),
+    }
 }
 
 /// What is known of points whatever controller failed there, by the names of their scenarios.
 pub(super) type Known = BTreeMap<String, Prevented>;
-
-fn run_clause(
-    suite: &str,
-    clause: &ClauseSpec,
-    controllers: &[NamedController],
-    estimator: EstimatorKind,
-    known: &mut Known,
-) -> Result<ClauseResult, InvalidField> {
-    let mut tests = Vec::new();
-    for test in &clause.tests {
-        let about = format!("{}: {}", clause.clause, clause.says);
-        let course = Course::new(suite, test, about)?;
-        let tested = controllers.iter().map(|controller| course.tested(controller, estimator, known));
-        tests.push(TestResult {
-            name: test.name.clone(),
-            is_as_stated: test.is_as_stated(),
-            figures: test.figures.clone(),
-            controllers: tested.collect(),
-        });
-    }
-    Ok(ClauseResult { clause: clause.clause.clone(), says: clause.says.clone(), tests })
-}
 
 /// A test with the scenarios of its grid.
 struct Course<'t> {

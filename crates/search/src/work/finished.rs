@@ -67,14 +67,28 @@ impl Finished {
     /// [`WorkError`] if it is not there, is not as it was written, or is no text.
     pub fn read(&self, name: &str) -> Result<String, WorkError> {
         let path = self.folder.join(name);
+        let no_text = |error| WorkError::Disk(DiskError::at(&path)(io::Error::new(io::ErrorKind::InvalidData, error)));
+        String::from_utf8(self.read_bytes(name)?).map_err(no_text)
+    }
+
+    /// The names of its files, but for the manifest.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        self.manifest.names()
+    }
+
+    /// The bytes of one of its files.
+    ///
+    /// # Errors
+    /// [`WorkError`] if it is not there, or is not as it was written.
+    pub fn read_bytes(&self, name: &str) -> Result<Vec<u8>, WorkError> {
+        let path = self.folder.join(name);
         if self.manifest.state(name).is_some_and(|state| state.bytes() > MOST_BYTES) {
             return Err(WorkError::damaged(&path, format!("longer than {MOST_BYTES} bytes, which no such file is")));
         }
         let bytes = self.manifest.contents(&self.folder, name)?;
         self.manifest.check(name, bytes.as_deref()).map_err(|problem| WorkError::damaged(&path, problem))?;
-        let bytes = bytes.ok_or_else(|| WorkError::missing(&path))?;
-        let no_text = |error| WorkError::Disk(DiskError::at(&path)(io::Error::new(io::ErrorKind::InvalidData, error)));
-        String::from_utf8(bytes).map_err(no_text)
+        bytes.ok_or_else(|| WorkError::missing(&path))
     }
 
     /// The text of the file that says what decides its results.
@@ -87,6 +101,36 @@ impl Finished {
             true => Ok(text),
             false => Err(WorkError::damaged(&self.folder.join(name), "the work beside it was configured otherwise")),
         }
+    }
+
+    /// Whether that is what decides its results.
+    #[must_use]
+    pub fn is_of(&self, configuration: &str) -> bool {
+        self.manifest.configuration_sha256 == sha256(configuration)
+    }
+
+    /// Copies it to a folder, every file checked on the way and the manifest last; where it is already, nothing is done.
+    ///
+    /// # Errors
+    /// [`WorkError`] if a file is not as it was written, or there is other work in that folder.
+    pub fn copy_to(&self, folder: &Path) -> Result<(), WorkError> {
+        let path = folder.join(MANIFEST);
+        match Manifest::read(&path)? {
+            Some(there) if there == self.manifest => return Ok(()),
+            Some(there) if there.program.is_some() => {
+                return Err(WorkError::damaged(&path, format!("the {} there is half done", there.kind)));
+            }
+            Some(there) => {
+                return Err(WorkError::damaged(&path, format!("the {} there came to something else", there.kind)));
+            }
+            None => disk::make_folder(folder)?,
+        }
+        for name in self.names() {
+            let place = folder.join(&name);
+            place.parent().map_or(Ok(()), disk::make_folder)?;
+            disk::write(&place, self.read_bytes(&name)?)?;
+        }
+        Ok(self.manifest.write(folder)?)
     }
 
     /// The error about one of its files that is no JSON of the right form.

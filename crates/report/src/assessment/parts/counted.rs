@@ -61,6 +61,17 @@ pub(super) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof
     proofs.collect()
 }
 
+/// The names of those that are counted.
+pub(in crate::assessment) fn names(plan: &AssessmentPlan) -> Vec<String> {
+    to_be_counted(plan).into_iter().map(|counted| counted.name).collect()
+}
+
+/// That of a name.
+pub(in crate::assessment) fn gather_one(plan: &AssessmentPlan, name: &str, work: &Work<'_>) -> Result<(), AssessError> {
+    let named = to_be_counted(plan).into_iter().find(|counted| counted.name == name);
+    named.map_or(Ok(()), |counted| count(plan, work, counted).map(drop))
+}
+
 fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result<Proof, AssessError> {
     let Counted { name, space, controller, against } = counted;
     let rates = RatePlan::new(RateConfig {

@@ -129,11 +129,7 @@ impl Sampled {
 
 impl Distributions {
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
-        let of = |named: &NamedSpace| {
-            let inputs = json!([named.text, plan.config.draws, plan.config.seed, plan.identities()]);
-            work.store
-                .get(&format!("draws of {}", named.space.name()), &inputs, || Distribution::run(plan, named, work))
-        };
+        let of = |named: &NamedSpace| Distribution::gather(plan, named, work);
         Ok(Self { spaces: plan.distributions.iter().map(of).collect::<Result<_, _>>()? })
     }
 
@@ -165,6 +161,15 @@ impl Distributions {
 }
 
 impl Distribution {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        named: &NamedSpace,
+        work: &Work<'_>,
+    ) -> Result<Self, AssessError> {
+        let inputs = json!([named.text, plan.config.draws, plan.config.seed, plan.identities()]);
+        work.store.get(&format!("draws of {}", named.space.name()), &inputs, || Self::run(plan, named, work))
+    }
+
     fn run(plan: &AssessmentPlan, named: &NamedSpace, work: &Work<'_>) -> Result<Self, AssessError> {
         let config = &plan.config;
         let mut tallies: Vec<Tally> = plan.controllers.iter().map(|_| Tally::default()).collect();

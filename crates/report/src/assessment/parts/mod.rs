@@ -32,7 +32,7 @@ pub use answer::{Answer, FirstPage};
 pub use argument::{Argument, Element, ElementKind};
 pub use certified::{Proof, ProofStatus, SpeaksOf};
 pub use compared::{Change, Comparison, ComparisonError, Earlier, MOST_EVIDENCE_BYTES};
-pub(super) use counted::made_here;
+pub(super) use counted::{gather_one as count_one, made_here, names as counted_names};
 pub use distribution::{Distribution, Distributions, Paired, Percent, Sampled};
 pub use found::{Failure, MethodReached};
 pub use glossary::Glossary;

@@ -32,14 +32,19 @@ pub(super) const ANCHOR: &str = "paper";
 const FROM_ABOVE: &str = "paper-2";
 
 impl PaperScenarios {
+    /// Those of the paper, by the seed of the plan; none if the plan leaves the paper out.
+    pub(in crate::assessment) fn scenarios(plan: &AssessmentPlan) -> Result<Vec<Scenario>, AssessError> {
+        let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
+        let known = built_in_names().into_iter().filter(|_| plan.config.paper).filter_map(|(name, _)| built_in(name));
+        Ok(known.map(seeded).collect::<Result<Vec<_>, _>>()?)
+    }
+
     /// None if the plan leaves the paper out.
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
         if !plan.config.paper {
             return Ok(None);
         }
-        let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
-        let known = built_in_names().into_iter().filter_map(|(name, _)| built_in(name));
-        let scenarios = known.map(seeded).collect::<Result<Vec<_>, _>>()?;
+        let scenarios = Self::scenarios(plan)?;
         let all: Vec<&Scenario> = scenarios.iter().collect();
         let cases = run_cases(&all, &plan.controllers, plan.config.estimator, Motion::Kept)?;
         work.did((all.len() * plan.controllers.len()) as u64)?;

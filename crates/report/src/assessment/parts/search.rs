@@ -183,7 +183,7 @@ impl SpaceSearches {
 }
 
 impl Search {
-    fn gather(
+    pub(in crate::assessment) fn gather(
         plan: &AssessmentPlan,
         named: &NamedSpace,
         (index, controller): (usize, &NamedController),

@@ -81,27 +81,20 @@ pub struct Mildest {
 }
 
 impl WorstProfiles {
-    /// None if the scenario is not shipped.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    /// What is braked for; none if the plan leaves the paper out.
+    pub(in crate::assessment) fn scenario(plan: &AssessmentPlan) -> Result<Option<(Scenario, Envelope)>, AssessError> {
         let Some(scenario) = built_in(SCENARIO).filter(|_| plan.config.paper) else { return Ok(None) };
         let scenario = scenario.edited(|spec| spec.seed = plan.config.seed)?;
-        let known = Known::scenario(SCENARIO, &scenario);
         let envelope = Envelope::of(&scenario);
-        let against = |controller: &NamedController| {
-            let item = format!("worst profile against {}", controller.name);
-            // The profile stands beside: evidence that is published holds rounded numbers only.
-            let (mut found, profile): (WorstProfile, Option<Pieces>) =
-                work.get(&item, &(plan.config.seed, plan.identity(controller)), || {
-                    let found = WorstProfile::of(&scenario, controller, envelope, plan)?;
-                    let profile = found.mildest.as_ref().and_then(|mildest| mildest.profile.clone());
-                    Ok::<_, AssessError>((found, profile))
-                })?;
-            if let Some(mildest) = &mut found.mildest {
-                mildest.profile = profile;
-            }
-            work.did(BUDGET as u64)?;
-            Ok::<_, AssessError>(found)
-        };
+        Ok(Some((scenario, envelope)))
+    }
+
+    /// None if the scenario is not shipped.
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        let Some((scenario, envelope)) = Self::scenario(plan)? else { return Ok(None) };
+        let known = Known::scenario(SCENARIO, &scenario);
+        let against =
+            |controller: &NamedController| WorstProfile::gather(plan, (&scenario, envelope), controller, work);
         let profiles = plan.controllers.par_iter().map(against).collect::<Result<Vec<_>, _>>()?;
         Ok(Some(Self {
             scenario: SCENARIO,
@@ -208,6 +201,27 @@ impl WorstProfiles {
 }
 
 impl WorstProfile {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        (scenario, envelope): (&Scenario, Envelope),
+        controller: &NamedController,
+        work: &Work<'_>,
+    ) -> Result<Self, AssessError> {
+        let item = format!("worst profile against {}", controller.name);
+        // The profile stands beside: evidence that is published holds rounded numbers only.
+        let (mut found, profile): (Self, Option<Pieces>) =
+            work.get(&item, &(plan.config.seed, plan.identity(controller)), || {
+                let found = Self::of(scenario, controller, envelope, plan)?;
+                let profile = found.mildest.as_ref().and_then(|mildest| mildest.profile.clone());
+                Ok::<_, AssessError>((found, profile))
+            })?;
+        if let Some(mildest) = &mut found.mildest {
+            mildest.profile = profile;
+        }
+        work.did(BUDGET as u64)?;
+        Ok(found)
+    }
+
     fn of(
         scenario: &Scenario,
         controller: &NamedController,

@@ -54,7 +54,7 @@ impl RarePlan {
         }
         shard.range(self.effort.repetitions as u64, WHAT)?;
         let configuration = serde_json::to_string_pretty(&ShardFile { version: VERSION, shard, estimate })? + "\n";
-        let work = shard::open(folder, SHARD_OF_AN_ESTIMATE, &configuration, REPETITIONS, resume)?;
+        let work = shard::open_shard(folder, SHARD_OF_AN_ESTIMATE, &configuration, REPETITIONS, resume)?;
         Ok(RareShard { plan: self, shard, work })
     }
 }
@@ -165,7 +165,7 @@ impl MergedEstimate {
 
 fn read(found: &Finished) -> Result<(ShardFile, Repeated), WorkError> {
     let unreadable = |name: &'static str| move |error: serde_json::Error| found.unreadable(name, &error);
-    let file: ShardFile = serde_json::from_str(&found.read_configuration(SHARD)?).map_err(unreadable(SHARD))?;
+    let file: ShardFile = shard::read_shard(found)?;
     let repeated: Repeated = serde_json::from_str(&found.read(REPETITIONS)?).map_err(unreadable(REPETITIONS))?;
     if file.version != VERSION {
         return Err(found.damaged(SHARD, format!("version: {}, and this release reads {VERSION}", file.version)));

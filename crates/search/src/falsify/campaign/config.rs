@@ -56,24 +56,95 @@ pub struct Campaign {
     pub seed: u64,
 }
 
+/// What is kept of the evaluations themselves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Log {
+    /// Every one, as a row of Parquet files.
+    #[default]
+    Full,
+    /// None: the summary and the counterexamples alone.
+    Summary,
+}
+
+impl Log {
+    fn is_full(&self) -> bool {
+        *self == Self::Full
+    }
+}
+
+/// How a campaign was put together of shards, where that makes it another one than that of one machine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Divided {
+    /// Searches by the method, each by a seed of its own; of a reference search 1, for it is the same however divided.
+    pub searches: u64,
+    /// Of how many shards; none where they are of several numbers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub of_shards: Option<u32>,
+    /// Those that are missing, where all are of one number.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing_shards: Vec<u32>,
+    /// Evaluations of each method that are missing: the number of the first and of the last, from 1.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing_evaluations: Vec<[u64; 2]>,
+}
+
 /// The file `campaign.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct CampaignFile {
-    version: u32,
-    crumple: String,
-    controller: String,
-    policy_sha256: Option<String>,
+pub(in crate::falsify) struct CampaignRecord {
+    pub(in crate::falsify) version: u32,
+    pub(in crate::falsify) crumple: String,
+    pub(in crate::falsify) controller: String,
+    pub(in crate::falsify) policy_sha256: Option<String>,
     /// Identity of a controller whose name does not say what it is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    controller_sha256: Option<String>,
-    estimator: EstimatorKind,
-    specification: String,
-    method: String,
-    aim: String,
-    budget: u64,
-    seed: u64,
-    space: SpaceSpec,
+    pub(in crate::falsify) controller_sha256: Option<String>,
+    pub(in crate::falsify) estimator: EstimatorKind,
+    pub(in crate::falsify) specification: String,
+    pub(in crate::falsify) method: Method,
+    pub(in crate::falsify) aim: Aim,
+    pub(in crate::falsify) budget: u64,
+    pub(in crate::falsify) seed: u64,
+    #[serde(default, skip_serializing_if = "Log::is_full")]
+    pub(in crate::falsify) log: Log,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(in crate::falsify) divided: Option<Divided>,
+    pub(in crate::falsify) space: SpaceSpec,
+}
+
+impl CampaignRecord {
+    pub(in crate::falsify) fn of(campaign: &Campaign, log: Log) -> Self {
+        Self {
+            version: CAMPAIGN_VERSION,
+            crumple: env!("CARGO_PKG_VERSION").to_owned(),
+            controller: campaign.controller.name.clone(),
+            policy_sha256: campaign.policy_sha256(),
+            controller_sha256: campaign.controller.identity_beside_name(),
+            estimator: campaign.estimator,
+            specification: campaign.specification.to_string(),
+            method: campaign.method,
+            aim: campaign.aim,
+            budget: campaign.budget,
+            seed: campaign.seed,
+            log,
+            divided: None,
+            space: campaign.space.spec().clone(),
+        }
+    }
+
+    pub(in crate::falsify) fn to_toml(&self) -> Result<String, CampaignError> {
+        toml::to_string(self).map_err(CampaignError::encoding)
+    }
+}
+
+/// The methods in the order in which they run: the one asked for, then the reference searches.
+pub(in crate::falsify) fn methods(asked_for: Method) -> Vec<Method> {
+    let mut methods = vec![asked_for];
+    methods.extend([Method::Uniform, Method::Halton].into_iter().filter(|method| *method != asked_for));
+    methods
 }
 
 impl Campaign {
@@ -86,9 +157,7 @@ impl Campaign {
     /// The methods in the order in which they run: the one asked for, then the reference searches.
     #[must_use]
     pub fn methods(&self) -> Vec<Method> {
-        let mut methods = vec![self.method];
-        methods.extend([Method::Uniform, Method::Halton].into_iter().filter(|method| *method != self.method));
-        methods
+        methods(self.method)
     }
 
     /// How scenarios are run to be judged.
@@ -104,20 +173,6 @@ impl Campaign {
     /// # Errors
     /// [`CampaignError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, CampaignError> {
-        let file = CampaignFile {
-            version: CAMPAIGN_VERSION,
-            crumple: env!("CARGO_PKG_VERSION").to_owned(),
-            controller: self.controller.name.clone(),
-            policy_sha256: self.policy_sha256(),
-            controller_sha256: self.controller.identity_beside_name(),
-            estimator: self.estimator,
-            specification: self.specification.to_string(),
-            method: self.method.name().to_owned(),
-            aim: self.aim.name().to_owned(),
-            budget: self.budget,
-            seed: self.seed,
-            space: self.space.spec().clone(),
-        };
-        toml::to_string(&file).map_err(CampaignError::encoding)
+        CampaignRecord::of(self, Log::Full).to_toml()
     }
 }

@@ -9,10 +9,13 @@ const BINS: usize = 10;
 ///
 /// Pairs are the measure of combinatorial testing (t-way coverage with t = 2): most failures need one or two particular
 /// values together, and a search that sits in one corner shows here.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct Coverage {
     dimension: usize,
+    #[serde(with = "super::encoded::cells")]
     single: Vec<bool>,
+    #[serde(with = "super::encoded::cells")]
     pairs: Vec<bool>,
 }
 
@@ -49,6 +52,12 @@ impl Coverage {
             if cells.is_empty() { 100.0 } else { 100.0 * tried as f64 / cells.len() as f64 }
         };
         Covered { tenths_percent: percent(&self.single), pairs_percent: percent(&self.pairs) }
+    }
+
+    /// Whether it is of a space of so many coordinates.
+    pub(super) fn is_of(&self, dimension: usize) -> bool {
+        let empty = Self::new(dimension);
+        (self.dimension, self.single.len(), self.pairs.len()) == (dimension, empty.single.len(), empty.pairs.len())
     }
 
     /// Takes in what another one covers.

@@ -1,5 +1,7 @@
 //! Failures as they come in: which kinds there are, and which of each are worth a closer look.
 
+use serde::{Deserialize, Serialize};
+
 use super::Evaluated;
 use super::front::Front;
 use crate::falsify::Method;
@@ -104,7 +106,8 @@ impl FailureKind {
 }
 
 /// A failure that may be looked at more closely.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FailureCandidate {
     /// Which method found it.
     pub method: Method,
@@ -113,8 +116,10 @@ pub struct FailureCandidate {
     /// The values, one a coordinate.
     pub values: Vec<f64>,
     /// What the run was worth.
+    #[serde(with = "super::encoded::verdict")]
     pub verdict: RunVerdict,
     /// Logarithm of its density under the space's distribution, relative to an even one.
+    #[serde(with = "crate::falsify::non_finite")]
     pub ln_likelihood: f64,
     /// Distance from nominal in the unit cube, from 0 to 1: mean over the parameters.
     pub departure: f64,
@@ -126,15 +131,15 @@ pub(super) struct Kind {
     pub(super) kind: FailureKind,
     /// For each method that found it: how often, and at which of its evaluations first.
     pub(super) by_method: Vec<(Method, u64, u64)>,
-    first: FailureCandidate,
-    severest: FailureCandidate,
-    likeliest: FailureCandidate,
+    pub(super) first: FailureCandidate,
+    pub(super) severest: FailureCandidate,
+    pub(super) likeliest: FailureCandidate,
 }
 
 /// Failures by kind, in the order of their discovery. Memory does not grow with the number of evaluations.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Failures {
-    specification: Specification,
+    pub(super) specification: Specification,
     pub(super) kinds: Vec<Kind>,
     pub(super) front: Front,
 }
@@ -175,6 +180,56 @@ impl Failures {
         if candidate.verdict.robustness < known.severest.verdict.robustness {
             known.severest = candidate;
         }
+    }
+
+    /// Takes in those of other evaluations by the same methods, which are named in the order in which they run. Which come first
+    /// makes no difference: of equal failures the one that is found earlier stands, as in a search without a break.
+    pub(super) fn join(&mut self, other: Self, methods: &[Method]) {
+        let order = |method: Method| methods.iter().position(|known| *known == method);
+        let position = |found: &FailureCandidate| (order(found.method), found.number);
+        for candidate in other.front.failures() {
+            self.front.join(candidate, |known| position(candidate) < position(known));
+        }
+        for kind in other.kinds {
+            let Some(known) = self.kinds.iter_mut().find(|known| known.kind == kind.kind) else {
+                self.kinds.push(kind);
+                continue;
+            };
+            for (method, count, first) in kind.by_method {
+                match known.by_method.iter_mut().find(|(by, ..)| *by == method) {
+                    Some((_, counted, earliest)) => {
+                        (*counted, *earliest) = (counted.saturating_add(count), first.min(*earliest));
+                    }
+                    None => known.by_method.push((method, count, first)),
+                }
+            }
+            known.by_method.sort_by_key(|(method, ..)| order(*method));
+            if position(&kind.first) < position(&known.first) {
+                known.first = kind.first;
+            }
+            let is_earlier = |one: &FailureCandidate, than: &FailureCandidate| position(one) < position(than);
+            let (one, than) = (&kind.likeliest, &known.likeliest);
+            if one.is_likelier_than(than) || (!than.is_likelier_than(one) && is_earlier(one, than)) {
+                known.likeliest = kind.likeliest;
+            }
+            let severity = kind.severest.verdict.robustness.total_cmp(&known.severest.verdict.robustness);
+            if severity.then_with(|| position(&kind.severest).cmp(&position(&known.severest))).is_lt() {
+                known.severest = kind.severest;
+            }
+        }
+        self.kinds.sort_by_key(|kind| position(&kind.first));
+    }
+
+    /// What is looked at closely: of the most frequent kinds, at most so many.
+    pub(super) fn picks(&self, kinds: usize) -> Vec<&FailureCandidate> {
+        self.by_frequency().into_iter().take(kinds).flat_map(Kind::picks).collect()
+    }
+
+    /// The most frequent kinds first, and of equally frequent ones the first to be found.
+    pub(super) fn by_frequency(&self) -> Vec<&Kind> {
+        let mut kinds: Vec<_> = self.kinds.iter().collect();
+        kinds.sort_by_key(|kind| std::cmp::Reverse(kind.count()));
+        kinds
     }
 }
 

@@ -13,7 +13,7 @@ const MOST: usize = 1000;
 
 /// The Pareto front of all failing evaluations, the severest first: smaller robustness against greater likelihood, equal
 /// likelihoods by nearness to nominal.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Front {
     failures: Vec<FailureCandidate>,
 }
@@ -45,7 +45,47 @@ fn by_likelihood(one: &FailureCandidate, other: &FailureCandidate) -> Ordering {
 }
 
 impl Front {
+    /// Of what another front held; in any order.
+    pub(super) fn of(failures: Vec<FailureCandidate>) -> Self {
+        let mut front = Self::default();
+        failures.iter().for_each(|failure| front.place(failure, usize::MAX));
+        front
+    }
+
     pub(super) fn add(&mut self, candidate: &FailureCandidate) {
+        self.place(candidate, MOST);
+    }
+
+    /// Takes in one of another front; of equal ones the earlier stays. Whatever the order, all that nothing beats is there in the end.
+    pub(super) fn join(&mut self, candidate: &FailureCandidate, is_earlier: impl Fn(&FailureCandidate) -> bool) {
+        let is_equal = |known: &&mut FailureCandidate| {
+            known.verdict.robustness.total_cmp(&candidate.verdict.robustness) == Ordering::Equal
+                && by_likelihood(known, candidate) == Ordering::Equal
+        };
+        match self.failures.iter_mut().find(is_equal) {
+            Some(known) if is_earlier(known) => *known = candidate.clone(),
+            Some(_) => {}
+            None => self.place(candidate, usize::MAX),
+        }
+    }
+
+    /// All of it; of more than are kept, some evenly over its length.
+    pub(super) fn thinned(mut self) -> Self {
+        let all = self.failures.len();
+        if all > MOST {
+            let last = all - 1;
+            let mut chosen = (0..MOST).map(|place| place * last / (MOST - 1)).peekable();
+            let mut index = 0..all;
+            self.failures.retain(|_| index.next().is_some_and(|index| chosen.next_if_eq(&index).is_some()));
+        }
+        self
+    }
+
+    pub(super) fn failures(&self) -> &[FailureCandidate] {
+        &self.failures
+    }
+
+    fn place(&mut self, candidate: &FailureCandidate, most: usize) {
         // Severest first means least likely first; a failure that beats the new one is at its place or before it.
         let severity = |known: &FailureCandidate| known.verdict.robustness.total_cmp(&candidate.verdict.robustness);
         let place = self.failures.partition_point(|known| severity(known) == Ordering::Less);
@@ -56,7 +96,7 @@ impl Front {
         }
         let beaten = self.failures.iter().skip(place);
         let beaten = beaten.take_while(|known| by_likelihood(known, candidate) != Ordering::Greater).count();
-        if beaten == 0 && self.failures.len() >= MOST {
+        if beaten == 0 && self.failures.len() >= most {
             return;
         }
         self.failures.splice(place..place + beaten, [candidate.clone()]);

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crate::disk::{self, DiskError};
-use crate::work::{Prefix, WorkError};
+use crate::work::{Prefix, Work, WorkError};
 use crumple_world::digest::Sha256;
 use crumple_world::measure::{Braking, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
@@ -55,6 +55,12 @@ const BETWEEN: Duration = Duration::from_secs(1);
 const OTHER_WORK: &str = "not of this campaign: it cannot go on; remove its folder, or use another --out";
 
 impl Journal {
+    /// That of a work: an empty one, or the one of an earlier run.
+    pub(super) fn in_work(work: &Work, name: &str, resume: bool) -> Result<Self, WorkError> {
+        let (path, identity) = (work.path(name), work.identity());
+        if resume { Self::resume(&path, &identity) } else { Self::create(&path, &identity) }
+    }
+
     /// An empty journal of work with that identity.
     pub(super) fn create(path: &Path, identity: &str) -> Result<Self, WorkError> {
         let unusable = DiskError::at(path);
@@ -236,7 +242,7 @@ fn checksum_of(identity: &str, index: u64, body: &[u8; BODY]) -> [u8; CHECKSUM] 
     first
 }
 
-fn encode(verdict: &RunVerdict) -> [u8; BODY] {
+pub(super) fn encode(verdict: &RunVerdict) -> [u8; BODY] {
     let (time_s, impact_speed_mps, vehicles, kind, class) = match (verdict.contact, verdict.failed) {
         (Some(contact), _) => {
             let FirstContact { time_s, front_vehicle, rear_vehicle, impact_speed_mps, ego_braking, rear_class } =
@@ -254,7 +260,7 @@ fn encode(verdict: &RunVerdict) -> [u8; BODY] {
     record
 }
 
-fn decode(record: &[u8; BODY]) -> RunVerdict {
+pub(super) fn decode(record: &[u8; BODY]) -> RunVerdict {
     let double = |index: usize| {
         let bytes = record.get(8 * index..8 * index + 8).and_then(|bytes| bytes.try_into().ok());
         f64::from_le_bytes(bytes.unwrap_or_default())

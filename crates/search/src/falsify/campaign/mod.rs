@@ -21,22 +21,33 @@
 mod aim;
 mod config;
 mod coverage;
+mod encoded;
 mod failures;
+mod findings;
 mod front;
 mod journal;
+mod merge;
+mod planned;
 mod regions;
 mod run;
+mod shard;
+mod summarise;
 mod summary;
 mod table;
+mod terms;
 
 pub use aim::{Aim, UnknownAim};
-pub use config::{CAMPAIGN_VERSION, Campaign};
+pub use config::{CAMPAIGN_VERSION, Campaign, Divided, Log};
 pub use coverage::Covered;
+pub(in crate::falsify) use encoded::verdict as encoded_verdict;
 pub use failures::{FailureCandidate, FailureKind};
 pub use front::FrontPoint;
+pub use merge::MergedCampaign;
 pub use regions::Region;
 pub use run::{Progress, with_journal};
+pub use shard::{SHARD_OF_A_CAMPAIGN, ShardDone};
 pub use summary::{AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
+pub(in crate::falsify) use terms::Terms;
 
 use crate::disk::DiskError;
 use crate::work::WorkError;
@@ -88,6 +99,12 @@ pub enum CampaignError {
         "the controller `{0}` states no identity: a campaign with it cannot be resumed; begin it anew, without --resume, in another --out"
     )]
     NoIdentity(String),
+    /// The same, where it would be several machines that go on.
+    #[error("the controller `{0}` states no identity: nobody could tell whether shards of it go together")]
+    UnknownInShards(String),
+    /// There are more shards than evaluations.
+    #[error(transparent)]
+    Shards(#[from] crate::shard::TooManyShards),
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NobodyUnderTest(String),

@@ -11,7 +11,7 @@ const THRESHOLDS: usize = 15;
 /// Least share of the points in a region.
 const LEAST_SHARE: f64 = 0.02;
 /// Most points the tree is grown from: the first ones, which for both reference searches are as good as any.
-const MOST_POINTS: usize = 40_000;
+pub(super) const MOST_POINTS: usize = 40_000;
 
 /// Points of the reference searches and whether they fail: evenly spread over the space, so that shares of points are shares of the
 /// space. Points of a search would be where the search went.
@@ -40,10 +40,14 @@ pub struct Region {
 }
 
 impl Sample {
-    pub(super) fn add(&mut self, values: &[f64], fails: bool) {
-        if self.points.len() < MOST_POINTS {
-            self.points.push((values.to_vec(), fails));
+    pub(super) fn add(&mut self, values: Vec<f64>, fails: bool) {
+        if !self.is_full() {
+            self.points.push((values, fails));
         }
+    }
+
+    pub(super) fn is_full(&self) -> bool {
+        self.points.len() >= MOST_POINTS
     }
 
     /// The regions, the densest in failures first; none if nothing or everything fails.
@@ -199,7 +203,7 @@ mod tests {
             let values = space.values(&space.draw_point(3, index));
             // Close behind a heavy follower.
             let fails = values[2] < 22.0 && values[10] == 1.0;
-            sample.add(&values, fails);
+            sample.add(values, fails);
         }
         let regions = sample.regions(&space);
         let first = &regions[0];

@@ -4,14 +4,18 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Aim, CampaignError, Covered, FrontPoint, Region};
+use super::{Aim, CampaignError, Covered, Divided, FrontPoint, Region};
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
+use crate::shard::as_array;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::Terminal;
 
 /// The version of `summary.json`.
 pub(super) const SUMMARY_VERSION: u32 = 1;
+
+/// Missing ranges that are printed.
+const SHOWN_RANGES: usize = 20;
 
 /// What a campaign found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -44,6 +48,9 @@ pub struct Summary {
     pub budget: u64,
     /// Seed of the search and of all noise.
     pub seed: u64,
+    /// Of a campaign that was put together of shards: how, where that makes it another than that of one machine.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub divided: Option<Divided>,
     /// Evaluations of the method asked for.
     pub evaluations: u64,
     /// Whether any method found a failure.
@@ -73,6 +80,25 @@ pub struct Summary {
 
 fn default_aim() -> String {
     Aim::default().name().to_owned()
+}
+
+impl Divided {
+    fn write(&self, out: &mut String, method: &str) -> std::fmt::Result {
+        if self.searches > 1 {
+            writeln!(out, "  put together of {} searches by {method}, each by a seed of its own", self.searches)?;
+        }
+        if let (Some(of), false) = (self.of_shards, self.missing_shards.is_empty()) {
+            writeln!(out, "  INCOMPLETE: missing of {of} shards: {}", as_array(&self.missing_shards))?;
+        } else {
+            for [first, last] in self.missing_evaluations.iter().take(SHOWN_RANGES) {
+                writeln!(out, "  INCOMPLETE: evaluations {first} to {last} of each method are missing")?;
+            }
+            if let Some(more @ 1..) = self.missing_evaluations.len().checked_sub(SHOWN_RANGES) {
+                writeln!(out, "  and {more} ranges more, in summary.json")?;
+            }
+        }
+        Ok(())
+    }
 }
 
 /// How many distinct failures could have been avoided.
@@ -235,6 +261,9 @@ impl Summary {
                 out,
                 "  the controller says that it is not deterministic: the same campaign may find something else"
             )?;
+        }
+        if let Some(divided) = &self.divided {
+            divided.write(out, &self.method)?;
         }
         if self.falsified {
             let failures = if self.counterexamples.len() == 1 { "failure" } else { "failures" };

@@ -17,6 +17,7 @@
 mod avoidability;
 mod examine;
 mod expected;
+mod record;
 mod severity;
 mod shrink;
 
@@ -26,8 +27,9 @@ use serde::{Deserialize, Serialize};
 
 pub use avoidability::{Avoidability, AvoidabilityClass};
 pub(in crate::falsify) use examine::Examiner;
-pub use examine::SAME_WITHIN;
 pub use expected::{EXPECTED_VERSION, Expected, ExpectedFile, ReplayError, Replayed};
+pub use record::SAME_WITHIN;
+pub(in crate::falsify) use record::{Examined, ExaminedRow, Recorder};
 
 /// A distinct failure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -1,0 +1,137 @@
+//! Everything that is remembered of evaluations, of a whole campaign or of a part; parts are joined in any order.
+
+use std::ops::Range;
+
+use serde::{Deserialize, Serialize};
+
+use super::coverage::Coverage;
+use super::failures::Failures;
+use super::regions::{MOST_POINTS, Region, Sample};
+use super::terms::Terms;
+use super::{Evaluated, FailureKind};
+use crate::falsify::Method;
+
+/// What one method has reached.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Reached {
+    pub(super) method: Method,
+    pub(super) evaluations: u64,
+    pub(super) first: Option<u64>,
+    pub(super) failures: u64,
+    #[serde(with = "crate::falsify::non_finite")]
+    pub(super) best: f64,
+    pub(super) coverage: Coverage,
+    /// Of a reference search: which of its first points fail, in order.
+    pub(super) failing: Vec<u64>,
+}
+
+/// Everything that is remembered of evaluations.
+#[derive(Debug, Clone)]
+pub(super) struct Findings {
+    pub(super) reached: Vec<Reached>,
+    pub(super) failures: Failures,
+}
+
+impl Reached {
+    pub(super) fn new(method: Method, dimension: usize) -> Self {
+        Self {
+            method,
+            evaluations: 0,
+            first: None,
+            failures: 0,
+            best: f64::INFINITY,
+            coverage: Coverage::new(dimension),
+            failing: Vec::new(),
+        }
+    }
+
+    pub(super) fn add(&mut self, evaluated: &Evaluated, fails: bool) {
+        self.evaluations += 1;
+        if fails {
+            self.failures += 1;
+            self.first = self.first.or(Some(evaluated.number));
+            if self.method.is_blind() && evaluated.number <= MOST_POINTS as u64 {
+                self.failing.push(evaluated.number);
+            }
+        }
+        self.best = self.best.min(evaluated.verdict.robustness);
+        self.coverage.add(&evaluated.point);
+    }
+
+    fn join(&mut self, other: Self) {
+        self.evaluations = self.evaluations.saturating_add(other.evaluations);
+        self.failures = self.failures.saturating_add(other.failures);
+        self.first = self.first.into_iter().chain(other.first).min();
+        self.best = self.best.min(other.best);
+        self.coverage.join(&other.coverage);
+        self.failing.extend(other.failing);
+        self.failing.sort_unstable();
+    }
+
+    /// Whether it can be what the evaluations after the first, in a space of so many coordinates, came to.
+    pub(super) fn is_sound(&self, made: &Range<u64>, dimension: usize) -> bool {
+        let is_made = |number: &u64| made.contains(&number.wrapping_sub(1));
+        let sampled = if self.method.is_blind() { MOST_POINTS as u64 } else { 0 };
+        self.evaluations == made.end - made.start
+            && self.failures <= self.evaluations
+            && self.first.is_some() == (self.failures > 0)
+            && self.first.iter().all(is_made)
+            && !self.best.is_nan()
+            && (self.best < 0.0) == (self.failures > 0)
+            && self.coverage.is_of(dimension)
+            && self.failing.is_sorted_by(|one, other| one < other)
+            && self.failing.iter().all(|number| is_made(number) && *number <= sampled)
+            && self.failing.len() as u64 <= self.failures
+    }
+}
+
+impl Findings {
+    /// Nothing yet.
+    pub(super) fn of(terms: &Terms) -> Self {
+        Self { reached: Vec::new(), failures: Failures::new(terms.specification.clone()) }
+    }
+
+    /// Takes in what other evaluations by the same methods came to.
+    pub(super) fn join(&mut self, other: Self, methods: &[Method]) {
+        if self.reached.is_empty() {
+            self.reached = other.reached;
+        } else {
+            self.reached.iter_mut().zip(other.reached).for_each(|(own, other)| own.join(other));
+        }
+        self.failures.join(other.failures, methods);
+    }
+
+    pub(super) fn add(&mut self, reached: &mut Reached, evaluated: &Evaluated) {
+        let fails = FailureKind::of(&evaluated.verdict, &self.failures.specification).is_some();
+        reached.add(evaluated, fails);
+        self.failures.add(reached.method, evaluated);
+    }
+
+    /// Where failures lie, by the first points of the reference searches: those points again, and what is known of each. Some may be
+    /// missing.
+    pub(super) fn regions(&self, terms: &Terms, missing: &[Range<u64>]) -> Vec<Region> {
+        let mut sample = Sample::default();
+        let is_missing = |index: u64| {
+            let after = missing.partition_point(|range| range.end <= index);
+            missing.get(after).is_some_and(|range| range.contains(&index))
+        };
+        for reached in self.reached.iter().filter(|reached| reached.method.is_blind()) {
+            let mut search = reached.method.start(&terms.cube, terms.record.seed);
+            let most = terms.record.budget.min(MOST_POINTS as u64);
+            let mut points = Vec::new().into_iter();
+            for index in 0..most {
+                if sample.is_full() {
+                    break;
+                }
+                if points.len() == 0 {
+                    points = search.ask().into_iter();
+                }
+                if let (Some(point), false) = (points.next(), is_missing(index)) {
+                    sample.add(terms.space.values(&point), reached.failing.binary_search(&(index + 1)).is_ok());
+                }
+            }
+        }
+        sample.regions(&terms.space)
+    }
+}

@@ -1,0 +1,186 @@
+//! Shards of a campaign, put together to one: in any order, some perhaps twice, some perhaps missing.
+//!
+//! Everything that is remembered of evaluations is joined such that the order makes no difference, so that a shard is read, joined and
+//! let go: memory grows with kinds of failures, the front and the number of shards, not with that of evaluations. What is looked at
+//! closely in the end was looked at in its shard already: the severest failure of a kind is the severest of its shard.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::Path;
+
+use super::config::Divided;
+use super::findings::Findings;
+use super::run::{CONFIGURATION, MOST_KINDS, SUMMARY, TEXT, open};
+use super::shard::{MadeShard, Shared};
+use super::summary::Summary;
+use super::terms::Terms;
+use super::{CampaignError, FailureCandidate};
+use crate::falsify::Method;
+use crate::falsify::counterexample::{Examined, Recorder};
+use crate::shard::{MergeError, Parts};
+use crate::work::{Finished, WorkError};
+use crumple_world::digest::sha256;
+
+/// Shards of one campaign.
+#[derive(Debug)]
+pub struct MergedCampaign {
+    shared: Shared,
+    terms: Terms,
+    /// Of each method's evaluations; with the digests of what they came to.
+    parts: Parts<String>,
+    findings: Findings,
+    /// Failures that were looked at and may be told, by who found them and when.
+    examined: BTreeMap<(usize, u64), Examined>,
+}
+
+impl MergedCampaign {
+    /// Begins with a shard.
+    ///
+    /// # Errors
+    /// [`MergeError`] if it cannot be read.
+    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+        let (_, shared) = MadeShard::shared(found)?;
+        let terms = Terms::read(shared.campaign.clone(), shared.nondeterministic)
+            .map_err(|problem| MadeShard::unusable(found, problem))?;
+        let findings = Findings::of(&terms);
+        let mut merged = Self { shared, terms, parts: Parts::of(folder), findings, examined: BTreeMap::new() };
+        merged.take(folder, found)?;
+        Ok(merged)
+    }
+
+    /// Takes in another shard. After an error it is as it was.
+    ///
+    /// # Errors
+    /// [`MergeError`] if it cannot be read, or does not go with the others.
+    pub fn take(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
+        let (shard, shared) = MadeShard::shared(found)?;
+        if let Some(field) = self.difference(&shared) {
+            return Err(self.parts.foreign(folder, field));
+        }
+        let MadeShard { shard, part, findings, examined, text } = MadeShard::read(found, shard, &self.terms)?;
+        let duplicates = self.parts.duplicates();
+        self.parts.place(folder, shard, part, sha256(text))?;
+        if self.parts.duplicates() > duplicates {
+            return Ok(());
+        }
+        let methods = self.terms.methods();
+        self.findings.join(findings, &methods);
+        let place = |method: Method, number: u64| (methods.iter().position(|known| *known == method), number);
+        let known = examined.into_iter().filter_map(|one| {
+            let (method, number) = place(one.method, one.number);
+            Some(((method?, number), one))
+        });
+        self.examined.extend(known);
+        let picks = self.findings.failures.picks(usize::MAX);
+        let is_picked = |(method, number): &(usize, u64)| {
+            picks.iter().any(|pick: &&FailureCandidate| place(pick.method, pick.number) == (Some(*method), *number))
+        };
+        self.examined.retain(|key, _| is_picked(key));
+        Ok(())
+    }
+
+    /// In what another one differs.
+    fn difference(&self, other: &Shared) -> Option<String> {
+        if self.shared == *other {
+            return None;
+        }
+        let table = |shared: &Shared| serde_json::to_value(&shared.campaign).unwrap_or_default();
+        let (own, other) = (table(&self.shared), table(other));
+        let differs = |key: &&String| own.get(key) != other.get(key);
+        let keys = own.as_object().into_iter().chain(other.as_object()).flat_map(serde_json::Map::keys);
+        let key = keys.into_iter().find(differs).map(|key| format!("campaign.{key}"));
+        Some(key.unwrap_or_else(|| "nondeterministic".to_owned()))
+    }
+
+    /// Evaluations of each method that no shard has made, counted from 0.
+    #[must_use]
+    pub fn missing(&self) -> Vec<Range<u64>> {
+        self.parts.missing(self.terms.record.budget)
+    }
+
+    /// Of how many shards they are, and which of these are missing; where they are of several numbers, nothing.
+    #[must_use]
+    pub fn missing_shards(&self) -> (Option<u32>, Vec<u32>) {
+        self.parts.missing_shards()
+    }
+
+    /// How many shards there are, and how many were given more than once.
+    #[must_use]
+    pub fn shards(&self) -> (u64, u64) {
+        (self.parts.shards(), self.parts.duplicates())
+    }
+
+    /// What makes it another campaign than that of one machine, if anything does.
+    fn divided(&self) -> Option<Divided> {
+        let missing = self.missing();
+        // A part that is missing is a search that is not there.
+        let searches = if self.terms.record.method.is_blind() { 1 } else { self.parts.shards() };
+        let (of_shards, missing_shards) = self.parts.missing_shards();
+        (searches > 1 || !missing.is_empty()).then(|| Divided {
+            searches,
+            of_shards: of_shards.filter(|_| !missing.is_empty()),
+            missing_shards,
+            missing_evaluations: missing.iter().map(|range| [range.start + 1, range.end]).collect(),
+        })
+    }
+
+    /// What the shards come to, and the failures that it tells, the severest first.
+    fn told(&self) -> (Terms, Findings, Vec<Examined>) {
+        let mut terms = self.terms.clone();
+        terms.record.divided = self.divided();
+        let mut findings = self.findings.clone();
+        findings.failures.front = findings.failures.front.thinned();
+        let methods = terms.methods();
+        let place =
+            |pick: &&FailureCandidate| Some((methods.iter().position(|known| *known == pick.method)?, pick.number));
+        let picks = self.findings.failures.picks(MOST_KINDS);
+        let examined = picks.iter().filter_map(|pick| self.examined.get(&place(pick)?)).cloned().collect();
+        let distinct = Recorder { terms: &terms }.distinct(examined);
+        (terms, findings, distinct)
+    }
+
+    /// Writes the folder of a campaign, and says what it found. A folder in which it is already is left as it is. Where nothing is
+    /// missing, and the method is a reference search or there is one shard, it is the folder of the campaign by one machine that
+    /// keeps no log, to the byte.
+    ///
+    /// # Errors
+    /// [`CampaignError`] if the folder cannot be used, or holds something else.
+    pub fn write_in(&self, folder: &Path) -> Result<Summary, CampaignError> {
+        let (terms, findings, distinct) = self.told();
+        let configuration = terms.record.to_toml()?;
+        let work = open(folder, &configuration, true)?;
+        let summarised = |results: &mut crate::work::Changes<'_>| {
+            let counterexamples = Recorder { terms: &terms }.record_all(&distinct, results)?;
+            Summary::of(&terms, &findings, counterexamples, &self.missing())
+        };
+        let mut results = work.changes();
+        let summary = summarised(&mut results)?;
+        if work.is_complete() {
+            return match work.read_present(SUMMARY)? == summary.to_json()?.into_bytes() {
+                true => Ok(summary),
+                false => {
+                    let problem = "there is a campaign of the same configuration that came to something else";
+                    Err(WorkError::damaged(&work.path(SUMMARY), problem).into())
+                }
+            };
+        }
+        results.write(CONFIGURATION, configuration).write(TEXT, summary.to_text());
+        results.write(SUMMARY, summary.to_json()?).commit()?;
+        work.finish()?;
+        Ok(summary)
+    }
+
+    /// The same without writing it.
+    ///
+    /// # Errors
+    /// [`CampaignError`] in principle, if a file cannot be encoded.
+    pub fn summary(&self) -> Result<Summary, CampaignError> {
+        let (terms, findings, distinct) = self.told();
+        let counterexamples = Recorder { terms: &terms }.described(&distinct)?;
+        Summary::of(&terms, &findings, counterexamples, &self.missing())
+    }
+}
+
+#[cfg(test)]
+#[path = "merge_tests.rs"]
+mod tests;

@@ -1,0 +1,239 @@
+use std::collections::BTreeMap;
+use std::fs;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use proptest::prelude::*;
+use tempfile::TempDir;
+
+use super::super::{Aim, Campaign, CampaignError, Log, Summary};
+use super::MergedCampaign;
+use crate::falsify::Method;
+use crate::shard::{MergeError, Shard};
+use crate::work::{Found, find};
+use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::built_in_space;
+
+const BUDGET: u64 = 60;
+/// The most shards that anything is divided into here.
+const MOST: u32 = 6;
+
+fn campaign(method: Method, seed: u64) -> Campaign {
+    Campaign {
+        controller: ControllerSpec::named("match-leader").unwrap().into(),
+        estimator: EstimatorKind::Truth,
+        space: built_in_space("high-risk").unwrap(),
+        specification: Specification::NoContact,
+        method,
+        aim: Aim::Severest,
+        budget: BUDGET,
+        seed,
+    }
+}
+
+/// All shards of all numbers, each in a folder of its own.
+fn all_shards(campaign: &Campaign, root: &Path) {
+    for of in 1..=MOST {
+        for index in 1..=of {
+            let shard = Shard::new(index, of).unwrap();
+            campaign.run_shard(shard, &folder(root, shard), false, &mut |_| ControlFlow::Continue(())).unwrap();
+        }
+    }
+}
+
+fn folder(root: &Path, shard: Shard) -> PathBuf {
+    root.join(format!("{}-of-{}", shard.index(), shard.of()))
+}
+
+fn merged(folders: &[PathBuf]) -> Result<MergedCampaign, MergeError> {
+    let mut merged: Option<MergedCampaign> = None;
+    for folder in folders {
+        let Found::Finished(found) = find(folder)? else { panic!("{} is not finished", folder.display()) };
+        match &mut merged {
+            None => merged = Some(MergedCampaign::of(folder, &found)?),
+            Some(merged) => merged.take(folder, &found)?,
+        }
+    }
+    Ok(merged.unwrap())
+}
+
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(files(&path));
+        } else {
+            found.insert(path.clone(), fs::read(&path).unwrap());
+        }
+    }
+    found
+        .into_iter()
+        .map(|(path, bytes)| (path.strip_prefix(folder).map_or(path.clone(), Path::to_owned), bytes))
+        .collect()
+}
+
+fn single(campaign: &Campaign) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    campaign.run_keeping(Log::Summary, folder.path(), false, &mut |_| ControlFlow::Continue(())).unwrap();
+    folder
+}
+
+/// Shards of a random division, some of them divided once more, in a random order, with some twice.
+fn divisions() -> impl Strategy<Value = Vec<Shard>> {
+    let halves = |shard: Shard| {
+        [2 * shard.index() - 1, 2 * shard.index()].map(|index| Shard::new(index, 2 * shard.of()).unwrap())
+    };
+    let divided = (1..=MOST).prop_flat_map(move |of| {
+        prop::collection::vec((any::<bool>(), 1..3_usize), of as usize).prop_map(move |choices| {
+            let mut shards = Vec::new();
+            for (index, (again, times)) in (1..=of).zip(choices) {
+                let shard = Shard::new(index, of).unwrap();
+                let parts = if again && 2 * of <= MOST { halves(shard).to_vec() } else { vec![shard] };
+                shards.extend(parts.iter().flat_map(|part| vec![*part; times]));
+            }
+            shards
+        })
+    });
+    divided.prop_shuffle()
+}
+
+/// 200 divisions of a reference search come to the folder of one machine, to the byte; so do those that were incomplete and were
+/// completed.
+#[test]
+fn a_divided_reference_search_is_that_of_one_machine() {
+    for (method, seed) in [(Method::Uniform, 3), (Method::Halton, 4)] {
+        let (campaign, root) = (campaign(method, seed), tempfile::tempdir().unwrap());
+        all_shards(&campaign, root.path());
+        let single = single(&campaign);
+        let expected = files(single.path());
+        assert!(expected.len() > 8, "it finds failures: {:?}", expected.keys());
+        proptest!(ProptestConfig::with_cases(100), |(shards in divisions())| {
+            let folders: Vec<PathBuf> = shards.iter().map(|shard| folder(root.path(), *shard)).collect();
+            let out = tempfile::tempdir().unwrap();
+            let merged = merged(&folders).unwrap();
+            for _ in 0..2 {
+                merged.write_in(out.path()).unwrap();
+                prop_assert!(files(out.path()) == expected);
+            }
+        });
+        // What it wrote is the campaign's own folder.
+        assert!(campaign.run_keeping(Log::Summary, single.path(), true, &mut |_| ControlFlow::Break(())).is_ok());
+    }
+}
+
+/// Of another method, whatever the order and however often some are given, it is one campaign: evaluations and failures are the sums,
+/// and what is missing is said.
+#[test]
+fn a_divided_search_is_one_campaign_with_what_is_missing() {
+    let (campaign, root) = (campaign(Method::Auto, 5), tempfile::tempdir().unwrap());
+    all_shards(&campaign, root.path());
+    let single = single(&campaign);
+    let one = merged(&[folder(root.path(), Shard::new(1, 1).unwrap())]).unwrap();
+    let out = tempfile::tempdir().unwrap();
+    one.write_in(out.path()).unwrap();
+    assert!(files(out.path()) == files(single.path()), "shard 1/1 is the campaign");
+    let of_one = one.summary().unwrap();
+    proptest!(ProptestConfig::with_cases(60), |(shards in divisions(), keep in 1..20_usize)| {
+        let mut parts = shards.clone();
+        parts.truncate(keep);
+        let folders: Vec<PathBuf> = parts.iter().map(|shard| folder(root.path(), *shard)).collect();
+        let merged = merged(&folders).unwrap();
+        let summary = merged.summary().unwrap();
+        let missing: u64 = merged.missing().iter().map(|range| range.end - range.start).sum();
+        let made = BUDGET - missing;
+        prop_assert!(summary.methods.iter().all(|method| method.evaluations == made));
+        let mut sorted = parts.clone();
+        sorted.sort_by_key(|shard| shard.range(BUDGET, "").unwrap().start);
+        sorted.dedup();
+        let alone = |shard: &Shard| -> Summary {
+            self::merged(&[folder(root.path(), *shard)]).unwrap().summary().unwrap()
+        };
+        let alone: Vec<Summary> = sorted.iter().map(alone).collect();
+        for (place, method) in summary.methods.iter().enumerate() {
+            prop_assert_eq!(method.failures, alone.iter().map(|one| one.methods[place].failures).sum::<u64>());
+            let best = alone.iter().filter_map(|one| one.methods[place].best_robustness).fold(f64::INFINITY, f64::min);
+            prop_assert_eq!(method.best_robustness, Some(best));
+        }
+        prop_assert_eq!(summary.failures.iter().map(|kind| kind.count).sum::<u64>(),
+            summary.methods.iter().map(|method| method.failures).sum::<u64>());
+        // No failure of any shard beats one of the front.
+        for found in alone.iter().flat_map(|one| &one.front) {
+            let key = |p: &super::super::FrontPoint| (-p.robustness, p.ln_likelihood, -p.departure);
+            prop_assert!(!summary.front.iter().any(|kept| key(found).0 > key(kept).0 && (key(found).1, key(found).2) > (key(kept).1, key(kept).2)));
+            prop_assert!(summary.front.contains(found) || summary.front.iter().any(|kept| key(kept).0 >= key(found).0));
+        }
+        let divided = summary.divided.clone();
+        prop_assert_eq!(divided.is_some(), sorted.len() > 1 || missing > 0);
+        if missing == 0 {
+            // The reference searches are those of one machine.
+            prop_assert_eq!(&summary.methods[1..], &of_one.methods[1..]);
+            prop_assert_eq!(&summary.regions, &of_one.regions);
+        }
+        // In another order, and with everything twice, it is the same folder.
+        let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        merged.write_in(here.path()).unwrap();
+        let again: Vec<PathBuf> = folders.iter().rev().chain(&folders).cloned().collect();
+        self::merged(&again).unwrap().write_in(there.path()).unwrap();
+        prop_assert!(files(here.path()) == files(there.path()));
+        for found in &summary.counterexamples {
+            prop_assert!(here.path().join(&found.file).is_file() && here.path().join(&found.original_file).is_file());
+        }
+    });
+}
+
+#[test]
+fn shards_of_other_campaigns_and_damaged_ones_are_refused() {
+    let root = tempfile::tempdir().unwrap();
+    let make = |campaign: &Campaign, index, of, name: &str| {
+        let folder = root.path().join(name);
+        campaign.run_shard(Shard::new(index, of).unwrap(), &folder, false, &mut |_| ControlFlow::Continue(())).unwrap();
+        folder
+    };
+    let own = campaign(Method::Halton, 1);
+    let a = make(&own, 1, 2, "a");
+    let refused = |other: &PathBuf| merged(&[a.clone(), other.clone()]).unwrap_err().to_string();
+    let b = make(&campaign(Method::Halton, 2), 2, 2, "b");
+    assert!(refused(&b).ends_with("campaign.seed differs"), "{}", refused(&b));
+    let c = make(&own, 1, 3, "c");
+    assert!(refused(&c).contains("shard 1/3 has done what shard 1/2"), "{}", refused(&c));
+    let error =
+        own.run_shard(Shard::new(1, 61).unwrap(), &root.path().join("x"), false, &mut |_| ControlFlow::Continue(()));
+    assert!(error.unwrap_err().to_string().contains("there are 60 evaluations of each method"));
+    // Every place that is changed is named.
+    let d = make(&own, 2, 2, "d");
+    for name in ["shard.json", "findings.json", "work.json"] {
+        let path = d.join(name);
+        let genuine = fs::read(&path).unwrap();
+        for place in (0..genuine.len()).step_by(1 + genuine.len() / 40) {
+            let mut changed = genuine.clone();
+            changed[place] ^= 1;
+            fs::write(&path, changed).unwrap();
+            let error = refused(&d);
+            assert!(error.contains(name) || name == "work.json", "{error}");
+        }
+        fs::write(&path, genuine).unwrap();
+    }
+    assert!(merged(&[a.clone(), d]).is_ok());
+}
+
+/// Broken off at any moment, it ends with the same bytes, in four files.
+#[test]
+fn an_interrupted_shard_ends_with_the_same_files() {
+    let (campaign, root) = (campaign(Method::CmaEs, 6), tempfile::tempdir().unwrap());
+    let shard = Shard::new(2, 3).unwrap();
+    let [whole, part] = ["whole", "part"].map(|name| root.path().join(name));
+    campaign.run_shard(shard, &whole, false, &mut |_| ControlFlow::Continue(())).unwrap();
+    assert_eq!(files(&whole).len(), 4, "{:?}", files(&whole).keys());
+    for most in [0, 1, 2, 5, 7, 100] {
+        let mut told = 0;
+        let ended = campaign.run_shard(shard, &part, true, &mut |_| {
+            told += 1;
+            if told > most { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        assert!(matches!(ended, Err(CampaignError::BrokenOff)) == (most < 100), "{most}: {ended:?}");
+    }
+    assert!(files(&part) == files(&whole));
+}

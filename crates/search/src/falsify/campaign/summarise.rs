@@ -1,0 +1,93 @@
+//! From everything that is remembered to a summary.
+
+use std::ops::Range;
+
+use super::CampaignError;
+use super::coverage::Coverage;
+use super::failures::Kind;
+use super::findings::{Findings, Reached};
+use super::summary::{
+    AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, SUMMARY_VERSION, Summary,
+};
+use super::terms::Terms;
+use crate::falsify::counterexample::Counterexample;
+use crumple_world::digest::sha256;
+
+impl Summary {
+    /// What was found, with the distinct failures as they were written down. Evaluations may be missing.
+    pub(super) fn of(
+        terms: &Terms,
+        findings: &Findings,
+        counterexamples: Vec<Counterexample>,
+        missing: &[Range<u64>],
+    ) -> Result<Self, CampaignError> {
+        let Findings { reached, failures } = findings;
+        let record = &terms.record;
+        let mut all = Coverage::new(terms.space.dimension());
+        reached.iter().for_each(|reached| all.join(&reached.coverage));
+        let main = reached.first();
+        Ok(Self {
+            version: SUMMARY_VERSION,
+            crumple: record.crumple.clone(),
+            configuration_sha256: sha256(record.to_toml()?),
+            controller: record.controller.clone(),
+            policy_sha256: record.policy_sha256.clone(),
+            nondeterministic: terms.nondeterministic,
+            estimator: record.estimator,
+            space: terms.space.name().to_owned(),
+            specification: terms.specification.to_string(),
+            method: record.method.name().to_owned(),
+            aim: record.aim.name().to_owned(),
+            budget: record.budget,
+            seed: record.seed,
+            divided: record.divided.clone(),
+            evaluations: main.map_or(0, |reached| reached.evaluations),
+            falsified: reached.iter().any(|reached| reached.failures > 0),
+            first_falsification: main.and_then(|reached| reached.first),
+            best_robustness: main.and_then(|reached| finite(reached.best)),
+            coverage: CoverageSummary {
+                method: main.map(|reached| reached.coverage.covered()),
+                with_reference_searches: all.covered(),
+            },
+            methods: reached.iter().map(MethodSummary::of).collect(),
+            failures: failures.by_frequency().into_iter().map(|kind| KindSummary::of(kind, terms)).collect(),
+            front: failures.front.points(&terms.specification, &terms.nominal),
+            regions: findings.regions(terms, missing),
+            avoidability: AvoidabilitySummary::of(&counterexamples),
+            counterexamples,
+        })
+    }
+}
+
+impl MethodSummary {
+    fn of(reached: &Reached) -> Self {
+        Self {
+            method: reached.method.name().to_owned(),
+            evaluations: reached.evaluations,
+            first_falsification: reached.first,
+            failures: reached.failures,
+            best_robustness: finite(reached.best),
+        }
+    }
+}
+
+impl KindSummary {
+    fn of(kind: &Kind, terms: &Terms) -> Self {
+        let by_method = |&(method, count, first): &(crate::falsify::Method, u64, u64)| ByMethod {
+            method: method.name().to_owned(),
+            count,
+            first,
+        };
+        Self {
+            kind: kind.kind.describe(&terms.nominal),
+            front_vehicle: kind.kind.vehicles().map(|[front, _]| front),
+            rear_vehicle: kind.kind.vehicles().map(|[_, rear]| rear),
+            count: kind.count(),
+            by_method: kind.by_method.iter().map(by_method).collect(),
+        }
+    }
+}
+
+fn finite(value: f64) -> Option<f64> {
+    Some(value).filter(|value| value.is_finite())
+}

@@ -1,0 +1,78 @@
+//! What a campaign is about, without the controller itself: enough to say what was found, not to search.
+
+use std::path::Path;
+
+use super::config::{CampaignRecord, methods};
+use super::{CAMPAIGN_VERSION, Campaign, CampaignError, Log};
+use crate::falsify::{Cube, Method};
+use crumple_world::measure::Specification;
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::Space;
+
+/// What evaluations are of, and how what was found is told.
+#[derive(Debug, Clone)]
+pub(in crate::falsify) struct Terms {
+    pub(in crate::falsify) record: CampaignRecord,
+    /// Whether the controller says so of itself.
+    pub(in crate::falsify) nondeterministic: bool,
+    /// With its noise.
+    pub(in crate::falsify) space: Space,
+    pub(in crate::falsify) specification: Specification,
+    pub(in crate::falsify) cube: Cube,
+    /// The nominal scenario, and where it is in the cube.
+    pub(in crate::falsify) nominal: Scenario,
+    nominal_point: Vec<f64>,
+}
+
+impl Terms {
+    pub(super) fn of(campaign: &Campaign, log: Log) -> Result<Self, CampaignError> {
+        let record = CampaignRecord::of(campaign, log);
+        let is_deterministic = campaign.controller.kind.is_deterministic();
+        Self::with(record, !is_deterministic, campaign.space.clone(), |_| Ok(campaign.specification.clone()))
+    }
+
+    /// From what a file says.
+    pub(super) fn read(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
+        if record.version != CAMPAIGN_VERSION {
+            return Err(format!("version: {}, and this release reads {CAMPAIGN_VERSION}", record.version));
+        }
+        if record.divided.is_some() || !(1..=MOST_BUDGET).contains(&record.budget) {
+            return Err("not a campaign that can be divided".to_owned());
+        }
+        // A space is written with its base spelled out, so that no folder is looked into.
+        let space = Space::new(record.space.clone(), Path::new("")).map_err(|error| format!("space: {error}"))?;
+        if *space.spec() != record.space {
+            return Err("space: not as crumple writes it".to_owned());
+        }
+        let text = record.specification.clone();
+        let specification = |nominal: &Scenario| Specification::parse(&text, nominal).map_err(CampaignError::encoding);
+        Self::with(record, nondeterministic, space, specification).map_err(|error| error.to_string())
+    }
+
+    fn with(
+        record: CampaignRecord,
+        nondeterministic: bool,
+        space: Space,
+        specification: impl FnOnce(&Scenario) -> Result<Specification, CampaignError>,
+    ) -> Result<Self, CampaignError> {
+        let space = space.with_noise_seed(record.seed);
+        let nominal = space.scenario(&space.nominal())?;
+        let specification = specification(&nominal)?;
+        let cube = Cube::of(&space).map_err(CampaignError::encoding)?;
+        let nominal_point = space.point(&space.nominal());
+        Ok(Self { record, nondeterministic, space, specification, cube, nominal, nominal_point })
+    }
+
+    /// The methods in the order in which they run.
+    pub(super) fn methods(&self) -> Vec<Method> {
+        methods(self.record.method)
+    }
+
+    /// Distance from nominal: mean over the parameters.
+    pub(in crate::falsify) fn departure(&self, point: &[f64]) -> f64 {
+        self.cube.distance(point, &self.nominal_point) / self.cube.blocks().len() as f64
+    }
+}
+
+/// The most evaluations of a method.
+pub(super) const MOST_BUDGET: u64 = 1_000_000_000;

@@ -1,0 +1,299 @@
+//! From failures that were looked at closely to counterexamples and their files: the distinct ones, the severest first. Nothing is run.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::expected::{EXPECTED_VERSION, Expected, ExpectedFile};
+use super::severity::Severity;
+use super::{Avoidability, Changed, Counterexample};
+use crate::falsify::Method;
+use crate::falsify::campaign::{CampaignError, FailureKind, Terms};
+use crate::work::Changes;
+use crumple_world::measure::{RunVerdict, Specification};
+use crumple_world::scenario::{Scenario, file};
+
+/// Two failures of one kind that are nearer than this are one.
+pub const SAME_WITHIN: f64 = 0.1;
+
+/// Names and texts.
+type Files = Vec<(String, String)>;
+
+/// A failure after the closer look.
+#[derive(Debug, Clone)]
+pub(in crate::falsify) struct Examined {
+    /// What found it, and at which of its evaluations.
+    pub(in crate::falsify) method: Method,
+    pub(in crate::falsify) number: u64,
+    pub(super) kind: FailureKind,
+    pub(super) values: Vec<f64>,
+    /// As it will stand in its file, but for its name, and so the one as it was found.
+    pub(super) scenario: Scenario,
+    pub(super) original: Scenario,
+    pub(super) verdict: RunVerdict,
+    pub(super) original_verdict: RunVerdict,
+    pub(super) dt_fragile: bool,
+    pub(super) max_delta_v_mps: Option<f64>,
+    pub(super) vehicles_involved: usize,
+    pub(super) avoidability: Avoidability,
+}
+
+/// The same as a file holds it.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::falsify) struct ExaminedRow {
+    method: Method,
+    number: u64,
+    values: Vec<f64>,
+    scenario: String,
+    original: String,
+    #[serde(with = "crate::falsify::campaign::encoded_verdict")]
+    verdict: RunVerdict,
+    #[serde(with = "crate::falsify::campaign::encoded_verdict")]
+    original_verdict: RunVerdict,
+    dt_fragile: bool,
+    max_delta_v_mps: Option<f64>,
+    vehicles_involved: usize,
+    avoidability: Avoidability,
+}
+
+impl ExaminedRow {
+    pub(in crate::falsify) fn of(one: &Examined) -> Result<Self, CampaignError> {
+        let text = |scenario: &Scenario| file::to_toml(scenario).map_err(CampaignError::encoding);
+        Ok(Self {
+            method: one.method,
+            number: one.number,
+            values: one.values.clone(),
+            scenario: text(&one.scenario)?,
+            original: text(&one.original)?,
+            verdict: one.verdict,
+            original_verdict: one.original_verdict,
+            dt_fragile: one.dt_fragile,
+            max_delta_v_mps: one.max_delta_v_mps,
+            vehicles_involved: one.vehicles_involved,
+            avoidability: one.avoidability.clone(),
+        })
+    }
+
+    /// What it was, unless it cannot be that.
+    pub(in crate::falsify) fn read(self, terms: &Terms) -> Result<Examined, String> {
+        let place = format!("the failure at evaluation {} of {}", self.number, self.method);
+        let scenario =
+            |text: &str| file::from_toml(text, Path::new("scenario")).map_err(|error| format!("{place}: {error}"));
+        let kind = |verdict: &RunVerdict| FailureKind::of(verdict, &terms.specification);
+        match kind(&self.original_verdict) {
+            Some(found) if self.values.len() == terms.space.dimension() => Ok(Examined {
+                method: self.method,
+                number: self.number,
+                kind: found,
+                scenario: scenario(&self.scenario)?,
+                original: scenario(&self.original)?,
+                values: self.values,
+                verdict: self.verdict,
+                original_verdict: self.original_verdict,
+                dt_fragile: self.dt_fragile,
+                max_delta_v_mps: self.max_delta_v_mps,
+                vehicles_involved: self.vehicles_involved,
+                avoidability: self.avoidability,
+            }),
+            _ => Err(format!("{place} is none, or of another space")),
+        }
+    }
+}
+
+/// Tells failures of a campaign apart and writes them down.
+pub(in crate::falsify) struct Recorder<'a> {
+    pub(in crate::falsify) terms: &'a Terms,
+}
+
+impl Recorder<'_> {
+    /// Those that are distinct, the severest first. Of equally severe ones those that come first stay.
+    pub(in crate::falsify) fn distinct(&self, mut examined: Vec<Examined>) -> Vec<Examined> {
+        examined.sort_by(|a, b| self.severity(b).compare(&self.severity(a)));
+        let mut distinct: Vec<Examined> = Vec::new();
+        for one in examined {
+            if !distinct.iter().any(|known| self.is_same(known, &one)) {
+                distinct.push(one);
+            }
+        }
+        distinct
+    }
+
+    /// Has distinct failures written down.
+    pub(in crate::falsify) fn record_all(
+        &self,
+        distinct: &[Examined],
+        results: &mut Changes<'_>,
+    ) -> Result<Vec<Counterexample>, CampaignError> {
+        let (found, files) = self.told(distinct)?;
+        for (name, text) in files {
+            results.write(&name, text);
+        }
+        Ok(found)
+    }
+
+    /// What is said of distinct failures.
+    pub(in crate::falsify) fn described(&self, distinct: &[Examined]) -> Result<Vec<Counterexample>, CampaignError> {
+        Ok(self.told(distinct)?.0)
+    }
+
+    /// What is said of them, and their files: names and texts.
+    fn told(&self, distinct: &[Examined]) -> Result<(Vec<Counterexample>, Files), CampaignError> {
+        let mut index = ExpectedFile { version: EXPECTED_VERSION, expected: Vec::new() };
+        let (mut found, mut files) = (Vec::new(), Vec::new());
+        for (place, one) in (1..).zip(distinct) {
+            found.push(self.record(place, one, &mut files, &mut index)?);
+        }
+        rank(&mut found);
+        if !found.is_empty() {
+            let text = toml::to_string(&index).map_err(CampaignError::encoding)?;
+            files.insert(0, ("counterexamples/expected.toml".to_owned(), text));
+        }
+        Ok((found, files))
+    }
+
+    fn severity(&self, one: &Examined) -> Severity {
+        let goes_by_violation = self.terms.specification != Specification::NoContact || one.verdict.failed.is_some();
+        Severity {
+            violation: goes_by_violation.then_some(-one.verdict.robustness),
+            impact_speed_mps: one.verdict.contact.map_or(0.0, |contact| contact.impact_speed_mps),
+            max_delta_v_mps: one.max_delta_v_mps.unwrap_or(0.0),
+            vehicles_involved: one.vehicles_involved,
+        }
+    }
+
+    fn is_same(&self, one: &Examined, other: &Examined) -> bool {
+        let Terms { space, cube, .. } = self.terms;
+        let (a, b) = (space.point(&one.values), space.point(&other.values));
+        one.kind == other.kind && cube.distance(&a, &b) <= SAME_WITHIN * cube.blocks().len() as f64
+    }
+
+    /// A failure with its files, not yet written.
+    fn record(
+        &self,
+        place: usize,
+        one: &Examined,
+        files: &mut Files,
+        index: &mut ExpectedFile,
+    ) -> Result<Counterexample, CampaignError> {
+        let kind = one.kind.describe(&one.scenario);
+        let slug = match one.kind {
+            FailureKind::Contact { front_vehicle, rear_vehicle, .. } => format!("{rear_vehicle}-hits-{front_vehicle}"),
+            FailureKind::ControllerFailed { vehicle } => format!("controller-{vehicle}-fails"),
+            FailureKind::Violation { .. } => "violation".to_owned(),
+        };
+        let (file, original) = (format!("{place:02}-{slug}.toml"), format!("originals/{place:02}-{slug}.toml"));
+        let terms = &self.terms.record;
+        let policy = terms.policy_sha256.clone();
+        let driver = match &policy {
+            Some(hash) => format!("`{}` (SHA-256 {hash})", terms.controller),
+            None => format!("`{}`", terms.controller),
+        };
+        let formula = match &self.terms.specification {
+            Specification::NoContact => String::new(),
+            Specification::Formula(formula) => format!(" The formula is `{formula}`."),
+        };
+        let found = format!(
+            "Found in the space `{}` by {} at its evaluation {} (seed {}): with {driver} {kind}.{formula}",
+            self.terms.space.name(),
+            one.method,
+            one.number,
+            terms.seed
+        );
+        let how =
+            if one.dt_fragile { " It disappears at a tenth of the step: kept as it was found." } else { " Shrunk." };
+        let class = one.avoidability.describe().map_or(String::new(), |words| format!(" {}.", sentence(&words)));
+        let name = format!("{}-{}-{place:02}", self.terms.space.name(), terms.seed);
+        let mut write =
+            |file: &str, (scenario, verdict): (&Scenario, &RunVerdict), name, about, class: &Avoidability| {
+                let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
+                let text = file::to_toml(&named).map_err(CampaignError::encoding)?;
+                files.push((format!("counterexamples/{file}"), text));
+                index.expected.push(Expected {
+                    scenario: file.to_owned(),
+                    controller: terms.controller.clone(),
+                    policy_sha256: policy.clone(),
+                    estimator: terms.estimator,
+                    specification: self.terms.specification.to_string(),
+                    violated: verdict.robustness < 0.0,
+                    robustness: verdict.robustness,
+                    contact_time_s: verdict.contact.map(|contact| contact.time_s),
+                    front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
+                    rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
+                    dt_fragile: one.dt_fragile,
+                    avoidable: class.class(),
+                    best_min_gap_m: class.best_min_gap_m(),
+                    undecided_because: class.undecided_because().map(str::to_owned),
+                });
+                Ok::<(), CampaignError>(())
+            };
+        let (verdict, as_found) = (&one.verdict, &one.original_verdict);
+        write(&file, (&one.scenario, verdict), name.clone(), found.clone() + how + &class, &one.avoidability)?;
+        let original_name = format!("{name}-original");
+        write(&original, (&one.original, as_found), original_name, found, &Avoidability::NotAsked)?;
+        let point = self.terms.space.point(&one.values);
+        Ok(Counterexample {
+            file: format!("counterexamples/{file}"),
+            original_file: format!("counterexamples/{original}"),
+            kind,
+            robustness: verdict.robustness,
+            contact_time_s: verdict.contact.map(|contact| contact.time_s),
+            front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
+            rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
+            impact_speed_mps: verdict.contact.map(|contact| contact.impact_speed_mps),
+            original_impact_speed_mps: as_found.contact.map(|contact| contact.impact_speed_mps),
+            max_delta_v_mps: one.max_delta_v_mps,
+            vehicles_involved: one.vehicles_involved,
+            ln_likelihood: self.terms.space.ln_likelihood(&point),
+            departure: self.terms.departure(&point),
+            likelihood_rank: 0,
+            dt_fragile: one.dt_fragile,
+            avoidability: one.avoidability.clone(),
+            found_by: one.method.name().to_owned(),
+            found_at: one.number,
+            changed: self.changed(&one.values),
+        })
+    }
+
+    /// What is not nominal; a signal with one value throughout counts as one.
+    fn changed(&self, values: &[f64]) -> Vec<Changed> {
+        let names = self.terms.space.coordinate_names();
+        let mut changed = Vec::new();
+        for parameter in self.terms.space.parameters() {
+            let own = values.get(parameter.coordinates()).unwrap_or_default();
+            if own == parameter.nominal() {
+                continue;
+            }
+            let mut say = |name: &str, value: f64| {
+                let unit = parameter.unit().to_owned();
+                changed.push(Changed { parameter: name.to_owned(), value: parameter.show(value), unit });
+            };
+            match own {
+                [first, rest @ ..] if rest.iter().all(|value| value == first) => say(parameter.name(), *first),
+                _ => {
+                    let pieces = names.get(parameter.coordinates()).unwrap_or_default();
+                    let differs = pieces.iter().zip(own.iter().zip(parameter.nominal()));
+                    differs.filter(|(_, (a, b))| a != b).for_each(|(name, (value, _))| say(name, *value));
+                }
+            }
+        }
+        changed
+    }
+}
+
+fn rank(found: &mut [Counterexample]) {
+    let mut order: Vec<usize> = (0..found.len()).collect();
+    let key = |index: &usize| found.get(*index).map_or((0.0, 0.0), |one| (-one.ln_likelihood, one.departure));
+    order.sort_by(|a, b| key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal));
+    for (rank, index) in order.into_iter().enumerate() {
+        if let Some(one) = found.get_mut(index) {
+            one.likelihood_rank = rank + 1;
+        }
+    }
+}
+
+/// With a capital.
+fn sentence(words: &str) -> String {
+    let mut letters = words.chars();
+    letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect()
+}
