@@ -7,9 +7,11 @@ mod check;
 mod checked;
 mod choice;
 mod export;
+mod exposed;
 mod failure;
 mod falsify;
 mod finding;
+mod fit;
 mod fsck;
 mod import;
 mod interrupt;
@@ -61,6 +63,7 @@ enum Command {
     Assess(assess::Assess),
     Simulate(simulate::Simulate),
     Import(import::Import),
+    Fit(fit::Fit),
     Export(export::Export),
     Train(train::Train),
     // Far more arguments than any other.
@@ -102,6 +105,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Assess(command) => command.run(quiet),
         Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
+        Command::Fit(command) => command.run(quiet),
         Command::Export(command) => command.run(quiet),
         Command::Train(command) => command.run(quiet),
         Command::Retrain(command) => command.run(quiet),

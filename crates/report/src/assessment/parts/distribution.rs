@@ -15,7 +15,9 @@ use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
 use crumple_search::evidence::RateInterval;
+use crumple_search::evidence::exposed::{ExposedRate, Probability, run_again};
 use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::Space;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
 
 /// Confidence of the intervals.
@@ -23,6 +25,10 @@ const CONFIDENCE: f64 = 0.95;
 
 /// Draws simulated at a time: enough to fill all cores, few enough not to fill memory.
 const DRAWS_AT_ONCE: u64 = 4096;
+
+/// Resamples of the episodes that a space was fitted to, and runs of each controller in each of them.
+const RESAMPLES: u32 = 100;
+const RUNS_EACH: u32 = 200;
 
 /// Every controller on the same draws, space after space.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
@@ -67,6 +73,9 @@ pub struct Sampled {
     pub min_gap_behind_m: Option<Rounded<2>>,
     /// Mean impact speed of the collisions, in m/s.
     pub mean_impact_speed_mps: Option<Rounded<1>>,
+    /// What failures come to per hour and per 1000 km; none where the space does not say in how much driving it was seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposed: Option<ExposedRate>,
     /// How the first controller and this one fare on the same draws; none for the first itself.
     pub paired: Option<Paired>,
 }
@@ -183,13 +192,14 @@ impl Distribution {
             }
             work.did((to - from) * plan.controllers.len() as u64)?;
         }
-        let controllers = plan
-            .controllers
-            .iter()
-            .zip(tallies)
-            .enumerate()
-            .map(|(index, (controller, tally))| tally.finish(controller, index > 0))
-            .collect();
+        let finish = |(index, (controller, tally)): (usize, (&NamedController, Tally))| {
+            let known =
+                Probability::Counted { failures: tally.collisions, unknown: tally.cut_short, runs: tally.draws };
+            let exposed = exposed(plan, named, controller, known, work)?;
+            Ok(Sampled { exposed, ..tally.finish(controller, index > 0) })
+        };
+        let controllers =
+            plan.controllers.iter().zip(tallies).enumerate().map(finish).collect::<Result<_, AssessError>>()?;
         Ok(Self {
             space: named.known.clone(),
             draws: config.draws,
@@ -273,6 +283,28 @@ impl Distribution {
     }
 }
 
+/// What failures come to on the road, with the data's uncertainty.
+fn exposed(
+    plan: &AssessmentPlan,
+    named: &NamedSpace,
+    controller: &NamedController,
+    known: Probability<'_>,
+    work: &Work<'_>,
+) -> Result<Option<ExposedRate>, AssessError> {
+    if named.space.spec().exposure.is_none() {
+        return Ok(None);
+    }
+    let mut failures = |space: &Space, seed: u64, runs: u64| -> Result<u64, AssessError> {
+        // Between two, so that it can be interrupted.
+        work.did(0)?;
+        let scenarios = (0..runs).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
+        let draws = run_draws(&scenarios, controller, plan)?;
+        Ok(draws.iter().filter(|draw| draw.verdict.is_failure()).count() as u64)
+    };
+    let resamples = run_again(&named.space, plan.config.seed, (RESAMPLES, RUNS_EACH), &mut failures)?;
+    Ok(ExposedRate::of(&named.space, known, resamples.as_ref()))
+}
+
 /// What comes of each, none recorded but in its sums.
 pub(super) fn run_draws(
     scenarios: &[Scenario],
@@ -350,6 +382,7 @@ impl Tally {
             min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
             min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),
             mean_impact_speed_mps: (self.collisions > 0).then(|| mean_impact_mps.into()),
+            exposed: None,
             paired: is_paired.then_some(self.paired),
         }
     }
@@ -367,6 +400,10 @@ impl Part for Distributions {
             @for drawn in &self.spaces {
                 p { (prose(&drawn.introduction())) }
                 (drawn.table().html())
+                @if let Some((words, table)) = super::exposed::on_the_road(drawn) {
+                    p { (prose(&words)) }
+                    (table.html())
+                }
                 figure { (drawn.figure()) }
             }
         }
@@ -377,6 +414,10 @@ impl Part for Distributions {
         for drawn in &self.spaces {
             text.paragraph(drawn.introduction());
             drawn.table().markdown(&mut text);
+            if let Some((words, table)) = super::exposed::on_the_road(drawn) {
+                text.paragraph(words);
+                table.markdown(&mut text);
+            }
         }
         text
     }

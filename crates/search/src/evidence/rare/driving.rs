@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Effort, Estimate, Problem, Splitting, State};
+use crate::evidence::exposed::{ExposedRate, Probability, reweighted};
 use crate::shard::TooManyShards;
 use crate::work::WorkError;
 use crumple_world::digest::sha256;
@@ -91,6 +92,9 @@ pub struct RareReport {
     /// What came of it.
     #[serde(flatten)]
     pub estimate: Estimate,
+    /// What that is per hour and per 1000 km, where the space says in how much driving it was seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposed: Option<ExposedRate>,
 }
 
 /// All that decides an estimate and that its report says.
@@ -118,10 +122,7 @@ impl Problem for RarePlan {
     }
 
     fn margins(&self, states: &[State]) -> Result<Vec<f64>, RareError> {
-        let scenario = |state: &State| {
-            let uniform: Vec<f64> = state.normal.iter().map(|&x| share_below(x)).collect();
-            self.space.at_with_noise(&self.space.quantile(&uniform), state.noise)
-        };
+        let scenario = |state: &State| self.space.at_with_noise(&self.point(state), state.noise);
         let scenarios = states.par_iter().map(scenario).collect::<Result<Vec<_>, _>>()?;
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
         let runs =
@@ -143,12 +144,28 @@ impl RarePlan {
         Splitting::pilot(self, self.effort, self.seed, done)
     }
 
-    /// Estimates with the levels of a pilot.
+    /// Estimates with the levels of a pilot. In a space fitted to episodes, runs that failed are weighted for each of so many `resamples`.
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made.
-    pub fn report(&self, pilot: &Splitting, done: &(dyn Fn(u64) + Sync)) -> Result<RareReport, RareError> {
-        Ok(self.record()?.report(pilot.estimate(self, done)?))
+    pub fn report(
+        &self,
+        pilot: &Splitting,
+        resamples: u32,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<RareReport, RareError> {
+        let (estimate, failed) = pilot.estimate_with_failures(self, done)?;
+        let values = |(state, weight): &(State, f64)| (self.space.values(&self.point(state)), *weight);
+        let failed: Vec<(Vec<f64>, f64)> = failed.iter().map(values).collect();
+        let resamples = reweighted(&self.space, self.seed, resamples, &estimate, &failed);
+        let exposed = ExposedRate::of(&self.space, Probability::Estimated(&estimate), resamples.as_ref());
+        Ok(RareReport { exposed, ..self.record()?.report(estimate) })
+    }
+
+    /// The point of a state.
+    fn point(&self, state: &State) -> Vec<f64> {
+        let uniform: Vec<f64> = state.normal.iter().map(|&x| share_below(x)).collect();
+        self.space.quantile(&uniform)
     }
 
     /// All that decides the estimate, but the space's text.
@@ -187,6 +204,7 @@ impl RareRecord {
             seed: record.seed,
             effort: record.effort,
             estimate,
+            exposed: None,
         }
     }
 }

@@ -208,14 +208,45 @@ impl Splitting {
         repetitions: Range<u64>,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Repetition>, P::Error> {
+        let repeated = self.repeat_with_failures(problem, repetitions, done)?;
+        Ok(repeated.into_iter().map(|(repetition, _)| repetition).collect())
+    }
+
+    /// The same, with the runs that failed.
+    fn repeat_with_failures<P: Problem>(
+        &self,
+        problem: &P,
+        repetitions: Range<u64>,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<(Repetition, Vec<State>)>, P::Error> {
         let repetitions = repetitions.start..repetitions.end.min(self.repetitions());
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
             let mut climber = Climber::new(problem, self.effort.samples, random, done);
-            let seen = climber.climb(&self.stages)?;
-            Ok(Repetition { seen, evaluations: climber.evaluations })
+            let (seen, failed) = climber.climb(&self.stages)?;
+            Ok((Repetition { seen, evaluations: climber.evaluations }, failed))
         };
         repetitions.into_par_iter().map(repeat).collect()
+    }
+
+    /// The estimate, with the runs that failed in it and the weight of each: what its repetition found, shared among those of it.
+    ///
+    /// # Errors
+    /// Those of the problem.
+    pub fn estimate_with_failures<P: Problem>(
+        &self,
+        problem: &P,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<(Estimate, Vec<(State, f64)>), P::Error> {
+        let (repeated, failed): (Vec<_>, Vec<_>) =
+            self.repeat_with_failures(problem, 0..self.repetitions(), done)?.into_iter().unzip();
+        let estimate = self.summary(repeated);
+        let weighted = failed.into_iter().zip(&estimate.repetitions).flat_map(|(states, found)| {
+            let weight = found / states.len().max(1) as f64;
+            states.into_iter().map(move |state| (state, weight))
+        });
+        let weighted = weighted.collect();
+        Ok((estimate, weighted))
     }
 
     /// Whether it was placed by that seed with that effort.
@@ -269,11 +300,19 @@ impl Splitting {
         Estimate {
             probability: Some(probability),
             coefficient_of_variation,
-            interval_95: coefficient_of_variation.and_then(|cv| interval_95(probability, cv, repetitions.len())),
+            interval_95: coefficient_of_variation.and_then(|cv| interval(probability, cv, repetitions.len(), 0.95)),
             repetitions,
             evaluations,
             levels,
         }
+    }
+}
+
+impl Estimate {
+    /// An interval for the probability, as that at 95 %.
+    #[must_use]
+    pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
+        interval(self.probability?, self.coefficient_of_variation?, self.repetitions.len(), confidence)
     }
 }
 
@@ -282,13 +321,17 @@ impl<'a, P: Problem> Climber<'a, P> {
         Self { problem, samples, random, evaluations: 0, done }
     }
 
-    fn climb(&mut self, stages: &[Stage]) -> Result<Vec<Seen>, P::Error> {
-        let mut seen = Vec::with_capacity(stages.len());
+    /// What it sees at each level, and those that pass the last one.
+    fn climb(&mut self, stages: &[Stage]) -> Result<(Vec<Seen>, Vec<State>), P::Error> {
+        let (mut seen, mut failed) = (Vec::with_capacity(stages.len()), Vec::new());
         let mut population = self.first()?;
         for stage in stages {
             let survivors: Vec<Sample> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
             let share = survivors.len() as f64 / self.samples as f64;
             let mut here = Seen { share, accepted: 0, proposed: 0 };
+            if stage.is_last {
+                failed = survivors.iter().map(|(state, _)| state.clone()).collect();
+            }
             population = self.multiplied(survivors);
             if !stage.is_last && !population.is_empty() {
                 for _ in 0..MOVES {
@@ -301,7 +344,7 @@ impl<'a, P: Problem> Climber<'a, P> {
                 break;
             }
         }
-        Ok(seen)
+        Ok((seen, failed))
     }
 
     /// Independent draws.
@@ -385,8 +428,8 @@ fn variation_of_mean(values: &[f64], mean: f64) -> Option<f64> {
 }
 
 /// Products of many shares are nearly log-normal, and so is their mean.
-fn interval_95(mean: f64, variation: f64, repetitions: usize) -> Option<[f64; 2]> {
+fn interval(mean: f64, variation: f64, repetitions: usize, confidence: f64) -> Option<[f64; 2]> {
     let student = StudentsT::new(0.0, 1.0, repetitions as f64 - 1.0).ok()?;
-    let factor = (student.inverse_cdf(0.975) * (variation * variation).ln_1p().sqrt()).exp();
+    let factor = (student.inverse_cdf(0.5 + 0.5 * confidence) * (variation * variation).ln_1p().sqrt()).exp();
     Some([mean / factor, (mean * factor).min(1.0)])
 }

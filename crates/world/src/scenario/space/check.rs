@@ -2,12 +2,15 @@
 
 use std::path::Path;
 
+use super::copula::Copula;
 use super::field::{Field, Target};
-use super::marginal::Marginal;
-use super::spec::{Base, Choice, Distribution, Kind, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value};
+use super::marginal::{Law, Marginal};
+use super::spec::{
+    Base, Choice, Distribution, Kind, ParameterSpec, SPACE_VERSION, ShapeScale, SpaceSpec, Uniform, Value,
+};
 use super::{Parameter, Space};
 use crate::scenario::{InvalidField, Scenario, VehicleClass, built_in, built_in_names, file, short};
-use statrs::distribution::{ContinuousCDF, Normal as Gauss};
+use statrs::distribution::{Gamma as GammaLaw, LogNormal as LogNormalLaw, Normal as Gauss, Weibull as WeibullLaw};
 
 /// What makes a space unusable: where it is and what is wrong with it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -37,15 +40,17 @@ const MOST_PARAMETERS: usize = 200;
 const MOST_COORDINATES: usize = 1000;
 /// Corners that are tried where several parameters together decide whether a vehicle fits: 2 to this power.
 const MOST_TOGETHER: usize = 14;
-/// Least share of a normal distribution that must lie in its range.
-const LEAST_MASS: f64 = 1e-6;
+/// Least share of a distribution that must lie in its range.
+pub const LEAST_MASS: f64 = 1e-6;
+/// Shapes of gamma and Weibull distributions.
+pub const SHAPES: [f64; 2] = [0.01, 1e6];
 
 /// The classes, in words.
 fn class_names(between: &str) -> String {
     VehicleClass::ALL.iter().map(|class| format!("`{}`", class.name())).collect::<Vec<_>>().join(between)
 }
 
-fn wrong<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, InvalidSpace> {
+pub(super) fn wrong<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, InvalidSpace> {
     Err(InvalidSpace { field: field.into(), problem: problem.into() })
 }
 
@@ -79,7 +84,7 @@ impl Space {
                 vehicle.position_m = base.initial_gap_m(index).unwrap_or(vehicle.position_m);
             }
         }
-        let mut space = Self { spec, template, lines_up, parameters: Vec::new(), order: Vec::new() };
+        let mut space = Self { spec, template, lines_up, parameters: Vec::new(), order: Vec::new(), copula: None };
         let mut written: Vec<(String, String)> = Vec::new();
         for index in 0..space.spec.parameters.len() {
             space.add(index, &mut written)?;
@@ -96,6 +101,15 @@ impl Space {
         space.order.sort_by_key(|&index| space.parameters.get(index).map(|p| p.target.stage()));
         space.check_each()?;
         space.check_together()?;
+        if let Some(dependence) = &space.spec.dependence {
+            space.copula = Some(Copula::new(dependence, &space.parameters)?);
+        }
+        if let Some(exposure) = &space.spec.exposure {
+            exposure.check()?;
+        }
+        if let Some(observed) = &space.spec.observed {
+            observed.check(&space.spec)?;
+        }
         Ok(space)
     }
 
@@ -310,8 +324,7 @@ impl Distribution {
                 Ok(Marginal::LogUniform { low: *low, high: *high })
             }
             Self::Normal(normal) => {
-                let (low, high) = (normal.low, normal.high);
-                range(low, high, ".normal")?;
+                range(normal.low, normal.high, ".normal")?;
                 finite(".normal", "mean", normal.mean)?;
                 finite(".normal", "deviation", normal.deviation)?;
                 let gauss = Gauss::new(normal.mean, normal.deviation).ok().filter(|_| normal.deviation > 0.0);
@@ -319,24 +332,71 @@ impl Distribution {
                     let found = short(normal.deviation);
                     return Err((".normal", format!("deviation must be above 0, found {found}")));
                 };
-                let below = gauss.cdf(low);
-                let mass = gauss.cdf(high) - below;
-                if mass.is_nan() || mass < LEAST_MASS {
-                    return Err((
-                        ".normal",
-                        format!(
-                            "the range from {} to {} holds a share of only {} of the distribution, and must hold {LEAST_MASS}",
-                            short(low),
-                            short(high),
-                            short(mass)
-                        ),
-                    ));
-                }
-                Ok(Marginal::Normal { low, high, gauss, below, mass })
+                cut(".normal", Law::Normal(gauss), normal.low, normal.high)
+            }
+            Self::LogNormal(of) => {
+                let kind = ".log-normal";
+                range(of.low, of.high, kind)?;
+                from_zero(kind, of.low)?;
+                finite(kind, "ln_mean", of.ln_mean)?;
+                finite(kind, "ln_deviation", of.ln_deviation)?;
+                let law = LogNormalLaw::new(of.ln_mean, of.ln_deviation).ok().filter(|_| of.ln_deviation > 0.0);
+                let Some(law) = law else {
+                    return Err((kind, format!("ln_deviation must be above 0, found {}", short(of.ln_deviation))));
+                };
+                cut(kind, Law::LogNormal(law), of.low, of.high)
+            }
+            Self::Gamma(of) => {
+                let kind = ".gamma";
+                range(of.low, of.high, kind)?;
+                let [shape, scale] = of.checked(kind)?;
+                let law = GammaLaw::new(shape, 1.0 / scale).map_err(|problem| (kind, problem.to_string()))?;
+                cut(kind, Law::Gamma(law), of.low, of.high)
+            }
+            Self::Weibull(of) => {
+                let kind = ".weibull";
+                range(of.low, of.high, kind)?;
+                let [shape, scale] = of.checked(kind)?;
+                let law = WeibullLaw::new(shape, scale).map_err(|problem| (kind, problem.to_string()))?;
+                cut(kind, Law::Weibull(law), of.low, of.high)
             }
             Self::Choice(choice) => choice_of(choice),
         }
     }
+}
+
+impl ShapeScale {
+    /// Shape and scale.
+    fn checked(&self, kind: &'static str) -> Result<[f64; 2], (&'static str, String)> {
+        from_zero(kind, self.low)?;
+        let Self { shape, scale, .. } = *self;
+        if !(SHAPES[0]..=SHAPES[1]).contains(&shape) {
+            return Err((kind, format!("shape must be from {} to {}, found {}", SHAPES[0], SHAPES[1], short(shape))));
+        }
+        if !(1e-9..=1e9).contains(&scale) {
+            return Err((kind, format!("scale must be from 1e-9 to 1e9, found {}", short(scale))));
+        }
+        Ok([shape, scale])
+    }
+}
+
+/// A law within a range, if the range holds enough of it.
+fn cut(kind: &'static str, law: Law, low: f64, high: f64) -> Result<Marginal, (&'static str, String)> {
+    let below = law.cdf(low);
+    let mass = law.cdf(high) - below;
+    if mass.is_nan() || mass < LEAST_MASS {
+        let (low, high, mass) = (short(low), short(high), short(mass));
+        let problem = format!(
+            "the range from {low} to {high} holds a share of only {mass} of the distribution, and must hold {LEAST_MASS}"
+        );
+        return Err((kind, problem));
+    }
+    Ok(Marginal::Cut { low, high, law, below, mass })
+}
+
+/// A law of positive values has no range below 0.
+fn from_zero(kind: &'static str, low: f64) -> Result<(), (&'static str, String)> {
+    if low >= 0.0 { Ok(()) } else { Err((kind, format!("low must be from 0, found {}", short(low)))) }
 }
 
 /// Refuses what is no number, by the name of its field.

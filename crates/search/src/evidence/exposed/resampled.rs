@@ -1,0 +1,130 @@
+//! What the probability of a failure would have been, had other episodes been seen.
+
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+use statrs::distribution::{Beta, ContinuousCDF};
+
+use crate::evidence::rare::Estimate;
+use crate::fit::{refitted, resampled};
+use crumple_world::random::{Purpose, derived_seed, stream};
+use crumple_world::scenario::space::Space;
+
+/// Tells the streams of what is drawn besides the resamples from theirs.
+const DRAWS: u64 = 1 << 40;
+
+/// The probability of a failure in spaces fitted to resamples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Resamples {
+    /// One probability a resample, each drawn from what is known of it, sorted: they spread as data and sampling together.
+    pub spread: Vec<f64>,
+    /// Resamples to which no space could be fitted.
+    pub unfit: u32,
+    /// Runs made for each; 0 where runs were weighted.
+    pub runs_each: u32,
+    /// The variance of the probabilities, less what is sampling in them; from 0.
+    pub variance: f64,
+    /// Of weights: the median of how many evenly weighted failures they amount to.
+    pub effective_failures: Option<f64>,
+}
+
+impl Resamples {
+    /// The shares of the spread between which the confidence lies (Efron's percentiles); none without resamples.
+    #[must_use]
+    pub fn between(&self, confidence: f64) -> Option<[f64; 2]> {
+        let tail = 0.5 * (1.0 - confidence);
+        let last = self.spread.len().checked_sub(1)?;
+        let below = (tail * (last + 1) as f64).floor() as usize;
+        Some([*self.spread.get(below.min(last))?, *self.spread.get(last.saturating_sub(below))?])
+    }
+}
+
+/// The spaces fitted to resamples, and how many there were to which none could be.
+fn refitted_to_resamples(space: &Space, seed: u64, resamples: u32) -> Option<(Vec<(u64, Space)>, u32)> {
+    let observed = space.spec().observed.as_ref()?;
+    let again = |index: u64| Some((index, refitted(space.spec(), &resampled(observed, seed, index)).ok()?));
+    let spaces: Vec<(u64, Space)> = (0..u64::from(resamples)).into_par_iter().filter_map(again).collect();
+    let unfit = resamples - spaces.len() as u32;
+    (!spaces.is_empty()).then_some((spaces, unfit))
+}
+
+/// Makes new runs in each space fitted to a resample: `failures` says how many of so many runs fail there, with a seed. Nothing where the
+/// space does not hold what it was fitted to.
+///
+/// # Errors
+/// Those of `failures`.
+pub fn run_again<E>(
+    space: &Space,
+    seed: u64,
+    (resamples, runs): (u32, u32),
+    failures: &mut dyn FnMut(&Space, u64, u64) -> Result<u64, E>,
+) -> Result<Option<Resamples>, E> {
+    let Some((spaces, unfit)) = refitted_to_resamples(space, seed, resamples) else { return Ok(None) };
+    let (mut shares, mut spread, mut within) = (Vec::new(), Vec::new(), 0.0);
+    let n = f64::from(runs);
+    for (index, space) in spaces {
+        let failed = failures(&space, derived_seed(seed, DRAWS + index), u64::from(runs))? as f64;
+        let share = failed / n;
+        within += share * (1.0 - share) / (n - 1.0).max(1.0);
+        shares.push(share);
+        let u: f64 = stream(seed, Purpose::Resampling, DRAWS + index).random();
+        // Jeffreys' posterior: what is known of the probability, and never none.
+        let known = Beta::new(failed + 0.5, n - failed + 0.5);
+        spread.push(known.map_or(share, |known| known.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12))));
+    }
+    let within = within / shares.len() as f64;
+    spread.sort_by(f64::total_cmp);
+    let variance = (variance(&shares) - within).max(0.0);
+    Ok(Some(Resamples { spread, unfit, runs_each: runs, variance, effective_failures: None }))
+}
+
+/// Weights runs that failed, `failed`, by how much likelier they are in each space fitted to a resample: P_b / P = E[f_b / f | failure]. Each is
+/// its values in the space and its weight among the failures. Nothing where there are none, or no interval is known.
+#[must_use]
+pub fn reweighted(
+    space: &Space,
+    seed: u64,
+    resamples: u32,
+    estimate: &Estimate,
+    failed: &[(Vec<f64>, f64)],
+) -> Option<Resamples> {
+    let (probability, variation) = (estimate.probability?, estimate.coefficient_of_variation?);
+    let (spaces, unfit) = refitted_to_resamples(space, seed, resamples)?;
+    let total: f64 = failed.iter().map(|(_, weight)| weight).sum();
+    if !(total > 0.0) {
+        return None;
+    }
+    let before: Vec<f64> = failed.iter().map(|(values, _)| space.ln_density(values)).collect();
+    let weighted = |(index, other): &(u64, Space)| {
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for ((values, weight), before) in failed.iter().zip(&before) {
+            let likelier = weight / total * (other.ln_density(values) - before).exp();
+            (sum, squares) = (sum + likelier, squares + likelier * likelier);
+        }
+        let effective = if squares > 0.0 { sum * sum / squares } else { 0.0 };
+        let z: f64 = stream(seed, Purpose::Resampling, DRAWS + index).sample(StandardNormal);
+        // As the estimate's own interval: on a logarithmic scale.
+        let noise = (z * (variation * variation).ln_1p().sqrt()).exp();
+        ([probability * sum, (probability * sum * noise).min(1.0)], effective)
+    };
+    let weighted: Vec<([f64; 2], f64)> = spaces.par_iter().map(weighted).collect();
+    let probabilities: Vec<f64> = weighted.iter().map(|([probability, _], _)| *probability).collect();
+    let sorted = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        values
+    };
+    let effective = sorted(weighted.iter().map(|(_, effective)| *effective).collect());
+    Some(Resamples {
+        spread: sorted(weighted.iter().map(|([_, drawn], _)| *drawn).collect()),
+        unfit,
+        runs_each: 0,
+        variance: variance(&probabilities),
+        effective_failures: effective.get(effective.len() / 2).copied(),
+    })
+}
+
+fn variance(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (n - 1.0).max(1.0)
+}
