@@ -27,7 +27,11 @@ fn write_text(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
         out,
         "on the road, where {episodes} episodes in {waves} waves were seen in {hours:.3} h and {kilometres:.1} km of following:"
     )?;
-    let shown = |Figure { estimate, lower, upper }: Figure| format!("{estimate:.3e} ({lower:.2e} to {upper:.2e})");
+    let shown = |Figure { estimate, lower, upper }: Figure| {
+        let lower = if lower > 0.0 { format!("{lower:.2e}") } else { "0".to_owned() };
+        let estimate = if estimate > 0.0 { format!("{estimate:.3e}") } else { "0".to_owned() };
+        format!("{estimate} ({lower} to {upper:.2e})")
+    };
     let figures = |figures: &Figures, out: &mut String| {
         let Figures { per_episode, per_hour, per_1000_km } = *figures;
         writeln!(out, "    failures per episode  {}", shown(per_episode))?;
@@ -62,11 +66,12 @@ fn write_text(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
         writeln!(out, "    to {unfit} more resamples no space could be fitted")?;
     }
     let part = |variance: Option<f64>| {
-        variance.map_or("unknown, without failures".to_owned(), |variance| format!("{:.1} %", 100.0 * variance.sqrt()))
+        variance.map_or("not known (no failure)".to_owned(), |variance| format!("{:.1} %", 100.0 * variance.sqrt()))
     };
     writeln!(
         out,
-        "    relative standard deviation of failures per hour: {} by the number of episodes, {} by what they were, {} by the runs",
+        "    relative standard deviation of failures per hour: {} from the number of episodes, {} from what they were, {} from \
+         the runs",
         part(Some(with_data.counting_variance)),
         part(with_data.data_variance),
         part(with_data.sampling_variance)

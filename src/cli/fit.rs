@@ -1,5 +1,6 @@
 //! `crumple fit`: recorded episodes become a search space.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -85,8 +86,12 @@ impl Fit {
             min_brake: min_brake(self.min_brake)?,
             leaders: self.leaders.into(),
         };
-        let mut recordings = Vec::new();
+        let (mut recordings, mut known) = (Vec::new(), BTreeSet::new());
         for path in &self.recordings {
+            // Its episodes and hours would count twice, and everything look twice as certain.
+            if !path.canonicalize().is_ok_and(|file| known.insert(file)) && path.exists() {
+                return Err(Failure::Input(format!("{}: is given twice", path.display())));
+            }
             let recording = load(path, map.as_ref())?;
             recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
             recordings.push(recording);

@@ -53,5 +53,6 @@ fn panel(number: &FittedNumber, frame: Frame) -> Panel {
         number.goodness.cramer_von_mises_p
     );
     panel.note((high, 0.06), Anchor::End, &words, Ink::Muted);
+    panel.note((high, 0.18), Anchor::End, "dashes: observed, line: fitted", Ink::Muted);
     panel
 }

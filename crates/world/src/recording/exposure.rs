@@ -54,7 +54,9 @@ pub fn waves(episodes: &[Episode]) -> Vec<u32> {
         for (before, other) in episodes.iter().enumerate().take(index) {
             if is_one_wave(episode, other) {
                 let (from, to) = (wave[index].max(wave[before]), wave[index].min(wave[before]));
-                wave.iter_mut().filter(|wave| **wave == from).for_each(|wave| *wave = to);
+                if from != to {
+                    wave.iter_mut().filter(|wave| **wave == from).for_each(|wave| *wave = to);
+                }
             }
         }
     }

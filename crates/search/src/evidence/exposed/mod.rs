@@ -157,11 +157,13 @@ impl ExposedRate {
         };
         let fitted = figures([estimate, low, high], known.interval(1.0 - alpha / 2.0)?);
         let with_data = resamples.and_then(|resamples| {
-            let [low, high] = resamples.between(CONFIDENCE)?;
+            // Resamples may lie all on one side of what was fitted to all episodes.
+            let with = |[low, high]: [f64; 2]| [low.min(estimate), high.max(estimate)];
+            let [low, high] = with(resamples.between(CONFIDENCE)?);
             let squares: u64 = sizes.iter().map(|size| size * size).sum();
             Some(WithData {
-                figures: figures([estimate, low, high], resamples.between(1.0 - alpha / 2.0)?),
-                resamples: resamples.spread.len() as u32,
+                figures: figures([estimate, low, high], with(resamples.between(1.0 - alpha / 2.0)?)),
+                resamples: resamples.count(),
                 unfit: resamples.unfit,
                 runs_each: resamples.runs_each,
                 effective_failures: resamples.effective_failures,

@@ -16,8 +16,9 @@ const DRAWS: u64 = 1 << 40;
 /// The probability of a failure in spaces fitted to resamples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Resamples {
-    /// One probability a resample, each drawn from what is known of it, sorted: they spread as data and sampling together.
-    pub spread: Vec<f64>,
+    /// Two probabilities a resample, each sorted, drawn from what is known of its probability: they spread as data and sampling together.
+    /// The lower one is 0 where no run failed, the higher one 1 where all did.
+    pub spread: [Vec<f64>; 2],
     /// Resamples to which no space could be fitted.
     pub unfit: u32,
     /// Runs made for each; 0 where runs were weighted.
@@ -33,9 +34,16 @@ impl Resamples {
     #[must_use]
     pub fn between(&self, confidence: f64) -> Option<[f64; 2]> {
         let tail = 0.5 * (1.0 - confidence);
-        let last = self.spread.len().checked_sub(1)?;
+        let [lows, highs] = &self.spread;
+        let last = lows.len().checked_sub(1)?;
         let below = (tail * (last + 1) as f64).floor() as usize;
-        Some([*self.spread.get(below.min(last))?, *self.spread.get(last.saturating_sub(below))?])
+        Some([*lows.get(below.min(last))?, *highs.get(last.saturating_sub(below))?])
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> u32 {
+        self.spread[0].len() as u32
     }
 }
 
@@ -60,7 +68,7 @@ pub fn run_again<E>(
     failures: &mut dyn FnMut(&Space, u64, u64) -> Result<u64, E>,
 ) -> Result<Option<Resamples>, E> {
     let Some((spaces, unfit)) = refitted_to_resamples(space, seed, resamples) else { return Ok(None) };
-    let (mut shares, mut spread, mut within) = (Vec::new(), Vec::new(), 0.0);
+    let (mut shares, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
     let n = f64::from(runs);
     for (index, space) in spaces {
         let failed = failures(&space, derived_seed(seed, DRAWS + index), u64::from(runs))? as f64;
@@ -68,12 +76,14 @@ pub fn run_again<E>(
         within += share * (1.0 - share) / (n - 1.0).max(1.0);
         shares.push(share);
         let u: f64 = stream(seed, Purpose::Resampling, DRAWS + index).random();
-        // Jeffreys' posterior: what is known of the probability, and never none.
+        // Jeffreys' posterior, with its ends where they are certain (Brown, Cai and DasGupta, Statistical Science 16, 2001).
         let known = Beta::new(failed + 0.5, n - failed + 0.5);
-        spread.push(known.map_or(share, |known| known.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12))));
+        let drawn = known.map_or(share, |known| known.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12)));
+        spread[0].push(if failed == 0.0 { 0.0 } else { drawn });
+        spread[1].push(if failed == n { 1.0 } else { drawn });
     }
     let within = within / shares.len() as f64;
-    spread.sort_by(f64::total_cmp);
+    spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
     let variance = (variance(&shares) - within).max(0.0);
     Ok(Some(Resamples { spread, unfit, runs_each: runs, variance, effective_failures: None }))
 }
@@ -114,8 +124,9 @@ pub fn reweighted(
         values
     };
     let effective = sorted(weighted.iter().map(|(_, effective)| *effective).collect());
+    let drawn = sorted(weighted.iter().map(|([_, drawn], _)| *drawn).collect());
     Some(Resamples {
-        spread: sorted(weighted.iter().map(|([_, drawn], _)| *drawn).collect()),
+        spread: [drawn.clone(), drawn],
         unfit,
         runs_each: 0,
         variance: variance(&probabilities),

@@ -39,12 +39,20 @@ pub(super) enum Law {
     Weibull(Weibull),
 }
 
+/// The least value of a gamma distribution, relative to its scale, whose share is worked out.
+const LEAST_SCALED: f64 = 1e-200;
+
 impl Law {
     pub(super) fn cdf(&self, value: f64) -> f64 {
         match self {
             Self::Normal(law) => law.cdf(value),
             Self::LogNormal(law) => law.cdf(value),
-            Self::Gamma(law) => law.cdf(value),
+            // The library panics where the product of value and rate is no number above 0.
+            Self::Gamma(law) => match value * law.rate() {
+                scaled if scaled < LEAST_SCALED => 0.0,
+                scaled if scaled > 1.0 / LEAST_SCALED => 1.0,
+                _ => law.cdf(value),
+            },
             Self::Weibull(law) => law.cdf(value),
         }
     }
@@ -53,7 +61,10 @@ impl Law {
         match self {
             Self::Normal(law) => law.inverse_cdf(share),
             Self::LogNormal(law) => law.inverse_cdf(share),
-            Self::Gamma(law) => law.inverse_cdf(share),
+            Self::Gamma(law) => {
+                let least = 2.0 * LEAST_SCALED / law.rate();
+                if self.cdf(least) >= share { least } else { law.inverse_cdf(share) }
+            }
             Self::Weibull(law) => law.inverse_cdf(share),
         }
     }
@@ -211,6 +222,32 @@ mod tests {
             }),
         ]
         .prop_map(|distribution| distribution.marginal().expect("valid"))
+    }
+
+    /// The edges of what a file may state: no panic, no hang, no value outside the range.
+    #[test]
+    fn extreme_laws_have_values_at_every_share() {
+        let ranges = [[0.0, 1.0], [0.0, 1e300], [1e-320, 1e-300], [0.0, 1e-310], [1e-3, 12.0], [1e200, 1e308]];
+        let shares = [0.0, f64::MIN_POSITIVE, 1e-100, 0.5, 1.0 - f64::EPSILON, 1.0];
+        for [low, high] in ranges {
+            for shape in [0.01, 0.3, 1.0, 7.0, 1e6] {
+                for scale in [1e-9, 1e-3, 1.0, 1e9] {
+                    let of = ShapeScale { shape, scale, low, high };
+                    let lognormal = LogNormal { ln_mean: scale.ln(), ln_deviation: shape, low, high };
+                    for law in
+                        [Distribution::Gamma(of.clone()), Distribution::Weibull(of), Distribution::LogNormal(lognormal)]
+                    {
+                        let Ok(marginal) = law.marginal() else { continue };
+                        for u in shares {
+                            let at = marginal.quantile(u);
+                            assert!((0.0..=1.0).contains(&at), "{law:?} {u}: {at}");
+                            assert!(!marginal.ln_density(at).is_nan(), "{law:?} {u}");
+                            assert!((0.0..=1.0).contains(&marginal.share_below(at)), "{law:?} {u}");
+                        }
+                    }
+                }
+            }
+        }
     }
 
     proptest! {

@@ -47,6 +47,8 @@
 mod built_in;
 mod check;
 mod copula;
+#[cfg(test)]
+mod copula_tests;
 mod derived;
 mod field;
 pub mod file;
