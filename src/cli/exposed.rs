@@ -47,21 +47,16 @@ fn write_text(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
     let Some(with_data) = with_data else {
         return writeln!(out, "  without the data's uncertainty: nothing was resampled");
     };
-    let WithData { resamples, unfit, runs_each, effective_failures, .. } = with_data;
-    let how = match effective_failures {
-        Some(failures) => {
-            format!("failures weighted anew, worth {failures:.0} evenly weighted ones in the middle resample")
-        }
-        None => format!("{runs_each} new runs in each"),
+    let WithData { resamples, unfit, runs_each, .. } = with_data;
+    let how = match runs_each {
+        Some(runs) => format!("{runs} new runs in each"),
+        None => "a smaller estimate in each".to_owned(),
     };
     writeln!(
         out,
         "  at {percent} %, with the data's uncertainty: {resamples} resamples of the episodes, the space fitted to each; {how}"
     )?;
     figures(&with_data.figures, out)?;
-    if effective_failures.is_some_and(|failures| failures < 20.0) {
-        writeln!(out, "    few failures carry the weights: the data's uncertainty is not well known")?;
-    }
     if *unfit > 0 {
         writeln!(out, "    to {unfit} more resamples no space could be fitted")?;
     }

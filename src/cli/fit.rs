@@ -22,7 +22,7 @@ use crumple_world::scenario::space::file;
 #[derive(Args)]
 #[command(after_long_help = "\
 Takes recordings as `crumple import` does, and describes each braking episode by numbers: the leader's speed, the deceleration of its \
-hardest second, the share of its speed that it ends with, and of each follower the speed relative to the leader's and the time gap. Each \
+hardest second, the share of its speed that it keeps, and of each follower the speed relative to the leader's and the time gap. Each \
 number gets the likeliest of five families (uniform, normal, log-normal, gamma, Weibull), cut to what a scenario may have; how they depend on \
 each other is a Gaussian copula. The space is a file like any other, for `falsify`, `verify rate` and assessments. It keeps in how much \
 driving the episodes were, so that failures are stated per hour and per 1000 km, and the episodes' numbers, so that they can be resampled \

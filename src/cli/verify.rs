@@ -92,9 +92,10 @@ struct Rate {
     /// With --rare: how to print [default: text]
     #[arg(long, value_enum, requires = "rare")]
     format: Option<Format>,
-    /// In a space fitted to episodes: resamples of these, to each of which it is fitted again: 0 (none) or 20 to 2000
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = exposed::resamples)]
-    resamples: u32,
+    /// In a space fitted to episodes: resamples of these, to each of which it is fitted again: 0 (none) or 20 to 2000 [default: 200, with
+    /// --rare 40, each with an estimate of about 20 000 runs]
+    #[arg(long, value_name = "N", value_parser = exposed::resamples)]
+    resamples: Option<u32>,
     /// Runs made in each of them, without --rare: 50 to 100 000
     #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(50..=100_000))]
     resample_runs: u32,
@@ -175,7 +176,8 @@ impl Rate {
         bar.finish_and_clear();
         let said = judged(&count.certificate_path(), &certificate?)?;
         let bar = progress::counter("resampling", quiet);
-        let exposed = plan.exposed(count.tally(), (self.resamples, self.resample_runs), &mut |runs| bar.inc(runs));
+        let exposed =
+            plan.exposed(count.tally(), (self.resamples.unwrap_or(200), self.resample_runs), &mut |runs| bar.inc(runs));
         bar.finish_and_clear();
         let exposed = exposed.map_err(Failure::input)?.map(|rate| exposed::text(&rate)).unwrap_or_default();
         output::print(&format!("{}{said}{exposed}", counted(is_comparison, count.tally())))
@@ -195,7 +197,14 @@ impl Rate {
         if let Some(shard) = self.shard {
             return rare::shard(&plan, shard, &self.out_of(), self.resume, quiet);
         }
-        rare::estimate(&plan, self.resamples, &self.out_of(), self.resume, self.format.unwrap_or(Format::Text), quiet)
+        rare::estimate(
+            &plan,
+            self.resamples.unwrap_or(40),
+            &self.out_of(),
+            self.resume,
+            self.format.unwrap_or(Format::Text),
+            quiet,
+        )
     }
 
     /// Where it goes.

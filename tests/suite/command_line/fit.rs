@@ -58,7 +58,8 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
 
     let rare = |more: &[&str]| {
         let effort = ["--rare", "--samples", "50", "--repetitions", "5", "--resamples", "20", "--format", "json"];
-        let asked = ["verify", "rate", "--controller", "baseline", "--space", "space.toml", "--estimator", "truth"];
+        let asked =
+            ["verify", "rate", "--controller", "full-throttle", "--space", "space.toml", "--estimator", "truth"];
         crumple(here, &[&asked[..], &effort, more].concat())
     };
     let first = rare(&["--out", "rare"]);

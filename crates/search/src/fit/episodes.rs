@@ -63,12 +63,19 @@ fn numbers_of(episode: &Episode, vehicles: usize) -> Option<Vec<f64>> {
     let line = episode.vehicles.get(..vehicles)?;
     let lead_mps = line.first()?.speed_mps;
     // In one second, so that a loss of speed is a deceleration.
-    let mut all = vec![lead_mps, episode.largest_drop_mps, episode.end_speed_mps / lead_mps];
+    let mut all = vec![lead_mps, episode.largest_drop_mps, lowest_mps(episode) / lead_mps];
     for follower in line.iter().skip(1) {
         all.push(follower.speed_mps / lead_mps);
         all.push(follower.gap_ahead_m / follower.speed_mps);
     }
     Some(all.into_iter().map(|value| (value * 1e6).round() / 1e6).collect())
+}
+
+/// The leader's lowest speed while it brakes: between two phases of braking it may speed up again.
+fn lowest_mps(episode: &Episode) -> f64 {
+    let braking = episode.onset_s..=episode.braking_end_s;
+    let samples = episode.time_s.iter().zip(&episode.speed_mps).filter(|(time_s, _)| braking.contains(*time_s));
+    samples.map(|(_, speed_mps)| *speed_mps).fold(episode.end_speed_mps, f64::min)
 }
 
 /// Episodes as numbers, and in how much driving they were.
@@ -135,8 +142,9 @@ impl Sample {
         let outside_by = numbers.iter().zip(&outside).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
         let outside_by = outside_by.map(|(number, _)| number.name.clone());
         if found < needed {
-            let left_out = outside.iter().sum();
-            return Err(FitError::TooFew { found, needed, vehicles: taken.vehicles, shorter, outside: left_out });
+            let (vehicles, outside) = (taken.vehicles, outside.iter().sum());
+            let most = outside_by.map(|name| format!(", most of them {name}")).unwrap_or_default();
+            return Err(FitError::TooFew { found, needed, vehicles, shorter, outside, most });
         }
         if found > MOST_EPISODES {
             return Err(FitError::TooMany { found, most: MOST_EPISODES, what: "episodes" });

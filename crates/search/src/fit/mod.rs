@@ -60,7 +60,7 @@ pub enum FitError {
     /// Too few episodes.
     #[error(
         "{found} episodes of {vehicles} vehicles, and {needed} are needed; {shorter} have fewer vehicles, {outside} have numbers that no \
-         scenario of such a space may have"
+         scenario of such a space may have{most}"
     )]
     TooFew {
         /// How many there are.
@@ -73,6 +73,8 @@ pub enum FitError {
         shorter: usize,
         /// How many are not described by the space.
         outside: usize,
+        /// By which number most of these, in words.
+        most: String,
     },
     /// More than a space may keep.
     #[error("{found} {what}: at most {most} can be fitted")]
@@ -275,7 +277,7 @@ fn about(sample: &Sample) -> String {
     let waves = observed.waves.iter().max().map_or(0, |last| last + 1);
     format!(
         "Fitted to {} braking episodes in {waves} waves of {} vehicles each, in {:.3} h and {:.1} km of following, from {} m/s² on. The leader \
-         brakes at its hardest second's deceleration down to its last speed. Left out: {shorter} episodes of fewer vehicles, {outside} with \
+         brakes at its hardest second's deceleration down to its lowest speed. Left out: {shorter} episodes of fewer vehicles, {outside} with \
          numbers outside the ranges.",
         exposure.episodes,
         taken.vehicles,

@@ -82,3 +82,53 @@ fn is_one_wave(a: &Episode, b: &Episode) -> bool {
         && a.event == b.event
         && (leads_in(a, b) || leads_in(b, a))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::{MinBrake, episodes, read};
+    use std::fmt::Write;
+    use std::path::Path;
+
+    /// A platoon of four for 30 s, of which each brakes half a second after the one ahead, and again much later; one spacing is missing
+    /// for a second.
+    fn platoon() -> Recording {
+        let header = "Date,1\nVehicle_order\nNumber_of_vehicles,4\nACC,1\nDistance_setting,S\n";
+        let names = "Time,Speed1,Speed2,Speed3,Speed4,IVS1,IVS2,IVS3\n";
+        let mut rows = String::new();
+        for tenth in 0..600 {
+            let at_s = f64::from(tenth) / 10.0;
+            let speed = |car: f64| {
+                20.0 - 3.0 * (at_s - 5.0 - 0.5 * car).clamp(0.0, 2.0) + 6.0 * ((at_s - 20.0) / 10.0).clamp(0.0, 1.0)
+                    - 3.0 * (at_s - 45.0 - 0.5 * car).clamp(0.0, 2.0)
+            };
+            let gap = if (100..110).contains(&tenth) { String::new() } else { "30.0".to_owned() };
+            let speeds: Vec<_> = (0..4).map(|car| format!("{:.3}", speed(f64::from(car)))).collect();
+            writeln!(rows, "{at_s:.1},{},30.0,{gap},30.0", speeds.join(",")).unwrap();
+        }
+        read(format!("{header}{names}{rows}").as_bytes(), Path::new("p.csv"), None).unwrap()
+    }
+
+    #[test]
+    fn following_is_summed_over_whoever_may_lead_and_waves_hold_together() {
+        let recording = platoon();
+        // Between 600 samples lie 59.9 s; where the second spacing is missing, 1.1 s of its pair and of those ahead of it are not counted.
+        let seconds = |leaders, followers| followed(&recording, leaders, followers).hours * 3600.0;
+        for (leaders, followers, wanted) in [
+            (Leaders::Any, 1, 3.0 * 59.9 - 1.1),
+            (Leaders::Any, 2, 2.0 * 58.8),
+            (Leaders::Any, 3, 58.8),
+            (Leaders::First, 3, 58.8),
+        ] {
+            assert!(
+                (seconds(leaders, followers) - wanted).abs() < 1e-6,
+                "{leaders:?} {followers}: {}",
+                seconds(leaders, followers)
+            );
+        }
+        let driven = followed(&recording, Leaders::First, 1);
+        assert!(driven.hours * 3600.0 < 62.0 && driven.kilometres > 0.8 && driven.kilometres < 1.2, "{driven:?}");
+        let found = episodes(&recording, MinBrake::default(), Leaders::Any).episodes;
+        assert_eq!((found.len(), waves(&found)), (6, [0, 0, 0, 1, 1, 1].to_vec()));
+    }
+}

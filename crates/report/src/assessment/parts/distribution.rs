@@ -5,6 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use super::exposed::{exposed, on_the_road};
 use crate::assessment::case::{CaseVerdict, smallest};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
 use crate::assessment::markdown::Markdown;
@@ -15,9 +16,8 @@ use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
 use crumple_search::evidence::RateInterval;
-use crumple_search::evidence::exposed::{ExposedRate, Probability, run_again};
+use crumple_search::evidence::exposed::{ExposedRate, Probability};
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::Space;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
 
 /// Confidence of the intervals.
@@ -25,10 +25,6 @@ const CONFIDENCE: f64 = 0.95;
 
 /// Draws simulated at a time: enough to fill all cores, few enough not to fill memory.
 const DRAWS_AT_ONCE: u64 = 4096;
-
-/// Resamples of the episodes that a space was fitted to, and runs of each controller in each of them.
-const RESAMPLES: u32 = 100;
-const RUNS_EACH: u32 = 200;
 
 /// Every controller on the same draws, space after space.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
@@ -283,28 +279,6 @@ impl Distribution {
     }
 }
 
-/// What failures come to on the road, with the data's uncertainty.
-fn exposed(
-    plan: &AssessmentPlan,
-    named: &NamedSpace,
-    controller: &NamedController,
-    known: Probability<'_>,
-    work: &Work<'_>,
-) -> Result<Option<ExposedRate>, AssessError> {
-    if named.space.spec().exposure.is_none() {
-        return Ok(None);
-    }
-    let mut failures = |space: &Space, seed: u64, runs: u64| -> Result<u64, AssessError> {
-        // Between two, so that it can be interrupted.
-        work.did(0)?;
-        let scenarios = (0..runs).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
-        let draws = run_draws(&scenarios, controller, plan)?;
-        Ok(draws.iter().filter(|draw| draw.verdict.is_failure()).count() as u64)
-    };
-    let resamples = run_again(&named.space, plan.config.seed, (RESAMPLES, RUNS_EACH), &mut failures)?;
-    Ok(ExposedRate::of(&named.space, known, resamples.as_ref()))
-}
-
 /// What comes of each, none recorded but in its sums.
 pub(super) fn run_draws(
     scenarios: &[Scenario],
@@ -400,7 +374,7 @@ impl Part for Distributions {
             @for drawn in &self.spaces {
                 p { (prose(&drawn.introduction())) }
                 (drawn.table().html())
-                @if let Some((words, table)) = super::exposed::on_the_road(drawn) {
+                @if let Some((words, table)) = on_the_road(drawn) {
                     p { (prose(&words)) }
                     (table.html())
                 }
@@ -414,7 +388,7 @@ impl Part for Distributions {
         for drawn in &self.spaces {
             text.paragraph(drawn.introduction());
             drawn.table().markdown(&mut text);
-            if let Some((words, table)) = super::exposed::on_the_road(drawn) {
+            if let Some((words, table)) = on_the_road(drawn) {
                 text.paragraph(words);
                 table.markdown(&mut text);
             }

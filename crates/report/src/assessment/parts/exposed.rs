@@ -1,8 +1,17 @@
 //! Failures per hour and per 1000 km, in spaces fitted to recorded episodes.
 
-use super::distribution::Distribution;
+use super::distribution::{Distribution, run_draws};
+use crate::assessment::plan::NamedSpace;
 use crate::assessment::table::{Cell, Table};
-use crumple_search::evidence::exposed::{ExposedRate, Figure, WithData};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, AssessmentPlan};
+use crumple_search::evidence::exposed::{ExposedRate, Figure, Probability, WithData, run_again};
+use crumple_world::scenario::space::Space;
+use crumple_world::sim::NamedController;
+
+/// Resamples of the episodes that a space was fitted to, and runs of each controller in each of them.
+const RESAMPLES: u32 = 100;
+const RUNS_EACH: u32 = 200;
 
 /// A table of a space's controllers and what is to be said of it; none where the space does not say in how much driving it was seen.
 pub(super) fn on_the_road(drawn: &Distribution) -> Option<(String, Table)> {
@@ -24,7 +33,8 @@ pub(super) fn on_the_road(drawn: &Distribution) -> Option<(String, Table)> {
     if let Some(data) = first.with_data {
         words += &format!(
             " With data: {} resamples of the episodes, the space fitted to each, {} runs in each.",
-            data.resamples, data.runs_each
+            data.resamples,
+            data.runs_each.unwrap_or(0)
         );
     }
     let mut table = Table::new(&[
@@ -54,4 +64,26 @@ pub(super) fn on_the_road(drawn: &Distribution) -> Option<(String, Table)> {
         ]);
     }
     Some((words, table))
+}
+
+/// What failures come to on the road, with the data's uncertainty.
+pub(super) fn exposed(
+    plan: &AssessmentPlan,
+    named: &NamedSpace,
+    controller: &NamedController,
+    known: Probability<'_>,
+    work: &Work<'_>,
+) -> Result<Option<ExposedRate>, AssessError> {
+    if named.space.spec().exposure.is_none() {
+        return Ok(None);
+    }
+    let mut failures = |space: &Space, seed: u64, runs: u64| -> Result<u64, AssessError> {
+        // Between two, so that it can be interrupted.
+        work.did(0)?;
+        let scenarios = (0..runs).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
+        let draws = run_draws(&scenarios, controller, plan)?;
+        Ok(draws.iter().filter(|draw| draw.verdict.is_failure()).count() as u64)
+    };
+    let resamples = run_again(&named.space, plan.config.seed, (RESAMPLES, RUNS_EACH), &mut failures)?;
+    Ok(ExposedRate::of(&named.space, known, resamples.as_ref()))
 }

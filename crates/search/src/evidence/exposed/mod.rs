@@ -15,7 +15,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use counting::expected_episodes;
-pub use resampled::{Resamples, reweighted, run_again};
+pub use resampled::{Resamples, estimate_again, run_again};
 
 use super::RateInterval;
 use super::rare::Estimate;
@@ -75,11 +75,9 @@ pub struct WithData {
     pub resamples: u32,
     /// Those to which no space could be fitted.
     pub unfit: u32,
-    /// Runs made for each; 0 where runs that failed were weighted.
-    pub runs_each: u32,
-    /// Of weights: the median over resamples of how many evenly weighted failures they amount to.
+    /// Runs made for each; none where each has an estimate by splitting of its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub effective_failures: Option<f64>,
+    pub runs_each: Option<u32>,
     /// Variances relative to the squared estimate: of the number of episodes, ...
     pub counting_variance: f64,
     /// ... of the probability of a failure as the episodes differ, less what is sampling in the resamples; none without failures, ...
@@ -166,7 +164,6 @@ impl ExposedRate {
                 resamples: resamples.count(),
                 unfit: resamples.unfit,
                 runs_each: resamples.runs_each,
-                effective_failures: resamples.effective_failures,
                 counting_variance: squares as f64 / (exposure.episodes as f64).powi(2),
                 data_variance: (estimate > 0.0).then(|| resamples.variance / (estimate * estimate)),
                 sampling_variance: known.variance(),

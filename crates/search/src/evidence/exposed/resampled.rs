@@ -1,7 +1,6 @@
 //! What the probability of a failure would have been, had other episodes been seen.
 
 use rand::RngExt;
-use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use statrs::distribution::{Beta, ContinuousCDF};
 
@@ -21,12 +20,10 @@ pub struct Resamples {
     pub spread: [Vec<f64>; 2],
     /// Resamples to which no space could be fitted.
     pub unfit: u32,
-    /// Runs made for each; 0 where runs were weighted.
-    pub runs_each: u32,
+    /// Runs made for each; none where each has an estimate of its own.
+    pub runs_each: Option<u32>,
     /// The variance of the probabilities, less what is sampling in them; from 0.
     pub variance: f64,
-    /// Of weights: the median of how many evenly weighted failures they amount to.
-    pub effective_failures: Option<f64>,
 }
 
 impl Resamples {
@@ -85,53 +82,39 @@ pub fn run_again<E>(
     let within = within / shares.len() as f64;
     spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
     let variance = (variance(&shares) - within).max(0.0);
-    Ok(Some(Resamples { spread, unfit, runs_each: runs, variance, effective_failures: None }))
+    Ok(Some(Resamples { spread, unfit, runs_each: Some(runs), variance }))
 }
 
-/// Weights runs that failed, `failed`, by how much likelier they are in each space fitted to a resample: P_b / P = E[f_b / f | failure]. Each is
-/// its values in the space and its weight among the failures. Nothing where there are none, or no interval is known.
-#[must_use]
-pub fn reweighted(
+/// Estimates anew in each space fitted to a resample: `again` does, with a seed. Nothing where the space does not hold what it was fitted to.
+///
+/// Weighting the runs that failed by how much likelier they are there would cost nothing, and was tried: of a failure of probability
+/// 10⁻⁶ one run carries all the weight, and where other failures are likelier, no run has been.
+///
+/// # Errors
+/// Those of `again`.
+pub fn estimate_again<E>(
     space: &Space,
     seed: u64,
     resamples: u32,
-    estimate: &Estimate,
-    failed: &[(Vec<f64>, f64)],
-) -> Option<Resamples> {
-    let (probability, variation) = (estimate.probability?, estimate.coefficient_of_variation?);
-    let (spaces, unfit) = refitted_to_resamples(space, seed, resamples)?;
-    let total: f64 = failed.iter().map(|(_, weight)| weight).sum();
-    if !(total > 0.0) {
-        return None;
+    again: &mut dyn FnMut(&Space, u64) -> Result<Estimate, E>,
+) -> Result<Option<Resamples>, E> {
+    let Some((spaces, unfit)) = refitted_to_resamples(space, seed, resamples) else { return Ok(None) };
+    let (mut found, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
+    for (index, space) in spaces {
+        let estimate = again(&space, derived_seed(seed, DRAWS + index))?;
+        let probability = estimate.probability.unwrap_or(0.0);
+        within += (probability * estimate.coefficient_of_variation.unwrap_or(0.0)).powi(2);
+        found.push(probability);
+        // Where no failure was reached, it is rarer than the last level that was.
+        let reached = estimate.levels.iter().map(|level| level.probability).filter(|level| *level > 0.0);
+        let at_most = if probability > 0.0 { probability } else { reached.fold(1.0, f64::min) };
+        spread[0].push(probability);
+        spread[1].push(at_most);
     }
-    let before: Vec<f64> = failed.iter().map(|(values, _)| space.ln_density(values)).collect();
-    let weighted = |(index, other): &(u64, Space)| {
-        let (mut sum, mut squares) = (0.0, 0.0);
-        for ((values, weight), before) in failed.iter().zip(&before) {
-            let likelier = weight / total * (other.ln_density(values) - before).exp();
-            (sum, squares) = (sum + likelier, squares + likelier * likelier);
-        }
-        let effective = if squares > 0.0 { sum * sum / squares } else { 0.0 };
-        let z: f64 = stream(seed, Purpose::Resampling, DRAWS + index).sample(StandardNormal);
-        // As the estimate's own interval: on a logarithmic scale.
-        let noise = (z * (variation * variation).ln_1p().sqrt()).exp();
-        ([probability * sum, (probability * sum * noise).min(1.0)], effective)
-    };
-    let weighted: Vec<([f64; 2], f64)> = spaces.par_iter().map(weighted).collect();
-    let probabilities: Vec<f64> = weighted.iter().map(|([probability, _], _)| *probability).collect();
-    let sorted = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        values
-    };
-    let effective = sorted(weighted.iter().map(|(_, effective)| *effective).collect());
-    let drawn = sorted(weighted.iter().map(|([_, drawn], _)| *drawn).collect());
-    Some(Resamples {
-        spread: [drawn.clone(), drawn],
-        unfit,
-        runs_each: 0,
-        variance: variance(&probabilities),
-        effective_failures: effective.get(effective.len() / 2).copied(),
-    })
+    let within = within / found.len() as f64;
+    spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
+    let variance = (variance(&found) - within).max(0.0);
+    Ok(Some(Resamples { spread, unfit, runs_each: None, variance }))
 }
 
 fn variance(values: &[f64]) -> f64 {

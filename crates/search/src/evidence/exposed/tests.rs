@@ -1,4 +1,5 @@
 use super::*;
+use crate::evidence::rare::Level;
 use crate::fit::refitted;
 use crumple_world::random::{Purpose, Stream, stream};
 use crumple_world::scenario::space::{Exposure, Observed, ObservedParameter, file};
@@ -118,35 +119,29 @@ fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_count
     assert!(per_hour.lower < per_hour.estimate && per_hour.upper > per_hour.estimate);
 }
 
-/// Weights of failures say what runs in the other spaces do.
+/// Estimates spread as counts do; where none reaches a failure, the interval ends where the climb did.
 #[test]
-fn weights_agree_with_new_runs() {
+fn estimates_in_resamples_agree_with_new_runs() {
     let truth = traffic();
     let space = seen(&truth, 20.0, 12.0, &mut stream(3, Purpose::Search, 77));
-    let draws = |space: &Space| (0..40_000).map(|i| space.values(&space.draw_point(5, i))).collect::<Vec<_>>();
-    let failed: Vec<_> = draws(&space).into_iter().filter(|values| fails(values)).map(|values| (values, 1.0)).collect();
-    let probability = failed.len() as f64 / 40_000.0;
-    let estimate = Estimate {
-        probability: Some(probability),
-        coefficient_of_variation: Some(1e-6),
+    let estimate = |probability: Option<f64>| Estimate {
+        probability,
+        coefficient_of_variation: probability.map(|_| 1e-6),
         interval_95: None,
-        repetitions: vec![probability; 5],
-        evaluations: 40_000,
-        levels: Vec::new(),
+        repetitions: Vec::new(),
+        evaluations: 0,
+        levels: vec![Level { margin: 1.0, probability: 1e-3, share: 0.1, step: None, acceptance: None }],
     };
-    let weighted = reweighted(&space, 9, 40, &estimate, &failed).unwrap();
-    let mut again = Vec::new();
-    let runs = run_again(&space, 9, (40, 4000), &mut |space: &Space, seed, runs| {
-        let failed = failures(space, seed, runs)?;
-        again.push(failed as f64 / runs as f64);
-        Ok::<_, std::convert::Infallible>(failed)
-    });
-    let runs = runs.unwrap().unwrap();
-    assert!(weighted.effective_failures.unwrap() > 100.0, "{weighted:?}");
-    again.sort_by(f64::total_cmp);
-    for (weighted, again) in weighted.spread[0].iter().zip(&again) {
-        assert!((weighted - again).abs() < 0.03, "{weighted} {again}");
+    let share = |space: &Space, seed: u64| failures(space, seed, 4000).map(|failed| failed as f64 / 4000.0);
+    let climbed = estimate_again(&space, 9, 40, &mut |space: &Space, seed| Ok(estimate(Some(share(space, seed)?))));
+    let climbed: Result<_, std::convert::Infallible> = climbed;
+    let (climbed, counted) =
+        (climbed.unwrap().unwrap(), run_again(&space, 9, (40, 4000), &mut failures).unwrap().unwrap());
+    for (a, b) in climbed.spread[0].iter().zip(&counted.spread[0]) {
+        assert!((a - b).abs() < 0.03, "{a} {b}");
     }
-    let ratio = weighted.variance / runs.variance;
+    let ratio = climbed.variance / counted.variance;
     assert!((0.7..1.4).contains(&ratio), "{ratio}");
+    let none = estimate_again(&space, 9, 20, &mut |_: &Space, _| Ok::<_, std::convert::Infallible>(estimate(None)));
+    assert_eq!(none.unwrap().unwrap().between(0.95), Some([0.0, 1e-3]));
 }

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Effort, Estimate, Problem, Splitting, State};
-use crate::evidence::exposed::{ExposedRate, Probability, reweighted};
+use crate::evidence::exposed::{ExposedRate, Probability, estimate_again};
 use crate::shard::TooManyShards;
 use crate::work::WorkError;
 use crumple_world::digest::sha256;
@@ -29,6 +29,9 @@ pub struct RarePlan {
     /// How much work goes into it.
     pub effort: Effort,
 }
+
+/// Effort of an estimate in a space fitted to a resample: what these spread is what is looked for.
+const AGAIN: Effort = Effort { samples: 100, repetitions: 5 };
 
 /// Why a run cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -122,7 +125,10 @@ impl Problem for RarePlan {
     }
 
     fn margins(&self, states: &[State]) -> Result<Vec<f64>, RareError> {
-        let scenario = |state: &State| self.space.at_with_noise(&self.point(state), state.noise);
+        let scenario = |state: &State| {
+            let uniform: Vec<f64> = state.normal.iter().map(|&x| share_below(x)).collect();
+            self.space.at_with_noise(&self.space.quantile(&uniform), state.noise)
+        };
         let scenarios = states.par_iter().map(scenario).collect::<Result<Vec<_>, _>>()?;
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
         let runs =
@@ -144,7 +150,8 @@ impl RarePlan {
         Splitting::pilot(self, self.effort, self.seed, done)
     }
 
-    /// Estimates with the levels of a pilot. In a space fitted to episodes, runs that failed are weighted for each of so many `resamples`.
+    /// Estimates with the levels of a pilot. In a space fitted to episodes, estimates anew, with less effort, in the spaces fitted to so many
+    /// `resamples` of them.
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made.
@@ -154,18 +161,20 @@ impl RarePlan {
         resamples: u32,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<RareReport, RareError> {
-        let (estimate, failed) = pilot.estimate_with_failures(self, done)?;
-        let values = |(state, weight): &(State, f64)| (self.space.values(&self.point(state)), *weight);
-        let failed: Vec<(Vec<f64>, f64)> = failed.iter().map(values).collect();
-        let resamples = reweighted(&self.space, self.seed, resamples, &estimate, &failed);
+        let estimate = pilot.estimate(self, done)?;
+        let mut again = |space: &Space, seed: u64| {
+            let (controller, estimator) = (self.controller.clone(), self.estimator);
+            let other = Self { controller, space: space.clone(), estimator, seed, effort: AGAIN };
+            other.pilot(done)?.estimate(&other, done)
+        };
+        let resamples = match estimate.probability {
+            Some(_) if self.space.spec().exposure.is_some() => {
+                estimate_again(&self.space, self.seed, resamples, &mut again)?
+            }
+            _ => None,
+        };
         let exposed = ExposedRate::of(&self.space, Probability::Estimated(&estimate), resamples.as_ref());
         Ok(RareReport { exposed, ..self.record()?.report(estimate) })
-    }
-
-    /// The point of a state.
-    fn point(&self, state: &State) -> Vec<f64> {
-        let uniform: Vec<f64> = state.normal.iter().map(|&x| share_below(x)).collect();
-        self.space.quantile(&uniform)
     }
 
     /// All that decides the estimate, but the space's text.

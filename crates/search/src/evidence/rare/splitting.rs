@@ -208,45 +208,14 @@ impl Splitting {
         repetitions: Range<u64>,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Repetition>, P::Error> {
-        let repeated = self.repeat_with_failures(problem, repetitions, done)?;
-        Ok(repeated.into_iter().map(|(repetition, _)| repetition).collect())
-    }
-
-    /// The same, with the runs that failed.
-    fn repeat_with_failures<P: Problem>(
-        &self,
-        problem: &P,
-        repetitions: Range<u64>,
-        done: &(dyn Fn(u64) + Sync),
-    ) -> Result<Vec<(Repetition, Vec<State>)>, P::Error> {
         let repetitions = repetitions.start..repetitions.end.min(self.repetitions());
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
             let mut climber = Climber::new(problem, self.effort.samples, random, done);
-            let (seen, failed) = climber.climb(&self.stages)?;
-            Ok((Repetition { seen, evaluations: climber.evaluations }, failed))
+            let seen = climber.climb(&self.stages)?;
+            Ok(Repetition { seen, evaluations: climber.evaluations })
         };
         repetitions.into_par_iter().map(repeat).collect()
-    }
-
-    /// The estimate, with the runs that failed in it and the weight of each: what its repetition found, shared among those of it.
-    ///
-    /// # Errors
-    /// Those of the problem.
-    pub fn estimate_with_failures<P: Problem>(
-        &self,
-        problem: &P,
-        done: &(dyn Fn(u64) + Sync),
-    ) -> Result<(Estimate, Vec<(State, f64)>), P::Error> {
-        let (repeated, failed): (Vec<_>, Vec<_>) =
-            self.repeat_with_failures(problem, 0..self.repetitions(), done)?.into_iter().unzip();
-        let estimate = self.summary(repeated);
-        let weighted = failed.into_iter().zip(&estimate.repetitions).flat_map(|(states, found)| {
-            let weight = found / states.len().max(1) as f64;
-            states.into_iter().map(move |state| (state, weight))
-        });
-        let weighted = weighted.collect();
-        Ok((estimate, weighted))
     }
 
     /// Whether it was placed by that seed with that effort.
@@ -321,17 +290,13 @@ impl<'a, P: Problem> Climber<'a, P> {
         Self { problem, samples, random, evaluations: 0, done }
     }
 
-    /// What it sees at each level, and those that pass the last one.
-    fn climb(&mut self, stages: &[Stage]) -> Result<(Vec<Seen>, Vec<State>), P::Error> {
-        let (mut seen, mut failed) = (Vec::with_capacity(stages.len()), Vec::new());
+    fn climb(&mut self, stages: &[Stage]) -> Result<Vec<Seen>, P::Error> {
+        let mut seen = Vec::with_capacity(stages.len());
         let mut population = self.first()?;
         for stage in stages {
             let survivors: Vec<Sample> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
             let share = survivors.len() as f64 / self.samples as f64;
             let mut here = Seen { share, accepted: 0, proposed: 0 };
-            if stage.is_last {
-                failed = survivors.iter().map(|(state, _)| state.clone()).collect();
-            }
             population = self.multiplied(survivors);
             if !stage.is_last && !population.is_empty() {
                 for _ in 0..MOVES {
@@ -344,7 +309,7 @@ impl<'a, P: Problem> Climber<'a, P> {
                 break;
             }
         }
-        Ok((seen, failed))
+        Ok(seen)
     }
 
     /// Independent draws.

@@ -151,17 +151,6 @@ impl Marginal {
         }
     }
 
-    /// Logarithm of the density at a value, with respect to values, of what is even over coordinates; −∞ outside the range.
-    pub(super) fn ln_density_of_range(&self, value: f64) -> f64 {
-        match self {
-            Self::Choice { values, .. } if values.contains(&value) => -(values.len() as f64).ln(),
-            Self::Choice { .. } => f64::NEG_INFINITY,
-            _ if !(self.low()..=self.high()).contains(&value) => f64::NEG_INFINITY,
-            Self::LogUniform { low, high } => -(value * (high / low).ln()).ln(),
-            Self::Uniform { low, high } | Self::Cut { low, high, .. } => -(high - low).ln(),
-        }
-    }
-
     /// The share of the distribution below a coordinate; of a choice none is stated.
     pub(super) fn share_below(&self, coordinate: f64) -> f64 {
         match self {

@@ -50,6 +50,7 @@ mod copula;
 #[cfg(test)]
 mod copula_tests;
 mod derived;
+mod distribution;
 mod field;
 pub mod file;
 mod marginal;
@@ -65,7 +66,7 @@ use std::ops::Range;
 use rand::RngExt;
 
 pub use built_in::{BUILT_IN_SPACES, UnknownSpace, built_in_space, find_space};
-pub use check::{InvalidSpace, LEAST_MASS, SHAPES};
+pub use check::InvalidSpace;
 pub use copula::{Dependence, GaussianCopula};
 pub use observed::{Exposure, Observed, ObservedParameter, SourceExposure};
 pub use ready::ReadyDistribution;
@@ -305,15 +306,6 @@ impl Space {
         let Some(copula) = &self.copula else { return apart };
         let below = self.coordinate_parameters().zip(point).map(|(parameter, &x)| parameter.marginal.share_below(x));
         apart + copula.ln_density(&below.collect::<Vec<_>>())
-    }
-
-    /// Logarithm of the distribution's density with respect to values, one a coordinate; of a choice, of its probability. −∞ outside the
-    /// ranges, so that spaces with different ranges can be compared.
-    #[must_use]
-    pub fn ln_density(&self, values: &[f64]) -> f64 {
-        let a_value = |(parameter, &value): (&Parameter, &f64)| parameter.marginal.ln_density_of_range(value);
-        let ranges: f64 = self.coordinate_parameters().zip(values).map(a_value).sum();
-        if ranges == f64::NEG_INFINITY { ranges } else { ranges + self.ln_likelihood(&self.point(values)) }
     }
 
     /// The `index`-th draw by the distribution, with noise of its own. The same seed and index give the same scenario, in
