@@ -96,7 +96,7 @@ impl Family {
     /// [`NoFit`] for values that the family cannot have.
     pub fn fit(self, values: &[f64], range: [f64; 2]) -> Result<FamilyFit, NoFit> {
         let (smallest, largest) = ends(values);
-        if !(smallest < largest) {
+        if smallest >= largest {
             return Err(NoFit::Constant(smallest));
         }
         if self == Self::Uniform {
