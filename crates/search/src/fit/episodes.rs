@@ -35,7 +35,7 @@ pub struct Number {
     pub range: [f64; 2],
 }
 
-/// The numbers of an episode with so many vehicles, in the order of [`numbers_of`].
+/// The numbers of an episode with so many vehicles, in their order in [`Sample`].
 #[must_use]
 pub fn numbers(taken: &Taken) -> Vec<Number> {
     let number =
