@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 
 use super::Failure;
 use super::{output, simulate};
-use crumple_report::draw::PNG_SCALE;
+use crumple_report::draw::{PNG_SCALE, Svg};
 use crumple_report::figures;
 use crumple_search::disk::{self, DiskError, Files};
 use crumple_world::quoted::Terminal;
@@ -60,11 +60,34 @@ pub(super) struct Import {
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Leading {
+pub(super) enum Leading {
     /// Every vehicle with another behind it
     Any,
     /// Those that had no recorded vehicle ahead of them
     First,
+}
+
+impl From<Leading> for Leaders {
+    fn from(leading: Leading) -> Self {
+        match leading {
+            Leading::Any => Self::Any,
+            Leading::First => Self::First,
+        }
+    }
+}
+
+/// The threshold of the option `--min-brake`.
+pub(super) fn min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, Failure> {
+    let Some(mps2) = asked_mps2 else { return Ok(MinBrake::default()) };
+    MinBrake::new(mps2).map_err(|error| Failure::Input(format!("--min-brake: {error}")))
+}
+
+/// A picture as the file's name wants it: PNG, or else SVG.
+pub(super) fn picture(drawn: &Svg, path: &Path) -> Result<Vec<u8>, Failure> {
+    match path.extension() {
+        Some(png) if png == "png" => drawn.to_png(PNG_SCALE).map_err(Failure::input),
+        _ => Ok(drawn.document().into_bytes()),
+    }
 }
 
 impl Import {
@@ -89,11 +112,7 @@ impl Import {
         let Some(seen) = preview(&recording) else {
             return Err(Failure::Gate(format!("{name}: no vehicle has a known speed")));
         };
-        let drawn = figures::recorded(&seen, &name);
-        let drawn = match picture.extension() {
-            Some(png) if png == "png" => drawn.to_png(PNG_SCALE).map_err(Failure::input)?,
-            _ => drawn.document().into_bytes(),
-        };
+        let drawn = self::picture(&figures::recorded(&seen, &name), picture)?;
         let mut files = Files::default();
         files.stage(&output::place(picture)?, &drawn)?;
         files.commit()?;
@@ -112,11 +131,7 @@ impl Import {
     }
 
     fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), Failure> {
-        let min_brake = match self.min_brake {
-            None => MinBrake::default(),
-            Some(mps2) => MinBrake::new(mps2).map_err(|error| Failure::Input(format!("--min-brake: {error}")))?,
-        };
-        let leaders = if self.leaders == Leading::Any { Leaders::Any } else { Leaders::First };
+        let (min_brake, leaders) = (min_brake(self.min_brake)?, self.leaders.into());
         let imported = import(&self.recordings, map, &ImportOptions { min_brake, leaders })?;
         if imported.scenarios.is_empty() {
             imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
@@ -133,16 +148,7 @@ impl Import {
         let mut files = Files::default();
         for scenario in &imported.scenarios {
             let path = self.out.join(&scenario.file_name);
-            let said = scenario.toml.as_bytes();
-            let found = match disk::read(&path, said.len() as u64) {
-                Err(error) if error.source.kind() == ErrorKind::FileTooLarge => Some(Vec::new()),
-                found => found?,
-            };
-            match found {
-                Some(found) if found == said => {}
-                Some(_) if !self.force => return Err(edited(&path)),
-                _ => files.stage(&output::place(&path)?, scenario.toml.as_bytes())?,
-            }
+            stage_unless_edited(&mut files, &path, &scenario.toml, self.force)?;
         }
         files.commit()?;
         let others = self.other_scenarios(&imported)?;
@@ -181,8 +187,18 @@ fn hardest(found: Option<&HardestBraking>) -> String {
     )
 }
 
-/// A file that is not what this import would write.
-fn edited(path: &Path) -> Failure {
-    let problem = "is there and says something else: use --force to overwrite it, or another --out";
-    Failure::Input(format!("{}: {problem}", path.display()))
+/// Stages a text for a file that is not there, or says the same; one that says something else is an error unless with `force`.
+pub(super) fn stage_unless_edited(files: &mut Files, path: &Path, text: &str, force: bool) -> Result<(), Failure> {
+    let found = match disk::read(path, text.len() as u64) {
+        Err(error) if error.source.kind() == ErrorKind::FileTooLarge => Some(Vec::new()),
+        found => found?,
+    };
+    match found {
+        Some(found) if found == text.as_bytes() => Ok(()),
+        Some(_) if !force => {
+            let problem = "is there and says something else: use --force to overwrite it, or another --out";
+            Err(Failure::Input(format!("{}: {problem}", path.display())))
+        }
+        _ => Ok(files.stage(&output::place(path)?, text.as_bytes())?),
+    }
 }

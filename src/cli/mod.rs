@@ -8,9 +8,11 @@ mod checked;
 mod choice;
 mod doctor;
 mod export;
+mod exposed;
 mod failure;
 mod falsify;
 mod finding;
+mod fit;
 mod fsck;
 mod import;
 mod interrupt;
@@ -64,6 +66,7 @@ enum Command {
     Assess(assess::Assess),
     Simulate(simulate::Simulate),
     Import(import::Import),
+    Fit(fit::Fit),
     Export(export::Export),
     Train(train::Train),
     // Far more arguments than any other.
@@ -107,6 +110,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Assess(command) => command.run(quiet),
         Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
+        Command::Fit(command) => command.run(quiet),
         Command::Export(command) => command.run(quiet),
         Command::Train(command) => command.run(quiet),
         Command::Retrain(command) => command.run(quiet),

@@ -4,34 +4,29 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::simulate::Format;
-use super::{Failure, interrupt, output, progress};
+use super::{Failure, exposed, interrupt, output, progress};
 use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, MergedEstimate, RareError, RarePlan, RareReport};
 use crumple_search::shard::{Shard, as_array};
 
 /// Estimates, writes the estimate to `folder` and prints it; of one that is there, and with `resume`, prints it.
 pub(super) fn estimate(
     plan: &RarePlan,
+    resamples: u32,
     folder: &Path,
     resume: bool,
     format: Format,
     quiet: bool,
 ) -> Result<(), Failure> {
     let folder = plan.in_folder(folder, resume)?;
-    let report = match folder.kept()? {
-        Some(report) => report,
+    let kept = folder.kept()?;
+    let report = match kept {
+        // What it comes to per hour takes the runs that failed, which are not kept: they are made again.
+        Some(kept) if plan.space.spec().exposure.is_some() => {
+            RareReport { exposed: climbed(plan, resamples, quiet)?.exposed, ..kept }
+        }
+        Some(kept) => kept,
         None => {
-            interrupt::says(
-                "nothing of an estimate is kept halfway: the same command begins it anew".to_owned(),
-                quiet,
-            );
-            let bar = progress::counter("placing levels", quiet);
-            let pilot = plan.pilot(&|runs| bar.inc(runs));
-            bar.finish_and_clear();
-            let pilot = pilot?;
-            let bar = progress::bar("climbing", pilot.runs_ahead(), quiet);
-            let report = plan.report(&pilot, &|runs| bar.inc(runs));
-            bar.finish_and_clear();
-            let report = report?;
+            let report = climbed(plan, resamples, quiet)?;
             folder.keep(&report)?;
             output::note(&format!("wrote {}", folder.path().display()), quiet);
             report
@@ -41,6 +36,19 @@ pub(super) fn estimate(
         Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
         Format::Text => text(&report),
     })
+}
+
+/// Makes all runs of an estimate.
+fn climbed(plan: &RarePlan, resamples: u32, quiet: bool) -> Result<RareReport, Failure> {
+    interrupt::says("nothing of an estimate is kept halfway: the same command begins it anew".to_owned(), quiet);
+    let bar = progress::counter("placing levels", quiet);
+    let pilot = plan.pilot(&|runs| bar.inc(runs));
+    bar.finish_and_clear();
+    let pilot = pilot?;
+    let bar = progress::bar("climbing", pilot.runs_ahead(), quiet);
+    let report = plan.report(&pilot, resamples, &|runs| bar.inc(runs));
+    bar.finish_and_clear();
+    Ok(report?)
 }
 
 /// Makes a shard of an estimate, in `folder`, unless it is there.
@@ -135,6 +143,9 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
         )?;
     }
     writeln!(out, "  an estimate by multilevel splitting, no bound and no certificate; {evaluations} runs")?;
+    if let Some(rate) = &report.exposed {
+        out.push_str(&exposed::text(rate));
+    }
     writeln!(
         out,
         "\n  {:>14} {:>13} {:>9} {:>7} {:>11}",

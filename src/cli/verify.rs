@@ -8,7 +8,7 @@ use crumple_verify::{Certificate, check};
 
 use super::output;
 use super::simulate::Format;
-use super::{Failure, choice, interrupt, progress, rare, reach, subject};
+use super::{Failure, choice, exposed, interrupt, progress, rare, reach, subject};
 use crumple_search::evidence::rare::{Effort, RarePlan};
 use crumple_search::evidence::{RateConfig, RateFolderError, RatePlan, Tally, shipped_kernels};
 use crumple_search::shard::Shard;
@@ -56,6 +56,10 @@ from level to level of the smallest gap. The levels come from a pilot; the estim
 with an interval from their spread. That is an estimate and no bound: it gets no certificate, and DIR/rare-estimate.json \
 says so. Nothing of it is kept halfway.
 
+In a space that says in how much driving its episodes were seen (see `crumple fit`), failures are also stated per hour and per 1000 km, \
+each with two intervals: taking the space for the truth, and with the data's own uncertainty, by --resamples of the episodes \
+(docs/fitting.md).
+
 Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
   crumple verify rate --controller policy --runs 1000000 --shard 3/8 --out shards/3
@@ -88,6 +92,13 @@ struct Rate {
     /// With --rare: how to print [default: text]
     #[arg(long, value_enum, requires = "rare")]
     format: Option<Format>,
+    /// In a space fitted to episodes: resamples of these, to each of which it is fitted again: 0 (none) or 20 to 2000 [default: 200, with
+    /// --rare 40, each with an estimate of about 20 000 runs]
+    #[arg(long, value_name = "N", value_parser = exposed::resamples)]
+    resamples: Option<u32>,
+    /// Runs made in each of them, without --rare: 50 to 100 000
+    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(50..=100_000))]
+    resample_runs: u32,
     /// Seed of all draws
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -164,7 +175,12 @@ impl Rate {
         let certificate = count.certificate(&mut |done| bar.set_position(done));
         bar.finish_and_clear();
         let said = judged(&count.certificate_path(), &certificate?)?;
-        output::print(&format!("{}{said}", counted(is_comparison, count.tally())))
+        let bar = progress::counter("resampling", quiet);
+        let exposed =
+            plan.exposed(count.tally(), (self.resamples.unwrap_or(200), self.resample_runs), &mut |runs| bar.inc(runs));
+        bar.finish_and_clear();
+        let exposed = exposed.map_err(Failure::input)?.map(|rate| exposed::text(&rate)).unwrap_or_default();
+        output::print(&format!("{}{said}{exposed}", counted(is_comparison, count.tally())))
     }
 
     fn estimate(self, quiet: bool) -> Result<(), Failure> {
@@ -181,7 +197,14 @@ impl Rate {
         if let Some(shard) = self.shard {
             return rare::shard(&plan, shard, &self.out_of(), self.resume, quiet);
         }
-        rare::estimate(&plan, &self.out_of(), self.resume, self.format.unwrap_or(Format::Text), quiet)
+        rare::estimate(
+            &plan,
+            self.resamples.unwrap_or(40),
+            &self.out_of(),
+            self.resume,
+            self.format.unwrap_or(Format::Text),
+            quiet,
+        )
     }
 
     /// Where it goes.

@@ -1,6 +1,10 @@
-//! Figures of a training, of a retraining, and of what was understood of a recording.
+//! Figures of a training, of a retraining, of what was understood of a recording, and of what was fitted to it.
+
+mod fitted;
 
 use maud::html;
+
+pub use fitted::fitted;
 
 use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg, extent, padded};
 use crumple_learn::retrain::Report;

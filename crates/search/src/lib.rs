@@ -11,6 +11,7 @@
 //! | [`jobs`] | files for engines that place shards on machines: HyperQueue, Ray, Slurm |
 //! | [`worst_case`] | convex programs: could any driver have avoided it, how little braking does it take; certificates |
 //! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
+//! | [`fit`] | search spaces fitted to recorded episodes |
 //! | [`evidence`] | claims with certificates: kernels of shields, failure rates; estimates of rare failures |
 //! | [`suite`] | tests after regulations: suites as data, verdicts, margins, who could have prevented a failure |
 
@@ -18,6 +19,7 @@ pub mod difference;
 pub mod disk;
 pub mod evidence;
 pub mod falsify;
+pub mod fit;
 pub mod jobs;
 pub mod program;
 pub mod shard;

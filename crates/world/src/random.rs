@@ -46,6 +46,8 @@ pub enum Purpose {
     RandomActions = 13,
     /// Populations that climb towards a rare event, one consumer a repetition.
     RareEvents = 14,
+    /// Resamples of what was observed, one consumer a resample.
+    Resampling = 15,
 }
 
 /// The stream for `purpose`, for the `index`-th consumer of its kind (a vehicle, a draw), under `seed`.

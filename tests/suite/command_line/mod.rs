@@ -4,6 +4,7 @@ mod bad_input;
 mod certificates;
 mod exchange;
 pub(crate) mod falsify;
+mod fit;
 mod outputs;
 mod reports;
 mod retrain;

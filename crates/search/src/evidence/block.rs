@@ -43,6 +43,13 @@ impl Ending {
     }
 }
 
+impl Ending {
+    /// Whether the controller failed.
+    pub(super) fn failed(&self) -> bool {
+        self.failed
+    }
+}
+
 impl CountedBlock {
     /// Counts runs, each with how it ended for each controller, beginning with run number `first` of a registration.
     pub(super) fn of<'a>(registered: &str, first: u64, runs: impl Iterator<Item = Vec<&'a Ending>>) -> Self {

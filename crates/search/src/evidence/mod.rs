@@ -5,6 +5,7 @@
 
 mod binding;
 mod block;
+pub mod exposed;
 mod interval;
 mod kernel;
 mod paired;

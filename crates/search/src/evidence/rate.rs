@@ -8,6 +8,7 @@ use crumple_verify::{Certificate, Registration};
 use rayon::prelude::*;
 
 use super::block::{CountedBlock, Ending};
+use super::exposed::{ExposedRate, Probability, run_again};
 use super::record::{CountRecord, Tally, length};
 use crate::shard::{Shard, TooManyShards};
 use crumple_world::digest::sha256;
@@ -250,7 +251,7 @@ impl RatePlan {
         let indices: Vec<u64> = runs.collect();
         let mut endings: Vec<Vec<Ending>> = self.drivers.iter().map(|_| Vec::with_capacity(indices.len())).collect();
         for some in indices.chunks(TOGETHER as usize) {
-            for (all, mut more) in endings.iter_mut().zip(self.endings(some)?) {
+            for (all, mut more) in endings.iter_mut().zip(self.endings(&self.space, self.seed, some)?) {
                 all.append(&mut more);
             }
             if go_on().is_break() {
@@ -267,9 +268,38 @@ impl RatePlan {
         Ok(counted.collect())
     }
 
+    /// What the failures of one controller come to per hour and per 1000 km, where the space says in how much driving it was seen; with so
+    /// many `resamples` of the episodes, each with so many runs, for the data's uncertainty. `done` hears of the runs made.
+    ///
+    /// # Errors
+    /// [`RateError`] names the draw that could not be run.
+    pub fn exposed(
+        &self,
+        tally: &Tally,
+        effort: (u32, u32),
+        done: &mut dyn FnMut(u64),
+    ) -> Result<Option<ExposedRate>, RateError> {
+        if !self.is_of_one() || self.space.spec().exposure.is_none() {
+            return Ok(None);
+        }
+        let mut failures = |space: &Space, seed: u64, runs: u64| {
+            let indices: Vec<u64> = (0..runs).collect();
+            let mut failed = 0;
+            for some in indices.chunks(TOGETHER as usize) {
+                let endings = self.endings(space, seed, some)?;
+                failed += endings.iter().flatten().filter(|ending| ending.failed()).count() as u64;
+                done(some.len() as u64);
+            }
+            Ok(failed)
+        };
+        let resamples = run_again(&self.space, self.seed, effort, &mut failures)?;
+        let known = Probability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
+        Ok(ExposedRate::of(&self.space, known, resamples.as_ref()))
+    }
+
     /// How runs end, of each controller.
-    fn endings(&self, indices: &[u64]) -> Result<Vec<Vec<Ending>>, RateError> {
-        let draw = |&index: &u64| self.space.draw(self.seed, index).map_err(|source| RateError::Draw { index, source });
+    fn endings(&self, space: &Space, seed: u64, indices: &[u64]) -> Result<Vec<Vec<Ending>>, RateError> {
+        let draw = |&index: &u64| space.draw(seed, index).map_err(|source| RateError::Draw { index, source });
         let scenarios = indices.par_iter().map(draw).collect::<Result<Vec<_>, _>>()?;
         let endings = |driver: &NamedController| {
             let options = RunOptions::new(driver.kind.clone()).with_estimator(self.estimator);

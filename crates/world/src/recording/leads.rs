@@ -24,6 +24,8 @@ pub(super) trait Lead {
     fn placed(&self, speed_mps: f64) -> Placed;
     /// Who is behind it at a sample with known speeds and gaps, front to rear, without a break.
     fn followers_at(&self, sample: &Sample) -> Vec<Placed>;
+    /// Speed of the next behind it, if at least so many `followers` are behind it with known speeds and gaps.
+    fn follower_speed_at_mps(&self, sample: &Sample, followers: usize) -> Option<f64>;
     /// Number of the vehicle behind the first so many followers, if the recording has one.
     fn next_behind(&self, followers: usize) -> Option<usize>;
     fn ahead_at(&self, sample: &Sample) -> Ahead;
@@ -61,6 +63,12 @@ impl Lead for InPlatoon<'_> {
         let behind = self.index + 1..self.platoon.vehicles.len();
         let known = behind.map_while(|index| Some((index, self.platoon.following(index, sample.index)?)));
         known.map(|(index, (gap_m, speed_mps))| self.at(index, rounded(gap_m), rounded(speed_mps))).collect()
+    }
+
+    fn follower_speed_at_mps(&self, sample: &Sample, followers: usize) -> Option<f64> {
+        let mut behind = self.index + 1..=self.index + followers;
+        let are_known = behind.clone().all(|index| self.platoon.following(index, sample.index).is_some());
+        behind.next().filter(|_| are_known).and_then(|next| Some(self.platoon.following(next, sample.index)?.1))
     }
 
     fn next_behind(&self, followers: usize) -> Option<usize> {

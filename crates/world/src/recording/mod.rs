@@ -10,6 +10,7 @@ mod dropped;
 mod episode;
 mod episodes;
 mod error;
+mod exposure;
 mod import;
 mod leads;
 pub mod map;
@@ -35,6 +36,7 @@ pub use dropped::{Dropped, NoScenario, Omission, Place};
 pub use episode::{Episode, Placed};
 pub use episodes::{FoundEpisodes, Leaders, MinBrake, episodes};
 pub use error::{ColumnProblem, RecordingError, ValueProblem};
+pub use exposure::{Followed, followed, waves};
 pub use import::{ImportOptions, Imported, ImportedScenario, Source, import};
 pub use leads::Ahead;
 

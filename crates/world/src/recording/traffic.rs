@@ -308,6 +308,11 @@ impl Lead for InTraffic<'_> {
         std::iter::from_fn(next).take(MOST_FOLLOWERS).collect()
     }
 
+    fn follower_speed_at_mps(&self, sample: &Sample, followers: usize) -> Option<f64> {
+        let behind = self.followers_at(sample);
+        behind.first().filter(|_| behind.len() >= followers).map(|next| next.speed_mps)
+    }
+
     fn next_behind(&self, _: usize) -> Option<usize> {
         None
     }

@@ -5,6 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use super::exposed::{exposed, on_the_road};
 use crate::assessment::case::{CaseVerdict, smallest};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
 use crate::assessment::markdown::Markdown;
@@ -15,6 +16,7 @@ use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
 use crumple_search::evidence::RateInterval;
+use crumple_search::evidence::exposed::{ExposedRate, Probability};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
 
@@ -67,6 +69,9 @@ pub struct Sampled {
     pub min_gap_behind_m: Option<Rounded<2>>,
     /// Mean impact speed of the collisions, in m/s.
     pub mean_impact_speed_mps: Option<Rounded<1>>,
+    /// What failures come to per hour and per 1000 km; none where the space does not say in how much driving it was seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposed: Option<ExposedRate>,
     /// How the first controller and this one fare on the same draws; none for the first itself.
     pub paired: Option<Paired>,
 }
@@ -188,13 +193,14 @@ impl Distribution {
             }
             work.did((to - from) * plan.controllers.len() as u64)?;
         }
-        let controllers = plan
-            .controllers
-            .iter()
-            .zip(tallies)
-            .enumerate()
-            .map(|(index, (controller, tally))| tally.finish(controller, index > 0))
-            .collect();
+        let finish = |(index, (controller, tally)): (usize, (&NamedController, Tally))| {
+            let known =
+                Probability::Counted { failures: tally.collisions, unknown: tally.cut_short, runs: tally.draws };
+            let exposed = exposed(plan, named, controller, known, work)?;
+            Ok(Sampled { exposed, ..tally.finish(controller, index > 0) })
+        };
+        let controllers =
+            plan.controllers.iter().zip(tallies).enumerate().map(finish).collect::<Result<_, AssessError>>()?;
         Ok(Self {
             space: named.known.clone(),
             draws: config.draws,
@@ -355,6 +361,7 @@ impl Tally {
             min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
             min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),
             mean_impact_speed_mps: (self.collisions > 0).then(|| mean_impact_mps.into()),
+            exposed: None,
             paired: is_paired.then_some(self.paired),
         }
     }
@@ -372,6 +379,10 @@ impl Part for Distributions {
             @for drawn in &self.spaces {
                 p { (prose(&drawn.introduction())) }
                 (drawn.table().html())
+                @if let Some((words, table)) = on_the_road(drawn) {
+                    p { (prose(&words)) }
+                    (table.html())
+                }
                 figure { (drawn.figure()) }
             }
         }
@@ -382,6 +393,10 @@ impl Part for Distributions {
         for drawn in &self.spaces {
             text.paragraph(drawn.introduction());
             drawn.table().markdown(&mut text);
+            if let Some((words, table)) = on_the_road(drawn) {
+                text.paragraph(words);
+                table.markdown(&mut text);
+            }
         }
         text
     }

@@ -7,6 +7,7 @@ mod certified;
 mod compared;
 mod counted;
 mod distribution;
+mod exposed;
 mod found;
 mod glossary;
 mod learned;

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Effort, Estimate, Problem, Splitting, State};
+use crate::evidence::exposed::{ExposedRate, Probability, estimate_again};
 use crate::shard::TooManyShards;
 use crate::work::WorkError;
 use crumple_world::digest::sha256;
@@ -28,6 +29,9 @@ pub struct RarePlan {
     /// How much work goes into it.
     pub effort: Effort,
 }
+
+/// Effort of an estimate in a space fitted to a resample: what these spread is what is looked for.
+const AGAIN: Effort = Effort { samples: 100, repetitions: 5 };
 
 /// Why a run cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -91,6 +95,9 @@ pub struct RareReport {
     /// What came of it.
     #[serde(flatten)]
     pub estimate: Estimate,
+    /// What that is per hour and per 1000 km, where the space says in how much driving it was seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposed: Option<ExposedRate>,
 }
 
 /// All that decides an estimate and that its report says.
@@ -143,12 +150,31 @@ impl RarePlan {
         Splitting::pilot(self, self.effort, self.seed, done)
     }
 
-    /// Estimates with the levels of a pilot.
+    /// Estimates with the levels of a pilot. In a space fitted to episodes, estimates anew, with less effort, in the spaces fitted to so many
+    /// `resamples` of them.
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made.
-    pub fn report(&self, pilot: &Splitting, done: &(dyn Fn(u64) + Sync)) -> Result<RareReport, RareError> {
-        Ok(self.record()?.report(pilot.estimate(self, done)?))
+    pub fn report(
+        &self,
+        pilot: &Splitting,
+        resamples: u32,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<RareReport, RareError> {
+        let estimate = pilot.estimate(self, done)?;
+        let mut again = |space: &Space, seed: u64| {
+            let (controller, estimator) = (self.controller.clone(), self.estimator);
+            let other = Self { controller, space: space.clone(), estimator, seed, effort: AGAIN };
+            other.pilot(done)?.estimate(&other, done)
+        };
+        let resamples = match estimate.probability {
+            Some(_) if self.space.spec().exposure.is_some() => {
+                estimate_again(&self.space, self.seed, resamples, &mut again)?
+            }
+            _ => None,
+        };
+        let exposed = ExposedRate::of(&self.space, Probability::Estimated(&estimate), resamples.as_ref());
+        Ok(RareReport { exposed, ..self.record()?.report(estimate) })
     }
 
     /// All that decides the estimate, but the space's text.
@@ -187,6 +213,7 @@ impl RareRecord {
             seed: record.seed,
             effort: record.effort,
             estimate,
+            exposed: None,
         }
     }
 }

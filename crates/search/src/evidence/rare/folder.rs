@@ -62,12 +62,13 @@ impl RareFolder {
         Ok(bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose().map_err(damaged)?)
     }
 
-    /// Writes the estimate.
+    /// Writes the estimate, without what it comes to per hour: that is worked out from the runs, which are not kept, and shards have none.
     ///
     /// # Errors
     /// [`RareError::Work`] if it cannot be written.
     pub fn keep(&self, report: &RareReport) -> Result<(), RareError> {
-        self.work.write(ESTIMATE, serde_json::to_string_pretty(report)? + "\n")?;
+        let kept = RareReport { exposed: None, ..report.clone() };
+        self.work.write(ESTIMATE, serde_json::to_string_pretty(&kept)? + "\n")?;
         Ok(self.work.finish()?)
     }
 

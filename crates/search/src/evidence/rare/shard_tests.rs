@@ -35,7 +35,7 @@ fn shards_of_an_estimate_come_to_the_estimate_of_one_machine() {
     let (plan, root) = (plan(2), tempfile::tempdir().unwrap());
     let pilot = plan.pilot(&|_| ()).unwrap();
     let single = root.path().join("single");
-    plan.in_folder(&single, false).unwrap().keep(&plan.report(&pilot, &|_| ()).unwrap()).unwrap();
+    plan.in_folder(&single, false).unwrap().keep(&plan.report(&pilot, 0, &|_| ()).unwrap()).unwrap();
     let made = |index: u32, of: u32| -> PathBuf {
         let folder = root.path().join(format!("{index}-of-{of}"));
         let part = plan.shard_in_folder(Shard::new(index, of).unwrap(), &folder, true).unwrap();

@@ -269,11 +269,19 @@ impl Splitting {
         Estimate {
             probability: Some(probability),
             coefficient_of_variation,
-            interval_95: coefficient_of_variation.and_then(|cv| interval_95(probability, cv, repetitions.len())),
+            interval_95: coefficient_of_variation.and_then(|cv| interval(probability, cv, repetitions.len(), 0.95)),
             repetitions,
             evaluations,
             levels,
         }
+    }
+}
+
+impl Estimate {
+    /// An interval for the probability, as that at 95 %.
+    #[must_use]
+    pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
+        interval(self.probability?, self.coefficient_of_variation?, self.repetitions.len(), confidence)
     }
 }
 
@@ -385,8 +393,8 @@ fn variation_of_mean(values: &[f64], mean: f64) -> Option<f64> {
 }
 
 /// Products of many shares are nearly log-normal, and so is their mean.
-fn interval_95(mean: f64, variation: f64, repetitions: usize) -> Option<[f64; 2]> {
+fn interval(mean: f64, variation: f64, repetitions: usize, confidence: f64) -> Option<[f64; 2]> {
     let student = StudentsT::new(0.0, 1.0, repetitions as f64 - 1.0).ok()?;
-    let factor = (student.inverse_cdf(0.975) * (variation * variation).ln_1p().sqrt()).exp();
+    let factor = (student.inverse_cdf(0.5 + 0.5 * confidence) * (variation * variation).ln_1p().sqrt()).exp();
     Some([mean / factor, (mean * factor).min(1.0)])
 }

@@ -147,7 +147,7 @@ fn splitting_agrees_with_counting_on_the_road() {
     }
     let counted = tally.failures as f64 / COUNTED as f64;
     let plan = RarePlan { controller, space, estimator, seed: 5, effort: Effort { samples: 200, repetitions: 10 } };
-    let report = plan.report(&plan.pilot(&|_| {}).unwrap(), &|_| {}).unwrap();
+    let report = plan.report(&plan.pilot(&|_| {}).unwrap(), 0, &|_| {}).unwrap();
     let (climbed, variation) =
         (report.estimate.probability.unwrap(), report.estimate.coefficient_of_variation.unwrap());
     assert!((0.004..0.02).contains(&counted), "{counted}");

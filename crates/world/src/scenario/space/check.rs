@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
+use super::copula::Copula;
 use super::field::{Field, Target};
 use super::marginal::Marginal;
-use super::spec::{Base, Choice, Distribution, Kind, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value};
+use super::spec::{Base, Kind, ParameterSpec, SPACE_VERSION, SpaceSpec, Value};
 use super::{Parameter, Space};
 use crate::scenario::{InvalidField, Scenario, VehicleClass, built_in, built_in_names, file, short};
-use statrs::distribution::{ContinuousCDF, Normal as Gauss};
 
 /// What makes a space unusable: where it is and what is wrong with it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -37,15 +37,13 @@ const MOST_PARAMETERS: usize = 200;
 const MOST_COORDINATES: usize = 1000;
 /// Corners that are tried where several parameters together decide whether a vehicle fits: 2 to this power.
 const MOST_TOGETHER: usize = 14;
-/// Least share of a normal distribution that must lie in its range.
-const LEAST_MASS: f64 = 1e-6;
 
 /// The classes, in words.
 fn class_names(between: &str) -> String {
     VehicleClass::ALL.iter().map(|class| format!("`{}`", class.name())).collect::<Vec<_>>().join(between)
 }
 
-fn wrong<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, InvalidSpace> {
+pub(super) fn wrong<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, InvalidSpace> {
     Err(InvalidSpace { field: field.into(), problem: problem.into() })
 }
 
@@ -79,7 +77,7 @@ impl Space {
                 vehicle.position_m = base.initial_gap_m(index).unwrap_or(vehicle.position_m);
             }
         }
-        let mut space = Self { spec, template, lines_up, parameters: Vec::new(), order: Vec::new() };
+        let mut space = Self { spec, template, lines_up, parameters: Vec::new(), order: Vec::new(), copula: None };
         let mut written: Vec<(String, String)> = Vec::new();
         for index in 0..space.spec.parameters.len() {
             space.add(index, &mut written)?;
@@ -96,6 +94,15 @@ impl Space {
         space.order.sort_by_key(|&index| space.parameters.get(index).map(|p| p.target.stage()));
         space.check_each()?;
         space.check_together()?;
+        if let Some(dependence) = &space.spec.dependence {
+            space.copula = Some(Copula::new(dependence, &space.parameters)?);
+        }
+        if let Some(exposure) = &space.spec.exposure {
+            exposure.check()?;
+        }
+        if let Some(observed) = &space.spec.observed {
+            observed.check(&space.spec)?;
+        }
         Ok(space)
     }
 
@@ -272,107 +279,13 @@ fn base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
 
 impl Value {
     /// The number itself, or that of a class or a driver.
-    fn number(self) -> f64 {
+    pub(super) fn number(self) -> f64 {
         match self {
             Self::Number(number) => number,
             Self::Class(class) => f64::from(class.number()),
             Self::Driver(driver) => driver.number(),
         }
     }
-}
-
-impl Distribution {
-    fn kind(&self) -> Kind {
-        match self {
-            Self::Choice(choice) => choice.values.first().map_or(Kind::Number, |value| value.kind()),
-            _ => Kind::Number,
-        }
-    }
-
-    /// The distribution ready for use, or which field of it is wrong and why.
-    pub(super) fn marginal(&self) -> Result<Marginal, (&'static str, String)> {
-        let range = |low: f64, high: f64, kind: &'static str| {
-            finite(kind, "low", low)?;
-            finite(kind, "high", high)?;
-            let found = || format!("low must be below high, found {} and {}", short(low), short(high));
-            if low < high { Ok(()) } else { Err((kind, found())) }
-        };
-        match self {
-            Self::Uniform(Uniform { low, high }) => {
-                range(*low, *high, ".uniform")?;
-                Ok(Marginal::Uniform { low: *low, high: *high })
-            }
-            Self::LogUniform(Uniform { low, high }) => {
-                range(*low, *high, ".log-uniform")?;
-                if *low <= 0.0 {
-                    return Err((".log-uniform.low", format!("must be above 0, found {low}")));
-                }
-                Ok(Marginal::LogUniform { low: *low, high: *high })
-            }
-            Self::Normal(normal) => {
-                let (low, high) = (normal.low, normal.high);
-                range(low, high, ".normal")?;
-                finite(".normal", "mean", normal.mean)?;
-                finite(".normal", "deviation", normal.deviation)?;
-                let gauss = Gauss::new(normal.mean, normal.deviation).ok().filter(|_| normal.deviation > 0.0);
-                let Some(gauss) = gauss else {
-                    let found = short(normal.deviation);
-                    return Err((".normal", format!("deviation must be above 0, found {found}")));
-                };
-                let below = gauss.cdf(low);
-                let mass = gauss.cdf(high) - below;
-                if mass.is_nan() || mass < LEAST_MASS {
-                    return Err((
-                        ".normal",
-                        format!(
-                            "the range from {} to {} holds a share of only {} of the distribution, and must hold {LEAST_MASS}",
-                            short(low),
-                            short(high),
-                            short(mass)
-                        ),
-                    ));
-                }
-                Ok(Marginal::Normal { low, high, gauss, below, mass })
-            }
-            Self::Choice(choice) => choice_of(choice),
-        }
-    }
-}
-
-/// Refuses what is no number, by the name of its field.
-fn finite(kind: &'static str, field: &str, found: f64) -> Result<(), (&'static str, String)> {
-    if found.is_finite() { Ok(()) } else { Err((kind, format!("{field} must be a finite number, found {found}"))) }
-}
-
-fn choice_of(choice: &Choice) -> Result<Marginal, (&'static str, String)> {
-    let unusable = |problem: String| Err((".choice.values", problem));
-    let values: Vec<f64> = choice.values.iter().map(|value| value.number()).collect();
-    if values.is_empty() {
-        return unusable("must have at least one value".to_owned());
-    }
-    if choice.values.windows(2).any(|pair| pair[0].kind() != pair[1].kind()) {
-        return unusable("must be all numbers, all classes or all drivers".to_owned());
-    }
-    if let Some(value) = values.iter().find(|value| !value.is_finite()) {
-        return unusable(format!("must be finite numbers, found {value}"));
-    }
-    let mut known = choice.values.iter().enumerate();
-    if let Some((_, value)) = known.find(|(index, value)| choice.values.iter().take(*index).any(|v| v == *value)) {
-        return unusable(format!("must differ, found {value} twice"));
-    }
-    let weights = choice.weights.clone().unwrap_or_else(|| vec![1.0; values.len()]);
-    let unusable = |problem: String| Err((".choice.weights", problem));
-    if weights.len() != values.len() {
-        return unusable(format!("must be as many as values ({}), found {}", values.len(), weights.len()));
-    }
-    if let Some(weight) = weights.iter().find(|weight| !(**weight >= 0.0 && weight.is_finite())) {
-        return unusable(format!("must be finite numbers from 0, found {weight}"));
-    }
-    let total: f64 = weights.iter().sum();
-    if !(total > 0.0 && total.is_finite()) {
-        return unusable(format!("must add up to a finite number above 0, found a sum of {}", short(total)));
-    }
-    Ok(Marginal::Choice { values, shares: weights.iter().map(|weight| weight / total).collect() })
 }
 
 impl Parameter {

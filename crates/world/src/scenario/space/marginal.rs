@@ -1,6 +1,6 @@
 //! One coordinate: from the unit interval to values of a parameter, by range and by distribution.
 
-use statrs::distribution::{Continuous, ContinuousCDF, Normal as Gauss};
+use statrs::distribution::{Continuous, ContinuousCDF, Gamma, LogNormal, Normal as Gauss, Weibull};
 
 /// The distribution of one coordinate over its range.
 ///
@@ -8,23 +8,94 @@ use statrs::distribution::{Continuous, ContinuousCDF, Normal as Gauss};
 /// distribution; over equal slices, one a value, for a choice). Classes are numbered.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Marginal {
-    Uniform { low: f64, high: f64 },
-    LogUniform { low: f64, high: f64 },
-    Normal { low: f64, high: f64, gauss: Gauss, below: f64, mass: f64 },
-    Choice { values: Vec<f64>, shares: Vec<f64> },
+    Uniform {
+        low: f64,
+        high: f64,
+    },
+    LogUniform {
+        low: f64,
+        high: f64,
+    },
+    /// A law of which the range holds the share `mass`, with the share `below` below it.
+    Cut {
+        low: f64,
+        high: f64,
+        law: Law,
+        below: f64,
+        mass: f64,
+    },
+    Choice {
+        values: Vec<f64>,
+        shares: Vec<f64>,
+    },
+}
+
+/// A distribution that is not cut yet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Law {
+    Normal(Gauss),
+    LogNormal(LogNormal),
+    Gamma(Gamma),
+    Weibull(Weibull),
+}
+
+/// The least value of a gamma distribution, relative to its scale, whose share is worked out.
+const LEAST_SCALED: f64 = 1e-200;
+
+impl Law {
+    pub(super) fn cdf(&self, value: f64) -> f64 {
+        match self {
+            Self::Normal(law) => law.cdf(value),
+            Self::LogNormal(law) => law.cdf(value),
+            // The library panics where the product of value and rate is no number above 0.
+            Self::Gamma(law) => match value * law.rate() {
+                scaled if scaled < LEAST_SCALED => 0.0,
+                scaled if scaled > 1.0 / LEAST_SCALED => 1.0,
+                _ => law.cdf(value),
+            },
+            Self::Weibull(law) => law.cdf(value),
+        }
+    }
+
+    fn inverse_cdf(&self, share: f64) -> f64 {
+        match self {
+            Self::Normal(law) => law.inverse_cdf(share),
+            Self::LogNormal(law) => law.inverse_cdf(share),
+            Self::Gamma(law) => {
+                let least = 2.0 * LEAST_SCALED / law.rate();
+                if self.cdf(least) >= share { least } else { law.inverse_cdf(share) }
+            }
+            Self::Weibull(law) => law.inverse_cdf(share),
+        }
+    }
+
+    fn ln_pdf(&self, value: f64) -> f64 {
+        match self {
+            Self::Normal(law) => law.ln_pdf(value),
+            Self::LogNormal(law) => law.ln_pdf(value),
+            Self::Gamma(law) => law.ln_pdf(value),
+            Self::Weibull(law) => law.ln_pdf(value),
+        }
+    }
+
+    /// The least value at which the density is looked at in a range that begins at `low`: at 0 that of a law of positive values may be
+    /// without bounds.
+    fn least(&self, low: f64, high: f64) -> f64 {
+        if matches!(self, Self::Normal(_)) { low } else { low.max(1e-9 * high) }
+    }
 }
 
 impl Marginal {
     pub(super) fn low(&self) -> f64 {
         match self {
-            Self::Uniform { low, .. } | Self::LogUniform { low, .. } | Self::Normal { low, .. } => *low,
+            Self::Uniform { low, .. } | Self::LogUniform { low, .. } | Self::Cut { low, .. } => *low,
             Self::Choice { values, .. } => values.iter().copied().fold(f64::INFINITY, f64::min),
         }
     }
 
     pub(super) fn high(&self) -> f64 {
         match self {
-            Self::Uniform { high, .. } | Self::LogUniform { high, .. } | Self::Normal { high, .. } => *high,
+            Self::Uniform { high, .. } | Self::LogUniform { high, .. } | Self::Cut { high, .. } => *high,
             Self::Choice { values, .. } => values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
         }
     }
@@ -34,7 +105,7 @@ impl Marginal {
     pub(super) fn value(&self, coordinate: f64) -> f64 {
         let u = coordinate.clamp(0.0, 1.0);
         match self {
-            Self::Uniform { low, high } | Self::Normal { low, high, .. } => (low + u * (high - low)).clamp(*low, *high),
+            Self::Uniform { low, high } | Self::Cut { low, high, .. } => (low + u * (high - low)).clamp(*low, *high),
             Self::LogUniform { low, high } => (low * libm::pow(high / low, u)).clamp(*low, *high),
             Self::Choice { values, .. } => {
                 let index = ((u * values.len() as f64) as usize).min(values.len() - 1);
@@ -46,9 +117,7 @@ impl Marginal {
     /// A coordinate at which the value is taken; of a choice, the middle of its slice.
     pub(super) fn coordinate(&self, value: f64) -> f64 {
         match self {
-            Self::Uniform { low, high } | Self::Normal { low, high, .. } => {
-                ((value - low) / (high - low)).clamp(0.0, 1.0)
-            }
+            Self::Uniform { low, high } | Self::Cut { low, high, .. } => ((value - low) / (high - low)).clamp(0.0, 1.0),
             Self::LogUniform { low, high } => (libm::log(value / low) / libm::log(high / low)).clamp(0.0, 1.0),
             Self::Choice { values, .. } => {
                 let distance = |index: &usize| values.get(*index).map_or(f64::INFINITY, |v| (v - value).abs());
@@ -64,8 +133,8 @@ impl Marginal {
         let u = u.clamp(0.0, 1.0);
         match self {
             Self::Uniform { .. } | Self::LogUniform { .. } => u,
-            Self::Normal { low, high, gauss, below, mass } => {
-                let value = gauss.inverse_cdf((below + u * mass).clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON));
+            Self::Cut { low, high, law, below, mass } => {
+                let value = law.inverse_cdf((below + u * mass).clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON));
                 ((value - low) / (high - low)).clamp(0.0, 1.0)
             }
             Self::Choice { shares, .. } => {
@@ -82,14 +151,23 @@ impl Marginal {
         }
     }
 
+    /// The share of the distribution below a coordinate; of a choice none is stated.
+    pub(super) fn share_below(&self, coordinate: f64) -> f64 {
+        match self {
+            Self::Cut { law, below, mass, .. } => ((law.cdf(self.value(coordinate)) - below) / mass).clamp(0.0, 1.0),
+            _ => coordinate.clamp(0.0, 1.0),
+        }
+    }
+
     /// Logarithm of the density at a coordinate, with respect to coordinates: 0 where the distribution is as dense as if it
     /// were even over the range.
     #[inline]
     pub(super) fn ln_density(&self, coordinate: f64) -> f64 {
         match self {
             Self::Uniform { .. } | Self::LogUniform { .. } => 0.0,
-            Self::Normal { low, high, gauss, mass, .. } => {
-                gauss.ln_pdf(self.value(coordinate)) - mass.ln() + (high - low).ln()
+            Self::Cut { low, high, law, mass, .. } => {
+                let value = self.value(coordinate).max(law.least(*low, *high));
+                law.ln_pdf(value) - mass.ln() + (high - low).ln()
             }
             Self::Choice { shares, .. } => {
                 let index = ((coordinate.clamp(0.0, 1.0) * shares.len() as f64) as usize).min(shares.len() - 1);
@@ -101,8 +179,8 @@ impl Marginal {
 
 #[cfg(test)]
 mod tests {
-    use super::super::spec::{Choice, Distribution, Normal, Uniform, Value};
-    use super::*;
+    use super::super::spec::{Choice, Distribution, LogNormal, Normal, ShapeScale, Uniform, Value};
+    use super::Marginal;
     use proptest::prelude::*;
 
     fn any_marginal() -> impl Strategy<Value = Marginal> {
@@ -111,18 +189,54 @@ mod tests {
             let (mean, deviation) = (low + at * width, deviation * width);
             Distribution::Normal(Normal { mean, deviation, low, high: low + width })
         });
+        // Shapes above 1: where the density has no bounds, cells would have to be finer.
+        let positive = (0..3, 1.1..8.0f64, 0.3..3.0f64, 0.1..0.9f64).prop_map(|(law, shape, scale, low)| {
+            let high = low + 4.0 * scale;
+            match law {
+                0 => Distribution::LogNormal(LogNormal { ln_mean: scale.ln(), ln_deviation: 1.0 / shape, low, high }),
+                1 => Distribution::Gamma(ShapeScale { shape, scale: scale / shape, low, high }),
+                _ => Distribution::Weibull(ShapeScale { shape, scale, low, high }),
+            }
+        });
         let weights = prop::collection::vec(0.01..5.0f64, 1..6);
         prop_oneof![
             range.prop_map(|(low, width)| Distribution::Uniform(Uniform { low, high: low + width })),
             (0.01..5.0f64, 1.1..50.0f64)
                 .prop_map(|(low, times)| Distribution::LogUniform(Uniform { low, high: low * times })),
             normal,
+            positive,
             weights.prop_map(|weights| {
                 let values = (0..weights.len()).map(|i| Value::Number(1.5 * i as f64 - 2.0)).collect();
                 Distribution::Choice(Choice { values, weights: Some(weights) })
             }),
         ]
         .prop_map(|distribution| distribution.marginal().expect("valid"))
+    }
+
+    /// The edges of what a file may state: no panic, no hang, no value outside the range.
+    #[test]
+    fn extreme_laws_have_values_at_every_share() {
+        let ranges = [[0.0, 1.0], [0.0, 1e300], [1e-320, 1e-300], [0.0, 1e-310], [1e-3, 12.0], [1e200, 1e308]];
+        let shares = [0.0, f64::MIN_POSITIVE, 1e-100, 0.5, 1.0 - f64::EPSILON, 1.0];
+        for [low, high] in ranges {
+            for shape in [0.01, 0.3, 1.0, 7.0, 1e6] {
+                for scale in [1e-9, 1e-3, 1.0, 1e9] {
+                    let of = ShapeScale { shape, scale, low, high };
+                    let lognormal = LogNormal { ln_mean: scale.ln(), ln_deviation: shape, low, high };
+                    for law in
+                        [Distribution::Gamma(of.clone()), Distribution::Weibull(of), Distribution::LogNormal(lognormal)]
+                    {
+                        let Ok(marginal) = law.marginal() else { continue };
+                        for u in shares {
+                            let at = marginal.quantile(u);
+                            assert!((0.0..=1.0).contains(&at), "{law:?} {u}: {at}");
+                            assert!(!marginal.ln_density(at).is_nan(), "{law:?} {u}");
+                            assert!((0.0..=1.0).contains(&marginal.share_below(at)), "{law:?} {u}");
+                        }
+                    }
+                }
+            }
+        }
     }
 
     proptest! {
@@ -137,6 +251,8 @@ mod tests {
             prop_assert!((0.0..=1.0).contains(&at));
             let below: f64 = (0..(at * CELLS as f64) as usize).map(cell).sum();
             prop_assert!((below - u).abs() < 2e-3, "{below} instead of {u}");
+            let is_choice = matches!(marginal, Marginal::Choice { .. });
+            prop_assert!(is_choice || (marginal.share_below(at) - u).abs() < 1e-8);
             let value = marginal.value(at);
             prop_assert!(value >= marginal.low() && value <= marginal.high());
             let again = marginal.value(marginal.coordinate(value));

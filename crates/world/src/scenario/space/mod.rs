@@ -36,15 +36,27 @@
 //! | `vehicles[i].driver.pieces.cruise_mps2` | acceleration of every piece, cut where the speed would leave 18 to 130 km/h |
 //! | `vehicles[i].driver.pieces.scale` | what all pieces are multiplied by, after everything else: 0 is a constant speed |
 //!
+//! # Dependence
+//!
+//! Parameters are independent unless `dependence` says otherwise, by a Gaussian copula: uniform numbers u become normal ones,
+//! z = Φ⁻¹(u), these become correlated, y = L z with L Lᵀ the correlation matrix, and the shares Φ(y) go through the inverse CDF
+//! of each parameter (Nelsen, An Introduction to Copulas, 2006, 2.3 and 3.1). Ranges, and thus points, stay as they are.
+//!
 //! In a space without positions all vehicles keep their bumper gaps when lengths or classes vary.
 
 mod built_in;
 mod check;
+mod copula;
+#[cfg(test)]
+mod copula_tests;
 mod derived;
+mod distribution;
 mod field;
 pub mod file;
 mod marginal;
 mod numbers;
+mod observed;
+mod ready;
 mod spec;
 #[cfg(test)]
 mod tests;
@@ -55,10 +67,15 @@ use rand::RngExt;
 
 pub use built_in::{BUILT_IN_SPACES, UnknownSpace, built_in_space, find_space};
 pub use check::InvalidSpace;
+pub use copula::{Dependence, GaussianCopula};
+pub use observed::{Exposure, Observed, ObservedParameter, SourceExposure};
+pub use ready::ReadyDistribution;
 pub use spec::{
-    Base, Choice, Distribution, DriverName, Normal, ParameterSpec, SPACE_VERSION, SpaceSpec, Uniform, Value,
+    Base, Choice, Distribution, DriverName, LogNormal, Normal, ParameterSpec, SPACE_VERSION, ShapeScale, SpaceSpec,
+    Uniform, Value,
 };
 
+use self::copula::Copula;
 use self::field::Target;
 use self::marginal::Marginal;
 use self::spec::Kind;
@@ -83,6 +100,8 @@ pub struct Space {
     parameters: Vec<Parameter>,
     /// Parameters in the order in which they are set.
     order: Vec<usize>,
+    /// How coordinates depend on each other.
+    copula: Option<Copula>,
 }
 
 /// A parameter of a space.
@@ -270,16 +289,23 @@ impl Space {
         Scenario::new(spec)
     }
 
-    /// The point below which shares `uniform` of the distribution lie, coordinate by coordinate.
+    /// The point that independent uniform numbers, one a coordinate, come to: below it lie shares `uniform` of the distribution,
+    /// coordinate by coordinate; where coordinates depend on each other, shares that the copula makes of them.
     #[must_use]
     pub fn quantile(&self, uniform: &[f64]) -> Vec<f64> {
-        self.coordinate_parameters().zip(uniform).map(|(parameter, &u)| parameter.marginal.quantile(u)).collect()
+        let depending = self.copula.as_ref().map(|copula| copula.depending(uniform));
+        let shares = depending.as_deref().unwrap_or(uniform);
+        self.coordinate_parameters().zip(shares).map(|(parameter, &u)| parameter.marginal.quantile(u)).collect()
     }
 
     /// Logarithm of the distribution's density at a point, relative to a distribution that is even over all ranges.
     #[must_use]
     pub fn ln_likelihood(&self, point: &[f64]) -> f64 {
-        self.coordinate_parameters().zip(point).map(|(parameter, &x)| parameter.marginal.ln_density(x)).sum()
+        let apart: f64 =
+            self.coordinate_parameters().zip(point).map(|(parameter, &x)| parameter.marginal.ln_density(x)).sum();
+        let Some(copula) = &self.copula else { return apart };
+        let below = self.coordinate_parameters().zip(point).map(|(parameter, &x)| parameter.marginal.share_below(x));
+        apart + copula.ln_density(&below.collect::<Vec<_>>())
     }
 
     /// The `index`-th draw by the distribution, with noise of its own. The same seed and index give the same scenario, in

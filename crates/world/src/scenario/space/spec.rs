@@ -4,6 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
+use super::copula::Dependence;
+use super::observed::{Exposure, Observed};
 use crate::control::ControllerSpec;
 use crate::scenario::{ScenarioSpec, VehicleClass};
 
@@ -28,6 +30,15 @@ pub struct SpaceSpec {
     /// What varies; 1 to 200 of them, with at most 1000 coordinates.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 200)))]
     pub parameters: Vec<ParameterSpec>,
+    /// How parameters depend on each other; by default not at all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dependence: Option<Dependence>,
+    /// In how much driving the distribution was observed, so that failures can be stated per hour and kilometre.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<Exposure>,
+    /// What the distribution was fitted to, so that it can be fitted again to resamples.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub observed: Option<Observed>,
 }
 
 /// The base scenario: spelled out, or the name of a built-in one or of a file beside the space's.
@@ -69,6 +80,12 @@ pub enum Distribution {
     LogUniform(Uniform),
     /// Normal, cut at both ends of the range.
     Normal(Normal),
+    /// Log-normal, cut at both ends of the range.
+    LogNormal(LogNormal),
+    /// Gamma, cut at both ends of the range.
+    Gamma(ShapeScale),
+    /// Weibull, cut at both ends of the range.
+    Weibull(ShapeScale),
     /// One of a few values.
     Choice(Choice),
 }
@@ -94,6 +111,36 @@ pub struct Normal {
     /// Standard deviation before cutting; above 0.
     pub deviation: f64,
     /// Smallest value.
+    pub low: f64,
+    /// Largest value.
+    pub high: f64,
+}
+
+/// A log-normal distribution cut at both ends.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct LogNormal {
+    /// Mean of the logarithm before cutting.
+    pub ln_mean: f64,
+    /// Standard deviation of the logarithm before cutting; above 0.
+    pub ln_deviation: f64,
+    /// Smallest value, from 0.
+    pub low: f64,
+    /// Largest value.
+    pub high: f64,
+}
+
+/// A distribution of values above 0 with a shape and a scale, cut at both ends.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ShapeScale {
+    /// Shape: 1 is exponential; from 0.01 to 1 000 000.
+    pub shape: f64,
+    /// Scale, in the parameter's unit; above 0.
+    pub scale: f64,
+    /// Smallest value, from 0.
     pub low: f64,
     /// Largest value.
     pub high: f64,

@@ -1,0 +1,89 @@
+//! Failures per hour and per 1000 km, in spaces fitted to recorded episodes.
+
+use super::distribution::{Distribution, run_draws};
+use crate::assessment::plan::NamedSpace;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, AssessmentPlan};
+use crumple_search::evidence::exposed::{ExposedRate, Figure, Probability, WithData, run_again};
+use crumple_world::scenario::space::Space;
+use crumple_world::sim::NamedController;
+
+/// Resamples of the episodes that a space was fitted to, and runs of each controller in each of them.
+const RESAMPLES: u32 = 100;
+const RUNS_EACH: u32 = 200;
+
+/// A table of a space's controllers and what is to be said of it; none where the space does not say in how much driving it was seen.
+pub(super) fn on_the_road(drawn: &Distribution) -> Option<(String, Table)> {
+    let rates: Vec<(&str, &ExposedRate)> = drawn
+        .controllers
+        .iter()
+        .filter_map(|sampled| Some((sampled.controller.as_str(), sampled.exposed.as_ref()?)))
+        .collect();
+    let (_, first) = rates.first()?;
+    let mut words = format!(
+        "On the road: {} episodes in {} waves were seen in {:.3} h and {:.1} km of following. Intervals are joint ones at {} %, of the number of \
+         episodes and of the probability of a failure (Bonferroni).",
+        first.episodes,
+        first.waves,
+        first.hours,
+        first.kilometres,
+        100.0 * first.confidence
+    );
+    if let Some(data) = first.with_data {
+        words += &format!(
+            " With data: {} resamples of the episodes, the space fitted to each, {} runs in each.",
+            data.resamples,
+            data.runs_each.unwrap_or(0)
+        );
+    }
+    let mut table = Table::new(&[
+        "controller",
+        "failures per hour",
+        "with data",
+        "failures per 1000 km",
+        "with data",
+        "deviation by count, data, runs",
+    ]);
+    let interval = |figure: Figure| format!("{:.2e} – {:.2e}", figure.lower, figure.upper);
+    let shown = |figure: Figure| format!("{:.2e} ({})", figure.estimate, interval(figure));
+    for (controller, rate) in rates {
+        let data = |of: fn(&WithData) -> Figure| rate.with_data.map_or("–".to_owned(), |data| interval(of(&data)));
+        let percent =
+            |variance: Option<f64>| variance.map_or("–".to_owned(), |v| format!("{:.0} %", 100.0 * v.sqrt()));
+        let parts = rate.with_data.map_or("–".to_owned(), |data| {
+            [Some(data.counting_variance), data.data_variance, data.sampling_variance].map(percent).join(", ")
+        });
+        table.row(vec![
+            Cell::text(controller),
+            Cell::number(shown(rate.fitted.per_hour)),
+            Cell::number(data(|data| data.figures.per_hour)),
+            Cell::number(shown(rate.fitted.per_1000_km)),
+            Cell::number(data(|data| data.figures.per_1000_km)),
+            Cell::number(parts),
+        ]);
+    }
+    Some((words, table))
+}
+
+/// What failures come to on the road, with the data's uncertainty.
+pub(super) fn exposed(
+    plan: &AssessmentPlan,
+    named: &NamedSpace,
+    controller: &NamedController,
+    known: Probability<'_>,
+    work: &Work<'_>,
+) -> Result<Option<ExposedRate>, AssessError> {
+    if named.space.spec().exposure.is_none() {
+        return Ok(None);
+    }
+    let mut failures = |space: &Space, seed: u64, runs: u64| -> Result<u64, AssessError> {
+        // Between two, so that it can be interrupted.
+        work.did(0)?;
+        let scenarios = (0..runs).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
+        let draws = run_draws(&scenarios, controller, plan)?;
+        Ok(draws.iter().filter(|draw| draw.verdict.is_failure()).count() as u64)
+    };
+    let resamples = run_again(&named.space, plan.config.seed, (RESAMPLES, RUNS_EACH), &mut failures)?;
+    Ok(ExposedRate::of(&named.space, known, resamples.as_ref()))
+}

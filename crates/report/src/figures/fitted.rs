@@ -1,0 +1,58 @@
+//! How well a fitted space describes what was observed.
+
+use maud::html;
+
+use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, Stroke, Svg, padded};
+use crumple_search::fit::{Fitted, FittedNumber};
+
+/// Size of a panel, in pixels, and what lies between two of them.
+const PANEL: (f64, f64) = (340.0, 200.0);
+const BETWEEN: f64 = LEFT + 36.0;
+/// Points of a fitted distribution function.
+const POINTS: usize = 160;
+
+/// A panel for each number: the shares of what was observed, in steps, and the distribution fitted to it.
+#[must_use]
+pub fn fitted(fitted: &Fitted) -> Svg {
+    let step = (PANEL.0 + BETWEEN, PANEL.1 + HEADING + BELOW);
+    let panels = fitted.numbers.iter().enumerate().map(|(index, number)| {
+        let (row, column) = (index / 2, index % 2);
+        let (left, top) = (LEFT + 24.0 + column as f64 * step.0, HEADING + row as f64 * step.1);
+        let frame = Frame { left, top, width: PANEL.0, height: PANEL.1 };
+        panel(number, frame).draw(&Svg::id("fitted", &number.name))
+    });
+    let panels: Vec<_> = panels.collect();
+    let rows = panels.len().div_ceil(2) as f64;
+    let size = (LEFT + 24.0 + 2.0 * PANEL.0 + BETWEEN + 24.0, rows * step.1);
+    let description = "Shares at most so large: steps are what was observed, lines what was fitted.";
+    Svg::new("fitted", size, fitted.space.name(), description, html! { @for panel in &panels { (panel) } })
+}
+
+fn panel(number: &FittedNumber, frame: Frame) -> Panel {
+    let (low, high) = padded((number.tails.smallest, number.tails.largest), 0.08);
+    let x = Axis::numbers(if number.unit == "1" { "" } else { number.unit }, (low, high), 6);
+    let title = format!("{}: {}", number.name, number.chosen.family.name());
+    let mut panel = Panel::new(frame, &title, x, Axis::numbers("", (0.0, 1.0), 5));
+    let n = number.sorted.len() as f64;
+    let mut steps = vec![(low, 0.0)];
+    for (index, &value) in number.sorted.iter().enumerate() {
+        steps.extend([(value, index as f64 / n), (value, (index + 1) as f64 / n)]);
+    }
+    steps.push((high, 1.0));
+    panel.line(&steps, Stroke::series(1));
+    if let Ok(ready) = number.chosen.distribution.ready() {
+        let at = |point: usize| low + (high - low) * point as f64 / POINTS as f64;
+        let line: Vec<_> = (0..=POINTS).map(|point| (at(point), ready.share_below(at(point)))).collect();
+        panel.line(&line, Stroke::series(0));
+    }
+    let words = format!(
+        "KS {:.3} (p {:.2}), CvM {:.3} (p {:.2})",
+        number.goodness.kolmogorov_smirnov,
+        number.goodness.kolmogorov_smirnov_p,
+        number.goodness.cramer_von_mises,
+        number.goodness.cramer_von_mises_p
+    );
+    panel.note((high, 0.06), Anchor::End, &words, Ink::Muted);
+    panel.note((high, 0.18), Anchor::End, "dashes: observed, line: fitted", Ink::Muted);
+    panel
+}

@@ -1,0 +1,199 @@
+//! Failures per episode, per hour and per 1000 km, where a space says in how much driving its episodes were seen.
+//!
+//! Three things are uncertain. *Counting*: how often episodes come, of which N were seen. *Sampling*: the probability of a failure in the
+//! fitted space, of which a count or an estimate saw some runs. And the *data*: the fitted space is not the traffic, and other episodes
+//! would have made another. The rate per hour is the product of episodes an hour and failures an episode. Its interval without the data's
+//! uncertainty is the product of both intervals, each at 1 − α/2, which hold together at 1 − α (Bonferroni). The data's uncertainty
+//! comes of [resamples](crate::fit::resampled) of the episodes, to each of which the space is fitted again.
+
+mod counting;
+mod resampled;
+#[cfg(test)]
+mod tests;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use counting::expected_episodes;
+pub use resampled::{Resamples, estimate_again, run_again};
+
+use super::RateInterval;
+use super::rare::Estimate;
+use crumple_world::scenario::space::Space;
+
+/// Confidence of all intervals.
+pub const CONFIDENCE: f64 = 0.95;
+
+/// A figure and between which it lies.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Figure {
+    /// The estimate.
+    pub estimate: f64,
+    /// Lower end.
+    pub lower: f64,
+    /// Upper end.
+    pub upper: f64,
+}
+
+/// Failures as they would be met on the road.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Figures {
+    /// Failures per episode.
+    pub per_episode: Figure,
+    /// Failures per hour of following.
+    pub per_hour: Figure,
+    /// Failures per 1000 km of following.
+    pub per_1000_km: Figure,
+}
+
+/// How often a controller fails where the space was observed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExposedRate {
+    /// Episodes that were seen.
+    pub episodes: u64,
+    /// Waves that they belong to.
+    pub waves: u64,
+    /// Hours in which they were seen.
+    pub hours: f64,
+    /// Kilometres.
+    pub kilometres: f64,
+    /// Confidence of all intervals.
+    pub confidence: f64,
+    /// Taking the fitted space for the truth: counting and sampling alone.
+    pub fitted: Figures,
+    /// With the data's uncertainty; none where the space does not hold what it was fitted to, or nothing was resampled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub with_data: Option<WithData>,
+}
+
+/// Figures with the data's uncertainty, and where the uncertainty is from.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct WithData {
+    /// The figures.
+    pub figures: Figures,
+    /// Resamples of the episodes.
+    pub resamples: u32,
+    /// Those to which no space could be fitted.
+    pub unfit: u32,
+    /// Runs made for each; none where each has an estimate by splitting of its own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub runs_each: Option<u32>,
+    /// Variances relative to the squared estimate: of the number of episodes, ...
+    pub counting_variance: f64,
+    /// ... of the probability of a failure as the episodes differ, less what is sampling in the resamples; none without failures, ...
+    pub data_variance: Option<f64>,
+    /// ... and of the count or estimate in the fitted space; none without failures.
+    pub sampling_variance: Option<f64>,
+}
+
+/// What is known of the probability of a failure in the fitted space.
+#[derive(Debug, Clone, Copy)]
+pub enum Probability<'a> {
+    /// Failures counted, runs that may have been failures, and all runs.
+    Counted {
+        /// Failures.
+        failures: u64,
+        /// Runs that were cut short by others, and may have become failures.
+        unknown: u64,
+        /// Runs.
+        runs: u64,
+    },
+    /// An estimate by splitting.
+    Estimated(&'a Estimate),
+}
+
+impl Probability<'_> {
+    fn estimate(self) -> Option<f64> {
+        match self {
+            Self::Counted { failures, runs, .. } => (runs > 0).then(|| failures as f64 / runs as f64),
+            Self::Estimated(estimate) => estimate.probability,
+        }
+    }
+
+    fn interval(self, confidence: f64) -> Option<[f64; 2]> {
+        match self {
+            Self::Counted { failures, unknown, runs } => Some([
+                RateInterval::exact(failures, runs, confidence).lower,
+                RateInterval::exact(failures + unknown, runs, confidence).upper,
+            ]),
+            Self::Estimated(estimate) => estimate.interval(confidence),
+        }
+    }
+
+    /// Variance relative to the squared estimate.
+    fn variance(self) -> Option<f64> {
+        match self {
+            Self::Counted { failures: 0, .. } => None,
+            Self::Counted { failures, runs, .. } => Some((1.0 - failures as f64 / runs as f64) / failures as f64),
+            Self::Estimated(estimate) => estimate.coefficient_of_variation.map(|variation| variation * variation),
+        }
+    }
+}
+
+impl ExposedRate {
+    /// What a probability comes to on the road; none where the space does not say in how much driving it was seen, or nothing is
+    /// known of the probability.
+    #[must_use]
+    pub fn of(space: &Space, known: Probability<'_>, resamples: Option<&Resamples>) -> Option<Self> {
+        let exposure = space.spec().exposure.as_ref()?;
+        let sizes = wave_sizes(space);
+        let (estimate, alpha) = (known.estimate()?, 1.0 - CONFIDENCE);
+        let [low, high] = known.interval(CONFIDENCE)?;
+        let counted = expected_episodes(&sizes, 1.0 - alpha / 2.0);
+        let figures = |apart: [f64; 3], jointly: [f64; 2]| {
+            let [estimate, low, high] = apart;
+            let per = |amount: f64| Figure {
+                estimate: estimate * exposure.episodes as f64 / amount,
+                lower: jointly[0] * counted[0] / amount,
+                upper: jointly[1] * counted[1] / amount,
+            };
+            Figures {
+                per_episode: Figure { estimate, lower: low, upper: high },
+                per_hour: per(exposure.hours),
+                per_1000_km: per(exposure.kilometres / 1000.0),
+            }
+        };
+        let fitted = figures([estimate, low, high], known.interval(1.0 - alpha / 2.0)?);
+        let with_data = resamples.and_then(|resamples| {
+            // Resamples may lie all on one side of what was fitted to all episodes.
+            let with = |[low, high]: [f64; 2]| [low.min(estimate), high.max(estimate)];
+            let [low, high] = with(resamples.between(CONFIDENCE)?);
+            let squares: u64 = sizes.iter().map(|size| size * size).sum();
+            Some(WithData {
+                figures: figures([estimate, low, high], with(resamples.between(1.0 - alpha / 2.0)?)),
+                resamples: resamples.count(),
+                unfit: resamples.unfit,
+                runs_each: resamples.runs_each,
+                counting_variance: squares as f64 / (exposure.episodes as f64).powi(2),
+                data_variance: (estimate > 0.0).then(|| resamples.variance / (estimate * estimate)),
+                sampling_variance: known.variance(),
+            })
+        });
+        Some(Self {
+            episodes: exposure.episodes,
+            waves: sizes.len() as u64,
+            hours: exposure.hours,
+            kilometres: exposure.kilometres,
+            confidence: CONFIDENCE,
+            fitted,
+            with_data,
+        })
+    }
+}
+
+/// How many episodes each wave has; one each where that is not known.
+fn wave_sizes(space: &Space) -> Vec<u64> {
+    let Some(observed) = &space.spec().observed else {
+        let episodes = space.spec().exposure.as_ref().map_or(0, |exposure| exposure.episodes);
+        // More than these are as good as certain.
+        return vec![1; episodes.min(1_000_000) as usize];
+    };
+    let mut sizes = vec![0; observed.waves.len()];
+    for wave in &observed.waves {
+        if let Some(size) = sizes.get_mut(*wave as usize) {
+            *size += 1;
+        }
+    }
+    sizes.retain(|size| *size > 0);
+    sizes
+}

@@ -1,0 +1,124 @@
+//! What the probability of a failure would have been, had other episodes been seen.
+
+use rand::RngExt;
+use rayon::prelude::*;
+use statrs::distribution::{Beta, ContinuousCDF};
+
+use crate::evidence::rare::Estimate;
+use crate::fit::{refitted, resampled};
+use crumple_world::random::{Purpose, derived_seed, stream};
+use crumple_world::scenario::space::Space;
+
+/// Tells the streams of what is drawn besides the resamples from theirs.
+const DRAWS: u64 = 1 << 40;
+
+/// The probability of a failure in spaces fitted to resamples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Resamples {
+    /// Two probabilities a resample, each sorted, drawn from what is known of its probability: they spread as data and sampling together.
+    /// The lower one is 0 where no run failed, the higher one 1 where all did.
+    pub spread: [Vec<f64>; 2],
+    /// Resamples to which no space could be fitted.
+    pub unfit: u32,
+    /// Runs made for each; none where each has an estimate of its own.
+    pub runs_each: Option<u32>,
+    /// The variance of the probabilities, less what is sampling in them; from 0.
+    pub variance: f64,
+}
+
+impl Resamples {
+    /// The shares of the spread between which the confidence lies (Efron's percentiles); none without resamples.
+    #[must_use]
+    pub fn between(&self, confidence: f64) -> Option<[f64; 2]> {
+        let tail = 0.5 * (1.0 - confidence);
+        let [lows, highs] = &self.spread;
+        let last = lows.len().checked_sub(1)?;
+        let below = (tail * (last + 1) as f64).floor() as usize;
+        Some([*lows.get(below.min(last))?, *highs.get(last.saturating_sub(below))?])
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> u32 {
+        self.spread[0].len() as u32
+    }
+}
+
+/// The spaces fitted to resamples, and how many there were to which none could be.
+fn refitted_to_resamples(space: &Space, seed: u64, resamples: u32) -> Option<(Vec<(u64, Space)>, u32)> {
+    let observed = space.spec().observed.as_ref()?;
+    let again = |index: u64| Some((index, refitted(space.spec(), &resampled(observed, seed, index)).ok()?));
+    let spaces: Vec<(u64, Space)> = (0..u64::from(resamples)).into_par_iter().filter_map(again).collect();
+    let unfit = resamples - spaces.len() as u32;
+    (!spaces.is_empty()).then_some((spaces, unfit))
+}
+
+/// Makes new runs in each space fitted to a resample: `failures` says how many of so many runs fail there, with a seed. Nothing where the
+/// space does not hold what it was fitted to.
+///
+/// # Errors
+/// Those of `failures`.
+pub fn run_again<E>(
+    space: &Space,
+    seed: u64,
+    (resamples, runs): (u32, u32),
+    failures: &mut dyn FnMut(&Space, u64, u64) -> Result<u64, E>,
+) -> Result<Option<Resamples>, E> {
+    let Some((spaces, unfit)) = refitted_to_resamples(space, seed, resamples) else { return Ok(None) };
+    let (mut shares, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
+    let n = f64::from(runs);
+    for (index, space) in spaces {
+        let failed = failures(&space, derived_seed(seed, DRAWS + index), u64::from(runs))? as f64;
+        let share = failed / n;
+        within += share * (1.0 - share) / (n - 1.0).max(1.0);
+        shares.push(share);
+        let u: f64 = stream(seed, Purpose::Resampling, DRAWS + index).random();
+        // Jeffreys' posterior, with its ends where they are certain (Brown, Cai and DasGupta, Statistical Science 16, 2001).
+        let known = Beta::new(failed + 0.5, n - failed + 0.5);
+        let drawn = known.map_or(share, |known| known.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12)));
+        spread[0].push(if failed == 0.0 { 0.0 } else { drawn });
+        spread[1].push(if failed == n { 1.0 } else { drawn });
+    }
+    let within = within / shares.len() as f64;
+    spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
+    let variance = (variance(&shares) - within).max(0.0);
+    Ok(Some(Resamples { spread, unfit, runs_each: Some(runs), variance }))
+}
+
+/// Estimates anew in each space fitted to a resample: `again` does, with a seed. Nothing where the space does not hold what it was fitted to.
+///
+/// Weighting the runs that failed by how much likelier they are there would cost nothing, and was tried: of a failure of probability
+/// 10⁻⁶ one run carries all the weight, and where other failures are likelier, no run has been.
+///
+/// # Errors
+/// Those of `again`.
+pub fn estimate_again<E>(
+    space: &Space,
+    seed: u64,
+    resamples: u32,
+    again: &mut dyn FnMut(&Space, u64) -> Result<Estimate, E>,
+) -> Result<Option<Resamples>, E> {
+    let Some((spaces, unfit)) = refitted_to_resamples(space, seed, resamples) else { return Ok(None) };
+    let (mut found, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
+    for (index, space) in spaces {
+        let estimate = again(&space, derived_seed(seed, DRAWS + index))?;
+        let probability = estimate.probability.unwrap_or(0.0);
+        within += (probability * estimate.coefficient_of_variation.unwrap_or(0.0)).powi(2);
+        found.push(probability);
+        // Where no failure was reached, it is rarer than the last level that was.
+        let reached = estimate.levels.iter().map(|level| level.probability).filter(|level| *level > 0.0);
+        let at_most = if probability > 0.0 { probability } else { reached.fold(1.0, f64::min) };
+        spread[0].push(probability);
+        spread[1].push(at_most);
+    }
+    let within = within / found.len() as f64;
+    spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
+    let variance = (variance(&found) - within).max(0.0);
+    Ok(Some(Resamples { spread, unfit, runs_each: None, variance }))
+}
+
+fn variance(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (n - 1.0).max(1.0)
+}

@@ -1,0 +1,256 @@
+//! Families of distributions, fitted by maximum likelihood where a value can only lie in a range.
+
+use serde::Serialize;
+use statrs::function::gamma::ln_gamma;
+
+use super::minimum::{hessian, minimum};
+use crumple_world::scenario::space::{Distribution, LogNormal, Normal, ShapeScale, Uniform};
+
+/// A family of distributions with two parameters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Family {
+    /// Every value alike between two.
+    Uniform,
+    /// Normal.
+    Normal,
+    /// Log-normal.
+    LogNormal,
+    /// Gamma.
+    Gamma,
+    /// Weibull.
+    Weibull,
+}
+
+/// A family fitted to values.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FamilyFit {
+    /// Which.
+    pub family: Family,
+    /// Names of its parameters, as a space file has them.
+    pub names: [&'static str; 2],
+    /// Their estimates.
+    pub estimates: [f64; 2],
+    /// An interval at 95 % for each: Wald's, by the curvature of the likelihood; exact for a uniform distribution. None where the
+    /// likelihood has no maximum within what a space may state, or its curvature there is none.
+    pub intervals_95: Option<[[f64; 2]; 2]>,
+    /// Logarithm of the likelihood.
+    pub ln_likelihood: f64,
+    /// Akaike's criterion: 2 k − 2 ln L, k = 2.
+    pub aic: f64,
+    /// Schwarz's criterion: k ln n − 2 ln L, k = 2.
+    pub bic: f64,
+    /// As a space states it.
+    #[serde(skip)]
+    pub distribution: Distribution,
+}
+
+/// Why a family cannot be fitted.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NoFit {
+    /// It is one of positive values.
+    #[error("is of values above 0, and one is {0}")]
+    NotPositive(f64),
+    /// All values are one.
+    #[error("all values are {0}")]
+    Constant(f64),
+    /// The likelihood has no maximum.
+    #[error("no maximum of the likelihood was found")]
+    NoMaximum,
+}
+
+/// What of values a likelihood needs.
+struct Sums<'a> {
+    values: &'a [f64],
+    logarithms: Vec<f64>,
+    mean: f64,
+    deviation: f64,
+    ln_mean: f64,
+    ln_deviation: f64,
+    range: [f64; 2],
+}
+
+/// Two-sided 95 % of a normal distribution.
+const Z_95: f64 = 1.959_963_984_540_054;
+
+impl Family {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Uniform, Self::Normal, Self::LogNormal, Self::Gamma, Self::Weibull];
+
+    /// Its name, as in a space file.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Uniform => "uniform",
+            Self::Normal => "normal",
+            Self::LogNormal => "log-normal",
+            Self::Gamma => "gamma",
+            Self::Weibull => "weibull",
+        }
+    }
+
+    /// Fits it to values that can only lie in a range; the distribution is cut there, and its likelihood that of what is left.
+    ///
+    /// # Errors
+    /// [`NoFit`] for values that the family cannot have.
+    pub fn fit(self, values: &[f64], range: [f64; 2]) -> Result<FamilyFit, NoFit> {
+        let (smallest, largest) = ends(values);
+        if smallest >= largest {
+            return Err(NoFit::Constant(smallest));
+        }
+        if self == Self::Uniform {
+            return Ok(uniform(values.len(), smallest, largest));
+        }
+        if self != Self::Normal && smallest <= 0.0 {
+            return Err(NoFit::NotPositive(smallest));
+        }
+        let sums = Sums::of(values, range);
+        let objective = |at: [f64; 2]| -self.ln_likelihood(&sums, at);
+        let found = minimum(&objective, self.start(&sums));
+        let ln_likelihood = -objective(found);
+        if !ln_likelihood.is_finite() {
+            return Err(NoFit::NoMaximum);
+        }
+        Ok(FamilyFit {
+            family: self,
+            names: self.names(),
+            estimates: self.estimates(&sums, found),
+            intervals_95: self.intervals(&sums, &objective, found),
+            ln_likelihood,
+            aic: 4.0 - 2.0 * ln_likelihood,
+            bic: 2.0 * (values.len() as f64).ln() - 2.0 * ln_likelihood,
+            distribution: self.distribution(self.estimates(&sums, found), range),
+        })
+    }
+
+    fn names(self) -> [&'static str; 2] {
+        match self {
+            Self::Uniform => ["low", "high"],
+            Self::Normal => ["mean", "deviation"],
+            Self::LogNormal => ["ln_mean", "ln_deviation"],
+            Self::Gamma | Self::Weibull => ["shape", "scale"],
+        }
+    }
+
+    /// Where the search begins, in its own coordinates: what the moments say where nothing is cut.
+    fn start(self, sums: &Sums<'_>) -> [f64; 2] {
+        match self {
+            Self::Uniform | Self::Normal | Self::LogNormal => [0.0, 0.0],
+            Self::Gamma => [(2.0 * (sums.mean / sums.deviation).ln()).clamp(-4.0, 13.0), 0.0],
+            // Of a Weibull variable, the logarithm's deviation is π / (√6 k).
+            Self::Weibull => [(std::f64::consts::PI / 6.0_f64.sqrt() / sums.ln_deviation).ln().clamp(-4.0, 13.0), 0.0],
+        }
+    }
+
+    /// From the search's coordinates to the parameters.
+    fn estimates(self, sums: &Sums<'_>, [a, b]: [f64; 2]) -> [f64; 2] {
+        match self {
+            Self::Uniform | Self::Normal => [sums.mean + sums.deviation * a, sums.deviation * b.exp()],
+            Self::LogNormal => [sums.ln_mean + sums.ln_deviation * a, sums.ln_deviation * b.exp()],
+            Self::Gamma => [a.exp(), sums.mean * (b - a).exp()],
+            Self::Weibull => [a.exp(), sums.mean * b.exp()],
+        }
+    }
+
+    fn distribution(self, [first, second]: [f64; 2], [low, high]: [f64; 2]) -> Distribution {
+        match self {
+            Self::Uniform => Distribution::Uniform(Uniform { low: first, high: second }),
+            Self::Normal => Distribution::Normal(Normal { mean: first, deviation: second, low, high }),
+            Self::LogNormal => Distribution::LogNormal(LogNormal { ln_mean: first, ln_deviation: second, low, high }),
+            Self::Gamma => Distribution::Gamma(ShapeScale { shape: first, scale: second, low, high }),
+            Self::Weibull => Distribution::Weibull(ShapeScale { shape: first, scale: second, low, high }),
+        }
+    }
+
+    /// Of the cut distribution; −∞ for parameters that no space may have.
+    fn ln_likelihood(self, sums: &Sums<'_>, at: [f64; 2]) -> f64 {
+        let n = sums.values.len() as f64;
+        let parameters @ [first, second] = self.estimates(sums, at);
+        let Ok(ready) = self.distribution(parameters, sums.range).ready() else { return f64::NEG_INFINITY };
+        let ln_root = 0.5 * (2.0 * std::f64::consts::PI).ln();
+        let gauss = |mean: f64, deviation: f64, of_mean: f64, of_deviation: f64| {
+            let (off, spread) = ((of_mean - mean) / deviation, of_deviation / deviation);
+            -n * (deviation.ln() + ln_root + 0.5 * (spread * spread + off * off))
+        };
+        let whole = match self {
+            Self::Uniform => return f64::NEG_INFINITY,
+            Self::Normal => gauss(first, second, sums.mean, sums.deviation),
+            Self::LogNormal => gauss(first, second, sums.ln_mean, sums.ln_deviation) - n * sums.ln_mean,
+            Self::Gamma => {
+                let (shape, scale) = (first, second);
+                n * ((shape - 1.0) * sums.ln_mean - sums.mean / scale - shape * scale.ln() - ln_gamma(shape))
+            }
+            Self::Weibull => {
+                let (shape, scale) = (first, second);
+                let powers: f64 = sums.logarithms.iter().map(|ln| (shape * (ln - scale.ln())).exp()).sum();
+                n * (shape.ln() - shape * scale.ln() + (shape - 1.0) * sums.ln_mean) - powers
+            }
+        };
+        whole - n * ready.mass().ln()
+    }
+
+    /// By the curvature of the likelihood, which is the inverse of the covariance (Wald, 1943).
+    fn intervals(self, sums: &Sums<'_>, objective: &dyn Fn([f64; 2]) -> f64, at: [f64; 2]) -> Option<[[f64; 2]; 2]> {
+        let [[aa, ab], [_, bb]] = hessian(objective, at)?;
+        let determinant = aa * bb - ab * ab;
+        if !(aa > 0.0 && determinant > 0.0) {
+            return None;
+        }
+        let [var_a, var_b, covariance] = [bb, aa, -ab].map(|entry| entry / determinant);
+        let [a, b] = at;
+        let end = |sign: f64| {
+            let first = self.estimates(sums, [a + sign * Z_95 * var_a.sqrt(), b])[0];
+            let second = match self {
+                // Its second parameter is the difference of both coordinates.
+                Self::Gamma => {
+                    let deviation = (var_a + var_b - 2.0 * covariance).max(0.0).sqrt();
+                    self.estimates(sums, [a, b + sign * Z_95 * deviation])[1]
+                }
+                _ => self.estimates(sums, [a, b + sign * Z_95 * var_b.sqrt()])[1],
+            };
+            [first, second]
+        };
+        let ([low_a, low_b], [high_a, high_b]) = (end(-1.0), end(1.0));
+        Some([[low_a, high_a], [low_b, high_b]])
+    }
+}
+
+/// The ends that were seen are the most likely ones. How far beyond them those of the distribution lie, relative to their
+/// distance, does not depend on these: P(T > t) = (1 + t)^(1 − n).
+fn uniform(n: usize, low: f64, high: f64) -> FamilyFit {
+    let width = high - low;
+    let beyond = width * (0.05_f64.powf(-1.0 / (n as f64 - 1.0)) - 1.0);
+    let ln_likelihood = -(n as f64) * width.ln();
+    FamilyFit {
+        family: Family::Uniform,
+        names: Family::Uniform.names(),
+        estimates: [low, high],
+        intervals_95: Some([[low - beyond, low], [high, high + beyond]]),
+        ln_likelihood,
+        aic: 4.0 - 2.0 * ln_likelihood,
+        bic: 2.0 * (n as f64).ln() - 2.0 * ln_likelihood,
+        distribution: Family::Uniform.distribution([low, high], [low, high]),
+    }
+}
+
+impl<'a> Sums<'a> {
+    fn of(values: &'a [f64], range: [f64; 2]) -> Self {
+        let logarithms: Vec<f64> = values.iter().map(|value| value.ln()).collect();
+        let (mean, deviation) = moments(values);
+        let (ln_mean, ln_deviation) = moments(&logarithms);
+        Self { values, logarithms, mean, deviation, ln_mean, ln_deviation, range }
+    }
+}
+
+/// Mean and standard deviation, of n and not of n − 1.
+fn moments(values: &[f64]) -> (f64, f64) {
+    let n = values.len().max(1) as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    (mean, (values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / n).sqrt())
+}
+
+/// Smallest and largest.
+fn ends(values: &[f64]) -> (f64, f64) {
+    values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &value| (low.min(value), high.max(value)))
+}

@@ -1,0 +1,34 @@
+//! Resamples of what was observed: waves of episodes with replacement.
+
+use rand::RngExt;
+
+use crumple_world::random::{Purpose, stream};
+use crumple_world::scenario::space::{Observed, ObservedParameter};
+
+/// The `index`-th resample: as many waves as there are, each drawn from all of them (Efron, Bootstrap methods: another look at the
+/// jackknife, Annals of Statistics 7, 1979; of clusters, Davison and Hinkley, 1997, 3.8).
+#[must_use]
+pub fn resampled(observed: &Observed, seed: u64, index: u64) -> Observed {
+    let waves = observed.waves.iter().max().map_or(0, |last| *last as usize + 1);
+    let mut members: Vec<Vec<usize>> = vec![Vec::new(); waves];
+    for (episode, wave) in observed.waves.iter().enumerate() {
+        if let Some(members) = members.get_mut(*wave as usize) {
+            members.push(episode);
+        }
+    }
+    // A file may skip numbers.
+    members.retain(|members| !members.is_empty());
+    let mut random = stream(seed, Purpose::Resampling, index);
+    let drawn: Vec<&Vec<usize>> =
+        members.iter().filter_map(|_| members.get(random.random_range(0..members.len()))).collect();
+    let numbered = drawn.iter().enumerate().flat_map(|(wave, members)| members.iter().map(move |_| wave as u32));
+    let values = |parameter: &ObservedParameter| ObservedParameter {
+        values: drawn
+            .iter()
+            .flat_map(|members| members.iter())
+            .filter_map(|&at| parameter.values.get(at).copied())
+            .collect(),
+        ..parameter.clone()
+    };
+    Observed { waves: numbered.collect(), parameters: observed.parameters.iter().map(values).collect() }
+}

@@ -1,0 +1,134 @@
+//! How much following a recording holds, and which of its episodes belong to one wave of braking.
+
+use super::Recording;
+use super::episode::Episode;
+use super::episodes::Leaders;
+use super::leads::Ahead;
+
+/// Brakings that are at most this far apart are of one wave, in seconds: as for phases of one vehicle's braking.
+const SETTLING_S: f64 = 5.0;
+
+/// Driving in which an episode could have begun.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Followed {
+    /// Hours for which a vehicle that may lead had so many behind it: the sum over such vehicles.
+    pub hours: f64,
+    /// Kilometres that the vehicle next behind it drove meanwhile.
+    pub kilometres: f64,
+}
+
+/// Driving in which an episode could have begun, with at least so many `followers` (1 or more) behind its leader.
+///
+/// Counted are times between two samples, at most half a second apart, at both of which speeds and gaps are known.
+#[must_use]
+pub fn followed(recording: &Recording, leaders: Leaders, followers: usize) -> Followed {
+    let mut sum = Followed::default();
+    for lead in recording.leads() {
+        for run in lead.runs() {
+            let speeds: Vec<Option<f64>> = run
+                .iter()
+                .map(|sample| {
+                    let may_lead = leaders == Leaders::Any || !matches!(lead.ahead_at(sample), Ahead::Recorded(_));
+                    lead.follower_speed_at_mps(sample, followers).filter(|_| may_lead)
+                })
+                .collect();
+            for (samples, speeds) in run.windows(2).zip(speeds.windows(2)) {
+                if let ([from, to], [Some(a), Some(b)]) = (samples, speeds) {
+                    let seconds = (to.time_ms - from.time_ms) as f64 / 1000.0;
+                    sum.hours += seconds / 3600.0;
+                    sum.kilometres += 0.5 * (a + b) * seconds / 1000.0;
+                }
+            }
+        }
+    }
+    sum
+}
+
+/// The wave of braking that each episode of one recording belongs to, numbered from 0.
+///
+/// Two episodes are of one wave if the leader of one is in the other's line and they brake at most 5 s apart.
+#[must_use]
+pub fn waves(episodes: &[Episode]) -> Vec<u32> {
+    let mut wave: Vec<usize> = (0..episodes.len()).collect();
+    for (index, episode) in episodes.iter().enumerate() {
+        for (before, other) in episodes.iter().enumerate().take(index) {
+            if is_one_wave(episode, other) {
+                let (from, to) = (wave[index].max(wave[before]), wave[index].min(wave[before]));
+                if from != to {
+                    wave.iter_mut().filter(|wave| **wave == from).for_each(|wave| *wave = to);
+                }
+            }
+        }
+    }
+    let mut known: Vec<usize> = Vec::new();
+    let numbered = wave.iter().map(|wave| {
+        known.iter().position(|other| other == wave).unwrap_or_else(|| {
+            known.push(*wave);
+            known.len() - 1
+        }) as u32
+    });
+    numbered.collect()
+}
+
+fn is_one_wave(a: &Episode, b: &Episode) -> bool {
+    let braking = |episode: &Episode| (episode.start_s + episode.onset_s, episode.start_s + episode.braking_end_s);
+    let ((from_a, to_a), (from_b, to_b)) = (braking(a), braking(b));
+    let leads_in = |lead: &Episode, line: &Episode| {
+        let number = lead.vehicles.first().map(|leader| leader.number);
+        line.vehicles.iter().any(|placed| Some(placed.number) == number)
+    };
+    from_a <= to_b + SETTLING_S
+        && from_b <= to_a + SETTLING_S
+        && a.event == b.event
+        && (leads_in(a, b) || leads_in(b, a))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::{MinBrake, episodes, read};
+    use std::fmt::Write;
+    use std::path::Path;
+
+    /// A platoon of four for 30 s, of which each brakes half a second after the one ahead, and again much later; one spacing is missing
+    /// for a second.
+    fn platoon() -> Recording {
+        let header = "Date,1\nVehicle_order\nNumber_of_vehicles,4\nACC,1\nDistance_setting,S\n";
+        let names = "Time,Speed1,Speed2,Speed3,Speed4,IVS1,IVS2,IVS3\n";
+        let mut rows = String::new();
+        for tenth in 0..600 {
+            let at_s = f64::from(tenth) / 10.0;
+            let speed = |car: f64| {
+                20.0 - 3.0 * (at_s - 5.0 - 0.5 * car).clamp(0.0, 2.0) + 6.0 * ((at_s - 20.0) / 10.0).clamp(0.0, 1.0)
+                    - 3.0 * (at_s - 45.0 - 0.5 * car).clamp(0.0, 2.0)
+            };
+            let gap = if (100..110).contains(&tenth) { String::new() } else { "30.0".to_owned() };
+            let speeds: Vec<_> = (0..4).map(|car| format!("{:.3}", speed(f64::from(car)))).collect();
+            writeln!(rows, "{at_s:.1},{},30.0,{gap},30.0", speeds.join(",")).unwrap();
+        }
+        read(format!("{header}{names}{rows}").as_bytes(), Path::new("p.csv"), None).unwrap()
+    }
+
+    #[test]
+    fn following_is_summed_over_whoever_may_lead_and_waves_hold_together() {
+        let recording = platoon();
+        // Between 600 samples lie 59.9 s; where the second spacing is missing, 1.1 s of its pair and of those ahead of it are not counted.
+        let seconds = |leaders, followers| followed(&recording, leaders, followers).hours * 3600.0;
+        for (leaders, followers, wanted) in [
+            (Leaders::Any, 1, 3.0 * 59.9 - 1.1),
+            (Leaders::Any, 2, 2.0 * 58.8),
+            (Leaders::Any, 3, 58.8),
+            (Leaders::First, 3, 58.8),
+        ] {
+            assert!(
+                (seconds(leaders, followers) - wanted).abs() < 1e-6,
+                "{leaders:?} {followers}: {}",
+                seconds(leaders, followers)
+            );
+        }
+        let driven = followed(&recording, Leaders::First, 1);
+        assert!(driven.hours * 3600.0 < 62.0 && driven.kilometres > 0.8 && driven.kilometres < 1.2, "{driven:?}");
+        let found = episodes(&recording, MinBrake::default(), Leaders::Any).episodes;
+        assert_eq!((found.len(), waves(&found)), (6, [0, 0, 0, 1, 1, 1].to_vec()));
+    }
+}

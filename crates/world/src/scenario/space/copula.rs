@@ -1,0 +1,159 @@
+//! How parameters depend on each other: a Gaussian copula.
+
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, Normal as Gauss};
+
+use super::Parameter;
+use super::check::{InvalidSpace, wrong};
+use super::spec::Kind;
+use crate::scenario::short;
+
+/// The most parameters that depend on each other.
+const MOST_DEPENDING: usize = 50;
+/// The least eigenvalue of a correlation matrix: below it a draw decides the next one to all digits that count.
+const LEAST_EIGENVALUE: f64 = 1e-6;
+/// Shares are kept this far from 0 and 1, where normal numbers have no bounds: 38 standard deviations below, 8 above.
+const SHARES: [f64; 2] = [f64::MIN_POSITIVE, 1.0 - f64::EPSILON];
+
+/// How parameters depend on each other.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Dependence {
+    /// As normal numbers do that are correlated.
+    GaussianCopula(GaussianCopula),
+}
+
+/// A Gaussian copula: parameters depend on each other as correlated normal numbers do, whatever their own distributions.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct GaussianCopula {
+    /// Names of parameters, 2 to 50: numbers with one value each. Those that are not named depend on none.
+    #[cfg_attr(feature = "schema", schemars(length(min = 2, max = 50)))]
+    pub parameters: Vec<String>,
+    /// Their correlation matrix, in that order, row by row: of the normal numbers, not of the values. Positive definite.
+    pub correlation: Vec<Vec<f64>>,
+}
+
+/// A copula ready for use.
+#[derive(Debug, Clone)]
+pub(super) struct Copula {
+    coordinates: Vec<usize>,
+    /// L, with L Lᵀ = R.
+    lower: DMatrix<f64>,
+    /// R⁻¹ − 1.
+    precision: DMatrix<f64>,
+    half_ln_determinant: f64,
+}
+
+const CORRELATION: &str = "dependence.gaussian-copula.correlation";
+
+impl Copula {
+    pub(super) fn new(dependence: &Dependence, parameters: &[Parameter]) -> Result<Self, InvalidSpace> {
+        let Dependence::GaussianCopula(spec) = dependence;
+        let coordinates = spec.coordinates(parameters)?;
+        let correlation = spec.matrix()?;
+        let least = correlation.clone().symmetric_eigenvalues().min();
+        let Some(cholesky) = correlation.clone().cholesky().filter(|_| least >= LEAST_EIGENVALUE) else {
+            let found = short(least);
+            return wrong(
+                CORRELATION,
+                format!("must be positive definite, with no eigenvalue below {LEAST_EIGENVALUE}, found one of {found}"),
+            );
+        };
+        let size = correlation.nrows();
+        let half_ln_determinant = cholesky.l_dirty().diagonal().iter().map(|entry| entry.ln()).sum();
+        let precision = cholesky.inverse() - DMatrix::identity(size, size);
+        Ok(Self { coordinates, lower: cholesky.l(), precision, half_ln_determinant })
+    }
+
+    /// Independent uniform numbers, made dependent.
+    pub(super) fn depending(&self, uniform: &[f64]) -> Vec<f64> {
+        let normal = self.normal(uniform);
+        let mut depending = uniform.to_vec();
+        for (row, &place) in self.coordinates.iter().enumerate() {
+            let sum: f64 = (0..=row).map(|column| self.lower[(row, column)] * normal[column]).sum();
+            if let Some(share) = depending.get_mut(place) {
+                *share = Gauss::standard().cdf(sum);
+            }
+        }
+        depending
+    }
+
+    /// Logarithm of the copula's density where shares `below` of each distribution lie below: ln c(u) = −½ ln det R − ½ zᵀ (R⁻¹ − 1) z.
+    pub(super) fn ln_density(&self, below: &[f64]) -> f64 {
+        let z = self.normal(below);
+        let mut form = 0.0;
+        for (row, left) in z.iter().enumerate() {
+            for (column, right) in z.iter().enumerate() {
+                form += left * self.precision[(row, column)] * right;
+            }
+        }
+        -self.half_ln_determinant - 0.5 * form
+    }
+
+    /// The normal numbers of those shares that depend on each other; of one that is missing, the middle.
+    fn normal(&self, shares: &[f64]) -> Vec<f64> {
+        let share = |&place: &usize| shares.get(place).copied().unwrap_or(0.5).clamp(SHARES[0], SHARES[1]);
+        self.coordinates.iter().map(|place| Gauss::standard().inverse_cdf(share(place))).collect()
+    }
+}
+
+impl GaussianCopula {
+    /// The coordinate of each parameter.
+    fn coordinates(&self, parameters: &[Parameter]) -> Result<Vec<usize>, InvalidSpace> {
+        let at = |index: usize| format!("dependence.gaussian-copula.parameters[{index}]");
+        let found = self.parameters.len();
+        if !(2..=MOST_DEPENDING).contains(&found) {
+            let field = "dependence.gaussian-copula.parameters";
+            return wrong(field, format!("must be 2 to {MOST_DEPENDING}, found {found}"));
+        }
+        let mut coordinates = Vec::with_capacity(found);
+        for (index, name) in self.parameters.iter().enumerate() {
+            let Some(parameter) = parameters.iter().find(|parameter| parameter.name() == name) else {
+                return wrong(at(index), format!("there is no parameter `{name}`"));
+            };
+            if parameter.is_choice() || parameter.target.kind() != Kind::Number {
+                return wrong(at(index), format!("`{name}` is a choice, and only what has a density can depend"));
+            }
+            if parameter.coordinates().len() != 1 {
+                return wrong(at(index), format!("`{name}` is a signal, and only what has one value can depend"));
+            }
+            if coordinates.contains(&parameter.coordinates().start) {
+                return wrong(at(index), format!("`{name}` is named twice"));
+            }
+            coordinates.push(parameter.coordinates().start);
+        }
+        Ok(coordinates)
+    }
+
+    /// The matrix, if it is one of correlations.
+    fn matrix(&self) -> Result<DMatrix<f64>, InvalidSpace> {
+        let size = self.parameters.len();
+        if self.correlation.len() != size {
+            return wrong(CORRELATION, format!("must have {size} rows, found {}", self.correlation.len()));
+        }
+        for (row, entries) in self.correlation.iter().enumerate() {
+            let at = format!("{CORRELATION}[{row}]");
+            if entries.len() != size {
+                return wrong(at, format!("must have {size} entries, found {}", entries.len()));
+            }
+            for (column, &found) in entries.iter().enumerate() {
+                let mirrored = self.correlation.get(column).and_then(|other| other.get(row)).copied();
+                if !(-1.0..=1.0).contains(&found) {
+                    return wrong(at, format!("must be from -1 to 1, found {}", short(found)));
+                }
+                if row == column && found != 1.0 {
+                    return wrong(at, format!("must have 1 on the diagonal, found {}", short(found)));
+                }
+                if let Some(other) = mirrored.filter(|other| *other != found) {
+                    let problem = format!("must be symmetric, found {} and {}", short(found), short(other));
+                    return wrong(at, problem);
+                }
+            }
+        }
+        Ok(DMatrix::from_fn(size, size, |row, column| self.correlation[row][column]))
+    }
+}

@@ -1,0 +1,155 @@
+//! What a space was fitted to: how much driving, and the numbers of each episode.
+
+use serde::{Deserialize, Serialize};
+
+use super::check::{InvalidSpace, wrong};
+use super::spec::SpaceSpec;
+use crate::scenario::short;
+
+/// The most sources of a space.
+const MOST_SOURCES: usize = 1000;
+/// The most episodes whose numbers a space keeps.
+const MOST_EPISODES: usize = 10_000;
+
+/// In how much driving the scenarios of a space were observed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Exposure {
+    /// How many such scenarios there were; at least 1.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    pub episodes: u64,
+    /// Hours of one vehicle following another in which they were; above 0.
+    pub hours: f64,
+    /// Kilometres that the followers drove meanwhile; above 0.
+    pub kilometres: f64,
+    /// The same for each source; at most 1000, or none where it is not known. They add up to the above.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sources: Vec<SourceExposure>,
+}
+
+/// What one source adds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct SourceExposure {
+    /// Its name, such as a file's; 1 to 200 characters.
+    pub name: String,
+    /// Scenarios in it.
+    pub episodes: u64,
+    /// Hours of following.
+    pub hours: f64,
+    /// Kilometres of following.
+    pub kilometres: f64,
+}
+
+/// The numbers that a distribution was fitted to, so that it can be fitted again to resamples of the episodes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Observed {
+    /// Number of the wave of braking that each episode belongs to, from 0: those of one wave are not independent of each other, and are
+    /// resampled together.
+    pub waves: Vec<u32>,
+    /// The parameters, all or some.
+    pub parameters: Vec<ObservedParameter>,
+}
+
+/// The values of a parameter in the episodes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ObservedParameter {
+    /// Its name.
+    pub name: String,
+    /// Smallest value that a scenario may have; a fitted distribution is cut there.
+    pub low: f64,
+    /// Largest value that a scenario may have.
+    pub high: f64,
+    /// One value an episode, within these.
+    pub values: Vec<f64>,
+}
+
+impl Exposure {
+    pub(super) fn check(&self) -> Result<(), InvalidSpace> {
+        let above =
+            |field: &str, found: f64, least: bool| match found.is_finite() && (found > 0.0 || least && found == 0.0) {
+                true => Ok(()),
+                false => wrong(field, format!("must be a finite number above 0, found {}", short(found))),
+            };
+        if self.episodes == 0 {
+            return wrong("exposure.episodes", "must be at least 1, found 0");
+        }
+        above("exposure.hours", self.hours, false)?;
+        above("exposure.kilometres", self.kilometres, false)?;
+        if self.sources.len() > MOST_SOURCES {
+            return wrong("exposure.sources", format!("must be at most {MOST_SOURCES}, found {}", self.sources.len()));
+        }
+        for (index, source) in self.sources.iter().enumerate() {
+            let at = |field: &str| format!("exposure.sources[{index}].{field}");
+            let length = source.name.chars().count();
+            if !(1..=200).contains(&length) || source.name.chars().any(char::is_control) {
+                return wrong(at("name"), "must have 1 to 200 characters, none of them a control character");
+            }
+            above(&at("hours"), source.hours, true)?;
+            above(&at("kilometres"), source.kilometres, true)?;
+        }
+        if self.sources.is_empty() {
+            return Ok(());
+        }
+        let sum = |of: fn(&SourceExposure) -> f64| self.sources.iter().map(of).sum::<f64>();
+        for (field, all, found) in [
+            ("exposure.episodes", self.episodes as f64, sum(|source| source.episodes as f64)),
+            ("exposure.hours", self.hours, sum(|source| source.hours)),
+            ("exposure.kilometres", self.kilometres, sum(|source| source.kilometres)),
+        ] {
+            if (all - found).abs() > 1e-6 * all {
+                return wrong(field, format!("is {}, and the sources add up to {}", short(all), short(found)));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Observed {
+    pub(super) fn check(&self, space: &SpaceSpec) -> Result<(), InvalidSpace> {
+        let episodes = self.waves.len();
+        if !(2..=MOST_EPISODES).contains(&episodes) {
+            return wrong("observed.waves", format!("must be of 2 to {MOST_EPISODES} episodes, found {episodes}"));
+        }
+        if let Some(wave) = self.waves.iter().find(|wave| **wave as usize >= episodes) {
+            return wrong("observed.waves", format!("must be below the number of episodes, {episodes}, found {wave}"));
+        }
+        if let Some(exposure) = &space.exposure
+            && exposure.episodes != episodes as u64
+        {
+            let found = exposure.episodes;
+            return wrong("exposure.episodes", format!("is {found}, and {episodes} are observed"));
+        }
+        if self.parameters.is_empty() {
+            return wrong("observed.parameters", "must have at least one");
+        }
+        for (index, parameter) in self.parameters.iter().enumerate() {
+            let at = |field: &str| format!("observed.parameters[{index}].{field}");
+            let ObservedParameter { name, low, high, values } = parameter;
+            if !space.parameters.iter().any(|known| known.name == *name) {
+                return wrong(at("name"), format!("there is no parameter `{name}`"));
+            }
+            if self.parameters.iter().take(index).any(|known| known.name == *name) {
+                return wrong(at("name"), format!("`{name}` is named twice"));
+            }
+            if !(low.is_finite() && high.is_finite() && low < high) {
+                let problem = format!("must be a number below high, found {} and {}", short(*low), short(*high));
+                return wrong(at("low"), problem);
+            }
+            if values.len() != episodes {
+                return wrong(at("values"), format!("must be {episodes}, one an episode, found {}", values.len()));
+            }
+            if let Some(found) = values.iter().find(|value| !(low..=high).contains(value)) {
+                let (low, high, found) = (short(*low), short(*high), short(*found));
+                return wrong(at("values"), format!("must be from {low} to {high}, found {found}"));
+            }
+        }
+        Ok(())
+    }
+}

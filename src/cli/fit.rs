@@ -1,0 +1,210 @@
+//! `crumple fit`: recorded episodes become a search space.
+
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::json;
+
+use super::import::{Leading, min_brake, picture, stage_unless_edited};
+use super::simulate::{Format, ending_in};
+use super::{Failure, output};
+use crumple_report::figures;
+use crumple_search::disk::Files;
+use crumple_search::fit::{FamilyFit, Fitted, FittedNumber, MOST_VEHICLES, Sample, Taken, fit};
+use crumple_world::quoted::Terminal;
+use crumple_world::recording::load;
+use crumple_world::recording::map::RecordingMap;
+use crumple_world::scenario::space::file;
+
+/// Fit a search space to the braking episodes of recordings
+#[derive(Args)]
+#[command(after_long_help = "\
+Takes recordings as `crumple import` does, and describes each braking episode by numbers: the leader's speed, the deceleration of its \
+hardest second, the share of its speed that it keeps, and of each follower the speed relative to the leader's and the time gap. Each \
+number gets the likeliest of five families (uniform, normal, log-normal, gamma, Weibull), cut to what a scenario may have; how they depend on \
+each other is a Gaussian copula. The space is a file like any other, for `falsify`, `verify rate` and assessments. It keeps in how much \
+driving the episodes were, so that failures are stated per hour and per 1000 km, and the episodes' numbers, so that they can be resampled \
+(docs/fitting.md).
+
+Needed are 4 episodes for each number: 20 with two vehicles, 8 more for each vehicle more. At most 1000 recordings and 10 000 episodes.
+
+Examples:
+  crumple fit platoon.csv events.csv --out following.toml --plot following.svg
+  crumple fit 01_tracks.csv --map highd.toml --vehicles 3 --min-brake 2 --out three.toml
+  crumple verify rate --controller idm --space following.toml --runs 10000")]
+pub(super) struct Fit {
+    /// Recordings
+    #[arg(required = true, value_name = "RECORDING")]
+    recordings: Vec<PathBuf>,
+    /// What the columns of the recordings mean: a map, see docs/exchange.md
+    #[arg(long, value_name = "MAP.toml")]
+    map: Option<PathBuf>,
+    /// Whose braking makes an episode
+    #[arg(long, value_enum, default_value = "any")]
+    leaders: Leading,
+    /// Mean deceleration over one second that makes a braking episode, in m/s²: above 0, at most 12 [default: 1.3]
+    #[arg(long, value_name = "A", allow_hyphen_values = true)]
+    min_brake: Option<f64>,
+    /// Vehicles of a scenario, the leader among them: 2 to 5. Episodes of fewer are left out, and of more the first ones taken
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=MOST_VEHICLES as i64))]
+    vehicles: u8,
+    /// The space's name: 1 to 100 characters
+    #[arg(long, value_name = "NAME", default_value = "fitted")]
+    name: String,
+    /// Samples drawn to judge how well each number fits: 19 to 9999
+    #[arg(long, value_name = "N", default_value_t = 199, value_parser = clap::value_parser!(u32).range(19..=9999))]
+    samples: u32,
+    /// Seed of these samples
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Where the space goes
+    #[arg(long, value_name = "SPACE.toml", value_parser = space_file)]
+    out: PathBuf,
+    /// Draw what was observed and what was fitted, a panel for each number
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| ending_in(path, ["svg", "png"]))]
+    plot: Option<PathBuf>,
+    /// Overwrite a space that is there and says something else
+    #[arg(long)]
+    force: bool,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+/// A path that a space will be known by.
+fn space_file(path: &str) -> Result<PathBuf, String> {
+    if path.ends_with(".toml") { Ok(PathBuf::from(path)) } else { Err("must end in .toml".to_owned()) }
+}
+
+impl Fit {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let map = self.map.as_deref().map(RecordingMap::load).transpose()?;
+        let taken = Taken {
+            vehicles: usize::from(self.vehicles),
+            min_brake: min_brake(self.min_brake)?,
+            leaders: self.leaders.into(),
+        };
+        let (mut recordings, mut known) = (Vec::new(), BTreeSet::new());
+        for path in &self.recordings {
+            // Its episodes and hours would count twice, and everything look twice as certain.
+            if !path.canonicalize().is_ok_and(|file| known.insert(file)) && path.exists() {
+                return Err(Failure::Input(format!("{}: is given twice", path.display())));
+            }
+            let recording = load(path, map.as_ref())?;
+            recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
+            recordings.push(recording);
+        }
+        let sample = Sample::of(&recordings, taken).map_err(Failure::input)?;
+        let fitted = fit(&sample, &self.name, (self.samples, self.seed)).map_err(Failure::input)?;
+        let text = file::to_toml(&fitted.space).map_err(Failure::input)?;
+        let mut files = Files::default();
+        stage_unless_edited(&mut files, &self.out, &text, self.force)?;
+        if let Some(path) = &self.plot {
+            files.stage(&output::place(path)?, &picture(&figures::fitted(&fitted), path)?)?;
+        }
+        files.commit()?;
+        output::print(&match self.format {
+            Format::Text => in_words(&sample, &fitted),
+            Format::Json => as_json(&sample, &fitted) + "\n",
+        })
+    }
+}
+
+fn as_json(sample: &Sample, fitted: &Fitted) -> String {
+    json!({
+        "space": fitted.space.name(),
+        "exposure": sample.exposure,
+        "waves": waves(sample),
+        "shorter": sample.shorter,
+        "outside": sample.outside,
+        "numbers": fitted.numbers,
+        "correlation": fitted.correlation,
+    })
+    .to_string()
+}
+
+fn waves(sample: &Sample) -> u32 {
+    sample.observed.waves.iter().max().map_or(0, |last| last + 1)
+}
+
+fn in_words(sample: &Sample, fitted: &Fitted) -> String {
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    let _ = write_words(sample, fitted, &mut text);
+    text
+}
+
+fn write_words(sample: &Sample, fitted: &Fitted, out: &mut String) -> std::fmt::Result {
+    let Sample { exposure, taken, shorter, outside, outside_by, .. } = sample;
+    let waves = waves(sample);
+    writeln!(out, "{} braking episodes in {waves} waves, of {} vehicles", exposure.episodes, taken.vehicles)?;
+    for source in &exposure.sources {
+        let (name, hours, kilometres) = (Terminal(&source.name), source.hours, source.kilometres);
+        writeln!(out, "  {name}: {} episodes in {hours:.4} h, {kilometres:.2} km of following", source.episodes)?;
+    }
+    if *shorter > 0 {
+        writeln!(out, "  left out: {shorter} episodes of fewer vehicles")?;
+    }
+    if let Some(by) = outside_by {
+        writeln!(
+            out,
+            "  left out: {outside} episodes with numbers outside the ranges, most by {by}: they are not in any rate"
+        )?;
+    }
+    for number in &fitted.numbers {
+        write_number(number, out)?;
+    }
+    writeln!(out, "\nhow they depend on each other: correlations of normal scores")?;
+    for (number, row) in fitted.numbers.iter().zip(&fitted.correlation) {
+        let entries: Vec<_> = row.iter().map(|entry| format!("{entry:>6.2}")).collect();
+        writeln!(out, "  {:<18} {}", number.name, entries.join(" "))?;
+    }
+    writeln!(
+        out,
+        "\np-values: the share of {} samples of the fitted distribution, fitted again, that are as far from their fit. The family was chosen \
+         by the same values, so that they are rather too large. A Gaussian copula has no dependence in its far corners.",
+        fitted.numbers.first().map_or(0, |number| number.goodness.samples)
+    )
+}
+
+fn write_number(number: &FittedNumber, out: &mut String) -> std::fmt::Result {
+    let FittedNumber { name, unit, chosen, others, impossible, goodness, tails, sorted } = number;
+    let unit = if *unit == "1" { "" } else { unit };
+    writeln!(out, "\n{name}: {}, {}", chosen.family.name(), estimates(chosen))?;
+    let (ks, cvm) = (goodness.kolmogorov_smirnov, goodness.cramer_von_mises);
+    let (ks_p, cvm_p) = (goodness.kolmogorov_smirnov_p, goodness.cramer_von_mises_p);
+    writeln!(out, "  Kolmogorov-Smirnov {ks:.3}, p {ks_p:.2}; Cramér-von Mises {cvm:.3}, p {cvm_p:.2}")?;
+    writeln!(
+        out,
+        "  tails: {:.2e} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {:.2e} beyond the largest, {:.3} {unit} ({} in the \
+         highest)",
+        tails.below_smallest,
+        sorted.len(),
+        tails.smallest,
+        tails.in_lower_tenth,
+        tails.beyond_largest,
+        tails.largest,
+        tails.in_upper_tenth
+    )?;
+    let row = |fit: &FamilyFit| format!("{} {:.1} / {:.1}", fit.family.name(), fit.aic, fit.bic);
+    let rows: Vec<_> = std::iter::once(chosen).chain(others).map(row).collect();
+    writeln!(out, "  AIC / BIC: {}", rows.join(", "))?;
+    for (family, why) in impossible {
+        writeln!(out, "  not {}: {why}", family.name())?;
+    }
+    Ok(())
+}
+
+/// The parameters of a fit and their intervals.
+fn estimates(fit: &FamilyFit) -> String {
+    let of = |which: usize| {
+        let estimate = format!("{} {:.4}", fit.names[which], fit.estimates[which]);
+        match fit.intervals_95 {
+            Some(intervals) => format!("{estimate} ({:.4} to {:.4})", intervals[which][0], intervals[which][1]),
+            None => format!("{estimate} (no interval: the likelihood is flat, or at its limit)"),
+        }
+    };
+    format!("{}, {}", of(0), of(1))
+}

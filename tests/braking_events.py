@@ -1,0 +1,17 @@
+#!/usr/bin/env python3
+"""Car-following events as crumple reads them, so many of ten seconds each, in each of which the leader brakes once."""
+
+import random
+import sys
+
+random.seed(int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+print("event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps")
+for event in range(int(sys.argv[1])):
+    speed = min(max(random.gauss(20.0, 5.0), 9.0), 40.0)
+    brake = 1.5 + random.gammavariate(2.0, 0.7)
+    time_gap = random.lognormvariate(0.2, 0.4)
+    follower = speed * random.gauss(1.0, 0.03)
+    for tenth in range(100):
+        now = tenth / 10.0
+        leader = max(speed - brake * min(max(now - 3.0, 0.0), 2.0), 0.0)
+        print(f"{event},{now:.1f},{time_gap * follower:.3f},{follower:.3f},{leader - follower:.3f},{leader:.3f}")

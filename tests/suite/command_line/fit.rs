@@ -1,0 +1,110 @@
+//! `crumple fit`, and rates in what it fits.
+
+use std::fmt::Write;
+
+use super::*;
+
+/// Events of ten seconds, in each of which the leader brakes once: how hard, from which speed and with which gap behind follows no family.
+fn events(count: u32) -> String {
+    let mut text = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
+    for event in 0..count {
+        let turn = |step: f64| (f64::from(event) * step).fract();
+        let (speed, brake, gap_s) =
+            (12.0 + 12.0 * turn(0.618), 1.6 + 4.0 * turn(0.414) * turn(0.732), 0.7 + 1.6 * turn(0.236));
+        let follower = speed * (0.95 + 0.1 * turn(0.303));
+        for tenth in 0..100 {
+            let at_s = f64::from(tenth) / 10.0;
+            let leader = speed - brake * (at_s - 3.0).clamp(0.0, 2.0);
+            let gap = gap_s * follower + 5.0;
+            writeln!(text, "{event},{at_s:.1},{gap:.3},{follower:.3},{:.3},{leader:.3}", leader - follower).unwrap();
+        }
+    }
+    text
+}
+
+#[test]
+fn a_space_is_fitted_and_failures_are_stated_per_hour() {
+    let folder = folder();
+    let here = folder.path();
+    std::fs::write(here.join("events.csv"), events(40)).unwrap();
+    let fitted = crumple(here, &["fit", "events.csv", "--out", "space.toml", "--plot", "fit.svg", "--samples", "19"]);
+    assert_eq!(code(&fitted), 0, "{}", stderr(&fitted));
+    assert!(stdout(&fitted).starts_with("40 braking episodes in 40 waves, of 2 vehicles\n"), "{}", stdout(&fitted));
+    let drawn = std::fs::read_to_string(here.join("fit.svg")).unwrap();
+    assert!(["lead_speed_mps", "time_gap_1_s", "KS"].iter().all(|name| drawn.contains(name)));
+    let text = std::fs::read_to_string(here.join("space.toml")).unwrap();
+
+    // The same again is left alone; an edited one too, but for --force.
+    let again = ["fit", "events.csv", "--out", "space.toml", "--samples", "19", "--format", "json"];
+    let json = &objects(&crumple(here, &again))[0];
+    assert_eq!((json["exposure"]["episodes"].as_u64(), json["numbers"].as_array().unwrap().len()), (Some(40), 5));
+    std::fs::write(here.join("space.toml"), text.replace("name = \"fitted\"", "name = \"mine\"")).unwrap();
+    assert_refused(&crumple(here, &again), "space.toml: is there and says something else");
+    assert_eq!(code(&crumple(here, &[&again[..], &["--force"]].concat())), 0);
+    assert_eq!(std::fs::read_to_string(here.join("space.toml")).unwrap(), text);
+
+    let rate = |threads: &str, more: &[&str]| {
+        let effort = ["--runs", "300", "--resamples", "20", "--resample-runs", "50", "--confidence", "0.9"];
+        let asked = ["verify", "rate", "--controller", "baseline", "--space", "space.toml", "--estimator", "truth"];
+        command(here, &[&asked[..], &effort, more].concat()).env("RAYON_NUM_THREADS", threads).output().expect("starts")
+    };
+    let one = rate("1", &["--out", "one"]);
+    assert_eq!(code(&one), 0, "{}", stderr(&one));
+    assert!(stdout(&one).contains("failures per hour") && stdout(&one).contains("with the data's uncertainty"));
+    let on_the_road = |output: &Output| stdout(output).split_once("on the road").unwrap().1.to_owned();
+    for again in [rate("2", &["--out", "two"]), rate("2", &["--out", "one", "--resume"])] {
+        assert_eq!(on_the_road(&again), on_the_road(&one));
+    }
+
+    let rare = |more: &[&str]| {
+        let effort = ["--rare", "--samples", "50", "--repetitions", "5", "--resamples", "20", "--format", "json"];
+        let asked =
+            ["verify", "rate", "--controller", "full-throttle", "--space", "space.toml", "--estimator", "truth"];
+        crumple(here, &[&asked[..], &effort, more].concat())
+    };
+    let first = rare(&["--out", "rare"]);
+    assert_eq!(code(&first), 0, "{}", stderr(&first));
+    assert!(objects(&first)[0]["exposed"]["fitted"]["per_hour"]["estimate"].is_f64(), "{}", stdout(&first));
+    assert_eq!(stdout(&rare(&["--out", "rare", "--resume"])), stdout(&first));
+    assert_eq!(code(&crumple(here, &["fsck", "one", "rare"])), 0);
+
+    let mut config = crate::assessments::config(&["baseline", "idm"]);
+    config.distributions = Some(vec!["space.toml".to_owned()]);
+    let assessment = crate::assessments::run(config, here);
+    let sampled = &assessment.distributions.spaces[0].controllers[0];
+    let exposed = sampled.exposed.as_ref().expect("the space says in how much driving");
+    let data = exposed.with_data.expect("resampled");
+    assert!((exposed.episodes, data.resamples) == (40, 100));
+    assert!(assessment.markdown().contains("failures per hour"));
+}
+
+#[test]
+fn what_cannot_be_fitted_is_refused() {
+    let folder = folder();
+    let here = folder.path();
+    std::fs::write(here.join("few.csv"), events(19)).unwrap();
+    std::fs::write(here.join("enough.csv"), events(20)).unwrap();
+    let fit = |recording: &str, more: &[&str]| crumple(here, &[&["fit", recording, "--out", "s.toml"], more].concat());
+    assert_refused(&fit("few.csv", &[]), "19 episodes of 2 vehicles, and 20 are needed");
+    assert_refused(
+        &fit("enough.csv", &["--vehicles", "3"]),
+        "0 episodes of 3 vehicles, and 28 are needed; 20 have fewer vehicles",
+    );
+    assert_refused(&fit("enough.csv", &["--vehicles", "6"]), "6 is not in 2..=5");
+    assert_refused(&fit("enough.csv", &["--min-brake", "-1"]), "--min-brake");
+    assert_refused(&fit("enough.csv", &["--name", ""]), "name: must have 1 to 100 characters");
+    assert_refused(&fit("nothing.csv", &[]), "nothing.csv");
+    assert_refused(&fit("enough.csv", &["./enough.csv"]), "./enough.csv: is given twice");
+    assert_refused(&crumple(here, &["fit", "enough.csv", "--out", "s.json"]), "must end in .toml");
+    // One episode, again and again: nothing varies.
+    let one: String = events(1).lines().skip(1).map(|line| format!("{line}\n")).collect();
+    let same = (0..25).map(|event| one.replace("\n0,", &format!("\n{event},")).replacen("0,", &format!("{event},"), 1));
+    let header = events(0);
+    std::fs::write(here.join("same.csv"), header + &same.collect::<String>()).unwrap();
+    assert_refused(&fit("same.csv", &[]), "all values are");
+    assert!(!here.join("s.toml").exists());
+    assert_refused(
+        &crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", "--resamples", "5"]),
+        "must be 0 or from 20 to 2000, found 5",
+    );
+}
