@@ -66,6 +66,8 @@ enum MergeFormat {
     Json,
     /// Of a suite: for a build server
     Junit,
+    /// Of a suite: a page, with the controllers that are found by their names drawn where they failed
+    Html,
 }
 
 impl MergeFormat {
@@ -74,6 +76,7 @@ impl MergeFormat {
             Self::Text => suite::Format::Text,
             Self::Json => suite::Format::Json,
             Self::Junit => suite::Format::Junit,
+            Self::Html => suite::Format::Html,
         }
     }
 }
@@ -176,7 +179,9 @@ impl Merge {
         match self.format {
             MergeFormat::Text => Ok(Format::Text),
             MergeFormat::Json => Ok(Format::Json),
-            MergeFormat::Junit => Err(Failure::Input(format!("--format: JUnit is of suites, and these are: {kind}"))),
+            MergeFormat::Junit | MergeFormat::Html => {
+                Err(Failure::Input(format!("--format: JUnit and HTML are of suites, and these are: {kind}")))
+            }
         }
     }
 

@@ -117,7 +117,7 @@ fn shards_of_a_search_are_one_campaign() {
     assert_refused(&part, "the campaign there has another `divided`");
     assert_refused(&crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]), "another `divided.missing_");
     assert_refused(&crumple(folder, &[&SEARCH[..], &["--shard=1/2", "--log=full"]].concat()), "a shard keeps no log");
-    assert_refused(&crumple(folder, &["merge", "1", "--format=junit", "--out=x"]), "JUnit is of suites");
+    assert_refused(&crumple(folder, &["merge", "1", "--format=junit", "--out=x"]), "JUnit and HTML are of suites");
 }
 
 #[test]

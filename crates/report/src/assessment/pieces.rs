@@ -5,9 +5,10 @@
 use super::best::CertifiedBest;
 use super::parts::{
     Distribution, FailureMaps, PaperScenarios, Search, Traffic, Usefulness, WorstProfile, WorstProfiles, count_one,
-    counted_names,
+    counted_names, run_suite,
 };
 use super::plan::NamedSpace;
+use super::planned_suite::PlannedSuite;
 use super::work::Work;
 use super::{AssessError, AssessmentPlan};
 use crumple_world::digest::sha256;
@@ -26,6 +27,7 @@ pub(super) enum Piece<'p> {
     Maps,
     Usefulness,
     Counted(String),
+    Suite(&'p PlannedSuite),
 }
 
 /// All of a plan, in an order that scatters what takes long.
@@ -43,6 +45,7 @@ pub(super) fn pieces(plan: &AssessmentPlan) -> Result<Vec<Piece<'_>>, AssessErro
     all.extend(plan.config.paper.then_some(Piece::Maps));
     all.extend((plan.config.everyday_draws > 0).then_some(Piece::Usefulness));
     all.extend(counted_names(plan).into_iter().map(Piece::Counted));
+    all.extend(plan.suites.iter().map(Piece::Suite));
     all.sort_by_cached_key(|piece| sha256(piece.name()));
     Ok(all)
 }
@@ -59,6 +62,7 @@ impl Piece<'_> {
             Self::Maps => "failure maps".to_owned(),
             Self::Usefulness => "usefulness".to_owned(),
             Self::Counted(name) => format!("count {name}"),
+            Self::Suite(planned) => format!("suite {}", planned.known.name),
         }
     }
 
@@ -78,6 +82,7 @@ impl Piece<'_> {
             Self::Maps => FailureMaps::gather(plan, work).map(drop),
             Self::Usefulness => Usefulness::gather(plan, work).map(drop),
             Self::Counted(name) => count_one(plan, name, work),
+            Self::Suite(planned) => run_suite(plan, planned, work).map(drop),
         }
     }
 }

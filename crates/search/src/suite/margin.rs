@@ -60,7 +60,7 @@ pub enum MarginEnd {
 }
 
 /// How a test does not pass.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Beyond {
     /// A contact, or no usable answer of the controller.

@@ -33,6 +33,7 @@ struct WithinRow {
     verdict: TestVerdict,
     min_gap_m: Option<f64>,
     tried: usize,
+    failures: usize,
     failed: Option<FailedRow>,
 }
 
@@ -73,13 +74,13 @@ impl TestedRow {
 
 impl WithinRow {
     fn of(within: Within) -> Result<Self, toml::ser::Error> {
-        let Within { point, verdict, min_gap_m, tried, failed } = within;
-        Ok(Self { point, verdict, min_gap_m, tried, failed: failed.map(FailedRow::of).transpose()? })
+        let Within { point, verdict, min_gap_m, tried, failures, failed } = within;
+        Ok(Self { point, verdict, min_gap_m, tried, failures, failed: failed.map(FailedRow::of).transpose()? })
     }
 
     fn read(self) -> Result<Within, String> {
-        let Self { point, verdict, min_gap_m, tried, failed } = self;
-        Ok(Within { point, verdict, min_gap_m, tried, failed: failed.map(FailedRow::read).transpose()? })
+        let Self { point, verdict, min_gap_m, tried, failures, failed } = self;
+        Ok(Within { point, verdict, min_gap_m, tried, failures, failed: failed.map(FailedRow::read).transpose()? })
     }
 }
 

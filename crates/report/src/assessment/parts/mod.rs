@@ -48,6 +48,7 @@ pub use proofs::{EXAMPLE_MPS, KernelGap, Proofs};
 pub use provenance::{Made, Provenance};
 pub use scenarios::ScenarioCases;
 pub use search::{Search, Searches, SpaceSearches};
+pub(super) use suites::gather_one as run_suite;
 pub use suites::{SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites};
 pub(super) use summary::Findings;
 pub use summary::{ClaimRow, NamedThing, Summary};

@@ -23,6 +23,22 @@ use crumple_world::sim::NamedController;
 /// The part's anchor in the page.
 const ANCHOR: &str = "suites";
 
+/// What one suite found, kept in the store.
+pub(in crate::assessment) fn gather_one(
+    plan: &AssessmentPlan,
+    planned: &PlannedSuite,
+    work: &Work<'_>,
+) -> Result<Kept, AssessError> {
+    let tested: Vec<NamedController> =
+        planned.tested.iter().filter_map(|&place| plan.controllers.get(place).cloned()).collect();
+    let identities: Vec<_> = tested.iter().map(|controller| plan.identity(controller)).collect();
+    let inputs = json!([planned.known.sha256, identities]);
+    let name = format!("suite {}", planned.known.name);
+    let kept = work.get(&name, &inputs, || ran(plan, planned, &tested))?;
+    work.did(planned.points())?;
+    Ok(kept)
+}
+
 /// What suites found.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Suites {
@@ -109,7 +125,7 @@ pub struct SuiteFailure {
 
 /// A suite's findings as they are kept, with the scenarios that failed.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+pub(in crate::assessment) struct Kept {
     found: SuiteFindings,
     files: BTreeMap<String, String>,
 }
@@ -122,13 +138,7 @@ impl Suites {
         }
         let mut all = Self { statement: STATEMENT, suites: Vec::new(), files: BTreeMap::new() };
         for planned in &plan.suites {
-            let tested: Vec<NamedController> =
-                planned.tested.iter().filter_map(|&place| plan.controllers.get(place).cloned()).collect();
-            let identities: Vec<_> = tested.iter().map(|controller| plan.identity(controller)).collect();
-            let inputs = json!([planned.known.sha256, identities]);
-            let name = format!("suite {}", planned.known.name);
-            let Kept { found, files } = work.get(&name, &inputs, || ran(plan, planned, &tested))?;
-            work.did(planned.points())?;
+            let Kept { found, files } = gather_one(plan, planned, work)?;
             all.suites.push(found);
             all.files.extend(files);
         }

@@ -8,6 +8,7 @@ use super::Avoidability;
 use super::expected::{FINER, Replay, ReplayError};
 use super::record::Examined;
 use super::shrink::shrink;
+use super::together::all_together;
 use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind, Terms};
 use crumple_world::measure::{RunVerdict, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
@@ -15,6 +16,9 @@ use crumple_world::sim::{AfterContact, RecordingLevel, Run, simulate};
 
 /// Share of the impact speed, or of the violation of a formula, that shrinking must leave.
 const SEVERITY_KEPT: f64 = 0.5;
+
+/// A scenario, in how many parts of its step, and what came of it; none where it is for the one who asks to find out.
+type Ask<'a> = dyn FnMut((Scenario, u32)) -> Option<Result<RunVerdict, ReplayError>> + 'a;
 
 /// Examines the failures of a campaign.
 pub(in crate::falsify) struct Examiner<'a> {
@@ -32,9 +36,12 @@ impl<'a> Examiner<'a> {
         &self,
         candidates: &[&FailureCandidate],
     ) -> Result<Vec<Examined>, CampaignError> {
-        let examined: Vec<Option<Examined>> =
-            candidates.par_iter().map(|candidate| self.examine(candidate)).collect::<Result<_, _>>()?;
-        Ok(examined.into_iter().flatten().collect())
+        let examined = all_together(
+            candidates,
+            |candidate, ask| self.examine(candidate, ask),
+            |asked: &[(Scenario, u32)]| self.replay().all_at(asked),
+        );
+        Ok(examined.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
     /// Classes them: could any driver have avoided it?
@@ -53,26 +60,26 @@ impl<'a> Examiner<'a> {
         }
     }
 
-    fn examine(&self, candidate: &FailureCandidate) -> Result<Option<Examined>, CampaignError> {
+    fn examine(&self, candidate: &FailureCandidate, ask: &mut Ask<'_>) -> Result<Option<Examined>, CampaignError> {
         let original = self.tidy(&candidate.values)?;
-        let original_verdict = self.judge(&original, 1)?;
+        let original_verdict = self.judge(&original, 1, ask)?;
         let Some(kind) = self.kind(&original_verdict) else { return Ok(None) };
         // After a contact that is the impact speed.
         let most = SEVERITY_KEPT * original_verdict.robustness;
-        let survives = |scenario: &Scenario| -> Result<bool, CampaignError> {
-            let finer = self.kind(&self.judge(scenario, FINER)?);
+        let survives = |scenario: &Scenario, ask: &mut Ask<'_>| -> Result<bool, CampaignError> {
+            let finer = self.kind(&self.judge(scenario, FINER, ask)?);
             Ok(finer.is_some_and(|finer| finer.same_pair(&kind)))
         };
-        let dt_fragile = !survives(&original)?;
+        let dt_fragile = !survives(&original, ask)?;
         let mut values = candidate.values.clone();
         if !dt_fragile {
             let mut failed = None;
             let mut holds = |values: &[f64]| {
-                let still = || -> Result<bool, CampaignError> {
+                let mut still = || -> Result<bool, CampaignError> {
                     let scenario = self.tidy(values)?;
-                    let verdict = self.judge(&scenario, 1)?;
+                    let verdict = self.judge(&scenario, 1, ask)?;
                     let as_hard = verdict.robustness <= most;
-                    Ok(self.kind(&verdict) == Some(kind) && as_hard && survives(&scenario)?)
+                    Ok(self.kind(&verdict) == Some(kind) && as_hard && survives(&scenario, ask)?)
                 };
                 still().unwrap_or_else(|error| {
                     failed.get_or_insert(error);
@@ -86,7 +93,7 @@ impl<'a> Examiner<'a> {
         }
         // From the text, not from memory: the file alone must fail.
         let (scenario, original) = (reread(&self.tidy(&values)?)?, reread(&original)?);
-        let (verdict, original_verdict) = (self.judge(&scenario, 1)?, self.judge(&original, 1)?);
+        let (verdict, original_verdict) = (self.judge(&scenario, 1, ask)?, self.judge(&original, 1, ask)?);
         let options = self.replay().options(&scenario, 1).with_after_contact(AfterContact::Continue);
         let aftermath = simulate(&Run::new(&scenario, options)?, RecordingLevel::Summary);
         let vehicles = 0..scenario.vehicles().len();
@@ -111,8 +118,9 @@ impl<'a> Examiner<'a> {
         FailureKind::of(verdict, &self.terms.specification)
     }
 
-    fn judge(&self, scenario: &Scenario, parts: u32) -> Result<RunVerdict, CampaignError> {
-        self.replay().at(scenario, parts).map_err(|error| match error {
+    fn judge(&self, scenario: &Scenario, parts: u32, ask: &mut Ask<'_>) -> Result<RunVerdict, CampaignError> {
+        let answered = ask((scenario.clone(), parts)).unwrap_or_else(|| self.replay().at(scenario, parts));
+        answered.map_err(|error| match error {
             ReplayError::Run(run) => run.into(),
             ReplayError::Specification(specification) => specification.into(),
             other => CampaignError::encoding(other),

@@ -9,7 +9,7 @@ use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{self, FileError};
-use crumple_world::sim::{NamedController, Run, RunError, RunOptions, UnknownController, simulate};
+use crumple_world::sim::{NamedController, Run, RunError, RunOptions, UnknownController, simulate, simulate_batch};
 
 /// The version of the format of recorded verdicts.
 pub const EXPECTED_VERSION: u32 = 1;
@@ -213,9 +213,31 @@ impl Replay<'_> {
 
     /// The verdict with the scenario's step in so many parts.
     pub(super) fn at(&self, scenario: &Scenario, parts: u32) -> Result<RunVerdict, ReplayError> {
-        let options = self.options(scenario, parts).with_after_contact(self.specification.after_contact());
-        let run = Run::new(scenario, options)?;
+        let run = self.run(scenario, parts)?;
         Ok(self.specification.judge(&run, &simulate(&run, self.specification.keep()))?)
+    }
+
+    /// The same of many, which are run together.
+    pub(super) fn all_at(&self, asked: &[(Scenario, u32)]) -> Vec<Result<RunVerdict, ReplayError>> {
+        let prepared = asked.iter().map(|(scenario, parts)| self.run(scenario, *parts));
+        let (mut runs, mut refused) = (Vec::new(), Vec::new());
+        for (place, run) in prepared.enumerate() {
+            match run {
+                Ok(run) => runs.push(run),
+                Err(error) => refused.push((place, error)),
+            }
+        }
+        let keep = self.specification.keep();
+        let judged =
+            simulate_batch(&runs, keep, |index, result| Ok(self.specification.judge(&runs[index], &result)?));
+        let mut verdicts: Vec<Result<RunVerdict, ReplayError>> = judged;
+        // In ascending order, so that each place is there when its turn comes.
+        refused.into_iter().for_each(|(place, error)| verdicts.insert(place, Err(error.into())));
+        verdicts
+    }
+
+    fn run<'s>(&self, scenario: &'s Scenario, parts: u32) -> Result<Run<'s>, RunError> {
+        Run::new(scenario, self.options(scenario, parts).with_after_contact(self.specification.after_contact()))
     }
 }
 

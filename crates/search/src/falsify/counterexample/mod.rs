@@ -20,6 +20,7 @@ mod expected;
 mod record;
 mod severity;
 mod shrink;
+mod together;
 
 use std::fmt::Write;
 

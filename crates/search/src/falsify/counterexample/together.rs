@@ -122,7 +122,8 @@ mod tests {
 
     #[test]
     fn who_gets_no_answer_is_told_so_and_nobody_waits_for_it() {
-        let learned = all_together(&[1, 2, 3], |_, ask| ask(0).is_some() && ask(0).is_some(), |all| vec![(); all.len() - 1]);
+        let learned =
+            all_together(&[1, 2, 3], |_, ask| ask(0).is_some() && ask(0).is_some(), |all| vec![(); all.len() - 1]);
         assert_eq!(learned.len(), 3);
         assert!(!learned[2]);
         assert!(all_together(&[0; 0], |_, _: &mut dyn FnMut(u8) -> Option<u8>| 1, |_| Vec::new()).is_empty());
