@@ -39,7 +39,9 @@ pub(super) struct Man {
 }
 
 impl Man {
-    pub(super) fn run(self, commands: Command, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, mut commands: Command, quiet: bool) -> Result<(), Failure> {
+        // Before, subcommands go by their last name alone.
+        commands.build();
         std::fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
         let mut files = Files::default();
         let pages = write_pages(commands, &self.out, &mut files)?;
@@ -51,7 +53,11 @@ impl Man {
 
 /// The pages of a command and of all below it, and how many they are.
 fn write_pages(command: Command, folder: &Path, files: &mut Files) -> Result<usize, Failure> {
-    let below: Vec<Command> = command.get_subcommands().filter(|below| !below.is_hide_set()).cloned().collect();
+    let below: Vec<Command> = command
+        .get_subcommands()
+        .filter(|below| !below.is_hide_set() && below.get_name() != "help")
+        .cloned()
+        .collect();
     let page = clap_mangen::Man::new(command);
     let path = folder.join(page.get_filename());
     let mut text = Vec::new();

@@ -125,7 +125,7 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
     assert!(String::from_utf8(page).unwrap().matches(STATEMENT).count() >= 2);
     let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
     let panels = json["panels"].as_array().unwrap();
-    assert_eq!(panels.len(), 4);
+    assert_eq!(panels.len(), 5);
     assert!(panels.iter().all(|panel| panel["cells"].as_array().unwrap().len() == 30));
     for (arguments, said) in [
         (&["car-following", "--time-gap", "0.1"][..], "--time-gap: must be from 0.2 to 10 s, found 0.1"),
