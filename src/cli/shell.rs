@@ -53,11 +53,8 @@ impl Man {
 
 /// The pages of a command and of all below it, and how many they are.
 fn write_pages(command: Command, folder: &Path, files: &mut Files) -> Result<usize, Failure> {
-    let below: Vec<Command> = command
-        .get_subcommands()
-        .filter(|below| !below.is_hide_set() && below.get_name() != "help")
-        .cloned()
-        .collect();
+    let below: Vec<Command> =
+        command.get_subcommands().filter(|below| !below.is_hide_set() && below.get_name() != "help").cloned().collect();
     let page = clap_mangen::Man::new(command);
     let path = folder.join(page.get_filename());
     let mut text = Vec::new();
