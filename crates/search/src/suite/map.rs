@@ -228,7 +228,8 @@ mod tests {
     #[test]
     fn rows_of_the_table_are_on_the_map_by_time_and_by_gap() {
         let [_, by_gap, by_time] = SITUATIONS.map(Situation::stated);
-        assert_eq!(by_time, [[10.0, 0.48], [20.0, 0.71], [30.0, 0.94]]);
+        let stated = [[10.0, 0.48], [20.0, 0.71], [30.0, 0.94], [40.0, 1.18], [50.0, 1.41], [60.0, 1.64]];
+        assert_eq!(by_time, stated);
         for ([_, gap_m], [slower_kmph, time_s]) in by_gap.into_iter().zip(by_time) {
             assert!((gap_m - time_s * slower_kmph / 3.6).abs() < 1e-12);
         }
