@@ -27,7 +27,6 @@ struct Report {
     /// Width of the widest vector registers that both the program and the processor have. It changes times, and no bit of a result.
     register_bits: usize,
     threads: usize,
-    optimised: bool,
     /// SHA-256 of the program: interrupted work is gone on with by the same one alone.
     program_sha256: Option<&'static str>,
     needs: Vec<Need>,
@@ -53,7 +52,6 @@ impl Doctor {
             processor: std::env::consts::ARCH,
             register_bits: 64 * crumple_world::policy::doubles_at_once(),
             threads: rayon::current_num_threads(),
-            optimised: !cfg!(debug_assertions),
             program_sha256: crumple_search::program::identity().ok(),
             needs: needs(),
         };
@@ -72,9 +70,6 @@ impl Report {
             "crumple {version} on {system}, {processor}, vector registers of {register_bits} bits, {threads} threads\n"
         );
         // Writing to a string cannot fail.
-        if !self.optimised {
-            let _ = writeln!(text, "  built without optimisation: `cargo build --release` is some ten times as fast");
-        }
         match &self.program_sha256 {
             Some(identity) => drop(writeln!(text, "  this program is {identity}")),
             None => drop(writeln!(text, "  this program cannot be read: nothing that is kept can be gone on with")),

@@ -94,7 +94,7 @@ fn a_tolerance_belongs_to_the_criterion() {
 #[test]
 fn a_margin_says_that_a_test_cannot_be_run() {
     let suite = Suite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
-    let result = run(&suite, &[named("idm,desired_speed_mps=5")], EstimatorKind::Truth).unwrap();
+    let result = run(&suite, &[named("shield:policy")], EstimatorKind::Truth).unwrap();
     let margins = &result.clauses[0].tests[0].controllers[0].margins;
     assert!(!margins.is_empty());
     assert!(margins.iter().all(|margin| margin.end == MarginEnd::None { beyond: Beyond::Refused }), "{margins:?}");

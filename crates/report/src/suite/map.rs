@@ -30,7 +30,7 @@ pub(super) const LETTERS: [(char, &str); 5] = [
     ('x', "contact"),
     ('~', "contact, never braked"),
     ('!', "controller failed"),
-    ('-', "never comes to it"),
+    ('-', "cannot be run"),
 ];
 
 impl Told<'_> {

@@ -8,16 +8,14 @@ use crumple_world::scenario::{
 use super::figure::Parameter;
 use super::spec::{Lead, TestSpec};
 
-/// When the vehicle ahead begins to brake, in seconds: the filter has settled by then.
-pub(super) const ONSET_S: f64 = 1.0;
+/// When the vehicle ahead begins to brake, and when vehicles cut in and out, in seconds: at once. Whoever drove before would come to it
+/// at a speed and a gap that the clause does not state.
+const ONSET_S: f64 = 0.0;
 
 /// How long a scenario goes on after the vehicles would have met, or the one ahead stands, in seconds.
 const REST_S: f64 = 20.0;
 
 const STEP_S: f64 = 0.01;
-
-/// When a vehicle cuts in or out if nobody changes speed, in seconds: the filter has settled by then.
-const CHANGE_S: f64 = 2.0;
 
 /// How far ahead of one that cuts in the next vehicle drives, in metres: out of mind, and there for controllers that need one.
 const FAR_M: f64 = 300.0;
@@ -68,15 +66,14 @@ impl TestSpec {
             }
             Some(Lead::CutIn) => {
                 let lead_mps = si(Parameter::LeadSpeed);
-                let mut lead = steady((closing_s + CHANGE_S) * (own_mps - lead_mps), lead_mps);
-                lead.enters = Some(LaneChange::TimeToCollision(closing_s));
-                (vec![steady(lead.position_m + FAR_M, own_mps), lead], closing_s + CHANGE_S)
+                let mut lead = steady(closing_s * (own_mps - lead_mps), lead_mps);
+                lead.enters = Some(LaneChange::At(ONSET_S));
+                (vec![steady(lead.position_m + FAR_M, own_mps), lead], closing_s)
             }
             Some(Lead::CutOut) => {
                 let mut lead = steady(si(Parameter::Gap), own_mps);
-                lead.leaves = Some(LaneChange::TimeToCollision(closing_s));
-                let meets_s = closing_s + CHANGE_S;
-                (vec![steady(lead.position_m + meets_s * own_mps, 0.0), lead], meets_s)
+                lead.leaves = Some(LaneChange::At(ONSET_S));
+                (vec![steady(lead.position_m + closing_s * own_mps, 0.0), lead], closing_s)
             }
             Some(Lead::Slower) => {
                 let lead_mps = si(Parameter::LeadSpeed);

@@ -65,7 +65,7 @@ pub enum MarginEnd {
 pub enum Beyond {
     /// A contact, or no usable answer of the controller.
     Fails,
-    /// It cannot be run: the vehicle under test never comes to the change of lanes.
+    /// It cannot be run, as where a shield knows no way to keep off what it is shown.
     Refused,
 }
 

@@ -219,9 +219,6 @@ fn judged(lead: Lead, simulated: &Simulated) -> Seen {
     let trace = simulated.trace.as_ref();
     let end_s = trace.and_then(|trace| end_s(lead, trace));
     let verdict = match &simulated.outcome {
-        Outcome::NoCollision if trace.is_some_and(|trace| !comes_to_it(lead, trace)) => TestVerdict::Refused {
-            reason: "the vehicle under test held back so much that it never came to the change of lanes".to_owned(),
-        },
         Outcome::Collision(contact) if end_s.is_none_or(|end_s| contact.time_s <= end_s) => {
             TestVerdict::Failed { time_s: contact.time_s, impact_speed_mps: contact.impact_speed_mps }
         }
@@ -238,16 +235,6 @@ fn judged(lead: Lead, simulated: &Simulated) -> Seen {
     }
 }
 
-/// Whether whoever was to enter or leave the lane did.
-fn comes_to_it(lead: Lead, trace: &Trace) -> bool {
-    let changed_s = |place: usize| trace.vehicles.get(1).is_some_and(|track| track.in_lane_s[place].is_finite());
-    match lead {
-        Lead::CutIn => changed_s(0),
-        Lead::CutOut => changed_s(1),
-        Lead::Stopped | Lead::Slower | Lead::Decelerating => true,
-    }
-}
-
 /// When the test is over: what comes afterwards is no part of it.
 fn end_s(lead: Lead, trace: &Trace) -> Option<f64> {
     let is_over = |ahead_mps: f64, own_mps: f64| match lead {
@@ -255,7 +242,7 @@ fn end_s(lead: Lead, trace: &Trace) -> Option<f64> {
         Lead::Stopped | Lead::Decelerating | Lead::CutOut => own_mps == 0.0,
     };
     let pairs = trace.pairs(lead.under_test());
-    let pair = pairs.last().filter(|_| comes_to_it(lead, trace))?;
+    let pair = pairs.last()?;
     let over = |sample: usize| {
         let speeds = pair.front.speed_mps.get(sample).zip(pair.rear.speed_mps.get(sample));
         speeds.is_some_and(|(&ahead_mps, &own_mps)| is_over(ahead_mps, own_mps))

@@ -21,7 +21,7 @@ pub const SHARD_OF_A_SUITE: &str = "shard of a suite";
 const RESULTS: &str = "results.json";
 /// The version of these files.
 const VERSION: u32 = 1;
-const WHAT: &str = "tests, each with a controller,";
+const WHAT: &str = "pairs of a test and a controller";
 
 /// Why a shard of a suite is not made.
 #[derive(Debug, thiserror::Error)]

@@ -12,7 +12,7 @@ use crumple_world::digest::sha256;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
 
-/// Points that are drawn evenly, then how often and how many near the worst so far.
+/// Points that are drawn evenly, at least one for each of the grid, then how often and how many near the worst so far.
 const DRAWN: usize = 256;
 const ROUNDS: i32 = 5;
 const NEAR: usize = 48;
@@ -84,7 +84,7 @@ pub(super) fn worst(name: &str, about: &str, test: &TestSpec, lead: Lead, driven
     let grid = test.grid();
     let mut search = Search { name, about, test, lead, driven, worst: None, tried: 0, failures: 0 };
     let mut stream = random::stream(0, Purpose::Search, 1);
-    let drawn = (0..DRAWN).filter_map(|index| {
+    let drawn = (0..DRAWN.max(grid.len())).filter_map(|index| {
         let home = grid.get(index % grid.len())?;
         let draw = |[low, high]: [f64; 2], _| low + (high - low) * stream.random::<f64>();
         Some((home.as_slice(), moved_within(home, home, &ranges, draw)))
