@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
+use super::output::rounded_up;
 use super::simulate::Format;
 use super::{Failure, assess, falsify, output, rare, suite, train, verify};
 use crumple_report::assessment::{MergedEvidence, SHARD_OF_AN_ASSESSMENT};
@@ -228,8 +229,9 @@ fn incomplete(so_far: &SoFar) -> String {
     }
     match so_far.rate_at_most {
         Some(bound) => line(format!(
-            "{} failures so far; were all missing runs failures too, the bound would be a rate of {bound:.3e}",
-            so_far.failures
+            "{} failures so far; were all missing runs failures too, the bound would be a rate of {}",
+            so_far.failures,
+            rounded_up(bound)
         )),
         None => line(format!(
             "so far {} runs in which only the first failed, {} only the second",

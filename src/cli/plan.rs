@@ -7,6 +7,7 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
+use super::output::rounded_up;
 use super::{Failure, choice, output, subject};
 use crumple_search::disk::{self, Files};
 use crumple_search::evidence::{RateConfig, RatePlan, runs_for};
@@ -54,16 +55,16 @@ pub(super) struct Plan {
     #[arg(long, value_name = "N", conflicts_with_all = ["rate_below", "runs", "failures"], value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
     budget: Option<u64>,
     /// Method of the search (see `crumple list methods`)
-    #[arg(long, value_name = "M", default_value = "auto", requires = "budget")]
+    #[arg(long, value_name = "M", default_value = "auto", conflicts_with_all = ["rate_below", "runs"])]
     method: Method,
     /// Which failures the search is after: severest, likeliest or nearest
-    #[arg(long, value_name = "A", default_value = "severest", requires = "budget")]
+    #[arg(long, value_name = "A", default_value = "severest", conflicts_with_all = ["rate_below", "runs"])]
     aim: Aim,
     /// What must hold in the search: `no contact`, or a formula of signal temporal logic
-    #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT, requires = "budget")]
+    #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT, conflicts_with_all = ["rate_below", "runs"])]
     spec: String,
     /// Confidence of the claim: above 0.5 and below 1
-    #[arg(long, value_name = "c", default_value_t = 0.999)]
+    #[arg(long, value_name = "c", default_value_t = 0.999, conflicts_with = "budget")]
     confidence: f64,
     /// Seed of all draws
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -328,7 +329,8 @@ impl Plan {
         let (first, last, whole) = match &planned.wanted {
             Wanted::Rate { registration_sha256, runs, confidence, rate_at_most, failures } => (
                 format!(
-                    "{runs} runs; if {failures} of them fail, a rate of at most {rate_at_most:.3e} at confidence {confidence}"
+                    "{runs} runs; if {failures} of them fail, a rate of at most {} at confidence {confidence}",
+                    rounded_up(*rate_at_most)
                 ),
                 format!("  registered as {registration_sha256}\n"),
                 "rate",

@@ -62,7 +62,7 @@ pub(super) struct Train {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: Option<u64>,
     /// Of these seeds, train shard I of N only, N at most their number; `crumple merge` puts shards together, training.json included
-    #[arg(long, value_name = "I/N", requires = "seeds")]
+    #[arg(long, value_name = "I/N", requires = "seeds", conflicts_with = "seed")]
     shard: Option<Shard>,
     /// Folder for policies, logs and checkpoints; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "crumple-training")]

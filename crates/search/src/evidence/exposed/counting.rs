@@ -2,6 +2,38 @@
 
 use statrs::distribution::{ContinuousCDF, Gamma};
 
+/// Waves of episodes: how many, and how large.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Waves {
+    /// How many.
+    pub waves: u64,
+    /// Episodes in all of them: Σ S, where S is the size of a wave.
+    pub episodes: u64,
+    /// Σ S².
+    pub squares: f64,
+    /// The largest S; 1 if there is no wave.
+    pub largest: u64,
+}
+
+impl Waves {
+    /// So many waves of one episode.
+    #[must_use]
+    pub fn lone(episodes: u64) -> Self {
+        Self { waves: episodes, episodes, squares: episodes as f64, largest: 1 }
+    }
+
+    /// Waves of these sizes.
+    #[must_use]
+    pub fn of(sizes: &[u64]) -> Self {
+        Self {
+            waves: sizes.len() as u64,
+            episodes: sizes.iter().sum(),
+            squares: sizes.iter().map(|&size| size as f64 * size as f64).sum(),
+            largest: sizes.iter().copied().max().unwrap_or(1),
+        }
+    }
+}
+
 /// Between which expected numbers of episodes what was seen lies, with a confidence.
 ///
 /// Waves come independently of each other, as a Poisson process; episodes of a wave do not. With the sizes S of the waves as weights, the
@@ -9,10 +41,8 @@ use statrs::distribution::{ContinuousCDF, Gamma};
 /// v + M², above, where M is the largest S (Fay and Feuer, Confidence intervals for directly standardized rates, Statistics in Medicine
 /// 16, 1997). Where every wave is of one episode, that is the exact interval of Poisson's distribution (Garwood, 1936).
 #[must_use]
-pub fn expected_episodes(wave_sizes: &[u64], confidence: f64) -> [f64; 2] {
-    let sizes = || wave_sizes.iter().map(|&size| size as f64);
-    let (sum, variance, largest) =
-        (sizes().sum::<f64>(), sizes().map(|size| size * size).sum::<f64>(), sizes().fold(1.0, f64::max));
+pub fn expected_episodes(seen: Waves, confidence: f64) -> [f64; 2] {
+    let (sum, variance, largest) = (seen.episodes as f64, seen.squares, seen.largest as f64);
     let tail = 0.5 * (1.0 - confidence);
     let quantile = |mean: f64, variance: f64, share: f64| {
         Gamma::new(mean * mean / variance, mean / variance).map_or(f64::NAN, |gamma| gamma.inverse_cdf(share))
@@ -29,14 +59,23 @@ mod tests {
     #[test]
     fn lone_waves_have_the_exact_interval_of_poisson() {
         for (count, low, high) in [(0, 0.0, 3.689), (1, 0.0253, 5.572), (10, 4.795, 18.390), (100, 81.364, 121.627)] {
-            let [found_low, found_high] = expected_episodes(&vec![1; count], 0.95);
+            let [found_low, found_high] = expected_episodes(Waves::lone(count), 0.95);
             assert!(
                 (found_low - low).abs() < 1e-3 && (found_high - high).abs() < 1e-3,
                 "{count}: {found_low} {found_high}"
             );
         }
-        let [low, high] = expected_episodes(&[3; 10], 0.95);
-        let [lone_low, lone_high] = expected_episodes(&[1; 10], 0.95);
+        let [low, high] = expected_episodes(Waves::of(&[3; 10]), 0.95);
+        let [lone_low, lone_high] = expected_episodes(Waves::of(&[1; 10]), 0.95);
         assert!((low - 3.0 * lone_low).abs() < 1e-9 && (high - 3.0 * lone_high).abs() < 1e-9);
+    }
+
+    /// However many there are, and none is dropped: a Poisson count is about normal then.
+    #[test]
+    fn very_many_episodes_are_not_taken_for_fewer() {
+        let deviation = 1e7_f64.sqrt();
+        let [low, high] = expected_episodes(Waves::lone(10_000_000), 0.95);
+        assert!((1e7 - low - 1.96 * deviation).abs() < 10.0, "{low}");
+        assert!((high - 1e7 - 1.96 * deviation).abs() < 10.0, "{high}");
     }
 }

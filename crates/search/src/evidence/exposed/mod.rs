@@ -14,7 +14,7 @@ mod tests;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use counting::expected_episodes;
+pub use counting::{Waves, expected_episodes};
 pub use resampled::{Resamples, estimate_again, run_again};
 
 use super::RateInterval;
@@ -136,10 +136,10 @@ impl ExposedRate {
     #[must_use]
     pub fn of(space: &Space, known: Probability<'_>, resamples: Option<&Resamples>) -> Option<Self> {
         let exposure = space.spec().exposure.as_ref()?;
-        let sizes = wave_sizes(space);
+        let seen = waves(space);
         let (estimate, alpha) = (known.estimate()?, 1.0 - CONFIDENCE);
         let [low, high] = known.interval(CONFIDENCE)?;
-        let counted = expected_episodes(&sizes, 1.0 - alpha / 2.0);
+        let counted = expected_episodes(seen, 1.0 - alpha / 2.0);
         let figures = |apart: [f64; 3], jointly: [f64; 2]| {
             let [estimate, low, high] = apart;
             let per = |amount: f64| Figure {
@@ -158,20 +158,19 @@ impl ExposedRate {
             // Resamples may lie all on one side of what was fitted to all episodes.
             let with = |[low, high]: [f64; 2]| [low.min(estimate), high.max(estimate)];
             let [low, high] = with(resamples.between(CONFIDENCE)?);
-            let squares: u64 = sizes.iter().map(|size| size * size).sum();
             Some(WithData {
                 figures: figures([estimate, low, high], with(resamples.between(1.0 - alpha / 2.0)?)),
                 resamples: resamples.count(),
                 unfit: resamples.unfit,
                 runs_each: resamples.runs_each,
-                counting_variance: squares as f64 / (exposure.episodes as f64).powi(2),
+                counting_variance: seen.squares / (exposure.episodes as f64).powi(2),
                 data_variance: (estimate > 0.0).then(|| resamples.variance / (estimate * estimate)),
                 sampling_variance: known.variance(),
             })
         });
         Some(Self {
             episodes: exposure.episodes,
-            waves: sizes.len() as u64,
+            waves: seen.waves,
             hours: exposure.hours,
             kilometres: exposure.kilometres,
             confidence: CONFIDENCE,
@@ -181,12 +180,10 @@ impl ExposedRate {
     }
 }
 
-/// How many episodes each wave has; one each where that is not known.
-fn wave_sizes(space: &Space) -> Vec<u64> {
+/// The waves in which a space's episodes came; of one each where that is not known.
+fn waves(space: &Space) -> Waves {
     let Some(observed) = &space.spec().observed else {
-        let episodes = space.spec().exposure.as_ref().map_or(0, |exposure| exposure.episodes);
-        // More than these are as good as certain.
-        return vec![1; episodes.min(1_000_000) as usize];
+        return Waves::lone(space.spec().exposure.as_ref().map_or(0, |exposure| exposure.episodes));
     };
     let mut sizes = vec![0; observed.waves.len()];
     for wave in &observed.waves {
@@ -195,5 +192,5 @@ fn wave_sizes(space: &Space) -> Vec<u64> {
         }
     }
     sizes.retain(|size| *size > 0);
-    sizes
+    Waves::of(&sizes)
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use super::config::Divided;
 use super::findings::Findings;
-use super::run::{CONFIGURATION, MOST_KINDS, SUMMARY, TEXT, open};
+use super::run::{CONFIGURATION, JOURNAL, MOST_KINDS, SUMMARY, TEXT, open};
 use super::shard::{MadeShard, Shared};
 use super::summary::Summary;
 use super::terms::Terms;
@@ -165,7 +165,8 @@ impl MergedCampaign {
             };
         }
         results.write(CONFIGURATION, configuration).write(TEXT, summary.to_text());
-        results.write(SUMMARY, summary.to_json()?).commit()?;
+        // There is a journal where the same campaign was broken off in the folder.
+        results.write(SUMMARY, summary.to_json()?).remove(JOURNAL).commit()?;
         work.finish()?;
         Ok(summary)
     }

@@ -237,3 +237,18 @@ fn an_interrupted_shard_ends_with_the_same_files() {
     }
     assert!(files(&part) == files(&whole));
 }
+
+/// Where the same campaign was broken off, what is put together there leaves nothing of it.
+#[test]
+fn shards_are_put_together_over_a_campaign_that_was_broken_off() {
+    let (campaign, root) = (campaign(Method::Halton, 6), tempfile::tempdir().unwrap());
+    let shards = [1, 2].map(|index| Shard::new(index, 2).unwrap());
+    for shard in shards {
+        campaign.run_shard(shard, &folder(root.path(), shard), false, &mut |_| ControlFlow::Continue(())).unwrap();
+    }
+    let broken_off = root.path().join("broken-off");
+    let ended = campaign.run_keeping(Log::Summary, &broken_off, false, &mut |_| ControlFlow::Break(()));
+    assert!(matches!(ended, Err(CampaignError::BrokenOff)) && broken_off.join("evaluations.journal").exists());
+    merged(&shards.map(|shard| folder(root.path(), shard))).unwrap().write_in(&broken_off).unwrap();
+    assert!(files(&broken_off) == files(single(&campaign).path()));
+}
