@@ -5,8 +5,10 @@ use std::time::{Duration, Instant};
 use std::{fs, io, process};
 
 use clap::Args;
+use serde::Serialize;
 
 use super::output;
+use super::simulate::Format;
 use super::{Failure, interrupt, progress};
 use crumple_report::assessment::{
     AssessError, AssessmentPlan, ComparisonError, Earlier, EvidenceShardError, FOLDERS, MOST_EVIDENCE_BYTES, Made,
@@ -14,7 +16,7 @@ use crumple_report::assessment::{
 };
 use crumple_search::disk::{self, DiskError, Files};
 use crumple_search::program;
-use crumple_search::shard::{Shard, as_array};
+use crumple_search::shard::{MissingShards, Shard};
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
@@ -164,23 +166,50 @@ impl Assess {
 }
 
 /// Puts the evidence of shards where an assessment finds it. What is missing ends with exit code 1.
-pub(super) fn merge(merged: &MergedEvidence, out: &Path) -> Result<(), Failure> {
+pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: Format) -> Result<(), Failure> {
     check_own_folders(out)?;
-    let pieces = merged.write_in(&out.join("evidence"))?;
-    let mut said = format!("{pieces} pieces of evidence in {}: ", out.join("evidence").display());
-    said += match merged.program() == program::identity()? {
-        true => "`crumple assess` with the same file and --out writes the report\n",
-        false => "`crumple assess` of the build that gathered it, which is not this one, writes the report\n",
+    let folder = out.join("evidence");
+    let pieces = merged.write_in(&folder)?;
+    let (is_of_this_build, missing) = (merged.program() == program::identity()?, merged.missing());
+    let shards = merged.missing_shards();
+    let gate = match missing.is_empty() {
+        true => Ok(()),
+        false => {
+            let missing = missing.join(", ");
+            Err(Failure::Gate(format!("evidence is missing{shards}, and `assess` would gather it: {missing}")))
+        }
     };
-    let missing = merged.missing();
-    let gate = if missing.is_empty() {
-        Ok(())
-    } else {
-        let (of, which) = merged.missing_shards();
-        let which = of.map_or_else(String::new, |of| format!(", shards {} of {of}", as_array(&which)));
-        Err(Failure::Gate(format!("evidence is missing{which}, and `assess` would gather it: {}", missing.join(", "))))
+    let folder = folder.display().to_string();
+    let said = match (format, is_of_this_build) {
+        (Format::Json, _) => {
+            let merged = Merged { pieces, folder, is_of_this_build, missing, shards };
+            serde_json::to_string(&merged).map_err(Failure::input)?
+        }
+        (Format::Text, true) => {
+            format!(
+                "{pieces} pieces of evidence in {folder}: `crumple assess` with the same file and --out writes the report"
+            )
+        }
+        (Format::Text, false) => format!(
+            "{pieces} pieces of evidence in {folder}: `crumple assess` of the build that gathered it, which is not this one, \
+             writes the report"
+        ),
     };
-    Failure::gate_first(gate, output::print(&said))
+    Failure::gate_first(gate, output::print(&(said + "\n")))
+}
+
+/// What shards of an assessment come to, for programs.
+#[derive(Serialize)]
+struct Merged {
+    /// Pieces of evidence that were put into the folder, or were there.
+    pieces: usize,
+    folder: String,
+    /// Whether `assess` of this build can write the report.
+    is_of_this_build: bool,
+    /// Pieces that no shard has gathered.
+    missing: Vec<String>,
+    #[serde(flatten)]
+    shards: MissingShards,
 }
 
 /// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.

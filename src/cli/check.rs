@@ -10,9 +10,11 @@ use crumple_verify::{Accepted, Certificate, ParseError, Statement, WorkLimit, ch
 use super::checked::{self, Checked, Counts};
 use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
-use crumple_search::evidence::{Rerun, RerunError, Sample, bound, lies_within};
+use crumple_search::evidence::{Rerun, RerunError, Sample, bound, checker_file, lies_within};
+use crumple_world::network::NetworkFile;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Scenario;
+use crumple_world::scenario::controller_file::FileController;
 use crumple_world::sim::NamedController;
 
 /// Accept or reject certificates with the small checker alone
@@ -39,7 +41,8 @@ pub(super) struct Check {
     /// Also check that the certificates speak about this scenario
     #[arg(long, value_name = "S")]
     scenario: Option<String>,
-    /// The policy file of certificates about a policy; the one beside the certificate without it
+    /// The policy file of certificates about a policy; the one beside the certificate without it. Of those about a network, its source
+    /// (F.onnx, F.zip, or the controller file F.toml), to be read again
     #[arg(long, value_name = "F")]
     policy: Option<PathBuf>,
     /// Draw and simulate counted runs again: all of them, or PERCENT of the blocks they come in
@@ -96,7 +99,7 @@ impl Check {
         scenario: Option<&Scenario>,
         quiet: bool,
     ) -> Result<Checked<'a>, Failure> {
-        let policy = self.policy_bytes(certificate, path);
+        let policy = self.policy_bytes(certificate, path)?;
         let limit = WorkLimit::billions(self.work_limit);
         let accepted = check_within(certificate, policy.as_deref(), limit).map_err(|rejection| rejection.to_string());
         let accepted = accepted.and_then(|accepted| match bound(certificate, policy.as_deref()) {
@@ -138,11 +141,24 @@ impl Check {
 
     /// What the checker needs of a policy. The reference policy comes with the program: only its digest, which the checker
     /// computes again, says that it is the one meant.
-    fn policy_bytes(&self, certificate: &Certificate, path: &Path) -> Option<Vec<u8>> {
+    fn policy_bytes(&self, certificate: &Certificate, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
+        if certificate.policy().is_some()
+            && let Some(source) = self.policy.as_deref().filter(|path| is_source(path))
+        {
+            let read = FileController::load(source).map_err(Failure::input)?;
+            let place = source.display();
+            let file = checker_file(&read.into()).map_err(|invalid| Failure::Input(format!("{place}: {invalid}")))?;
+            return file.map(Some).ok_or_else(|| Failure::Input(format!("{place}: is no network")));
+        }
         let found = certificate.policy_bytes(path, self.policy.as_deref());
-        let Statement::Reach(_) = certificate.statement else { return found };
-        found.or_else(|| self.policy.is_none().then(|| Policy::reference_bytes().to_vec()))
+        let is_reach = matches!(certificate.statement, Statement::Reach(_));
+        Ok(found.or_else(|| (is_reach && self.policy.is_none()).then(|| Policy::reference_bytes().to_vec())))
     }
+}
+
+/// Whether a file is the source of a network, and not what the checker reads.
+fn is_source(path: &Path) -> bool {
+    NetworkFile::is_one(path) || path.extension().is_some_and(|extension| extension == "toml")
 }
 
 fn certificate(path: &Path) -> Result<Certificate, Failure> {

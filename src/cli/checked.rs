@@ -176,6 +176,8 @@ struct Report<'a> {
     gap_bound_m: Option<f64>,
     afterwards: Option<&'static str>,
     verified_share: Option<f64>,
+    margin_m: Option<f64>,
+    x_ego_width_m: Option<f64>,
     rate_at_most: Option<f64>,
     confidence: Option<f64>,
     joint_confidence: Option<f64>,
@@ -208,6 +210,7 @@ fn report<'a>(one: &'a Checked<'_>, joint_confidence: Option<f64>) -> Report<'a>
     let Checked { path, certificate, accepted, counts, about } = one;
     let (mut smallest_gap_m, mut overlap_m, mut verified_share, mut rate_at_most) = (None, None, None, None);
     let (mut gap_bound_m, mut afterwards) = (None, None);
+    let (mut margin_m, mut x_ego_width_m) = (None, None);
     // JSON has no infinity: an overlap of any size.
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     match *accepted {
@@ -217,6 +220,9 @@ fn report<'a>(one: &'a Checked<'_>, joint_confidence: Option<f64>) -> Report<'a>
         Ok(Accepted::Unavoidable { overlap_m: metres, .. }) => overlap_m = finite(metres),
         Ok(Accepted::GapBound { gap_m, .. }) => gap_bound_m = Some(gap_m),
         Ok(Accepted::Rate { at_most, .. }) => rate_at_most = Some(at_most),
+        Ok(Accepted::Cruise { margin_m: margin, x_ego_width_m: width }) => {
+            (margin_m, x_ego_width_m) = (finite(margin), finite(width));
+        }
         Ok(Accepted::Reach { smallest_gap_m: gap_m, verified_share: share, .. }) => {
             (smallest_gap_m, verified_share) = (finite(gap_m), Some(share));
         }
@@ -253,6 +259,8 @@ fn report<'a>(one: &'a Checked<'_>, joint_confidence: Option<f64>) -> Report<'a>
         gap_bound_m,
         afterwards,
         verified_share,
+        margin_m,
+        x_ego_width_m,
         rate_at_most,
         confidence: one.confidence(),
         joint_confidence: joint_confidence.filter(|_| one.confidence().is_some()),

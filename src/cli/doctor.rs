@@ -93,6 +93,12 @@ fn needs() -> Vec<Need> {
     let shown = |path: Option<PathBuf>| path.map(|path| path.display().to_string());
     vec![
         Need {
+            name: "crumple-fmu",
+            found: shown(crumple_world::control::fmu_host()),
+            used_for: "FMUs as controllers",
+            install: "cargo install crumple brings it; CRUMPLE_FMU may say where it is",
+        },
+        Need {
             name: "python",
             found: shown(python.clone()),
             used_for: "controllers in Python, job files of `crumple plan`",

@@ -2,13 +2,14 @@
 
 use std::fmt::Write;
 
-use crumple_search::evidence::exposed::{ExposedRate, Figure, Figures, WithData};
+use crumple_search::evidence::exposed::{ExposedRate, Figure, Figures, LEAST_RESAMPLES, WithData};
+use crumple_world::quoted::Terminal;
 
 /// The option `--resamples`: none, or enough for an interval.
 pub(super) fn resamples(text: &str) -> Result<u32, String> {
     match text.parse() {
-        Ok(found @ (0 | 20..=2000)) => Ok(found),
-        _ => Err(format!("must be 0 or from 20 to 2000, found {text}")),
+        Ok(found @ (0 | LEAST_RESAMPLES..=2000)) => Ok(found),
+        _ => Err(format!("must be 0 or from {LEAST_RESAMPLES} to 2000, found {text}")),
     }
 }
 
@@ -21,12 +22,20 @@ pub(super) fn text(rate: &ExposedRate) -> String {
 }
 
 fn write_text(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
-    let ExposedRate { episodes, waves, hours, kilometres, confidence, fitted, with_data } = rate;
+    let ExposedRate { episodes, left_out, waves, hours, kilometres, confidence, fitted, with_data, without_data } =
+        rate;
     let percent = 100.0 * confidence;
     writeln!(
         out,
         "on the road, where {episodes} episodes in {waves} waves were seen in {hours:.3} h and {kilometres:.1} km of following:"
     )?;
+    if *left_out > 0 {
+        let all = episodes + left_out;
+        writeln!(
+            out,
+            "  of {all} brakings {episodes} could be used: rates per hour and per 1000 km count all {all}, as if the others failed as often"
+        )?;
+    }
     let shown = |Figure { estimate, lower, upper }: Figure| {
         let lower = if lower > 0.0 { format!("{lower:.2e}") } else { "0".to_owned() };
         let estimate = if estimate > 0.0 { format!("{estimate:.3e}") } else { "0".to_owned() };
@@ -45,7 +54,8 @@ fn write_text(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
     )?;
     figures(fitted, out)?;
     let Some(with_data) = with_data else {
-        return writeln!(out, "  without the data's uncertainty: nothing was resampled");
+        let why = without_data.as_deref().unwrap_or("nothing was resampled");
+        return writeln!(out, "  without the data's uncertainty: {}", Terminal(why));
     };
     let WithData { resamples, unfit, runs_each, .. } = with_data;
     let how = match runs_each {
@@ -58,7 +68,7 @@ fn write_text(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
     )?;
     figures(&with_data.figures, out)?;
     if *unfit > 0 {
-        writeln!(out, "    to {unfit} more resamples no space could be fitted")?;
+        writeln!(out, "    to {unfit} resamples no space could be fitted: others were drawn in their place")?;
     }
     let part = |variance: Option<f64>| {
         variance.map_or("not known (no failure)".to_owned(), |variance| format!("{:.1} %", 100.0 * variance.sqrt()))

@@ -11,7 +11,7 @@ use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{
     Aim, Campaign, CampaignError, Log, MergedCampaign, Progress, ShardDone, Summary,
 };
-use crumple_search::shard::{Shard, as_array};
+use crumple_search::shard::Shard;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{Space, UnknownSpace, find_space};
@@ -40,6 +40,7 @@ Examples:
   crumple falsify --controller policy --space high-risk --budget 20000 --seed 7 --out runs/policy
   crumple falsify --controller idm --spec 'always v1.time_gap_s > 0.3' --out runs/idm
   crumple falsify --controller policy --aim likeliest --out runs/likeliest
+  crumple falsify --controller my-acc.toml --space traffic --budget 5000 --expect nothing
   crumple falsify --controller policy --budget 1000000 --shard 3/64 --out shards/3
   crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline --plot crash.svg
   crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm --spec 'always v1.time_gap_s > 0.3' --expect violated")]
@@ -75,6 +76,9 @@ pub(super) struct Falsify {
     /// Make shard I of N only: a part of the budget of every method; `crumple merge` puts shards together to one campaign
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
+    /// Make the search a gate: exit code 1 unless it found a failure, or nothing
+    #[arg(long, value_enum, value_name = "E", conflicts_with = "shard")]
+    expect: Option<Expectation>,
     /// Folder of the campaign; made if it is not there [default: crumple-campaign; of a shard, crumple-campaign-shard-I-of-N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -84,6 +88,34 @@ pub(super) struct Falsify {
     /// How to print the summary
     #[arg(long, value_enum, default_value = "text")]
     format: Format,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Expectation {
+    /// Some method found a failure
+    Failure,
+    /// No method found any
+    Nothing,
+}
+
+impl Expectation {
+    /// Whether it came so; a search that found nothing has shown nothing but how hard it looked, which the gate says.
+    fn is_met(self, summary: &Summary) -> Result<(), Failure> {
+        let evaluations: u64 = summary.methods.iter().map(|method| method.evaluations).sum();
+        match (self, summary.falsified) {
+            (Self::Failure, false) => {
+                Err(Failure::Gate(format!("expected a failure, and there is none in {evaluations} evaluations")))
+            }
+            (Self::Nothing, true) => {
+                let kinds = summary.counterexamples.len();
+                let plural = if kinds == 1 { "" } else { "s" };
+                Err(Failure::Gate(format!(
+                    "expected nothing, and there are {kinds} distinct failure{plural} in {evaluations} evaluations"
+                )))
+            }
+            _ => Ok(()),
+        }
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -153,7 +185,8 @@ impl Falsify {
         bar.finish_and_clear();
         let summary = summary?;
         output::note(&format!("wrote {} ({kept})", out.display()), quiet);
-        print(&summary, self.format)
+        let expected = self.expect.map_or(Ok(()), |expected| expected.is_met(&summary));
+        Failure::gate_first(expected, print(&summary, self.format))
     }
 }
 
@@ -190,8 +223,7 @@ pub(super) fn merge(
     let gate = if missing == 0 {
         Ok(())
     } else {
-        let (of, which) = merged.missing_shards();
-        let which = of.map_or_else(String::new, |of| format!(", shards {} of {of}", as_array(&which)));
+        let which = merged.missing_shards();
         let written = if is_part_wanted {
             "what is written is a part"
         } else {

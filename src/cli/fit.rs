@@ -12,7 +12,7 @@ use super::simulate::{Format, ending_in};
 use super::{Failure, output};
 use crumple_report::figures;
 use crumple_search::disk::Files;
-use crumple_search::fit::{FamilyFit, Fitted, FittedNumber, MOST_VEHICLES, Sample, Taken, fit};
+use crumple_search::fit::{FamilyFit, Fitted, FittedNumber, FittedSize, MOST_VEHICLES, Sample, Taken, fit, shown_p};
 use crumple_world::quoted::Terminal;
 use crumple_world::recording::load;
 use crumple_world::recording::map::RecordingMap;
@@ -23,12 +23,13 @@ use crumple_world::scenario::space::file;
 #[command(after_long_help = "\
 Takes recordings as `crumple import` does, and describes each braking episode by numbers: the leader's speed, the deceleration of its \
 hardest second, the share of its speed that it keeps, and of each follower the speed relative to the leader's and the time gap. Each \
-number gets the likeliest of five families (uniform, normal, log-normal, gamma, Weibull), cut to what a scenario may have; how they depend on \
+number gets the likeliest of five families (uniform, normal, log-normal, gamma, Weibull), cut to what a scenario may have; leaders that come to a \
+standstill have a probability of their own, and so have lorries where lengths were recorded; how all of these depend on \
 each other is a Gaussian copula. The space is a file like any other, for `falsify`, `verify rate` and assessments. It keeps in how much \
 driving the episodes were, so that failures are stated per hour and per 1000 km, and the episodes' numbers, so that they can be resampled \
 (docs/fitting.md).
 
-Needed are 4 episodes for each number: 20 with two vehicles, 8 more for each vehicle more. At most 1000 recordings and 10 000 episodes.
+Needed are 4 episodes for each number: 20 with two vehicles, 8 more for each vehicle more, 4 more for each that is a car here and a lorry there. At most 1000 recordings and 10 000 episodes.
 
 Examples:
   crumple fit platoon.csv events.csv --out following.toml --plot following.svg
@@ -44,7 +45,7 @@ pub(super) struct Fit {
     /// Whose braking makes an episode
     #[arg(long, value_enum, default_value = "any")]
     leaders: Leading,
-    /// Mean deceleration over one second that makes a braking episode, in m/s²: above 0, at most 12 [default: 1.3]
+    /// Mean deceleration over one second that makes a braking episode, in m/s²: above 0, below 12 [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
     min_brake: Option<f64>,
     /// Vehicles of a scenario, the leader among them: 2 to 5. Episodes of fewer are left out, and of more the first ones taken
@@ -65,7 +66,7 @@ pub(super) struct Fit {
     /// Draw what was observed and what was fitted, a panel for each number
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
-    /// Overwrite a space that is there and says something else
+    /// Overwrite a space, or a picture, that is there and says something else
     #[arg(long)]
     force: bool,
     /// How to print
@@ -100,9 +101,9 @@ impl Fit {
         let fitted = fit(&sample, &self.name, (self.samples, self.seed)).map_err(Failure::input)?;
         let text = file::to_toml(&fitted.space).map_err(Failure::input)?;
         let mut files = Files::default();
-        stage_unless_edited(&mut files, &self.out, &text, self.force)?;
+        stage_unless_edited(&mut files, &self.out, text.as_bytes(), self.force)?;
         if let Some(path) = &self.plot {
-            files.stage(&output::place(path)?, &picture(&figures::fitted(&fitted), path)?)?;
+            stage_unless_edited(&mut files, path, &picture(&figures::fitted(&fitted), path)?, self.force)?;
         }
         files.commit()?;
         output::print(&match self.format {
@@ -117,9 +118,10 @@ fn as_json(sample: &Sample, fitted: &Fitted) -> String {
         "space": fitted.space.name(),
         "exposure": sample.exposure,
         "waves": waves(sample),
-        "shorter": sample.shorter,
-        "outside": sample.outside,
+        "left_out": sample.left_out,
         "numbers": fitted.numbers,
+        "sizes": fitted.sizes,
+        "depending": fitted.depending,
         "correlation": fitted.correlation,
     })
     .to_string()
@@ -137,29 +139,37 @@ fn in_words(sample: &Sample, fitted: &Fitted) -> String {
 }
 
 fn write_words(sample: &Sample, fitted: &Fitted, out: &mut String) -> std::fmt::Result {
-    let Sample { exposure, taken, shorter, outside, outside_by, .. } = sample;
+    let Sample { exposure, taken, left_out, sizes, outside_by, .. } = sample;
     let waves = waves(sample);
     writeln!(out, "{} braking episodes in {waves} waves, of {} vehicles", exposure.episodes, taken.vehicles)?;
     for source in &exposure.sources {
         let (name, hours, kilometres) = (Terminal(&source.name), source.hours, source.kilometres);
         writeln!(out, "  {name}: {} episodes in {hours:.4} h, {kilometres:.2} km of following", source.episodes)?;
     }
-    if *shorter > 0 {
-        writeln!(out, "  left out: {shorter} episodes of fewer vehicles")?;
+    if exposure.left_out > 0 {
+        let all = exposure.episodes + exposure.left_out;
+        writeln!(out, "  of {all} brakings in these hours {} could be used", exposure.episodes)?;
     }
+    let left_out = left_out.in_words(taken.vehicles);
+    left_out.iter().try_for_each(|words| writeln!(out, "  {words}"))?;
     if let Some(by) = outside_by {
-        writeln!(
-            out,
-            "  left out: {outside} episodes with numbers outside the ranges, most by {by}: they are not in any rate"
-        )?;
+        writeln!(out, "  Outside the ranges is most often {by}")?;
     }
+    sizes.iter().enumerate().try_for_each(|(index, sizes)| writeln!(out, "  {}", sizes.in_words(index)))?;
     for number in &fitted.numbers {
         write_number(number, out)?;
     }
-    writeln!(out, "\nhow they depend on each other: correlations of normal scores")?;
-    for (number, row) in fitted.numbers.iter().zip(&fitted.correlation) {
+    for FittedSize { name, values, .. } in &fitted.sizes {
+        let each = values.iter().map(|value| {
+            let [low, high] = value.interval_95;
+            format!("{:.1} m in {:.4} ({low:.4} to {high:.4})", value.at, value.probability)
+        });
+        writeln!(out, "\n{name}: {}", each.collect::<Vec<_>>().join(", "))?;
+    }
+    writeln!(out, "\nhow they depend on each other: correlations of the normal numbers behind them")?;
+    for (name, row) in fitted.depending.iter().zip(&fitted.correlation) {
         let entries: Vec<_> = row.iter().map(|entry| format!("{entry:>6.2}")).collect();
-        writeln!(out, "  {:<18} {}", number.name, entries.join(" "))?;
+        writeln!(out, "  {name:<18} {}", entries.join(" "))?;
     }
     writeln!(
         out,
@@ -170,18 +180,26 @@ fn write_words(sample: &Sample, fitted: &Fitted, out: &mut String) -> std::fmt::
 }
 
 fn write_number(number: &FittedNumber, out: &mut String) -> std::fmt::Result {
-    let FittedNumber { name, unit, chosen, others, impossible, goodness, tails, sorted } = number;
+    let FittedNumber { name, unit, point_mass, chosen, others, impossible, goodness, tails, sorted, .. } = number;
     let unit = if *unit == "1" { "" } else { unit };
     writeln!(out, "\n{name}: {}, {}", chosen.family.name(), estimates(chosen))?;
+    if let Some(point) = point_mass {
+        let ([low, high], all) = (point.interval_95, sorted.len());
+        writeln!(
+            out,
+            "  {} {unit} in {} of {all}: probability {:.4} ({low:.4} to {high:.4}); the rest is of the others",
+            point.at, point.seen, point.probability
+        )?;
+    }
     let (ks, cvm) = (goodness.kolmogorov_smirnov, goodness.cramer_von_mises);
-    let (ks_p, cvm_p) = (goodness.kolmogorov_smirnov_p, goodness.cramer_von_mises_p);
-    writeln!(out, "  Kolmogorov-Smirnov {ks:.3}, p {ks_p:.2}; Cramér-von Mises {cvm:.3}, p {cvm_p:.2}")?;
+    let (ks_p, cvm_p) = (shown_p(goodness.kolmogorov_smirnov_p), shown_p(goodness.cramer_von_mises_p));
+    writeln!(out, "  Kolmogorov-Smirnov {ks:.3}, p {ks_p}; Cramér-von Mises {cvm:.3}, p {cvm_p}")?;
     writeln!(
         out,
         "  tails: {:.2e} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {:.2e} beyond the largest, {:.3} {unit} ({} in the \
          highest)",
         tails.below_smallest,
-        sorted.len(),
+        sorted.len() as u64 - point_mass.map_or(0, |point| point.seen),
         tails.smallest,
         tails.in_lower_tenth,
         tails.beyond_largest,

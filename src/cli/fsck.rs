@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::{Failure, output};
-use crumple_search::falsify::campaign::with_journal;
+use crumple_search::falsify::campaign::{CAMPAIGN, Divided, with_journal};
 use crumple_search::work::{Examined, Restored, examine, is_there, restore};
 use crumple_world::quoted::Terminal;
 
@@ -67,7 +67,9 @@ impl Fsck {
         let restored = if self.restore { restore(folder)? } else { None };
         *text += &restored.map_or_else(String::new, |restored| back(folder, &restored));
         let found = with_journal(folder, examine(folder)?)?;
-        *text += &described(folder, &found);
+        // A part of a campaign is as it was written, and yet is not all of it.
+        let part = Divided::in_folder(folder).filter(|_| found.kind == CAMPAIGN && found.complete);
+        *text += &described(folder, &found, part.map_or(0, |part| part.missing()));
         Ok(found.is_whole())
     }
 }
@@ -93,9 +95,12 @@ fn back(folder: &Path, restored: &Restored) -> String {
     format!("{}\n", Terminal(&text))
 }
 
-fn described(folder: &Path, found: &Examined) -> String {
+fn described(folder: &Path, found: &Examined, missing_evaluations: u64) -> String {
     let is_damaged = found.files.iter().any(|(_, state)| state.is_err());
+    let part =
+        format!("put together without {missing_evaluations} evaluations of each method, whose shards were missing");
     let state = match (found.complete, found.is_of_this_build) {
+        (true, _) if missing_evaluations > 0 => &part,
         (true, _) => "complete",
         (false, true) if !found.is_whole() => "half done",
         (false, true) => "half done, --resume goes on with it",

@@ -15,7 +15,7 @@ use crumple_search::disk::{self, DiskError, Files};
 use crumple_world::quoted::Terminal;
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{
-    HardestBraking, ImportOptions, Imported, Leaders, MinBrake, Preview, import, load, preview,
+    ImportOptions, Imported, Leaders, MinBrake, Preview, hardest_braking, import, load, preview,
 };
 
 /// Turn braking episodes of recorded platoons into scenario files
@@ -42,8 +42,9 @@ pub(super) struct Import {
     /// What the columns of the recordings mean: a map, see docs/exchange.md
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
-    /// Say what was understood of the one recording, and draw it; no scenario is written
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]))]
+    /// Say what was understood of the one recording, and draw it; no scenario is written, and no threshold matters
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]),
+          conflicts_with_all = ["out", "leaders", "min_brake"])]
     preview: Option<PathBuf>,
     /// Whose braking makes an episode
     #[arg(long, value_enum, default_value = "any")]
@@ -54,7 +55,7 @@ pub(super) struct Import {
     /// Folder for the scenario files; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "episodes")]
     out: PathBuf,
-    /// Overwrite scenario files that are there and say something else, such as edited ones
+    /// Overwrite scenario files, or a picture, that are there and say something else, such as edited ones
     #[arg(long)]
     force: bool,
 }
@@ -110,23 +111,23 @@ impl Import {
         }
         let name = path.display().to_string();
         let Some(seen) = preview(&recording) else {
-            return Err(Failure::Gate(format!("{name}: no vehicle has a known speed")));
+            return Err(Failure::Gate(format!("{name}: {}", hardest_braking(&recording))));
         };
         let drawn = self::picture(&figures::recorded(&seen, &name), picture)?;
         let mut files = Files::default();
-        files.stage(&output::place(picture)?, &drawn)?;
+        stage_unless_edited(&mut files, picture, &drawn, self.force)?;
         files.commit()?;
         let Preview { leads, samples, time_s: [from_s, to_s], step_s, speed_mps: [slow, usual, fast], .. } = seen;
         let mut text = format!("{}: {}\n", Terminal(&name), recording.format.name());
-        text += &format!(
-            "  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, one each {step_s:.3} s\n"
-        );
+        let each = step_s.map_or("one of each vehicle".to_owned(), |step_s| format!("one each {step_s:.3} s"));
+        text +=
+            &format!("  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, {each}\n");
         text += &format!("  speed {slow:.2} to {fast:.2} m/s, median {usual:.2}\n");
         text += &match seen.gap_m {
             Some([near, usual, far]) => format!("  bumper gap {near:.2} to {far:.2} m, median {usual:.2}\n"),
             None => "  nobody follows anybody\n".to_owned(),
         };
-        text += &format!("  {}\n", Terminal(&hardest(seen.hardest.as_ref())));
+        text += &format!("  {}\n", Terminal(&seen.hardest.to_string()));
         output::print(&text)
     }
 
@@ -135,8 +136,7 @@ impl Import {
         let imported = import(&self.recordings, map, &ImportOptions { min_brake, leaders })?;
         if imported.scenarios.is_empty() {
             imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
-            let words =
-                imported.sources.iter().map(|one| format!("{}: {}", one.path.display(), hardest(one.hardest.as_ref())));
+            let words = imported.sources.iter().map(|one| format!("{}: {}", one.path.display(), one.hardest));
             let words: Vec<_> = words.collect();
             return Err(Failure::Gate(format!(
                 "no episode of {} m/s² that makes a scenario; {}",
@@ -148,7 +148,7 @@ impl Import {
         let mut files = Files::default();
         for scenario in &imported.scenarios {
             let path = self.out.join(&scenario.file_name);
-            stage_unless_edited(&mut files, &path, &scenario.toml, self.force)?;
+            stage_unless_edited(&mut files, &path, scenario.toml.as_bytes(), self.force)?;
         }
         files.commit()?;
         let others = self.other_scenarios(&imported)?;
@@ -178,27 +178,19 @@ impl Import {
     }
 }
 
-/// The hardest braking in words.
-fn hardest(found: Option<&HardestBraking>) -> String {
-    let Some(HardestBraking { event, number, from_s, drop_mps }) = found else { return "nobody brakes".to_owned() };
-    let event = event.as_ref().map(|event| format!(" of event {event}")).unwrap_or_default();
-    format!(
-        "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number}{event} from {from_s:.2} s on"
-    )
-}
-
-/// Stages a text for a file that is not there, or says the same; one that says something else is an error unless with `force`.
-pub(super) fn stage_unless_edited(files: &mut Files, path: &Path, text: &str, force: bool) -> Result<(), Failure> {
-    let found = match disk::read(path, text.len() as u64) {
+/// Stages a file that is not there, or holds the same; one that holds something else is an error unless with `force`.
+pub(super) fn stage_unless_edited(files: &mut Files, path: &Path, bytes: &[u8], force: bool) -> Result<(), Failure> {
+    let place = output::place(path)?;
+    let found = match disk::read(&place, bytes.len() as u64) {
         Err(error) if error.source.kind() == ErrorKind::FileTooLarge => Some(Vec::new()),
         found => found?,
     };
     match found {
-        Some(found) if found == text.as_bytes() => Ok(()),
+        Some(found) if found == bytes => Ok(()),
         Some(_) if !force => {
-            let problem = "is there and says something else: use --force to overwrite it, or another --out";
+            let problem = "is there and says something else: use --force to overwrite it, or another name";
             Err(Failure::Input(format!("{}: {problem}", path.display())))
         }
-        _ => Ok(files.stage(&output::place(path)?, text.as_bytes())?),
+        _ => Ok(files.stage(&place, bytes)?),
     }
 }

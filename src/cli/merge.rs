@@ -3,11 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use serde::Serialize;
 
 use super::output::rounded_up;
 use super::simulate::Format;
-use super::{Failure, assess, falsify, output, rare, suite, train, verify};
+use super::{Failure, assess, exposed, falsify, output, rare, suite, train, verify};
+use crumple_learn::rl::{MergedTrainings, is_of_trainings};
 use crumple_report::assessment::{MergedEvidence, SHARD_OF_AN_ASSESSMENT};
+use crumple_search::evidence::exposed::ExposedRate;
 use crumple_search::evidence::rare::{MergedEstimate, SHARD_OF_AN_ESTIMATE};
 use crumple_search::evidence::{MergedCount, SHARD_OF_A_COUNT, SoFar};
 use crumple_search::falsify::campaign::{MergedCampaign, SHARD_OF_A_CAMPAIGN};
@@ -24,7 +27,8 @@ code 2: shards of other work, shards that overlap, shards whose files are not as
 the same shard. Merging again into the same --out changes nothing.
 
 If all are there:
-  verify rate   the folder of --out is that of the same work on one machine, to the byte, certificate included
+  verify rate   the folder of --out is that of the same work on one machine, to the byte, certificate included, and so is what is printed, \
+failures per hour included
   falsify       the folder is that of one campaign: distinct failures of all shards, one front, coverage of the union. With --method uniform \
 or halton it is that of `falsify --log summary` on one machine, to the byte; other methods are as many searches as there are shards
   suite run     what is printed, and the scenarios in --out, are those of one machine, to the byte
@@ -32,8 +36,8 @@ or halton it is that of `falsify --log summary` on one machine, to the byte; oth
   train         the folders `seed-N`, training.json and the learning curve are those of one machine, to the byte
 
 If some are missing, or half done, it is said which, and the exit code is 1: make them with the same command and --resume, and merge again. Of a count, \
-an estimate and a suite nothing is written then, of a campaign with --partial only; it is its own campaign and wants another --out than the whole. \
-Evidence and trainings that are there are written.
+an estimate and a suite nothing is written then, of a search with --partial only; that is its own campaign and wants another --out than the whole. \
+Evidence and trainings that are there are written, and --partial is refused but for searches. With --format json what is missing is on standard output, too.
 
 Of a count what is missing cannot be left out: runs that are missing may be missing because of how they ended. The bound that is printed then \
 takes all of them as failures, which makes it hold whatever they come to.
@@ -48,10 +52,10 @@ pub(super) struct Merge {
     /// Folders of shards
     #[arg(required = true, value_name = "FOLDER")]
     folders: Vec<PathBuf>,
-    /// Where the whole goes; of a suite, the scenarios that failed
+    /// Where the whole goes, none of the shards; of a suite, the scenarios that failed
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Of a campaign: write the part that is there, though shards are missing; the exit code is 1 all the same
+    /// Of a search: write the part that is there, though shards are missing; the exit code is 1 all the same
     #[arg(long)]
     partial: bool,
     /// How to print
@@ -87,6 +91,37 @@ const MOST_FOLDERS: usize = 100_000;
 /// Missing ranges that are printed.
 const MOST_RANGES: usize = 20;
 
+/// What a folder holds.
+enum Shard {
+    /// A part of trainings, finished or not: each seed has a folder of its own.
+    Trainings,
+    /// Any other, finished.
+    Finished(Finished),
+}
+
+impl Shard {
+    /// What could be merged, or why there is nothing yet.
+    fn in_folder(folder: &Path) -> Result<Result<Self, String>, Failure> {
+        if is_of_trainings(folder) {
+            return Ok(Ok(Self::Trainings));
+        }
+        Ok(match find(folder)? {
+            Found::Nothing => Err("not begun".to_owned()),
+            Found::HalfDone(kind) => Err(format!("a {kind}, half done")),
+            Found::Finished(found) => Ok(Self::Finished(found)),
+        })
+    }
+
+    fn kind(&self) -> &str {
+        match self {
+            Self::Trainings => TRAININGS,
+            Self::Finished(found) => found.kind(),
+        }
+    }
+}
+
+const TRAININGS: &str = "shard of trainings";
+
 /// Shards of one work.
 enum Merged {
     Count(MergedCount),
@@ -94,10 +129,15 @@ enum Merged {
     Campaign(Box<MergedCampaign>),
     Suite(Box<MergedSuite>),
     Assessment(Box<MergedEvidence>),
+    Trainings(Box<MergedTrainings>),
 }
 
 impl Merged {
-    fn of(folder: &Path, found: &Finished) -> Result<Self, Failure> {
+    fn of(folder: &Path, shard: &Shard) -> Result<Self, Failure> {
+        let found = match shard {
+            Shard::Finished(found) => found,
+            Shard::Trainings => return Ok(Self::Trainings(Box::new(MergedTrainings::of(folder)?))),
+        };
         Ok(match found.kind() {
             SHARD_OF_A_COUNT => Self::Count(MergedCount::of(folder, found)?),
             SHARD_OF_AN_ESTIMATE => Self::Estimate(Box::new(MergedEstimate::of(folder, found)?)),
@@ -118,23 +158,34 @@ impl Merged {
             Self::Campaign(_) => SHARD_OF_A_CAMPAIGN,
             Self::Suite(_) => SHARD_OF_A_SUITE,
             Self::Assessment(_) => SHARD_OF_AN_ASSESSMENT,
+            Self::Trainings(_) => TRAININGS,
         }
     }
 
-    fn take(&mut self, folder: &Path, found: &Finished) -> Result<(), Failure> {
-        if found.kind() != self.kind() {
-            let kind = found.kind();
-            return Err(Failure::Input(format!("{}: a {kind}, which those before it are not", folder.display())));
-        }
-        let taken = match self {
-            Self::Count(merged) => merged.take(folder, found),
-            Self::Estimate(merged) => merged.take(folder, found),
-            Self::Campaign(merged) => merged.take(folder, found),
-            Self::Suite(merged) => merged.take(folder, found),
-            Self::Assessment(merged) => merged.take(folder, found),
+    fn take(&mut self, folder: &Path, shard: &Shard) -> Result<(), Failure> {
+        let (kind, own) = (shard.kind(), self.kind());
+        let is_same = kind == own;
+        let taken = match (self, shard) {
+            (Self::Trainings(merged), Shard::Trainings) => return Ok(merged.take(folder)?),
+            (Self::Count(merged), Shard::Finished(found)) if is_same => merged.take(folder, found),
+            (Self::Estimate(merged), Shard::Finished(found)) if is_same => merged.take(folder, found),
+            (Self::Campaign(merged), Shard::Finished(found)) if is_same => merged.take(folder, found),
+            (Self::Suite(merged), Shard::Finished(found)) if is_same => merged.take(folder, found),
+            (Self::Assessment(merged), Shard::Finished(found)) if is_same => merged.take(folder, found),
+            _ => {
+                let problem = format!("{}: a {kind}, and what came before it is a {own}", folder.display());
+                return Err(Failure::Input(problem));
+            }
         };
         Ok(taken?)
     }
+}
+
+/// A path without links, of which the end may not be there yet.
+fn resolved(path: &Path) -> PathBuf {
+    let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let real = |ancestor: &Path| Some(ancestor.canonicalize().ok()?.join(whole.strip_prefix(ancestor).ok()?));
+    whole.ancestors().find_map(real).unwrap_or(whole.clone())
 }
 
 impl Merge {
@@ -142,19 +193,13 @@ impl Merge {
         if self.folders.len() > MOST_FOLDERS {
             return Err(Failure::Input(format!("{} folders: at most {MOST_FOLDERS} are read", self.folders.len())));
         }
-        if self.folders.iter().any(|folder| train::is_of_trainings(folder)) {
-            self.only_text_or_json("trainings")?;
-            return train::merge(&self.folders, &self.out, quiet);
-        }
+        self.goes_elsewhere()?;
         let (mut merged, mut open): (Option<Merged>, _) = (None, Vec::new());
         for folder in &self.folders {
-            match find(folder)? {
-                Found::Nothing => open.push(format!("{}: not begun", folder.display())),
-                Found::HalfDone(kind) => open.push(format!("{}: a {kind}, half done", folder.display())),
-                Found::Finished(found) => match &mut merged {
-                    None => merged = Some(Merged::of(folder, &found)?),
-                    Some(merged) => merged.take(folder, &found)?,
-                },
+            match (Shard::in_folder(folder)?, &mut merged) {
+                (Err(why), _) => open.push(format!("{}: {why}", folder.display())),
+                (Ok(shard), None) => merged = Some(Merged::of(folder, &shard)?),
+                (Ok(shard), Some(merged)) => merged.take(folder, &shard)?,
             }
         }
         for folder in &open {
@@ -163,16 +208,32 @@ impl Merge {
         let Some(merged) = merged else {
             return Err(Failure::Gate("none of these folders holds a finished shard".to_owned()));
         };
-        if let Merged::Suite(merged) = &merged {
-            return suite::merge(merged, &self.out, self.format.of_suite());
+        if self.partial && !matches!(merged, Merged::Campaign(_)) {
+            let kind = merged.kind();
+            return Err(Failure::Input(format!("--partial: only of a search a part is of use, and these are: {kind}")));
         }
-        let format = self.only_text_or_json(merged.kind())?;
+        let format = self.only_text_or_json(merged.kind());
         match merged {
-            Merged::Count(merged) => self.count(&merged, format),
-            Merged::Estimate(merged) => rare::merge(&merged, &self.out, format),
-            Merged::Campaign(merged) => falsify::merge(&merged, &self.out, (format, self.partial), quiet),
-            Merged::Assessment(merged) => assess::merge(&merged, &self.out),
-            Merged::Suite(_) => Ok(()),
+            Merged::Suite(merged) => suite::merge(&merged, &self.out, self.format.of_suite()),
+            Merged::Count(merged) => self.count(&merged, format?),
+            Merged::Estimate(merged) => rare::merge(&merged, &self.out, format?),
+            Merged::Campaign(merged) => falsify::merge(&merged, &self.out, (format?, self.partial), quiet),
+            Merged::Assessment(merged) => assess::merge(&merged, &self.out, format?),
+            Merged::Trainings(merged) => train::merge(&merged, &self.out, format?, quiet),
+        }
+    }
+
+    /// Whether the whole goes into none of the shards, where it would be taken for theirs.
+    fn goes_elsewhere(&self) -> Result<(), Failure> {
+        let out = resolved(&self.out);
+        match self.folders.iter().find(|folder| folder.canonicalize().is_ok_and(|folder| out.starts_with(folder))) {
+            None => Ok(()),
+            Some(shard) => {
+                let (out, shard) = (self.out.display(), shard.display());
+                Err(Failure::Input(format!(
+                    "--out: {out} is, or is in, {shard}, which is one of the shards: use another"
+                )))
+            }
         }
     }
 
@@ -189,10 +250,10 @@ impl Merge {
     fn count(&self, merged: &MergedCount, format: Format) -> Result<(), Failure> {
         let Some((path, certificate)) = merged.write_in(&self.out)? else {
             let so_far = merged.so_far();
-            let printed = output::print(&match format {
-                Format::Json => serde_json::to_string(&so_far).map_err(Failure::input)? + "\n",
-                Format::Text => incomplete(&so_far),
-            });
+            let printed = match format {
+                Format::Json => output::print_json(&so_far),
+                Format::Text => output::print(&incomplete(&so_far)),
+            };
             let runs: u64 = so_far.missing_runs.iter().map(|[start, end]| end.saturating_sub(*start)).sum();
             return Failure::gate_first(
                 Err(Failure::Gate(format!("{runs} runs are missing, and nothing is written"))),
@@ -200,14 +261,26 @@ impl Merge {
             );
         };
         let said = verify::judged(&path, &certificate)?;
-        output::print(&match format {
-            Format::Json => serde_json::to_string(&merged.so_far()).map_err(Failure::input)? + "\n",
+        let exposed = merged.exposed()?;
+        match format {
+            Format::Json => output::print_json(&Counted { count: merged.so_far(), exposed }),
             Format::Text => {
                 let tally = merged.tally().unwrap_or_default();
-                format!("{}{said}", verify::counted(merged.record().is_of_two(), &tally))
+                let exposed = exposed.map(|rate| exposed::text(&rate)).unwrap_or_default();
+                output::print(&format!("{}{said}{exposed}", verify::counted(merged.record().is_of_two(), &tally)))
             }
-        })
+        }
     }
+}
+
+/// A count whose runs are all there, for programs.
+#[derive(Serialize)]
+struct Counted {
+    #[serde(flatten)]
+    count: SoFar,
+    /// What the failures come to per hour, where the space says in how much driving it was seen.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    exposed: Option<ExposedRate>,
 }
 
 /// What is there, and what is not.

@@ -6,7 +6,9 @@ mod benchmark;
 mod check;
 mod checked;
 mod choice;
+mod cruise;
 mod doctor;
+mod explore;
 mod export;
 mod exposed;
 mod failure;
@@ -68,6 +70,7 @@ enum Command {
     Import(import::Import),
     Fit(fit::Fit),
     Export(export::Export),
+    Explore(explore::Explore),
     Train(train::Train),
     // Far more arguments than any other.
     Retrain(Box<retrain::Retrain>),
@@ -112,6 +115,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Import(command) => command.run(quiet),
         Command::Fit(command) => command.run(quiet),
         Command::Export(command) => command.run(quiet),
+        Command::Explore(command) => command.run(quiet),
         Command::Train(command) => command.run(quiet),
         Command::Retrain(command) => command.run(quiet),
         Command::Avoid(command) => command.run(quiet),

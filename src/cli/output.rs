@@ -5,6 +5,8 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+
 use super::Failure;
 use crumple_search::disk::DiskError;
 use crumple_world::quoted::{Lines, Terminal};
@@ -17,6 +19,11 @@ pub(super) fn print(text: &str) -> Result<(), Failure> {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Err(source) => Err(DiskError::at(Path::new("standard output"))(source).into()),
     }
+}
+
+/// Prints one JSON object in a line.
+pub(super) fn print_json(object: &impl Serialize) -> Result<(), Failure> {
+    print(&(serde_json::to_string(object).map_err(Failure::input)? + "\n"))
 }
 
 /// Says something on standard error, in one line, unless told to be quiet.

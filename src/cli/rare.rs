@@ -3,10 +3,12 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use serde::Serialize;
+
 use super::simulate::Format;
 use super::{Failure, exposed, interrupt, output, progress};
 use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, MergedEstimate, RareError, RarePlan, RareReport};
-use crumple_search::shard::{Shard, as_array};
+use crumple_search::shard::{MissingShards, Shard};
 
 /// Estimates, writes the estimate to `folder` and prints it; of one that is there, and with `resume`, prints it.
 pub(super) fn estimate(
@@ -52,8 +54,14 @@ fn climbed(plan: &RarePlan, resamples: u32, quiet: bool) -> Result<RareReport, F
 }
 
 /// Makes a shard of an estimate, in `folder`, unless it is there.
-pub(super) fn shard(plan: &RarePlan, shard: Shard, folder: &Path, resume: bool, quiet: bool) -> Result<(), Failure> {
-    let part = plan.shard_in_folder(shard, folder, resume)?;
+pub(super) fn shard(
+    plan: &RarePlan,
+    (shard, resamples): (Shard, u32),
+    folder: &Path,
+    resume: bool,
+    quiet: bool,
+) -> Result<(), Failure> {
+    let part = plan.shard_in_folder((shard, resamples), folder, resume)?;
     if !part.is_complete() {
         interrupt::says(
             "nothing of a shard is kept halfway: the same command with --resume begins it anew".to_owned(),
@@ -71,13 +79,24 @@ pub(super) fn shard(plan: &RarePlan, shard: Shard, folder: &Path, resume: bool, 
     output::print(&format!("{}: shard {shard}; {said}\n", folder.display()))
 }
 
+/// What is missing of an estimate, for programs.
+#[derive(Serialize)]
+struct Incomplete {
+    missing_repetitions: u64,
+    #[serde(flatten)]
+    shards: MissingShards,
+}
+
 /// Puts shards of an estimate together, and prints the estimate.
 pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: Format) -> Result<(), Failure> {
     let Some((_, report)) = merged.write_in(folder)? else {
-        let (of, missing) = merged.missing_shards();
-        let which = of.map_or_else(String::new, |of| format!(", shards {} of {of}", as_array(&missing)));
-        let repetitions = merged.missing();
-        return Err(Failure::Gate(format!("{repetitions} repetitions are missing{which}, and nothing is written")));
+        let (missing_repetitions, shards) = (merged.missing(), merged.missing_shards());
+        let gate = format!("{missing_repetitions} repetitions are missing{shards}, and nothing is written");
+        let printed = match format {
+            Format::Json => output::print_json(&Incomplete { missing_repetitions, shards }),
+            Format::Text => Ok(()),
+        };
+        return Failure::gate_first(Err(Failure::Gate(gate)), printed);
     };
     output::print(&match format {
         Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
@@ -89,6 +108,7 @@ impl From<RareError> for Failure {
     fn from(error: RareError) -> Self {
         match error {
             RareError::Work(error) => error.into(),
+            RareError::Merge(error) => error.into(),
             other => Self::input(other),
         }
     }
@@ -107,7 +127,8 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
     if report.nondeterministic {
         writeln!(out, "  the controller says that it is not deterministic: the same estimate may come out otherwise")?;
     }
-    let Estimate { probability, coefficient_of_variation, interval_95, repetitions, evaluations, levels } = estimate;
+    let Estimate { probability, coefficient_of_variation, interval_95, repetitions, evaluations, levels, .. } =
+        estimate;
     match (probability, coefficient_of_variation, interval_95) {
         (None, ..) if levels.len() == MOST_LEVELS => {
             writeln!(
@@ -133,6 +154,13 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
                 repetitions.len()
             )?;
         }
+    }
+    if interval_95.is_none()
+        && let Some([low, high]) = estimate.independent(0.95)
+    {
+        let (failures, runs) = (estimate.independent_failures, estimate.independent_runs);
+        let high = output::rounded_up(high);
+        writeln!(out, "  {failures} of the {runs} draws it began with fail: between {low:.2e} and {high} at 95 %")?;
     }
     let died = repetitions.iter().filter(|estimate| **estimate == 0.0).count();
     if died > 0 && died < repetitions.len() {

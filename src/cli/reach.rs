@@ -4,26 +4,31 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use crumple_search::disk::Files;
-use crumple_verify::{WorkLimit, check_within};
+use crumple_verify::{Certificate, WorkLimit, check_within};
 
 use super::output;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
-use crumple_search::evidence::{BoxSpec, Partition, ReachPlan, Shares};
+use crumple_search::evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, Shares};
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
-/// From which part of a box of starts a learned policy touches nobody
+/// From which part of a box of starts a learned policy or a network touches nobody
 #[derive(Args)]
 #[command(after_long_help = "\
 The network, the vehicles and the follower's emergency brake are bounded for all members of a box at once, rounding included. \
 A box that stays undecided is cut in two, again and again, up to a million boxes, whatever --depth is; the rest stays undecided. The policy sees the truth, or numbers within the stated errors of it. \
 The policy file is written beside the certificate, which `crumple-verify` checks from these two files alone.
 
-Example:
-  crumple verify reach --controller policy --box corpora/boxes/paper-1.toml --depth 6 --certificate reach/paper-1.json")]
+A network from outside (F.onnx, F.zip, or a controller file F.toml) is written there as crumple has read it. The certificate \
+assumes that this is what the source file means; `crumple check --policy F.onnx` reads the source again. What it sees has to be sums and \
+differences of what is observed now, each with offset, scale and limits: no time gaps, no history, no last answer.
+
+Examples:
+  crumple verify reach --controller policy --box corpora/boxes/paper-1.toml --depth 6 --certificate reach/paper-1.json
+  crumple verify reach --controller acc.toml --box corpora/boxes/paper-1.toml --certificate reach/acc.json")]
 pub(super) struct Reach {
-    /// A learned policy: `policy`, or a policy file
+    /// A learned policy (`policy`, or a policy file), or a network (F.onnx, F.zip, F.toml)
     #[arg(long, value_name = "C", default_value = "policy", value_parser = subject::controller)]
     controller: NamedController,
     /// The box
@@ -43,13 +48,13 @@ pub(super) struct Reach {
 impl Reach {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let place = self.starts.display();
-        let failed = |error: crumple_search::evidence::InvalidBox| Failure::Input(format!("{place}: {error}"));
-        let is_shielded = matches!(self.controller.kind, crumple_world::sim::ControllerKind::Shielded(_));
-        let policy = self.controller.policy().filter(|_| !is_shielded);
-        let policy = policy
-            .ok_or_else(|| Failure::Input("--controller: must be a learned policy of crumple's own".to_owned()))?;
+        let failed = |error: InvalidBox| match error {
+            InvalidBox::Controller(problem) => Failure::Input(format!("--controller: {problem}")),
+            InvalidBox::Mapping(invalid) => Failure::Input(format!("--controller: cannot be followed: {invalid}")),
+            other => Failure::Input(format!("{place}: {other}")),
+        };
         let text = file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?;
-        let plan = ReachPlan::new(policy, &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
+        let plan = ReachPlan::new(self.controller.kind, &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
         let told = |now: &Shares| {
             bar.set_position(u64::from(now.depth));
@@ -60,12 +65,7 @@ impl Reach {
         let accepted = check_within(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::NONE)
             .map_err(|rejection| Failure::Gate(format!("not shown: {rejection}")))?;
         if let Some(path) = &self.certificate {
-            let mut files = Files::default();
-            let text = serde_json::to_string_pretty(&partition.certificate).map_err(Failure::input)? + "\n";
-            files.stage(&output::place(path)?, text.as_bytes())?;
-            let policy = path.parent().unwrap_or(Path::new("")).join(plan.policy_file());
-            files.stage(&output::place(&policy)?, plan.policy_bytes())?;
-            files.commit()?;
+            keep(path, &partition.certificate, plan.policy_bytes())?;
         }
         let Partition { shares, doubts, .. } = &partition;
         output::print(&match self.format {
@@ -83,6 +83,18 @@ impl Reach {
             }
         })
     }
+}
+
+/// Writes a certificate, and beside it the file of the network that it names.
+pub(super) fn keep(path: &Path, certificate: &Certificate, network: &[u8]) -> Result<(), Failure> {
+    let mut files = Files::default();
+    let text = serde_json::to_string_pretty(certificate).map_err(Failure::input)? + "\n";
+    files.stage(&output::place(path)?, text.as_bytes())?;
+    if let Some((name, _)) = certificate.policy() {
+        let beside = path.parent().unwrap_or(Path::new("")).join(name);
+        files.stage(&output::place(&beside)?, network)?;
+    }
+    Ok(files.commit()?)
 }
 
 fn line(now: &Shares) -> String {

@@ -52,10 +52,13 @@ impl Man {
 }
 
 /// The pages of a command and of all below it, and how many they are.
-fn write_pages(command: Command, folder: &Path, files: &mut Files) -> Result<usize, Failure> {
+fn write_pages(mut command: Command, folder: &Path, files: &mut Files) -> Result<usize, Failure> {
     let below: Vec<Command> =
         command.get_subcommands().filter(|below| !below.is_hide_set() && below.get_name() != "help").cloned().collect();
-    let page = clap_mangen::Man::new(command);
+    // What `--help` says: the synopsis that a page would make of the options tells neither what they take nor which must be there.
+    let usage = command.render_usage().to_string();
+    let usage = usage.strip_prefix("Usage:").unwrap_or(&usage).trim().to_owned();
+    let page = clap_mangen::Man::new(command.override_usage(usage));
     let path = folder.join(page.get_filename());
     let mut text = Vec::new();
     page.render(&mut text).map_err(DiskError::at(&path))?;

@@ -5,15 +5,17 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
+use serde::Serialize;
 
 use super::{Failure, choice, interrupt, output, progress, subject, suite_map};
 use crumple_report::suite;
 use crumple_search::disk::{DiskError, Files};
-use crumple_search::shard::{Shard, as_array};
+use crumple_search::shard::{MissingShards, Shard};
 use crumple_search::suite::{
-    Failed, MergedSuite, SHIPPED, STATEMENT, Suite, SuiteError, SuiteResult, SuiteShardError, TestVerdict, Tested, run,
-    run_shard,
+    Failed, MergedSuite, NOT_SHIPPED, SHIPPED, STATEMENT, Suite, SuiteError, SuiteResult, SuiteShardError, TestVerdict,
+    Tested, run, run_shard,
 };
+use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::ShellWord;
 use crumple_world::scenario::file;
@@ -47,7 +49,7 @@ enum Command {
 /// Run a suite: clause, test, verdict, margin
 #[derive(Args)]
 #[command(after_long_help = "\
-A test passes if there is no contact before it ends. A margin says how far a figure can be pushed until the test fails, the others \
+A test passes if there is no contact before it ends, or none faster than it allows. A margin says how far a figure can be pushed until the test fails, the others \
 held; both sides of the boundary are simulated. Where a test failed it is said whether each reference driver, who sees the truth, \
 would have prevented it, and, of the first three points, whether anybody could have.
 
@@ -90,11 +92,13 @@ struct RunSuite {
 /// Run every suite that is shipped, and print one table in Markdown
 #[derive(Args)]
 #[command(after_long_help = "\
-Example:
-  crumple suite table --controller idm --controller acc-aeb --controller policy > suites.md")]
+Examples:
+  crumple suite table > suites.md
+  crumple suite table --controller idm --controller acc-aeb --controller policy")]
 struct TableOfSuites {
-    /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated
-    #[arg(long = "controller", value_name = "C", required = true, value_parser = subject::controller)]
+    /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated [default: every built-in one, and
+    /// those that were learned behind the shield, too]
+    #[arg(long = "controller", value_name = "C", value_parser = subject::controller)]
     controllers: Vec<NamedController>,
     /// What the vehicle under test looks through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
@@ -103,11 +107,20 @@ struct TableOfSuites {
 
 impl TableOfSuites {
     fn run(self) -> Result<(), Failure> {
-        let run =
-            |(name, _): &(&str, &str)| run(&find(name)?, &self.controllers, self.estimator).map_err(Failure::input);
+        let controllers = if self.controllers.is_empty() { built_in()? } else { self.controllers };
+        let run = |(name, _): &(&str, &str)| run(&find(name)?, &controllers, self.estimator).map_err(Failure::input);
         let results = SHIPPED.iter().map(run).collect::<Result<Vec<_>, Failure>>()?;
         output::print(&suite::table(&results))
     }
+}
+
+/// Every built-in controller, and those that were learned behind the shield, too.
+fn built_in() -> Result<Vec<NamedController>, Failure> {
+    let all = ControllerSpec::built_in();
+    let learned = all.iter().filter(|spec| spec.role() == Role::Learned);
+    let shielded = learned.map(|spec| format!("shield:{}", spec.name()));
+    let names = all.iter().map(|spec| spec.name().to_owned()).chain(shielded);
+    names.map(|name| NamedController::find(&name, Path::new("")).map_err(Failure::input)).collect()
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -173,13 +186,18 @@ fn list(format: super::simulate::Format) -> Result<(), Failure> {
         super::simulate::Format::Json => {
             let entry = |(name, about, document): &(&str, String, String)| serde_json::json!({ "name": name, "about": about, "document": document });
             let suites: Vec<_> = entries.iter().map(entry).collect();
-            format!("{}\n", serde_json::json!({ "statement": STATEMENT, "suites": suites }))
+            let absent = |(document, why): &(&str, &str)| serde_json::json!({ "document": document, "why": why });
+            let absent: Vec<_> = NOT_SHIPPED.iter().map(absent).collect();
+            format!("{}\n", serde_json::json!({ "statement": STATEMENT, "suites": suites, "not_shipped": absent }))
         }
         super::simulate::Format::Text => {
             let mut text = String::new();
             for (name, about, document) in entries {
                 // Writing to a string cannot fail.
                 let _ = writeln!(text, "  {name:<20}{about} {document}");
+            }
+            for (document, why) in NOT_SHIPPED {
+                let _ = writeln!(text, "Not shipped: {document}; {why}.");
             }
             format!("{text}{STATEMENT}\n")
         }
@@ -256,18 +274,30 @@ impl RunSuite {
 /// Puts shards together and prints what one machine would, with the scenarios that failed in a folder.
 pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: Format) -> Result<(), Failure> {
     let Some(result) = merged.result() else {
-        let missing = merged.missing();
-        let (of, which) = merged.missing_shards();
-        let which = of.map_or_else(String::new, |of| format!(", shards {} of {of}", as_array(&which)));
+        let (missing_tests, shards) = (merged.missing(), merged.missing_shards());
+        let missing = &missing_tests;
         let mut shown: Vec<_> = missing.iter().take(MOST_SHOWN).cloned().collect();
         if let Some(more @ 1..) = missing.len().checked_sub(MOST_SHOWN) {
             shown.push(format!("and {more} more"));
         }
-        let shown = shown.join(", ");
-        return Err(Failure::Gate(format!("tests are missing{which}, and nothing is written: {shown}")));
+        let gate = format!("tests are missing{shards}, and nothing is written: {}", shown.join(", "));
+        let printed = match format {
+            Format::Json => output::print_json(&Incomplete { missing_tests, shards }),
+            Format::Text | Format::Junit | Format::Html => Ok(()),
+        };
+        return Failure::gate_first(Err(Failure::Gate(gate)), printed);
     };
     write(&result, folder)?;
     output::print(&rendered(&result, &known(&result), Some(folder), format)?)
+}
+
+/// What is missing of a suite, for programs.
+#[derive(Serialize)]
+struct Incomplete {
+    /// Each with its controller.
+    missing_tests: Vec<String>,
+    #[serde(flatten)]
+    shards: MissingShards,
 }
 
 /// Missing tests that are named.

@@ -35,12 +35,12 @@ pub(super) struct MapCommand {
     /// What the controllers look through; reference drivers see the truth
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Of car-following: the gap at the start as the time that driving it takes, 0.2 to 10 s
-    #[arg(long, value_name = "S", default_value_t = 1.5)]
-    time_gap: f64,
-    /// Of cut-ins: speed of the vehicle under test, 30 to 250 km/h
-    #[arg(long, value_name = "KM/H", default_value_t = 100.0)]
-    own_speed: f64,
+    /// Of car-following alone: the gap at the start as the time that driving it takes, 0.2 to 10 s [default: 1.5]
+    #[arg(long, value_name = "S")]
+    time_gap: Option<f64>,
+    /// Of cut-ins alone: speed of the vehicle under test, 30 to 250 km/h [default: 100]
+    #[arg(long, value_name = "KM/H")]
+    own_speed: Option<f64>,
     /// Cells across and up, 2 to 100 each
     #[arg(long, value_name = "AxB", default_value = "24x18", value_parser = cells)]
     cells: [usize; 2],
@@ -98,11 +98,18 @@ fn cells(text: &str) -> Result<[usize; 2], String> {
 
 impl MapCommand {
     pub(super) fn run(self) -> Result<(), Failure> {
+        let (time_gap_s, own_speed_kmph) = (self.time_gap.unwrap_or(1.5), self.own_speed.unwrap_or(100.0));
         let (situation, held) = match self.situation {
-            Kind::CarFollowing => (Situation::CarFollowing { time_gap_s: self.time_gap }, "--time-gap"),
-            Kind::CutInGap => (Situation::CutInGap { own_speed_kmph: self.own_speed }, "--own-speed"),
-            Kind::CutInTime => (Situation::CutInTime { own_speed_kmph: self.own_speed }, "--own-speed"),
+            Kind::CarFollowing => (Situation::CarFollowing { time_gap_s }, "--time-gap"),
+            Kind::CutInGap => (Situation::CutInGap { own_speed_kmph }, "--own-speed"),
+            Kind::CutInTime => (Situation::CutInTime { own_speed_kmph }, "--own-speed"),
         };
+        for (option, is_given) in [("--time-gap", self.time_gap.is_some()), ("--own-speed", self.own_speed.is_some())] {
+            if is_given && option != held {
+                let map = situation.name();
+                return Err(Failure::Input(format!("{option}: has no place on the map {map}, which holds {held}")));
+            }
+        }
         let spec = MapSpec::new(situation, self.cells).map_err(|problem| {
             let option = if matches!(problem, MapProblem::Cells(..)) { "--cells" } else { held };
             Failure::Input(format!("{option}: {problem}"))

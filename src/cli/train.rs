@@ -7,14 +7,14 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
+use super::simulate::Format;
 use super::{Failure, interrupt, output, progress};
-pub(super) use crumple_learn::rl::is_of_trainings;
 use crumple_learn::rl::{
-    Event, GatherError, HeldOut, LearningCurve, SeedResult, SpaceShare, TrainingConfig, TrainingError, TrainingFolder,
-    TrainingShard, UNSEEN_DRAWS, finished_trainings, seed_folder, side_by_side,
+    Event, GatherError, HeldOut, LearningCurve, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
+    TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, seed_folder, side_by_side,
 };
 use crumple_search::disk::{self, Files};
-use crumple_search::shard::{Shard, as_array};
+use crumple_search::shard::{MissingShards, Shard, as_array};
 use crumple_search::work;
 
 /// Train a driving policy by reinforcement learning
@@ -199,34 +199,44 @@ fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(),
     Ok(())
 }
 
+/// What shards of trainings come to, for programs.
+#[derive(Serialize)]
+struct Merged<'a> {
+    /// Those that are finished.
+    seeds: &'a [SeedResult],
+    /// Of how many, from 0.
+    of_seeds: u64,
+    missing_seeds: &'a [u32],
+    #[serde(flatten)]
+    shards: MissingShards,
+}
+
 /// Puts the seeds of several shards together, with what they come to. Seeds that are missing end with exit code 1.
-pub(super) fn merge(folders: &[PathBuf], out: &Path, quiet: bool) -> Result<(), Failure> {
-    let Some((first, rest)) = folders.split_first() else { return Ok(()) };
+pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: Format, quiet: bool) -> Result<(), Failure> {
     if work::is_there(out) {
         return Err(Failure::Input(format!(
             "{}: holds other work: trainings need an --out of their own",
             out.display()
         )));
     }
-    let of_first = TrainingShard::read(first)?;
-    let config = of_first.config(first)?;
-    disk::make_folder(out)?;
-    for folder in std::iter::once(first).chain(rest) {
-        TrainingShard::read(folder)?.gather(folder, (first.as_path(), &of_first), out)?;
-    }
-    work::exclusively(out, || write_results(out, &config, quiet))?;
-    let done: Vec<SeedResult> = finished_trainings(out, &config)?.into_iter().map(|(result, _)| result).collect();
-    let printed = if done.is_empty() { Ok(()) } else { output::print(&table(&done, config.evaluation.ranking_draws)) };
+    let config = merged.config();
+    merged.write_in(out)?;
+    work::exclusively(out, || write_results(out, config, quiet))?;
+    let done: Vec<SeedResult> = finished_trainings(out, config)?.into_iter().map(|(result, _)| result).collect();
     let is_missing = |seed: &u64| !done.iter().any(|result| result.seed == *seed);
-    let missing: Vec<u32> = (0..of_first.seeds()).filter(is_missing).filter_map(|seed| seed.try_into().ok()).collect();
-    let all = of_first.seeds();
-    Failure::gate_first(
-        match missing.is_empty() {
-            true => gate(&done),
-            false => Err(Failure::Gate(format!("seeds are missing of {all}: {}", as_array(&missing)))),
-        },
-        printed,
-    )
+    let of_seeds = merged.seeds();
+    let missing: Vec<u32> = (0..of_seeds).filter(is_missing).filter_map(|seed| seed.try_into().ok()).collect();
+    let shards = merged.missing_shards();
+    let gate = match missing.is_empty() {
+        true => gate(&done),
+        false => Err(Failure::Gate(format!("seeds are missing of {of_seeds}: {}{shards}", as_array(&missing)))),
+    };
+    let printed = match format {
+        Format::Json => output::print_json(&Merged { seeds: &done, of_seeds, missing_seeds: &missing, shards }),
+        Format::Text if done.is_empty() => Ok(()),
+        Format::Text => output::print(&table(&done, config.evaluation.ranking_draws)),
+    };
+    Failure::gate_first(gate, printed)
 }
 
 /// Every seed has learned something.

@@ -92,8 +92,8 @@ struct Rate {
     /// With --rare: how to print [default: text]
     #[arg(long, value_enum, requires = "rare")]
     format: Option<Format>,
-    /// In a space fitted to episodes: resamples of these, to each of which it is fitted again: 0 (none) or 20 to 2000 [default: 200, with
-    /// --rare 40, each with an estimate of about 20 000 runs]
+    /// In a space fitted to episodes: resamples of these, to each of which it is fitted again: 0 (none) or 79 to 2000 [default: 200, with
+    /// --rare 80, each with an estimate of about 20 000 runs]
     #[arg(long, value_name = "N", value_parser = exposed::resamples)]
     resamples: Option<u32>,
     /// Runs made in each of them, without --rare: 50 to 100 000
@@ -152,7 +152,8 @@ impl Rate {
             runs,
             confidence: self.confidence,
         })
-        .map_err(Failure::input)?;
+        .map_err(Failure::input)?
+        .with_resampling((self.resamples.unwrap_or(200), self.resample_runs));
         output::note_beginning(self.resume, &out, quiet);
         let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
         let kept = format!("what is counted is kept in {}", out.display());
@@ -176,8 +177,7 @@ impl Rate {
         bar.finish_and_clear();
         let said = judged(&count.certificate_path(), &certificate?)?;
         let bar = progress::counter("resampling", quiet);
-        let exposed =
-            plan.exposed(count.tally(), (self.resamples.unwrap_or(200), self.resample_runs), &mut |runs| bar.inc(runs));
+        let exposed = plan.exposed(count.tally(), &mut |runs| bar.inc(runs));
         bar.finish_and_clear();
         let exposed = exposed.map_err(Failure::input)?.map(|rate| exposed::text(&rate)).unwrap_or_default();
         output::print(&format!("{}{said}{exposed}", counted(is_comparison, count.tally())))
@@ -194,17 +194,11 @@ impl Rate {
                 repetitions: self.repetitions.unwrap_or(20) as usize,
             },
         };
+        let resamples = self.resamples.unwrap_or(80);
         if let Some(shard) = self.shard {
-            return rare::shard(&plan, shard, &self.out_of(), self.resume, quiet);
+            return rare::shard(&plan, (shard, resamples), &self.out_of(), self.resume, quiet);
         }
-        rare::estimate(
-            &plan,
-            self.resamples.unwrap_or(40),
-            &self.out_of(),
-            self.resume,
-            self.format.unwrap_or(Format::Text),
-            quiet,
-        )
+        rare::estimate(&plan, resamples, &self.out_of(), self.resume, self.format.unwrap_or(Format::Text), quiet)
     }
 
     /// Where it goes.

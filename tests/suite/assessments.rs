@@ -169,7 +169,7 @@ fn every_command_of_a_report_runs_in_its_folder() {
     fs::write(folder.path().join("episodes/e.toml"), episode).expect("writes");
     let mut asked = config(&["baseline", policy, &format!("shield,ahead=8:{policy}")]);
     asked.search.spaces = Some(vec!["own space.toml".to_owned()]);
-    (asked.search.budget, asked.scenarios, asked.certificates) = (60, vec!["episodes".into()], None);
+    (asked.search.budget, asked.draws, asked.scenarios, asked.certificates) = (5, 5, vec!["episodes".into()], None);
     let assessment = run(asked, folder.path());
     let report = folder.path().join("the report");
     for (name, contents) in assessment.files().expect("renders") {
@@ -376,7 +376,7 @@ fn damaged_evidence_is_gathered_again() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut asked = config(&["baseline", "policy"]);
     asked.search.spaces = Some(vec!["high-risk".to_owned()]);
-    (asked.paper, asked.draws, asked.search.budget, asked.rates.runs) = (false, 10, 20, 200);
+    (asked.paper, asked.draws, asked.search.budget, asked.rates.runs) = (false, 4, 5, 60);
     let plan = AssessmentPlan::new(asked, [], folder.path()).expect("valid");
     let kept = folder.path().join("evidence");
     let gather = || {
@@ -396,8 +396,8 @@ fn damaged_evidence_is_gathered_again() {
     let mut damage = |what: String, of: &dyn Fn(usize, &[u8]) -> Vec<u8>| {
         damages.push((what, whole.iter().enumerate().map(|(index, bytes)| of(index, bytes)).collect()));
     };
-    for place in 0..6 {
-        damage(format!("flipped at {place} sixths"), &|_, bytes| {
+    for place in [0, 4] {
+        damage(format!("flipped at {place} fifths"), &|_, bytes| {
             let mut bytes = bytes.to_vec();
             let at = place * (bytes.len() - 1) / 5;
             bytes[at] ^= 4;

@@ -211,7 +211,8 @@ fn an_assessment_says_who_failed_and_when() {
     let mut config = AssessConfig::default();
     config.controllers = vec!["baseline".to_owned()];
     config.gates.clear();
-    (config.draws, config.search.budget, config.rates.runs) = (20, 20, 0);
+    (config.draws, config.search.budget, config.rates.runs, config.everyday_draws) = (20, 5, 0, 4);
+    (config.search.spaces, config.certificates) = (Some(vec!["paper".to_owned()]), Some(Vec::new()));
     let own = [Failing::at(100, Ok(f64::NAN)).named()];
     let plan = AssessmentPlan::new(config, own, std::path::Path::new("")).unwrap();
     let assessment = assess(&plan, &Store::none(), None, &|_| {}).unwrap();

@@ -20,10 +20,10 @@ use crumple_world::policy::Policy;
 use crumple_world::scenario::space::built_in_space;
 use tempfile::TempDir;
 
-/// Places of each file that are changed, one at a time.
-const FLIPS: usize = 50;
+/// Places of each file that are changed, one at a time, unless the variable `FLIPS` says otherwise.
+const FLIPS: usize = 8;
 /// Of so many damages one is gone back from to the end.
-const EVERY: usize = 25;
+const EVERY: usize = 7;
 
 /// One kind of work: does it in a folder by a seed, or goes on with it; is told how far it is.
 type Working = fn(&Path, u64, &mut dyn FnMut()) -> Result<(), String>;
@@ -36,7 +36,7 @@ fn campaign(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), Stri
         specification: Specification::NoContact,
         aim: Aim::default(),
         method: Method::Uniform,
-        budget: 300,
+        budget: 60,
         seed,
     };
     campaign.run(folder, true, &mut |_| tick()).map(|_| ()).map_err(|error| error.to_string())
@@ -137,8 +137,9 @@ fn left_behind(work: Working, seed: u64, stop: Option<usize>) -> BTreeMap<String
 
 /// A file changed in every way, each with what was done to it.
 fn changed<'a>(bytes: &'a [u8], other: Option<&'a Vec<u8>>) -> impl Iterator<Item = (String, Option<Vec<u8>>)> + 'a {
-    let flipped = (0..FLIPS.min(8 * bytes.len())).map(|flip| {
-        let bit = flip * (8 * bytes.len() - 1) / (FLIPS - 1).max(1);
+    let flips = std::env::var("FLIPS").ok().and_then(|flips| flips.parse().ok()).unwrap_or(FLIPS);
+    let flipped = (0..flips.min(8 * bytes.len())).map(move |flip| {
+        let bit = flip * (8 * bytes.len() - 1) / (flips - 1).max(1);
         let mut bytes = bytes.to_vec();
         bytes[bit / 8] ^= 1 << (bit % 8);
         (format!("bit {bit} flipped"), Some(bytes))
@@ -235,25 +236,25 @@ pub(crate) fn assert_same(found: &BTreeMap<String, Vec<u8>>, expected: &BTreeMap
 #[test]
 fn no_damage_is_believed_in_a_campaign() {
     for stop in [Some(1), Some(3), None] {
-        assert!(attack(campaign, stop).refused > 100);
+        assert!(attack(campaign, stop).refused > 20);
     }
 }
 
 #[test]
 fn no_damage_is_believed_in_a_count() {
     for stop in [Some(1), None] {
-        assert!(attack(count, stop).refused > 50);
+        assert!(attack(count, stop).refused > 20);
     }
 }
 
 #[test]
 fn no_damage_is_believed_in_a_training() {
-    assert!(attack(training, Some(30)).back > 5);
-    assert!(attack(training, None).refused > 100);
+    assert!(attack(training, Some(30)).back > 3);
+    assert!(attack(training, None).refused > 20);
 }
 
 #[test]
 fn no_damage_is_believed_in_a_retraining() {
-    assert!(attack(retraining, Some(60)).back > 5);
-    assert!(attack(retraining, None).refused > 100);
+    assert!(attack(retraining, Some(60)).back > 3);
+    assert!(attack(retraining, None).refused > 20);
 }

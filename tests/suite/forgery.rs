@@ -3,24 +3,24 @@
 
 mod changes;
 
-use std::collections::BTreeMap;
-use std::path::Path;
-use std::sync::Arc;
-
 use crumple_search::evidence::{
-    BoxSpec, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, Sample, bound, lies_within, shipped_kernels,
+    BoxSpec, CruisePlan, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, Sample, bound, lies_within,
+    shipped_kernels,
 };
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Family, avoid, certify};
 use crumple_verify::{Accepted, Certificate, Statement, WorkLimit, check_within};
 use crumple_world::control::ControllerSpec;
+use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Scenario, built_in};
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{ControllerKind, NamedController};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::path::Path;
 
 use changes::{Forged, Genuine, forged};
 
@@ -69,10 +69,7 @@ fn assumes_as_much(original: &Certificate, claimed: &Certificate) -> bool {
 
 /// Whether two certificates of version 2 speak of the same: the same texts, and the same policy.
 fn is_of_same_subject(one: &Certificate, other: &Certificate) -> bool {
-    let policy = |certificate: &Certificate| match &certificate.statement {
-        Statement::Reach(claim) => claim.policy_sha256.clone(),
-        _ => String::new(),
-    };
+    let policy = |certificate: &Certificate| certificate.policy().map(|(_, digest)| digest.to_owned());
     one.provenance.scenario_text == other.provenance.scenario_text
         && one.provenance.box_text == other.provenance.box_text
         && policy(one) == policy(other)
@@ -118,6 +115,16 @@ fn is_implied(original: &Certificate, shown: &Accepted, claimed: &Certificate) -
                     && other.falsified_share_at_least <= *falsified_share + 1e-9
                     && other.min_gap_m_at_least <= *smallest_gap_m
             }
+            (
+                Statement::AdaptiveCruise(one),
+                Statement::AdaptiveCruise(other),
+                Accepted::Cruise { margin_m, x_ego_width_m },
+            ) => {
+                // However it is cut: what is accepted was derived for the same network.
+                (&one.policy_sha256, &one.source) == (&other.policy_sha256, &other.source)
+                    && (other.cells != one.cells
+                        || other.margin_m_at_least <= *margin_m && other.x_ego_width_m_at_most >= *x_ego_width_m)
+            }
             _ => false,
         }
 }
@@ -155,11 +162,21 @@ fn counted(controller: &str, against: Option<&str>, runs: u64) -> Genuine {
     Genuine { certificate: plan.certificate(&tally), policy: None, scenario: None }
 }
 
-fn reach(policy: Arc<Policy>) -> Genuine {
+fn reach(controller: impl Into<ControllerKind>) -> Genuine {
     let text = "version = 1\nscenario = \"paper-2\"\n[ranges]\ngap_ahead_m = { low = 15.9, high = 16.1 }";
-    let plan = ReachPlan::new(policy, &BoxSpec::from_toml(text, Path::new("box")).expect("a box")).expect("a plan");
+    let plan = ReachPlan::new(controller, &BoxSpec::from_toml(text, Path::new("box")).expect("a box")).expect("a plan");
     let certificate = plan.partition(1, |_| ()).expect("cut").certificate;
     Genuine { certificate, policy: Some(plan.policy_bytes().to_vec()), scenario: built_in("paper-2") }
+}
+
+fn network(name: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers").join(name)
+}
+
+fn cruise(cells: u32) -> Genuine {
+    let plan = CruisePlan::new(NetworkFile::load(&network("acc-5x20.onnx")).expect("there")).expect("fits");
+    let certificate = plan.prove(cells).expect("bounded").certificate;
+    Genuine { certificate, policy: Some(plan.network_bytes().to_vec()), scenario: None }
 }
 
 /// One of every kind, two of most.
@@ -171,6 +188,8 @@ fn genuine() -> Vec<Genuine> {
     all.extend([bounded(&paper), bounded(&built_in("paper-2").expect("built in"))]);
     all.extend([counted("idm", None, 200), counted("idm", Some("baseline"), 150)]);
     all.extend([reach(Policy::reference()), reach(Policy::retrained())]);
+    all.push(reach(NamedController::find("leaky-40-clip.onnx", &network("")).expect("there").kind));
+    all.extend([cruise(1), cruise(2)]);
     let kernel = |(_, certificate)| Genuine { certificate, policy: None, scenario: None };
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));
     all
@@ -189,7 +208,7 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
         })
         .collect();
     let kinds: std::collections::BTreeSet<_> = genuine.iter().map(|one| one.certificate.statement.name()).collect();
-    assert_eq!(kinds.len(), 7, "of every kind: {kinds:?}");
+    assert_eq!(kinds.len(), 8, "of every kind: {kinds:?}");
     let tried = (0..wanted).into_par_iter().map(|index| {
         let which = index as usize % genuine.len();
         let mut random = Xoshiro256PlusPlus::seed_from_u64(index);

@@ -1,11 +1,16 @@
 //! Vehicles that enter the lane and leave it, in any scenario: the laws that hold for them.
 
+use std::path::Path;
+
 use crumple_fuzzing::oracle::{
-    entering_at_once_is_being_there, lanes_are_kept, step_size_decides_nothing, who_leaves_behind_changes_nothing_ahead,
+    entering_at_once_is_being_there, estimates_are_sane, lanes_are_kept, monitor_agrees, one_story,
+    step_size_decides_nothing, who_leaves_behind_changes_nothing_ahead,
 };
 use crumple_fuzzing::{Checked, Crumple, LANE_ORACLES, Law, Oracle, System, TestCase};
-use crumple_world::scenario::LaneChange;
-use crumple_world::sim::{RecordingLevel, Run, Simulated, Track, simulate};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Reason, avoid};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Driver, LaneChange};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, Simulated, Track, simulate};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
@@ -94,14 +99,46 @@ impl System for Wrong {
 
 #[test]
 fn laws_of_lanes_notice_their_faults() {
-    let wrong: [(Wrong, Oracle); 3] = [
-        (Wrong::Forgotten, lanes_are_kept),
-        (Wrong::Late, entering_at_once_is_being_there),
-        (Wrong::Felt, who_leaves_behind_changes_nothing_ahead),
+    let wrong: [(Wrong, Oracle, Law); 6] = [
+        (Wrong::Forgotten, lanes_are_kept, Law::Lanes),
+        (Wrong::Forgotten, one_story, Law::OneStory),
+        (Wrong::Forgotten, monitor_agrees, Law::Monitor),
+        (Wrong::Forgotten, estimates_are_sane, Law::Estimates),
+        (Wrong::Late, entering_at_once_is_being_there, Law::Lanes),
+        (Wrong::Felt, who_leaves_behind_changes_nothing_ahead, Law::Lanes),
     ];
     let all = first(400);
-    for (fault, oracle) in wrong {
-        let notices = |one: &TestCase| matches!(one.ask(oracle, &fault), Err(found) if found.law == Law::Lanes);
-        assert!(all.iter().any(notices), "{fault:?} is missed");
+    for (fault, oracle, law) in wrong {
+        let notices = |one: &TestCase| matches!(one.ask(oracle, &fault), Err(found) if found.law == law);
+        assert!(all.iter().any(notices), "{fault:?} is missed by {law}");
     }
+}
+
+/// Those who cannot take changes of lanes refuse them and say so, whatever else the scenario is: of all drivers nothing is proved. An escape
+/// that was found by trying is one by its run, in which vehicles enter and leave as they did.
+#[test]
+fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
+    let shield = NamedController::find("shield:policy", Path::new("")).unwrap();
+    let mut asked = [0; 2];
+    for TestCase { scenario, .. } in first(300).into_iter().filter(|one| !one.scenario.keeps_lanes()) {
+        let verdict = avoid(&scenario, AvoidOptions::default()).map(|found| found.verdict);
+        match verdict {
+            Ok(AvoidanceVerdict::Undecided(Reason::LaneChanges)) => asked[0] += 1,
+            Ok(AvoidanceVerdict::Avoidable(escape)) => {
+                assert!(!escape.scenario.keeps_lanes());
+                let run = Run::new(&escape.scenario, RunOptions::new(ControllerSpec::named("idm").unwrap())).unwrap();
+                assert!(simulate(&run, RecordingLevel::Summary).outcome.is_safe());
+            }
+            Ok(other) => panic!("{other:?}"),
+            Err(_) => {}
+        }
+        let is_tested = scenario.vehicles().iter().any(|vehicle| vehicle.driver == Driver::UnderTest);
+        // A policy decides at instants that need not be this scenario's.
+        let Err(error) = Run::new(&scenario, RunOptions::new(shield.kind.clone())) else {
+            assert!(!is_tested, "behind a shield");
+            continue;
+        };
+        asked[1] += usize::from(error.to_string().contains("enter or leave the lane"));
+    }
+    assert!(asked.iter().all(|&asked| asked >= 20), "{asked:?}");
 }

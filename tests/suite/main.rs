@@ -13,8 +13,11 @@ mod corpora;
 mod damage;
 mod engines;
 mod estimation;
+mod explore;
 #[cfg(target_os = "linux")]
 mod faults;
+#[cfg(unix)]
+mod fmus;
 mod forgery;
 mod formulas;
 mod generate;
@@ -23,12 +26,14 @@ mod lanes;
 mod measures;
 mod networks;
 mod obligations;
+mod onnx_bytes;
 mod openscenario;
 mod paper;
 mod physics;
 mod policy_files;
 #[cfg(unix)]
 mod processes;
+mod reach;
 mod report;
 mod retrained;
 mod road;

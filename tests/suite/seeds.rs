@@ -32,6 +32,22 @@ fn folder_changes() -> Vec<Vec<u8>> {
     (0..OF_EACH).map(|_| strategy.new_tree(&mut runner).expect("generates").current()).collect()
 }
 
+/// The smaller ones of what others wrote, and what is left of each when it is cut.
+fn networks() -> Vec<Vec<u8>> {
+    let files = fs::read_dir(root().join("corpora/controllers")).unwrap().map(|entry| entry.unwrap().path());
+    let files =
+        files.filter(|path| path.extension().is_some_and(|extension| extension == "onnx" || extension == "zip"));
+    let small = files.map(|path| fs::read(path).unwrap()).filter(|bytes| bytes.len() < 4096);
+    small.flat_map(|bytes| [bytes.clone(), bytes[..bytes.len() / 2].to_vec()]).collect()
+}
+
+/// Descriptions of FMUs, cut at each element.
+fn descriptions() -> Vec<Vec<u8>> {
+    let texts = [include_str!("../../examples/controllers/fmu/modelDescription.xml"), include_str!("fmus/odd.xml")];
+    let cuts = |text: &'static str| text.match_indices('<').map(move |(place, _)| text.as_bytes()[..place].to_vec());
+    texts.into_iter().flat_map(|text| cuts(text).chain([text.as_bytes().to_vec()])).collect()
+}
+
 /// Writes `fuzz/fresh/TARGET/NUMBER`.
 #[test]
 #[ignore = "writes files; fuzz/renew-seeds runs it"]
@@ -42,6 +58,8 @@ fn fresh_seeds() {
             "lanes" => scenarios(LANE_CASE_BYTES),
             "scenario_file" => scenario_files(),
             "policy_file" => policy_files(),
+            "network_file" => networks(),
+            "fmu_file" => descriptions(),
             "certificate" => certificates(),
             "recording" => recordings(),
             "stl" => formulas(),

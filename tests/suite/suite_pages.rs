@@ -131,6 +131,8 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
         (&["car-following", "--time-gap", "0.1"][..], "--time-gap: must be from 0.2 to 10 s, found 0.1"),
         (&["car-following", "--time-gap", "nan"], "--time-gap: must be from 0.2 to 10 s, found NaN"),
         (&["cut-in-gap", "--own-speed", "1e9"], "--own-speed: must be from 30 to 250 km/h"),
+        (&["cut-in-gap", "--time-gap", "2"], "--time-gap: has no place on the map cut-in-gap, which holds --own-speed"),
+        (&["car-following", "--own-speed", "100"], "--own-speed: has no place on the map car-following"),
         (&["cut-in-gap", "--cells", "101x3"], "--cells: must have 2 to 100 cells each way, found 101x3"),
         (&["cut-in-gap", "--cells", "12"], "two counts"),
         (&["cut-in-gap", "--out", "m.pdf"], "must end in .svg, .png, .html or .json"),

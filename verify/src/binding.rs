@@ -8,6 +8,7 @@
 use crate::canonical::{is_sha256, sha256};
 use crate::certificate::{Assumption, Certificate, Provenance, Statement};
 use crate::rate::Registration;
+use crate::reach::file_name;
 use crate::{Rejection, rate};
 
 /// Entries that every registration has, and those of a second controller.
@@ -36,16 +37,16 @@ pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
     }
     match &certificate.statement {
         Statement::Kernel(_) => absent(provenance, "must be absent: a kernel is about no one scenario"),
+        Statement::AdaptiveCruise(claim) => {
+            absent(provenance, "must be absent: the benchmark is its own scenario")?;
+            is_named_after(&claim.policy_file, &claim.policy_sha256, true)
+        }
         Statement::Reach(claim) => {
             has_source(provenance)?;
             if provenance.box_text.is_none() {
                 return Err(Rejection::invalid("provenance.box_text", "is missing"));
             }
-            let expected = format!("policy-{}.safetensors", claim.policy_sha256.get(..12).unwrap_or_default());
-            if !is_sha256(&claim.policy_sha256) || claim.policy_file != expected {
-                return Err(Rejection::invalid("policy_file", "is not named after `policy_sha256`"));
-            }
-            Ok(())
+            is_named_after(&claim.policy_file, &claim.policy_sha256, claim.source.is_some())
         }
         Statement::Rate(claim) => {
             is_of_space(provenance, &claim.registration, false)?;
@@ -57,6 +58,15 @@ pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
         }
         // All others are about a scene.
         _ => has_source(provenance),
+    }
+}
+
+/// The file of a network has the name that follows from its digest.
+fn is_named_after(file: &str, digest: &str, is_from_outside: bool) -> Result<(), Rejection> {
+    if is_sha256(digest) && file == file_name(digest, is_from_outside) {
+        Ok(())
+    } else {
+        Err(Rejection::invalid("policy_file", "is not named after `policy_sha256`"))
     }
 }
 

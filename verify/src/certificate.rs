@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::bounded;
 use crate::canonical;
 use crate::claim::{Held, MOST_EGOS, MOST_STEPS, Scene};
+use crate::cruise::Cruise;
 use crate::kernel::Kernel;
 use crate::rate::{Comparison, Rate};
 use crate::reach::Reach;
@@ -87,6 +88,10 @@ pub enum Assumption {
     ObservedWithin,
     /// The single-precision tanh is within 2⁻²² of the true one.
     TanhWithin,
+    /// The single-precision exp and exp - 1 are within 2⁻²² of themselves of the true ones.
+    ExpWithin,
+    /// The file of the network says what the file that it was read from means, and its controller file.
+    NetworkAsRead,
     /// Runs are independent draws, and the registration was made before the first of them.
     RegisteredDraws,
     /// Noise is that of the scenario's seed, contained in the stated accelerations. The only one that is optional.
@@ -108,6 +113,10 @@ impl std::fmt::Display for Assumption {
             Self::PolicyDrives => "the vehicle under test does at once what the stated policy asks for",
             Self::ObservedWithin => "what the policy observes is within the stated errors of the truth",
             Self::TanhWithin => "tanh in single precision is within 2^-22 of the true one",
+            Self::ExpWithin => "exp and exp - 1 in single precision are within 2^-22 of themselves of the true ones",
+            Self::NetworkAsRead => {
+                "the network is the one of its source file, as crumple read it, with the mapping stated"
+            }
             Self::RegisteredDraws => "runs are independent draws, and were registered before the first of them",
             Self::NoiseOfSeed => "noise is that of the scenario's seed",
         })
@@ -132,6 +141,8 @@ pub enum Statement {
     Comparison(Comparison),
     /// A policy keeps parts of a box free of contact.
     Reach(Reach),
+    /// A network keeps its distance in a public benchmark.
+    AdaptiveCruise(Cruise),
 }
 
 impl Statement {
@@ -146,6 +157,7 @@ impl Statement {
             Self::Rate(_) => "rate",
             Self::Comparison(_) => "comparison",
             Self::Reach(_) => "reach",
+            Self::AdaptiveCruise(_) => "adaptive-cruise",
         }
     }
 
@@ -156,7 +168,7 @@ impl Statement {
             Self::Avoidable(claim) => Some(&claim.scene),
             Self::Unavoidable(claim) => Some(&claim.scene),
             Self::GapBound(claim) => Some(&claim.scene),
-            Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) | Self::Reach(_) => None,
+            Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) | Self::Reach(_) | Self::AdaptiveCruise(_) => None,
         }
     }
 
@@ -171,9 +183,19 @@ impl Statement {
                 return vec![Assumption::ExactMotion, Assumption::LeaderWithinLimit, Assumption::EgoCanBrake];
             }
             Self::Rate(_) | Self::Comparison(_) => return vec![Assumption::RegisteredDraws],
+            Self::AdaptiveCruise(_) => {
+                return vec![
+                    Assumption::PolicyDrives,
+                    Assumption::TanhWithin,
+                    Assumption::ExpWithin,
+                    Assumption::NetworkAsRead,
+                ];
+            }
             Self::Reach(claim) => {
                 let needed = [Assumption::ExactMotion, Assumption::ScriptedLeader, Assumption::PolicyDrives];
                 let needed = needed.into_iter().chain([Assumption::ObservedWithin, Assumption::TanhWithin]);
+                let of_source = [Assumption::ExpWithin, Assumption::NetworkAsRead];
+                let needed = needed.chain(of_source.into_iter().filter(|_| claim.source.is_some()));
                 return needed.chain(claim.follower_ttc_s.map(|_| Assumption::LatchedFollower)).collect();
             }
         };
@@ -276,12 +298,22 @@ pub enum ParseError {
 }
 
 impl Certificate {
+    /// The file of the policy or network that it speaks about: the name under which it expects it, and its SHA-256; none if it needs
+    /// none.
+    #[must_use]
+    pub fn policy(&self) -> Option<(&str, &str)> {
+        match &self.statement {
+            Statement::Reach(claim) => Some((&claim.policy_file, &claim.policy_sha256)),
+            Statement::AdaptiveCruise(claim) => Some((&claim.policy_file, &claim.policy_sha256)),
+            _ => None,
+        }
+    }
+
     /// The policy file the certificate in `path` speaks about: `policy`, or else the one it names, beside it; none if it needs
     /// none or the file cannot be read.
     #[must_use]
     pub fn policy_bytes(&self, path: &Path, policy: Option<&Path>) -> Option<Vec<u8>> {
-        let Statement::Reach(claim) = &self.statement else { return None };
-        let beside = path.with_file_name(Path::new(&claim.policy_file).file_name()?);
+        let beside = path.with_file_name(Path::new(self.policy()?.0).file_name()?);
         let mut bytes = Vec::new();
         File::open(policy.unwrap_or(&beside)).ok()?.take(MOST_BYTES as u64).read_to_end(&mut bytes).ok()?;
         Some(bytes)

@@ -9,8 +9,9 @@
 //! 4. [`unavoidable`]: whatever is done, somebody touches;
 //! 5. [`kernel`]: from which states contact can be avoided for ever; [`polynomial`] is its arithmetic;
 //! 6. [`rate`]: what counted failures show;
-//! 7. [`reach`]: where a learned policy can take a whole box of starts;
-//! 8. [`certificate`]: the file; [`scope`]: how far what it says reaches; [`work`]: how long it may keep the checker busy.
+//! 7. [`reach`]: where a learned policy, or a network from outside, can take a whole box of starts;
+//! 8. [`cruise`]: the same of a public benchmark with other dynamics;
+//! 9. [`certificate`]: the file; [`scope`]: how far what it says reaches; [`work`]: how long it may keep the checker busy.
 //!
 //! # What is claimed
 //! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test; behind them, perhaps, a follower
@@ -21,6 +22,7 @@
 //! - *Unavoidable*: for no accelerations of the egos within their limits, however they are decided, does nobody touch.
 //! - *Gap bound*: for no such accelerations does every gap stay larger than stated.
 //! - *Reach*: driven by the stated network, nobody touches from any start in the parts of the box marked so.
+//! - *Adaptive cruise*: in a public benchmark the stated network keeps its distance.
 //! - *Kernel*, *rate*, *fails less often*: about no one scene; said where they are checked.
 //!
 //! # What is assumed
@@ -63,6 +65,7 @@ mod bounded;
 mod canonical;
 pub mod certificate;
 pub mod claim;
+pub mod cruise;
 pub mod interval;
 pub mod kernel;
 pub mod motion;
@@ -77,6 +80,7 @@ pub use certificate::{
     Assumption, Avoidable, Branch, Certificate, GapBound, ParseError, Provenance, Rows, Statement, Unavoidable,
 };
 pub use claim::{Ego, Follower, Held, Leader, Scene};
+pub use cruise::Cruise;
 pub use interval::Interval;
 pub use kernel::Kernel;
 pub use rate::{Comparison, Rate, Registration};
@@ -139,6 +143,13 @@ pub enum Accepted {
         /// Whether somebody drives behind.
         has_follower: bool,
     },
+    /// From every start of the benchmark of adaptive cruise control the distance is kept.
+    Cruise {
+        /// D_rel - 10 - 1.4 v_ego is never smaller, in metres, for 5 s.
+        margin_m: f64,
+        /// All x_ego at the end lie in an interval of this width, in metres.
+        x_ego_width_m: f64,
+    },
 }
 
 /// What holds once the stated profile has ended without contact.
@@ -198,6 +209,11 @@ impl std::fmt::Display for Accepted {
             Self::FailsLessOften { confidence } => write!(
                 formatter,
                 "comparison: the first controller fails less often, at confidence {confidence}, if its counts are right"
+            ),
+            Self::Cruise { margin_m, x_ego_width_m } => write!(
+                formatter,
+                "adaptive cruise: D_rel - 10 - 1.4 v_ego is never smaller than {margin_m} m for 5 s; all x_ego at the end lie within \
+                 {x_ego_width_m} m"
             ),
             // Shares are lower bounds: rounded down.
             Self::Reach { verified_share, falsified_share, smallest_gap_m, horizon_s, has_follower } => write!(
@@ -345,6 +361,7 @@ pub fn check_within(certificate: &Certificate, policy: Option<&[u8]>, limit: Wor
         Statement::Kernel(claim) => kernel::check(claim, work),
         Statement::Rate(claim) => rate::check_rate(claim, work),
         Statement::Comparison(claim) => rate::check_comparison(claim, work),
+        Statement::AdaptiveCruise(claim) => cruise::check(claim, policy, work),
         Statement::Reach(claim) => reach::check(claim, policy, certificate.is_old(), work),
     }
 }

@@ -202,8 +202,7 @@ pub fn tail_at_most(failures: u64, runs: u64, rate: f64) -> f64 {
 }
 
 /// Another upper bound of the same, as near to it, in about k + log n steps instead of n.
-#[must_use]
-pub fn tail_by_powers(failures: u64, runs: u64, rate: f64) -> f64 {
+fn tail_by_powers(failures: u64, runs: u64, rate: f64) -> f64 {
     let mut powers = vec![(up(1.0 - rate), 1)];
     while let Some(&(power, exponent)) = powers.last()
         && exponent <= runs

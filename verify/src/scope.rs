@@ -5,10 +5,11 @@ use std::fmt;
 
 use crate::certificate::{Certificate, Statement};
 use crate::claim::{Ego, Held, Scene};
+use crate::cruise::{self, Cruise};
 use crate::interval::Interval;
 use crate::kernel::Kernel;
 use crate::rate::Registration;
-use crate::reach::{Dimension, Reach};
+use crate::reach::{Dimension, Reach, Source};
 
 /// What a statement is about, in words, and nothing of what it claims.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +38,7 @@ impl Certificate {
             Statement::Rate(claim) => of_runs(&claim.registration),
             Statement::Comparison(claim) => of_runs(&claim.registration),
             Statement::Reach(claim) => of_reach(claim),
+            Statement::AdaptiveCruise(claim) => of_cruise(claim),
         };
         scope.about = self.about();
         scope.has_afterwards = matches!(self.statement, Statement::Avoidable(_));
@@ -47,10 +49,11 @@ impl Certificate {
         let (name, sha256) = (&self.provenance.scenario, &self.provenance.scenario_sha256);
         // Whoever wrote the file chose the name: nothing in it may steer a terminal.
         let name = name.escape_debug();
-        if self.is_old() {
+        if self.is_old() && !matches!(self.statement, Statement::AdaptiveCruise(_)) {
             return format!("`{name}` by its own word: version 1 binds a statement to nothing");
         }
         match &self.statement {
+            Statement::AdaptiveCruise(_) => "the benchmark of adaptive cruise control of ARCH-COMP AINNCS".to_owned(),
             Statement::Kernel(_) => "any two vehicles with these limits".to_owned(),
             Statement::Rate(_) | Statement::Comparison(_) => format!("space `{name}`, SHA-256 {sha256}"),
             _ if self.provenance.box_text.is_some() => format!("a box around scenario `{name}`, SHA-256 {sha256}"),
@@ -150,6 +153,19 @@ fn of_runs(registration: &Registration) -> Scope {
     Scope { horizon_s, has_afterwards: false, about: String::new(), vehicles, limits }
 }
 
+/// Which network drives.
+fn network(digest: &str, source: Option<&Source>) -> String {
+    let digest = digest.escape_debug();
+    match source {
+        None => format!("policy with SHA-256 {digest}"),
+        Some(Source { format, sha256 }) => format!(
+            "network with SHA-256 {digest}, read from a file in the format {} with SHA-256 {}",
+            format.name(),
+            sha256.escape_debug()
+        ),
+    }
+}
+
 fn of_reach(claim: &Reach) -> Scope {
     let of = |dimension| range(claim.ranges.get(dimension));
     let onset = claim.ranges.onset_steps;
@@ -165,9 +181,9 @@ fn of_reach(claim: &Reach) -> Scope {
             of(Dimension::LeaderBrakeMps2)
         ),
         format!(
-            "under test: {} m/s, driven by the policy with SHA-256 {}",
+            "under test: {} m/s, driven by the {}",
             of(Dimension::EgoSpeedMps),
-            claim.policy_sha256.escape_debug()
+            network(&claim.policy_sha256, claim.source.as_ref())
         ),
     ];
     vehicles.push(match claim.follower_ttc_s {
@@ -185,4 +201,20 @@ fn of_reach(claim: &Reach) -> Scope {
         claim.steps, claim.step_s
     )];
     Scope { horizon_s: Some(claim.horizon_s()), has_afterwards: false, about: String::new(), vehicles, limits }
+}
+
+fn of_cruise(claim: &Cruise) -> Scope {
+    let [x_lead, v_lead, x_ego, v_ego] = cruise::STARTS.map(|[low, high]| format!("{low} to {high}"));
+    let (drag, lead_mps2) = (cruise::DRAG, cruise::LEAD_MPS2);
+    let vehicles = vec![
+        format!("lead car: at {x_lead} m, {v_lead} m/s, a = {lead_mps2} m/s²"),
+        format!(
+            "own car: at {x_ego} m, {v_ego} m/s, a from the {}, every {} s",
+            network(&claim.policy_sha256, Some(&claim.source)),
+            cruise::PERIOD_S
+        ),
+    ];
+    let limits = vec![format!("x' = v, v' = γ, γ' = -2 γ + 2 a - {drag} v² for both, γ = 0 at the start")];
+    let horizon_s = Some(cruise::PERIODS as f64 * cruise::PERIOD_S);
+    Scope { horizon_s, has_afterwards: false, about: String::new(), vehicles, limits }
 }

@@ -32,7 +32,8 @@ pub trait System {
         while !stepper.has_ended() {
             for vehicle in 0..run.scenario().vehicles().len() {
                 let Some(seen) = stepper.observe(vehicle) else { continue };
-                if !each(&Sight { vehicle, seen, motion: stepper.motion() }) {
+                let time_s = stepper.steps_made() as f64 * run.scenario().spec().step_s;
+                if !each(&Sight { vehicle, time_s, seen, motion: stepper.motion() }) {
                     return;
                 }
             }
@@ -99,6 +100,8 @@ impl System for Crumple {}
 pub struct Sight<'m> {
     /// Index of the vehicle.
     pub vehicle: usize,
+    /// When, in seconds.
+    pub time_s: f64,
     /// What it sees.
     pub seen: Observation,
     /// Where every vehicle is, front to rear.

@@ -1,15 +1,18 @@
 //! Whole fuzz targets: bytes in, a violation or nothing out. The targets under `fuzz/` call them, and so does the suite
 //! for every seed in `corpora/fuzz/`.
 
+use std::io::Cursor;
 use std::path::Path;
 
+use crumple_fmu::{Description, Fmu};
 use crumple_verify::{Certificate, WorkLimit, check_within};
 
 use super::folder;
 use super::oracle::motion_is_physical;
 use super::{Checked, Crumple, FileFormat, Law, ORACLES, Question, Setup, System, TestCase, Violation};
 use crumple_world::measure::stl::{Formula, Signals, SyntaxProblem, naive_robustness};
-use crumple_world::policy::Policy;
+use crumple_world::network::NetworkFile;
+use crumple_world::policy::{Policy, Workspace};
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{self, Leaders, MinBrake, episodes};
 use crumple_world::scenario::file::{from_json, from_toml, to_toml};
@@ -20,11 +23,13 @@ use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 pub type Target = fn(&[u8]) -> Result<(), Violation>;
 
 /// Every target and its name, which is that of its seeds' folder.
-pub const TARGETS: [(&str, Target); 8] = [
+pub const TARGETS: [(&str, Target); 10] = [
     ("scenario", scenario),
     ("lanes", lanes),
     ("scenario_file", scenario_file),
     ("policy_file", policy_file),
+    ("network_file", network_file),
+    ("fmu_file", fmu_file),
     ("certificate", certificate),
     ("recording", recording),
     ("stl", stl),
@@ -125,6 +130,67 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
         let result = simulate(&run, RecordingLevel::Summary);
         let moved = result.vehicles.iter().all(|vehicle| vehicle.max_brake_mps2.is_finite());
         must(moved, Law::Reading, &header, || format!("it drives out of this world: {:?}", result.vehicles))?;
+    }
+    Ok(())
+}
+
+/// Bytes are a network from outside or refused, as ONNX and as a model of Stable-Baselines3; a network says where its answers lie,
+/// and they lie there, the same alone and among others.
+///
+/// # Errors
+/// A [`Violation`] of [`Law::Reading`].
+pub fn network_file(bytes: &[u8]) -> Result<(), Violation> {
+    for (format, read) in [("ONNX", NetworkFile::from_onnx(bytes)), ("a zip", NetworkFile::from_sb3(bytes))] {
+        let file = match read {
+            Ok(file) => file,
+            Err(refused) => {
+                let is_said = !refused.to_string().is_empty();
+                must(is_said, Law::Reading, "", || format!("{format} is refused without a word"))?;
+                continue;
+            }
+        };
+        let (network, seen) = (&file.network, [-4.0_f32, 0.0, 1.5]);
+        let shape = network.shape();
+        // What may overflow is refused where it is to drive.
+        let Ok(ranges) = network.answer_ranges(&vec![[-4.0, 4.0]; network.inputs()]) else { continue };
+        let mut space = Workspace::default();
+        let rows: Vec<f32> = seen.iter().flat_map(|&value| vec![value; network.inputs()]).collect();
+        let together = network.answers(&rows, seen.len(), &mut space).to_vec();
+        for (row, answers) in rows.chunks(network.inputs()).zip(together.chunks(network.outputs())) {
+            let alone = network.answers(row, 1, &mut space);
+            let same = alone.iter().zip(answers).all(|(alone, among)| alone.to_bits() == among.to_bits());
+            must(same, Law::Reading, &shape, || format!("{alone:?} alone, {answers:?} among others"))?;
+            for (answer, [low, high]) in answers.iter().map(|&answer| f64::from(answer)).zip(&ranges) {
+                let slack = 1e-3 * (1.0 + low.abs().max(high.abs()));
+                let is_there = (low - slack..=high + slack).contains(&answer);
+                must(is_there, Law::Reading, &shape, || format!("{answer} is not within {low} to {high}"))?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Bytes are an FMU or refused in one line; nothing of it is run.
+///
+/// # Errors
+/// A [`Violation`] of [`Law::Reading`].
+pub fn fmu_file(bytes: &[u8]) -> Result<(), Violation> {
+    // An archive, or what would be in one.
+    let read = [
+        Fmu::read(Cursor::new(bytes)).map(|fmu| fmu.description().clone()).map_err(|error| error.to_string()),
+        Description::from_xml(&String::from_utf8_lossy(bytes)).map_err(|error| error.to_string()),
+    ];
+    for read in read {
+        match read {
+            Ok(Description { variables, model_identifier, .. }) => {
+                let mut names: Vec<&str> = variables.iter().map(|variable| variable.name.as_str()).collect();
+                names.sort_unstable();
+                names.dedup();
+                let is_one = names.len() == variables.len() && !model_identifier.contains(['/', '\\', '.']);
+                must(is_one, Law::Reading, &model_identifier, || format!("{names:?} are not all"))?;
+            }
+            Err(refused) => must(!refused.is_empty(), Law::Reading, "", || "refused without a word".to_owned())?,
+        }
     }
     Ok(())
 }

@@ -9,7 +9,7 @@ pub use fitted::fitted;
 use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg, extent, padded};
 use crumple_learn::retrain::Report;
 use crumple_learn::rl::{CurvePoint, LearningCurve, PERFECT};
-use crumple_world::recording::{Preview, SpeedLine};
+use crumple_world::recording::{Hardest, Preview, SpeedLine};
 
 /// Width of a figure, and height of its panel, in pixels.
 const WIDTH: f64 = 720.0;
@@ -94,11 +94,11 @@ pub fn recorded(preview: &Preview, file: &str) -> Svg {
         let mut panel = Panel::new(frame, title, time, value);
         for (index, line) in preview.lines.iter().enumerate() {
             // A line is broken where the recording is.
-            for part in of(line).chunk_by(|a, b| b.0 - a.0 <= (3.0 * preview.step_s).max(0.5)) {
+            for part in of(line).chunk_by(|a, b| b.0 - a.0 <= (3.0 * preview.step_s.unwrap_or(0.0)).max(0.5)) {
                 panel.line(part, Stroke { width: 1.0, ..Stroke::series(index) });
             }
         }
-        if let Some(hardest) = &preview.hardest {
+        if let Hardest::Braking(hardest) = &preview.hardest {
             panel.rule_x(hardest.from_s, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
         }
         panel

@@ -2,11 +2,25 @@
 
 use std::path::Path;
 
+use serde_json::Value;
+
 /// Names the first place in which two TOML files of a `kind` of work differ.
 #[must_use]
 pub fn in_toml(path: &Path, kind: &str, found: &str, expected: &str) -> String {
-    let (table, path) = (|text: &str| text.parse().ok().map(toml::Value::Table), path.display());
-    let (Some(old), Some(new)) = (table(found), table(expected)) else {
+    let table = |text: &str| text.parse::<toml::Table>().ok().and_then(|table| serde_json::to_value(table).ok());
+    named(path, kind, table(found), table(expected))
+}
+
+/// The same of two JSON files.
+#[must_use]
+pub fn in_json(path: &Path, kind: &str, found: &str, expected: &str) -> String {
+    let value = |text: &str| serde_json::from_str(text).ok();
+    named(path, kind, value(found), value(expected))
+}
+
+fn named(path: &Path, kind: &str, found: Option<Value>, expected: Option<Value>) -> String {
+    let path = path.display();
+    let (Some(old), Some(new)) = (found, expected) else {
         return format!("{path}: not the file of a {kind}");
     };
     match first_difference("", Some(&old), Some(&new)) {
@@ -18,14 +32,10 @@ pub fn in_toml(path: &Path, kind: &str, found: &str, expected: &str) -> String {
 }
 
 /// The first place in which two values differ, deep inside tables and lists, and what is there.
-fn first_difference(
-    place: &str,
-    old: Option<&toml::Value>,
-    new: Option<&toml::Value>,
-) -> Option<(String, String, String)> {
-    use toml::Value::{Array, Table};
+fn first_difference(place: &str, old: Option<&Value>, new: Option<&Value>) -> Option<(String, String, String)> {
+    use Value::{Array, Object};
     match (old, new) {
-        (Some(Table(old)), Some(Table(new))) => {
+        (Some(Object(old)), Some(Object(new))) => {
             let names = new.keys().chain(old.keys().filter(|name| !new.contains_key(*name)));
             let dot = if place.is_empty() { "" } else { "." };
             names
@@ -35,18 +45,23 @@ fn first_difference(
         (Some(Array(old)), Some(Array(new))) => (0..old.len().max(new.len()))
             .find_map(|index| first_difference(&format!("{place}[{index}]"), old.get(index), new.get(index))),
         _ if old == new => None,
-        _ => {
-            let show = |value: Option<&toml::Value>| match value {
-                None => "nothing".to_owned(),
-                // Whole tables and lists would fill the screen.
-                Some(Table(_)) => "a table".to_owned(),
-                Some(Array(_)) => "a list".to_owned(),
-                Some(value) => value.to_string(),
-            };
-            Some((place.to_owned(), show(old), show(new)))
-        }
+        _ => Some((place.to_owned(), shown(old), shown(new))),
     }
 }
+
+/// A value in a line. Whole tables, lists and files would fill the screen.
+fn shown(value: Option<&Value>) -> String {
+    match value {
+        None | Some(Value::Null) => "nothing".to_owned(),
+        Some(Value::Object(_)) => "a table".to_owned(),
+        Some(Value::Array(_)) => "a list".to_owned(),
+        Some(Value::String(text)) if text.chars().count() > MOST_SHOWN => format!("a text of {} bytes", text.len()),
+        Some(value) => value.to_string(),
+    }
+}
+
+/// The longest text that is shown.
+const MOST_SHOWN: usize = 200;
 
 #[cfg(test)]
 mod tests {
@@ -55,7 +70,7 @@ mod tests {
     #[test]
     fn differences_are_named_however_deep_they_are() {
         let at = |old: &str, new: &str| {
-            let [old, new] = [old, new].map(|text| toml::Value::Table(text.parse().unwrap()));
+            let [old, new] = [old, new].map(|text| serde_json::to_value(text.parse::<toml::Table>().unwrap()).unwrap());
             first_difference("", Some(&old), Some(&new)).map(|(place, there, here)| format!("{place}: {there}, {here}"))
         };
         assert_eq!(at("a = 1\nb = 2", "b = 2\na = 1"), None);
@@ -67,5 +82,17 @@ mod tests {
         assert_eq!(at("a = [1, 2]", "a = [1]").unwrap(), "a[1]: 2, nothing");
         assert_eq!(at("a = 1", "a.b = 1").unwrap(), "a: 1, a table");
         assert_eq!(at("", "a = 'x'").unwrap(), "a: nothing, \"x\"");
+    }
+
+    #[test]
+    fn of_a_json_file_the_place_and_both_values_are_named() {
+        let at = |old: &str, new: &str| in_json(Path::new("a.json"), "count", old, new);
+        let said = at(r#"{"runs": 3, "seed": "1"}"#, r#"{"runs": 3, "seed": "2"}"#);
+        assert_eq!(said, "a.json: the count there has another `seed`: \"1\" instead of \"2\"");
+        assert!(
+            at(&format!(r#"{{"a": "{}"}}"#, "x".repeat(201)), "{}")
+                .ends_with("`a`: a text of 201 bytes instead of nothing")
+        );
+        assert_eq!(at("{", "{}"), "a.json: not the file of a count");
     }
 }

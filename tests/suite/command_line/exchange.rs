@@ -47,6 +47,19 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     assert!(stdout(&shown).starts_with(said), "{shown:?}");
     assert!(fs::read_to_string(folder.path().join("hard.svg")).unwrap().contains("Bumper gap to the vehicle behind"));
     assert_eq!(names_in(folder.path()), ["hard.csv", "hard.svg", "soft.csv"], "no scenario is written");
+    let over = ["import", "soft.csv", "--map", map, "--preview", "hard.svg"];
+    assert_refused(&crumple(folder.path(), &over), "hard.svg: is there and says something else: use --force");
+    assert_eq!(code(&crumple(folder.path(), &[&over[..], &["--force"]].concat())), 0);
+    assert_refused(&crumple(folder.path(), &[&over[..], &["--out", "x"]].concat()), "cannot be used with");
+    let slow: String = logged(3.0).lines().step_by(10).map(|line| format!("{line}\n")).collect();
+    let slow = slow.replacen("t;v_ego;range;closing\n", "t;v_ego;range;closing\n0;72;34.6;0\n", 1);
+    fs::write(folder.path().join("slow.csv"), slow).unwrap();
+    let shown = crumple(folder.path(), &["import", "slow.csv", "--map", map, "--preview", "slow.svg"]);
+    let said = [
+        "one each 1.000 s",
+        "a vehicle's speeds are 1.000 s apart, and at most 0.5 s are bridged: no braking can be seen",
+    ];
+    assert!(said.iter().all(|said| stdout(&shown).contains(said)), "{shown:?}");
     let imported = crumple(folder.path(), &["import", "hard.csv", "soft.csv", "--map", map, "--out", "episodes"]);
     assert_eq!(stdout(&imported), "hard.csv: 1 scenario (logged-pair)\nsoft.csv: 0 scenarios (logged-pair)\n");
     assert_eq!(names_in(&folder.path().join("episodes")), ["logged-pair-hard-01.toml"]);

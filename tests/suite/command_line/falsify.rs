@@ -38,6 +38,28 @@ pub(crate) fn assert_same(one: &Path, other: &Path) {
     }
 }
 
+/// A search is a gate where it is asked to be; one that found nothing says how hard it looked.
+#[test]
+fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
+    let folder = folder();
+    let (hits, drives_on) = ("no contact", "always v1.speed_mps >= 0");
+    let cases = [
+        (hits, "failure", 0, ""),
+        (hits, "nothing", 1, "gate: expected nothing, and there are"),
+        (drives_on, "nothing", 0, ""),
+        (drives_on, "failure", 1, "gate: expected a failure, and there is none in 60 evaluations"),
+    ];
+    for (number, (spec, expected, exit_code, said)) in cases.into_iter().enumerate() {
+        let out = format!("{number}");
+        let search = ["falsify", "--controller", "baseline", "--space", "paper", "--budget", "20", "--spec", spec];
+        let output = crumple(folder.path(), &[&search[..], &["--expect", expected, "--out", &out]].concat());
+        assert_eq!(code(&output), exit_code, "{}", stderr(&output));
+        assert!(stderr(&output).contains(said) && !stdout(&output).is_empty(), "{}", stderr(&output));
+    }
+    let shard = ["falsify", "--controller", "idm", "--shard", "1/2", "--expect", "nothing"];
+    assert_eq!(code(&crumple(folder.path(), &shard)), 2);
+}
+
 #[test]
 fn the_baseline_collides_in_the_papers_space_at_once() {
     let folder = folder();

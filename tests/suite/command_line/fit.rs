@@ -1,8 +1,10 @@
 //! `crumple fit`, and rates in what it fits.
 
 use std::fmt::Write;
+use std::path::Path;
 
 use super::*;
+use crumple_world::scenario::space::{Distribution, Space, Uniform, file};
 
 /// Events of ten seconds, in each of which the leader brakes once: how hard, from which speed and with which gap behind follows no family.
 fn events(count: u32) -> String {
@@ -34,6 +36,16 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     assert!(["lead_speed_mps", "time_gap_1_s", "KS"].iter().all(|name| drawn.contains(name)));
     let text = std::fs::read_to_string(here.join("space.toml")).unwrap();
 
+    // Another picture is not drawn over the one that is there.
+    let drawn_over = |more: &[&str]| {
+        let fit =
+            ["fit", "events.csv", "--out", "other.toml", "--name", "other", "--plot", "fit.svg", "--samples", "19"];
+        crumple(here, &[&fit[..], more].concat())
+    };
+    assert_refused(&drawn_over(&[]), "fit.svg: is there and says something else: use --force");
+    assert!(!here.join("other.toml").exists());
+    assert_eq!(code(&drawn_over(&["--force"])), 0);
+
     // The same again is left alone; an edited one too, but for --force.
     let again = ["fit", "events.csv", "--out", "space.toml", "--samples", "19", "--format", "json"];
     let json = &objects(&crumple(here, &again))[0];
@@ -44,7 +56,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     assert_eq!(std::fs::read_to_string(here.join("space.toml")).unwrap(), text);
 
     let rate = |threads: &str, more: &[&str]| {
-        let effort = ["--runs", "300", "--resamples", "20", "--resample-runs", "50", "--confidence", "0.9"];
+        let effort = ["--runs", "300", "--resamples", "79", "--resample-runs", "50", "--confidence", "0.9"];
         let asked = ["verify", "rate", "--controller", "baseline", "--space", "space.toml", "--estimator", "truth"];
         command(here, &[&asked[..], &effort, more].concat()).env("RAYON_NUM_THREADS", threads).output().expect("starts")
     };
@@ -56,8 +68,34 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
         assert_eq!(on_the_road(&again), on_the_road(&one));
     }
 
+    // A space that was changed since it was fitted has rates, and no uncertainty of data that are another space's.
+    let mut changed = file::from_toml(&text, Path::new("space.toml")).unwrap().spec().clone();
+    changed.parameters[0].distribution = Distribution::Uniform(Uniform { low: 10.0, high: 26.0 });
+    let changed = file::to_toml(&Space::new(changed, Path::new("")).unwrap()).unwrap();
+    std::fs::write(here.join("changed.toml"), changed).unwrap();
+    let asked =
+        ["verify", "rate", "--controller", "baseline", "--space", "changed.toml", "--runs", "50", "--out", "changed"];
+    let counted = crumple(here, &[&asked[..], &["--confidence", "0.9"]].concat());
+    assert_eq!(code(&counted), 0, "{}", stderr(&counted));
+    assert!(
+        stdout(&counted).contains("without the data's uncertainty: `lead_speed_mps` is not what is fitted"),
+        "{counted:?}"
+    );
+
+    // Shards make the new runs in their share of the resamples; put together it is what one machine says.
+    for index in ["1", "2", "3"] {
+        let which = format!("{index}/3");
+        let shard = rate("2", &["--shard", &which, "--out", index]);
+        assert_eq!(code(&shard), 0, "{}", stderr(&shard));
+        assert_eq!(names_in(&here.join(index)).len(), 4);
+    }
+    let merged = crumple(here, &["merge", "3", "1", "2", "--out", "one"]);
+    assert_eq!((code(&merged), stdout(&merged)), (0, stdout(&one)), "{}", stderr(&merged));
+    let json = &objects(&crumple(here, &["merge", "2", "1", "3", "--out", "one", "--format=json"]))[0];
+    assert!(json["exposed"]["with_data"]["figures"]["per_hour"]["estimate"].is_f64(), "{json}");
+
     let rare = |more: &[&str]| {
-        let effort = ["--rare", "--samples", "50", "--repetitions", "5", "--resamples", "20", "--format", "json"];
+        let effort = ["--rare", "--samples", "50", "--repetitions", "5", "--resamples", "79", "--format", "json"];
         let asked =
             ["verify", "rate", "--controller", "full-throttle", "--space", "space.toml", "--estimator", "truth"];
         crumple(here, &[&asked[..], &effort, more].concat())
@@ -66,6 +104,12 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     assert_eq!(code(&first), 0, "{}", stderr(&first));
     assert!(objects(&first)[0]["exposed"]["fitted"]["per_hour"]["estimate"].is_f64(), "{}", stdout(&first));
     assert_eq!(stdout(&rare(&["--out", "rare", "--resume"])), stdout(&first));
+    for index in ["r1", "r2"] {
+        let which = format!("{}/2", &index[1..]);
+        assert_eq!(code(&rare(&["--shard", &which, "--out", index])), 0);
+    }
+    let merged = crumple(here, &["merge", "r2", "r1", "--out", "rare", "--format=json"]);
+    assert_eq!((code(&merged), stdout(&merged)), (0, stdout(&first)), "{}", stderr(&merged));
     assert_eq!(code(&crumple(here, &["fsck", "one", "rare"])), 0);
 
     let mut config = crate::assessments::config(&["baseline", "idm"]);
@@ -92,6 +136,7 @@ fn what_cannot_be_fitted_is_refused() {
     );
     assert_refused(&fit("enough.csv", &["--vehicles", "6"]), "6 is not in 2..=5");
     assert_refused(&fit("enough.csv", &["--min-brake", "-1"]), "--min-brake");
+    assert_refused(&fit("enough.csv", &["--min-brake", "12"]), "min_brake: must be below 12 m/s²");
     assert_refused(&fit("enough.csv", &["--name", ""]), "name: must have 1 to 100 characters");
     assert_refused(&fit("nothing.csv", &[]), "nothing.csv");
     assert_refused(&fit("enough.csv", &["./enough.csv"]), "./enough.csv: is given twice");
@@ -105,6 +150,6 @@ fn what_cannot_be_fitted_is_refused() {
     assert!(!here.join("s.toml").exists());
     assert_refused(
         &crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", "--resamples", "5"]),
-        "must be 0 or from 20 to 2000, found 5",
+        "must be 0 or from 79 to 2000, found 5",
     );
 }

@@ -27,7 +27,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
     let episode = &names_in(&folder.path().join("episodes"))[0];
     let simulated = crumple(folder.path(), &["simulate", &format!("episodes/{episode}"), "--expect", "safe"]);
     assert_eq!(code(&simulated), 0, "{simulated:?}");
-    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\npaper = false\ndraws = 20\nscenarios = [\"episodes\"]\n\
+    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\npaper = false\ndraws = 20\neveryday_draws = 4\nrates.runs = 200\nscenarios = [\"episodes\"]\n\
                   search = { spaces = [\"paper\"], budget = 20 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let written = [
@@ -65,8 +65,8 @@ fn gates_decide_and_evidence_is_kept() {
     let folder = folder();
     let config = |gates: &str| {
         let text = format!(
-            "version = 1\ncontrollers = [\"baseline\", \"policy\"]\ndraws = 50\nrates.runs = 1000\n\
-             search = {{ spaces = [\"paper\"], budget = 30 }}\ncertificates = []\n{gates}"
+            "version = 1\ncontrollers = [\"baseline\", \"policy\"]\ndraws = 20\neveryday_draws = 4\nrates.runs = 200\n\
+             search = {{ spaces = [\"paper\"], budget = 5 }}\ncertificates = []\n{gates}"
         );
         fs::write(folder.path().join("a.toml"), text).unwrap();
     };

@@ -52,7 +52,7 @@ fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of
         .unwrap();
     check_report(&folder.path().join("through"), &objects(&through)[0]);
     let resume = retrain("killed", &["--format", "json", "--resume"]);
-    let killed = killed_at_random(folder.path(), &resume, (0..8).map(|attempt| 20..300 + 150 * attempt));
+    let killed = killed_at_random(folder.path(), &resume, (0..6).map(|attempt| 20..300 + 200 * attempt));
     assert!(killed >= 2, "killed {killed} times");
     let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
     assert_eq!((code(&ended), stdout(&ended)), (code(&through), stdout(&through)), "{}", stderr(&ended));

@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::Path;
 
+use crumple_world::digest::sha256;
+
 use super::{assert_refused, code, crumple, folder, names_in, objects, stderr, stdout};
 
 const COUNT: [&str; 7] =
@@ -43,10 +45,29 @@ fn shards_that_are_merged_are_the_count_of_one_machine_and_what_is_missing_is_sa
         assert!(stdout(&output).contains("of 900 runs\nrate/certificate.json: accepted"), "{}", stdout(&output));
         same_files(folder, "single", "rate");
     }
-    assert_refused(&merge(&["s/a", "single"]), "single: a count, which those before it are not");
+    assert_refused(&merge(&["s/a", "single"]), "single: a count, and what came before it is a shard of a count");
+    assert_refused(&merge(&["s/a", "s/b", "--partial"]), "--partial: only of a search a part is of use");
+    assert_refused(
+        &crumple(folder, &["merge", "s/a", "s/b", "s/c", "--out=s/b/rate"]),
+        "s/b, which is one of the shards",
+    );
+    // Another count in its folder: in what, and both values.
+    let other = crumple(folder, &[&COUNT[..], &["--seed=1", "--shard=1/3", "--out=s/a", "--resume"]].concat());
+    assert_refused(&other, "another `count.registration.configuration.seed`: \"0\" instead of \"1\"");
+    let other = crumple(folder, &[&COUNT[..], &["--seed=1", "--out=rate", "--resume"]].concat());
+    assert_refused(
+        &other,
+        "rate/registration.json: the count there has another `configuration.seed`: \"0\" instead of \"1\"",
+    );
     assert_refused(&merge(&["nowhere"]), "nowhere: there is no such folder");
     shard(folder, "1/2", "half");
     assert_refused(&merge(&["s/a", "half"]), "half: shard 1/2 has done what shard 1/3 in s/a has done, too");
+    // Without its manifest it is no shard of anything else.
+    fs::rename(folder.join("s/b/work.json"), folder.join("kept.json")).unwrap();
+    for order in [["s/a", "s/b"], ["s/b", "s/a"]] {
+        assert_refused(&merge(&order), "s/b/work.json: the file is missing");
+    }
+    fs::rename(folder.join("kept.json"), folder.join("s/b/work.json")).unwrap();
     let progress = folder.join("s/a/progress.json");
     let text = fs::read_to_string(&progress).unwrap();
     fs::write(&progress, text.replacen("\"runs\": 300", "\"runs\": 400", 1)).unwrap();
@@ -67,6 +88,10 @@ fn shards_of_an_estimate_are_merged() {
     let output = crumple(folder, &["merge", "2", "--out", "rare"]);
     assert_eq!(code(&output), 1);
     assert!(stderr(&output).contains("2 repetitions are missing, shards 1 of 2"), "{}", stderr(&output));
+    let output = crumple(folder, &["merge", "2", "--out", "rare", "--format=json"]);
+    assert_eq!(code(&output), 1);
+    let missing = serde_json::json!({ "missing_repetitions": 2, "of_shards": 2, "missing_shards": [1] });
+    assert_eq!(objects(&output), [missing]);
     let output = crumple(folder, &["merge", "2", "1", "--out", "rare"]);
     assert_eq!((code(&output), stdout(&output)), (0, stdout(&single)), "{}", stderr(&output));
     same_files(folder, "single", "rare");
@@ -109,8 +134,15 @@ fn shards_of_a_search_are_one_campaign() {
         );
     }
     same_files(folder, "single/counterexamples/originals", "campaign/counterexamples/originals");
-    // It is a campaign like any other.
-    assert_eq!(code(&crumple(folder, &["fsck", "campaign", "part"])), 0);
+    // It is a campaign like any other, and a part is no whole one.
+    let looked = crumple(folder, &["fsck", "campaign", "part"]);
+    assert_eq!(code(&looked), 0);
+    assert!(stdout(&looked).contains("campaign: a campaign, complete; "), "{}", stdout(&looked));
+    assert!(
+        stdout(&looked).contains("part: a campaign, put together without 20 evaluations of each method"),
+        "{}",
+        stdout(&looked)
+    );
     let again = crumple(folder, &[&SEARCH[..], &["--log=summary", "--out=campaign", "--resume"]].concat());
     assert_eq!((code(&again), stdout(&again)), (0, stdout(&single)));
     let part = crumple(folder, &[&SEARCH[..], &["--log=summary", "--out=part", "--resume"]].concat());
@@ -145,6 +177,11 @@ fn shards_of_a_suite_say_what_one_machine_says() {
         "{}",
         stderr(&output)
     );
+    let output = crumple(folder, &["merge", "1", "2", "4", "--out=x", "--format=json"]);
+    assert_eq!(code(&output), 1);
+    let missing = &objects(&output)[0];
+    assert_eq!((&missing["missing_shards"], &missing["of_shards"]), (&serde_json::json!([3]), &serde_json::json!(4)));
+    assert_eq!(missing["missing_tests"].as_array().unwrap().len(), 3, "{missing}");
     assert!(!folder.join("x").exists());
     let other = crumple(folder, &["suite", "run", "afgbv-cut-in", "--controller=idm", "--shard=1/2", "--out=other"]);
     assert_eq!(code(&other), 0, "{}", stderr(&other));
@@ -174,6 +211,11 @@ fn shards_of_an_assessment_are_its_evidence() {
     let output = crumple(folder, &["merge", "2", "--out=report"]);
     assert_eq!(code(&output), 1);
     assert!(stderr(&output).contains("evidence is missing, shards 1 of 2, and `assess` would gather it: "));
+    let output = crumple(folder, &["merge", "2", "--out=report", "--format=json"]);
+    assert_eq!(code(&output), 1);
+    let said = &objects(&output)[0];
+    assert_eq!((&said["pieces"], &said["missing_shards"]), (&serde_json::json!(3), &serde_json::json!([1])), "{said}");
+    assert!(said["is_of_this_build"] == true && said["missing"].as_array().unwrap().len() == 2, "{said}");
     let output = crumple(folder, &["merge", "2", "1", "2", "--out=report"]);
     assert_eq!(code(&output), 0, "{}", stderr(&output));
     same_files(folder, "single/evidence", "report/evidence");
@@ -219,14 +261,64 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     for seed in 0..3 {
         same_files(folder, &format!("single/seed-{seed}"), &format!("all/seed-{seed}"));
     }
+    let output = crumple(folder, &["merge", "2", "--out=some", "--format=json"]);
+    let said = &objects(&output)[0];
+    assert_eq!((&said["missing_seeds"], &said["missing_shards"]), (&serde_json::json!([0]), &serde_json::json!([1])));
+    assert_eq!(said["seeds"].as_array().unwrap().len(), 2, "{said}");
+    // A shard that was not begun is missing, wherever it is named.
+    fs::create_dir(folder.join("not")).unwrap();
+    for order in [["not", "2"], ["2", "not"]] {
+        let output = crumple(folder, &[&["merge", "--out=some"], &order[..]].concat());
+        assert_eq!(code(&output), 1);
+        assert!(
+            stderr(&output).contains("not: not begun")
+                && stderr(&output).contains("seeds are missing of 3: 0, shards 1 of 2")
+        );
+    }
+    // What is refused leaves nothing behind.
+    let refused = |folders: &[&str], said: &str| {
+        assert_refused(&crumple(folder, &[&["merge", "--out=x"], folders].concat()), said);
+        assert!(!folder.join("x").exists());
+    };
+    crumple(folder, &[&train[..], &["--shard=1/1", "--out=whole"]].concat());
+    refused(&["2", "whole"], "whole: shard 1/1 has done what shard 2/2 in 2 has done, too");
+    refused(&["1", "2", "--partial"], "--partial: only of a search");
+    assert_refused(&crumple(folder, &["merge", "1", "2", "--out=2"]), "2, which is one of the shards");
+    shard(folder, "1/3", "count");
+    for order in [["count", "1"], ["1", "count"]] {
+        refused(&order, &format!("{}: a shard of", order[1]));
+    }
+    // The same seed that came to something else in a copy of its shard.
+    crumple(folder, &[&train[..], &["--shard=1/2", "--out=copy"]].concat());
+    let result = folder.join("copy/seed-0/result.json");
+    let text = fs::read_to_string(&result).unwrap();
+    let changed = text.replacen("\"unseen_contacts\": ", "\"unseen_contacts\": 1", 1);
+    rewritten(&folder.join("copy/seed-0"), "result.json", &changed);
+    refused(&["1", "2", "copy"], "copy: shard 1/2 came to something else in 1");
     // A seed in another's place, a shard that says something else, one without a word of itself.
     fs::rename(folder.join("1/seed-0"), folder.join("2/seed-2-was")).unwrap();
     fs::rename(folder.join("2/seed-2"), folder.join("1/seed-0")).unwrap();
-    assert_refused(&crumple(folder, &["merge", "1", "2", "--out=x"]), "1/seed-0/training.toml: trained otherwise");
+    refused(&["1", "2"], "1/seed-0/training.toml: trained otherwise");
     let text = fs::read_to_string(folder.join("2/shard.json")).unwrap();
     fs::write(folder.join("2/shard.json"), text.replace("\"seeds\": 3", "\"seeds\": 4")).unwrap();
-    assert_refused(&crumple(folder, &["merge", "2", "--out=x"]), "2/shard.json: not as it was written");
-    assert_refused(&crumple(folder, &["merge", "single", "--out=x"]), "single/shard.json: the file is missing");
+    refused(&["2"], "2/shard.json: not as it was written");
+    refused(&["single"], "single/shard.json: the file is missing");
+}
+
+/// A file and its manifest, written anew such that they fit together.
+fn rewritten(folder: &Path, name: &str, text: &str) {
+    fs::write(folder.join(name), text).unwrap();
+    let path = folder.join("work.json");
+    let mut manifest: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    let written = fs::read_to_string(&path).unwrap();
+    let known = &manifest["files"][name]["whole"];
+    let (bytes, digest) = (known["bytes"].as_u64().unwrap(), known["sha256"].as_str().unwrap());
+    let of = |bytes: u64, digest: &str| format!("\"bytes\": {bytes},\n        \"sha256\": \"{digest}\"");
+    let written = written.replace(&of(bytes, digest), &of(text.len() as u64, &sha256(text)));
+    let own = manifest["sha256"].take();
+    let own = own.as_str().unwrap();
+    let bare = written.replace(own, "");
+    fs::write(&path, written.replace(own, &sha256(bare))).unwrap();
 }
 
 /// A plan of a search, made as an engine would.
@@ -253,6 +345,21 @@ fn a_plan_of_a_search_makes_its_shards() {
     let single = crumple(folder, &[&words[..], &["--log=summary", "--out=single"]].concat());
     assert_eq!((code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
     assert_refused(&crumple(folder, &[&plan[..], &["--runs=10"]].concat()), "cannot be used with");
+    // Not over an earlier one, unless that is meant.
+    assert_refused(&crumple(folder, &[&plan[..], &["--out=p"]].concat()), "p: is not empty: use --force");
+    assert_eq!(code(&crumple(folder, &[&plan[..], &["--out=p", "--force"]].concat())), 0);
+    // A folder that looks like an option.
+    let output = crumple(folder, &[&plan[..], &["--out=-x"]].concat());
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    for line in
+        ["python3 ./-x/hyperqueue_job.py\n", "sbatch ./-x/slurm.sh\n", "merge ./-x/shards/* --out ./-x/campaign\n"]
+    {
+        assert!(stdout(&output).contains(line), "{}", stdout(&output));
+    }
+    let mut task = std::process::Command::new("sh");
+    task.args(["./-x/task.sh", "1"]).current_dir(folder).env("CRUMPLE", env!("CARGO_BIN_EXE_crumple"));
+    assert!(task.output().unwrap().status.success() && folder.join("-x/shards/1/work.json").exists());
+    assert_eq!(code(&crumple(folder, &["merge", "./-x/shards/1", "p/shards/2", "--out=campaign"])), 0);
     assert_refused(
         &crumple(folder, &["plan", "--controller=idm", "--budget=3", "--shards=4"]),
         "there are 3 evaluations",
@@ -294,4 +401,70 @@ fn what_a_plan_writes_makes_what_it_says() {
     ] {
         assert_refused(&crumple(folder, &["plan", "--controller=idm", more]), said);
     }
+}
+
+/// Packages that stand for the engines': they say what was asked of them, and that nobody is there.
+#[cfg(unix)]
+fn engines(folder: &Path) {
+    let write = |name: &str, text: &str| {
+        let path = folder.join("packages").join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+    };
+    write(
+        "ray.py",
+        "import os\ndef init(**asked):\n    print(asked, os.environ.get('RAY_AUTH_MODE'))\n    raise ConnectionError('nobody\\nis there')\n",
+    );
+    write("hyperqueue/__init__.py", "Job = None\n");
+    write("hyperqueue/cluster.py", "LocalCluster = WorkerConfig = None\n");
+    write("hyperqueue/ffi/__init__.py", "");
+    write("hyperqueue/ffi/protocol.py", "ResourceRequest = None\n");
+    write(
+        "hyperqueue/client.py",
+        "class Client:\n    def __init__(self, folder):\n        raise Exception('nobody\\nis there')\n",
+    );
+}
+
+/// What no cluster was named for begins none, and what nobody answers is said in a line.
+#[cfg(unix)]
+#[test]
+fn job_files_connect_to_what_is_named_and_to_nothing_else() {
+    let folder = folder();
+    let folder = folder.path();
+    let python = |words: &[&str], address: Option<&str>| {
+        let mut python = std::process::Command::new("python3");
+        python.args(words).current_dir(folder).env("PYTHONPATH", folder.join("packages"));
+        python.env_remove("RAY_ADDRESS").env_remove("RAY_AUTH_MODE");
+        address.map(|address| python.env("RAY_ADDRESS", address));
+        python.output()
+    };
+    if !python(&["--version"], None).is_ok_and(|found| found.status.success()) {
+        println!("skipped: there is no python3");
+        return;
+    }
+    engines(folder);
+    assert_eq!(code(&crumple(folder, &["plan", "--controller=idm", "--runs=100", "--shards=1", "--out=p"])), 0);
+    let said = |words: &[&str], address: Option<&str>| {
+        let output = python(words, address).unwrap();
+        assert_eq!((code(&output), stderr(&output).lines().count()), (1, 1), "{}", stderr(&output));
+        (stdout(&output).to_owned(), stderr(&output).to_owned())
+    };
+    let (asked, why) = said(&["p/ray_job.py"], None);
+    assert!(asked.is_empty() && why.starts_with("no cluster is named: ") && why.contains("--local N"), "{asked}{why}");
+    for (words, address, asked_for) in [
+        (&["p/ray_job.py", "--address=auto"][..], None, "{'address': 'auto'} None\n"),
+        (&["p/ray_job.py"], Some("10.0.0.1:6379"), "{'address': '10.0.0.1:6379'} None\n"),
+        (&["p/ray_job.py"], Some("local"), "{'address': 'local'} disabled\n"),
+        (
+            &["p/ray_job.py", "--local=2"],
+            Some("auto"),
+            "{'address': 'local', 'num_cpus': 2, 'include_dashboard': False} disabled\n",
+        ),
+    ] {
+        let (asked, why) = said(words, address);
+        assert_eq!(asked, asked_for);
+        assert!(why.ends_with(": nobody\n"), "{why}");
+    }
+    let (_, why) = said(&["p/hyperqueue_job.py"], None);
+    assert!(why.starts_with("no server of HyperQueue runs here") && why.contains("--local N begins one"), "{why}");
 }

@@ -66,7 +66,10 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
     assert!((at_most / exact - 1.0).abs() < 1e-6, "{at_most} {exact}");
 
     assert_eq!(code(&count(&["--out", "whole"])), 2, "not without --resume");
-    assert_refused(&count(&["--out", "whole", "--resume", "--seed", "1"]), "something else was registered");
+    assert_refused(
+        &count(&["--out", "whole", "--resume", "--seed", "1"]),
+        "the count there has another `configuration.seed`: ",
+    );
     let again = count(&["--out", "whole", "--resume"]);
     assert_eq!((code(&again), stdout(&again)), (0, stdout(&whole)));
     let fsck = crumple(folder.path(), &["fsck", "whole"]);

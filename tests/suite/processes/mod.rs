@@ -272,13 +272,17 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
         ("[\"bad.sh\"]", "[\"none.sh\"]", "bad.toml:3: files[0]: none.sh: No such file"),
         ("[\"bad.sh\"]", "[\".\"]", "bad.toml:3: files[0]: .: is no ordinary file"),
         ("answer_within_s = 0.4", "answer_within_s = 0", "bad.toml:5: answer_within_s: must be above 0"),
-        ("version = 1", "version = 1\nnetwork = \"a.onnx\"", "bad.toml:3: command: is not for a network"),
+        (
+            "version = 1",
+            "version = 1\nnetwork = \"a.onnx\"",
+            "bad.toml:3: command: there is `network` already, and one of them drives",
+        ),
         (
             "files",
             "[output]\nanswer = 1\nlow_mps2 = -1\nhigh_mps2 = 1\n[[inputs]]\nconstant = 1 #",
             "bad.toml:4: output.answer: must be 0",
         ),
-        ("command", "# ", "bad.toml:1: version: there is neither a `network` nor a `command`"),
+        ("command", "# ", "bad.toml:1: version: there is neither a `network`, nor an `fmu`, nor a `command`"),
     ];
     for (was, is, said) in cases {
         assert!(whole.contains(was), "{was}");

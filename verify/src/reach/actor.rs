@@ -1,29 +1,36 @@
 //! What a network may answer to a set of observations.
 //!
-//! The network computes, layer after layer, h W + b and max(0, ·), ends in a tanh and a scaling, and does so in single
-//! precision. Here each of its numbers is, for every observation of the set,
+//! The network sees affine functions of what is observed, cut to limits; computes, step after step, h W + b or a function of each
+//! number; and its answer is stretched to an acceleration. It does so in single precision. Here each of its numbers is, for every
+//! observation of the set,
 //!
 //! ```text
 //! c + Σ Λᵢ (yᵢ - middle of yᵢ) + Σ Eⱼ ηⱼ + ρ,    ηⱼ, ρ/size of ρ in [-1, 1]
 //! ```
 //!
-//! with y the eight scaled observations, which are affine forms, one symbol ηⱼ for each rectifier that may or may not be active
-//! (it is replaced by a straight line and a bounded excess, see [`relax`](super::relax)), and ρ for everything small. A number's
+//! with y its inputs, which are affine forms, one symbol ηⱼ for each function that is not straight over the range of its number
+//! (it is replaced by a straight line and a bounded excess, see [`activation`](super::activation)), and ρ for everything small. A number's
 //! range is that over the forms, not over the box around them: what the observations have in common counts. The answer is
 //! again an affine form in the symbols of the state: what a step of driving does to the state is not lost on the next one.
+//! What is done to the one answer behind the last product is done to that form.
 //!
 //! # Rounding of the network
 //! With u = 2⁻²⁴, a sum of n products and a bias in single precision, in any order, is off by at most γ (Σ|w||h| + |b|), where γ
-//! = (n + 2) u / (1 - (n + 2) u), and by less than (n + 1) 10⁻⁴⁴ in all if products underflow. Maxima do not round. The scaled
-//! observation is off by u (1 + 10⁻⁶) of itself. The tanh of a single-precision number is assumed to be within 2⁻²² of the true
-//! one; libm's is within 2⁻²³ in tests. Each is added to ρ.
+//! = (n + 2) u / (1 - (n + 2) u), and by less than (n + 1) 10⁻⁴⁴ in all if products underflow. Maxima do not round. An
+//! input is off by u (1 + 10⁻⁶) of itself, and a difference of two observed numbers by 2⁻⁵³ of itself before anything is subtracted from it.
+//! The tanh of a single-precision number is assumed to be within 2⁻²² of the true one; libm's is within 2⁻²³ in tests. Each is added to ρ.
+//! The stretched answer is off by less than 10⁻¹⁴ of its terms. Nothing uses that a number *is* rounded: what is said of the network holds
+//! in real numbers as well.
 //!
 //! # Rounding of these bounds
 //! Sums of up to 8500 products in double precision err by less than 10⁻¹² of the sum of the absolute values, which is added too.
 
+use serde::{Deserialize, Serialize};
+
+use super::activation::Each;
 use super::bounds::{Bounds, Inputs};
-use super::form::{Form, SLACK};
-use super::relax::{hyperbolic_tangent, rectified};
+use super::form::Form;
+use super::relax::rectified;
 use crate::interval::Interval;
 use crate::work::{Work, WorkLimit};
 
@@ -33,12 +40,110 @@ pub const OBSERVED: usize = 8;
 /// Rounding of single precision.
 pub(super) const U: f64 = 1.0 / (1 << 24) as f64;
 
-/// Assumed of the single-precision tanh: how far it is from the true one at most.
+/// Assumed of the single-precision tanh: how far it is from the true one at most; and of exp and exp - 1, relative to themselves.
 pub const TANH_ERROR: f64 = 1.0 / (1 << 22) as f64;
 
-/// A network with what surrounds it, exactly as in the policy file.
+/// A network with what surrounds it, exactly as in its file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Actor {
+    /// What the network sees, in order.
+    pub inputs: Vec<Input>,
+    /// What it does with that.
+    pub steps: Vec<Step>,
+    /// Which of its answers counts, from 0.
+    pub answer: usize,
+    /// What the answer is multiplied with, in m/s².
+    pub scale_mps2: f64,
+    /// What is added to that, in m/s².
+    pub offset_mps2: f64,
+    /// Bounds of the accelerations that it asks for, in m/s².
+    pub action_mps2: [f64; 2],
+    /// Whether these are kept by cutting what goes beyond them, or nothing can.
+    pub is_cut: bool,
+    /// The gap that stands in for a vehicle that is not there, in metres.
+    pub empty_gap_m: f64,
+    /// Time between decisions, in seconds.
+    pub decision_interval_s: f64,
+    /// The file that it was read from, if it is not one of crumple's own policies.
+    pub source: Option<Source>,
+}
+
+/// A file that the checker does not read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Source {
+    /// Its format.
+    pub format: Format,
+    /// Its SHA-256, in hexadecimal.
+    pub sha256: String,
+}
+
+/// Formats of networks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Format {
+    /// ONNX.
+    Onnx,
+    /// A model saved by Stable-Baselines3.
+    StableBaselines,
+}
+
+impl Format {
+    /// Its name for a reader.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Onnx => "ONNX",
+            Self::StableBaselines => "Stable-Baselines3",
+        }
+    }
+}
+
+/// A number that a network sees: (an affine function of what is observed - offset) / scale, cut to lie between two numbers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Input {
+    /// What each observed number is multiplied with: 1, -1 or 0.
+    pub of: [f64; OBSERVED],
+    /// What is added.
+    pub constant: f64,
+    /// What stands in for all of that where nobody is behind, if it is about who is behind.
+    pub absent: Option<f64>,
+    /// Subtracted.
+    pub offset: f64,
+    /// Divided by.
+    pub scale: f64,
+    /// The least that the network sees.
+    pub low: f64,
+    /// The most that it sees.
+    pub high: f64,
+}
+
+/// What a network does next.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Step {
+    /// A product with a matrix.
+    Linear(Layer),
+    /// Something done to each number.
+    Each(Each),
+}
+
+/// h W + b.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Layer {
+    /// Length of h.
+    pub inputs: usize,
+    /// Length of the result.
+    pub outputs: usize,
+    /// W row after row, one row an input.
+    pub weights: Vec<f64>,
+    /// b.
+    pub biases: Vec<f64>,
+}
+
+/// What crumple's own policies are made of: layers with rectifiers between them and a tanh behind.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Own {
     /// From the observation on.
     pub layers: Vec<Layer>,
     /// Subtracted from observations.
@@ -55,99 +160,174 @@ pub struct Actor {
     pub decision_interval_s: f64,
 }
 
-/// h W + b.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Layer {
-    /// Length of h.
-    pub inputs: usize,
-    /// Length of the result.
-    pub outputs: usize,
-    /// W row after row, one row an input.
-    pub weights: Vec<f64>,
-    /// b.
-    pub biases: Vec<f64>,
+impl From<Own> for Actor {
+    fn from(own: Own) -> Self {
+        let Own { layers, offset, scale, limit, empty_gap_m, action_mps2, decision_interval_s } = own;
+        let input = |i: usize| Input {
+            of: std::array::from_fn(|j| f64::from(u8::from(i == j))),
+            constant: 0.0,
+            absent: None,
+            offset: offset[i],
+            scale: scale[i],
+            low: -limit,
+            high: limit,
+        };
+        let [low, high] = action_mps2;
+        Self {
+            inputs: (0..OBSERVED).map(input).collect(),
+            steps: rectified_between(layers).chain([Step::Each(Each::Tanh)]).collect(),
+            answer: 0,
+            scale_mps2: 0.5 * (high - low),
+            offset_mps2: 0.5 * (low + high),
+            action_mps2,
+            is_cut: false,
+            empty_gap_m,
+            decision_interval_s,
+            source: None,
+        }
+    }
+}
+
+/// The steps of layers with rectifiers between them.
+pub fn rectified_between(layers: Vec<Layer>) -> impl Iterator<Item = Step> {
+    let rectified = |(index, layer)| {
+        let rectifier = (index > 0).then_some(Step::Each(Each::Relu));
+        rectifier.into_iter().chain([Step::Linear(layer)])
+    };
+    layers.into_iter().enumerate().flat_map(rectified)
 }
 
 impl Actor {
-    /// How many bytes the bounds between two layers take at most.
+    /// How many bytes the bounds between two steps take at most.
     pub(super) fn bytes_to_decide(&self) -> usize {
-        let mut width = OBSERVED;
-        let of_layer = |layer: &Layer| {
-            width += layer.outputs;
-            width.saturating_mul(layer.outputs)
+        let mut width = self.inputs.len();
+        let mut numbers = width;
+        let mut is_each = true;
+        let of_step = |step: &Step| {
+            match step {
+                Step::Linear(layer) => {
+                    // What is off the lines of a function behind it.
+                    numbers = layer.outputs;
+                    width += numbers;
+                }
+                // A second function in a row.
+                Step::Each(_) if is_each => width += numbers,
+                Step::Each(_) => {}
+            }
+            is_each = matches!(step, Step::Each(_));
+            width.saturating_mul(numbers)
         };
-        // Those before a layer and those after it.
-        self.layers.iter().map(of_layer).max().unwrap_or(0).saturating_mul(2 * size_of::<f64>())
+        // Those before a step and those after it.
+        self.steps.iter().map(of_step).max().unwrap_or(0).saturating_mul(2 * size_of::<f64>())
     }
 
-    /// The acceleration that is wanted for observations of which each may be off by `error`, in m/s².
+    /// The acceleration that is wanted for observations of which each may be off by `error`, in m/s², with somebody behind or not.
     #[must_use]
-    pub fn decide(&self, seen: &[Form; OBSERVED], error: &[f64; OBSERVED]) -> Form {
-        self.decide_within(seen, error, &Work::within(WorkLimit::NONE))
+    pub fn decide(&self, seen: &[Form; OBSERVED], error: &[f64; OBSERVED], is_followed: bool) -> Form {
+        self.decide_within(seen, error, is_followed, &Work::within(WorkLimit::NONE))
     }
 
     /// The same; any number at all where it takes too much work.
-    pub(super) fn decide_within(&self, seen: &[Form; OBSERVED], error: &[f64; OBSERVED], work: &Work) -> Form {
-        let scaled: [Form; OBSERVED] = std::array::from_fn(|i| self.scaled(i, &seen[i], error[i]));
-        let answer = answer_within(&self.layers, &scaled, work).unwrap_or_else(Form::line);
-        let mut tanh = hyperbolic_tangent(&answer);
-        tanh.widen(TANH_ERROR);
-        let [low, high] = self.action_mps2.map(Interval::point);
-        let half = Interval::point(0.5);
-        let mut wanted = tanh.scaled(half * (high - low));
-        wanted.shift(half * (low + high));
-        wanted.widen(1e-14 * (self.action_mps2[0].abs() + self.action_mps2[1].abs()));
-        wanted
+    pub(crate) fn decide_within(
+        &self,
+        seen: &[Form; OBSERVED],
+        error: &[f64; OBSERVED],
+        is_followed: bool,
+        work: &Work,
+    ) -> Form {
+        let inputs: Vec<Form> = self.inputs.iter().map(|input| input.seen(seen, error, is_followed)).collect();
+        let answer = answer_within(&self.steps, self.answer, &inputs, work).unwrap_or_else(Form::line);
+        let size = self.offset_mps2.abs() + self.scale_mps2.abs() * (answer.centre().abs() + answer.radius());
+        let mut wanted = answer.scaled(Interval::point(self.scale_mps2));
+        wanted.shift(Interval::point(self.offset_mps2));
+        wanted.widen(1e-14 * size);
+        if self.is_cut { cut(&wanted, self.action_mps2) } else { wanted }
     }
+}
 
-    fn scaled(&self, i: usize, seen: &Form, error: f64) -> Form {
-        let mut scaled = seen.clone();
-        scaled.shift(-Interval::point(self.offset[i]));
-        if error > 0.0 {
-            scaled.widen(error);
+impl Input {
+    /// It, for observations of which each may be off by `error`.
+    fn seen(&self, seen: &[Form; OBSERVED], error: &[f64; OBSERVED], is_followed: bool) -> Form {
+        let Self { of, constant, absent, offset, scale, low, high } = self;
+        let (mut value, mut off, mut terms) = (Form::default(), 0.0, 0);
+        match absent.filter(|_| !is_followed) {
+            Some(absent) => value.shift(Interval::point(absent)),
+            None => {
+                for ((&factor, number), error) in
+                    of.iter().zip(seen).zip(error).filter(|((factor, _), _)| **factor != 0.0)
+                {
+                    if terms == 0 && factor == 1.0 {
+                        value = number.clone();
+                    } else {
+                        value.add(number, Interval::point(factor));
+                    }
+                    off += error * factor.abs();
+                    terms += 1;
+                }
+                if *constant != 0.0 {
+                    value.shift(Interval::point(*constant));
+                    terms += 1;
+                }
+            }
         }
-        scaled = scaled.scaled(Interval::ONE.over(Interval::point(self.scale[i])));
-        // Cut to [-limit, limit]: y + max(0, -limit - y) - max(0, y - limit).
-        let beyond = |sign: f64| {
-            let mut beyond = scaled.scaled(Interval::point(sign));
-            beyond.shift(-Interval::point(self.limit));
-            rectified(&beyond)
-        };
-        let (above, below) = (beyond(1.0), beyond(-1.0));
-        let mut cut = scaled.minus(&above).plus(&below);
+        if terms > 1 {
+            // The simulator rounds it as well.
+            off += (value.centre().abs() + value.radius()) * f64::EPSILON;
+        }
+        value.shift(-Interval::point(*offset));
+        if off > 0.0 {
+            value.widen(off);
+        }
+        let mut cut = cut(&value.scaled(Interval::ONE.over(Interval::point(*scale))), [*low, *high]);
         let largest = cut.centre().abs() + cut.radius();
         cut.widen(largest * U * (1.0 + 1e-6) + 1e-44);
         cut
     }
 }
 
-/// What the layers answer to inputs, rectified between layers, as a form in the inputs' symbols.
-#[must_use]
-pub fn answer(layers: &[Layer], inputs: &[Form; OBSERVED]) -> Form {
-    answer_within(layers, inputs, &Work::within(WorkLimit::NONE)).unwrap_or_else(Form::line)
+/// A form cut to lie between two numbers: y + max(0, low - y) - max(0, y - high).
+fn cut(y: &Form, [low, high]: [f64; 2]) -> Form {
+    let beyond = |sign: f64, limit: f64| {
+        let mut beyond = y.scaled(Interval::point(sign));
+        beyond.shift(-Interval::point(sign * limit));
+        rectified(&beyond)
+    };
+    y.clone().minus(&beyond(1.0, high)).plus(&beyond(-1.0, low))
 }
 
-/// The same; none where it takes too much work, or the layers do not end in one number.
-fn answer_within(layers: &[Layer], inputs: &[Form; OBSERVED], work: &Work) -> Option<Form> {
+/// What steps make of inputs, the first of their answers, as a form in the inputs' symbols.
+#[must_use]
+pub fn answer(steps: &[Step], inputs: &[Form]) -> Form {
+    answer_within(steps, 0, inputs, &Work::within(WorkLimit::NONE)).unwrap_or_else(Form::line)
+}
+
+/// One of the answers; none where it takes too much work, or there is no such answer.
+fn answer_within(steps: &[Step], which: usize, inputs: &[Form], work: &Work) -> Option<Form> {
     let seen = Inputs::new(inputs);
     let mut bounds = Bounds::of_inputs(inputs);
-    for (index, layer) in layers.iter().enumerate() {
-        if !work.may_do(bounds.operations(layer)) {
-            return None;
-        }
-        bounds = bounds.through(layer, &seen);
-        if index + 1 < layers.len() {
-            bounds.rectify(&seen);
+    let last = steps.iter().rposition(|step| matches!(step, Step::Linear(_)));
+    let (until_last, behind) = steps.split_at(last.map_or(0, |last| last + 1));
+    for step in until_last {
+        match step {
+            Step::Linear(layer) => {
+                if !work.may_do(bounds.operations(layer)) {
+                    return None;
+                }
+                bounds = bounds.through(layer, &seen);
+            }
+            Step::Each(each) => {
+                if !work.may_do(each.operations() * bounds.centre.len() as u64) {
+                    return None;
+                }
+                bounds.each(each, &seen);
+            }
         }
     }
-    let ([centre], [rho]) = (bounds.centre.as_slice(), bounds.rho.as_slice()) else { return None };
-    let mut form = Form::constant(Interval::point(*centre));
-    let (on_inputs, on_excess) = bounds.columns.split_at_checked(OBSERVED)?;
-    for (input, &factor) in inputs.iter().zip(on_inputs) {
-        let mut deviation = input.clone();
-        deviation.shift(-Interval::point(input.centre()));
-        form.add(&deviation, Interval::point(factor));
+    let mut form = bounds.form(which, inputs)?;
+    for step in behind {
+        if let Step::Each(each) = step {
+            form = each.of_form(which, &form);
+        }
     }
-    form.widen((on_excess.iter().map(|term| term.abs()).sum::<f64>() + rho) * (1.0 + SLACK));
     Some(form)
 }

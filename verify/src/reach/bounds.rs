@@ -1,15 +1,16 @@
 //! Bounds of the numbers between the layers of a network: see [`actor`](super::actor).
 
-use super::actor::{Layer, OBSERVED, U};
+use super::activation::Each;
+use super::actor::{Layer, U};
 use super::form::{Form, SLACK, up};
-use super::relax::rectifier;
+use crate::interval::Interval;
 
-/// The observations as matrices: a row of as many numbers as there are symbols for each of the eight.
+/// The inputs as matrices: a row of as many numbers as there are symbols for each of them.
 pub(super) struct Inputs {
     symbols: usize,
     terms: Vec<f64>,
-    rest: [f64; OBSERVED],
-    radius: [f64; OBSERVED],
+    rest: Vec<f64>,
+    radius: Vec<f64>,
 }
 
 /// The Λᵢ and Eⱼ of all numbers, the middles, and ρ.
@@ -18,25 +19,25 @@ pub(super) struct Bounds {
     pub(super) columns: Vec<f64>,
     pub(super) centre: Vec<f64>,
     pub(super) rho: Vec<f64>,
-    /// Excess of rectifiers of the last layer, not yet columns: (which number, radius), in order.
+    /// What is off the lines of the last functions, not yet columns: (which number, radius), in order.
     excess: Vec<(usize, f64)>,
 }
 
 impl Inputs {
-    pub(super) fn new(inputs: &[Form; OBSERVED]) -> Self {
+    pub(super) fn new(inputs: &[Form]) -> Self {
         let symbols = inputs.iter().map(|form| form.terms().len()).max().unwrap_or(0);
         let row =
             |form: &Form| form.terms().iter().copied().chain(std::iter::repeat(0.0)).take(symbols).collect::<Vec<_>>();
         Self {
             symbols,
             terms: inputs.iter().flat_map(row).collect(),
-            rest: inputs.each_ref().map(Form::rest),
-            radius: inputs.each_ref().map(Form::radius),
+            rest: inputs.iter().map(Form::rest).collect(),
+            radius: inputs.iter().map(Form::radius).collect(),
         }
     }
 
     /// Largest |Σ Λᵢ (yᵢ - middle)|, if the same with nothing in common between the yᵢ is `apart`.
-    fn together(&self, slopes: &[f64; OBSERVED], apart: f64) -> f64 {
+    fn together(&self, slopes: &[f64], apart: f64) -> f64 {
         let mut sums = vec![0.0; self.symbols];
         for (row, &slope) in self.terms.chunks_exact(self.symbols.max(1)).zip(slopes) {
             add_scaled(&mut sums, row, slope);
@@ -48,12 +49,13 @@ impl Inputs {
 
 impl Bounds {
     /// Each input is itself.
-    pub(super) fn of_inputs(inputs: &[Form; OBSERVED]) -> Self {
-        let identity = |i: usize| (0..OBSERVED).map(move |number| f64::from(u8::from(i == number)));
+    pub(super) fn of_inputs(inputs: &[Form]) -> Self {
+        let count = inputs.len();
+        let identity = |i: usize| (0..count).map(move |number| f64::from(u8::from(i == number)));
         Self {
-            columns: (0..OBSERVED).flat_map(identity).collect(),
+            columns: (0..count).flat_map(identity).collect(),
             centre: inputs.iter().map(Form::centre).collect(),
-            rho: vec![0.0; OBSERVED],
+            rho: vec![0.0; count],
             excess: Vec::new(),
         }
     }
@@ -118,37 +120,69 @@ impl Bounds {
         Self { columns, centre, rho, excess: Vec::new() }
     }
 
-    /// max(0, ·) of each number.
-    pub(super) fn rectify(&mut self, inputs: &Inputs) {
+    /// What a function makes of each number.
+    pub(super) fn each(&mut self, each: &Each, inputs: &Inputs) {
+        self.settle();
         let numbers = self.centre.len();
         let (apart, own) = self.sizes(inputs);
+        let mut slopes = vec![0.0; inputs.radius.len()];
         for number in 0..numbers {
             let within = |by: f64| {
                 let radius = up((by + own[number] + self.rho[number]) * (1.0 + SLACK));
                 ((self.centre[number] - radius).next_down(), (self.centre[number] + radius).next_up())
             };
             let (mut low, mut high) = within(apart[number]);
-            if low < 0.0 && high > 0.0 {
-                let slopes = std::array::from_fn(|i| self.columns[i * numbers + number]);
+            if each.bends(number, low, high) {
+                let of_number = self.columns.iter().skip(number).step_by(numbers);
+                slopes.iter_mut().zip(of_number).for_each(|(to, from)| *to = *from);
                 (low, high) = within(inputs.together(&slopes, apart[number]));
             }
-            if low >= 0.0 {
+            let line = each.line(number, low, high);
+            if line.is_identity() {
                 continue;
             }
-            let dies = high <= 0.0;
-            let (slope, excess) = if dies { (0.0, 0.0) } else { rectifier(low, high) };
-            let size = self.centre[number].abs() + apart[number] + own[number] + excess;
+            let slope = line.slope;
             for factor in self.columns.iter_mut().skip(number).step_by(numbers) {
-                *factor = if dies { 0.0 } else { *factor * slope };
+                *factor = if slope == 0.0 { 0.0 } else { *factor * slope };
             }
-            if dies {
-                (self.centre[number], self.rho[number]) = (0.0, 0.0);
+            if line.is_level() {
+                (self.centre[number], self.rho[number]) = (line.low, 0.0);
                 continue;
             }
-            self.centre[number] = self.centre[number] * slope + 0.5 * excess;
-            self.rho[number] = up(self.rho[number] * slope + SLACK * size);
-            self.excess.push((number, up(0.5 * excess)));
+            let (middle, radius) = line.middle_and_radius();
+            let size = (self.centre[number].abs() + apart[number] + own[number]) * slope.abs().max(1.0);
+            let rounding = SLACK * (size + middle.abs() + radius) + line.rounding;
+            self.centre[number] = self.centre[number] * slope + middle;
+            self.rho[number] = up(self.rho[number] * slope.abs() + rounding);
+            if radius > 0.0 {
+                self.excess.push((number, up(radius)));
+            }
         }
+    }
+
+    /// Makes columns of what is off the lines, so that another function can follow without a product in between.
+    fn settle(&mut self) {
+        let numbers = self.centre.len();
+        for (number, radius) in self.excess.drain(..) {
+            let column = self.columns.len();
+            self.columns.resize(column + numbers, 0.0);
+            self.columns[column + number] = radius;
+        }
+    }
+
+    /// One of the numbers as a form in the inputs' symbols; none if there is no such number.
+    pub(super) fn form(mut self, number: usize, inputs: &[Form]) -> Option<Form> {
+        self.settle();
+        let (centre, rho) = (*self.centre.get(number)?, *self.rho.get(number)?);
+        let mut form = Form::constant(Interval::point(centre));
+        let mut factors = self.columns.into_iter().skip(number).step_by(self.centre.len());
+        for (input, factor) in inputs.iter().zip(factors.by_ref()) {
+            let mut deviation = input.clone();
+            deviation.shift(-Interval::point(input.centre()));
+            form.add(&deviation, Interval::point(factor));
+        }
+        form.widen((factors.map(f64::abs).sum::<f64>() + rho) * (1.0 + SLACK));
+        Some(form)
     }
 }
 

@@ -227,7 +227,8 @@ impl Drive<'_> {
     /// What a set wants, in m/s²; none where it is given up.
     fn decide(&mut self, k: u32, Set { members, seen, .. }: &Set) -> Option<Form> {
         self.work.may_do(BESIDES + A_STEP * u64::from(self.scene.decision_steps));
-        let wanted = self.scene.actor.decide_within(seen, &self.scene.observation_error, self.work);
+        let Scene { actor, observation_error, follower_ttc_s, .. } = self.scene;
+        let wanted = actor.decide_within(seen, observation_error, follower_ttc_s.is_some(), self.work);
         let wanted = wanted.settled(members.symbols);
         if members.ego.speed.radius() < WIDEST_MPS && wanted.radius() < WIDEST_MPS {
             return Some(wanted);

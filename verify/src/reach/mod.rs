@@ -3,15 +3,16 @@
 //! Behind a leader that brakes drives an ego whose accelerations a network decides; behind it, perhaps, a follower with a latched
 //! emergency brake. A *reach* statement cuts a box of starts in halves again and again; of some of the boxes it ends with it
 //! claims that no member ever touches anybody, of others that they hold a point that does. Both are derived here again, from the
-//! policy file and the cuts alone: [`form`] are the numbers, [`relax`] the functions, [`actor`] bounds the network, [`braking`] and [`drive`] the
-//! vehicles. What is uncertain is always enlarged, never dropped:
+//! file of the network and the cuts alone: [`form`] are the numbers, [`relax`] the functions, [`actor`] bounds the network, [`activation`]
+//! what is between its layers, [`braking`] and [`drive`] the vehicles. What is uncertain is always enlarged, never dropped:
 //!
 //! | what | how it is enclosed | lost |
 //! |---|---|---|
 //! | start | one symbol for each range, for the whole run | nothing |
 //! | rectifier that may be active or not | line and excess, a symbol within the decision | (h · -l)/(h - l) at most |
-//! | tanh | chord and its largest distance on either side | second order in the width |
-//! | cut of observations at the limit | two rectifiers | nothing while no member is cut |
+//! | other functions between layers | likewise, of each its own [line](activation) | second order in the width, where they are smooth |
+//! | tanh of the answer | chord and its largest distance on either side | second order in the width |
+//! | cut of inputs and of the acceleration at their limits | two rectifiers | nothing while no member is cut |
 //! | single and double precision | bounds of each sum, from the weights | about 10⁻⁵ m/s² |
 //! | products (braking rate and time) | product of the radii | second order |
 //! | standing or not | a set for those who move and one for those who stand, joined at each decision | some centimetres |
@@ -21,11 +22,13 @@
 //!
 //! # What is not covered
 //! The estimator: the claim is for observations within stated errors of the truth, at each decision anew and in any combination.
-//! Noise on accelerations, delays and lags: the claim is for vehicles that have none. Whether the policy file drives the
-//! simulator as said here: tests compare. Whether the vehicle can do what the policy asks for: whoever draws up a box compares, a
+//! Noise on accelerations, delays and lags: the claim is for vehicles that have none. Whether the file drives the
+//! simulator as said here: tests compare. Whether the file of a network from outside says what the source file and its mapping mean: that
+//! is as crumple has read them, an assumption of the claim; who has the source can have it read again (`crumple check --policy`). Whether the vehicle can do what the policy asks for: whoever draws up a box compares, a
 //! certificate does not know the vehicle. Motion is that of real numbers; stated observation errors of 10⁻⁹ also cover what a
 //! simulator in double precision rounds, but for who stands or brakes at an instant that rounding decides.
 
+pub mod activation;
 pub mod actor;
 pub mod bounds;
 pub mod braking;
@@ -33,6 +36,8 @@ mod container;
 pub mod drive;
 pub mod form;
 pub mod members;
+pub mod network_file;
+pub mod policy_file;
 mod ranges;
 pub mod relax;
 mod volume;
@@ -45,7 +50,8 @@ use crate::canonical::sha256;
 use crate::claim::seconds;
 use crate::work::Work;
 use crate::{Accepted, Rejection};
-pub use actor::{Actor, Layer, OBSERVED};
+pub use activation::Each;
+pub use actor::{Actor, Format, Input, Layer, OBSERVED, Own, Source, Step};
 use drive::reach_within;
 pub use drive::{Scene, Tube, reach, reach_with_tube};
 pub use ranges::{Dimension, Ranges};
@@ -66,6 +72,9 @@ pub struct Reach {
     pub policy_file: String,
     /// Its SHA-256, in hexadecimal.
     pub policy_sha256: String,
+    /// The file that it was read from, if it is a network from outside.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<Source>,
     /// h, the time between two instants, in seconds.
     pub step_s: f64,
     /// N, the number of steps.
@@ -225,12 +234,7 @@ impl Reach {
 const COUNTED_CUTS: f64 = 1e-9;
 
 pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>, is_old: bool, work: &Work) -> Result<Accepted, Rejection> {
-    let policy = policy.ok_or_else(|| Rejection::Policy { problem: "is not there".to_owned() })?;
-    let found = sha256(policy);
-    if found != claim.policy_sha256 {
-        return Err(Rejection::Policy { problem: format!("has the digest {found}, not `policy_sha256`") });
-    }
-    let actor = Actor::from_bytes(policy).map_err(|problem| Rejection::Policy { problem })?;
+    let actor = actor_of(policy, &claim.policy_sha256, claim.source.as_ref())?;
     let scene = claim.scene(&actor)?;
     let leaves = claim.leaves()?;
     let verdicts = judged(&scene, &leaves, work);
@@ -259,6 +263,25 @@ pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>, is_old: bool, work: &W
         horizon_s: claim.horizon_s(),
         has_follower: claim.follower_ttc_s.is_some(),
     })
+}
+
+/// The actor of a file, if it is the one that is meant and was read from what it is said to be.
+pub(crate) fn actor_of(file: Option<&[u8]>, digest: &str, source: Option<&Source>) -> Result<Actor, Rejection> {
+    let wrong = |problem: &str| Rejection::Policy { problem: problem.to_owned() };
+    let file = file.ok_or_else(|| wrong("is not there"))?;
+    let found = sha256(file);
+    if found != digest {
+        return Err(Rejection::Policy { problem: format!("has the digest {found}, not `policy_sha256`") });
+    }
+    let actor = Actor::from_bytes(file).map_err(|problem| Rejection::Policy { problem })?;
+    if actor.source.as_ref() == source { Ok(actor) } else { Err(wrong("was read from another file than `source`")) }
+}
+
+/// The name of the file of an actor, beside a certificate.
+#[must_use]
+pub fn file_name(digest: &str, is_from_outside: bool) -> String {
+    let kind = if is_from_outside { "network" } else { "policy" };
+    format!("{kind}-{}.safetensors", digest.get(..12).unwrap_or_default())
 }
 
 /// For each leaf the smallest gap that is proved, or what stands against it; on all cores, in order.

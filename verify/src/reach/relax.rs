@@ -6,6 +6,7 @@
 //! - f convex: f - s x is largest at an end, and lies above its tangent at any x₀, whose least value is at an end. x₀ is taken
 //!   where f' is about s, so that the tangent is nearly level.
 //! - tanh is odd, convex below 0 and concave above, so each half is bounded like that.
+//! - x, α (eˣ - 1) below 0, is convex for 0 ≤ α ≤ 1; 0 is below it where α ≤ s ≤ 1.
 //!
 //! # exp and tanh
 //! For 0 ≤ y ≤ 40 let t = y / 1024. Then e⁻ᵗ lies between the Taylor sums of degree 7 and 8 (the series alternates and falls),
@@ -17,12 +18,10 @@ use crate::interval::Interval;
 const ONE: Interval = Interval::ONE;
 
 /// s x + [low, high].
-fn line(x: &Form, slope: f64, low: f64, high: f64) -> Form {
-    let mut line = x.scaled(Interval::point(slope));
-    match Interval::new(low, high) {
-        Some(interval) => line.shift(interval),
-        None => return Form::line(),
-    }
+pub(super) fn line(x: &Form, slope: f64, low: f64, high: f64) -> Form {
+    let Some(off) = Interval::new(low, high) else { return Form::line() };
+    let mut line = if slope == 0.0 { Form::default() } else { x.scaled(Interval::point(slope)) };
+    line.shift(off);
     line
 }
 
@@ -78,13 +77,18 @@ fn convex(
     touch: impl Fn(f64) -> f64,
 ) -> Form {
     let (low, high) = (x.range().low(), x.range().high());
+    let [least, most] = [low, high].map(|end| derivative(Interval::point(end)).low());
+    let (slope, highest) = chord([low, high], &value, [least, most]);
+    line(x, slope, least_on_tangent(value, derivative, slope, touch(slope), [low, high]), highest)
+}
+
+/// A slope near the chord's, within limits, and the most that a convex function exceeds s x by: that at one of the ends.
+fn chord([low, high]: [f64; 2], value: impl Fn(Interval) -> Interval, [least, most]: [f64; 2]) -> (f64, f64) {
     let [at_low, at_high] = [low, high].map(|end| value(Interval::point(end)));
     let chord = (at_high.low() - at_low.low()) / (high - low);
-    let [least, most] = [low, high].map(|end| derivative(Interval::point(end)).low());
     let slope = chord.max(least).min(most);
     let above = |end: f64, value: Interval| (value - Interval::point(slope) * Interval::point(end)).high();
-    let highest = above(low, at_low).max(above(high, at_high));
-    line(x, slope, least_on_tangent(value, derivative, slope, touch(slope), [low, high]), highest)
+    (slope, above(low, at_low).max(above(high, at_high)))
 }
 
 /// A lower bound of f(x) - s x over [l, h] for convex f, from the tangent near `touch`.
@@ -104,9 +108,14 @@ fn least_on_tangent(
 /// The hyperbolic tangent.
 #[must_use]
 pub fn hyperbolic_tangent(z: &Form) -> Form {
-    let (low, high) = (z.range().low(), z.range().high());
+    let (slope, off) = hyperbolic_tangent_line(z.range().low(), z.range().high());
+    line(z, slope, off.low(), off.high())
+}
+
+/// A slope s, and bounds of tanh z - s z over [l, h].
+pub(super) fn hyperbolic_tangent_line(low: f64, high: f64) -> (f64, Interval) {
     if !(low.is_finite() && high.is_finite()) {
-        return Form::line();
+        return (0.0, (-ONE).hull(ONE));
     }
     let [at_low, at_high] = [low, high].map(tanh);
     let chord = (at_high.low() - at_low.low()) / (high - low);
@@ -125,9 +134,42 @@ pub fn hyperbolic_tangent(z: &Form) -> Form {
     if low < 0.0 {
         bounds = bounds.hull(Interval::point(-most((-high).max(0.0), -low)));
     }
-    let line = line(z, slope, bounds.low(), bounds.high());
     // A line that leaves what tanh can be says less than that.
-    if line.radius() < 1.0 { line } else { Form::constant(at_low.hull(at_high)) }
+    let reach = slope * (0.5 * high - 0.5 * low) + 0.5 * (bounds.high() - bounds.low());
+    if reach < 1.0 { (slope, bounds) } else { (0.0, at_low.hull(at_high)) }
+}
+
+/// For l < 0 a slope s, and bounds of f(x) - s x over [l, h] for f that is x, and α (eˣ - 1) below 0.
+pub(super) fn elu_line(alpha: f64, low: f64, high: f64) -> (f64, Interval) {
+    if !(low.is_finite() && high.is_finite()) {
+        return (0.0, Interval::LINE);
+    }
+    let value = |x: Interval| elu(alpha, x.low());
+    if !(0.0..=1.0).contains(&alpha) {
+        // It turns at 0 at most.
+        let ends = value(Interval::point(low)).hull(value(Interval::point(high)));
+        return (0.0, if high > 0.0 { ends.hull(Interval::ZERO) } else { ends });
+    }
+    let (slope, highest) = chord([low, high], value, [0.0, 1.0]);
+    let least = if slope >= alpha {
+        0.0
+    } else {
+        // Where α eˣ is the slope. Above 0 f - s x grows from what it is at 0.
+        let touch = (slope / alpha).ln().clamp(-40.0, 0.0);
+        let steepness = |x: Interval| Interval::point(alpha) * exp(x.low());
+        least_on_tangent(value, steepness, slope, touch, [low, high.min(0.0)])
+    };
+    (slope, Interval::new(least, highest).unwrap_or(Interval::LINE))
+}
+
+/// x, and α (eˣ - 1) below 0.
+fn elu(alpha: f64, x: f64) -> Interval {
+    if x >= 0.0 { Interval::point(x) } else { Interval::point(alpha) * (exp(x) - ONE) }
+}
+
+/// eˣ for x ≤ 0.
+fn exp(x: f64) -> Interval {
+    if x < -40.0 { Interval::ZERO.hull(exp_minus(40.0)) } else { exp_minus(-x) }
 }
 
 /// tanh of a number.

@@ -17,6 +17,7 @@ mod interval;
 mod kernel;
 mod motion;
 mod network;
+mod network_files;
 mod rate;
 mod reach;
 mod reach_claims;

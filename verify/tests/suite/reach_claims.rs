@@ -1,10 +1,10 @@
 //! Reach statements that make no sense are refused, each with the name of what is wrong.
 
-use crumple_verify::reach::{Actor, Cell, Dimension, Layer, Ranges, Reach};
+use crumple_verify::reach::{Actor, Cell, Dimension, Layer, Own, Ranges, Reach};
 use crumple_verify::{Interval, Rejection};
 
 fn actor() -> Actor {
-    Actor {
+    Actor::from(Own {
         layers: vec![Layer { inputs: 8, outputs: 1, weights: vec![0.0; 8], biases: vec![0.0] }],
         offset: [0.0; 8],
         scale: [1.0; 8],
@@ -12,7 +12,7 @@ fn actor() -> Actor {
         empty_gap_m: 80.0,
         action_mps2: [-7.5, 3.0],
         decision_interval_s: 0.1,
-    }
+    })
 }
 
 fn claim() -> Reach {
@@ -20,6 +20,7 @@ fn claim() -> Reach {
     Reach {
         policy_file: "policy.safetensors".to_owned(),
         policy_sha256: String::new(),
+        source: None,
         step_s: 0.01,
         steps: 300,
         follower_ttc_s: Some(1.4),

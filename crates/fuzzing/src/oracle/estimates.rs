@@ -7,6 +7,9 @@ use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
 use crumple_world::scenario::{Driver, VehicleSpec};
 use crumple_world::sim::Motion;
 
+/// Instants this close are one, in seconds.
+const SAME_INSTANT_S: f64 = 1e-9;
+
 /// Standard deviations of noise that no estimate is off by.
 const DEVIATIONS: f64 = 12.0;
 
@@ -21,12 +24,20 @@ const DEVIATIONS: f64 = 12.0;
 pub fn estimates_are_sane(question: &Question<'_>) -> Finding {
     let bounds = Bounds::of(question);
     let mut finding = None;
+    let tracks = question.result.trace.iter().flat_map(|trace| &trace.vehicles);
+    let in_lane_s: Vec<[f64; 2]> = tracks.map(|track| track.in_lane_s).collect();
     let vehicles = question.test_case.scenario.vehicles();
     let estimates = |vehicle: &VehicleSpec| {
         vehicle.driver == Driver::UnderTest && question.run.options().estimator == EstimatorKind::Kalman
     };
     question.system.observe(&question.run, &mut |sight| {
-        let truth = truth(sight.motion, vehicles, sight.vehicle);
+        let is_there = |vehicle: usize| {
+            in_lane_s.get(vehicle).is_none_or(|&[from_s, to_s]| {
+                let now_s = sight.time_s + SAME_INSTANT_S;
+                from_s <= now_s && now_s < to_s
+            })
+        };
+        let truth = truth(sight.motion, vehicles, sight.vehicle, is_there);
         let problem = match vehicles.get(sight.vehicle) {
             Some(vehicle) if estimates(vehicle) => bounds.problem(&sight.seen, &truth),
             _ => (sight.seen != truth).then(|| format!("it sees {:?}, the truth is {truth:?}", sight.seen)),
@@ -38,22 +49,23 @@ pub fn estimates_are_sane(question: &Question<'_>) -> Finding {
     Ok(Checked::Holds)
 }
 
-/// What is true for a vehicle.
-fn truth(motion: &[Motion], vehicles: &[VehicleSpec], index: usize) -> Observation {
-    let gap_m = |rear: usize| {
-        let front = motion.get(rear.checked_sub(1)?)?;
-        Some(front.position_m - vehicles.get(rear - 1)?.length_m() - motion.get(rear)?.position_m)
+/// What is true for a vehicle, among those that are in the lane.
+fn truth(motion: &[Motion], vehicles: &[VehicleSpec], index: usize, is_there: impl Fn(usize) -> bool) -> Observation {
+    let gap_m = |front: usize, rear: usize| {
+        Some(motion.get(front)?.position_m - vehicles.get(front)?.length_m() - motion.get(rear)?.position_m)
     };
-    let neighbour = |other: Option<&Motion>, gap_m: Option<f64>| {
-        let Motion { speed_mps, acceleration_mps2, .. } = *other?;
+    let neighbour = |other: usize, gap_m: Option<f64>| {
+        let Motion { speed_mps, acceleration_mps2, .. } = *motion.get(other)?;
         Some(Neighbour { gap_m: gap_m?, speed_mps, acceleration_mps2 })
     };
     let own = motion.get(index);
+    let ahead = (0..index).rev().find(|&other| is_there(other) && is_there(index));
+    let behind = (index + 1..motion.len()).find(|&other| is_there(other) && is_there(index));
     Observation {
         speed_mps: own.map_or(f64::NAN, |own| own.speed_mps),
         acceleration_mps2: own.map_or(f64::NAN, |own| own.acceleration_mps2),
-        ahead: index.checked_sub(1).and_then(|front| neighbour(motion.get(front), gap_m(index))),
-        behind: neighbour(motion.get(index + 1), gap_m(index + 1)),
+        ahead: ahead.and_then(|front| neighbour(front, gap_m(front, index))),
+        behind: behind.and_then(|rear| neighbour(rear, gap_m(index, rear))),
     }
 }
 

@@ -51,9 +51,7 @@ pub fn lanes_are_kept(question: &Question<'_>) -> Finding {
     Ok(Checked::Holds)
 }
 
-/// To enter at the start is to have been there: the same run, to the last bit, but for the times in the lane. Nothing is said where
-/// somebody leaves at a gap: of those who enter at one instant each is a neighbour for no time, and such a gap counts from the side
-/// on which it was first seen.
+/// To enter at the start is to have been there: the same run, to the last bit, but for the times in the lane.
 ///
 /// # Errors
 /// [`Law::Lanes`].
@@ -64,9 +62,6 @@ pub fn entering_at_once_is_being_there(question: &Question<'_>) -> Finding {
             spec.vehicles.iter_mut().filter(|vehicle| vehicle.enters.is_some()).for_each(|vehicle| vehicle.enters = to);
         })
     };
-    if scenario.vehicles().iter().any(|vehicle| matches!(vehicle.leaves, Some(LaneChange::Gap(_)))) {
-        return Ok(Checked::DoesNotApply);
-    }
     // Who leaves at 0 s cannot enter then.
     let (Ok(enters), Ok(there)) = (changed(Some(LaneChange::At(0.0))), changed(None)) else {
         return Ok(Checked::DoesNotApply);

@@ -61,12 +61,16 @@ pub const ORACLES: [Oracle; 10] = [
     nobody_does_the_impossible,
 ];
 
-/// The oracles of scenarios in which vehicles enter or leave the lane. The others of [`ORACLES`] are about neighbours that stay.
-pub const LANE_ORACLES: [Oracle; 8] = [
+/// The oracles of scenarios in which vehicles enter or leave the lane. The others of [`ORACLES`] ask about a shield and about what
+/// anybody could do, which refuse such scenarios and say so.
+pub const LANE_ORACLES: [Oracle; 11] = [
     motion_is_physical,
     lanes_are_kept,
+    one_story,
     impacts_are_inelastic,
     files_keep_scenarios,
+    monitor_agrees,
+    estimates_are_sane,
     entering_at_once_is_being_there,
     who_leaves_behind_changes_nothing_ahead,
     engines_agree,

@@ -12,6 +12,9 @@ use crumple_world::sim::Trace;
 /// Samples that random formulas are judged on: the definition takes quadratic time.
 const FEW: usize = 40;
 
+/// The gap to nobody, in metres: farther than anybody is, and a number of which sums are numbers.
+const NOBODY_M: f64 = 1e6;
+
 /// "Always a gap" holds on the trace if and only if the verdict is no collision, and random formulas over gaps and speeds
 /// have the robustness of the definition at every sample.
 ///
@@ -28,7 +31,7 @@ pub fn monitor_agrees(question: &Question<'_>) -> Finding {
     let sign = if collided { robustness <= ROUNDING_M } else { robustness > 0.0 || grazes(&question.result) };
     must(sign, Law::Monitor, || format!("{apart} has robustness {robustness}, collided: {collided}"))?;
     let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
-    let least_m = gaps_m.fold(f64::INFINITY, f64::min);
+    let least_m = gaps_m.fold(NOBODY_M, f64::min);
     must(robustness >= least_m - ROUNDING_M, Law::Monitor, || {
         format!("{apart} has robustness {robustness}, but the smallest gap of the run is {least_m} m")
     })?;
@@ -83,9 +86,9 @@ fn signals(trace: &Trace, step_s: f64, every: usize) -> Result<Signals<'static>,
     for (index, track) in trace.vehicles.iter().enumerate() {
         let speeds: Vec<f64> = track.speed_mps.iter().copied().step_by(every).collect();
         signals.insert(format!("v{index}_mps"), speeds)?;
-        if let Some(pair) = trace.pairs(index).first() {
-            let gaps_m: Vec<f64> = pair.gaps_m().map(|(_, gap_m)| gap_m).step_by(every).collect();
-            signals.insert(format!("gap{index}_m"), gaps_m)?;
+        if index > 0 {
+            let gaps_m = trace.gaps_m(index).into_iter().map(|gap_m| gap_m.unwrap_or(NOBODY_M));
+            signals.insert(format!("gap{index}_m"), gaps_m.step_by(every).collect::<Vec<_>>())?;
         }
     }
     Ok(signals)

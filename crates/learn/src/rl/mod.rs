@@ -44,7 +44,7 @@ pub use observation::{Inputs, ObservationConfig, Scale};
 pub use replay::{Batch, Replay, Transition};
 pub use reward::CostConfig;
 pub use seeds::{Event, Observer, side_by_side, train};
-pub use shard::{GatherError, TrainingShard, is_of_trainings};
+pub use shard::{GatherError, MergedTrainings, TrainingShard, is_of_trainings};
 pub use source::{Blend, Mixed, PaperDraws, ScenarioSource, unsuited};
 pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
 pub use useful::UsefulDriving;

@@ -3,16 +3,17 @@
 //! The folder of a shard is that of any training of several seeds, with `shard.json` beside them: which shard it is, of how many seeds, and
 //! how they are trained.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::folder::{CONFIGURATION, identity_of, seed_folder, text_of};
+use super::folder::{CONFIGURATION, finished_trainings, identity_of, seed_folder, text_of};
 use super::{TrainingConfig, TrainingError};
 use crumple_search::disk;
-use crumple_search::shard::{MergeError, Shard, TooManyShards};
-use crumple_search::work::{Found, MANIFEST, WorkError, find};
+use crumple_search::shard::{MergeError, MissingShards, Parts, Shard, TooManyShards};
+use crumple_search::work::{Finished, Found, MANIFEST, WorkError, find};
 use crumple_world::digest::sha256;
 
 const SHARD: &str = "shard.json";
@@ -112,12 +113,6 @@ impl TrainingShard {
         self.shard.range(self.seeds, "seeds")
     }
 
-    /// Of how many seeds, from 0.
-    #[must_use]
-    pub fn seeds(&self) -> u64 {
-        self.seeds
-    }
-
     /// How they are trained.
     ///
     /// # Errors
@@ -127,45 +122,110 @@ impl TrainingShard {
         let config = TrainingConfig::parse(&self.configuration, &path);
         Ok(config.map_err(|error| damaged(&path, &error.to_string()))?)
     }
+}
 
-    /// Copies the seeds of this shard that are finished in a folder to another, which is that of `first`, the shard that was taken first
-    /// from its own folder.
+/// Shards of one training of several seeds. Nothing is written before all of them were looked at.
+#[derive(Debug)]
+pub struct MergedTrainings {
+    whole: TrainingShard,
+    config: TrainingConfig,
+    /// Of seeds.
+    parts: Parts<()>,
+    /// The seeds that are finished, each with the folder of its shard.
+    seeds: BTreeMap<u64, (PathBuf, Finished)>,
+}
+
+impl MergedTrainings {
+    /// Begins with a shard.
     ///
     /// # Errors
-    /// [`GatherError`] if they are seeds of another training, a file is damaged, or something else is in its place.
-    pub fn gather(&self, folder: &Path, (first, of_first): (&Path, &Self), out: &Path) -> Result<(), GatherError> {
-        let foreign = |field: &str| MergeError::Foreign {
-            folder: folder.to_owned(),
-            first: first.to_owned(),
-            field: field.to_owned(),
-        };
-        if self.configuration != of_first.configuration {
-            return Err(foreign("the configuration").into());
+    /// [`GatherError`] if it cannot be read.
+    pub fn of(folder: &Path) -> Result<Self, GatherError> {
+        let whole = TrainingShard::read(folder)?;
+        let config = whole.config(folder)?;
+        let mut merged = Self { whole, config, parts: Parts::of(folder), seeds: BTreeMap::new() };
+        merged.take(folder)?;
+        Ok(merged)
+    }
+
+    /// Takes in another shard, finished or not.
+    ///
+    /// # Errors
+    /// [`GatherError`] if it is one of another training, a file is damaged, some of it was trained by another shard, or the same seed came
+    /// to something else.
+    pub fn take(&mut self, folder: &Path) -> Result<(), GatherError> {
+        let shard = TrainingShard::read(folder)?;
+        let foreign = |field: &str| GatherError::from(self.parts.foreign(folder, field.to_owned()));
+        if shard.configuration != self.whole.configuration {
+            return Err(foreign("the configuration"));
         }
-        if self.seeds != of_first.seeds {
-            return Err(foreign("the number of seeds").into());
+        if shard.seeds != self.whole.seeds {
+            return Err(foreign("the number of seeds"));
         }
-        let config = self.config(folder)?;
-        for seed in self.range()? {
+        self.parts.place(folder, shard.shard, shard.range()?, ())?;
+        for seed in shard.range()? {
             let place = seed_folder(folder, seed);
             if !place.is_dir() {
                 continue;
             }
-            if let Found::Finished(found) = find(&place)? {
-                let path = place.join(CONFIGURATION);
-                let is_own =
-                    found.is_of(&identity_of(&config, seed)?) && found.read(CONFIGURATION)? == self.configuration;
-                if !is_own {
-                    return Err(damaged(&path, "trained otherwise than the shard says, or with another seed").into());
-                }
-                found.copy_to(&seed_folder(out, seed))?;
+            let Found::Finished(found) = find(&place)? else { continue };
+            let is_own =
+                found.is_of(&identity_of(&self.config, seed)?) && found.read(CONFIGURATION)? == shard.configuration;
+            if !is_own {
+                let problem = "trained otherwise than the shard says, or with another seed";
+                return Err(damaged(&place.join(CONFIGURATION), problem).into());
             }
+            found.check()?;
+            match self.seeds.get(&seed) {
+                Some((taken, other)) if !other.is_same(&found) => {
+                    let (folder, taken) = (folder.to_owned(), taken.clone());
+                    return Err(MergeError::Contradicting { folder, shard: shard.shard, taken }.into());
+                }
+                Some(_) => {}
+                None => drop(self.seeds.insert(seed, (folder.to_owned(), found))),
+            }
+        }
+        Ok(())
+    }
+
+    /// How they are trained.
+    #[must_use]
+    pub fn config(&self) -> &TrainingConfig {
+        &self.config
+    }
+
+    /// Of how many seeds, from 0.
+    #[must_use]
+    pub fn seeds(&self) -> u64 {
+        self.whole.seeds
+    }
+
+    /// Which shards are missing. Of those that are there seeds may be missing.
+    #[must_use]
+    pub fn missing_shards(&self) -> MissingShards {
+        self.parts.missing_shards()
+    }
+
+    /// Copies the seeds that are finished to the folder of the whole, beside those that are there.
+    ///
+    /// # Errors
+    /// [`GatherError`] if there is something else: then nothing was written.
+    pub fn write_in(&self, out: &Path) -> Result<(), GatherError> {
+        for (seed, (_, found)) in &self.seeds {
+            found.is_in(&seed_folder(out, *seed))?;
+        }
+        if out.is_dir() {
+            finished_trainings(out, &self.config)?;
+        }
+        disk::make_folder(out).map_err(WorkError::from)?;
+        for (seed, (_, found)) in &self.seeds {
+            found.copy_to(&seed_folder(out, *seed))?;
         }
         Ok(())
     }
 }
 
-/// Whether a folder holds seeds of a training, or says that it is to.
+/// Whether a folder is one of trainings: its `shard.json` speaks of seeds, or it holds some. Other shards say in `work.json` what they are.
 #[must_use]
 pub fn is_of_trainings(folder: &Path) -> bool {
     let is_seed = |path: PathBuf| {
@@ -173,8 +233,12 @@ pub fn is_of_trainings(folder: &Path) -> bool {
         name.is_some_and(|number| number.parse::<u64>().is_ok()) && path.is_dir()
     };
     let entries = || std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let holds = folder.join(SHARD).exists() || entries().any(|entry| is_seed(entry.path()));
-    !folder.join(MANIFEST).exists() && holds
+    let said = || disk::read(&folder.join(SHARD), MOST_BYTES).ok().flatten();
+    let says_seeds = || {
+        let said = said().and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok());
+        said.is_some_and(|said| said.get("seeds").is_some())
+    };
+    !folder.join(MANIFEST).exists() && (says_seeds() || entries().any(|entry| is_seed(entry.path())))
 }
 
 fn damaged(path: &Path, problem: &str) -> WorkError {

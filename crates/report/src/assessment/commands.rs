@@ -7,7 +7,6 @@ use std::ffi::OsStr;
 use std::fmt;
 use std::path::Path;
 
-use crumple_verify::Statement;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -150,11 +149,11 @@ impl AssessmentPlan {
         }
         for given in &self.certificates {
             // A certificate may name any file: only one that lies beside it, and that it was made for, is put there.
-            if let (Statement::Reach(reach), Some(policy)) = (&given.certificate.statement, &given.policy)
-                && sha256(policy) == reach.policy_sha256
-                && Path::new(&reach.policy_file).file_name() == Some(OsStr::new(&reach.policy_file))
+            if let (Some((file, digest)), Some(policy)) = (given.certificate.policy(), &given.policy)
+                && sha256(policy) == digest
+                && Path::new(file).file_name() == Some(OsStr::new(file))
             {
-                add(format!("certificates/{}", reach.policy_file), policy.clone());
+                add(format!("certificates/{file}"), policy.clone());
             }
         }
         for (_, scenario) in &self.traffic {

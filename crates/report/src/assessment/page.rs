@@ -4,10 +4,9 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::markdown::Markdown;
 use super::{Assessment, Part};
-use crate::draw;
+use crate::{PAGE_STYLE, draw};
 use crumple_world::quoted::Lines;
 
-const STYLE: &str = include_str!("../page.css");
 const TITLE: &str = "Crash test of longitudinal driving controllers";
 
 pub(super) fn html(assessment: &Assessment) -> String {
@@ -57,7 +56,7 @@ fn head(assessment: &Assessment) -> Markup {
             meta name="viewport" content="width=device-width, initial-scale=1";
             meta name="generator" content={ "crumple " (assessment.provenance.crumple) };
             title { (TITLE) }
-            style { (PreEscaped(STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(draw::ANIMATION_STYLE)) }
+            style { (PreEscaped(PAGE_STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(draw::ANIMATION_STYLE)) }
         }
     }
 }

@@ -14,7 +14,7 @@ use super::store::{Kept, Store, StoreError};
 use super::work::Work as Gathering;
 use super::{AssessError, AssessmentPlan};
 use crumple_search::disk::DiskError;
-use crumple_search::shard::{MergeError, Parts, Shard, TooManyShards, open_shard, read_shard};
+use crumple_search::shard::{MergeError, MissingShards, Parts, Shard, TooManyShards, open_shard, read_shard};
 use crumple_search::work::{Finished, WorkError};
 use crumple_world::digest::sha256;
 use crumple_world::scenario::file;
@@ -167,9 +167,9 @@ impl MergedEvidence {
         missing.into_iter().filter_map(of).flatten().cloned().collect()
     }
 
-    /// Of how many shards they are, and which of these are missing; where they are of several numbers, nothing.
+    /// Which shards are missing.
     #[must_use]
-    pub fn missing_shards(&self) -> (Option<u32>, Vec<u32>) {
+    pub fn missing_shards(&self) -> MissingShards {
         self.parts.missing_shards()
     }
 
@@ -191,10 +191,7 @@ impl MergedEvidence {
 }
 
 fn read(found: &Finished) -> Result<(ShardFile, Vec<Kept>), WorkError> {
-    let file: ShardFile = read_shard(found)?;
-    if file.version != VERSION {
-        return Err(found.damaged("shard.json", format!("version: {}, and this release reads {VERSION}", file.version)));
-    }
+    let file: ShardFile = read_shard(found, VERSION)?;
     let kept = serde_json::from_str(&found.read(EVIDENCE)?).map_err(|error| found.unreadable(EVIDENCE, &error))?;
     Ok((file, kept))
 }
@@ -204,7 +201,8 @@ fn digest(plan: &AssessmentPlan) -> Result<String, StoreError> {
     let spaces: Vec<_> = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.as_str()).collect();
     let traffic = plan.traffic.iter().map(|(path, scenario)| Ok((path, file::to_toml(scenario)?)));
     let traffic = traffic.collect::<Result<Vec<_>, toml::ser::Error>>().map_err(StoreError::encoding)?;
-    Ok(sha256(json!([plan.config, plan.identities(), spaces, traffic]).to_string()))
+    let suites: Vec<_> = plan.suites.iter().map(|planned| &planned.known.sha256).collect();
+    Ok(sha256(json!([plan.config, plan.identities(), spaces, traffic, suites]).to_string()))
 }
 
 fn text(value: &impl Serialize) -> Result<String, StoreError> {

@@ -6,6 +6,8 @@
     const text = Math.abs(value).toFixed(digits);
     return (value < 0 && Number(text) !== 0 ? '\u2212' : '') + text;
   };
+  // For each block what to do around printing; blocks that a page has thrown away are forgotten.
+  const forPaper = new WeakMap();
   const setUp = (block) => {
     const data = JSON.parse(block.querySelector('script').textContent);
     const vehicles = data.vehicles;
@@ -87,6 +89,7 @@
       button.textContent = 'Play';
     };
     const frame = (clockMs) => {
+      if (!block.isConnected) return;
       // A frame is stamped with its start, which may lie before the click: the first one only starts the clock.
       if (before !== null) due += Math.min(Math.max(clockMs - before, 0) / 1000, 0.2);
       before = clockMs;
@@ -115,18 +118,26 @@
     });
     // Paper gets the end, which is what the words around it are about.
     let shown = now;
-    addEventListener('beforeprint', () => {
-      pause();
-      shown = now;
-      now = data.end_s;
-      show();
-    });
-    addEventListener('afterprint', () => {
-      now = shown;
-      show();
+    forPaper.set(block, {
+      before: () => {
+        pause();
+        shown = now;
+        now = data.end_s;
+        show();
+      },
+      after: () => {
+        now = shown;
+        show();
+      },
     });
     controls.hidden = false;
     show();
   };
-  document.querySelectorAll('.draw-animation').forEach(setUp);
+  const blocks = () => [...document.querySelectorAll('.draw-animation')];
+  for (const when of ['before', 'after']) {
+    addEventListener(`${when}print`, () => blocks().forEach((block) => forPaper.get(block)?.[when]()));
+  }
+  blocks().forEach(setUp);
+  // What a page puts into itself later, it says by this event on the block.
+  document.addEventListener('draw-animation', (event) => setUp(event.target));
 })();

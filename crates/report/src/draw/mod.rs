@@ -57,6 +57,7 @@ pub struct Svg {
     title: String,
     description: String,
     content: Markup,
+    role: &'static str,
 }
 
 impl Svg {
@@ -67,7 +68,21 @@ impl Svg {
     #[must_use]
     pub fn new(prefix: &str, (width, height): (f64, f64), title: &str, description: &str, content: Markup) -> Self {
         let prefix = identifier(prefix);
-        Self { width, height, prefix, title: printable(title), description: printable(description), content }
+        Self {
+            width,
+            height,
+            prefix,
+            title: printable(title),
+            description: printable(description),
+            content,
+            role: "img",
+        }
+    }
+
+    /// The same as something that holds links: what is in a picture a screen reader does not tell of.
+    #[must_use]
+    pub fn with_links(self) -> Self {
+        Self { role: "group", ..self }
     }
 
     /// The identifier `name` of the figure with that prefix, as [`Panel::draw`] wants it.
@@ -110,7 +125,7 @@ impl Svg {
         let (title, description) = (format!("{}-title", self.prefix), format!("{}-desc", self.prefix));
         html! {
             svg xmlns="http://www.w3.org/2000/svg" class="draw" width=(width) height=(height)
-                viewBox={ "0 0 " (width) " " (height) } font-family=(theme::FONTS) role="img"
+                viewBox={ "0 0 " (width) " " (height) } font-family=(theme::FONTS) role=(self.role)
                 aria-labelledby={ (title) " " (description) } {
                 title id=(title) { (self.title) }
                 desc id=(description) { (self.description) }

@@ -3,7 +3,7 @@
 use maud::html;
 
 use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, Stroke, Svg, padded};
-use crumple_search::fit::{Fitted, FittedNumber};
+use crumple_search::fit::{Fitted, FittedNumber, shown_p};
 
 /// Size of a panel, in pixels, and what lies between two of them.
 const PANEL: (f64, f64) = (340.0, 200.0);
@@ -29,7 +29,10 @@ pub fn fitted(fitted: &Fitted) -> Svg {
 }
 
 fn panel(number: &FittedNumber, frame: Frame) -> Panel {
-    let (low, high) = padded((number.tails.smallest, number.tails.largest), 0.08);
+    let point = number.point_mass.map(|point| point.at);
+    let (smallest, largest) = (number.tails.smallest, number.tails.largest);
+    let (low, high) =
+        padded((point.map_or(smallest, |at| at.min(smallest)), point.map_or(largest, |at| at.max(largest))), 0.08);
     let x = Axis::numbers(if number.unit == "1" { "" } else { number.unit }, (low, high), 6);
     let title = format!("{}: {}", number.name, number.chosen.family.name());
     let mut panel = Panel::new(frame, &title, x, Axis::numbers("", (0.0, 1.0), 5));
@@ -40,17 +43,20 @@ fn panel(number: &FittedNumber, frame: Frame) -> Panel {
     }
     steps.push((high, 1.0));
     panel.line(&steps, Stroke::series(1));
-    if let Ok(ready) = number.chosen.distribution.ready() {
-        let at = |point: usize| low + (high - low) * point as f64 / POINTS as f64;
-        let line: Vec<_> = (0..=POINTS).map(|point| (at(point), ready.share_below(at(point)))).collect();
+    if let Ok(ready) = number.distribution.ready() {
+        let even = (0..=POINTS).map(|point| low + (high - low) * point as f64 / POINTS as f64);
+        // A step where a value has a probability of its own.
+        let mut at: Vec<f64> = even.chain(point.into_iter().flat_map(|at| [at.next_down(), at])).collect();
+        at.sort_by(f64::total_cmp);
+        let line: Vec<_> = at.into_iter().map(|value| (value, ready.share_below(value))).collect();
         panel.line(&line, Stroke::series(0));
     }
     let words = format!(
-        "KS {:.3} (p {:.2}), CvM {:.3} (p {:.2})",
+        "KS {:.3} (p {}), CvM {:.3} (p {})",
         number.goodness.kolmogorov_smirnov,
-        number.goodness.kolmogorov_smirnov_p,
+        shown_p(number.goodness.kolmogorov_smirnov_p),
         number.goodness.cramer_von_mises,
-        number.goodness.cramer_von_mises_p
+        shown_p(number.goodness.cramer_von_mises_p)
     );
     panel.note((high, 0.06), Anchor::End, &words, Ink::Muted);
     panel.note((high, 0.18), Anchor::End, "dashes: observed, line: fitted", Ink::Muted);

@@ -48,6 +48,9 @@ pub fn text(result: &SuiteResult, replay: impl Fn(&Failed, &Tested) -> Option<St
 fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&Failed, &Tested) -> Option<String>) {
     let chosen = if test.is_as_stated { "" } else { " (some figures are chosen, not the document's)" };
     let _ = writeln!(out, "  {}{chosen}", test.name);
+    if let Some(limit) = &test.impact_at_most {
+        let _ = writeln!(out, "    {}", words::allowed(limit));
+    }
     for tested in &test.controllers {
         let points =
             if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed, tested.points) };

@@ -2,14 +2,14 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::words::{least_margins, prevention, verdict, within_in_words};
+use super::words::{allowed, least_margins, prevention, verdict, within_in_words};
+use crate::PAGE_STYLE;
 use crate::draw::{self, MotionFigure, motion_responsive, vehicle_names};
 use crumple_search::suite::{ClauseResult, Failed, SuiteResult, TestResult, TestVerdict, Tested};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::Lines;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
-const STYLE: &str = include_str!("../page.css");
 const OWN_STYLE: &str = include_str!("page.css");
 
 /// Of so many failures of a test and a controller, those with the fastest impacts, there is a drawing.
@@ -183,7 +183,7 @@ pub(super) fn head(title: &str) -> Markup {
             meta name="viewport" content="width=device-width, initial-scale=1";
             meta name="generator" content={ "crumple " (env!("CARGO_PKG_VERSION")) };
             title { (title) }
-            style { (PreEscaped(STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(OWN_STYLE)) }
+            style { (PreEscaped(PAGE_STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(OWN_STYLE)) }
         }
     }
 }
@@ -204,7 +204,11 @@ fn figures(test: &TestResult) -> Markup {
                 (parameter.words()) ": " (values.join(", ")) " " (figure.unit) " (" (figure.origin.words()) ")"
                 @if !figure.note.is_empty() { ". " (figure.note) }
             }
-        } }
+        }
+        @if let Some(limit) = &test.impact_at_most { li {
+            (allowed(limit))
+            @if !limit.note.is_empty() { ". " (limit.note) }
+        } } }
     }
 }
 

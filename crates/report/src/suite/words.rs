@@ -1,6 +1,6 @@
 //! What a run of a suite found, in words.
 
-use crumple_search::suite::{Beyond, Failed, Margin, MarginEnd, Prevention, TestVerdict, Within};
+use crumple_search::suite::{Beyond, Failed, ImpactLimit, Margin, MarginEnd, Prevention, TestVerdict, Within};
 
 /// A verdict in words.
 pub(crate) fn verdict(verdict: &TestVerdict) -> String {
@@ -12,6 +12,12 @@ pub(crate) fn verdict(verdict: &TestVerdict) -> String {
         TestVerdict::ControllerFailed { time_s, reason } => format!("CONTROLLER FAILED at {time_s:.2} s: {reason}"),
         TestVerdict::Refused { reason } => format!("REFUSED: {reason}"),
     }
+}
+
+/// The contact at which a test passes nevertheless, in words.
+pub(super) fn allowed(limit: &ImpactLimit) -> String {
+    let ImpactLimit { value, unit, origin, .. } = limit;
+    format!("passes with a contact of at most {value} {unit} ({})", origin.words())
 }
 
 /// The worst point within the ranges of a clause, in words.

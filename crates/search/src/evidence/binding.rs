@@ -69,7 +69,7 @@ pub fn bound(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), Unb
         return if claimed.as_ref().is_none_or(is_of_it) { Ok(()) } else { Err(other_scene()) };
     }
     match &certificate.statement {
-        Statement::Kernel(_) => Ok(()),
+        Statement::Kernel(_) | Statement::AdaptiveCruise(_) => Ok(()),
         Statement::Reach(claim) => is_of_box(certificate, claim, policy),
         Statement::Rate(claim) => is_registered(certificate, &claim.registration),
         Statement::Comparison(claim) => is_registered(certificate, &claim.registration),

@@ -1,7 +1,8 @@
 //! Exact bounds on a failure rate.
 
 use serde::Serialize;
-use statrs::distribution::{Beta, ContinuousCDF};
+
+use super::binomial;
 
 /// A two-sided confidence interval for a rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -14,17 +15,12 @@ pub struct RateInterval {
 
 impl RateInterval {
     /// The interval of Clopper and Pearson (Biometrika 26, 1934) for `failures` in `runs` independent runs: it covers the
-    /// true rate with probability `confidence` or more, whatever that rate is.
+    /// true rate with probability `confidence` or more, whatever that rate is. Its ends are never inside of the exact ones, and outside by
+    /// a part in 10¹¹ at most, for up to 10⁹ runs.
     #[must_use]
     pub fn exact(failures: u64, runs: u64, confidence: f64) -> Self {
         let tail = 0.5 * (1.0 - confidence);
-        let successes = runs.saturating_sub(failures);
-        let quantile = |a: f64, b: f64, p: f64| Beta::new(a, b).map_or(f64::NAN, |beta| beta.inverse_cdf(p));
-        let (k, rest) = (failures as f64, successes as f64);
-        Self {
-            lower: if failures == 0 { 0.0 } else { quantile(k, rest + 1.0, tail) },
-            upper: if successes == 0 { 1.0 } else { quantile(k + 1.0, rest, 1.0 - tail) },
-        }
+        Self { lower: binomial::lower(failures, runs, tail), upper: binomial::upper(failures, runs, tail) }
     }
 }
 

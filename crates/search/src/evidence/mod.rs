@@ -1,10 +1,12 @@
-//! What can be claimed with a certificate: kernels of shields, failure rates, and where a policy cannot fail; and what can
+//! What can be claimed with a certificate: kernels of shields, failure rates, and where a policy or a network cannot fail; and what can
 //! only be estimated, the probability of failures too rare to count.
 //!
 //! This side proposes; `crumple_verify` decides. No certificate is written that it has not accepted.
 
 mod binding;
+mod binomial;
 mod block;
+mod cruise;
 pub mod exposed;
 mod interval;
 mod kernel;
@@ -22,6 +24,7 @@ mod starts;
 
 pub use binding::{Unbound, bound, lies_within};
 pub use block::CountedBlock;
+pub use cruise::{CruiseError, CruisePlan, Proved, Sampled};
 pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use paired::Discordant;
@@ -30,7 +33,7 @@ pub use rate::{InvalidRate, RateConfig, RateError, RatePlan};
 pub use rate_folder::{RateCount, RateFolderError};
 pub use rate_merge::{MergedCount, SoFar};
 pub use rate_shard::{RateShard, SHARD_OF_A_COUNT};
-pub use reach::{BoxSpec, Doubts, InvalidBox, MOST_BOXES, Partition, RangesSpec, ReachPlan, Shares};
+pub use reach::{BoxSpec, Doubts, InvalidBox, MOST_BOXES, Partition, RangesSpec, ReachPlan, Shares, checker_file};
 pub use record::{CountRecord, Tally};
 pub use rerun::{Confirmation, Rerun, RerunError, Sample};
 

@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use crumple_verify::rate::{MOST_RUNS, tail_by_powers};
+use crumple_verify::rate::MOST_RUNS;
 
 use super::record::upper_bound;
-use super::{CountedBlock, RateError, RatePlan, Tally};
+use super::{CountedBlock, RateError, RatePlan, Tally, binomial};
 
 /// Why no number of runs does.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -44,7 +44,7 @@ pub fn runs_for(rate: f64, confidence: f64, failures: u64) -> Result<u64, Cannot
     if !(confidence > 0.5 && confidence < 1.0) {
         return Err(CannotPlan::Confidence { found: confidence });
     }
-    let suffices = |runs: u64| tail_by_powers(failures, runs, rate) <= 1.0 - confidence;
+    let suffices = |runs: u64| binomial::upper(failures, runs, 1.0 - confidence) <= rate;
     let too_many = CannotPlan::TooMany { rate, failures };
     if failures >= MOST_RUNS || !suffices(MOST_RUNS) {
         return Err(too_many);
@@ -54,7 +54,7 @@ pub fn runs_for(rate: f64, confidence: f64, failures: u64) -> Result<u64, Cannot
         let middle = low + (high - low) / 2;
         if suffices(middle) { high = middle } else { low = middle }
     }
-    // What is certified is rounded outwards, and so a little more.
+    // What the checker accepts is rounded outwards, and so a little more.
     let mut step = 1;
     while upper_bound(failures, high, confidence) > rate {
         (high, step) = (high + step, 2 * step);
@@ -128,6 +128,9 @@ mod tests {
             assert!(fewer <= failures || tail_at_most(failures, fewer, rate * (1.0 - 1e-9)) > 1.0 - confidence);
         }
         assert_eq!(runs_for(1e-4, 1.0 - 1e-6, 0), Ok(138_149));
+        // 10⁶ failures and 3.09 standard deviations more.
+        let many = runs_for(0.5, 0.999, 1_000_000).unwrap();
+        assert!((2_004_300..2_004_500).contains(&many), "{many}");
         let large = runs_for(1e-8, 0.999, 0).unwrap();
         assert!((690_775_520..690_776_600).contains(&large), "{large}");
         assert!(matches!(runs_for(1e-9, 0.999, 0), Err(CannotPlan::TooMany { .. })));

@@ -8,7 +8,7 @@ use crumple_verify::{Certificate, Registration};
 use rayon::prelude::*;
 
 use super::block::{CountedBlock, Ending};
-use super::exposed::{ExposedRate, Probability, run_again};
+use super::exposed::{ExposedRate, Part, Probability, run_again};
 use super::record::{CountRecord, Tally, length};
 use crate::shard::{Shard, TooManyShards};
 use crumple_world::digest::sha256;
@@ -34,8 +34,13 @@ pub struct RatePlan {
     space: Space,
     seed: u64,
     estimator: EstimatorKind,
+    /// Resamples of the episodes that the space was fitted to, and new runs in each.
+    resampling: (u32, u32),
     record: CountRecord,
 }
+
+/// Resamples of the episodes that a space was fitted to, and new runs in each, if nobody says otherwise.
+const RESAMPLING: (u32, u32) = (200, 500);
 
 /// What a plan is made of.
 pub struct RateConfig {
@@ -159,7 +164,22 @@ impl RatePlan {
         let blocks = if runs > MANY_RUNS { MANY_BLOCKS } else { MOST_BLOCKS };
         let block_runs = runs.div_ceil(blocks).max(SHORTEST_BLOCK);
         let registration = Registration { configuration, runs, confidence, block_runs: Some(block_runs) };
-        Ok(Self { drivers, space, seed, estimator, record: CountRecord { registration, space_text } })
+        let record = CountRecord { registration, space_text };
+        Ok(Self { drivers, space, seed, estimator, resampling: RESAMPLING, record })
+    }
+
+    /// The same with so many resamples of the episodes that its space was fitted to, each with so many new runs. They say nothing about the
+    /// count, and are not registered.
+    #[must_use]
+    pub fn with_resampling(self, resampling: (u32, u32)) -> Self {
+        Self { resampling, ..self }
+    }
+
+    /// How often it is resampled; none where no rate per hour can be stated: of two controllers, and where the space does not say in how
+    /// much driving it was seen.
+    #[must_use]
+    pub fn resampling(&self) -> Option<(u32, u32)> {
+        (self.is_of_one() && self.space.spec().exposure.is_some()).then_some(self.resampling)
     }
 
     /// What must be on record before the first run.
@@ -268,33 +288,40 @@ impl RatePlan {
         Ok(counted.collect())
     }
 
-    /// What the failures of one controller come to per hour and per 1000 km, where the space says in how much driving it was seen; with so
-    /// many `resamples` of the episodes, each with so many runs, for the data's uncertainty. `done` hears of the runs made.
+    /// What the failures of one controller come to per hour and per 1000 km, where the space says in how much driving it was seen; with
+    /// [resamples](Self::with_resampling) of the episodes for the data's uncertainty. `done` hears of the runs made.
     ///
     /// # Errors
     /// [`RateError`] names the draw that could not be run.
-    pub fn exposed(
-        &self,
-        tally: &Tally,
-        effort: (u32, u32),
-        done: &mut dyn FnMut(u64),
-    ) -> Result<Option<ExposedRate>, RateError> {
-        if !self.is_of_one() || self.space.spec().exposure.is_none() {
-            return Ok(None);
-        }
-        let mut failures = |space: &Space, seed: u64, runs: u64| {
-            let indices: Vec<u64> = (0..runs).collect();
-            let mut failed = 0;
-            for some in indices.chunks(TOGETHER as usize) {
-                let endings = self.endings(space, seed, some)?;
-                failed += endings.iter().flatten().filter(|ending| ending.failed()).count() as u64;
-                done(some.len() as u64);
-            }
-            Ok(failed)
-        };
-        let resamples = run_again(&self.space, self.seed, effort, &mut failures)?;
+    pub fn exposed(&self, tally: &Tally, done: &mut dyn FnMut(u64)) -> Result<Option<ExposedRate>, RateError> {
+        let Some(resampling) = self.resampling() else { return Ok(None) };
+        let mut failures = |space: &Space, seed: u64, runs: u64| self.failures(space, (seed, runs), done);
+        let resamples = run_again(&self.space, self.seed, resampling, &mut failures)?;
         let known = Probability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
         Ok(ExposedRate::of(&self.space, known, resamples.as_ref()))
+    }
+
+    /// What new runs come to in some of the resamples: how many fail in each of those to which a space could be fitted.
+    pub(super) fn resampled(&self, own: Range<u64>, done: &mut dyn FnMut(u64)) -> Result<Vec<u64>, RateError> {
+        let Some(resampling) = self.resampling().filter(|_| !own.is_empty()) else { return Ok(Vec::new()) };
+        let mut part = Part::of(own);
+        let mut failures =
+            |space: &Space, seed: u64, runs: u64| part.next(0, || self.failures(space, (seed, runs), done));
+        // Why nothing can be resampled is said by who puts the parts together.
+        let _ = run_again(&self.space, self.seed, resampling, &mut failures)?;
+        Ok(part.found())
+    }
+
+    /// How many of so many runs fail in a space, with a seed.
+    fn failures(&self, space: &Space, (seed, runs): (u64, u64), done: &mut dyn FnMut(u64)) -> Result<u64, RateError> {
+        let indices: Vec<u64> = (0..runs).collect();
+        let mut failed = 0;
+        for some in indices.chunks(TOGETHER as usize) {
+            let endings = self.endings(space, seed, some)?;
+            failed += endings.iter().flatten().filter(|ending| ending.failed()).count() as u64;
+            done(some.len() as u64);
+        }
+        Ok(failed)
     }
 
     /// How runs end, of each controller.

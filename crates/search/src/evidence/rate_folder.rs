@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use super::record::{CountRecord, Tally, length};
 use super::{RateError, RatePlan};
+use crate::difference;
 use crate::disk::DiskError;
 use crate::shard::TooManyShards;
 use crate::work::{Asked, Work, WorkError};
@@ -24,12 +25,9 @@ pub enum RateFolderError {
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
     Work(#[from] WorkError),
-    /// Another count is registered in the folder.
-    #[error("{}: something else was registered", path.display())]
-    OtherRegistration {
-        /// The registration.
-        path: PathBuf,
-    },
+    /// Another count is registered in the folder: in what it differs.
+    #[error("{0}")]
+    OtherRegistration(String),
     /// A run cannot be made, or whoever was told of the progress ended it.
     #[error(transparent)]
     Run(#[from] RateError),
@@ -93,7 +91,9 @@ impl CountRecord {
             outputs: &[REGISTRATION, PROGRESS, CERTIFICATE],
         };
         let work = Work::open(folder, asked).map_err(|error| match error {
-            WorkError::OtherConfiguration { path, .. } => RateFolderError::OtherRegistration { path },
+            WorkError::OtherConfiguration { path, kind, found } => {
+                RateFolderError::OtherRegistration(difference::in_json(&path, &kind, &found, &registration))
+            }
             other => other.into(),
         })?;
         work.write(REGISTRATION, registration)?;
@@ -162,6 +162,23 @@ impl<'a> Counting<'a> {
     /// How many runs there are to count, those that were counted among them.
     pub(super) fn runs(&self) -> u64 {
         length(&self.plan.record().runs_of(self.blocks.clone()))
+    }
+
+    /// How many new runs there are to make in some of the resamples.
+    pub(super) fn runs_in(&self, resamples: &Range<u64>) -> u64 {
+        let (_, runs_each) = self.plan.resampling().unwrap_or_default();
+        length(resamples) * u64::from(runs_each)
+    }
+
+    /// Makes new runs in some of the resamples, and keeps what they come to. `done` hears of the runs made.
+    pub(super) fn resample(
+        &mut self,
+        work: &Work,
+        own: Range<u64>,
+        done: &mut dyn FnMut(u64),
+    ) -> Result<(), RateFolderError> {
+        self.tally.resampled = self.plan.resampled(own, done)?;
+        Ok(work.write(PROGRESS, json(&work.path(PROGRESS), &self.tally)?)?)
     }
 
     /// Counts what is left, and keeps it in the folder. `progress` hears after every thousand runs how many were made before them and how
@@ -271,7 +288,8 @@ mod tests {
         let error =
             |plan: &RatePlan, resume| plan.register_in(part.path(), resume).err().map(|error| error.to_string());
         assert!(error(&plan, false).unwrap().contains("holds a count already: use --resume"));
-        assert!(error(&self::plan(4), true).unwrap().ends_with("registration.json: something else was registered"));
+        let other = "registration.json: the count there has another `configuration.seed`: \"3\" instead of \"4\"";
+        assert!(error(&self::plan(4), true).unwrap().ends_with(other), "{:?}", error(&self::plan(4), true));
         plan.register_in(part.path(), true).unwrap().certificate(&mut |_| ()).unwrap();
         for name in [REGISTRATION, PROGRESS, CERTIFICATE, crate::work::MANIFEST] {
             let read = |folder: &Path| fs::read_to_string(folder.join(name)).unwrap();

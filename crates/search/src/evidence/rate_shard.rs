@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::RatePlan;
+use super::exposed::own_resamples;
 use super::rate_folder::{Counting, PROGRESS, RateFolderError, json};
 use super::record::{CountRecord, Tally, length};
 use crate::shard::{self, SHARD, Shard};
@@ -21,6 +22,7 @@ const VERSION: u32 = 1;
 pub struct RateShard<'a> {
     work: Work,
     counting: Counting<'a>,
+    own_resamples: Range<u64>,
 }
 
 /// The file `shard.json`.
@@ -30,6 +32,9 @@ struct ShardFile {
     version: u32,
     shard: Shard,
     count: CountRecord,
+    /// Where failures are stated per hour: resamples of the episodes, and new runs in each.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    resampling: Option<(u32, u32)>,
 }
 
 impl RatePlan {
@@ -44,28 +49,36 @@ impl RatePlan {
         resume: bool,
     ) -> Result<RateShard<'_>, RateFolderError> {
         let blocks = self.blocks_of(shard)?;
-        let file = ShardFile { version: VERSION, shard, count: self.record().clone() };
+        let resampling = self.resampling();
+        let own_resamples = own_resamples(resampling.map_or(0, |(resamples, _)| resamples), &blocks, self.blocks());
+        let file = ShardFile { version: VERSION, shard, count: self.record().clone(), resampling };
         let configuration = json(&folder.join(SHARD), &file)?;
-        let work = shard::open_shard(folder, SHARD_OF_A_COUNT, &configuration, PROGRESS, resume);
-        let work = work.map_err(|error| match error {
-            WorkError::OtherConfiguration { path, .. } => RateFolderError::OtherRegistration { path },
-            other => other.into(),
-        })?;
+        let work = shard::open_shard(folder, SHARD_OF_A_COUNT, &configuration, PROGRESS, resume)?;
         let counting = Counting::in_folder(self, blocks, &work)?;
-        Ok(RateShard { work, counting })
+        Ok(RateShard { work, counting, own_resamples })
     }
 }
 
 impl RateShard<'_> {
-    /// Counts what is left. `progress` hears how many runs are done, after every thousand.
+    /// Counts what is left, and makes the new runs in its share of the resamples. `progress` hears how many runs are done, after every
+    /// thousand.
     ///
     /// # Errors
     /// [`RateFolderError`] if a run cannot be made or a file not written.
     pub fn count(&mut self, progress: &mut dyn FnMut(u64)) -> Result<(), RateFolderError> {
+        if self.work.is_complete() {
+            return Ok(());
+        }
         self.counting.count(&self.work, &mut |runs, _| {
             progress(runs);
             ControlFlow::Continue(())
         })?;
+        let mut done = self.counting.runs();
+        let told = &mut |runs| {
+            done += runs;
+            progress(done);
+        };
+        self.counting.resample(&self.work, self.own_resamples.clone(), told)?;
         Ok(self.work.finish()?)
     }
 
@@ -80,10 +93,10 @@ impl RateShard<'_> {
         &self.work
     }
 
-    /// How many runs it is of.
+    /// How many runs it takes, those in resamples among them.
     #[must_use]
     pub fn runs(&self) -> u64 {
-        self.counting.runs()
+        self.counting.runs() + self.counting.runs_in(&self.own_resamples)
     }
 }
 
@@ -91,6 +104,7 @@ impl RateShard<'_> {
 pub(super) struct CountedShard {
     pub(super) shard: Shard,
     pub(super) record: CountRecord,
+    pub(super) resampling: Option<(u32, u32)>,
     /// Its blocks; as many as the tally holds.
     pub(super) blocks: Range<u64>,
     pub(super) tally: Tally,
@@ -100,19 +114,20 @@ impl CountedShard {
     /// Reads it, and checks whatever can be checked without the controllers.
     pub(super) fn read(found: &Finished) -> Result<Self, WorkError> {
         let unreadable = |name: &'static str| move |error: serde_json::Error| found.unreadable(name, &error);
-        let file: ShardFile = shard::read_shard(found)?;
-        let ShardFile { version, shard, count: record } = file;
-        if version != VERSION {
-            return Err(found.damaged(SHARD, format!("version: {version}, and this release reads {VERSION}")));
-        }
+        let ShardFile { shard, count: record, resampling, .. } = shard::read_shard(found, VERSION)?;
         if let Some(problem) = record.problem() {
             return Err(found.damaged(SHARD, format!("count.{problem}")));
         }
         let blocks = shard.range(record.blocks(), "blocks of runs").map_err(|error| found.damaged(SHARD, error))?;
         let tally: Tally = serde_json::from_str(&found.read(PROGRESS)?).map_err(unreadable(PROGRESS))?;
-        if tally.blocks.len() as u64 != length(&blocks) || !record.is_sound(&blocks, &tally) {
+        let (resamples, runs_each) = resampling.unwrap_or_default();
+        let most = length(&own_resamples(resamples, &blocks, record.blocks()));
+        // There are fewer where no space could be fitted to some.
+        let may_be_resampled = tally.resampled.len() as u64 <= most
+            && tally.resampled.iter().all(|failures| *failures <= u64::from(runs_each));
+        if tally.blocks.len() as u64 != length(&blocks) || !record.is_sound(&blocks, &tally) || !may_be_resampled {
             return Err(found.damaged(PROGRESS, format!("not what shard {shard} of that count comes to")));
         }
-        Ok(Self { shard, record, blocks, tally })
+        Ok(Self { shard, record, resampling, blocks, tally })
     }
 }

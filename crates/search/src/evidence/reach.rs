@@ -5,10 +5,9 @@
 //! depth, so that the result does not depend on the number of threads.
 
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Instant;
 
-use crumple_verify::reach::{Actor, Cell, Dimension, Doubt, Ranges, Reach, Reached, Scene, reach};
+use crumple_verify::reach::{Actor, Cell, Dimension, Doubt, Ranges, Reach, Reached, Scene, file_name, reach};
 use crumple_verify::{Certificate, Interval, Statement};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -16,12 +15,13 @@ use serde::{Deserialize, Serialize};
 
 use super::starts::Starts;
 use crate::worst_case::certificate_about;
+use crumple_world::control::InvalidMapping;
+use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::file::{self, FileError};
 use crumple_world::scenario::{Brake, Driver, InvalidField, LeadProfile, Scenario, built_in};
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
+use crumple_world::sim::{ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// Covers what a simulator in double precision rounds, in metres, m/s and m/s².
 const ROUNDING: f64 = 1e-9;
@@ -78,9 +78,12 @@ pub enum InvalidBox {
     /// Scenario or box cannot be written down.
     #[error("cannot be written as TOML: {0}")]
     Unwritable(#[from] toml::ser::Error),
-    /// The policy does not fit.
-    #[error("the policy {0}")]
-    Policy(String),
+    /// The controller does not fit.
+    #[error("the controller {0}")]
+    Controller(String),
+    /// What a network sees cannot be followed.
+    #[error("the controller cannot be followed: {0}")]
+    Mapping(#[from] InvalidMapping),
     /// A start of the box is no scenario.
     #[error(transparent)]
     Start(#[from] InvalidField),
@@ -97,7 +100,7 @@ pub struct ReachPlan {
     scenario: Scenario,
     /// The scenario and the box as files.
     texts: [String; 2],
-    policy: Arc<Policy>,
+    controller: ControllerKind,
     bytes: Vec<u8>,
     actor: Actor,
     claim: Reach,
@@ -176,24 +179,27 @@ impl BoxSpec {
 }
 
 impl ReachPlan {
-    /// A policy and a box.
+    /// A policy, or a network from outside, and a box.
     ///
     /// # Errors
-    /// [`InvalidBox`] if the scenario has more to it than the checker knows of, or the policy asks for what no vehicle can do.
-    pub fn new(policy: Arc<Policy>, spec: &BoxSpec) -> Result<Self, InvalidBox> {
+    /// [`InvalidBox`] if the scenario has more to it than the checker knows of, or the controller is none that can be followed, or asks for
+    /// what no vehicle can do.
+    pub fn new(controller: impl Into<ControllerKind>, spec: &BoxSpec) -> Result<Self, InvalidBox> {
+        let controller = controller.into();
         let wrong = |why: &str| InvalidBox::Scenario(why.to_owned());
         let scenario = built_in(&spec.scenario).ok_or_else(|| wrong("is no built-in one"))?;
         let starts = Starts::new(&scenario, spec)?;
-        let action = policy.header().action;
-        if !starts.allows([action.low_mps2, action.high_mps2]) {
-            return Err(InvalidBox::Policy("asks for more than the vehicle can do".to_owned()));
+        let bytes = checker_file(&controller)?
+            .ok_or_else(|| InvalidBox::Controller("must be a policy of crumple's own or a network".to_owned()))?;
+        let actor = Actor::from_bytes(&bytes).map_err(InvalidBox::Controller)?;
+        if !starts.allows(actor.action_mps2) {
+            return Err(InvalidBox::Controller("asks for more than the vehicle can do".to_owned()));
         }
-        let bytes = policy.to_bytes().map_err(|error| InvalidBox::Policy(error.to_string()))?;
-        let actor = Actor::from_bytes(&bytes).map_err(InvalidBox::Policy)?;
-        let digest = policy.digest();
+        let digest = sha256(&bytes);
         let claim = Reach {
-            policy_file: format!("policy-{}.safetensors", digest.get(..12).unwrap_or_default()),
+            policy_file: file_name(&digest, actor.source.is_some()),
             policy_sha256: digest,
+            source: actor.source.clone(),
             step_s: starts.step_s,
             steps: starts.steps,
             follower_ttc_s: starts.follower_ttc_s,
@@ -206,7 +212,7 @@ impl ReachPlan {
         };
         claim.scene(&actor).map_err(|rejection| InvalidBox::Ranges(rejection.to_string()))?;
         let texts = [file::to_toml(&scenario)?, toml::to_string(spec)?];
-        let plan = Self { scenario, texts, policy, bytes, actor, claim };
+        let plan = Self { scenario, texts, controller, bytes, actor, claim };
         // Whatever else is wrong with a start shows here.
         plan.touches(&[0.5; 8])?;
         Ok(plan)
@@ -335,11 +341,14 @@ impl ReachPlan {
         self.contact(&within(&self.claim.ranges, place))
     }
 
-    /// Whether a start ends in contact in the simulator.
-    fn contact(&self, point: &[f64; 8]) -> Result<bool, InvalidBox> {
+    /// A start of the box as a scenario, in the order of the ranges.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] if it is none.
+    pub fn scenario_at(&self, point: &[f64; 8]) -> Result<Scenario, InvalidBox> {
         let [ahead_m, behind_m, leader_mps, ego_mps, follower_mps, brake_mps2, follower_brake_mps2, onset] = *point;
         let onset_s = onset * self.claim.step_s;
-        let scenario = self.scenario.edited(|spec| {
+        Ok(self.scenario.edited(|spec| {
             if let [leader, ego, rest @ ..] = spec.vehicles.as_mut_slice() {
                 (leader.speed_mps, ego.speed_mps) = (leader_mps, ego_mps);
                 leader.position_m = ego.position_m + ahead_m + leader.length_m();
@@ -349,10 +358,32 @@ impl ReachPlan {
                     (follower.speed_mps, follower.max_brake_mps2) = (follower_mps, Some(follower_brake_mps2));
                 }
             }
-        })?;
-        let options = RunOptions::new(Arc::clone(&self.policy)).with_estimator(EstimatorKind::Truth);
+        })?)
+    }
+
+    /// Whether a start ends in contact in the simulator.
+    fn contact(&self, point: &[f64; 8]) -> Result<bool, InvalidBox> {
+        let scenario = self.scenario_at(point)?;
+        let options = RunOptions::new(self.controller.clone()).with_estimator(EstimatorKind::Truth);
         let run = Run::new(&scenario, options)?;
         Ok(simulate(&run, RecordingLevel::Summary).outcome != Outcome::NoCollision)
+    }
+}
+
+/// The file by which the checker knows a controller: a policy of crumple's own, or a network from outside; none for others, and for what
+/// is behind a shield.
+///
+/// # Errors
+/// [`InvalidMapping`] for a network that sees something else than affine functions of what is observed.
+pub fn checker_file(controller: &ControllerKind) -> Result<Option<Vec<u8>>, InvalidMapping> {
+    match controller {
+        ControllerKind::Network(network) => network.checker_file().map(Some),
+        ControllerKind::BuiltIn(_) | ControllerKind::Policy(_) => {
+            let Some(policy) = controller.policy() else { return Ok(None) };
+            // What was read can be written.
+            Ok(policy.to_bytes().ok())
+        }
+        _ => Ok(None),
     }
 }
 
@@ -375,6 +406,7 @@ fn within(ranges: &Ranges, place: &[f64; 8]) -> [f64; 8] {
 mod tests {
     use super::*;
     use crumple_verify::{Accepted, check_with};
+    use crumple_world::policy::Policy;
 
     fn plan(ranges: &str) -> ReachPlan {
         let text = format!("version = 1\nscenario = \"paper-1\"\n[ranges]\n{ranges}");
@@ -400,11 +432,19 @@ mod tests {
         }
     }
 
-    /// What certificates assume of the tanh that policies are driven with, twice as well.
+    /// What certificates assume of the functions that networks are driven with, twice as well.
     #[test]
-    fn single_precision_tanh_is_as_good_as_assumed() {
-        let all = (0..u32::MAX / 997).map(|k| f32::from_bits(k * 997)).filter(|z| z.is_finite());
-        let worst = all.map(|z| (f64::from(libm::tanhf(z)) - f64::from(z).tanh()).abs()).fold(0.0, f64::max);
-        assert!(worst < crumple_verify::reach::actor::TANH_ERROR / 2.0, "{worst:e}");
+    fn single_precision_functions_are_as_good_as_assumed() {
+        use crumple_verify::reach::actor::TANH_ERROR;
+        let all = || (0..u32::MAX / 997).map(|k| f32::from_bits(k * 997)).filter(|z| z.is_finite());
+        let worst = all().map(|z| (f64::from(libm::tanhf(z)) - f64::from(z).tanh()).abs()).fold(0.0, f64::max);
+        assert!(worst < TANH_ERROR / 2.0, "{worst:e}");
+        // Relative to themselves, but for 10⁻³⁸, where single precision ends. Beyond 88 exp is infinite.
+        let off = |single: f32, exact: f64| ((f64::from(single) - exact).abs() - 1e-38).max(0.0) / exact.abs();
+        let exp = all().filter(|z| *z < 88.7).map(|z| off(libm::expf(z), f64::from(z).exp())).fold(0.0, f64::max);
+        assert!(exp < TANH_ERROR / 2.0, "{exp:e}");
+        let below = |z: &f32| *z < 0.0;
+        let exp_m1 = all().filter(below).map(|z| off(libm::expm1f(z), f64::from(z).exp_m1())).fold(0.0, f64::max);
+        assert!(exp_m1 < TANH_ERROR / 2.0, "{exp_m1:e}");
     }
 }

@@ -2,12 +2,11 @@
 
 use std::ops::Range;
 
-use crumple_verify::rate::{MOST_BLOCKS, MOST_RUNS, tail_at_most, tail_by_powers};
+use crumple_verify::rate::{MOST_BLOCKS, MOST_RUNS, tail_at_most};
 use crumple_verify::{Certificate, Comparison, Rate, Registration, Statement};
 use serde::{Deserialize, Serialize};
-use statrs::distribution::{Beta, ContinuousCDF};
 
-use super::CountedBlock;
+use super::{CountedBlock, binomial};
 use crate::worst_case::certificate_about;
 use crumple_world::digest::sha256;
 
@@ -36,6 +35,9 @@ pub struct Tally {
     pub only_second_failed: u64,
     /// The blocks that these runs make, in order.
     pub blocks: Vec<CountedBlock>,
+    /// Of a shard in a space that was fitted to episodes: how many of the new runs failed in each of its resamples of these.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub resampled: Vec<u64>,
 }
 
 impl Tally {
@@ -154,10 +156,16 @@ impl CountRecord {
         certificate_about(space, Some(self.space_text.clone()), None, statement)
     }
 
-    /// The rate that so many failures of all runs show, at the registered confidence; 1 if they show none.
+    /// The rate that so many failures of all runs show, at the registered confidence; 1 if they show none. It is one that the checker accepts.
     #[must_use]
     pub fn rate_at_most(&self, failures: u64) -> f64 {
         upper_bound(failures, self.registration.runs, self.registration.confidence)
+    }
+
+    /// The same without asking the checker, which takes as long as there are failures: for what has no certificate.
+    #[must_use]
+    pub(super) fn uncertified_rate_at_most(&self, failures: u64) -> f64 {
+        binomial::upper(failures, self.registration.runs, 1.0 - self.registration.confidence)
     }
 }
 
@@ -168,36 +176,37 @@ pub(super) fn length(range: &Range<u64>) -> u64 {
 
 /// A rate that the checker accepts, little above the bound of Clopper and Pearson; 1 if there is none below.
 pub(super) fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
-    let (k, n) = (failures as f64, runs as f64);
-    let quantile = if runs > FEW_RUNS {
-        bisected(failures, runs, 1.0 - confidence)
-    } else {
-        Beta::new(k + 1.0, n - k).map_or(1.0, |beta| beta.inverse_cdf(confidence))
-    };
-    // The quantile is approximate: step up until the outward-rounded tail agrees.
-    let candidates = (0..40).map(|doubling| quantile * (1.0 + 1e-10 * f64::from(2_u32.pow(doubling.min(30)))));
-    candidates
-        .take_while(|rate| *rate > 0.0 && *rate < 1.0)
-        .find(|&rate| tail_at_most(failures, runs, rate) <= 1.0 - confidence)
-        .unwrap_or(1.0)
-}
-
-/// For more runs than this the quantile of statrs has few digits, or does not come back.
-const FEW_RUNS: u64 = 10_000_000;
-
-/// The smallest rate, to ten digits, at which that many failures or fewer are as unlikely as `allowed`; 1 if there is none.
-fn bisected(failures: u64, runs: u64, allowed: f64) -> f64 {
-    let suffices = |rate: f64| tail_by_powers(failures, runs, rate) <= allowed;
-    let observed = (failures as f64 + 1.0) / runs as f64;
-    let widths = (0..40).map(|doubling| 1e-4 * f64::from(2_u32.pow(doubling.min(30))));
-    let above = widths.map(|width| observed * (1.0 + width)).take_while(|rate| *rate < 1.0);
-    let (mut low, Some(mut high)) = (0.0, above.into_iter().find(|&rate| suffices(rate))) else { return 1.0 };
-    while high - low > 1e-10 * high {
-        let middle = low + 0.5 * (high - low);
-        if suffices(middle) { high = middle } else { low = middle }
+    let allowed = 1.0 - confidence;
+    let (mut aimed_at, mut rejected) = (allowed, 0.0);
+    for doubling in 0..MOST_TRIES {
+        let rate = binomial::upper(failures, runs, aimed_at);
+        // NaN included.
+        if !(rate > 0.0 && rate < 1.0) {
+            break;
+        }
+        let tail = tail_at_most(failures, runs, rate);
+        if tail <= allowed {
+            return lowest_accepted(rejected, rate, |rate| tail_at_most(failures, runs, rate) <= allowed);
+        }
+        // The checker rounds its tail up, and the more so the more runs there are: by how much is seen now. Of rates below 10⁻⁸ it tells
+        // only some apart.
+        rejected = rate;
+        aimed_at *= allowed / tail * (1.0 - 1e-11 * f64::from(1_u32 << doubling));
     }
-    high
+    1.0
 }
+
+/// The lowest rate, to nine digits, between one that is not accepted and one that is; 0 is not looked at.
+fn lowest_accepted(mut rejected: f64, mut accepted: f64, is_accepted: impl Fn(f64) -> bool) -> f64 {
+    while rejected > 0.0 && accepted - rejected > 1e-9 * accepted {
+        let middle = 0.5 * (rejected + accepted);
+        if is_accepted(middle) { accepted = middle } else { rejected = middle }
+    }
+    accepted
+}
+
+/// It takes two or three, and some more where a checker tells few rates apart.
+const MOST_TRIES: u32 = 30;
 
 #[cfg(test)]
 mod tests {
@@ -215,6 +224,9 @@ mod tests {
         assert!(upper_bound(0, 138_149, 1.0 - 1e-6) <= 1e-4);
         assert!(upper_bound(0, 138_148, 1.0 - 1e-6) > 1e-4);
         assert_eq!(upper_bound(10, 10, 0.99), 1.0);
+        // Where the checker takes one factor after the other, and where it takes powers.
+        let bound = upper_bound(12, 20_000_000, 0.995);
+        assert!((bound / 1.207_246_691_693_724e-6 - 1.0).abs() < 1e-7 && bound > 1.207_246_691_693_724e-6, "{bound:e}");
         for (failures, confidence) in [(0, 0.999), (3, 0.99), (2000, 0.9)] {
             let bound = upper_bound(failures, 700_000_000, confidence);
             assert!(tail_at_most(failures, 700_000_000, bound) <= 1.0 - confidence);

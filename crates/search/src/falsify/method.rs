@@ -206,7 +206,7 @@ mod tests {
             for method in Method::ALL {
                 prop_assert_eq!(method.name().parse::<Method>(), Ok(method));
                 let (mut one, mut other) = (method.start(&cube, seed), method.start(&cube, seed));
-                for round in 0..25 {
+                for round in 0..12 {
                     let points = one.ask();
                     prop_assert_eq!(&points, &other.ask(), "{}", method);
                     prop_assert!(!points.is_empty());

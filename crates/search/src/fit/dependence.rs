@@ -1,34 +1,232 @@
-//! How the numbers of episodes depend on each other: the correlation of their normal scores.
+//! How the numbers of episodes depend on each other: the correlation of the normal numbers behind them.
 
+use nalgebra::DMatrix;
 use statrs::distribution::{ContinuousCDF, Normal};
+
+use crumple_world::scenario::space::{Distribution, Value};
+
+/// The least eigenvalue of a matrix of which entries were found pair by pair: such entries need not fit together.
+const LEAST_EIGENVALUE: f64 = 1e-3;
+/// The strongest correlation that is looked for where values have probabilities of their own.
+const STRONGEST: f64 = 0.99;
+
+/// Values of a number, and how it is distributed.
+pub(super) struct Column<'a> {
+    pub(super) values: &'a [f64],
+    pub(super) distribution: &'a Distribution,
+}
 
 /// Correlations of normal scores: ranks over n + 1, as normal numbers. Whatever the marginal distributions are, that is as
 /// good an estimate of a Gaussian copula's correlations as any that knows them, for many values (Klaassen and Wellner, Efficient
 /// estimation in the bivariate normal copula model, Bernoulli 3, 1997). Equal values have the mean of their ranks.
-pub(super) fn correlation(columns: &[&[f64]]) -> Vec<Vec<f64>> {
-    let scores: Vec<Vec<f64>> = columns.iter().map(|values| normal_scores(values)).collect();
-    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+///
+/// Of a value with a probability of its own it is only known between which two normal numbers its own is, and ranks would make dependence
+/// weaker than it is. Where one of two numbers has such values, their correlation is the likeliest one of the two normal numbers, with scores for
+/// all other values (a polyserial correlation: Olsson, Drasgow and Dorans, Psychometrika 47, 1982); ln (1 − ρ²) is added to the logarithm of the
+/// likelihood, so that few values do not make a certainty.
+pub(super) fn correlation(columns: &[Column<'_>]) -> Vec<Vec<f64>> {
+    let latent: Vec<Latents> = columns.iter().map(Latents::of).collect();
     let entry = |row: usize, column: usize| {
         if row == column {
             return 1.0;
         }
         // One order of operands, so that the matrix is symmetric to the last bit.
-        let (a, b) = (&scores[row.min(column)], &scores[row.max(column)]);
-        (product(a, b) / (product(a, a) * product(b, b)).sqrt()).clamp(-1.0, 1.0)
+        latent[row.min(column)].correlation(&latent[row.max(column)])
     };
-    (0..scores.len()).map(|row| (0..scores.len()).map(|column| entry(row, column)).collect()).collect()
+    let found = (0..latent.len()).map(|row| (0..latent.len()).map(|column| entry(row, column)).collect()).collect();
+    if latent.iter().any(|one| one.has_points) { fitting_together(found) } else { found }
 }
 
-fn normal_scores(values: &[f64]) -> Vec<f64> {
-    let mut order: Vec<usize> = (0..values.len()).collect();
-    order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
-    let mut scores = vec![0.0; values.len()];
-    let mut before = 0;
-    for equal in order.chunk_by(|&a, &b| values[a] == values[b]) {
-        let rank = before as f64 + 0.5 * (equal.len() as f64 + 1.0);
-        let score = Normal::standard().inverse_cdf(rank / (values.len() as f64 + 1.0));
-        equal.iter().for_each(|&index| scores[index] = score);
-        before += equal.len();
+/// The matrix, drawn towards independence as far as it takes to have no eigenvalue below the least.
+pub(super) fn fitting_together(entries: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    let least = DMatrix::from_fn(entries.len(), entries.len(), |row, column| entries[row][column]);
+    let least = least.symmetric_eigenvalues().min();
+    if least >= LEAST_EIGENVALUE {
+        return entries;
     }
-    scores
+    // Eigenvalues of (1 − s) R + s 1 are those of R, drawn towards 1.
+    let kept = 1.0 - (LEAST_EIGENVALUE - least) / (1.0 - least);
+    let drawn = |(row, entries): (usize, Vec<f64>)| {
+        entries.into_iter().enumerate().map(|(column, entry)| if row == column { 1.0 } else { kept * entry }).collect()
+    };
+    entries.into_iter().enumerate().map(drawn).collect()
+}
+
+/// What is known of the normal number behind a value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Latent {
+    Exactly(f64),
+    Between(f64, f64),
+}
+
+/// The normal numbers behind the values of a column.
+struct Latents {
+    /// The score of each value, equal ones with the mean of their ranks.
+    scores: Vec<f64>,
+    known: Vec<Latent>,
+    has_points: bool,
+}
+
+impl Latents {
+    fn of(column: &Column<'_>) -> Self {
+        let Column { values, distribution } = *column;
+        let is_point = |value: f64| match distribution {
+            Distribution::Choice(_) => true,
+            Distribution::PointMass(point) => value == point.at,
+            _ => false,
+        };
+        // A copula has the values of a choice in the order in which they are listed.
+        let place = |value: f64| match distribution {
+            Distribution::Choice(choice) => {
+                choice.values.iter().position(|known| *known == Value::Number(value)).map_or(f64::NAN, |at| at as f64)
+            }
+            _ => value,
+        };
+        let values: Vec<f64> = values.iter().map(|&value| place(value)).collect();
+        let n = values.len();
+        let score = |rank: f64| Normal::standard().inverse_cdf(rank / (n as f64 + 1.0));
+        // Scores of few values have a variance below 1.
+        let spread = ((1..=n).map(|rank| score(rank as f64).powi(2)).sum::<f64>() / n.max(1) as f64).sqrt();
+        let mut order: Vec<usize> = (0..n).collect();
+        order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
+        let (mut scores, mut known) = (vec![0.0; n], vec![Latent::Exactly(0.0); n]);
+        let mut before = 0;
+        for equal in order.chunk_by(|&a, &b| values[a] == values[b]) {
+            let until = before + equal.len();
+            let middle = score(0.5 * ((before + 1) as f64 + until as f64));
+            // Half-way between ranks; nothing is before the first or behind the last.
+            let end = |rank: usize| match rank {
+                0 => f64::NEG_INFINITY,
+                rank if rank == n => f64::INFINITY,
+                rank => score(rank as f64 + 0.5) / spread,
+            };
+            let is_point = equal.first().is_some_and(|&index| is_point(column.values[index]));
+            let latent =
+                if is_point { Latent::Between(end(before), end(until)) } else { Latent::Exactly(middle / spread) };
+            equal.iter().for_each(|&index| (scores[index], known[index]) = (middle, latent));
+            before = until;
+        }
+        let has_points = known.iter().any(|latent| matches!(latent, Latent::Between(..)));
+        Self { scores, known, has_points }
+    }
+
+    fn correlation(&self, other: &Self) -> f64 {
+        if !(self.has_points || other.has_points) {
+            let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            let (a, b) = (&self.scores, &other.scores);
+            return (product(a, b) / (product(a, a) * product(b, b)).sqrt()).clamp(-1.0, 1.0);
+        }
+        let pairs = Pairs::of(self, other);
+        likeliest(&|rho| pairs.ln_likelihood(rho))
+    }
+}
+
+/// Pairs of normal numbers, as far as they are known.
+#[derive(Default)]
+struct Pairs {
+    /// Of those of which both are known: how many, Σ x² + y², and Σ x y.
+    exact: [f64; 3],
+    /// A number and the ends of the other.
+    half: Vec<(f64, [f64; 2])>,
+    /// Ends of both, and how many there are.
+    rectangles: Vec<([f64; 2], [f64; 2], f64)>,
+}
+
+impl Pairs {
+    fn of(a: &Latents, b: &Latents) -> Self {
+        let mut pairs = Self::default();
+        for pair in a.known.iter().zip(&b.known) {
+            match pair {
+                (Latent::Exactly(x), Latent::Exactly(y)) => {
+                    let [count, squares, products] = &mut pairs.exact;
+                    (*count, *squares, *products) = (*count + 1.0, *squares + x * x + y * y, *products + x * y);
+                }
+                (Latent::Exactly(x), Latent::Between(low, high)) | (Latent::Between(low, high), Latent::Exactly(x)) => {
+                    pairs.half.push((*x, [*low, *high]));
+                }
+                (Latent::Between(low_x, high_x), Latent::Between(low_y, high_y)) => {
+                    let (x, y) = ([*low_x, *high_x], [*low_y, *high_y]);
+                    match pairs.rectangles.iter_mut().find(|known| (known.0, known.1) == (x, y)) {
+                        Some(known) => known.2 += 1.0,
+                        None => pairs.rectangles.push((x, y, 1.0)),
+                    }
+                }
+            }
+        }
+        pairs
+    }
+
+    /// Of a correlation, up to what does not depend on it, and with ln (1 − ρ²).
+    fn ln_likelihood(&self, rho: f64) -> f64 {
+        let rest = 1.0 - rho * rho;
+        let [count, squares, products] = self.exact;
+        let exact = -0.5 * count * rest.ln() - (squares - 2.0 * rho * products) / (2.0 * rest) + 0.5 * squares;
+        let cdf = |x: f64| Normal::standard().cdf(x);
+        let given = |x: f64, end: f64| if end.is_finite() { cdf((end - rho * x) / rest.sqrt()) } else { cdf(end) };
+        let half = |(x, [low, high]): &(f64, [f64; 2])| (given(*x, *high) - given(*x, *low)).max(1e-300).ln();
+        let rectangle = |([left, right], [low, high], count): &([f64; 2], [f64; 2], f64)| {
+            let below = |x: f64, y: f64| both_below(x, y, rho);
+            let inside = below(*right, *high) - below(*left, *high) - below(*right, *low) + below(*left, *low);
+            count * inside.max(1e-300).ln()
+        };
+        exact + self.half.iter().map(half).sum::<f64>() + self.rectangles.iter().map(rectangle).sum::<f64>() + rest.ln()
+    }
+}
+
+/// The probability that two correlated normal numbers are below `x` and `y`: Φ(x) Φ(y) + ∫ φ₂(x, y; r) dr from 0 to ρ, with r = sin θ (Drezner and
+/// Wesolowsky, On the computation of the bivariate normal integral, 1990).
+fn both_below(x: f64, y: f64, rho: f64) -> f64 {
+    const PARTS: usize = 32;
+    let apart = Normal::standard().cdf(x) * Normal::standard().cdf(y);
+    if !(x.is_finite() && y.is_finite()) {
+        return apart;
+    }
+    let height = |theta: f64| (-(x * x + y * y - 2.0 * x * y * theta.sin()) / (2.0 * theta.cos().powi(2))).exp();
+    let step = rho.asin() / PARTS as f64;
+    // Simpson's rule.
+    let weight = |part: usize| if part == 0 || part == PARTS { 1.0 } else { 2.0 + 2.0 * (part % 2) as f64 };
+    let sum: f64 = (0..=PARTS).map(|part| weight(part) * height(part as f64 * step)).sum();
+    apart + sum * step / 3.0 / (2.0 * std::f64::consts::PI)
+}
+
+/// Where a function of a correlation is largest: the best of a coarse grid, made finer by the golden section.
+fn likeliest(of: &dyn Fn(f64) -> f64) -> f64 {
+    const GRID: i32 = 20;
+    const STEPS: usize = 40;
+    let at = |index: i32| STRONGEST * f64::from(index) / f64::from(GRID);
+    let best = (-GRID..=GRID).max_by(|&a, &b| of(at(a)).total_cmp(&of(at(b)))).unwrap_or(0);
+    let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
+    let (mut low, mut high) = (at((best - 1).max(-GRID)), at((best + 1).min(GRID)));
+    let inner = |low: f64, high: f64| (high - golden * (high - low), low + golden * (high - low));
+    let (mut a, mut b) = inner(low, high);
+    let (mut of_a, mut of_b) = (of(a), of(b));
+    for _ in 0..STEPS {
+        if of_a >= of_b {
+            (high, b, of_b) = (b, a, of_a);
+            a = inner(low, high).0;
+            of_a = of(a);
+        } else {
+            (low, a, of_a) = (a, b, of_b);
+            b = inner(low, high).1;
+            of_b = of(b);
+        }
+    }
+    0.5 * (low + high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sheppard's formula at the origin, and independence; far ends are those of one number alone.
+    #[test]
+    fn probabilities_of_rectangles_are_known() {
+        for rho in [-0.95_f64, -0.4, 0.0, 0.3, 0.9] {
+            let known = 0.25 + rho.asin() / (2.0 * std::f64::consts::PI);
+            assert!((both_below(0.0, 0.0, rho) - known).abs() < 1e-9, "{rho}");
+            assert!((both_below(0.7, f64::INFINITY, rho) - Normal::standard().cdf(0.7)).abs() < 1e-12);
+            assert!((both_below(0.7, 9.0, rho) - Normal::standard().cdf(0.7)).abs() < 1e-6, "{rho}");
+            assert_eq!(both_below(f64::NEG_INFINITY, 0.7, rho), 0.0);
+        }
+    }
 }

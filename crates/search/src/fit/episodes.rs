@@ -1,9 +1,14 @@
 //! From braking episodes to numbers, from which a space can draw them again.
 
-use crumple_world::recording::{Episode, Leaders, MinBrake, Recording, episodes, followed, waves};
-use crumple_world::scenario::space::{Exposure, Observed, ObservedParameter, SourceExposure};
+use serde::Serialize;
 
 use super::FitError;
+use super::sizes::Sizes;
+use crumple_world::recording::{
+    Dropped, Episode, HARDEST_CHANGE_MPS2, Hardest, Leaders, MinBrake, NoScenario, Omission, Recording, episodes,
+    followed, hardest_braking, waves,
+};
+use crumple_world::scenario::space::{Exposure, Observed, ObservedParameter, SourceExposure};
 
 /// What is taken of recordings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,6 +26,10 @@ pub const MOST_VEHICLES: usize = 5;
 /// The most episodes, and the most recordings.
 const MOST_EPISODES: usize = 10_000;
 const MOST_RECORDINGS: usize = 1000;
+/// Slower than this a vehicle stands, in m/s: what is recorded of one that does.
+const STANDSTILL_MPS: f64 = 0.1;
+/// Episodes for each number that is fitted.
+const EPISODES_A_NUMBER: usize = 4;
 
 /// A number of an episode, and the field of a scenario that it sets.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,22 +42,34 @@ pub struct Number {
     pub unit: &'static str,
     /// Smallest and largest value that a scenario may have.
     pub range: [f64; 2],
+    /// One of these that has a probability of its own, if it is seen.
+    pub point_mass: Option<f64>,
+    /// The two values that it has, if these are all.
+    pub few: Option<[f64; 2]>,
 }
 
-/// The numbers of an episode with so many vehicles, in their order in [`Sample`].
+impl Number {
+    pub(super) fn new(name: &str, field: &str, unit: &'static str, range: [f64; 2]) -> Self {
+        Self { name: name.to_owned(), field: field.to_owned(), unit, range, point_mass: None, few: None }
+    }
+}
+
+/// The numbers of an episode with so many vehicles, in their order in [`Sample`], in which sizes of vehicles follow.
 #[must_use]
 pub fn numbers(taken: &Taken) -> Vec<Number> {
-    let number =
-        |name: &str, field: &str, unit, range| Number { name: name.to_owned(), field: field.to_owned(), unit, range };
+    let number = Number::new;
     let mut all = vec![
         number("lead_speed_mps", "vehicles[*].speed_mps", "m/s", [1.0, 50.0]),
         number(
             "lead_brake_mps2",
             "vehicles[0].driver.brake-to-speed.rate_mps2",
             "m/s²",
-            [taken.min_brake.mps2().min(11.0), crumple_world::recording::HARDEST_CHANGE_MPS2],
+            [taken.min_brake.mps2(), HARDEST_CHANGE_MPS2],
         ),
-        number("lead_final_share", "vehicles[0].driver.brake-to-speed.final_share", "1", [0.0, 0.98]),
+        Number {
+            point_mass: Some(0.0),
+            ..number("lead_final_share", "vehicles[0].driver.brake-to-speed.final_share", "1", [0.0, 0.98])
+        },
     ];
     for follower in 1..taken.vehicles {
         let of = |field: &str| format!("vehicles[{follower}].{field}");
@@ -62,8 +83,9 @@ pub fn numbers(taken: &Taken) -> Vec<Number> {
 fn numbers_of(episode: &Episode, vehicles: usize) -> Option<Vec<f64>> {
     let line = episode.vehicles.get(..vehicles)?;
     let lead_mps = line.first()?.speed_mps;
+    let lowest_mps = Some(lowest_mps(episode)).filter(|lowest_mps| *lowest_mps >= STANDSTILL_MPS).unwrap_or(0.0);
     // In one second, so that a loss of speed is a deceleration.
-    let mut all = vec![lead_mps, episode.largest_drop_mps, lowest_mps(episode) / lead_mps];
+    let mut all = vec![lead_mps, episode.largest_drop_mps, lowest_mps / lead_mps];
     for follower in line.iter().skip(1) {
         all.push(follower.speed_mps / lead_mps);
         all.push(follower.gap_ahead_m / follower.speed_mps);
@@ -78,20 +100,78 @@ fn lowest_mps(episode: &Episode) -> f64 {
     samples.map(|(_, speed_mps)| *speed_mps).fold(episode.end_speed_mps, f64::min)
 }
 
+/// How many episodes are needed for so many numbers.
+#[must_use]
+pub fn least_episodes(numbers: usize) -> usize {
+    EPISODES_A_NUMBER * numbers
+}
+
+/// Brakings that the space does not describe.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct LeftOut {
+    /// Nobody was known behind at the time: these are in none of the hours.
+    pub nobody_behind: usize,
+    /// With fewer vehicles than a scenario has: these are in none of the hours.
+    pub shorter: usize,
+    /// Recorded speeds change faster than any road vehicle's.
+    pub impossible: usize,
+    /// With a number that no scenario of the space may have.
+    pub outside: usize,
+}
+
+impl LeftOut {
+    /// Those within the hours that are counted.
+    #[must_use]
+    pub fn in_exposure(&self) -> usize {
+        self.impossible + self.outside
+    }
+
+    fn count(&mut self, dropped: &Dropped) {
+        match dropped.what {
+            Omission::Episode { why: NoScenario::NoFollower { .. } | NoScenario::NobodyBehind { .. }, .. } => {
+                self.nobody_behind += 1;
+            }
+            Omission::Episode { .. } => self.impossible += 1,
+            _ => {}
+        }
+    }
+
+    /// What was left out, a sentence each, of episodes of so many vehicles.
+    #[must_use]
+    pub fn in_words(&self, vehicles: usize) -> Vec<String> {
+        let Self { nobody_behind, shorter, impossible, outside } = self;
+        let mut words = Vec::new();
+        if nobody_behind + shorter > 0 {
+            words.push(format!(
+                "Left out, and in none of the hours: {nobody_behind} brakings with nobody known behind, {shorter} with fewer than {vehicles} vehicles"
+            ));
+        }
+        if impossible + outside > 0 {
+            words.push(format!(
+                "Left out of these hours: {impossible} brakings with speeds that no vehicle has, {outside} with numbers outside the ranges; \
+                 rates per hour count them as if they failed as often as the others"
+            ));
+        }
+        words
+    }
+}
+
 /// Episodes as numbers, and in how much driving they were.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
     /// What was taken.
     pub taken: Taken,
-    /// The numbers.
+    /// What the numbers are, ...
+    pub numbers: Vec<Number>,
+    /// ... and what they were.
     pub observed: Observed,
     /// In how much driving.
     pub exposure: Exposure,
-    /// Episodes with fewer vehicles.
-    pub shorter: usize,
-    /// Episodes with a number that no scenario of the space may have: they are not described.
-    pub outside: usize,
-    /// Which number that was most often the first.
+    /// How large the vehicles were, front to rear.
+    pub sizes: Vec<Sizes>,
+    /// What is not among the episodes.
+    pub left_out: LeftOut,
+    /// Which number was most often the first outside what a scenario may have.
     pub outside_by: Option<String>,
 }
 
@@ -99,51 +179,44 @@ impl Sample {
     /// The numbers of the episodes in recordings.
     ///
     /// # Errors
-    /// [`FitError::TooFew`] and [`FitError::TooMany`] for a number of episodes that cannot be fitted, [`FitError::Vehicles`].
+    /// [`FitError::TooFew`] and [`FitError::TooMany`] for a number of episodes that cannot be fitted, [`FitError::Vehicles`],
+    /// [`FitError::MinBrake`].
     pub fn of(recordings: &[Recording], taken: Taken) -> Result<Self, FitError> {
-        if !(2..=MOST_VEHICLES).contains(&taken.vehicles) {
-            return Err(FitError::Vehicles { found: taken.vehicles });
+        let (vehicles, found) = (taken.vehicles, taken.min_brake.mps2());
+        if !(2..=MOST_VEHICLES).contains(&vehicles) {
+            return Err(FitError::Vehicles { found: vehicles });
+        }
+        if found >= HARDEST_CHANGE_MPS2 {
+            return Err(FitError::MinBrake { found, limit: HARDEST_CHANGE_MPS2 });
         }
         if recordings.len() > MOST_RECORDINGS {
             return Err(FitError::TooMany { found: recordings.len(), most: MOST_RECORDINGS, what: "recordings" });
         }
-        let numbers = numbers(&taken);
-        let (mut wave_numbers, mut columns) = (Vec::new(), vec![Vec::new(); numbers.len()]);
-        let (mut sources, mut shorter, mut outside) = (Vec::new(), 0, vec![0; numbers.len()]);
-        for recording in recordings {
-            let found = episodes(recording, taken.min_brake, taken.leaders).episodes;
-            if found.len() > MOST_EPISODES {
-                return Err(FitError::TooMany { found: found.len(), most: MOST_EPISODES, what: "episodes" });
-            }
-            let (before, first_wave) = (wave_numbers.len(), wave_numbers.iter().max().map_or(0, |last| last + 1));
-            for (episode, wave) in found.iter().zip(waves(&found)) {
-                let Some(values) = numbers_of(episode, taken.vehicles) else {
-                    shorter += 1;
-                    continue;
-                };
-                let is_outside =
-                    |(number, value): (&Number, &f64)| !(number.range[0]..=number.range[1]).contains(value);
-                if let Some(which) = numbers.iter().zip(&values).position(is_outside) {
-                    outside[which] += 1;
-                    continue;
-                }
-                wave_numbers.push(first_wave + wave);
-                columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
-            }
-            let driven = followed(recording, taken.leaders, taken.vehicles - 1);
-            sources.push(SourceExposure {
-                name: source_name(recording),
-                episodes: (wave_numbers.len() - before) as u64,
-                hours: driven.hours,
-                kilometres: driven.kilometres,
-            });
-        }
-        let (found, needed) = (wave_numbers.len(), super::least_episodes(numbers.len()));
+        let mut collected = Collected::new(taken);
+        recordings.iter().try_for_each(|recording| collected.add(recording))?;
+        let Collected { mut numbers, waves, mut columns, lengths, sources, left_out, outside, .. } = collected;
         let outside_by = numbers.iter().zip(&outside).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
         let outside_by = outside_by.map(|(number, _)| number.name.clone());
+        let sizes: Vec<Sizes> = lengths.iter().map(|lengths| Sizes::of(lengths)).collect();
+        for (index, (sizes, lengths)) in sizes.iter().zip(&lengths).enumerate() {
+            if let Some(number) = sizes.number(index) {
+                numbers.push(number);
+                columns.push(sizes.of_each(lengths));
+            }
+        }
+        let (found, needed) = (waves.len(), least_episodes(numbers.len()));
         if found < needed {
-            let (vehicles, outside) = (taken.vehicles, outside.iter().sum());
-            let most = outside_by.map(|name| format!(", most of them {name}")).unwrap_or_default();
+            let mut most = outside_by.map(|name| format!(", most of them {name}")).unwrap_or_default();
+            if left_out.impossible + left_out.nobody_behind > 0 {
+                let LeftOut { nobody_behind, impossible, .. } = left_out;
+                most += &format!(", {nobody_behind} nobody known behind, {impossible} speeds that no vehicle has");
+            }
+            // A recording in which no braking can be seen looks like one in which nobody brakes.
+            let mut judged = recordings.iter().map(|recording| (recording, hardest_braking(recording)));
+            if let Some((recording, why)) = judged.find(|(_, hardest)| !matches!(hardest, Hardest::Braking(_))) {
+                most += &format!("; {}: {why}", source_name(recording));
+            }
+            let (shorter, outside) = (left_out.shorter, left_out.outside);
             return Err(FitError::TooFew { found, needed, vehicles, shorter, outside, most });
         }
         if found > MOST_EPISODES {
@@ -153,19 +226,87 @@ impl Sample {
             name: number.name.clone(),
             low: number.range[0],
             high: number.range[1],
+            point_mass: number.point_mass.filter(|point| values.contains(point)),
             values,
         };
         let exposure = Exposure {
             episodes: found as u64,
             hours: sources.iter().map(|source| source.hours).sum(),
             kilometres: sources.iter().map(|source| source.kilometres).sum(),
+            left_out: left_out.in_exposure() as u64,
             sources,
         };
-        let observed = Observed {
-            waves: renumbered(&wave_numbers),
-            parameters: numbers.iter().zip(columns).map(parameter).collect(),
-        };
-        Ok(Self { taken, observed, exposure, shorter, outside: outside.iter().sum(), outside_by })
+        let observed =
+            Observed { waves: renumbered(&waves), parameters: numbers.iter().zip(columns).map(parameter).collect() };
+        Ok(Self { taken, numbers, observed, exposure, sizes, left_out, outside_by })
+    }
+}
+
+/// What recordings hold, one after the other.
+struct Collected {
+    taken: Taken,
+    numbers: Vec<Number>,
+    /// The wave of each episode.
+    waves: Vec<u32>,
+    /// The values of each number.
+    columns: Vec<Vec<f64>>,
+    /// The lengths of each vehicle, front to rear, as far as they were recorded.
+    lengths: Vec<Vec<Option<f64>>>,
+    sources: Vec<SourceExposure>,
+    left_out: LeftOut,
+    /// How often each number was the first outside its range.
+    outside: Vec<usize>,
+}
+
+impl Collected {
+    fn new(taken: Taken) -> Self {
+        let numbers = numbers(&taken);
+        Self {
+            taken,
+            waves: Vec::new(),
+            columns: vec![Vec::new(); numbers.len()],
+            lengths: vec![Vec::new(); taken.vehicles],
+            sources: Vec::new(),
+            left_out: LeftOut::default(),
+            outside: vec![0; numbers.len()],
+            numbers,
+        }
+    }
+
+    fn add(&mut self, recording: &Recording) -> Result<(), FitError> {
+        let Taken { vehicles, min_brake, leaders } = self.taken;
+        let found = episodes(recording, min_brake, leaders);
+        if found.episodes.len() > MOST_EPISODES {
+            return Err(FitError::TooMany { found: found.episodes.len(), most: MOST_EPISODES, what: "episodes" });
+        }
+        let (before, left_out) = (self.waves.len(), self.left_out.in_exposure());
+        let first_wave = self.waves.iter().max().map_or(0, |last| last + 1);
+        found.dropped.iter().for_each(|dropped| self.left_out.count(dropped));
+        for (episode, wave) in found.episodes.iter().zip(waves(&found.episodes)) {
+            let Some(values) = numbers_of(episode, vehicles) else {
+                self.left_out.shorter += 1;
+                continue;
+            };
+            let is_outside = |(number, value): (&Number, &f64)| !(number.range[0]..=number.range[1]).contains(value);
+            if let Some(which) = self.numbers.iter().zip(&values).position(is_outside) {
+                self.left_out.outside += 1;
+                self.outside[which] += 1;
+                continue;
+            }
+            self.waves.push(first_wave + wave);
+            self.columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
+            let lengths = episode.vehicles.iter().map(|placed| placed.length_m);
+            self.lengths.iter_mut().zip(lengths).for_each(|(known, length_m)| known.push(length_m));
+        }
+        let driven = followed(recording, leaders, vehicles - 1);
+        self.sources.push(SourceExposure {
+            name: source_name(recording),
+            episodes: (self.waves.len() - before) as u64,
+            hours: driven.hours,
+            kilometres: driven.kilometres,
+            left_out: (self.left_out.in_exposure() - left_out) as u64,
+        });
+        Ok(())
     }
 }
 

@@ -58,6 +58,13 @@ impl Tails {
     }
 }
 
+/// A p-value, with two digits that count where it is small: one of 1 in 200 is 0.0050, and would not be honest as 0.01.
+#[must_use]
+pub fn shown_p(p: f64) -> String {
+    let decimals = if p > 0.0 && p < 0.1 { (1.0 - p.log10()).ceil().min(12.0) as usize } else { 2 };
+    format!("{p:.decimals$}")
+}
+
 /// Both distances of sorted values.
 fn distances(sorted: &[f64], fitted: &ReadyDistribution) -> [f64; 2] {
     let n = sorted.len() as f64;

@@ -13,9 +13,10 @@ use std::str::FromStr;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::difference;
 use crate::work::{Asked, Finished, Work, WorkError};
 
-pub use parts::{MergeError, Parts};
+pub use parts::{MergeError, MissingShards, Parts};
 
 /// The file that says all that decides a shard.
 pub(crate) const SHARD: &str = "shard.json";
@@ -23,7 +24,7 @@ pub(crate) const SHARD: &str = "shard.json";
 /// The folder of a shard in use, with what decides it: a kind of work whose results stand in `results` beside it.
 ///
 /// # Errors
-/// [`WorkError`] if the folder cannot be used, or holds something else.
+/// [`WorkError`] if the folder cannot be used, or holds something else: it says in what that differs.
 pub fn open_shard(
     folder: &Path,
     kind: &'static str,
@@ -32,17 +33,36 @@ pub fn open_shard(
     resume: bool,
 ) -> Result<Work, WorkError> {
     let outputs = &[SHARD, results];
-    let work = Work::open(folder, Asked { kind, configuration, configuration_file: SHARD, resume, outputs })?;
+    let asked = Asked { kind, configuration, configuration_file: SHARD, resume, outputs };
+    let work = Work::open(folder, asked).map_err(|error| match error {
+        WorkError::OtherConfiguration { path, kind, found } => {
+            WorkError::Differing(difference::in_json(&path, &kind, &found, configuration))
+        }
+        other => other,
+    })?;
     work.write(SHARD, configuration)?;
     Ok(work)
 }
 
-/// What decides a shard that was made, as its folder says it.
+/// What decides a shard that was made, as its folder says it in files of `version`.
 ///
 /// # Errors
-/// [`WorkError`] if it is not as it was written, or of another form.
-pub fn read_shard<T: DeserializeOwned>(found: &Finished) -> Result<T, WorkError> {
-    serde_json::from_str(&found.read_configuration(SHARD)?).map_err(|error| found.unreadable(SHARD, &error))
+/// [`WorkError`] if it is not as it was written, or of another version.
+pub fn read_shard<T: DeserializeOwned>(found: &Finished, version: u32) -> Result<T, WorkError> {
+    /// The rest is read only where it is known what is in it.
+    #[derive(Deserialize)]
+    struct Header {
+        version: u32,
+    }
+
+    let text = found.read_configuration(SHARD)?;
+    let unreadable = |error| found.unreadable(SHARD, &error);
+    let header: Header = serde_json::from_str(&text).map_err(unreadable)?;
+    if header.version != version {
+        let problem = format!("version: {}, and this release reads {version}", header.version);
+        return Err(found.damaged(SHARD, problem));
+    }
+    serde_json::from_str(&text).map_err(unreadable)
 }
 
 /// The most shards that work is divided into.

@@ -1,10 +1,13 @@
 //! Shards that come back, in any order, some perhaps twice, and where they go.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use super::Shard;
+use serde::Serialize;
+
+use super::{Shard, as_array};
 use crate::work::WorkError;
 
 /// Why shards do not go together.
@@ -51,6 +54,25 @@ pub enum MergeError {
     },
 }
 
+/// Which shards are missing.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct MissingShards {
+    /// Of how many; none where shards are of several numbers.
+    pub of_shards: Option<u32>,
+    /// Those that are missing, where all are of one number.
+    pub missing_shards: Vec<u32>,
+}
+
+/// As the end of a sentence about what is missing.
+impl fmt::Display for MissingShards {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.of_shards {
+            Some(of) => write!(out, ", shards {} of {of}", as_array(&self.missing_shards)),
+            None => Ok(()),
+        }
+    }
+}
+
 /// The parts of work that were done, each by a shard; they do not overlap.
 #[derive(Debug)]
 pub struct Parts<T> {
@@ -79,6 +101,12 @@ impl<T: PartialEq> Parts<T> {
     #[must_use]
     pub fn foreign(&self, folder: &Path, field: String) -> MergeError {
         MergeError::Foreign { folder: folder.to_owned(), first: self.first.clone(), field }
+    }
+
+    /// The error about something that all of them say, found out when all are there.
+    #[must_use]
+    pub(crate) fn unusable(&self, name: &str, problem: String) -> MergeError {
+        WorkError::damaged(&self.first.join(name), problem).into()
     }
 
     /// Takes in what a shard has come to. After an error all is as it was.
@@ -118,13 +146,14 @@ impl<T: PartialEq> Parts<T> {
         missing
     }
 
-    /// Of how many shards they are, and which of these are missing; nothing where they are of several numbers.
+    /// Which shards are missing.
     #[must_use]
-    pub fn missing_shards(&self) -> (Option<u32>, Vec<u32>) {
+    pub fn missing_shards(&self) -> MissingShards {
         let mut numbers = self.parts.values().map(|part| part.shard.of());
-        let of = numbers.next().filter(|of| numbers.all(|other| other == *of));
+        let of_shards = numbers.next().filter(|of| numbers.all(|other| other == *of));
         let present: BTreeSet<u32> = self.parts.values().map(|part| part.shard.index()).collect();
-        (of, of.map_or_else(Vec::new, |of| (1..=of).filter(|index| !present.contains(index)).collect()))
+        let missing = |of: u32| (1..=of).filter(|index| !present.contains(index)).collect();
+        MissingShards { of_shards, missing_shards: of_shards.map_or_else(Vec::new, missing) }
     }
 
     /// What they came to, in order.

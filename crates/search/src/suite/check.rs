@@ -6,7 +6,7 @@ use crumple_world::scenario::file::FileError;
 use crumple_world::scenario::{InvalidField, short};
 
 use super::SUITE_VERSION;
-use super::figure::{Figure, Parameter, Unit};
+use super::figure::{Figure, ImpactLimit, Parameter, Unit};
 use super::spec::{Lead, SuiteSpec, TestSpec, moved};
 
 /// Most points of all grids of a suite.
@@ -66,10 +66,34 @@ pub enum SuiteProblem {
     #[error("a test has either `lead` or `refused`")]
     Either,
     /// A figure that the situation needs.
-    #[error("is missing: where the lead is {lead} there must be one")]
+    #[error("is missing: where the lead is {lead} there must be one{}", alternative(or.as_ref()))]
     Missing {
         /// The situation.
         lead: &'static str,
+        /// What may be stated in its place.
+        or: Option<Parameter>,
+    },
+    /// A figure that says what another one says already.
+    #[error("is there beside `{}`, which says the same: there must be one of them", other.name())]
+    Both {
+        /// The other one.
+        other: Parameter,
+    },
+    /// A contact that cannot be allowed.
+    #[error("must be more than 0 and at most {most} {unit}, found {}", short(*found))]
+    Impact {
+        /// The most, in the unit.
+        most: f64,
+        /// The unit.
+        unit: Unit,
+        /// What the file says.
+        found: f64,
+    },
+    /// An impact speed in a unit of another quantity.
+    #[error("an impact speed cannot be stated in {found}")]
+    ImpactUnit {
+        /// The unit.
+        found: Unit,
     },
     /// A figure or direction that the situation has no place for.
     #[error("has no place where the lead is {lead}")]
@@ -143,6 +167,11 @@ pub enum SuiteProblem {
     },
 }
 
+/// What may be stated in place of a figure, in words.
+fn alternative(other: Option<&Parameter>) -> String {
+    other.map_or_else(String::new, |other| format!(", or `{}`", other.name()))
+}
+
 type Checked = Result<(), (String, SuiteProblem)>;
 
 fn holds(condition: bool, field: impl Into<String>, problem: SuiteProblem) -> Checked {
@@ -188,20 +217,22 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
         (Some(lead), None) => lead,
         (None, Some(why)) => {
             text(why, format!("{place}.refused"))?;
-            let misplaced =
-                test.figures.stated().next().is_some() || !test.margins.is_empty() || !test.ranges.is_empty();
+            let misplaced = test.figures.stated().next().is_some()
+                || test.impact_at_most.is_some()
+                || !test.margins.is_empty()
+                || !test.ranges.is_empty();
             return holds(!misplaced, place, SuiteProblem::Either).map(|()| 0);
         }
         _ => return Err((place.to_owned(), SuiteProblem::Either)),
     };
-    for parameter in Parameter::ALL {
-        let field = format!("{place}.figures.{}", parameter.name());
-        match (test.figures.get(parameter), lead.parameters().contains(&parameter)) {
-            (Some(found), true) => figure(parameter, found, &field)?,
-            (None, true) => return Err((field, SuiteProblem::Missing { lead: lead.name() })),
-            (Some(_), false) => return Err((field, SuiteProblem::Misplaced { lead: lead.name() })),
-            (None, false) => {}
-        }
+    check_figures(test, lead, place)?;
+    if let Some(ImpactLimit { value, unit, note, .. }) = &test.impact_at_most {
+        let (at, found) = (|name: &str| format!("{place}.impact_at_most.{name}"), *unit);
+        holds(Parameter::OwnSpeed.units().contains(&found), at("unit"), SuiteProblem::ImpactUnit { found })?;
+        // To nine digits, so that it is 360 km/h.
+        let most = (Parameter::OwnSpeed.range()[1] / unit.in_si() * 1e9).round() / 1e9;
+        holds(*value > 0.0 && *value <= most, at("value"), SuiteProblem::Impact { most, unit: *unit, found: *value })?;
+        holds(note.is_empty() || text(note, "").is_ok(), at("note"), SuiteProblem::Text)?;
     }
     let found = before.saturating_add(test.points());
     holds(found <= MOST_POINTS, format!("{place}.figures"), SuiteProblem::TooMany { found })?;
@@ -238,6 +269,28 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
         }
     }
     Ok(grid.len())
+}
+
+/// Checks that there is every figure that the situation needs, once, and no other.
+fn check_figures(test: &TestSpec, lead: Lead, place: &str) -> Checked {
+    let field = |parameter: Parameter| format!("{place}.figures.{}", parameter.name());
+    for (parameter, found) in test.figures.stated() {
+        let is_needed = lead.parameters().concat().contains(&parameter);
+        holds(is_needed, field(parameter), SuiteProblem::Misplaced { lead: lead.name() })?;
+        figure(parameter, found, &field(parameter))?;
+    }
+    for needed in lead.parameters() {
+        let mut stated = needed.iter().filter(|parameter| test.figures.get(**parameter).is_some());
+        match (stated.next(), stated.next(), needed) {
+            (Some(&other), Some(&twice), _) => return Err((field(twice), SuiteProblem::Both { other })),
+            (None, _, [first, others @ ..]) => {
+                let missing = SuiteProblem::Missing { lead: lead.name(), or: others.first().copied() };
+                return Err((field(*first), missing));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 fn check_point(test: &TestSpec, lead: Lead, point: &[f64], field: &str) -> Checked {

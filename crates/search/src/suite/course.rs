@@ -50,6 +50,14 @@ impl TestSpec {
         })
     }
 
+    /// The gap at the start of a point that states it, as a length or as the time that driving it takes, in metres.
+    fn gap_m(&self, point: &[f64], own_mps: f64) -> f64 {
+        match self.place(Parameter::TimeGap) {
+            Some(_) => self.si(point, Parameter::TimeGap) * own_mps,
+            None => self.si(point, Parameter::Gap),
+        }
+    }
+
     /// The vehicles ahead, and when they would have been met or stand, in seconds.
     fn others(&self, point: &[f64], own_mps: f64) -> (Vec<VehicleSpec>, f64) {
         let si = |parameter| self.si(point, parameter);
@@ -58,11 +66,11 @@ impl TestSpec {
         match self.lead {
             Some(Lead::Decelerating) => {
                 let (rate_mps2, ramp_s) = (si(Parameter::Deceleration), si(Parameter::Ramp));
-                let mut lead = scripted(si(Parameter::Gap), own_mps, braking(rate_mps2, ramp_s));
+                let mut lead = scripted(self.gap_m(point, own_mps), own_mps, braking(rate_mps2, ramp_s));
                 if rate_mps2 > CLASS.max_brake_mps2() {
                     lead.max_brake_mps2 = Some(rate_mps2);
                 }
-                (vec![lead], ONSET_S + ramp_s + own_mps / rate_mps2.max(0.1))
+                (vec![lead], ramp_s + own_mps / rate_mps2.max(0.1))
             }
             Some(Lead::CutIn) => {
                 let lead_mps = si(Parameter::LeadSpeed);
@@ -71,7 +79,7 @@ impl TestSpec {
                 (vec![steady(lead.position_m + FAR_M, own_mps), lead], closing_s)
             }
             Some(Lead::CutOut) => {
-                let mut lead = steady(si(Parameter::Gap), own_mps);
+                let mut lead = steady(self.gap_m(point, own_mps), own_mps);
                 lead.leaves = Some(LaneChange::At(ONSET_S));
                 (vec![steady(lead.position_m + closing_s * own_mps, 0.0), lead], closing_s)
             }

@@ -5,6 +5,8 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crumple_world::control::STANDARD_GRAVITY_MPS2;
+
 /// What a figure is about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -18,6 +20,8 @@ pub enum Parameter {
     ClosingTime,
     /// The gap at the start, bumper to bumper.
     Gap,
+    /// The gap at the start, as the time that driving it takes.
+    TimeGap,
     /// Braking of the vehicle ahead, positive.
     Deceleration,
     /// Time within which it is reached.
@@ -78,6 +82,21 @@ pub struct Figure {
     pub note: String,
 }
 
+/// A value that a contact may have: the difference of the speeds up to which a test passes nevertheless.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "an impact speed: a table of value, unit and origin")]
+pub struct ImpactLimit {
+    /// The difference of the speeds at the contact.
+    pub value: f64,
+    /// Its unit: `km/h` or `m/s`.
+    pub unit: Unit,
+    /// Who says so.
+    pub origin: Origin,
+    /// Where the document says so, or why it was chosen.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub note: String,
+}
+
 /// Whether a tolerance is none.
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "as serde calls it")]
 fn is_none(tolerance: &f64) -> bool {
@@ -98,9 +117,12 @@ pub struct Figures {
     /// cuts in when it enters; that of a vehicle that cuts out to the one that stands, when it leaves.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub closing_time: Option<Figure>,
-    /// The gap at the start, behind a vehicle that brakes or cuts out.
+    /// The gap at the start, behind a vehicle that brakes or cuts out. There is either this or `time_gap`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gap: Option<Figure>,
+    /// The gap at the start, behind a vehicle that brakes or cuts out, as the time that driving it takes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_gap: Option<Figure>,
     /// Braking of the vehicle ahead, positive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deceleration: Option<Figure>,
@@ -111,8 +133,8 @@ pub struct Figures {
 
 impl Parameter {
     /// All of them, in the order in which points state their values.
-    pub const ALL: [Self; 6] =
-        [Self::OwnSpeed, Self::LeadSpeed, Self::ClosingTime, Self::Gap, Self::Deceleration, Self::Ramp];
+    pub const ALL: [Self; 7] =
+        [Self::OwnSpeed, Self::LeadSpeed, Self::ClosingTime, Self::Gap, Self::TimeGap, Self::Deceleration, Self::Ramp];
 
     /// Its name in files.
     #[must_use]
@@ -122,6 +144,7 @@ impl Parameter {
             Self::LeadSpeed => "lead_speed",
             Self::ClosingTime => "closing_time",
             Self::Gap => "gap",
+            Self::TimeGap => "time_gap",
             Self::Deceleration => "deceleration",
             Self::Ramp => "ramp",
         }
@@ -135,6 +158,7 @@ impl Parameter {
             Self::LeadSpeed => "lead speed",
             Self::ClosingTime => "closing time",
             Self::Gap => "gap",
+            Self::TimeGap => "time gap",
             Self::Deceleration => "lead deceleration",
             Self::Ramp => "ramp",
         }
@@ -145,7 +169,7 @@ impl Parameter {
     pub fn units(self) -> &'static [Unit] {
         match self {
             Self::OwnSpeed | Self::LeadSpeed => &[Unit::Kmph, Unit::Mps],
-            Self::ClosingTime | Self::Ramp => &[Unit::Second],
+            Self::ClosingTime | Self::TimeGap | Self::Ramp => &[Unit::Second],
             Self::Gap => &[Unit::Metre],
             Self::Deceleration => &[Unit::Mps2, Unit::Gravity],
         }
@@ -156,7 +180,7 @@ impl Parameter {
     pub fn range(self) -> [f64; 2] {
         match self {
             Self::OwnSpeed | Self::LeadSpeed => [0.5, 100.0],
-            Self::ClosingTime => [0.1, 60.0],
+            Self::ClosingTime | Self::TimeGap => [0.1, 60.0],
             Self::Gap => [0.1, 1000.0],
             Self::Deceleration => [0.1, 30.0],
             Self::Ramp => [0.0, 60.0],
@@ -171,7 +195,7 @@ impl Unit {
         match self {
             Self::Kmph => 1.0 / 3.6,
             Self::Mps | Self::Second | Self::Metre | Self::Mps2 => 1.0,
-            Self::Gravity => 9.806_65,
+            Self::Gravity => STANDARD_GRAVITY_MPS2,
         }
     }
 }
@@ -217,6 +241,7 @@ impl Figures {
             Parameter::LeadSpeed => self.lead_speed.as_ref(),
             Parameter::ClosingTime => self.closing_time.as_ref(),
             Parameter::Gap => self.gap.as_ref(),
+            Parameter::TimeGap => self.time_gap.as_ref(),
             Parameter::Deceleration => self.deceleration.as_ref(),
             Parameter::Ramp => self.ramp.as_ref(),
         }

@@ -7,7 +7,7 @@ use crumple_world::sim::{ControllerKind, NamedController};
 use serde::Serialize;
 
 use super::result::{STATEMENT, TestVerdict};
-use super::run::Driven;
+use super::run::{Criterion, Driven};
 use super::situation::{Boundary, MapAxis, Situation};
 
 /// Most cells across, and most up.
@@ -134,7 +134,8 @@ impl MapSpec {
             references.map(|spec| (spec.name().to_owned(), ControllerKind::from(spec), EstimatorKind::Truth, true));
         let asked = controllers.iter().map(|one| (one.name.clone(), one.kind.clone(), estimator, false));
         let panel = |(driver, controller, estimator, is_reference): (String, ControllerKind, _, bool)| {
-            let seen = Driven { controller: &controller, estimator }.seen(situation.lead(), &scenarios);
+            let seen =
+                Driven { controller: &controller, estimator }.seen(Criterion::no_contact(situation.lead()), &scenarios);
             let cells: Vec<CrashCell> = points
                 .iter()
                 .zip(seen)

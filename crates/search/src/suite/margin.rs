@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::figure::{Parameter, Unit};
 use super::result::TestVerdict;
-use super::run::Driven;
-use super::spec::{Lead, TestSpec, moved};
+use super::run::{Criterion, Driven};
+use super::spec::{TestSpec, moved};
 
 /// Equal parts of a direction, at whose ends the test is run.
 const PARTS: usize = 16;
@@ -91,17 +91,17 @@ impl Line<'_> {
 }
 
 /// The margins of a test: a line a direction and combination of the other figures.
-pub(super) fn margins(test: &TestSpec, lead: Lead, driven: &Driven<'_>) -> Vec<Margin> {
+pub(super) fn margins(test: &TestSpec, criterion: Criterion, driven: &Driven<'_>) -> Vec<Margin> {
     let lines = lines(test);
     let ends: Vec<(usize, f64)> = (0..lines.len())
         .flat_map(|line| (0..=PARTS).map(move |part| (line, part)))
         .map(|(line, part)| (line, lines[line].value(part)))
         .collect();
-    let at_ends = found(&lines, &ends, lead, driven);
+    let at_ends = found(&lines, &ends, criterion, driven);
     let mut margin_ends: Vec<MarginEnd> =
         at_ends.chunks(PARTS + 1).zip(&lines).map(|(found, line)| coarse(line, found)).collect();
     for _ in 0..HALVINGS {
-        halve(&mut margin_ends, &lines, lead, driven);
+        halve(&mut margin_ends, &lines, criterion, driven);
     }
     let margin = |(line, end): (&Line<'_>, MarginEnd)| Margin {
         push: line.push,
@@ -144,13 +144,13 @@ fn coarse(line: &Line<'_>, found: &[Found]) -> MarginEnd {
 }
 
 /// Halves every part with a boundary.
-fn halve(margin_ends: &mut [MarginEnd], lines: &[Line<'_>], lead: Lead, driven: &Driven<'_>) {
+fn halve(margin_ends: &mut [MarginEnd], lines: &[Line<'_>], criterion: Criterion, driven: &Driven<'_>) {
     let middle = |(line, end): (usize, &MarginEnd)| match end {
         MarginEnd::Boundary { passes_at, fails_at, .. } => Some((line, 0.5 * (passes_at + fails_at))),
         MarginEnd::None { .. } | MarginEnd::Holds { .. } => None,
     };
     let middles: Vec<_> = margin_ends.iter().enumerate().filter_map(middle).collect();
-    let at_middles = found(lines, &middles, lead, driven);
+    let at_middles = found(lines, &middles, criterion, driven);
     for ((line, middle), found) in middles.into_iter().zip(at_middles) {
         let Some(MarginEnd::Boundary { passes_at, fails_at, beyond, .. }) = margin_ends.get_mut(line) else { continue };
         match found {
@@ -161,14 +161,14 @@ fn halve(margin_ends: &mut [MarginEnd], lines: &[Line<'_>], lead: Lead, driven: 
 }
 
 /// What the test does at values of lines.
-fn found(lines: &[Line<'_>], values: &[(usize, f64)], lead: Lead, driven: &Driven<'_>) -> Vec<Found> {
+fn found(lines: &[Line<'_>], values: &[(usize, f64)], criterion: Criterion, driven: &Driven<'_>) -> Vec<Found> {
     let scenario = |&(line, value): &(usize, f64)| {
         let line: &Line<'_> = lines.get(line)?;
         line.test.scenario("margin", "", &moved(&line.base, line.at, value)).ok()
     };
     let scenarios: Vec<_> = values.iter().map(scenario).collect();
     let valid: Vec<_> = scenarios.iter().flatten().cloned().collect();
-    let mut seen = driven.seen(lead, &valid).into_iter();
+    let mut seen = driven.seen(criterion, &valid).into_iter();
     let found = |is_valid: bool| match is_valid.then(|| seen.next()).flatten().map(|seen| seen.verdict) {
         Some(TestVerdict::Passed) => Ok(()),
         Some(TestVerdict::Failed { .. } | TestVerdict::ControllerFailed { .. }) => Err(Beyond::Fails),

@@ -23,7 +23,7 @@ mod within;
 use std::path::Path;
 
 pub use check::{SuiteError, SuiteProblem};
-pub use figure::{Figure, Figures, Origin, Parameter, Unit};
+pub use figure::{Figure, Figures, ImpactLimit, Origin, Parameter, Unit};
 pub use map::{CrashCell, CrashMap, MapPanel, MapProblem, MapSpec};
 pub use margin::{Beyond, Margin, MarginEnd};
 pub use preventable::{Prevention, ReferenceRun};
@@ -90,11 +90,20 @@ impl Suite {
 }
 
 /// Name and text of every suite that is shipped.
-pub const SHIPPED: [(&str, &str); 3] = [
+pub const SHIPPED: [(&str, &str); 6] = [
     ("fmvss-127", include_str!("shipped/fmvss-127.toml")),
     ("euro-ncap-2023", include_str!("shipped/euro-ncap-2023.toml")),
+    ("euro-ncap-2026", include_str!("shipped/euro-ncap-2026.toml")),
+    ("un-r152", include_str!("shipped/un-r152.toml")),
+    ("un-r157", include_str!("shipped/un-r157.toml")),
     ("afgbv-cut-in", include_str!("shipped/afgbv-cut-in.toml")),
 ];
+
+/// Documents that were looked for and have no suite, and why not.
+pub const NOT_SHIPPED: [(&str, &str); 1] = [(
+    "ISO 15622:2018",
+    "its text could not be read: public copies end with the table of contents, and those who quote its figures contradict each other",
+)];
 
 /// The JSON Schema of suite files.
 #[must_use]

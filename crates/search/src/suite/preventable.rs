@@ -8,8 +8,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::result::TestVerdict;
-use super::run::{Driven, Known};
-use super::spec::Lead;
+use super::run::{Criterion, Driven, Known};
 use crate::falsify::counterexample::Avoidability;
 
 /// Of so many failed points of a test, the first ones, it is asked whether anybody could have avoided the contact.
@@ -19,7 +18,7 @@ const MOST_ASKED: usize = 3;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Prevention {
-    /// It touches nobody.
+    /// The test passes with it.
     Prevents,
     /// It brakes, and touches.
     Collides,
@@ -44,11 +43,11 @@ pub(super) struct Prevented {
 }
 
 /// What is known of these scenarios of a test; what has to be found out for it is added to `known`.
-pub(super) fn prevented(lead: Lead, scenarios: &[&Scenario], known: &mut Known) -> Vec<Prevented> {
+pub(super) fn prevented(criterion: Criterion, scenarios: &[&Scenario], known: &mut Known) -> Vec<Prevented> {
     let name = |scenario: &Scenario| scenario.spec().name.clone();
     let new: Vec<Scenario> =
         scenarios.iter().filter(|scenario| !known.contains_key(&name(scenario))).map(|&one| one.clone()).collect();
-    let references = references(lead, &new);
+    let references = references(criterion, &new);
     for (index, scenario) in new.iter().enumerate() {
         let references = references.iter().filter_map(|all| all.get(index).cloned()).collect();
         known.insert(name(scenario), Prevented { references, avoidability: Avoidability::NotAsked });
@@ -76,12 +75,12 @@ pub(super) fn prevented(lead: Lead, scenarios: &[&Scenario], known: &mut Known) 
 }
 
 /// What each reference driver does in each scenario.
-fn references(lead: Lead, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
+fn references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
     let drivers = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Reference);
     let runs = drivers.map(|spec| {
         let driver = spec.name();
         let controller = ControllerKind::from(spec);
-        let seen = Driven { controller: &controller, estimator: EstimatorKind::Truth }.seen(lead, scenarios);
+        let seen = Driven { controller: &controller, estimator: EstimatorKind::Truth }.seen(criterion, scenarios);
         let prevention = |seen: super::run::Seen| match seen.verdict {
             TestVerdict::Passed => Prevention::Prevents,
             _ if seen.max_brake_mps2 > 0.0 => Prevention::Collides,

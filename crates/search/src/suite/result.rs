@@ -4,7 +4,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use serde::{Deserialize, Serialize};
 
-use super::figure::Figures;
+use super::figure::{Figures, ImpactLimit};
 use super::margin::Margin;
 use super::preventable::ReferenceRun;
 use super::within::Within;
@@ -56,6 +56,9 @@ pub struct TestResult {
     pub is_as_stated: bool,
     /// Its figures, each with who says so.
     pub figures: Figures,
+    /// The fastest contact at which it passes; none if no contact does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub impact_at_most: Option<ImpactLimit>,
     /// An entry a controller.
     pub controllers: Vec<Tested>,
 }
@@ -105,9 +108,9 @@ pub struct Failed {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum TestVerdict {
-    /// No contact before the test ended.
+    /// No contact before the test ended, or none faster than the test allows.
     Passed,
-    /// A contact.
+    /// A contact, faster than the test allows.
     Failed {
         /// When, in seconds.
         time_s: f64,

@@ -16,6 +16,26 @@ use super::result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, Te
 use super::spec::{ClauseSpec, Lead, TestSpec};
 use super::within::{Within, Worst, worst};
 
+/// When a test is over, and what passes.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Criterion {
+    /// What the vehicle ahead does.
+    pub(super) lead: Lead,
+    /// The fastest contact that passes, in m/s; none if no contact does.
+    pub(super) impact_at_most_mps: Option<f64>,
+}
+
+impl Criterion {
+    /// Where no contact passes.
+    pub(super) fn no_contact(lead: Lead) -> Self {
+        Self { lead, impact_at_most_mps: None }
+    }
+
+    fn passes(self, impact_speed_mps: f64) -> bool {
+        self.impact_at_most_mps.is_some_and(|most| impact_speed_mps <= most)
+    }
+}
+
 /// What drives, and what it looks through.
 pub(super) struct Driven<'c> {
     pub(super) controller: &'c ControllerKind,
@@ -98,6 +118,7 @@ pub(super) fn assembled(
         name: test.name.clone(),
         is_as_stated: test.is_as_stated(),
         figures: test.figures.clone(),
+        impact_at_most: test.impact_at_most.clone(),
         controllers: tested.by_ref().take(controllers).collect(),
     };
     let clause = |clause: &ClauseSpec| ClauseResult {
@@ -127,7 +148,7 @@ struct Course<'t> {
     name: String,
     about: String,
     test: &'t TestSpec,
-    lead: Option<Lead>,
+    criterion: Option<Criterion>,
     grid: Vec<Vec<f64>>,
     scenarios: Vec<Scenario>,
 }
@@ -141,13 +162,13 @@ impl<'t> Course<'t> {
             test.scenario(&format!("{name}-{number:03}"), &about, point)
         };
         let scenarios = grid.iter().zip(1..).map(named).collect::<Result<_, _>>()?;
-        Ok(Self { name, about: format!("{about} {STATEMENT}"), test, lead: test.lead, grid, scenarios })
+        Ok(Self { name, about: format!("{about} {STATEMENT}"), test, criterion: test.criterion(), grid, scenarios })
     }
 
     fn tested(&self, controller: &NamedController, estimator: EstimatorKind, known: &mut Known) -> Tested {
         let driven = Driven { controller: &controller.kind, estimator };
-        let seen = match (self.lead, &self.test.refused) {
-            (Some(lead), _) => driven.seen(lead, &self.scenarios),
+        let seen = match (self.criterion, &self.test.refused) {
+            (Some(criterion), _) => driven.seen(criterion, &self.scenarios),
             (None, reason) => vec![Seen::refused(reason.clone().unwrap_or_default())],
         };
         let of_grid = TestVerdict::worst(seen.iter().map(|seen| &seen.verdict)).unwrap_or(&TestVerdict::Passed);
@@ -158,7 +179,7 @@ impl<'t> Course<'t> {
             points: self.grid.len(),
             passed: seen.iter().filter(|seen| seen.verdict.is_passed()).count(),
             min_gap_m: gaps.reduce(f64::min),
-            margins: self.lead.map(|lead| margins(self.test, lead, &driven)).unwrap_or_default(),
+            margins: self.criterion.map(|criterion| margins(self.test, criterion, &driven)).unwrap_or_default(),
             within: self.within(&driven, known),
             failed: self.failed(&self.grid, &self.scenarios, &seen, known),
         }
@@ -166,7 +187,7 @@ impl<'t> Course<'t> {
 
     fn within(&self, driven: &Driven<'_>, known: &mut Known) -> Option<Within> {
         let Worst { point, scenario, seen, tried, failures } =
-            worst(&self.name, &self.about, self.test, self.lead?, driven)?;
+            worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
         let (points, scenarios, all) = ([point], [scenario], [seen]);
         let failed = self.failed(&points, &scenarios, &all, known).pop();
         let ([point], [seen]) = (points, all);
@@ -184,7 +205,7 @@ impl<'t> Course<'t> {
         let all = points.iter().zip(scenarios).zip(seen);
         let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
         let scenarios: Vec<_> = failed.iter().map(|((_, scenario), _)| *scenario).collect();
-        let prevented = self.lead.map(|lead| prevented(lead, &scenarios, known)).unwrap_or_default();
+        let prevented = self.criterion.map(|criterion| prevented(criterion, &scenarios, known)).unwrap_or_default();
         let told = failed.into_iter().zip(prevented).map(|(((point, scenario), seen), prevented)| Failed {
             point: self.test.in_words(point),
             verdict: seen.verdict.clone(),
@@ -199,7 +220,7 @@ impl<'t> Course<'t> {
 
 impl Driven<'_> {
     /// What each scenario shows.
-    pub(super) fn seen(&self, lead: Lead, scenarios: &[Scenario]) -> Vec<Seen> {
+    pub(super) fn seen(&self, criterion: Criterion, scenarios: &[Scenario]) -> Vec<Seen> {
         let options = RunOptions::new(self.controller.clone()).with_estimator(self.estimator);
         let prepared: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect();
         let mut refused = Vec::new();
@@ -209,17 +230,20 @@ impl Driven<'_> {
             runs.extend(run.ok());
         }
         let mut seen =
-            simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| judged(lead, &simulated)).into_iter();
+            simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| judged(criterion, &simulated)).into_iter();
         let unseen = || Seen::refused("was not run".to_owned());
         refused.into_iter().map(|refused| refused.or_else(|| seen.next()).unwrap_or_else(unseen)).collect()
     }
 }
 
-fn judged(lead: Lead, simulated: &Simulated) -> Seen {
+fn judged(criterion: Criterion, simulated: &Simulated) -> Seen {
+    let lead = criterion.lead;
     let trace = simulated.trace.as_ref();
     let end_s = trace.and_then(|trace| end_s(lead, trace));
     let verdict = match &simulated.outcome {
-        Outcome::Collision(contact) if end_s.is_none_or(|end_s| contact.time_s <= end_s) => {
+        Outcome::Collision(contact)
+            if end_s.is_none_or(|end_s| contact.time_s <= end_s) && !criterion.passes(contact.impact_speed_mps) =>
+        {
             TestVerdict::Failed { time_s: contact.time_s, impact_speed_mps: contact.impact_speed_mps }
         }
         Outcome::ControllerFailed(failed) => {

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::rows::TestedRow;
 use super::run::{assembled, each, pieces};
 use super::{Suite, SuiteResult, SuiteSpec, Tested};
-use crate::shard::{self, MergeError, Parts, SHARD, Shard, TooManyShards};
+use crate::shard::{self, MergeError, MissingShards, Parts, SHARD, Shard, TooManyShards};
 use crate::work::{Finished, Work, WorkError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
@@ -188,9 +188,9 @@ impl MergedSuite {
         named.map(|(_, (test, controller))| format!("{test} ({controller})")).collect()
     }
 
-    /// Of how many shards they are, and which of these are missing; where they are of several numbers, nothing.
+    /// Which shards are missing.
     #[must_use]
-    pub fn missing_shards(&self) -> (Option<u32>, Vec<u32>) {
+    pub fn missing_shards(&self) -> MissingShards {
         self.parts.missing_shards()
     }
 
@@ -206,11 +206,7 @@ impl MergedSuite {
 }
 
 fn read(found: &Finished) -> Result<ShardFile, WorkError> {
-    let file: ShardFile = shard::read_shard(found)?;
-    match file.version == VERSION {
-        true => Ok(file),
-        false => Err(found.damaged(SHARD, format!("version: {}, and this release reads {VERSION}", file.version))),
-    }
+    shard::read_shard(found, VERSION)
 }
 
 fn json(value: &impl Serialize) -> Result<String, SuiteShardError> {

@@ -3,7 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::figure::{Figure, Figures, Origin, Parameter};
+use super::figure::{Figure, Figures, ImpactLimit, Origin, Parameter};
+use super::run::Criterion;
 
 /// A suite as a file states it: plain data that may hold nonsense.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -41,7 +42,7 @@ pub struct ClauseSpec {
     pub clause: String,
     /// What it says, in short.
     pub says: String,
-    /// Its tests; 1 to 100. A test passes if there is no contact before it ends.
+    /// Its tests; 1 to 100. A test passes if there is no contact before it ends, or none faster than it allows.
     #[schemars(length(min = 1, max = 100))]
     pub tests: Vec<TestSpec>,
 }
@@ -61,9 +62,12 @@ pub struct TestSpec {
     /// Its figures. The test is run at every combination of their values.
     #[serde(default)]
     pub figures: Figures,
+    /// The fastest contact at which it passes nevertheless; without it no contact passes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub impact_at_most: Option<ImpactLimit>,
     /// Figures of which the document allows every value from the smallest to the largest: the worst point is searched for there.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    #[schemars(length(max = 6))]
+    #[schemars(length(max = 7))]
     pub ranges: Vec<Parameter>,
     /// How it is pushed until it fails.
     #[serde(default)]
@@ -80,14 +84,14 @@ pub enum Lead {
     Stopped,
     /// It drives slower, at a constant speed. The test ends when the vehicle under test no longer closes in.
     Slower,
-    /// It drives as fast as the vehicle under test and brakes to standstill from a second on. The test ends when the vehicle under
+    /// It drives as fast as the vehicle under test and brakes to standstill from the start on. The test ends when the vehicle under
     /// test stands.
     Decelerating,
-    /// It cuts in: it drives slower in the lane beside and enters once the closing time is reached. Until then nobody is ahead but
-    /// a vehicle 300 m away that is as fast as the vehicle under test. The test ends when the vehicle under test no longer closes in.
+    /// It cuts in: slower, it enters the lane at the start, as far ahead as the closing time says. 300 m ahead of it drives a vehicle
+    /// that is as fast as the vehicle under test. The test ends when the vehicle under test no longer closes in.
     CutIn,
-    /// It cuts out: it drives as fast as the vehicle under test and leaves the lane once the closing time to a vehicle that stands is
-    /// reached. The test ends when the vehicle under test stands.
+    /// It cuts out: as fast as the vehicle under test, it leaves the lane at the start, the closing time before a vehicle that stands.
+    /// The test ends when the vehicle under test stands.
     CutOut,
 }
 
@@ -102,16 +106,15 @@ pub struct Push {
 }
 
 impl Lead {
-    /// The figures that it needs.
+    /// The figures that it needs: one of each entry.
     #[must_use]
-    pub fn parameters(self) -> &'static [Parameter] {
-        use Parameter::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp};
+    pub fn parameters(self) -> &'static [&'static [Parameter]] {
+        use Parameter::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};
         match self {
-            Self::Stopped => &[OwnSpeed, ClosingTime],
-            Self::Slower => &[OwnSpeed, LeadSpeed, ClosingTime],
-            Self::Decelerating => &[OwnSpeed, Gap, Deceleration, Ramp],
-            Self::CutIn => &[OwnSpeed, LeadSpeed, ClosingTime],
-            Self::CutOut => &[OwnSpeed, Gap, ClosingTime],
+            Self::Stopped => &[&[OwnSpeed], &[ClosingTime]],
+            Self::Slower | Self::CutIn => &[&[OwnSpeed], &[LeadSpeed], &[ClosingTime]],
+            Self::Decelerating => &[&[OwnSpeed], &[Gap, TimeGap], &[Deceleration], &[Ramp]],
+            Self::CutOut => &[&[OwnSpeed], &[Gap, TimeGap], &[ClosingTime]],
         }
     }
 
@@ -146,7 +149,14 @@ impl TestSpec {
     /// Whether all that the document asks for is as it states it; else some figure was chosen.
     #[must_use]
     pub fn is_as_stated(&self) -> bool {
-        self.figures.stated().all(|(_, figure)| figure.origin != Origin::Chosen)
+        let figures = self.figures.stated().map(|(_, figure)| figure.origin);
+        figures.chain(self.impact_at_most.iter().map(|limit| limit.origin)).all(|origin| origin != Origin::Chosen)
+    }
+
+    /// When it is over and what passes; none if it cannot be run.
+    pub(super) fn criterion(&self) -> Option<Criterion> {
+        let impact_at_most_mps = self.impact_at_most.as_ref().map(|limit| limit.value * limit.unit.in_si());
+        Some(Criterion { lead: self.lead?, impact_at_most_mps })
     }
 
     /// Every combination of the figures' values, in the units of the figures; the last figure varies fastest.

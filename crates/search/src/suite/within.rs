@@ -6,8 +6,8 @@ use serde::Serialize;
 
 use super::figure::Figure;
 use super::result::{Failed, TestVerdict};
-use super::run::{Driven, Seen};
-use super::spec::{Lead, TestSpec};
+use super::run::{Criterion, Driven, Seen};
+use super::spec::TestSpec;
 use crumple_world::digest::sha256;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
@@ -76,13 +76,19 @@ fn ranges(test: &TestSpec) -> Vec<Range<'_>> {
 
 /// The worst point found within the ranges and tolerances of a test; none of a test without them. What is drawn depends on the
 /// test alone.
-pub(super) fn worst(name: &str, about: &str, test: &TestSpec, lead: Lead, driven: &Driven<'_>) -> Option<Worst> {
+pub(super) fn worst(
+    name: &str,
+    about: &str,
+    test: &TestSpec,
+    criterion: Criterion,
+    driven: &Driven<'_>,
+) -> Option<Worst> {
     let ranges = ranges(test);
     if ranges.is_empty() {
         return None;
     }
     let grid = test.grid();
-    let mut search = Search { name, about, test, lead, driven, worst: None, tried: 0, failures: 0 };
+    let mut search = Search { name, about, test, criterion, driven, worst: None, tried: 0, failures: 0 };
     let mut stream = random::stream(0, Purpose::Search, 1);
     let drawn = (0..DRAWN.max(grid.len())).filter_map(|index| {
         let home = grid.get(index % grid.len())?;
@@ -116,7 +122,7 @@ struct Search<'t> {
     name: &'t str,
     about: &'t str,
     test: &'t TestSpec,
-    lead: Lead,
+    criterion: Criterion,
     driven: &'t Driven<'t>,
     /// The worst so far, with the point of the grid that it belongs to.
     worst: Option<(&'t [f64], Worst)>,
@@ -133,7 +139,7 @@ impl<'t> Search<'t> {
             Some((self.test.scenario(&name, &about, &point).ok()?, (home, point)))
         });
         let (scenarios, points): (Vec<Scenario>, Vec<Near<'t>>) = made.unzip();
-        let seen = self.driven.seen(self.lead, &scenarios);
+        let seen = self.driven.seen(self.criterion, &scenarios);
         self.tried += seen.iter().filter(|seen| !seen.verdict.is_refusal()).count();
         self.failures += seen.iter().filter(|seen| seen.verdict.is_failure()).count();
         for (((home, point), scenario), seen) in points.into_iter().zip(scenarios).zip(seen) {

@@ -109,22 +109,49 @@ impl Finished {
         self.manifest.configuration_sha256 == sha256(configuration)
     }
 
+    /// Whether every file is as it was written.
+    ///
+    /// # Errors
+    /// [`WorkError`] names the first that is not.
+    pub fn check(&self) -> Result<(), WorkError> {
+        self.names().iter().try_for_each(|name| self.read_bytes(name).map(drop))
+    }
+
+    /// Whether other work was configured the same and came to the same.
+    #[must_use]
+    pub fn is_same(&self, other: &Self) -> bool {
+        self.manifest == other.manifest
+    }
+
+    /// Whether it is in a folder already, and need not be copied there.
+    ///
+    /// # Errors
+    /// [`WorkError`] if there is other work.
+    pub fn is_in(&self, folder: &Path) -> Result<bool, WorkError> {
+        let path = folder.join(MANIFEST);
+        let own = self.folder.display();
+        match Manifest::read(&path)? {
+            None => Ok(false),
+            Some(there) if there == self.manifest => Ok(true),
+            Some(there) if there.program.is_some() => Err(WorkError::damaged(
+                &path,
+                format!("the {} there is half done, and that in {own} is not", there.kind),
+            )),
+            Some(there) => {
+                Err(WorkError::damaged(&path, format!("the {} there came to something else than in {own}", there.kind)))
+            }
+        }
+    }
+
     /// Copies it to a folder, every file checked on the way and the manifest last; where it is already, nothing is done.
     ///
     /// # Errors
     /// [`WorkError`] if a file is not as it was written, or there is other work in that folder.
     pub fn copy_to(&self, folder: &Path) -> Result<(), WorkError> {
-        let path = folder.join(MANIFEST);
-        match Manifest::read(&path)? {
-            Some(there) if there == self.manifest => return Ok(()),
-            Some(there) if there.program.is_some() => {
-                return Err(WorkError::damaged(&path, format!("the {} there is half done", there.kind)));
-            }
-            Some(there) => {
-                return Err(WorkError::damaged(&path, format!("the {} there came to something else", there.kind)));
-            }
-            None => disk::make_folder(folder)?,
+        if self.is_in(folder)? {
+            return Ok(());
         }
+        disk::make_folder(folder)?;
         for name in self.names() {
             let place = folder.join(&name);
             place.parent().map_or(Ok(()), disk::make_folder)?;

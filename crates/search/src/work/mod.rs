@@ -46,6 +46,12 @@ pub fn is_there(folder: &Path) -> bool {
     folder.join(MANIFEST).exists() || generation::manifest_in(folder).exists()
 }
 
+/// What tells work of a kind with a configuration from all other, as this program does it ([`Work::identity`]).
+pub(crate) fn identity(kind: &str, configuration: &str) -> Result<String, DiskError> {
+    let program = program::identity()?;
+    Ok(Manifest::new(kind, program, &sha256(configuration), &[]).identity(program))
+}
+
 /// What is said of a file that is there and should not be.
 const UNKNOWN: &str =
     "work.json knows no such file: it is left over from other work, or of version 0.1.0, or work.json was lost";
@@ -102,6 +108,9 @@ pub enum WorkError {
         /// What that file holds; empty if it was not written yet.
         found: String,
     },
+    /// The same, where it is known in what: the place and both values.
+    #[error("{0}")]
+    Differing(String),
     /// Another build of crumple left it half done.
     #[error("{}: {OTHER_BUILD}", path.display())]
     OtherBuild {

@@ -2,11 +2,8 @@
 
 use super::reaction::{Noticed, Ramp, whole_steps};
 use super::settings::settings;
-use super::{BuiltIn, Controller, ControllerFailure, Ego, Role};
+use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
 use crate::observation::Observation;
-
-/// Standard gravity, in m/s².
-const G_MPS2: f64 = 9.806_65;
 
 settings! {
     /// Settings of the careful and competent human driver (UN R157, car following).
@@ -22,7 +19,7 @@ settings! {
         /// How fast braking builds up, in m/s³.
         jerk_mps3: 12.65, 0.1..=10_000.0, 1.0..=50.0;
         /// Braking that is held, in m/s², positive (0.774 g).
-        brake_mps2: 0.774 * G_MPS2, 0.0..=30.0, 0.0..=9.0;
+        brake_mps2: 0.774 * STANDARD_GRAVITY_MPS2, 0.0..=30.0, 0.0..=9.0;
     }
 }
 

@@ -5,11 +5,8 @@
 
 use super::reaction::{Noticed, Ramp, whole_steps};
 use super::settings::settings;
-use super::{BuiltIn, Controller, ControllerFailure, Ego, Role};
+use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
 use crate::observation::{Neighbour, Observation};
-
-/// Standard gravity, in m/s².
-const G_MPS2: f64 = 9.806_65;
 
 settings! {
     /// Settings of the fuzzy safety model (UN R157). `graze_m` is ours: without it the driver who takes the critical metric at its
@@ -32,7 +29,7 @@ settings! {
         /// How fast braking builds up, in m/s³.
         jerk_mps3: 12.65, 0.1..=10_000.0, 1.0..=50.0;
         /// The hardest braking of all, in m/s², positive (0.774 g).
-        limit_mps2: 0.774 * G_MPS2, 0.0..=30.0, 0.0..=9.0;
+        limit_mps2: 0.774 * STANDARD_GRAVITY_MPS2, 0.0..=30.0, 0.0..=9.0;
     }
 }
 

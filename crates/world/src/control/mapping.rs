@@ -27,6 +27,9 @@ pub struct Input {
     /// What is seen; either this or a constant.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quantity: Option<Quantity>,
+    /// The input of an FMU that it is set to; the one called like the quantity unless it is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub variable: Option<String>,
     /// A number that is always the same, such as a set speed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub constant: Option<f64>,
@@ -74,6 +77,9 @@ pub enum Squash {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Output {
+    /// The output of an FMU that is the answer; the only one, or `acceleration_mps2`, unless it is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub variable: Option<String>,
     /// Which of the answers it is, from 0.
     #[serde(default)]
     pub answer: usize,
@@ -142,6 +148,7 @@ impl Mapping {
         ];
         let input = |(quantity, (offset, scale))| Input {
             quantity: Some(quantity),
+            variable: None,
             constant: None,
             offset,
             scale,
@@ -155,6 +162,7 @@ impl Mapping {
             newest_first: false,
             inputs: order.into_iter().zip(offset.into_iter().zip(scale)).map(input).collect(),
             output: Output {
+                variable: None,
                 answer: 0,
                 squash: None,
                 scale_mps2: 0.5 * (high_mps2 - low_mps2),
@@ -182,21 +190,13 @@ impl Mapping {
             Q::IsAhead,
             Q::IsBehind,
         ];
-        let input = |quantity| Input {
-            quantity: Some(quantity),
-            constant: None,
-            offset: 0.0,
-            scale: 1.0,
-            low: least(),
-            high: most(),
-            absent: None,
-        };
         Self {
             decision_interval_s: None,
             history: 1,
             newest_first: false,
-            inputs: order.map(input).into(),
+            inputs: order.map(Input::plain).into(),
             output: Output {
+                variable: None,
                 answer: 0,
                 squash: None,
                 scale_mps2: 1.0,
@@ -277,6 +277,21 @@ impl Mapping {
 }
 
 impl Input {
+    /// A quantity in its own unit.
+    #[must_use]
+    pub fn plain(quantity: Quantity) -> Self {
+        Self {
+            quantity: Some(quantity),
+            variable: None,
+            constant: None,
+            offset: 0.0,
+            scale: 1.0,
+            low: least(),
+            high: most(),
+            absent: None,
+        }
+    }
+
     /// What it is called: its quantity, or `constant`.
     #[must_use]
     pub fn name(&self) -> &'static str {

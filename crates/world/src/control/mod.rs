@@ -52,6 +52,7 @@ macro_rules! with_controllers {
 mod acc_aeb;
 mod baseline;
 mod built_in;
+mod checker_file;
 mod competent_human;
 mod constant_brake;
 mod fuzzy_safety;
@@ -84,7 +85,9 @@ pub use mapping::{Input, InvalidMapping, Mapping, Output, Squash};
 pub use match_leader::MatchLeader;
 pub use network::{NetworkController, NetworkDriver};
 pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy};
-pub use process::{ProcessController, ProcessDriver, ProcessSetup};
+#[cfg(feature = "process")]
+pub use process::fmu_host;
+pub use process::{FmuProblem, ProcessController, ProcessDriver, ProcessSetup, Wiring};
 pub use quantity::Quantity;
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
@@ -113,6 +116,9 @@ pub struct Ego {
     /// The scenario's step, in seconds.
     pub step_s: f64,
 }
+
+/// Standard gravity, in m/s²: regulations state braking in shares of it.
+pub const STANDARD_GRAVITY_MPS2: f64 = 9.806_65;
 
 /// Decides a vehicle's acceleration from what may be seen.
 ///

@@ -44,6 +44,30 @@ pub enum Quantity {
 }
 
 impl Quantity {
+    const ALL: [Self; 15] = [
+        Self::SpeedMps,
+        Self::AccelerationMps2,
+        Self::GapAheadM,
+        Self::SpeedAheadMps,
+        Self::RelativeSpeedAheadMps,
+        Self::AccelerationAheadMps2,
+        Self::TimeGapAheadS,
+        Self::IsAhead,
+        Self::GapBehindM,
+        Self::SpeedBehindMps,
+        Self::RelativeSpeedBehindMps,
+        Self::AccelerationBehindMps2,
+        Self::TimeGapBehindS,
+        Self::IsBehind,
+        Self::LastAnswerMps2,
+    ];
+
+    /// The one of a name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|quantity| quantity.name() == name)
+    }
+
     /// The name used in files and by processes.
     #[must_use]
     pub fn name(self) -> &'static str {

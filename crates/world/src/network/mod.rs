@@ -25,6 +25,8 @@ use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
 
+use serde::Serialize;
+
 pub use crate::policy::Elementwise;
 pub use error::NetworkError;
 pub use feed_forward::{FeedForward, Linear, Step};
@@ -50,14 +52,14 @@ pub struct NetworkFile {
     pub sha256: String,
     /// The file itself, to be laid beside what is said of it.
     bytes: Arc<[u8]>,
-    format: Format,
+    format: FileFormat,
 }
 
 impl NetworkFile {
     /// Whether a file of this name is taken for a network: it ends in `.onnx`, or `.zip` for a model of Stable-Baselines3.
     #[must_use]
     pub fn is_one(path: &Path) -> bool {
-        Format::of(path).is_some()
+        FileFormat::of(path).is_some()
     }
 
     /// Reads a network.
@@ -66,29 +68,35 @@ impl NetworkFile {
     /// [`NetworkError`] for a file that cannot be read, is damaged, or holds something else than a network that can be followed.
     pub fn load(path: &Path) -> Result<Self, NetworkError> {
         let in_file = |reason| NetworkError::InFile { path: path.to_owned(), reason: Box::new(reason) };
-        let format = Format::of(path).ok_or_else(|| in_file(NetworkError::Extension))?;
+        let format = FileFormat::of(path).ok_or_else(|| in_file(NetworkError::Extension))?;
         let unreadable = |source| NetworkError::Read { path: path.to_owned(), source };
         let mut bytes = Vec::new();
         File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes)).map_err(unreadable)?;
         Self::of(&bytes, format).map_err(in_file)
     }
 
-    fn of(bytes: &[u8], format: Format) -> Result<Self, NetworkError> {
+    fn of(bytes: &[u8], format: FileFormat) -> Result<Self, NetworkError> {
         if bytes.len() as u64 > MOST_BYTES {
             return Err(NetworkError::TooLarge);
         }
         let network = match format {
-            Format::Onnx => onnx::read(bytes),
-            Format::StableBaselines => sb3::read(bytes),
+            FileFormat::Onnx => onnx::read(bytes),
+            FileFormat::StableBaselines => sb3::read(bytes),
         };
         Ok(Self { network: network?, sha256: crate::digest::sha256(bytes), bytes: bytes.into(), format })
+    }
+
+    /// What kind of file it is.
+    #[must_use]
+    pub fn format(&self) -> FileFormat {
+        self.format
     }
 
     /// A name for the file that says what is in it, and the file.
     pub(crate) fn named(&self) -> (String, Arc<[u8]>) {
         let extension = match self.format {
-            Format::Onnx => "onnx",
-            Format::StableBaselines => "zip",
+            FileFormat::Onnx => "onnx",
+            FileFormat::StableBaselines => "zip",
         };
         let digits = self.sha256.get(..16).unwrap_or(&self.sha256);
         (format!("{digits}.{extension}"), Arc::clone(&self.bytes))
@@ -99,7 +107,7 @@ impl NetworkFile {
     /// # Errors
     /// [`NetworkError`], as for [`Self::load`].
     pub fn from_onnx(bytes: &[u8]) -> Result<Self, NetworkError> {
-        Self::of(bytes, Format::Onnx)
+        Self::of(bytes, FileFormat::Onnx)
     }
 
     /// Reads the actor of a model saved by Stable-Baselines3.
@@ -107,17 +115,22 @@ impl NetworkFile {
     /// # Errors
     /// [`NetworkError`], as for [`Self::load`].
     pub fn from_sb3(bytes: &[u8]) -> Result<Self, NetworkError> {
-        Self::of(bytes, Format::StableBaselines)
+        Self::of(bytes, FileFormat::StableBaselines)
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Format {
+/// Formats of networks that are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum FileFormat {
+    /// ONNX.
     Onnx,
+    /// A model saved by Stable-Baselines3.
     StableBaselines,
 }
 
-impl Format {
+impl FileFormat {
     fn of(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()? {
             "onnx" => Some(Self::Onnx),

@@ -9,7 +9,7 @@ use super::ProcessProblem;
 pub(crate) enum Program {}
 
 impl Program {
-    pub(crate) fn start(_words: &[String], _folder: &Path) -> Result<Self, ProcessProblem> {
+    pub(crate) fn start(_words: &[String], _found: Option<&Path>, _folder: &Path) -> Result<Self, ProcessProblem> {
         Err(ProcessProblem::NotStarted {
             reason: "processes as controllers need Unix, and a build with the feature `process`".to_owned(),
         })

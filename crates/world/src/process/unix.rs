@@ -76,18 +76,18 @@ impl Drop for Group {
 }
 
 impl Program {
-    /// Starts a program, the first of the words, in a folder.
-    pub(crate) fn start(words: &[String], folder: &Path) -> Result<Self, ProcessProblem> {
+    /// Starts a program in a folder: the first of the words, unless it is said where it lies.
+    pub(crate) fn start(words: &[String], found: Option<&Path>, folder: &Path) -> Result<Self, ProcessProblem> {
         let failed = |error: std::io::Error| ProcessProblem::NotStarted { reason: error.to_string() };
         let missing = || ProcessProblem::NotStarted { reason: "there is no command".to_owned() };
         let (program, arguments) = words.split_first().ok_or_else(missing)?;
         let starting = STARTING.lock().unwrap_or_else(PoisonError::into_inner);
         let group = Group::start().map_err(failed)?;
-        let mut command = if program.contains('/') {
+        let mut command = match found {
+            Some(found) => Command::new(found),
             // Otherwise it would depend on the system which folder it starts from.
-            Command::new(std::path::absolute(folder.join(program)).map_err(failed)?)
-        } else {
-            Command::new(program)
+            None if program.contains('/') => Command::new(std::path::absolute(folder.join(program)).map_err(failed)?),
+            None => Command::new(program),
         };
         command.args(arguments).process_group(group.watchman.id() as i32);
         if folder != Path::new("") {

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use crate::scenario::InvalidField;
+use crate::scenario::{InvalidField, short};
 
 /// Something in a recording that is not in the scenarios made from it.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,7 +71,8 @@ pub enum Omission {
     /// Spacings that no two vehicles can have: not positive, or beyond any view.
     #[error(
         "{column}: {count} impossible spacings, the first one here, the last one on line {last_line}, \
-         the worst {worst_m} m"
+         the worst {} m",
+        short(*worst_m)
     )]
     ImpossibleSpacings {
         /// Name of the column.
@@ -83,10 +84,27 @@ pub enum Omission {
         /// The one furthest out of range, in metres.
         worst_m: f64,
     },
-    /// Speeds that no vehicle in a platoon can have: negative, or beyond 100 m/s.
+    /// Lengths that no vehicle can have: below 0.1 m, or beyond 100 m.
+    #[error(
+        "{column}: {count} impossible lengths, the first one here, the last one on line {last_line}, \
+         the worst {} m",
+        short(*worst_m)
+    )]
+    ImpossibleLengths {
+        /// Name of the column.
+        column: String,
+        /// How many.
+        count: usize,
+        /// Line of the last one.
+        last_line: u64,
+        /// The one furthest out of range, in metres.
+        worst_m: f64,
+    },
+    /// Speeds that no vehicle can have: beyond 100 m/s, or negative where a sign means nothing.
     #[error(
         "{column}: {count} impossible speeds, the first one here, the last one on line {last_line}, \
-         the worst {worst_mps} m/s"
+         the worst {} m/s",
+        short(*worst_mps)
     )]
     ImpossibleSpeeds {
         /// Name of the column.
@@ -129,6 +147,14 @@ pub enum Omission {
         /// How often.
         count: usize,
     },
+    /// Vehicles of which it is not known where they begin or end.
+    #[error(
+        "{count} times the position or the length of a vehicle is not known, the first time here: nobody follows it, or anybody beyond it, then"
+    )]
+    Unplaced {
+        /// How often.
+        count: usize,
+    },
     /// Missing values that were filled by straight lines, as a map says.
     #[error("{column}: {count} missing values were filled by straight lines, the first one here")]
     Interpolated {
@@ -140,7 +166,8 @@ pub enum Omission {
     /// Rows of car-following events whose three speeds contradict one another.
     #[error(
         "{column}: differs from {difference} in {count} rows, the first one here \
-         (by {first_error_mps:.3} m/s); their speeds were left out"
+         (by {} m/s); their speeds were left out",
+        fixed(*first_error_mps, 3)
     )]
     SpeedsContradict {
         /// Name of the column of relative speeds.
@@ -175,6 +202,11 @@ pub enum Place {
     Rear,
 }
 
+/// A number of ordinary size to so many decimals.
+fn fixed(number: f64, decimals: usize) -> String {
+    if number.abs() < 1e9 { format!("{number:.decimals$}") } else { short(number) }
+}
+
 fn have_no(first: &usize, last: &usize) -> String {
     if first == last { format!("vehicle {first} has no") } else { format!("vehicles {first} to {last} have no") }
 }
@@ -206,7 +238,7 @@ pub enum NoScenario {
         within_s: f64,
     },
     /// The recorded speed changes faster than any road vehicle can.
-    #[error("its speed changes by {found_mps2:.1} m/s² at {at_s} s, which no road vehicle does")]
+    #[error("its speed changes by {} m/s² at {at_s} s, which no road vehicle does", fixed(*found_mps2, 1))]
     Jump {
         /// When, in seconds of the recording.
         at_s: f64,

@@ -13,9 +13,7 @@ use super::series::rounded;
 
 /// Length of a recorded car, in metres. The class's 2 m is the paper's; the recorded drivers drove passenger cars.
 /// Distance of antennas less bumper spacing is 4.5 m on average over the twelve pairs of the published files tried.
-const CAR_LENGTH_M: f64 = 4.5;
-/// Length from which on a vehicle is taken for a lorry or a bus, in metres: no car is as long with room to spare.
-const HEAVY_LENGTH_M: f64 = 7.5;
+pub const CAR_LENGTH_M: f64 = 4.5;
 /// Steps of the scenarios in a second. Durations are rounded up to whole steps.
 const STEPS_PER_S: f64 = 100.0;
 
@@ -92,10 +90,10 @@ impl Episode {
                 _ if index == last && last > 1 => Driver::Controller(ControllerSpec::Baseline(AebSettings::default())),
                 _ => Driver::UnderTest,
             };
-            let is_long = placed.length_m.is_some_and(|length_m| length_m >= HEAVY_LENGTH_M);
-            let class = if is_long { VehicleClass::Heavy } else { VehicleClass::Light };
+            let length_m = placed.length_m.unwrap_or(CAR_LENGTH_M);
+            let class = VehicleClass::of_length(length_m);
             let mut vehicle = VehicleSpec::new(class, position_m, placed.speed_mps, driver);
-            vehicle.length_m = Some(placed.length_m.unwrap_or(CAR_LENGTH_M));
+            vehicle.length_m = Some(length_m);
             vehicles.push(vehicle);
             let ahead = index.checked_sub(1).and_then(|ahead| self.vehicles.get(ahead));
             let ahead_m = ahead.and_then(|ahead| ahead.length_m).unwrap_or(CAR_LENGTH_M);

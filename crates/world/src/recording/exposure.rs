@@ -4,6 +4,7 @@ use super::Recording;
 use super::episode::Episode;
 use super::episodes::Leaders;
 use super::leads::Ahead;
+use super::motion::WITHIN_MS;
 
 /// Brakings that are at most this far apart are of one wave, in seconds: as for phases of one vehicle's braking.
 const SETTLING_S: f64 = 5.0;
@@ -19,7 +20,8 @@ pub struct Followed {
 
 /// Driving in which an episode could have begun, with at least so many `followers` (1 or more) behind its leader.
 ///
-/// Counted are times between two samples, at most half a second apart, at both of which speeds and gaps are known.
+/// Counted are times between two samples, at most half a second apart, at both of which speeds and gaps are known. The last second of
+/// each unbroken stretch is not: braking is a loss of speed within one second, and none that begins then could have been seen.
 #[must_use]
 pub fn followed(recording: &Recording, leaders: Leaders, followers: usize) -> Followed {
     let mut sum = Followed::default();
@@ -32,8 +34,11 @@ pub fn followed(recording: &Recording, leaders: Leaders, followers: usize) -> Fo
                     lead.follower_speed_at_mps(sample, followers).filter(|_| may_lead)
                 })
                 .collect();
+            let until_ms = run.last().map_or(0, |last| last.time_ms - WITHIN_MS);
             for (samples, speeds) in run.windows(2).zip(speeds.windows(2)) {
-                if let ([from, to], [Some(a), Some(b)]) = (samples, speeds) {
+                if let ([from, to], [Some(a), Some(b)]) = (samples, speeds)
+                    && to.time_ms <= until_ms
+                {
                     let seconds = (to.time_ms - from.time_ms) as f64 / 1000.0;
                     sum.hours += seconds / 3600.0;
                     sum.kilometres += 0.5 * (a + b) * seconds / 1000.0;
@@ -112,13 +117,14 @@ mod tests {
     #[test]
     fn following_is_summed_over_whoever_may_lead_and_waves_hold_together() {
         let recording = platoon();
-        // Between 600 samples lie 59.9 s; where the second spacing is missing, 1.1 s of its pair and of those ahead of it are not counted.
+        // Between 600 samples lie 59.9 s, in the last of which no braking can begin; where the second spacing is missing, 1.1 s of its pair and
+        // of those ahead of it are not counted.
         let seconds = |leaders, followers| followed(&recording, leaders, followers).hours * 3600.0;
         for (leaders, followers, wanted) in [
-            (Leaders::Any, 1, 3.0 * 59.9 - 1.1),
-            (Leaders::Any, 2, 2.0 * 58.8),
-            (Leaders::Any, 3, 58.8),
-            (Leaders::First, 3, 58.8),
+            (Leaders::Any, 1, 3.0 * 58.9 - 1.1),
+            (Leaders::Any, 2, 2.0 * 57.8),
+            (Leaders::Any, 3, 57.8),
+            (Leaders::First, 3, 57.8),
         ] {
             assert!(
                 (seconds(leaders, followers) - wanted).abs() < 1e-6,

@@ -9,7 +9,7 @@ use super::dropped::{Dropped, NoScenario, Omission};
 use super::episodes::{Leaders, MinBrake, episodes};
 use super::error::RecordingError;
 use super::map::RecordingMap;
-use super::preview::{HardestBraking, hardest_braking};
+use super::preview::{Hardest, hardest_braking};
 use super::{Format, Recording, load};
 
 /// Longest part of a file's name that goes into a scenario's.
@@ -56,7 +56,7 @@ pub struct Source {
     /// Scenarios made of it.
     pub scenarios: usize,
     /// The hardest braking in it, whether it made a scenario or not.
-    pub hardest: Option<HardestBraking>,
+    pub hardest: Hardest,
 }
 
 /// Reads recordings, by a map if there is one, and renders one scenario file for each braking episode. Writes nothing: a caller that gets a result

@@ -179,6 +179,95 @@ fn what_no_road_has_is_left_out_and_said() {
     }
 }
 
+/// Three cars in one lane, of which a field of the second one's second row is damaged. Nobody is taken to follow whoever is beyond it.
+#[test]
+fn nobody_follows_across_a_vehicle_that_is_not_known() {
+    let text = |damage: &dyn Fn(u32, u32) -> [String; 4]| {
+        let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
+        for k in 0..3 {
+            for id in [1, 2, 3] {
+                let [lane, y, v, length] = damage(k, id);
+                let _ = writeln!(text, "{k};{id};{lane};{y};{v};{length}");
+            }
+        }
+        text
+    };
+    let whole = |k: u32, id: u32| {
+        let metres = 100.0 - 20.0 * f64::from(id) + 2.0 * f64::from(k);
+        ["1".to_owned(), format!("{}", metres / 0.3048), "72".to_owned(), "500".to_owned()]
+    };
+    let damaged = |field: usize, with: &str| {
+        text(&|k, id| {
+            let mut row = whole(k, id);
+            if (k, id) == (1, 2) {
+                row[field] = with.to_owned();
+            }
+            row
+        })
+    };
+    let behind = |recording: &Recording| -> Vec<Vec<usize>> {
+        let leads = recording.leads();
+        let first = leads.iter().find(|lead| lead.placed(0.0).number == 1).expect("recorded");
+        let numbers = |sample| first.followers_at(sample).into_iter().map(|one| one.number).collect();
+        first.runs()[0].iter().map(numbers).collect()
+    };
+    assert_eq!(behind(&read_with(&text(&whole), TRACKS)), [[2, 3], [2, 3], [2, 3]]);
+    let cannot = "times the position or the length of a vehicle is not known, the first time here: nobody follows it, or anybody beyond it, then";
+    let filled = TRACKS.replace("lines_before", "interpolate_s = 0.3\nlines_before");
+    for (field, with, said) in [
+        (1, "", "a.csv:7: y: 1 of 9 values are missing, the first one here"),
+        (3, "", "a.csv:7: length: 1 of 9 values are missing, the first one here"),
+        (
+            3,
+            "-500",
+            "a.csv:7: length: 1 impossible lengths, the first one here, the last one on line 7, the worst -5 m",
+        ),
+        (
+            3,
+            "25000",
+            "a.csv:7: length: 1 impossible lengths, the first one here, the last one on line 7, the worst 250 m",
+        ),
+    ] {
+        let recording = read_with(&damaged(field, with), TRACKS);
+        assert_eq!(behind(&recording), [vec![2, 3], vec![], vec![2, 3]], "{field} {with}");
+        let dropped: Vec<_> = recording.dropped.iter().map(Dropped::to_string).collect();
+        assert_eq!(dropped, [said.to_owned(), format!("a.csv:7: 1 {cannot}")]);
+        // The map may say that such holes are filled.
+        let recording = read_with(&damaged(field, with), &filled);
+        assert_eq!(behind(&recording), [[2, 3], [2, 3], [2, 3]], "{field} {with}");
+        assert!(recording.dropped[1].to_string().contains("1 missing values were filled"), "{:?}", recording.dropped);
+    }
+    // A speed that no vehicle has is said, and ends the line there.
+    let recording = read_with(&damaged(2, "-1e300"), TRACKS);
+    assert_eq!(behind(&recording), [vec![2, 3], vec![], vec![2, 3]]);
+    let [said] = &recording.dropped[..] else { panic!("{:?}", recording.dropped) };
+    let worst = "a.csv:7: v: 1 impossible speeds, the first one here, the last one on line 7, the worst -2.7";
+    assert!(said.to_string().starts_with(worst) && said.to_string().ends_with("e299 m/s"), "{said}");
+    let error = read(damaged(0, "").as_bytes(), Path::new("a.csv"), Some(&map(TRACKS))).expect_err("in no lane");
+    assert_eq!(error.to_string(), "a.csv:7: lane: must not be empty");
+}
+
+/// What is too slow, too short or not there is not said to be a recording in which nobody brakes.
+#[test]
+fn that_nobody_brakes_is_said_only_where_it_was_seen() {
+    let pair = |step_ms: u32, count: u32, ego: &str| {
+        let rows: String = (0..count).map(|k| format!("{}\t{ego}\t0\t100\n", step_ms * k)).collect();
+        hardest_braking(&read_with(&format!("ms\tego\tclosing\trange\n{rows}"), PAIRS)).to_string()
+    };
+    assert_eq!(pair(100, 50, "20"), "nobody brakes");
+    assert_eq!(
+        pair(1000, 50, "20"),
+        "a vehicle's speeds are 1.000 s apart, and at most 0.5 s are bridged: no braking can be seen"
+    );
+    assert_eq!(
+        pair(100, 9, "20"),
+        "no vehicle's speed is known for a whole second without a hole, 0.800 s at most: no braking can be seen"
+    );
+    assert_eq!(pair(100, 50, ""), "no vehicle that may lead has a known speed, so that no braking can be seen");
+    let slow = read_with("ms\tego\tclosing\trange\n0\t20\t0\t100\n1000\t20\t0\t100\n2000\t20\t0\t100\n", PAIRS);
+    assert_eq!(preview(&slow).expect("speeds are known").step_s, Some(1.0));
+}
+
 #[test]
 fn holes_are_filled_as_long_as_the_map_says() {
     let values = |by: &str| {
@@ -217,6 +306,25 @@ fn a_wrong_map_says_where() {
         (TRACKS, "\"centre\"", "\"middle\"", "10: layout.tracks.position.of: unknown variant `middle`"),
         (TRACKS, "[layout.tracks]", "[layout.traces]", "7: layout"),
         (TRACKS, "vehicle = \"id\"\n", "", "7: layout.tracks: missing field `vehicle`"),
+        (TRACKS, "\"lane\"", "\"id\"", "9: layout.tracks.lane: `id` is the column of `layout.tracks.vehicle` already"),
+        (
+            TRACKS,
+            "{ column = \"v\"",
+            "{ column = \"y\"",
+            "11: layout.tracks.speed.column: `y` is the column of `layout.tracks.position.column` already",
+        ),
+        (
+            TRACKS,
+            "name = \"length\"",
+            "name = \"frame\"",
+            "12: layout.tracks.length.column.name: `frame` is the column of `time.frames.column` already",
+        ),
+        (
+            PAIRS,
+            "\"closing\"",
+            "\"ego\"",
+            "10: layout.pairs.relative_speed.column: `ego` is the column of `layout.pairs.follower_speed.column` already",
+        ),
         (TRACKS, "lines_before", "interpolate_s = 3.0\nlines_before", "4: interpolate_s: must be from 0 to 2, found 3"),
     ];
     for (text, good, bad, expected) in cases {
@@ -255,9 +363,9 @@ fn the_hardest_braking_is_found_whatever_the_threshold() {
         (0..60).map(|k| format!("{}\t20\t{}\t100\n", 100 * k, 0.05 * f64::from(k - 20).clamp(0.0, 15.0))).collect();
     let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), PAIRS);
     assert_eq!(episodes(&recording, MinBrake::default(), Leaders::Any).episodes, []);
-    let hardest = hardest_braking(&recording).expect("it brakes");
+    let Hardest::Braking(hardest) = hardest_braking(&recording) else { panic!("it brakes") };
     assert!((hardest.drop_mps - 0.5 * 0.447_04).abs() < 2e-3 && (2.0..=2.5).contains(&hardest.from_s), "{hardest:?}");
     let seen = preview(&recording).expect("speeds are known");
-    assert_eq!((seen.leads, seen.samples, seen.step_s), (1, 60, 0.1));
+    assert_eq!((seen.leads, seen.samples, seen.step_s), (1, 60, Some(0.1)));
     assert_eq!((seen.time_s, seen.lines.len()), ([0.0, 5.9], 1));
 }

@@ -33,7 +33,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 pub use dropped::{Dropped, NoScenario, Omission, Place};
-pub use episode::{Episode, Placed};
+pub use episode::{CAR_LENGTH_M, Episode, Placed};
 pub use episodes::{FoundEpisodes, Leaders, MinBrake, episodes};
 pub use error::{ColumnProblem, RecordingError, ValueProblem};
 pub use exposure::{Followed, followed, waves};
@@ -42,7 +42,7 @@ pub use leads::Ahead;
 
 use leads::{InPlatoon, Lead};
 use map::{Delimiter, LayoutSpec, MapSpec, RecordingMap};
-pub use preview::{HardestBraking, Preview, SpeedLine, hardest_braking, preview};
+pub use preview::{Hardest, HardestBraking, Preview, SpeedLine, hardest_braking, preview};
 use table::{Row, Table};
 pub use traffic::Traffic;
 

@@ -8,7 +8,9 @@ use super::series::rounded;
 
 /// Longest hole between two samples that is bridged by a straight line, in milliseconds. Within half a second a car's
 /// acceleration changes little; beyond it, a whole brake application could hide.
-const LONGEST_HOLE_MS: i64 = 500;
+pub(super) const LONGEST_HOLE_MS: i64 = 500;
+/// Braking is a loss of speed within this time, in milliseconds.
+pub(super) const WITHIN_MS: i64 = 1000;
 /// Braking phases at most this far apart are one episode, in milliseconds: the followers are still reacting to the
 /// first when the second begins.
 const SETTLING_MS: i64 = 5_000;
@@ -65,7 +67,7 @@ pub(super) fn brakings(run: &[Sample], min_brake_mps2: f64) -> Vec<Braking> {
     let mut found: Vec<Braking> = Vec::new();
     let mut ahead = run.windows(2).peekable();
     for sample in run {
-        let end_ms = sample.time_ms + 1000;
+        let end_ms = sample.time_ms + WITHIN_MS;
         while ahead.next_if(|pair| matches!(**pair, [_, next] if next.time_ms < end_ms)).is_some() {}
         let Some([before, after]) = ahead.peek().copied() else { break };
         let share = (end_ms - before.time_ms) as f64 / (after.time_ms - before.time_ms) as f64;

@@ -1,7 +1,10 @@
 //! What was understood of a recording: how many, how fast, how near, and how hard anybody braked.
 
+use std::fmt;
+
 use super::Recording;
-use super::motion::{Sample, brakings};
+use super::leads::Lead;
+use super::motion::{LONGEST_HOLE_MS, Sample, WITHIN_MS, brakings};
 use super::series::rounded;
 
 /// Most lines that are drawn of one recording.
@@ -20,6 +23,56 @@ pub struct HardestBraking {
     pub drop_mps: f64,
 }
 
+/// The hardest braking of a recording, or why there is none to be told.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Hardest {
+    /// This.
+    Braking(HardestBraking),
+    /// Speeds are known for whole seconds, and none of them falls.
+    Nobody,
+    /// No speed of a vehicle that may lead is known.
+    NoSpeed,
+    /// Speeds are further apart than is bridged by a straight line.
+    TooFarApart {
+        /// The usual time between two speeds of a vehicle, in seconds.
+        step_s: f64,
+    },
+    /// Speeds are never known for a whole second without a hole.
+    TooShort {
+        /// The longest time for which they are, in seconds.
+        longest_s: f64,
+    },
+}
+
+/// In words, as the rest of a sentence about a file.
+impl fmt::Display for Hardest {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Braking(HardestBraking { event, number, from_s, drop_mps }) => {
+                let event = event.as_ref().map(|event| format!(" of event {event}")).unwrap_or_default();
+                write!(
+                    out,
+                    "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number}{event} from {from_s:.2} s on"
+                )
+            }
+            Self::Nobody => out.write_str("nobody brakes"),
+            Self::NoSpeed => {
+                out.write_str("no vehicle that may lead has a known speed, so that no braking can be seen")
+            }
+            Self::TooFarApart { step_s } => write!(
+                out,
+                "a vehicle's speeds are {step_s:.3} s apart, and at most {} s are bridged: no braking can be seen",
+                LONGEST_HOLE_MS as f64 / 1000.0
+            ),
+            Self::TooShort { longest_s } => write!(
+                out,
+                "no vehicle's speed is known for a whole second without a hole, {longest_s:.3} s at most: no braking can be seen"
+            ),
+        }
+    }
+}
+
 /// What was understood of a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Preview {
@@ -29,14 +82,14 @@ pub struct Preview {
     pub samples: usize,
     /// First and last time, in seconds.
     pub time_s: [f64; 2],
-    /// The usual time between two samples of a vehicle, in seconds.
-    pub step_s: f64,
+    /// The usual time between two samples of a vehicle, in seconds; none if no vehicle has two.
+    pub step_s: Option<f64>,
     /// Lowest, median and highest speed, in m/s.
     pub speed_mps: [f64; 3],
     /// Lowest, median and highest bumper gap, in metres; none if nobody follows anybody.
     pub gap_m: Option<[f64; 3]>,
     /// The hardest braking.
-    pub hardest: Option<HardestBraking>,
+    pub hardest: Hardest,
     /// What can be drawn: the speeds of the vehicles with the longest tracks, and the gap behind each.
     pub lines: Vec<SpeedLine>,
 }
@@ -60,8 +113,8 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
     let leads = recording.leads();
     for lead in &leads {
         let mut line = SpeedLine { number: lead.placed(0.0).number, speed_mps: Vec::new(), gap_behind_m: Vec::new() };
+        steps_s.extend(steps(&**lead));
         for run in lead.runs() {
-            steps_s.extend(run.windows(2).filter_map(|pair| Some(seconds(pair.last()?) - seconds(pair.first()?))));
             for sample in &run {
                 let now_s = seconds(sample);
                 time_s = [time_s[0].min(now_s), time_s[1].max(now_s)];
@@ -81,7 +134,7 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
         leads: leads.len(),
         samples: speeds_mps.len(),
         time_s,
-        step_s: extremes(&mut steps_s).map_or(0.0, |[_, median, _]| rounded(median)),
+        step_s: extremes(&mut steps_s).map(|[_, median, _]| rounded(median)),
         speed_mps: extremes(&mut speeds_mps)?,
         gap_m: extremes(&mut gaps_m),
         hardest: hardest_braking(recording),
@@ -89,20 +142,40 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
     })
 }
 
-/// The hardest braking of a recording, by the speed lost within a second; none if nobody brakes.
+/// The hardest braking of a recording, by the speed lost within a second.
 #[must_use]
-pub fn hardest_braking(recording: &Recording) -> Option<HardestBraking> {
+pub fn hardest_braking(recording: &Recording) -> Hardest {
     let mut hardest: Option<HardestBraking> = None;
+    let (mut longest_ms, mut steps_s) = (None, Vec::new());
     for lead in recording.leads() {
-        for braking in lead.runs().iter().flat_map(|run| brakings(run, 0.0)) {
-            if hardest.as_ref().is_none_or(|known| braking.largest_drop_mps > known.drop_mps) {
-                let (event, number) = (lead.event().map(str::to_owned), lead.placed(0.0).number);
-                let from_s = braking.hardest_ms as f64 / 1000.0;
-                hardest = Some(HardestBraking { event, number, from_s, drop_mps: braking.largest_drop_mps });
+        steps_s.extend(steps(&*lead));
+        for run in lead.runs() {
+            let lasts_ms = run.first().zip(run.last()).map(|(first, last)| last.time_ms - first.time_ms);
+            longest_ms = longest_ms.max(lasts_ms);
+            for braking in brakings(&run, 0.0) {
+                if hardest.as_ref().is_none_or(|known| braking.largest_drop_mps > known.drop_mps) {
+                    let (event, number) = (lead.event().map(str::to_owned), lead.placed(0.0).number);
+                    let from_s = braking.hardest_ms as f64 / 1000.0;
+                    hardest = Some(HardestBraking { event, number, from_s, drop_mps: braking.largest_drop_mps });
+                }
             }
         }
     }
-    hardest
+    match (hardest, longest_ms) {
+        (Some(hardest), _) => Hardest::Braking(hardest),
+        (None, None) => Hardest::NoSpeed,
+        (None, Some(longest_ms)) if longest_ms >= WITHIN_MS => Hardest::Nobody,
+        (None, Some(longest_ms)) => match extremes(&mut steps_s) {
+            Some([_, step_s, _]) if step_s * 1000.0 > LONGEST_HOLE_MS as f64 => Hardest::TooFarApart { step_s },
+            _ => Hardest::TooShort { longest_s: longest_ms as f64 / 1000.0 },
+        },
+    }
+}
+
+/// Times between each two successive samples of a vehicle, in seconds, whether they are bridged or not.
+fn steps(lead: &dyn Lead) -> Vec<f64> {
+    let times: Vec<f64> = lead.runs().iter().flatten().map(seconds).collect();
+    times.windows(2).filter_map(|pair| Some(pair.last()? - pair.first()?)).collect()
 }
 
 fn seconds(sample: &Sample) -> f64 {

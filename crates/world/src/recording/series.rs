@@ -12,6 +12,8 @@ const LARGEST_TIME_S: f64 = 1e10;
 const LARGEST_GAP_M: f64 = 1000.0;
 /// Largest speed a scenario may hold, in m/s.
 const LARGEST_SPEED_MPS: f64 = 100.0;
+/// Shortest and longest vehicle that a scenario may hold, in metres.
+const LENGTHS_M: [f64; 2] = [0.1, 100.0];
 
 /// To three decimals, what a scenario file shows: a millimetre, a millimetre a second, a millisecond.
 pub(super) fn rounded(value: f64) -> f64 {
@@ -78,7 +80,11 @@ impl Clock {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Quantity {
     Speed,
+    /// Along the road, of either sign.
+    SignedSpeed,
     Gap,
+    /// Of a vehicle.
+    Length,
     /// Of either sign; nothing is impossible: a difference, or a place.
     Signed,
 }
@@ -93,9 +99,11 @@ impl Quantity {
         match self {
             Self::Speed if rounded(value) < 0.0 => -value,
             Self::Speed => (value - LARGEST_SPEED_MPS).max(0.0),
+            Self::SignedSpeed => (value.abs() - LARGEST_SPEED_MPS).max(0.0),
             // A gap that rounds to nothing would let two vehicles touch in the scenario.
             Self::Gap if rounded(value) <= 0.0 => 1e-3 - value,
             Self::Gap => (value - LARGEST_GAP_M).max(0.0),
+            Self::Length => (LENGTHS_M[0] - value).max(value - LENGTHS_M[1]).max(0.0),
             Self::Signed => 0.0,
         }
     }
@@ -164,6 +172,7 @@ impl Series {
             let (column, count, last_line) = (column(), self.impossible, self.last_impossible);
             let what = match self.quantity {
                 Quantity::Gap => Omission::ImpossibleSpacings { column, count, last_line, worst_m: self.worst },
+                Quantity::Length => Omission::ImpossibleLengths { column, count, last_line, worst_m: self.worst },
                 _ => Omission::ImpossibleSpeeds { column, count, last_line, worst_mps: self.worst },
             };
             dropped.push(Dropped { path: path.to_owned(), line: self.first_impossible, what });

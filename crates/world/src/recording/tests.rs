@@ -84,7 +84,7 @@ fn holes_in_the_numbering_split_the_platoon() {
 
 #[test]
 fn missing_and_impossible_values_are_left_out_and_said() {
-    let rows = "0.0,20,,5\n0.1,NaN,21,-3.5\n0.2,20,-1,0\n0.2,20,21,5\n0.1,20,21,5\n0.3,1e300,21,1e9\n0.4,20,21,5\n";
+    let rows = "0.0,20,,5\n0.1,NaN,21,-3.5\n0.2,20,-1,0\n0.2,20,21,5\n0.1,20,21,5\n0.3,1e300,21,1e308\n0.4,20,21,5\n";
     let text = format!("{HEADER}Time,Speed1,Speed2,IVS1\n{rows}");
     let platoon = &read_text(&text).expect("readable").platoons[0];
     assert_eq!(platoon.time_s(), [0.0, 0.1, 0.2, 0.3, 0.4]);
@@ -100,9 +100,9 @@ fn missing_and_impossible_values_are_left_out_and_said() {
         "a.csv:12: Speed1: 1 impossible speeds, the first one here, the last one on line 12, the worst 1e300 m/s",
         "a.csv:7: Speed2: 1 of 7 values are missing, the first one here",
         "a.csv:9: Speed2: 1 impossible speeds, the first one here, the last one on line 9, the worst -1 m/s",
-        "a.csv:8: IVS1: 3 impossible spacings, the first one here, the last one on line 12, the worst 1000000000 m",
+        "a.csv:8: IVS1: 3 impossible spacings, the first one here, the last one on line 12, the worst 1e308 m",
     ];
-    assert_eq!(dropped_of(&text), expected.map(|line| line.replace("1e300", &format!("{}", 1e300))));
+    assert_eq!(dropped_of(&text), expected);
 }
 
 #[test]

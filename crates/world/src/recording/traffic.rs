@@ -4,7 +4,7 @@
 //! front bumpers.
 
 use std::cmp::Ordering;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
 use super::dropped::{Dropped, Omission};
@@ -13,7 +13,7 @@ use super::error::{RecordingError, ValueProblem};
 use super::leads::{Ahead, Lead};
 use super::map::{LengthSpec, MapSpec, Point, TracksSpec};
 use super::motion::{Sample, joined};
-use super::series::{Clock, Quantity, Series, rounded};
+use super::series::{Clock, Quantity, Series, bridge, rounded};
 use super::table::{Column, Extent, MOST_ROWS, Row, Table, excerpt};
 use super::{Format, Recording};
 
@@ -21,8 +21,6 @@ use super::{Format, Recording};
 const MOST_FOLLOWERS: usize = 9;
 /// Most lanes of a recording.
 const MOST_LANES: usize = 10_000;
-/// Length of a vehicle that no road has, in metres.
-const LONGEST_M: f64 = 100.0;
 
 /// Vehicles that come, go and change their places.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -39,11 +37,11 @@ struct Place {
     time_ms: i64,
     line: u64,
     /// Along the road, as recorded, in metres.
-    position_m: f64,
+    position_m: Option<f64>,
     /// As recorded, of either sign, in m/s.
     speed_mps: Option<f64>,
-    length_m: f64,
-    /// Front bumper in the direction of driving, in metres.
+    length_m: Option<f64>,
+    /// Front bumper in the direction of driving, in metres; of no meaning where position or length are not known.
     front_m: f64,
     /// Whether positions fall as it drives.
     falls: bool,
@@ -62,11 +60,11 @@ pub(super) fn read<R: Read>(
     let clock = Clock::new(Column::of_time(names, &map.time)?);
     let vehicle = Column::find(names, &tracks.vehicle, 1.0)?;
     let lane = tracks.lane.as_ref().map(|name| Column::find(names, name, 1.0)).transpose()?;
-    let series = |name: &str, factor| Ok(Series::new(Column::find(names, name, factor)?, Quantity::Signed));
-    let mut position = series(&tracks.position.column, tracks.position.unit.factor())?;
-    let mut speed = series(&tracks.speed.column, tracks.speed.unit.factor())?;
+    let series = |name: &str, factor, quantity| Ok(Series::new(Column::find(names, name, factor)?, quantity));
+    let mut position = series(&tracks.position.column, tracks.position.unit.factor(), Quantity::Signed)?;
+    let mut speed = series(&tracks.speed.column, tracks.speed.unit.factor(), Quantity::SignedSpeed)?;
     let (mut length, same_m) = match &tracks.length {
-        LengthSpec::Column(column) => (Some(series(&column.name, column.unit.factor())?), 0.0),
+        LengthSpec::Column(column) => (Some(series(&column.name, column.unit.factor(), Quantity::Length)?), 0.0),
         LengthSpec::Metres(metres) => (None, *metres),
     };
     let mut lanes = BTreeMap::new();
@@ -77,6 +75,8 @@ pub(super) fn read<R: Read>(
         let time_s = clock.read(row)?;
         let vehicle = whole(row, &vehicle)?;
         let lane = match &lane {
+            // Who is in no lane could be in any of them, between any two.
+            Some(column) if row.text(column.index).is_empty() => return row.wrong(&column.name, ValueProblem::Missing),
             Some(column) => {
                 let next = lanes.len();
                 let known = *lanes.entry(row.text(column.index).to_owned()).or_insert(next);
@@ -89,24 +89,20 @@ pub(super) fn read<R: Read>(
         };
         let (position_m, speed_mps) = (position.read(row)?, speed.read(row)?);
         let length_m = length.as_mut().map_or(Ok(Some(same_m)), |series| series.read(row))?;
-        let length_m = length_m.filter(|length_m| (0.1..=LONGEST_M).contains(length_m));
-        if let (Some(position_m), Some(length_m)) = (position_m, length_m) {
-            let time_ms = (time_s * 1000.0).round() as i64;
-            let (line, front_m, falls, ahead, behind) = (row.line, 0.0, false, None, None);
-            places.push(Place {
-                vehicle,
-                lane,
-                time_ms,
-                line,
-                position_m,
-                speed_mps,
-                length_m,
-                front_m,
-                falls,
-                ahead,
-                behind,
-            });
-        }
+        // Kept even where it is not known: without it, who is behind would seem to follow who is ahead.
+        places.push(Place {
+            vehicle,
+            lane,
+            time_ms: (time_s * 1000.0).round() as i64,
+            line: row.line,
+            position_m,
+            speed_mps,
+            length_m,
+            front_m: 0.0,
+            falls: false,
+            ahead: None,
+            behind: None,
+        });
     }
     if extent.rows == 0 {
         return Err(table.cut_short("its first sample"));
@@ -131,9 +127,9 @@ pub(super) fn read<R: Read>(
         dropped.push(what(Omission::Interpolated { column: excerpt(&tracks.vehicle), count }, line));
     }
     turn(&mut places, tracks.position.of);
-    if let Some((line, count)) = link(&mut places) {
-        dropped.push(what(Omission::Overlapping { count }, line));
-    }
+    let Linked { overlapping, unplaced } = link(&mut places);
+    dropped.extend(unplaced.map(|(line, count)| what(Omission::Unplaced { count }, line)));
+    dropped.extend(overlapping.map(|(line, count)| what(Omission::Overlapping { count }, line)));
     let traffic = Some(Traffic { places });
     Ok(Recording { path: path.to_owned(), format: Format::of(map), platoons: Vec::new(), traffic, dropped })
 }
@@ -160,8 +156,12 @@ fn once(places: &mut Vec<Place>) -> Option<(Place, usize)> {
     twice
 }
 
-/// Puts places between two of one vehicle in one lane that are further apart than usual, and no more than so long. Says the line of
-/// the first and how many they are; an error is the line at which they become too many.
+/// Numbers of a place that may be missing.
+const MAY_BE_MISSING: [fn(&mut Place) -> &mut Option<f64>; 3] =
+    [|place| &mut place.position_m, |place| &mut place.speed_mps, |place| &mut place.length_m];
+
+/// Fills what is missing for no longer than so long: numbers of places, and places between two of one vehicle in one lane that are further
+/// apart than usual. Says the line of the first and how many they are; an error is the line at which they become too many.
 fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>, u64> {
     let longest_ms = (longest_s * 1000.0).round() as i64;
     let steps = places.windows(2).filter_map(|pair| match pair {
@@ -171,7 +171,18 @@ fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>,
     let mut steps: Vec<i64> = steps.collect();
     steps.sort_unstable();
     let Some(&step_ms) = steps.get(steps.len() / 2) else { return Ok(None) };
-    let mut filled = Vec::new();
+    let mut found: Option<(u64, usize)> = None;
+    for track in places.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
+        let time_s: Vec<f64> = track.iter().map(|place| place.time_ms as f64 / 1000.0).collect();
+        for number in MAY_BE_MISSING {
+            let mut values: Vec<Option<f64>> = track.iter_mut().map(|place| *number(place)).collect();
+            if let Some((count, first)) = bridge(&mut values, &time_s, longest_s) {
+                track.iter_mut().zip(values).for_each(|(place, value)| *number(place) = value);
+                found.get_or_insert((track.get(first).map_or(0, |place| place.line), 0)).1 += count;
+            }
+        }
+    }
+    let mut filled: Vec<Place> = Vec::new();
     for pair in places.windows(2) {
         let [a, b] = pair else { continue };
         let hole_ms = b.time_ms - a.time_ms;
@@ -185,8 +196,9 @@ fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>,
             let between = |a: f64, b: f64| a + (b - a) * share;
             filled.push(Place {
                 time_ms: between(a.time_ms as f64, b.time_ms as f64).round() as i64,
-                position_m: between(a.position_m, b.position_m),
+                position_m: a.position_m.zip(b.position_m).map(|(a, b)| between(a, b)),
                 speed_mps: a.speed_mps.zip(b.speed_mps).map(|(a, b)| between(a, b)),
+                length_m: a.length_m.zip(b.length_m).map(|(a, b)| between(a, b)),
                 ..*a
             });
         }
@@ -194,7 +206,9 @@ fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>,
             return Err(a.line);
         }
     }
-    let found = filled.first().map(|place: &Place| (place.line, filled.len()));
+    if let Some(Place { line, .. }) = filled.first() {
+        found.get_or_insert((*line, 0)).1 += filled.len();
+    }
     places.append(&mut filled);
     places.sort_unstable_by_key(|place| (place.vehicle, place.time_ms));
     Ok(found)
@@ -203,32 +217,47 @@ fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>,
 /// Finds out which way each vehicle drives, and where its front is.
 fn turn(places: &mut [Place], of: Point) {
     for track in places.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
-        let moved_m =
-            track.last().map_or(0.0, |last| last.position_m) - track.first().map_or(0.0, |one| one.position_m);
+        let mut known_m = track.iter().filter_map(|place| place.position_m);
+        let first_m = known_m.next().unwrap_or(0.0);
+        let moved_m = known_m.next_back().unwrap_or(first_m) - first_m;
         let falls = match moved_m.partial_cmp(&0.0) {
             Some(Ordering::Equal) | None => track.iter().filter_map(|place| place.speed_mps).sum::<f64>() < 0.0,
             Some(order) => order == Ordering::Less,
         };
         for place in track {
+            // Vehicles do not overlap: without its length, a place still has its turn among those of its lane.
+            let (position_m, length_m) = (place.position_m.unwrap_or(0.0), place.length_m.unwrap_or(0.0));
             let ahead_m = match of {
                 Point::Front => 0.0,
-                Point::Centre => place.length_m / 2.0,
-                Point::Rear => place.length_m,
+                Point::Centre => length_m / 2.0,
+                Point::Rear => length_m,
                 Point::LowEnd if falls => 0.0,
-                Point::LowEnd => place.length_m,
+                Point::LowEnd => length_m,
             };
             place.falls = falls;
-            place.front_m = ahead_m + if falls { -place.position_m } else { place.position_m };
-            place.speed_mps = place.speed_mps.map(f64::abs).filter(|&mps| Quantity::Speed.allows(mps));
+            place.front_m = ahead_m + if falls { -position_m } else { position_m };
+            place.speed_mps = place.speed_mps.map(f64::abs);
         }
     }
 }
 
-/// Links each place with those ahead of it and behind it; says where the first overlap is, and how many there are.
-fn link(places: &mut [Place]) -> Option<(u64, usize)> {
+/// What keeps a place from being linked with its neighbour: the line of the first, and how many.
+struct Linked {
+    /// They overlap.
+    overlapping: Option<(u64, usize)>,
+    /// Position or length are not known.
+    unplaced: Option<(u64, usize)>,
+}
+
+/// Links each place with those ahead of it and behind it. Where a vehicle's position is not known, it may be between any two of its lane, and
+/// none of these are linked; where its length is not, it is linked with nobody.
+fn link(places: &mut [Place]) -> Linked {
     let mut order: Vec<u32> = (0..places.len() as u32).collect();
     let at = |places: &[Place], index: u32| places.get(index as usize).copied();
     let row = |place: &Place| (place.time_ms, place.lane, place.falls);
+    let unplaced = || places.iter().filter(|place| place.position_m.is_none() || place.length_m.is_none());
+    let unplaced = unplaced().map(|place| place.line).min().map(|first| (first, unplaced().count()));
+    let torn: BTreeSet<_> = places.iter().filter(|place| place.position_m.is_none()).map(row).collect();
     order.sort_by(|&a, &b| match (at(places, a), at(places, b)) {
         (Some(a), Some(b)) => row(&a).cmp(&row(&b)).then(b.front_m.total_cmp(&a.front_m)),
         _ => Ordering::Equal,
@@ -237,10 +266,11 @@ fn link(places: &mut [Place]) -> Option<(u64, usize)> {
     for pair in order.windows(2) {
         let &[front, rear] = pair else { continue };
         let (Some(ahead), Some(behind)) = (at(places, front), at(places, rear)) else { continue };
-        if row(&ahead) != row(&behind) {
+        if row(&ahead) != row(&behind) || torn.contains(&row(&ahead)) {
             continue;
         }
-        let gap_m = ahead.front_m - ahead.length_m - behind.front_m;
+        let (Some(length_m), Some(_)) = (ahead.length_m, behind.length_m) else { continue };
+        let gap_m = ahead.front_m - length_m - behind.front_m;
         if Quantity::Gap.allows(gap_m) {
             if let Some(place) = places.get_mut(rear as usize) {
                 place.ahead = Some((gap_m, front));
@@ -252,7 +282,7 @@ fn link(places: &mut [Place]) -> Option<(u64, usize)> {
             overlapping.get_or_insert((behind.line, 0)).1 += 1;
         }
     }
-    overlapping
+    Linked { overlapping, unplaced }
 }
 
 impl Traffic {
@@ -288,8 +318,9 @@ impl Lead for InTraffic<'_> {
     }
 
     fn placed(&self, speed_mps: f64) -> Placed {
-        let (number, length_m) = self.track.first().map_or((0, 0.0), |place| (place.vehicle as usize, place.length_m));
-        Placed { number, name: None, gap_ahead_m: 0.0, speed_mps, length_m: Some(rounded(length_m)) }
+        let number = self.track.first().map_or(0, |place| place.vehicle as usize);
+        let length_m = self.track.iter().find_map(|place| place.length_m).map(rounded);
+        Placed { number, name: None, gap_ahead_m: 0.0, speed_mps, length_m }
     }
 
     fn followers_at(&self, sample: &Sample) -> Vec<Placed> {
@@ -302,7 +333,7 @@ impl Lead for InTraffic<'_> {
                 name: None,
                 gap_ahead_m: rounded(behind.ahead?.0),
                 speed_mps: rounded(behind.speed_mps?),
-                length_m: Some(rounded(behind.length_m)),
+                length_m: behind.length_m.map(rounded),
             })
         };
         std::iter::from_fn(next).take(MOST_FOLLOWERS).collect()

@@ -1,14 +1,17 @@
 //! Controllers in files: policies, networks, and controller files, which say what a network or a process sees and what its answer
 //! means.
 
+use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
-use crate::control::{Input, InvalidMapping, Mapping, NetworkController, Output, ProcessController, ProcessSetup};
+use crate::control::{
+    FmuProblem, Input, InvalidMapping, Mapping, NetworkController, Output, ProcessController, ProcessSetup, Wiring,
+};
 use crate::network::{NetworkError, NetworkFile};
 use crate::policy::{Policy, PolicyError};
 
@@ -16,16 +19,22 @@ use crate::policy::{Policy, PolicyError};
 pub const CONTROLLER_FILE_VERSION: u32 = 1;
 
 /// A controller file as it is written: `docs/controllers.md`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[cfg_attr(feature = "schema", schemars(title = "crumple controller, version 1"))]
 #[serde(deny_unknown_fields)]
 pub struct ControllerFile {
     /// Version of the format: 1.
     pub version: u32,
-    /// The network, as a path from the folder of this file: ONNX, or a model of Stable-Baselines3. Either this or a command.
+    /// The network, as a path from the folder of this file: ONNX, or a model of Stable-Baselines3. Either this, an FMU or a command.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub network: Option<String>,
+    /// The FMU, as a path from the folder of this file: co-simulation, FMI 2.0 or 3.0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fmu: Option<String>,
+    /// What parameters of the FMU begin with; 0 or 1 for Booleans.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub parameters: BTreeMap<String, f64>,
     /// The command that drives: a program and its arguments. It runs in the folder of this file, without a shell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub command: Option<Vec<String>>,
@@ -87,12 +96,20 @@ pub enum ControllerFileError {
     /// A command that cannot drive.
     #[error("{0}")]
     Command(InvalidMapping),
-    /// A network without a controller file that needs one.
+    /// An FMU that cannot drive.
+    #[error("{path}: {problem}")]
+    Fmu {
+        /// Its file.
+        path: String,
+        /// What is wrong.
+        problem: FmuProblem,
+    },
+    /// A network or an FMU without a controller file that needs one.
     #[error("{path}: {invalid}")]
     NeedsMapping {
-        /// The network's file.
+        /// Its file.
         path: String,
-        /// What crumple's own mapping does not fit.
+        /// What the mapping without one does not fit.
         invalid: InvalidMapping,
     },
     /// A model beside the statistics by which its observations were normalised.
@@ -124,14 +141,16 @@ pub enum FileController {
 }
 
 impl FileController {
-    /// Reads a controller. A name that ends in `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.toml` a
-    /// controller file, and any other file a policy.
+    /// Reads a controller. A name that ends in `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.fmu` an FMU, in
+    /// `.toml` a controller file, and any other file a policy.
     ///
     /// # Errors
     /// [`ControllerFileError`] if there is no such file, or it holds no usable controller.
     pub fn load(path: &Path) -> Result<Self, ControllerFileError> {
         if path.extension().is_some_and(|extension| extension == "toml") {
             load(path)
+        } else if path.extension().is_some_and(|extension| extension == "fmu") {
+            load_fmu(path)
         } else if NetworkFile::is_one(path) {
             load_network(path).map(Self::Network)
         } else {
@@ -160,16 +179,12 @@ pub fn files_of(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2]
     let file = ControllerFile {
         version: CONTROLLER_FILE_VERSION,
         network: Some(network.clone()),
-        command: None,
-        files: Vec::new(),
-        deterministic: None,
-        start_within_s: None,
-        answer_within_s: None,
         decision_interval_s,
         history,
         newest_first,
         inputs: Some(inputs),
         output: Some(output),
+        ..ControllerFile::default()
     };
     Ok([(file_name(controller), toml::to_string(&file)?.into_bytes()), (network, bytes.to_vec())])
 }
@@ -216,33 +231,89 @@ fn load(path: &Path) -> Result<FileController, ControllerFileError> {
         return Err(wrong(InvalidMapping::new("version", problem)).into());
     }
     let folder = path.with_file_name("");
-    match file.network.clone() {
-        None => {
-            let process = file.process(folder).and_then(ProcessController::new).map_err(wrong)?;
-            Ok(FileController::Process(Arc::new(process)))
-        }
-        Some(network) => {
+    match file.drives().map_err(wrong)? {
+        Drives::Network(name) => {
             let mapping = file.mapping_of_network().map_err(wrong)?;
             mapping.check().map_err(wrong)?;
-            let network = NetworkFile::load(&folder.join(network))?;
+            let network = NetworkFile::load(&folder.join(name))?;
             Ok(FileController::Network(Arc::new(NetworkController::new(network, mapping).map_err(wrong)?)))
         }
+        Drives::Fmu(name) => {
+            let (deterministic, start_within_s) = (file.deterministic, file.start_within_s);
+            let (answer_within_s, wiring) = (file.answer_within_s, file.wiring());
+            let plain = ProcessSetup::of_fmu(&folder, &name, wiring).map_err(|problem| match problem {
+                FmuProblem::Mapping(invalid) => wrong(invalid).into(),
+                problem => ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem },
+            })?;
+            started(ProcessSetup {
+                deterministic: deterministic.unwrap_or(plain.deterministic),
+                start_within_s: start_within_s.unwrap_or(plain.start_within_s),
+                answer_within_s: answer_within_s.unwrap_or(plain.answer_within_s),
+                ..plain
+            })
+            .map_err(|invalid| wrong(invalid).into())
+        }
+        Drives::Command(command) => started(file.process(command, &folder)).map_err(|invalid| wrong(invalid).into()),
     }
 }
 
+/// A process that is set up.
+fn started(setup: ProcessSetup) -> Result<FileController, InvalidMapping> {
+    Ok(FileController::Process(Arc::new(ProcessController::new(setup)?)))
+}
+
+/// An FMU in a file of its own: its inputs are called like what can be seen.
+fn load_fmu(path: &Path) -> Result<FileController, ControllerFileError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let setup = ProcessSetup::of_fmu(&path.with_file_name(""), &name, Wiring::default());
+    let failed = |problem| match problem {
+        FmuProblem::Mapping(invalid) => ControllerFileError::NeedsMapping { path: path.display().to_string(), invalid },
+        problem => ControllerFileError::Fmu { path: path.display().to_string(), problem },
+    };
+    started(setup.map_err(failed)?).map_err(|invalid| failed(invalid.into()))
+}
+
+/// What a controller file says drives.
+enum Drives {
+    Network(String),
+    Fmu(String),
+    Command(Vec<String>),
+}
+
 impl ControllerFile {
+    /// What drives, if everything else that is said is for that.
+    fn drives(&self) -> Result<Drives, InvalidMapping> {
+        let network = self.network.clone().map(|name| ("network", "a network", Drives::Network(name)));
+        let fmu = self.fmu.clone().map(|name| ("fmu", "an FMU", Drives::Fmu(name)));
+        let command = self.command.clone().map(|words| ("command", "a command", Drives::Command(words)));
+        let mut said = [network, fmu, command].into_iter().flatten();
+        let problem = "there is neither a `network`, nor an `fmu`, nor a `command`";
+        let (field, what, drives) = said.next().ok_or_else(|| InvalidMapping::new("version", problem))?;
+        if let Some((other, ..)) = said.next() {
+            return Err(InvalidMapping::new(other, format!("there is `{field}` already, and one of them drives")));
+        }
+        let (is_network, is_fmu) = (field == "network", field == "fmu");
+        let input = self.inputs.iter().flatten().position(|input| input.variable.is_some());
+        let output = self.output.as_ref().is_some_and(|output| output.variable.is_some());
+        let misplaced = [
+            ("files".to_owned(), !self.files.is_empty() && (is_network || is_fmu)),
+            ("deterministic".to_owned(), self.deterministic.is_some() && is_network),
+            ("start_within_s".to_owned(), self.start_within_s.is_some() && is_network),
+            ("answer_within_s".to_owned(), self.answer_within_s.is_some() && is_network),
+            ("history".to_owned(), self.history != one() && is_fmu),
+            ("newest_first".to_owned(), self.newest_first && is_fmu),
+            ("parameters".to_owned(), !self.parameters.is_empty() && !is_fmu),
+            (format!("inputs[{}].variable", input.unwrap_or_default()), input.is_some() && !is_fmu),
+            ("output.variable".to_owned(), output && !is_fmu),
+        ];
+        match misplaced.into_iter().find(|(_, is_misplaced)| *is_misplaced) {
+            Some((field, _)) => Err(InvalidMapping::new(field, format!("is not for {what}"))),
+            None => Ok(drives),
+        }
+    }
+
     /// What a network sees and answers, all of which has to be said.
     fn mapping_of_network(self) -> Result<Mapping, InvalidMapping> {
-        let of_commands = [
-            ("command", self.command.is_some()),
-            ("files", !self.files.is_empty()),
-            ("deterministic", self.deterministic.is_some()),
-            ("start_within_s", self.start_within_s.is_some()),
-            ("answer_within_s", self.answer_within_s.is_some()),
-        ];
-        if let Some((field, _)) = of_commands.into_iter().find(|(_, is_given)| *is_given) {
-            return Err(InvalidMapping::new(field, "is not for a network"));
-        }
         let missing = |field| InvalidMapping::new(field, "is missing, and a network needs it");
         Ok(Mapping {
             decision_interval_s: Some(self.decision_interval_s.ok_or_else(|| missing("decision_interval_s"))?),
@@ -253,11 +324,16 @@ impl ControllerFile {
         })
     }
 
+    /// What an FMU is wired to.
+    fn wiring(self) -> Wiring {
+        let Self { inputs, output, parameters, decision_interval_s, .. } = self;
+        Wiring { inputs, output, parameters, decision_interval_s }
+    }
+
     /// What a command is started with, sees and answers.
-    fn process(self, folder: PathBuf) -> Result<ProcessSetup, InvalidMapping> {
-        let missing = || InvalidMapping::new("version", "there is neither a `network` nor a `command`");
-        let plain = ProcessSetup::new(self.command.ok_or_else(missing)?, &folder);
-        Ok(ProcessSetup {
+    fn process(self, command: Vec<String>, folder: &Path) -> ProcessSetup {
+        let plain = ProcessSetup::new(command, folder);
+        ProcessSetup {
             files: self.files,
             deterministic: self.deterministic.unwrap_or(plain.deterministic),
             start_within_s: self.start_within_s.unwrap_or(plain.start_within_s),
@@ -270,6 +346,6 @@ impl ControllerFile {
                 output: self.output.unwrap_or(plain.mapping.output),
             },
             ..plain
-        })
+        }
     }
 }

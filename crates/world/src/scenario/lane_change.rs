@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 ///
 /// Distances are those along the road to its neighbour: for a vehicle that enters, the next one behind it in the list that is in
 /// the lane; for one that leaves, the next one ahead of it. Where there is none, the moment does not come.
+///
+/// Of several at one instant those come first that come by the clock. Then everybody looks at the lane as it is, and all whose moment
+/// it is change together: those who leave first, then those who enter, front to rear. Who finds no room stays beside.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub enum LaneChange {

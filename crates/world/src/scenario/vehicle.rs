@@ -52,6 +52,12 @@ classes! {
 }
 
 impl VehicleClass {
+    /// The class of a recorded vehicle by its length, in metres: heavy from 7.5 m on, for no car is as long with room to spare.
+    #[must_use]
+    pub fn of_length(length_m: f64) -> Self {
+        if length_m >= 7.5 { Self::Heavy } else { Self::Light }
+    }
+
     /// Its number, by which spaces and logs hold it.
     #[must_use]
     pub fn number(self) -> u8 {

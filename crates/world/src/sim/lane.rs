@@ -68,7 +68,7 @@ impl Lane {
             [of(false, spec.leaves), of(true, spec.enters)].into_iter().flatten()
         });
         let mut planned: Vec<Planned> = planned.collect();
-        // Who leaves at an instant makes room for who enters at the same one.
+        // Who leaves at an instant makes room for who enters at the same one. Among each the order is that of the line.
         planned.sort_by_key(|planned| planned.enters);
         let changes = Changes { inside: inside.clone().collect(), in_lane_s: inside.map(in_lane_s).collect(), planned };
         Self { vehicles: vehicles.len(), changes: Some(Box::new(changes)) }.after(bodies, 0.0, 0.0)
@@ -129,9 +129,9 @@ impl Lane {
     /// The parts of the next `within_s` seconds from `now_s` on, in order; nobody touches meanwhile.
     pub(super) fn stints(&self, bodies: Bodies<'_>, now_s: f64, within_s: f64) -> Vec<Stint> {
         let (mut lane, mut from_s, mut stints) = (self.clone(), 0.0, Vec::new());
-        while let Some((to_s, place)) = lane.next_change(bodies, now_s, from_s, within_s) {
+        while let Some((to_s, places)) = lane.next_changes(bodies, now_s, from_s, within_s) {
             stints.push(Stint { from_s, to_s, lane: lane.clone() });
-            lane.change(place, bodies, now_s, to_s);
+            lane.change(&places, bodies, now_s, to_s);
             from_s = to_s;
         }
         stints.push(Stint { from_s, to_s: within_s, lane });
@@ -143,16 +143,52 @@ impl Lane {
         self.stints(bodies, now_s, within_s).pop().map_or_else(|| self.clone(), |last| last.lane)
     }
 
-    /// The next change between `from_s` and `within_s` seconds from now: when, and its place among what is planned.
-    fn next_change(&mut self, bodies: Bodies<'_>, now_s: f64, from_s: f64, within_s: f64) -> Option<(f64, usize)> {
-        let mut next: Option<(f64, usize)> = None;
+    /// The next changes between `from_s` and `within_s` seconds from now, all of one instant: when, and their places among what is
+    /// planned.
+    ///
+    /// What comes by the clock comes before anybody looks who is ahead: who is there for no time is nobody's neighbour. All whose
+    /// moment it then is change together, so that it does not matter of whom it is asked first.
+    fn next_changes(
+        &mut self,
+        bodies: Bodies<'_>,
+        now_s: f64,
+        from_s: f64,
+        within_s: f64,
+    ) -> Option<(f64, Vec<usize>)> {
+        let span_s = [from_s, within_s];
+        let by_clock = self.first_of(true, bodies, now_s, span_s);
+        if by_clock.as_ref().is_some_and(|(in_s, _)| *in_s <= from_s) {
+            return by_clock;
+        }
+        let by_distance = self.first_of(false, bodies, now_s, span_s);
+        match (by_clock, by_distance) {
+            (Some(clock), Some(distance)) if distance.0 < clock.0 => Some(distance),
+            (clock, distance) => clock.or(distance),
+        }
+    }
+
+    /// Those of what is planned, by the clock or by a distance, that come first, and when.
+    fn first_of(
+        &mut self,
+        by_clock: bool,
+        bodies: Bodies<'_>,
+        now_s: f64,
+        span_s: [f64; 2],
+    ) -> Option<(f64, Vec<usize>)> {
+        let mut first: Option<(f64, Vec<usize>)> = None;
         for place in 0..self.changes.as_ref().map_or(0, |changes| changes.planned.len()) {
-            let in_s = self.moment_s(place, bodies, now_s, [from_s, within_s]);
-            if let Some(in_s) = in_s.filter(|&in_s| next.is_none_or(|(earliest_s, _)| in_s < earliest_s)) {
-                next = Some((in_s, place));
+            let when = self.changes.as_ref()?.planned.get(place)?.when;
+            if matches!(when, LaneChange::At(_)) != by_clock {
+                continue;
+            }
+            let Some(in_s) = self.moment_s(place, bodies, now_s, span_s) else { continue };
+            match &mut first {
+                Some((first_s, places)) if in_s == *first_s => places.push(place),
+                Some((first_s, _)) if in_s > *first_s => {}
+                _ => first = Some((in_s, vec![place])),
             }
         }
-        next
+        first
     }
 
     /// When what is planned comes, between `from_s` and `to_s` seconds from now.
@@ -201,19 +237,25 @@ impl Lane {
         found_s.map(|in_s| (from_s + in_s).min(to_s))
     }
 
-    /// Does what is planned, `in_s` seconds from now. Who is to enter and finds no room stays beside.
-    fn change(&mut self, place: usize, bodies: Bodies<'_>, now_s: f64, in_s: f64) {
+    /// Does what is planned at places in increasing order, `in_s` seconds from now: those who leave before those who enter, and these
+    /// front to rear. Who is to enter and finds no room stays beside.
+    fn change(&mut self, places: &[usize], bodies: Bodies<'_>, now_s: f64, in_s: f64) {
         let Some(changes) = &mut self.changes else { return };
-        let Planned { vehicle, enters, when, .. } = changes.planned.remove(place);
-        let at_s = match when {
-            LaneChange::At(time_s) if (time_s - now_s - in_s).abs() <= SAME_INSTANT_S => time_s,
-            _ => now_s + in_s,
-        };
-        if enters && !self.has_room(vehicle, bodies, in_s) {
-            self.keep(vehicle);
-        } else if let Some(changes) = &mut self.changes {
-            changes.inside[vehicle] = enters;
-            changes.in_lane_s[vehicle][usize::from(!enters)] = at_s;
+        let due: Vec<Planned> = places.iter().filter_map(|&place| changes.planned.get(place).copied()).collect();
+        for place in places.iter().rev() {
+            changes.planned.remove(*place);
+        }
+        for Planned { vehicle, enters, when, .. } in due {
+            let at_s = match when {
+                LaneChange::At(time_s) if (time_s - now_s - in_s).abs() <= SAME_INSTANT_S => time_s,
+                _ => now_s + in_s,
+            };
+            if enters && !self.has_room(vehicle, bodies, in_s) {
+                self.keep(vehicle);
+            } else if let Some(changes) = &mut self.changes {
+                changes.inside[vehicle] = enters;
+                changes.in_lane_s[vehicle][usize::from(!enters)] = at_s;
+            }
         }
     }
 

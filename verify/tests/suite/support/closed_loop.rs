@@ -1,29 +1,50 @@
 //! A simulation of the closed loop in a few lines, sharing nothing with the crate but the description of the network.
 
-use crumple_verify::reach::{Actor, Layer, Scene};
+use crumple_verify::reach::{Actor, Each, Input, Layer, Scene, Step};
 
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
 pub type Start = [f64; 8];
 
 /// The network as it is deployed: single precision, products added up in order.
-pub fn act(actor: &Actor, seen: [f64; 8]) -> f64 {
-    let mut h: Vec<f32> = (0..8)
-        .map(|i| ((seen[i] - actor.offset[i]) / actor.scale[i]).clamp(-actor.limit, actor.limit) as f32)
-        .collect();
-    for (index, Layer { outputs, weights, biases, .. }) in actor.layers.iter().enumerate() {
-        let mut sums: Vec<f32> = biases.iter().map(|&bias| bias as f32).collect();
-        for (value, row) in h.iter().zip(weights.chunks(*outputs)) {
-            for (sum, &weight) in sums.iter_mut().zip(row) {
-                *sum += value * weight as f32;
+pub fn act(actor: &Actor, seen: [f64; 8], is_followed: bool) -> f64 {
+    let input = |input: &Input| {
+        let sum = input.of.iter().zip(seen).map(|(factor, number)| factor * number).sum::<f64>() + input.constant;
+        let value = input.absent.filter(|_| !is_followed).unwrap_or(sum);
+        ((value - input.offset) / input.scale).clamp(input.low, input.high) as f32
+    };
+    let answers = actor.steps.iter().fold(actor.inputs.iter().map(input).collect::<Vec<f32>>(), done);
+    let wanted = actor.offset_mps2 + actor.scale_mps2 * f64::from(answers[actor.answer]);
+    if actor.is_cut { wanted.clamp(actor.action_mps2[0], actor.action_mps2[1]) } else { wanted }
+}
+
+fn done(mut h: Vec<f32>, step: &Step) -> Vec<f32> {
+    let each = match step {
+        Step::Linear(Layer { outputs, weights, biases, .. }) => {
+            let mut sums: Vec<f32> = biases.iter().map(|&bias| bias as f32).collect();
+            for (value, row) in h.iter().zip(weights.chunks(*outputs)) {
+                for (sum, &weight) in sums.iter_mut().zip(row) {
+                    *sum += value * weight as f32;
+                }
             }
+            return sums;
         }
-        if index + 1 < actor.layers.len() {
-            sums.iter_mut().for_each(|sum| *sum = sum.max(0.0));
-        }
-        h = sums;
+        Step::Each(each) => each,
+    };
+    for (number, x) in h.iter_mut().enumerate() {
+        *x = match each {
+            Each::Relu => x.max(0.0),
+            Each::LeakyRelu(slope) if *x < 0.0 => *slope as f32 * *x,
+            Each::Elu(alpha) if *x < 0.0 => *alpha as f32 * x.exp_m1(),
+            Each::LeakyRelu(_) | Each::Elu(_) => *x,
+            Each::Tanh => x.tanh(),
+            Each::Sigmoid => 1.0 / (1.0 + (-*x).exp()),
+            Each::Add(operands) => *x + operands[number] as f32,
+            Each::Multiply(operands) => *x * operands[number] as f32,
+            Each::Divide(operands) => *x / operands[number] as f32,
+            Each::Clip { low, high } => x.max(low[number] as f32).min(high[number] as f32),
+        };
     }
-    let [low, high] = actor.action_mps2;
-    0.5 * (low + high) + 0.5 * (high - low) * f64::from(h[0].tanh())
+    h
 }
 
 fn step(v: f64, a: f64, h: f64) -> (f64, f64) {
@@ -44,7 +65,7 @@ pub fn simulate(scene: &Scene<'_>, start: Start) -> (Vec<[f64; 8]>, [f64; 2]) {
         };
         if k % every == 0 {
             trace.push(seen);
-            wanted = act(actor, seen);
+            wanted = act(actor, seen, ttc_s.is_some());
         }
         fired |= ttc_s.is_some_and(|ttc_s| behind - ttc_s * (v_r - v_e) < 0.0);
         let share = (f64::from(k) + 1.0 - onset.max(f64::from(k))).max(0.0);
@@ -63,6 +84,37 @@ pub fn simulate(scene: &Scene<'_>, start: Start) -> (Vec<[f64; 8]>, [f64; 2]) {
         }
     }
     (trace, least)
+}
+
+/// What steps make of inputs in double precision: what they are without rounding, to a billionth.
+pub fn answers(steps: &[Step], inputs: Vec<f64>) -> Vec<f64> {
+    steps.iter().fold(inputs, |mut h, step| {
+        let each = match step {
+            Step::Linear(layer) => {
+                let mut sums = layer.biases.clone();
+                for (value, row) in h.iter().zip(layer.weights.chunks(layer.outputs)) {
+                    sums.iter_mut().zip(row).for_each(|(sum, weight)| *sum += value * weight);
+                }
+                return sums;
+            }
+            Step::Each(each) => each,
+        };
+        for (number, x) in h.iter_mut().enumerate() {
+            *x = match each {
+                Each::Relu => x.max(0.0),
+                Each::LeakyRelu(slope) if *x < 0.0 => slope * *x,
+                Each::Elu(alpha) if *x < 0.0 => alpha * x.exp_m1(),
+                Each::LeakyRelu(_) | Each::Elu(_) => *x,
+                Each::Tanh => x.tanh(),
+                Each::Sigmoid => 1.0 / (1.0 + (-*x).exp()),
+                Each::Add(operands) => *x + operands[number],
+                Each::Multiply(operands) => *x * operands[number],
+                Each::Divide(operands) => *x / operands[number],
+                Each::Clip { low, high } => x.max(low[number]).min(high[number]),
+            };
+        }
+        h
+    })
 }
 
 /// Pseudo-random numbers, the same everywhere.

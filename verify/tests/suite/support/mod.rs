@@ -2,6 +2,7 @@
 
 pub mod closed_loop;
 pub mod mutants;
+pub mod networks;
 
 use crumple_verify::*;
 use proptest::prelude::*;

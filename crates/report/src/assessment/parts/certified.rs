@@ -12,7 +12,7 @@ use crate::assessment::claims::{
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
-use crumple_search::evidence::{RateInterval, bound, kernel_certificate, shipped_kernels};
+use crumple_search::evidence::{RateInterval, bound, checker_file, kernel_certificate, shipped_kernels};
 use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
@@ -303,6 +303,7 @@ fn about(certificate: &Certificate) -> String {
             format!("{}, by its own word around {about}: {}", around(reach).name, ranges(reach).join(", "))
         }
         Statement::Kernel(_) => "any two vehicles of these classes, on a dry road".to_owned(),
+        Statement::AdaptiveCruise(_) => "the benchmark of adaptive cruise control of ARCH-COMP AINNCS".to_owned(),
         _ => certificate.provenance.scenario.clone(),
     }
 }
@@ -333,9 +334,10 @@ fn speaks_of(plan: &AssessmentPlan, certificate: &Certificate) -> SpeaksOf {
     match &certificate.statement {
         Statement::Rate(rate) => registered(plan, &rate.registration),
         Statement::Comparison(two) => registered(plan, &two.registration),
-        // The policy as it is, seeing the true state: a shield before it makes another controller.
+        // The policy or network as it is, seeing the true state: a shield before it makes another controller.
         Statement::Reach(reach) => {
-            let is_it = |one: &NamedController| one.kind.identity().as_deref() == Some(reach.policy_sha256.as_str());
+            let digest = |one: &NamedController| Some(sha256(checker_file(&one.kind).ok()??));
+            let is_it = |one: &NamedController| digest(one).as_deref() == Some(reach.policy_sha256.as_str());
             let place = plan.controllers.iter().position(is_it);
             match place.and_then(|place| plan.claimant(place, EstimatorKind::Truth)) {
                 Some(subject) => SpeaksOf::Claim(Box::new(Claim {

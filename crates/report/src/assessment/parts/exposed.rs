@@ -22,12 +22,18 @@ pub(super) fn on_the_road(drawn: &Distribution) -> Option<(String, Table)> {
         .collect();
     let (_, first) = rates.first()?;
     let mut words = format!(
-        "On the road: {} episodes in {} waves were seen in {:.3} h and {:.1} km of following. Intervals are joint ones at {} %, of the number of \
+        "On the road: {} episodes in {} waves were seen in {:.3} h and {:.1} km of following{}. Intervals are joint ones at {} %, of the number of \
          episodes and of the probability of a failure (Bonferroni).",
         first.episodes,
         first.waves,
         first.hours,
         first.kilometres,
+        match first.left_out {
+            0 => String::new(),
+            left_out => format!(
+                ", and {left_out} brakings besides that the space does not describe; rates count these as if they failed as often"
+            ),
+        },
         100.0 * first.confidence
     );
     if let Some(data) = first.with_data {
@@ -36,6 +42,9 @@ pub(super) fn on_the_road(drawn: &Distribution) -> Option<(String, Table)> {
             data.resamples,
             data.runs_each.unwrap_or(0)
         );
+    }
+    if let Some(why) = &first.without_data {
+        words += &format!(" The data's uncertainty is not stated: {why}.");
     }
     let mut table = Table::new(&[
         "controller",

@@ -5,8 +5,12 @@
 //! would have made another. The rate per hour is the product of episodes an hour and failures an episode. Its interval without the data's
 //! uncertainty is the product of both intervals, each at 1 − α/2, which hold together at 1 − α (Bonferroni). The data's uncertainty
 //! comes of [resamples](crate::fit::resampled) of the episodes, to each of which the space is fitted again.
+//!
+//! Brakings that the space does not describe happened in the same hours. Rates per hour count them as if they failed as often as the episodes: each
+//! episode stands for (N + left out) / N brakings. Without them, a rate would be too low because a recording is bad.
 
 mod counting;
+mod divided;
 mod resampled;
 #[cfg(test)]
 mod tests;
@@ -15,7 +19,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use counting::{Waves, expected_episodes};
-pub use resampled::{Resamples, estimate_again, run_again};
+pub(super) use divided::{OtherResamples, Part, PutTogether, own_resamples};
+pub use resampled::{LEAST_RESAMPLES, NotResampled, Resamples, estimate_again, run_again};
 
 use super::RateInterval;
 use super::rare::Estimate;
@@ -49,8 +54,11 @@ pub struct Figures {
 /// How often a controller fails where the space was observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ExposedRate {
-    /// Episodes that were seen.
+    /// Episodes that were seen and that the space describes.
     pub episodes: u64,
+    /// Brakings besides that it does not describe: rates per hour and per 1000 km count them as if they failed as often.
+    #[serde(default)]
+    pub left_out: u64,
     /// Waves that they belong to.
     pub waves: u64,
     /// Hours in which they were seen.
@@ -61,9 +69,12 @@ pub struct ExposedRate {
     pub confidence: f64,
     /// Taking the fitted space for the truth: counting and sampling alone.
     pub fitted: Figures,
-    /// With the data's uncertainty; none where the space does not hold what it was fitted to, or nothing was resampled.
+    /// With the data's uncertainty, if it is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub with_data: Option<WithData>,
+    /// Why it is not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub without_data: Option<String>,
 }
 
 /// Figures with the data's uncertainty, and where the uncertainty is from.
@@ -106,7 +117,8 @@ impl Probability<'_> {
     fn estimate(self) -> Option<f64> {
         match self {
             Self::Counted { failures, runs, .. } => (runs > 0).then(|| failures as f64 / runs as f64),
-            Self::Estimated(estimate) => estimate.probability,
+            // Where no failure was reached, what is known of it is an upper end.
+            Self::Estimated(estimate) => estimate.probability.or((estimate.independent_runs > 0).then_some(0.0)),
         }
     }
 
@@ -116,7 +128,12 @@ impl Probability<'_> {
                 RateInterval::exact(failures, runs, confidence).lower,
                 RateInterval::exact(failures + unknown, runs, confidence).upper,
             ]),
-            Self::Estimated(estimate) => estimate.interval(confidence),
+            // Repetitions that all say the same, such as that nothing or everything fails, say nothing of how far they may be off: the
+            // draws that they began with do, which are independent.
+            Self::Estimated(estimate) => {
+                let spread = estimate.interval(confidence).filter(|[low, high]| low < high);
+                spread.or_else(|| estimate.independent(confidence))
+            }
         }
     }
 
@@ -134,18 +151,21 @@ impl ExposedRate {
     /// What a probability comes to on the road; none where the space does not say in how much driving it was seen, or nothing is
     /// known of the probability.
     #[must_use]
-    pub fn of(space: &Space, known: Probability<'_>, resamples: Option<&Resamples>) -> Option<Self> {
+    pub fn of(space: &Space, known: Probability<'_>, resamples: Result<&Resamples, &NotResampled>) -> Option<Self> {
         let exposure = space.spec().exposure.as_ref()?;
         let seen = waves(space);
         let (estimate, alpha) = (known.estimate()?, 1.0 - CONFIDENCE);
         let [low, high] = known.interval(CONFIDENCE)?;
         let counted = expected_episodes(seen, 1.0 - alpha / 2.0);
+        let episodes = exposure.episodes as f64;
+        // With weights as those of Fay and Feuer, the interval is as many times as long.
+        let stands_for = (episodes + exposure.left_out as f64) / episodes;
         let figures = |apart: [f64; 3], jointly: [f64; 2]| {
             let [estimate, low, high] = apart;
             let per = |amount: f64| Figure {
-                estimate: estimate * exposure.episodes as f64 / amount,
-                lower: jointly[0] * counted[0] / amount,
-                upper: jointly[1] * counted[1] / amount,
+                estimate: estimate * stands_for * episodes / amount,
+                lower: jointly[0] * stands_for * counted[0] / amount,
+                upper: jointly[1] * stands_for * counted[1] / amount,
             };
             Figures {
                 per_episode: Figure { estimate, lower: low, upper: high },
@@ -153,29 +173,32 @@ impl ExposedRate {
                 per_1000_km: per(exposure.kilometres / 1000.0),
             }
         };
-        let fitted = figures([estimate, low, high], known.interval(1.0 - alpha / 2.0)?);
-        let with_data = resamples.and_then(|resamples| {
-            // Resamples may lie all on one side of what was fitted to all episodes.
-            let with = |[low, high]: [f64; 2]| [low.min(estimate), high.max(estimate)];
-            let [low, high] = with(resamples.between(CONFIDENCE)?);
+        let jointly = known.interval(1.0 - alpha / 2.0)?;
+        let fitted = figures([estimate, low, high], jointly);
+        let with_data = resamples.ok().and_then(|resamples| {
+            // Resamples may lie all on one side of what was fitted to all episodes, and data that are uncertain make nothing more certain.
+            let with = |[low, high]: [f64; 2], known: [f64; 2]| [low.min(known[0]), high.max(known[1])];
+            let [low, high] = with(resamples.between(CONFIDENCE)?, [low, high]);
             Some(WithData {
-                figures: figures([estimate, low, high], with(resamples.between(1.0 - alpha / 2.0)?)),
+                figures: figures([estimate, low, high], with(resamples.between(1.0 - alpha / 2.0)?, jointly)),
                 resamples: resamples.count(),
                 unfit: resamples.unfit,
                 runs_each: resamples.runs_each,
-                counting_variance: seen.squares / (exposure.episodes as f64).powi(2),
+                counting_variance: seen.squares / episodes.powi(2),
                 data_variance: (estimate > 0.0).then(|| resamples.variance / (estimate * estimate)),
                 sampling_variance: known.variance(),
             })
         });
         Some(Self {
             episodes: exposure.episodes,
+            left_out: exposure.left_out,
             waves: seen.waves,
             hours: exposure.hours,
             kilometres: exposure.kilometres,
             confidence: CONFIDENCE,
             fitted,
             with_data,
+            without_data: resamples.err().map(ToString::to_string),
         })
     }
 }

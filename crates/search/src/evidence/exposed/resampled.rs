@@ -5,12 +5,51 @@ use rayon::prelude::*;
 use statrs::distribution::{Beta, ContinuousCDF};
 
 use crate::evidence::rare::Estimate;
-use crate::fit::{refitted, resampled};
+use crate::fit::{edited, refitted, resampled};
 use crumple_world::random::{Purpose, derived_seed, stream};
 use crumple_world::scenario::space::Space;
 
 /// Tells the streams of what is drawn besides the resamples from theirs.
 const DRAWS: u64 = 1 << 40;
+/// The fewest resamples from which intervals are stated. The joint ones leave 1.25 % at each end, and of n values the k-th lowest has a share of
+/// k / (n + 1) below it, so that there has to be a first: (n + 1) · 0.0125 ≥ 1.
+pub const LEAST_RESAMPLES: u32 = 79;
+
+/// Why the data's uncertainty is not stated.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NotResampled {
+    /// Nobody asked.
+    #[error("nothing was resampled")]
+    NotAsked,
+    /// Fewer than percentiles take.
+    #[error("{asked} resamples are too few for an interval: {LEAST_RESAMPLES} are needed")]
+    TooFew {
+        /// How many were to be made.
+        asked: u32,
+    },
+    /// There is nothing to resample.
+    #[error("the space does not hold what it was fitted to")]
+    NoData,
+    /// The space is another one than what is fitted to its data: resamples would be spaces of their own kind.
+    #[error(
+        "{what} is not what is fitted to the `observed` values that the space holds: it was changed since, and resamples would not be"
+    )]
+    Edited {
+        /// What was changed.
+        what: String,
+    },
+    /// Too many resamples are such that no space can be fitted.
+    #[error(
+        "a space could be fitted to {fitted} of {tried} resamples only, and {LEAST_RESAMPLES} are needed for an interval"
+    )]
+    Unfit {
+        /// To how many one could.
+        fitted: u32,
+        /// Of so many.
+        tried: u32,
+    },
+}
 
 /// The probability of a failure in spaces fitted to resamples.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,7 +57,7 @@ pub struct Resamples {
     /// Two probabilities a resample, each sorted, drawn from what is known of its probability: they spread as data and sampling together.
     /// The lower one is 0 where no run failed, the higher one 1 where all did.
     pub spread: [Vec<f64>; 2],
-    /// Resamples to which no space could be fitted.
+    /// Resamples to which no space could be fitted: others were drawn in their place.
     pub unfit: u32,
     /// Runs made for each; none where each has an estimate of its own.
     pub runs_each: Option<u32>,
@@ -27,14 +66,15 @@ pub struct Resamples {
 }
 
 impl Resamples {
-    /// The shares of the spread between which the confidence lies (Efron's percentiles); none without resamples.
+    /// The values of the spread between which the confidence lies (Efron's percentiles): of n sorted values those in places ⌊(n + 1) α/2⌋ from both
+    /// ends. None where there are too few for a first place.
     #[must_use]
     pub fn between(&self, confidence: f64) -> Option<[f64; 2]> {
-        let tail = 0.5 * (1.0 - confidence);
         let [lows, highs] = &self.spread;
-        let last = lows.len().checked_sub(1)?;
-        let below = (tail * (last + 1) as f64).floor() as usize;
-        Some([*lows.get(below.min(last))?, *highs.get(last.saturating_sub(below))?])
+        // An end of 1 − (1 − α) is not α to the last bit.
+        let place = (0.5 * (1.0 - confidence) * (lows.len() + 1) as f64 + 1e-9).floor() as usize;
+        let from_end = place.checked_sub(1)?;
+        Some([*lows.get(from_end)?, *highs.get(highs.len().checked_sub(place)?)?])
     }
 
     /// How many there are.
@@ -44,17 +84,34 @@ impl Resamples {
     }
 }
 
-/// The spaces fitted to resamples, and how many there were to which none could be.
-fn refitted_to_resamples(space: &Space, seed: u64, resamples: u32) -> Option<(Vec<(u64, Space)>, u32)> {
-    let observed = space.spec().observed.as_ref()?;
+/// The spaces fitted to resamples, and how many resamples there were to which none could be.
+fn refitted_to_resamples(space: &Space, seed: u64, resamples: u32) -> Result<(Vec<(u64, Space)>, u32), NotResampled> {
+    match resamples {
+        0 => return Err(NotResampled::NotAsked),
+        1..LEAST_RESAMPLES => return Err(NotResampled::TooFew { asked: resamples }),
+        _ => {}
+    }
+    let observed = space.spec().observed.as_ref().ok_or(NotResampled::NoData)?;
+    let what = match edited(space, observed) {
+        Ok(what) => what.map(|name| format!("`{name}`")),
+        Err(why) => Some(format!("the space ({why})")),
+    };
+    if let Some(what) = what {
+        return Err(NotResampled::Edited { what });
+    }
     let again = |index: u64| Some((index, refitted(space.spec(), &resampled(observed, seed, index)).ok()?));
-    let spaces: Vec<(u64, Space)> = (0..u64::from(resamples)).into_par_iter().filter_map(again).collect();
-    let unfit = resamples - spaces.len() as u32;
-    (!spaces.is_empty()).then_some((spaces, unfit))
+    let mut spaces: Vec<(u64, Space)> = (0..u64::from(resamples)).into_par_iter().filter_map(again).collect();
+    let mut tried = resamples;
+    while spaces.len() < resamples as usize && tried < 2 * resamples {
+        spaces.extend(again(u64::from(tried)));
+        tried += 1;
+    }
+    let fitted = spaces.len() as u32;
+    if fitted < LEAST_RESAMPLES { Err(NotResampled::Unfit { fitted, tried }) } else { Ok((spaces, tried - fitted)) }
 }
 
-/// Makes new runs in each space fitted to a resample: `failures` says how many of so many runs fail there, with a seed. Nothing where the
-/// space does not hold what it was fitted to.
+/// Makes new runs in each space fitted to a resample: `failures` says how many of so many runs fail there, with a seed. Or says why the data's
+/// uncertainty cannot be known so.
 ///
 /// # Errors
 /// Those of `failures`.
@@ -63,8 +120,11 @@ pub fn run_again<E>(
     seed: u64,
     (resamples, runs): (u32, u32),
     failures: &mut dyn FnMut(&Space, u64, u64) -> Result<u64, E>,
-) -> Result<Option<Resamples>, E> {
-    let Some((spaces, unfit)) = refitted_to_resamples(space, seed, resamples) else { return Ok(None) };
+) -> Result<Result<Resamples, NotResampled>, E> {
+    let (spaces, unfit) = match refitted_to_resamples(space, seed, resamples) {
+        Ok(fitted) => fitted,
+        Err(why) => return Ok(Err(why)),
+    };
     let (mut shares, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
     let n = f64::from(runs);
     for (index, space) in spaces {
@@ -82,10 +142,10 @@ pub fn run_again<E>(
     let within = within / shares.len() as f64;
     spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
     let variance = (variance(&shares) - within).max(0.0);
-    Ok(Some(Resamples { spread, unfit, runs_each: Some(runs), variance }))
+    Ok(Ok(Resamples { spread, unfit, runs_each: Some(runs), variance }))
 }
 
-/// Estimates anew in each space fitted to a resample: `again` does, with a seed. Nothing where the space does not hold what it was fitted to.
+/// Estimates anew in each space fitted to a resample: `again` does, with a seed. Or says why the data's uncertainty cannot be known so.
 ///
 /// Weighting the runs that failed by how much likelier they are there would cost nothing, and was tried: of a failure of probability
 /// 10⁻⁶ one run carries all the weight, and where other failures are likelier, no run has been.
@@ -97,8 +157,11 @@ pub fn estimate_again<E>(
     seed: u64,
     resamples: u32,
     again: &mut dyn FnMut(&Space, u64) -> Result<Estimate, E>,
-) -> Result<Option<Resamples>, E> {
-    let Some((spaces, unfit)) = refitted_to_resamples(space, seed, resamples) else { return Ok(None) };
+) -> Result<Result<Resamples, NotResampled>, E> {
+    let (spaces, unfit) = match refitted_to_resamples(space, seed, resamples) {
+        Ok(fitted) => fitted,
+        Err(why) => return Ok(Err(why)),
+    };
     let (mut found, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
     for (index, space) in spaces {
         let estimate = again(&space, derived_seed(seed, DRAWS + index))?;
@@ -114,7 +177,7 @@ pub fn estimate_again<E>(
     let within = within / found.len() as f64;
     spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
     let variance = (variance(&found) - within).max(0.0);
-    Ok(Some(Resamples { spread, unfit, runs_each: None, variance }))
+    Ok(Ok(Resamples { spread, unfit, runs_each: None, variance }))
 }
 
 fn variance(values: &[f64]) -> f64 {

@@ -1,11 +1,13 @@
 //! Splitting for a controller in a space.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Effort, Estimate, Problem, Splitting, State};
-use crate::evidence::exposed::{ExposedRate, Probability, estimate_again};
-use crate::shard::TooManyShards;
+use crate::evidence::exposed::{ExposedRate, Part, Probability, estimate_again};
+use crate::shard::{MergeError, TooManyShards};
 use crate::work::WorkError;
 use crumple_world::digest::sha256;
 use crumple_world::measure::{Specification, SpecificationError};
@@ -55,6 +57,9 @@ pub enum RareError {
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
     Work(#[from] WorkError),
+    /// Shards do not go together, or with their space.
+    #[error(transparent)]
+    Merge(#[from] MergeError),
     /// There are more shards than repetitions.
     #[error(transparent)]
     Shards(#[from] TooManyShards),
@@ -162,19 +167,39 @@ impl RarePlan {
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<RareReport, RareError> {
         let estimate = pilot.estimate(self, done)?;
-        let mut again = |space: &Space, seed: u64| {
-            let (controller, estimator) = (self.controller.clone(), self.estimator);
-            let other = Self { controller, space: space.clone(), estimator, seed, effort: AGAIN };
-            other.pilot(done)?.estimate(&other, done)
-        };
-        let resamples = match estimate.probability {
-            Some(_) if self.space.spec().exposure.is_some() => {
-                estimate_again(&self.space, self.seed, resamples, &mut again)?
+        let mut again = |space: &Space, seed: u64| self.again(space, seed, done);
+        let exposed = match self.space.spec().exposure {
+            Some(_) => {
+                let resamples = estimate_again(&self.space, self.seed, resamples, &mut again)?;
+                ExposedRate::of(&self.space, Probability::Estimated(&estimate), resamples.as_ref())
             }
-            _ => None,
+            None => None,
         };
-        let exposed = ExposedRate::of(&self.space, Probability::Estimated(&estimate), resamples.as_ref());
         Ok(RareReport { exposed, ..self.record()?.report(estimate) })
+    }
+
+    /// The estimates in some of the resamples, as far as spaces could be fitted to them.
+    pub(super) fn resampled(
+        &self,
+        resamples: u32,
+        own: Range<u64>,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<Estimate>, RareError> {
+        if own.is_empty() {
+            return Ok(Vec::new());
+        }
+        let (mut part, none) = (Part::of(own), Estimate::none());
+        let mut again = |space: &Space, seed: u64| part.next(none.clone(), || self.again(space, seed, done));
+        // Why nothing can be resampled is said by who puts the parts together.
+        let _ = estimate_again(&self.space, self.seed, resamples, &mut again)?;
+        Ok(part.found())
+    }
+
+    /// An estimate in another space, with less effort.
+    fn again(&self, space: &Space, seed: u64, done: &(dyn Fn(u64) + Sync)) -> Result<Estimate, RareError> {
+        let (controller, estimator) = (self.controller.clone(), self.estimator);
+        let other = Self { controller, space: space.clone(), estimator, seed, effort: AGAIN };
+        other.pilot(done)?.estimate(&other, done)
     }
 
     /// All that decides the estimate, but the space's text.

@@ -51,6 +51,13 @@ impl RareRecord {
     }
 }
 
+impl RareReport {
+    /// What is kept of it.
+    pub(super) fn kept(&self) -> Self {
+        Self { exposed: None, ..self.clone() }
+    }
+}
+
 impl RareFolder {
     /// The estimate that is there.
     ///
@@ -62,13 +69,12 @@ impl RareFolder {
         Ok(bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose().map_err(damaged)?)
     }
 
-    /// Writes the estimate, without what it comes to per hour: that is worked out from the runs, which are not kept, and shards have none.
+    /// Writes the estimate, without what it comes to per hour: that takes resamples, of which anybody may ask for others.
     ///
     /// # Errors
     /// [`RareError::Work`] if it cannot be written.
     pub fn keep(&self, report: &RareReport) -> Result<(), RareError> {
-        let kept = RareReport { exposed: None, ..report.clone() };
-        self.work.write(ESTIMATE, serde_json::to_string_pretty(&kept)? + "\n")?;
+        self.work.write(ESTIMATE, serde_json::to_string_pretty(&report.kept())? + "\n")?;
         Ok(self.work.finish()?)
     }
 

@@ -87,6 +87,12 @@ pub struct Estimate {
     pub repetitions: Vec<f64>,
     /// Runs made, those of the pilot included.
     pub evaluations: u64,
+    /// Draws that populations began with, the pilot's included: independent of each other.
+    #[serde(default)]
+    pub independent_runs: u64,
+    /// How many of these failed.
+    #[serde(default)]
+    pub independent_failures: u64,
     /// The levels; where the failure was not reached, those that were, as the pilot saw them.
     pub levels: Vec<Level>,
 }

@@ -8,9 +8,12 @@ use serde::{Deserialize, Serialize};
 
 use super::driving::RareRecord;
 use super::splitting::Repetition;
-use super::{RareError, RarePlan, RareReport, Splitting};
-use crate::shard::{self, MergeError, Parts, SHARD, Shard};
+use super::{Estimate, RareError, RarePlan, RareReport, Splitting};
+use crate::evidence::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, estimate_again, own_resamples};
+use crate::shard::{self, MergeError, MissingShards, Parts, SHARD, Shard};
 use crate::work::{Finished, Work, WorkError};
+use crumple_world::digest::sha256;
+use crumple_world::scenario::space::{Space, file};
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_AN_ESTIMATE: &str = "shard of a rare-failure estimate";
@@ -25,6 +28,19 @@ struct ShardFile {
     version: u32,
     shard: Shard,
     estimate: RareRecord,
+    /// Where failures are stated per hour.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    exposed: Option<Exposed>,
+}
+
+/// What decides what an estimate comes to per hour.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Exposed {
+    /// Of the episodes that the space was fitted to.
+    resamples: u32,
+    /// The space, in TOML.
+    space_text: String,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -32,30 +48,45 @@ struct ShardFile {
 struct Repeated {
     pilot: Splitting,
     repetitions: Vec<Repetition>,
+    /// Estimates in its share of the resamples.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    resampled: Vec<Estimate>,
 }
 
 /// A folder for a shard of an estimate, in use.
 pub struct RareShard<'a> {
     plan: &'a RarePlan,
     shard: Shard,
+    resamples: u32,
     work: Work,
 }
 
 impl RarePlan {
-    /// The folder, if it is this shard's or nobody's.
+    /// The folder, if it is this shard's or nobody's. In a space fitted to episodes, estimates are made in so many `resamples` of these, too.
     ///
     /// # Errors
     /// [`RareError`] if there are fewer repetitions than shards, the controller states no identity, or the folder cannot be used,
     /// holds something else, or is damaged.
-    pub fn shard_in_folder(&self, shard: Shard, folder: &Path, resume: bool) -> Result<RareShard<'_>, RareError> {
+    pub fn shard_in_folder(
+        &self,
+        (shard, resamples): (Shard, u32),
+        folder: &Path,
+        resume: bool,
+    ) -> Result<RareShard<'_>, RareError> {
         let estimate = self.record()?;
         if estimate.controller_sha256.is_none() {
             return Err(RareError::Unknown(self.controller.name.clone()));
         }
         shard.range(self.effort.repetitions as u64, WHAT)?;
-        let configuration = serde_json::to_string_pretty(&ShardFile { version: VERSION, shard, estimate })? + "\n";
+        let exposed = match self.space.spec().exposure {
+            Some(_) => Some(Exposed { resamples, space_text: file::to_toml(&self.space)? }),
+            None => None,
+        };
+        let resamples = exposed.as_ref().map_or(0, |exposed| exposed.resamples);
+        let file = ShardFile { version: VERSION, shard, estimate, exposed };
+        let configuration = serde_json::to_string_pretty(&file)? + "\n";
         let work = shard::open_shard(folder, SHARD_OF_AN_ESTIMATE, &configuration, REPETITIONS, resume)?;
-        Ok(RareShard { plan: self, shard, work })
+        Ok(RareShard { plan: self, shard, resamples, work })
     }
 }
 
@@ -68,14 +99,20 @@ impl RareShard<'_> {
         self.work.is_complete()
     }
 
-    /// Runs its repetitions, with the levels of the pilot. `done` hears of every batch of runs.
+    /// Runs its repetitions, with the levels of the pilot, and estimates in its share of the resamples. `done` hears of every batch of runs.
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written.
     pub fn repeat(&self, pilot: &Splitting, done: &(dyn Fn(u64) + Sync)) -> Result<(), RareError> {
-        let range = self.shard.range(self.plan.effort.repetitions as u64, WHAT)?;
+        let all = self.plan.effort.repetitions as u64;
+        let range = self.shard.range(all, WHAT)?;
+        let own = own_resamples(self.resamples, &range, all);
         let repetitions = pilot.repeat(self.plan, range, done)?;
-        let repeated = Repeated { pilot: pilot.clone(), repetitions };
+        let resampled = match pilot.reaches_failure() {
+            true => self.plan.resampled(self.resamples, own, done)?,
+            false => Vec::new(),
+        };
+        let repeated = Repeated { pilot: pilot.clone(), repetitions, resampled };
         self.work.write(REPETITIONS, serde_json::to_string_pretty(&repeated)? + "\n")?;
         Ok(self.work.finish()?)
     }
@@ -85,9 +122,10 @@ impl RareShard<'_> {
 #[derive(Debug)]
 pub struct MergedEstimate {
     record: RareRecord,
+    exposed: Option<Exposed>,
     pilot: Splitting,
     /// Of repetitions.
-    parts: Parts<Vec<Repetition>>,
+    parts: Parts<(Vec<Repetition>, Vec<Estimate>)>,
 }
 
 impl MergedEstimate {
@@ -96,9 +134,10 @@ impl MergedEstimate {
     /// # Errors
     /// [`MergeError`] if it cannot be read.
     pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
-        let (file, repeated) = read(found)?;
-        let mut merged = Self { record: file.estimate, pilot: repeated.pilot, parts: Parts::of(folder) };
-        merged.place(folder, file.shard, repeated.repetitions)?;
+        let (ShardFile { shard, estimate: record, exposed, .. }, repeated) = read(found)?;
+        let Repeated { pilot, repetitions, resampled } = repeated;
+        let mut merged = Self { record, exposed, pilot, parts: Parts::of(folder) };
+        merged.place(folder, shard, (repetitions, resampled))?;
         Ok(merged)
     }
 
@@ -111,23 +150,31 @@ impl MergedEstimate {
         if file.estimate != self.record {
             return Err(self.parts.foreign(folder, "what is estimated, how or by which release".to_owned()));
         }
+        if file.exposed != self.exposed {
+            return Err(self.parts.foreign(folder, "the number of resamples".to_owned()));
+        }
         // The same seed has placed the same levels, wherever that was.
         if repeated.pilot != self.pilot {
             return Err(self.parts.foreign(folder, "the pilot, as of another build,".to_owned()));
         }
-        self.place(folder, file.shard, repeated.repetitions)
+        self.place(folder, file.shard, (repeated.repetitions, repeated.resampled))
     }
 
-    fn place(&mut self, folder: &Path, shard: Shard, repetitions: Vec<Repetition>) -> Result<(), MergeError> {
+    fn place(
+        &mut self,
+        folder: &Path,
+        shard: Shard,
+        came_to: (Vec<Repetition>, Vec<Estimate>),
+    ) -> Result<(), MergeError> {
         let all = self.record.effort.repetitions as u64;
         let range =
             shard.range(all, WHAT).map_err(|error| WorkError::damaged(&folder.join(SHARD), error.to_string()))?;
-        self.parts.place(folder, shard, range, repetitions)
+        self.parts.place(folder, shard, range, came_to)
     }
 
-    /// Of how many shards they are, and which of these are missing; where they are of several numbers, nothing.
+    /// Which shards are missing.
     #[must_use]
-    pub fn missing_shards(&self) -> (Option<u32>, Vec<u32>) {
+    pub fn missing_shards(&self) -> MissingShards {
         self.parts.missing_shards()
     }
 
@@ -137,23 +184,43 @@ impl MergedEstimate {
         self.parts.missing(self.record.effort.repetitions as u64).iter().map(|range| range.end - range.start).sum()
     }
 
-    /// The estimate; none while repetitions are missing.
-    #[must_use]
-    pub fn report(&self) -> Option<RareReport> {
-        let repetitions = || self.parts.contents().flatten().cloned().collect();
-        (self.missing() == 0).then(|| self.record.report(self.pilot.summary(repetitions())))
+    /// The estimate, with what it comes to per hour where the space says in how much driving it was seen; none while repetitions are
+    /// missing.
+    ///
+    /// # Errors
+    /// [`MergeError`] if the estimates in resamples are not those of the space.
+    pub fn report(&self) -> Result<Option<RareReport>, MergeError> {
+        if self.missing() > 0 {
+            return Ok(None);
+        }
+        let repetitions = self.parts.contents().flat_map(|(repetitions, _)| repetitions).cloned().collect();
+        let report = self.record.report(self.pilot.summary(repetitions));
+        Ok(Some(RareReport { exposed: self.exposed(&report.estimate)?, ..report }))
+    }
+
+    fn exposed(&self, estimate: &Estimate) -> Result<Option<ExposedRate>, MergeError> {
+        let Some(Exposed { resamples, space_text }) = &self.exposed else { return Ok(None) };
+        let unusable = |problem: String| self.parts.unusable(SHARD, problem);
+        let space = file::from_toml(space_text, Path::new("space_text"));
+        let space = space.map_err(|error| unusable(error.to_string()))?;
+        let mut kept = PutTogether::of(self.parts.contents().flat_map(|(_, resampled)| resampled).cloned().collect());
+        let resamples = estimate_again(&space, self.record.seed, *resamples, &mut |_: &Space, _| kept.next());
+        let resamples = resamples.and_then(|resamples| kept.end().map(|()| resamples));
+        let resamples =
+            resamples.map_err(|OtherResamples| unusable("not as many resamples as that space has".to_owned()))?;
+        Ok(ExposedRate::of(&space, Probability::Estimated(estimate), resamples.as_ref()))
     }
 
     /// Writes the folder of the whole estimate, that of an estimate by one machine to the byte, and says where the estimate is; none
     /// while repetitions are missing: then nothing is written.
     ///
     /// # Errors
-    /// [`RareError`] if the folder cannot be used, or holds something else.
+    /// [`RareError`] if the shards do not go with their space, or the folder cannot be used, or holds something else.
     pub fn write_in(&self, folder: &Path) -> Result<Option<(PathBuf, RareReport)>, RareError> {
-        let Some(report) = self.report() else { return Ok(None) };
+        let Some(report) = self.report()? else { return Ok(None) };
         let folder = self.record.in_folder(folder, true)?;
         match folder.kept()? {
-            Some(kept) if kept != report => {
+            Some(kept) if kept != report.kept() => {
                 let problem = "there is an estimate of the same configuration that came to something else";
                 return Err(WorkError::damaged(&folder.path(), problem).into());
             }
@@ -165,16 +232,19 @@ impl MergedEstimate {
 
 fn read(found: &Finished) -> Result<(ShardFile, Repeated), WorkError> {
     let unreadable = |name: &'static str| move |error: serde_json::Error| found.unreadable(name, &error);
-    let file: ShardFile = shard::read_shard(found)?;
+    let file: ShardFile = shard::read_shard(found, VERSION)?;
     let repeated: Repeated = serde_json::from_str(&found.read(REPETITIONS)?).map_err(unreadable(REPETITIONS))?;
-    if file.version != VERSION {
-        return Err(found.damaged(SHARD, format!("version: {}, and this release reads {VERSION}", file.version)));
-    }
     let range = file.shard.range(file.estimate.effort.repetitions as u64, WHAT);
     let range = range.map_err(|error| found.damaged(SHARD, error))?;
     let made = if repeated.pilot.reaches_failure() { range.end - range.start } else { 0 };
+    let resamples = file.exposed.as_ref().map_or(0, |exposed| exposed.resamples);
+    let own = own_resamples(resamples, &range, file.estimate.effort.repetitions as u64);
+    let is_of_space = |exposed: &Exposed| sha256(&exposed.space_text) == file.estimate.space_sha256;
     let is_sound = repeated.pilot.is_of(file.estimate.effort, file.estimate.seed)
-        && repeated.pilot.may_have(&repeated.repetitions);
+        && repeated.pilot.may_have(&repeated.repetitions)
+        && file.exposed.iter().all(is_of_space)
+        // There are fewer where no space could be fitted to some.
+        && repeated.resampled.len() as u64 <= own.end - own.start;
     if repeated.repetitions.len() as u64 != made || !is_sound {
         return Err(found.damaged(REPETITIONS, format!("not what shard {} of that estimate comes to", file.shard)));
     }

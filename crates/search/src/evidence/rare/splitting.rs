@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Effort, Estimate, Level};
+use crate::evidence::RateInterval;
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Levels after which the pilot gives up: failures are then rarer than about 10⁻¹².
@@ -58,6 +59,8 @@ pub struct Splitting {
     stages: Vec<Stage>,
     /// How many runs the pilot took.
     pilot: u64,
+    /// How many of those failed that it began with.
+    pilot_failures: u64,
     reached: bool,
     /// What the pilot saw, for want of anything better where it does not reach a failure.
     pilot_levels: Vec<Level>,
@@ -96,6 +99,8 @@ struct Climber<'a, P: Problem> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Repetition {
+    /// How many runs failed of those that it began with.
+    failures: u64,
     /// At each level that it reached.
     seen: Vec<Seen>,
     /// Runs made.
@@ -124,13 +129,14 @@ impl Splitting {
     ) -> Result<Self, P::Error> {
         let effort = Effort { samples: effort.samples.max(50), repetitions: effort.repetitions.max(5) };
         let mut climber = Climber::new(problem, effort.samples, stream(seed, Purpose::RareEvents, 0), done);
-        let mut pilot = Self { effort, seed, stages: Vec::new(), pilot: 0, reached: false, pilot_levels: Vec::new() };
         let mut population = climber.first()?;
+        let pilot_failures = failures(&population);
+        let (stages, pilot_levels) = (Vec::new(), Vec::new());
+        let mut pilot = Self { effort, seed, stages, pilot: 0, pilot_failures, reached: false, pilot_levels };
         let (mut step, mut probability, mut before) = (0.5, 1.0, f64::INFINITY);
         let passing = (SHARE * effort.samples as f64).ceil() as usize;
         loop {
-            let failing = population.iter().filter(|(_, margin)| *margin < 0.0).count();
-            if failing >= passing {
+            if failures(&population) >= passing as u64 {
                 pilot.stages.push(Stage::LAST);
                 pilot.reached = true;
                 break;
@@ -212,8 +218,8 @@ impl Splitting {
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
             let mut climber = Climber::new(problem, self.effort.samples, random, done);
-            let seen = climber.climb(&self.stages)?;
-            Ok(Repetition { seen, evaluations: climber.evaluations })
+            let (failures, seen) = climber.climb(&self.stages)?;
+            Ok(Repetition { failures, seen, evaluations: climber.evaluations })
         };
         repetitions.into_par_iter().map(repeat).collect()
     }
@@ -226,22 +232,32 @@ impl Splitting {
 
     /// Whether these repetitions could have come of it.
     pub(super) fn may_have(&self, repetitions: &[Repetition]) -> bool {
-        let is_share = |seen: &Seen| (0.0..=1.0).contains(&seen.share) && seen.accepted <= seen.proposed;
-        let may_be = |one: &Repetition| one.seen.len() <= self.stages.len() && one.seen.iter().all(is_share);
+        let samples = self.effort.samples as u64;
+        let moves = samples.saturating_mul(MOVES as u64);
+        let is_share =
+            |seen: &Seen| (0.0..=1.0).contains(&seen.share) && seen.accepted <= seen.proposed && seen.proposed <= moves;
+        let may_be = |one: &Repetition| {
+            let most = moves.saturating_mul(self.stages.len() as u64).saturating_add(samples);
+            let is_short = one.seen.len() <= self.stages.len() && one.failures <= samples;
+            is_short && one.seen.iter().all(is_share) && one.evaluations <= most
+        };
         repetitions.iter().all(may_be)
     }
 
     /// What all repetitions come to, in their order.
     #[must_use]
     pub fn summary(&self, repeated: Vec<Repetition>) -> Estimate {
+        let independent_runs = (1 + repeated.len() as u64) * self.effort.samples as u64;
+        let independent_failures =
+            repeated.iter().map(|one| one.failures).fold(self.pilot_failures, u64::saturating_add);
         if !self.reached {
+            let levels = self.pilot_levels.clone();
             return Estimate {
-                probability: None,
-                coefficient_of_variation: None,
-                interval_95: None,
-                repetitions: Vec::new(),
                 evaluations: self.pilot,
-                levels: self.pilot_levels.clone(),
+                independent_runs,
+                independent_failures,
+                levels,
+                ..Estimate::none()
             };
         }
         let evaluations = repeated.iter().map(|one| one.evaluations).fold(self.pilot, u64::saturating_add);
@@ -252,8 +268,8 @@ impl Splitting {
         };
         let levels = self.stages.iter().enumerate().map(|(index, stage)| {
             let here: Vec<&Seen> = seen.iter().filter_map(|seen| seen.get(index)).collect();
-            let [accepted, proposed] =
-                [here.iter().map(|seen| seen.accepted).sum::<u64>(), here.iter().map(|seen| seen.proposed).sum()];
+            let sum = |of: fn(&&Seen) -> u64| here.iter().map(of).fold(0, u64::saturating_add);
+            let [accepted, proposed] = [sum(|seen| seen.accepted), sum(|seen| seen.proposed)];
             Level {
                 margin: stage.threshold,
                 probability: mean(&seen.iter().map(|seen| product(seen, index + 1)).collect::<Vec<_>>()),
@@ -272,17 +288,46 @@ impl Splitting {
             interval_95: coefficient_of_variation.and_then(|cv| interval(probability, cv, repetitions.len(), 0.95)),
             repetitions,
             evaluations,
+            independent_runs,
+            independent_failures,
             levels,
         }
     }
 }
 
 impl Estimate {
+    /// Of nothing.
+    pub(super) fn none() -> Self {
+        Self {
+            probability: None,
+            coefficient_of_variation: None,
+            interval_95: None,
+            repetitions: Vec::new(),
+            evaluations: 0,
+            independent_runs: 0,
+            independent_failures: 0,
+            levels: Vec::new(),
+        }
+    }
+
     /// An interval for the probability, as that at 95 %.
     #[must_use]
     pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
         interval(self.probability?, self.coefficient_of_variation?, self.repetitions.len(), confidence)
     }
+
+    /// An interval from the independent draws alone, which no level helped: Clopper's and Pearson's; none of an estimate that does not know them.
+    #[must_use]
+    pub fn independent(&self, confidence: f64) -> Option<[f64; 2]> {
+        let (failures, runs) = (self.independent_failures, self.independent_runs);
+        let RateInterval { lower, upper } = (runs > 0).then(|| RateInterval::exact(failures, runs, confidence))?;
+        Some([lower, upper])
+    }
+}
+
+/// How many of a population fail.
+fn failures(population: &[Sample]) -> u64 {
+    population.iter().filter(|(_, margin)| *margin < 0.0).count() as u64
 }
 
 impl<'a, P: Problem> Climber<'a, P> {
@@ -290,9 +335,11 @@ impl<'a, P: Problem> Climber<'a, P> {
         Self { problem, samples, random, evaluations: 0, done }
     }
 
-    fn climb(&mut self, stages: &[Stage]) -> Result<Vec<Seen>, P::Error> {
+    /// How many runs failed of the first ones, and what was seen at each level.
+    fn climb(&mut self, stages: &[Stage]) -> Result<(u64, Vec<Seen>), P::Error> {
         let mut seen = Vec::with_capacity(stages.len());
         let mut population = self.first()?;
+        let failures = failures(&population);
         for stage in stages {
             let survivors: Vec<Sample> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
             let share = survivors.len() as f64 / self.samples as f64;
@@ -309,7 +356,7 @@ impl<'a, P: Problem> Climber<'a, P> {
                 break;
             }
         }
-        Ok(seen)
+        Ok((failures, seen))
     }
 
     /// Independent draws.

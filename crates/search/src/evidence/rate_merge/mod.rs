@@ -10,16 +10,20 @@ use std::path::{Path, PathBuf};
 use crumple_verify::Certificate;
 use serde::Serialize;
 
+use super::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, run_again};
 use super::rate_folder::RateFolderError;
 use super::rate_shard::CountedShard;
 use super::record::{CountRecord, Tally, length};
-use crate::shard::{MergeError, Parts};
+use crate::shard::{MergeError, MissingShards, Parts, SHARD};
 use crate::work::Finished;
+use crumple_world::scenario::space::{Space, file};
 
 /// Shards of one count.
 #[derive(Debug)]
 pub struct MergedCount {
     record: CountRecord,
+    /// Resamples of the episodes that the space was fitted to, and new runs in each.
+    resampling: Option<(u32, u32)>,
     /// Of blocks.
     parts: Parts<Tally>,
 }
@@ -61,7 +65,7 @@ impl MergedCount {
     /// [`MergeError`] if it cannot be read.
     pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
         let shard = CountedShard::read(found)?;
-        let mut merged = Self { record: shard.record.clone(), parts: Parts::of(folder) };
+        let mut merged = Self { record: shard.record, resampling: shard.resampling, parts: Parts::of(folder) };
         merged.parts.place(folder, shard.shard, shard.blocks, shard.tally)?;
         Ok(merged)
     }
@@ -72,21 +76,22 @@ impl MergedCount {
     /// [`MergeError`] if it cannot be read, or does not go with the others.
     pub fn take(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
         let shard = CountedShard::read(found)?;
-        match self.difference(&shard.record) {
+        match self.difference(&shard) {
             Some(field) => Err(self.parts.foreign(folder, field)),
             None => self.parts.place(folder, shard.shard, shard.blocks, shard.tally),
         }
     }
 
     /// In what another record differs.
-    fn difference(&self, other: &CountRecord) -> Option<String> {
-        let (own, other) = (self.record.registration(), other.registration());
+    fn difference(&self, shard: &CountedShard) -> Option<String> {
+        let (own, other) = (self.record.registration(), shard.record.registration());
         let keys = own.configuration.keys().chain(other.configuration.keys());
         let differs = |key: &&String| own.configuration.get(*key) != other.configuration.get(*key);
         let fields = [
             ("runs", own.runs != other.runs),
             ("confidence", own.confidence != other.confidence),
             ("block_runs", own.block_runs != other.block_runs),
+            ("resampling", self.resampling != shard.resampling),
         ];
         let key = keys.into_iter().find(differs).map(|key| format!("configuration.{key}"));
         key.or_else(|| fields.iter().find(|(_, differs)| *differs).map(|(name, _)| (*name).to_owned()))
@@ -114,7 +119,7 @@ impl MergedCount {
     pub fn so_far(&self) -> SoFar {
         let sum = |of: fn(&Tally) -> u64| self.parts.contents().map(of).sum::<u64>();
         let missing: Vec<Range<u64>> = self.missing().into_iter().map(|blocks| self.record.runs_of(blocks)).collect();
-        let (of_shards, missing_shards) = self.parts.missing_shards();
+        let MissingShards { of_shards, missing_shards } = self.parts.missing_shards();
         let open: u64 = missing.iter().map(length).sum();
         let failures = sum(|tally| tally.failures);
         let worst = failures.saturating_add(open);
@@ -130,7 +135,11 @@ impl MergedCount {
             missing_runs: missing.iter().map(|runs| [runs.start, runs.end]).collect(),
             missing_shards,
             of_shards,
-            rate_at_most: (!self.record.is_of_two()).then(|| self.record.rate_at_most(worst)),
+            rate_at_most: match (self.record.is_of_two(), missing.is_empty()) {
+                (true, _) => None,
+                (false, true) => Some(self.record.rate_at_most(failures)),
+                (false, false) => Some(self.record.uncertified_rate_at_most(worst)),
+            },
         }
     }
 
@@ -145,6 +154,27 @@ impl MergedCount {
             tally.add(length(&self.record.runs_of(index..index + 1)), block.clone());
         }
         Some(tally)
+    }
+
+    /// What the failures come to per hour and per 1000 km, the same as of one machine, where the space says in how much driving it was seen;
+    /// none while runs are missing.
+    ///
+    /// # Errors
+    /// [`MergeError`] if the new runs in resamples are not those of the space.
+    pub fn exposed(&self) -> Result<Option<ExposedRate>, MergeError> {
+        let (Some(tally), Some(resampling)) = (self.tally(), self.resampling) else { return Ok(None) };
+        let unusable = |problem: String| self.parts.unusable(SHARD, problem);
+        let space = file::from_toml(&self.record.space_text, Path::new("space_text"));
+        let space = space.map_err(|error| unusable(error.to_string()))?;
+        let seed = self.record.registration().configuration.get("seed").and_then(|seed| seed.parse().ok());
+        let seed = seed.ok_or_else(|| unusable("configuration.seed: no number".to_owned()))?;
+        let mut kept = PutTogether::of(self.parts.contents().flat_map(|part| &part.resampled).copied().collect());
+        let resamples = run_again(&space, seed, resampling, &mut |_: &Space, _, _| kept.next());
+        let resamples = resamples.and_then(|resamples| kept.end().map(|()| resamples));
+        let resamples =
+            resamples.map_err(|OtherResamples| unusable("not as many resamples as that space has".to_owned()))?;
+        let known = Probability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
+        Ok(ExposedRate::of(&space, known, resamples.as_ref()))
     }
 
     /// Writes the folder of the whole count, the same as that of a count by one machine, to the byte, and says where its certificate is;

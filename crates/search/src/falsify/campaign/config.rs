@@ -1,8 +1,12 @@
 //! What a campaign is: everything that decides its results, as a file.
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
+use super::run::CONFIGURATION;
 use super::{Aim, CampaignError};
+use crate::disk;
 use crate::falsify::Method;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -90,6 +94,31 @@ pub struct Divided {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing_evaluations: Vec<[u64; 2]>,
 }
+
+impl Divided {
+    /// How the campaign in a folder was put together; none if it was not, or the folder holds none.
+    #[must_use]
+    pub fn in_folder(folder: &Path) -> Option<Self> {
+        /// The rest is of no interest.
+        #[derive(Deserialize)]
+        struct Record {
+            divided: Option<Divided>,
+        }
+
+        let bytes = disk::read(&folder.join(CONFIGURATION), MOST_BYTES).ok()??;
+        toml::from_str::<Record>(std::str::from_utf8(&bytes).ok()?).ok()?.divided
+    }
+
+    /// Evaluations of each method that are missing.
+    #[must_use]
+    pub fn missing(&self) -> u64 {
+        let length = |[first, last]: &[u64; 2]| last.saturating_sub(*first).saturating_add(1);
+        self.missing_evaluations.iter().map(length).fold(0, u64::saturating_add)
+    }
+}
+
+/// The longest `campaign.toml` that is read.
+const MOST_BYTES: u64 = 64 << 20;
 
 /// The file `campaign.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -17,7 +17,7 @@ use super::terms::Terms;
 use super::{CampaignError, FailureCandidate};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examined, Recorder};
-use crate::shard::{MergeError, Parts};
+use crate::shard::{MergeError, MissingShards, Parts};
 use crate::work::{Finished, WorkError};
 use crumple_world::digest::sha256;
 
@@ -98,9 +98,9 @@ impl MergedCampaign {
         self.parts.missing(self.terms.record.budget)
     }
 
-    /// Of how many shards they are, and which of these are missing; where they are of several numbers, nothing.
+    /// Which shards are missing.
     #[must_use]
-    pub fn missing_shards(&self) -> (Option<u32>, Vec<u32>) {
+    pub fn missing_shards(&self) -> MissingShards {
         self.parts.missing_shards()
     }
 
@@ -115,7 +115,7 @@ impl MergedCampaign {
         let missing = self.missing();
         // A part that is missing is a search that is not there.
         let searches = if self.terms.record.method.is_blind() { 1 } else { self.parts.shards() };
-        let (of_shards, missing_shards) = self.parts.missing_shards();
+        let MissingShards { of_shards, missing_shards } = self.parts.missing_shards();
         (searches > 1 || !missing.is_empty()).then(|| Divided {
             searches,
             of_shards: of_shards.filter(|_| !missing.is_empty()),

@@ -4,12 +4,13 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use super::super::{Aim, Campaign, CampaignError, Log, Summary};
+use super::super::{Aim, Campaign, CampaignError, Log, SHARD_OF_A_CAMPAIGN, Summary};
 use super::MergedCampaign;
 use crate::falsify::Method;
-use crate::shard::{MergeError, Shard};
+use crate::shard::{MergeError, Shard, open_shard};
 use crate::work::{Found, find};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
@@ -100,7 +101,7 @@ fn divisions() -> impl Strategy<Value = Vec<Shard>> {
     divided.prop_shuffle()
 }
 
-/// 200 divisions of a reference search come to the folder of one machine, to the byte; so do those that were incomplete and were
+/// Divisions of a reference search come to the folder of one machine, to the byte; so do those that were incomplete and were
 /// completed.
 #[test]
 fn a_divided_reference_search_is_that_of_one_machine() {
@@ -110,7 +111,7 @@ fn a_divided_reference_search_is_that_of_one_machine() {
         let single = single(&campaign);
         let expected = files(single.path());
         assert!(expected.len() > 8, "it finds failures: {:?}", expected.keys());
-        proptest!(ProptestConfig::with_cases(25), |(shards in divisions())| {
+        proptest!(ProptestConfig::with_cases(8), |(shards in divisions())| {
             let folders: Vec<PathBuf> = shards.iter().map(|shard| folder(root.path(), *shard)).collect();
             let out = tempfile::tempdir().unwrap();
             let merged = merged(&folders).unwrap();
@@ -136,7 +137,7 @@ fn a_divided_search_is_one_campaign_with_what_is_missing() {
     one.write_in(out.path()).unwrap();
     assert!(files(out.path()) == files(single.path()), "shard 1/1 is the campaign");
     let of_one = one.summary().unwrap();
-    proptest!(ProptestConfig::with_cases(20), |(shards in divisions(), keep in 1..20_usize)| {
+    proptest!(ProptestConfig::with_cases(8), |(shards in divisions(), keep in 1..20_usize)| {
         let mut parts = shards.clone();
         parts.truncate(keep);
         let folders: Vec<PathBuf> = parts.iter().map(|shard| folder(root.path(), *shard)).collect();
@@ -251,4 +252,58 @@ fn shards_are_put_together_over_a_campaign_that_was_broken_off() {
     assert!(matches!(ended, Err(CampaignError::BrokenOff)) && broken_off.join("evaluations.journal").exists());
     merged(&shards.map(|shard| folder(root.path(), shard))).unwrap().write_in(&broken_off).unwrap();
     assert!(files(&broken_off) == files(single(&campaign).path()));
+}
+
+/// What no evaluations can have come to is refused, though files and manifest fit together.
+#[test]
+fn findings_that_cannot_be_are_refused() {
+    let campaign = campaign(Method::Halton, 4);
+    let root = tempfile::tempdir().unwrap();
+    let shard = Shard::new(1, 2).unwrap();
+    type Change = fn(&mut Value);
+    let changes: [(Change, &str); 11] = [
+        (|_| (), ""),
+        (|found| found["examined"] = json!([]), "examined: not the failures"),
+        (|found| drop(found["examined"].as_array_mut().unwrap().pop()), "examined: not the failures"),
+        (|found| found["examined"][0]["values"][0] = json!(1e9), "is none, or of another space"),
+        (|found| found["kinds"][0]["severest"]["values"][0] = json!(1e9), "kinds: not failures of this campaign"),
+        (|found| found["front"][0]["values"][0] = json!(-1e9), "front: not failures of this campaign"),
+        (|found| found["front"] = json!([]), "front: not failures of this campaign"),
+        (
+            |found| {
+                let first = found["kinds"][0]["by_method"][0].clone();
+                let most = json!([first[0], u64::MAX, first[2]]);
+                found["kinds"][0]["by_method"] = json!([first, most, most]);
+            },
+            "kinds: not counted in this part",
+        ),
+        (
+            |found| found["methods"][0]["failures"] = json!(found["methods"][0]["failures"].as_u64().unwrap() + 1),
+            "kinds: not the failures that",
+        ),
+        (
+            |found| {
+                let twice = found["kinds"][0].clone();
+                found["kinds"].as_array_mut().unwrap().push(twice);
+            },
+            "kinds: one of them twice",
+        ),
+        (|found| found["methods"][0]["evaluations"] = json!(u64::MAX), "methods: not what this part"),
+    ];
+    for (place, (change, said)) in changes.into_iter().enumerate() {
+        let folder = root.path().join(place.to_string());
+        campaign.run_shard(shard, &folder, false, &mut |_| ControlFlow::Continue(())).unwrap();
+        let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
+        let mut findings: Value = serde_json::from_str(&read("findings.json")).unwrap();
+        change(&mut findings);
+        let configuration = read("shard.json");
+        let work = open_shard(&folder, SHARD_OF_A_CAMPAIGN, &configuration, "findings.json", true).unwrap();
+        work.write("findings.json", findings.to_string()).unwrap();
+        work.finish().unwrap();
+        drop(work);
+        match merged(&[folder]) {
+            Ok(_) => assert_eq!(said, ""),
+            Err(error) => assert!(!said.is_empty() && error.to_string().contains(said), "{place}: {error}"),
+        }
+    }
 }

@@ -228,7 +228,7 @@ impl Searching<'_> {
 /// A folder for a campaign, if it is this one's or nobody's; where it is another's, the error says in what they differ.
 pub(super) fn open(folder: &Path, configuration: &str, resume: bool) -> Result<Work, CampaignError> {
     let asked = Asked {
-        kind: "campaign",
+        kind: CAMPAIGN,
         configuration,
         configuration_file: CONFIGURATION,
         resume,
@@ -264,6 +264,9 @@ pub fn with_journal(folder: &Path, mut found: Examined) -> Result<Examined, Work
     }
     Ok(found)
 }
+
+/// What a folder of one is called in its `work.json`.
+pub const CAMPAIGN: &str = "campaign";
 
 pub(super) const CONFIGURATION: &str = "campaign.toml";
 pub(super) const JOURNAL: &str = "evaluations.journal";

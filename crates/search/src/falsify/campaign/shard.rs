@@ -51,6 +51,9 @@ struct FindingsFile {
     kinds: Vec<KindRow>,
     front: Vec<FailureCandidate>,
     examined: Vec<ExaminedRow>,
+    /// Failures that were looked at and did not fail again, as a verdict within rounding of none may.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    not_reproduced: Vec<(Method, u64)>,
 }
 
 /// Failures of one kind, which is that of each of them.
@@ -127,11 +130,17 @@ impl FindingsFile {
             severest: kind.severest.clone(),
             likeliest: kind.likeliest.clone(),
         };
+        let is_examined = |pick: &&&FailureCandidate| {
+            examined.iter().any(|one| (one.method, one.number) == (pick.method, pick.number))
+        };
+        let picks = findings.failures.picks(usize::MAX);
+        let not_reproduced = picks.iter().filter(|pick| !is_examined(pick)).map(|pick| (pick.method, pick.number));
         Ok(Self {
             methods: findings.reached.clone(),
             kinds: findings.failures.kinds.iter().map(row).collect(),
             front: findings.failures.front.failures().to_vec(),
             examined: examined.iter().map(ExaminedRow::of).collect::<Result<_, _>>()?,
+            not_reproduced: not_reproduced.collect(),
         })
     }
 
@@ -153,31 +162,85 @@ impl FindingsFile {
         if !is_sound {
             return Err("methods: not what this part of the budget comes to".to_owned());
         }
-        let kind = |found: &FailureCandidate| {
-            let is_made = methods.contains(&found.method) && part.contains(&found.number.wrapping_sub(1));
-            let is_made = is_made && found.values.len() == dimension && !found.ln_likelihood.is_nan();
-            FailureKind::of(&found.verdict, &terms.specification).filter(|_| is_made)
-        };
         let mut failures = Failures::new(terms.specification.clone());
-        for KindRow { by_method, first, severest, likeliest } in self.kinds {
-            let all = [&first, &severest, &likeliest].map(kind);
-            let (Some(kind), true) = (all[0], all[1] == all[0] && all[2] == all[0]) else {
-                return Err("kinds: not failures of this campaign".to_owned());
-            };
-            let is_known = |(method, count, first): &(Method, u64, u64)| {
-                methods.contains(method) && part.contains(&first.wrapping_sub(1)) && *count <= part.end - part.start
-            };
-            if by_method.is_empty() || !by_method.iter().all(is_known) {
-                return Err("kinds: not counted in this part of the budget".to_owned());
+        for row in self.kinds {
+            let kind = row.read(terms, &methods, part)?;
+            if failures.kinds.iter().any(|known| known.kind == kind.kind) {
+                return Err("kinds: one of them twice".to_owned());
             }
-            failures.kinds.push(Kind { kind, by_method, first, severest, likeliest });
+            failures.kinds.push(kind);
         }
-        if self.front.iter().any(|found| kind(found).is_none()) {
+        // Every failure is of one kind, and the severest of all is the severest of its own.
+        for Reached { method, first, failures: failed, .. } in &self.methods {
+            let by_method = || failures.kinds.iter().flat_map(|kind| &kind.by_method).filter(|(by, ..)| by == method);
+            let counted = by_method().map(|(_, count, _)| *count).fold(0, u64::saturating_add);
+            if counted != *failed || by_method().map(|(.., first)| *first).min() != *first {
+                return Err(format!("kinds: not the failures that {method} has found"));
+            }
+        }
+        let best = self.methods.iter().map(|reached| reached.best).fold(f64::INFINITY, f64::min);
+        let severest = failures.kinds.iter().map(|kind| kind.severest.verdict.robustness).fold(f64::INFINITY, f64::min);
+        if !failures.kinds.is_empty() && best != severest {
+            return Err("kinds: without the severest failure".to_owned());
+        }
+        let is_failure = |found: &FailureCandidate| {
+            let kind = found.kind(terms, &methods, part);
+            kind.is_some_and(|kind| failures.kinds.iter().any(|known| known.kind == kind))
+        };
+        if self.front.is_empty() != failures.kinds.is_empty() || !self.front.iter().all(is_failure) {
             return Err("front: not failures of this campaign".to_owned());
         }
         failures.front = Front::of(self.front);
+        let picks = failures.picks(usize::MAX);
+        let looked_at = self.examined.iter().map(ExaminedRow::found_at).chain(self.not_reproduced.iter().copied());
+        let mut looked_at: Vec<(Method, u64)> = looked_at.collect();
+        let mut wanted: Vec<(Method, u64)> = picks.iter().map(|pick| (pick.method, pick.number)).collect();
+        let order = |(method, number): &(Method, u64)| (methods.iter().position(|known| known == method), *number);
+        looked_at.sort_by_key(order);
+        wanted.sort_by_key(order);
+        if looked_at != wanted {
+            return Err("examined: not the failures that are looked at closely".to_owned());
+        }
         let examined = self.examined.into_iter().map(|row| row.read(terms)).collect::<Result<_, _>>()?;
         Ok((Findings { reached: self.methods, failures }, examined))
+    }
+}
+
+impl KindRow {
+    fn read(self, terms: &Terms, methods: &[Method], part: &Range<u64>) -> Result<Kind, String> {
+        let Self { by_method, first, severest, likeliest } = self;
+        let [kind, others @ ..] = [&first, &severest, &likeliest].map(|found| found.kind(terms, methods, part));
+        let Some(kind) = kind.filter(|kind| others.iter().all(|other| other == &Some(*kind))) else {
+            return Err("kinds: not failures of this campaign".to_owned());
+        };
+        let order = |method: &Method| methods.iter().position(|known| known == method);
+        let is_made = |(_, count, first): &(Method, u64, u64)| {
+            part.contains(&first.wrapping_sub(1)) && (1..=part.end - part.start).contains(count)
+        };
+        let is_known = |(method, ..): &(Method, u64, u64)| methods.contains(method);
+        let is_counted =
+            by_method.first().is_some_and(|(by, _, number)| (*by, *number) == (first.method, first.number))
+                && by_method.iter().all(|by| is_known(by) && is_made(by))
+                && by_method.is_sorted_by(|(one, ..), (other, ..)| order(one) < order(other));
+        let is_severest =
+            [&first, &likeliest].iter().all(|found| found.verdict.robustness >= severest.verdict.robustness);
+        match is_counted && is_severest {
+            true => Ok(Kind { kind, by_method, first, severest, likeliest }),
+            false => Err("kinds: not counted in this part of the budget".to_owned()),
+        }
+    }
+}
+
+impl FailureCandidate {
+    /// Its kind, if it is one that these evaluations can have met.
+    fn kind(&self, terms: &Terms, methods: &[Method], part: &Range<u64>) -> Option<FailureKind> {
+        let is_made = methods.contains(&self.method)
+            && part.contains(&self.number.wrapping_sub(1))
+            && terms.space.contains(&self.values)
+            // But for rounding.
+            && (0.0..=1.0 + 1e-9).contains(&self.departure)
+            && !self.ln_likelihood.is_nan();
+        FailureKind::of(&self.verdict, &terms.specification).filter(|_| is_made)
     }
 }
 
@@ -201,11 +264,7 @@ pub(super) struct Shared {
 impl MadeShard {
     /// What it is a shard of.
     pub(super) fn shared(found: &Finished) -> Result<(Shard, Shared), WorkError> {
-        let file: ShardFile = shard::read_shard(found)?;
-        let ShardFile { version, shard, nondeterministic, campaign } = file;
-        if version != VERSION {
-            return Err(found.damaged(SHARD, format!("version: {version}, and this release reads {VERSION}")));
-        }
+        let ShardFile { shard, nondeterministic, campaign, .. } = shard::read_shard(found, VERSION)?;
         Ok((shard, Shared { campaign, nondeterministic }))
     }
 

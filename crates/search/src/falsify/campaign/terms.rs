@@ -31,13 +31,18 @@ impl Terms {
         Self::with(record, !is_deterministic, campaign.space.clone(), |_| Ok(campaign.specification.clone()))
     }
 
-    /// From what a file says.
+    /// From what a file says of a campaign that can be divided.
     pub(super) fn read(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
-        if record.version != CAMPAIGN_VERSION {
-            return Err(format!("version: {}, and this release reads {CAMPAIGN_VERSION}", record.version));
-        }
         if record.divided.is_some() || !(1..=MOST_BUDGET).contains(&record.budget) {
             return Err("not a campaign that can be divided".to_owned());
+        }
+        Self::told(record, nondeterministic)
+    }
+
+    /// From what a file says.
+    pub(super) fn told(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
+        if record.version != CAMPAIGN_VERSION {
+            return Err(format!("version: {}, and this release reads {CAMPAIGN_VERSION}", record.version));
         }
         // A space is written with its base spelled out, so that no folder is looked into.
         let space = Space::new(record.space.clone(), Path::new("")).map_err(|error| format!("space: {error}"))?;

@@ -1,6 +1,6 @@
 //! A second opinion: the model written down once more, as plainly as it is stated, and the naive monitor.
 
-use super::{ChasingCarsError, Inputs, STEP_S};
+use super::{ChasingCarsError, FINER, Inputs, STEP_S};
 use crumple_world::measure::stl::{Formula, Signals, naive_robustness};
 
 /// Robustness by an implementation that shares neither the model nor the monitor with [`super::robustness`].
@@ -10,16 +10,30 @@ use crumple_world::measure::stl::{Formula, Signals, naive_robustness};
 /// # Errors
 /// [`ChasingCarsError`] if the formula does not fit the model.
 pub fn replayed_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
+    Ok(naive_robustness(formula, &replayed(inputs, 1)?, 0)?)
+}
+
+/// Robustness by the independent model at a step that is [`FINER`] times as fine.
+///
+/// # Errors
+/// [`ChasingCarsError`] if the formula does not fit the model.
+pub fn finer_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
+    Ok(formula.robustness(&replayed(inputs, FINER)?)?)
+}
+
+/// The motion, at so many steps for each one of [`STEP_S`].
+fn replayed(inputs: &Inputs, finer: usize) -> Result<Signals<'static>, ChasingCarsError> {
+    let step_s = STEP_S / finer as f64;
     let mut cars: Vec<Car> = (0..5).map(|i| Car { y: 10.0 * f64::from(i), v: 0.0, mode: "keeping" }).collect();
     let mut tracks: Vec<Vec<f64>> = cars.iter().map(|car| vec![car.y]).collect();
     for piece in 0..inputs.throttle.len() {
-        for _ in 0..500 {
+        for _ in 0..500 * finer {
             let before = cars.clone();
             for (i, car) in cars.iter_mut().enumerate() {
                 if i == 0 {
-                    car.lead(inputs.throttle[piece], inputs.brake[piece]);
+                    car.lead(inputs.throttle[piece], inputs.brake[piece], step_s);
                 } else {
-                    car.follow(before[i].y - before[i - 1].y);
+                    car.follow(before[i].y - before[i - 1].y, step_s);
                 }
             }
             for (track, car) in tracks.iter_mut().zip(&cars) {
@@ -27,11 +41,11 @@ pub fn replayed_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, Ch
             }
         }
     }
-    let mut signals = Signals::new(STEP_S, tracks[0].len())?;
+    let mut signals = Signals::new(step_s, tracks[0].len())?;
     for (i, track) in tracks.into_iter().enumerate() {
         signals.insert(format!("y{}", i + 1), track)?;
     }
-    Ok(naive_robustness(formula, &signals, 0)?)
+    Ok(signals)
 }
 
 #[derive(Clone)]
@@ -42,8 +56,8 @@ struct Car {
 }
 
 impl Car {
-    fn lead(&mut self, throttle: f64, brake: f64) {
-        let (h, v) = (STEP_S, self.v);
+    fn lead(&mut self, throttle: f64, brake: f64, h: f64) {
+        let v = self.v;
         if brake < 1e-6 {
             // The limit of the solution below, to second order in the brake.
             self.v = v - throttle * h - brake * (v * h - throttle * h * h / 2.0);
@@ -55,7 +69,7 @@ impl Car {
         }
     }
 
-    fn follow(&mut self, gap: f64) {
+    fn follow(&mut self, gap: f64, h: f64) {
         self.mode = match self.mode {
             "keeping" if gap >= 15.0 => "chasing",
             "keeping" if gap <= 5.0 => "braking",
@@ -63,7 +77,7 @@ impl Car {
             "braking" if gap >= 20.0 => "chasing",
             mode => mode,
         };
-        let (h, v) = (STEP_S, self.v);
+        let v = self.v;
         match self.mode {
             "keeping" => self.y += v * h,
             "chasing" => {

@@ -75,6 +75,11 @@ impl ExaminedRow {
         })
     }
 
+    /// Who found it, and when.
+    pub(in crate::falsify) fn found_at(&self) -> (Method, u64) {
+        (self.method, self.number)
+    }
+
     /// What it was, unless it cannot be that.
     pub(in crate::falsify) fn read(self, terms: &Terms) -> Result<Examined, String> {
         let place = format!("the failure at evaluation {} of {}", self.number, self.method);
@@ -82,7 +87,7 @@ impl ExaminedRow {
             |text: &str| file::from_toml(text, Path::new("scenario")).map_err(|error| format!("{place}: {error}"));
         let kind = |verdict: &RunVerdict| FailureKind::of(verdict, &terms.specification);
         match kind(&self.original_verdict) {
-            Some(found) if self.values.len() == terms.space.dimension() => Ok(Examined {
+            Some(found) if terms.space.contains(&self.values) => Ok(Examined {
                 method: self.method,
                 number: self.number,
                 kind: found,

@@ -1,6 +1,7 @@
 //! A process at the wheel: what starts it, what it stands for, and the processes that wait for their next run.
 
 mod driver;
+mod fmu;
 
 use std::fmt;
 use std::fs::File;
@@ -12,6 +13,9 @@ use std::time::Duration;
 use serde::Serialize;
 
 pub use self::driver::ProcessDriver;
+#[cfg(feature = "process")]
+pub use self::fmu::fmu_host;
+pub use self::fmu::{FmuProblem, Wiring};
 use super::{ControllerFailure, Ego, InvalidMapping, Mapping};
 use crate::digest::{Sha256, sha256};
 use crate::process::protocol::{self, Greeting, Hello, Task, VERSION, Vehicle};
@@ -38,6 +42,8 @@ const CHECKED_RUNS: u32 = 2;
 pub struct ProcessSetup {
     /// The program and its arguments, without a shell. A relative path of a program starts at `folder`.
     pub command: Vec<String>,
+    /// Where the program lies, if it is not what the command says: its identity is the command's, wherever it was found.
+    pub program: Option<PathBuf>,
     /// The folder that it runs in.
     pub folder: PathBuf,
     /// The files, from `folder`, that decide how it drives; none if that is not known.
@@ -58,6 +64,7 @@ impl ProcessSetup {
     pub fn new(command: Vec<String>, folder: &Path) -> Self {
         Self {
             command,
+            program: None,
             folder: folder.to_owned(),
             files: Vec::new(),
             deterministic: true,
@@ -266,7 +273,8 @@ impl ProcessController {
         if let Some(ListedFile { path, .. }) = self.files.iter().find(changed) {
             return Err(self.refuse(self.failure(ProcessProblem::FileChanged { file: shortened(path) }, None)));
         }
-        let started = Program::start(&self.setup.command, &self.setup.folder)
+        let ProcessSetup { command, program, folder, .. } = &self.setup;
+        let started = Program::start(command, program.as_deref(), folder)
             .map_err(|problem| self.failure(problem, None))
             .and_then(|program| self.greet(program, 0, hello));
         let mut state = self.state();

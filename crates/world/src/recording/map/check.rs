@@ -37,6 +37,62 @@ pub(super) fn check(spec: &MapSpec) -> Result<(), (String, String)> {
         LayoutSpec::Platoon(platoon) => check_platoon(platoon),
         LayoutSpec::Pairs(pairs) => check_pairs(pairs),
         LayoutSpec::Tracks(tracks) => check_tracks(tracks),
+    }?;
+    let columns = spec.columns();
+    for (index, (field, column)) in columns.iter().enumerate() {
+        if let Some((other, _)) = columns.iter().take(index).find(|(_, known)| known == column) {
+            return wrong(field, format!("`{column}` is the column of `{other}` already"));
+        }
+    }
+    Ok(())
+}
+
+impl MapSpec {
+    /// The columns that it names, each with its field.
+    fn columns(&self) -> Vec<(String, &str)> {
+        let time = match &self.time {
+            TimeSpec::Clock(clock) => ("time.clock.column", Some(&clock.column)),
+            TimeSpec::Frames(frames) => ("time.frames.column", Some(&frames.column)),
+        };
+        let (layout, fields) = match &self.layout {
+            LayoutSpec::Platoon(platoon) => (
+                "layout.platoon.",
+                vec![("speed.column", Some(&platoon.speed.column)), ("spacing.column", Some(&platoon.spacing.column))],
+            ),
+            LayoutSpec::Pairs(pairs) => ("layout.pairs.", pairs.columns().to_vec()),
+            LayoutSpec::Tracks(tracks) => ("layout.tracks.", tracks.columns().to_vec()),
+        };
+        let of_layout = fields.into_iter().map(|(field, column)| (format!("{layout}{field}"), column));
+        let all = std::iter::once((time.0.to_owned(), time.1)).chain(of_layout);
+        all.filter_map(|(field, column)| Some((field, column?.as_str()))).collect()
+    }
+}
+
+impl PairsSpec {
+    fn columns(&self) -> [(&'static str, Option<&String>); 5] {
+        [
+            ("event", self.event.as_ref()),
+            ("spacing.column", Some(&self.spacing.column)),
+            ("follower_speed.column", self.follower_speed.as_ref().map(|speed| &speed.column)),
+            ("leader_speed.column", self.leader_speed.as_ref().map(|speed| &speed.column)),
+            ("relative_speed.column", self.relative_speed.as_ref().map(|speed| &speed.column)),
+        ]
+    }
+}
+
+impl TracksSpec {
+    fn columns(&self) -> [(&'static str, Option<&String>); 5] {
+        let length = match &self.length {
+            LengthSpec::Column(column) => Some(&column.name),
+            LengthSpec::Metres(_) => None,
+        };
+        [
+            ("vehicle", Some(&self.vehicle)),
+            ("lane", self.lane.as_ref()),
+            ("position.column", Some(&self.position.column)),
+            ("speed.column", Some(&self.speed.column)),
+            ("length.column.name", length),
+        ]
     }
 }
 
@@ -55,19 +111,11 @@ fn check_platoon(spec: &PlatoonSpec) -> Result<(), (String, String)> {
 }
 
 fn check_pairs(spec: &PairsSpec) -> Result<(), (String, String)> {
-    let speeds = [&spec.follower_speed, &spec.leader_speed].map(|speed| speed.as_ref().map(|speed| &speed.column));
-    let relative = spec.relative_speed.as_ref().map(|speed| &speed.column);
-    let columns = [
-        ("event", spec.event.as_ref()),
-        ("spacing.column", Some(&spec.spacing.column)),
-        ("follower_speed.column", speeds[0]),
-        ("leader_speed.column", speeds[1]),
-        ("relative_speed.column", relative),
-    ];
-    for (field, column) in columns {
+    for (field, column) in spec.columns() {
         column.map_or(Ok(()), |column| named(&format!("layout.pairs.{field}"), column))?;
     }
-    if speeds.iter().chain([&relative]).flatten().count() < 2 {
+    let speeds = [spec.follower_speed.is_some(), spec.leader_speed.is_some(), spec.relative_speed.is_some()];
+    if speeds.into_iter().filter(|is_given| *is_given).count() < 2 {
         let problem = "needs two of follower_speed, leader_speed and relative_speed";
         return Err(("layout.pairs".to_owned(), problem.to_owned()));
     }
@@ -75,17 +123,11 @@ fn check_pairs(spec: &PairsSpec) -> Result<(), (String, String)> {
 }
 
 fn check_tracks(spec: &TracksSpec) -> Result<(), (String, String)> {
-    let columns = [
-        ("vehicle", Some(&spec.vehicle)),
-        ("lane", spec.lane.as_ref()),
-        ("position.column", Some(&spec.position.column)),
-        ("speed.column", Some(&spec.speed.column)),
-    ];
-    for (field, column) in columns {
+    for (field, column) in spec.columns() {
         column.map_or(Ok(()), |column| named(&format!("layout.tracks.{field}"), column))?;
     }
     match &spec.length {
-        LengthSpec::Column(column) => named("layout.tracks.length.column.name", &column.name),
+        LengthSpec::Column(_) => Ok(()),
         LengthSpec::Metres(metres) => within("layout.tracks.length.metres", *metres, [0.1, 100.0]),
     }
 }

@@ -30,7 +30,9 @@ pub enum Dependence {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GaussianCopula {
-    /// Names of parameters, 2 to 50: numbers with one value each. Those that are not named depend on none.
+    /// Names of parameters, 2 to 50: numbers with one value each. Those that are not named depend on none. A value that has a probability of
+    /// its own (of a choice, or a point mass) is taken where the normal number is between two ends that give it this probability: values
+    /// of a choice in the order in which they are listed.
     #[cfg_attr(feature = "schema", schemars(length(min = 2, max = 50)))]
     pub parameters: Vec<String>,
     /// Their correlation matrix, in that order, row by row: of the normal numbers, not of the values. Positive definite.
@@ -115,8 +117,8 @@ impl GaussianCopula {
             let Some(parameter) = parameters.iter().find(|parameter| parameter.name() == name) else {
                 return wrong(at(index), format!("there is no parameter `{name}`"));
             };
-            if parameter.is_choice() || parameter.target.kind() != Kind::Number {
-                return wrong(at(index), format!("`{name}` is a choice, and only what has a density can depend"));
+            if parameter.target.kind() != Kind::Number {
+                return wrong(at(index), format!("`{name}` is a class or a driver, and only numbers can depend"));
             }
             if parameter.coordinates().len() != 1 {
                 return wrong(at(index), format!("`{name}` is a signal, and only what has one value can depend"));

@@ -65,7 +65,7 @@ fn what_is_wrong_with_dependence_exposure_and_data_is_said_with_its_field() {
         ("[[1.0, -0.6], [-0.6, 1.0]]", "[[1.0], [-0.6, 1.0]]", "correlation[0]: must have 2 entries, found 1"),
         ("[\"ahead_m\", \"friction\"]", "[\"ahead_m\", \"nobody\"]", "parameters[1]: there is no parameter `nobody`"),
         ("[\"ahead_m\", \"friction\"]", "[\"ahead_m\", \"ahead_m\"]", "parameters[1]: `ahead_m` is named twice"),
-        ("[\"ahead_m\", \"friction\"]", "[\"ahead_m\", \"class\"]", "parameters[1]: `class` is a choice"),
+        ("[\"ahead_m\", \"friction\"]", "[\"ahead_m\", \"class\"]", "parameters[1]: `class` is a class or a driver"),
         ("[\"ahead_m\", \"friction\"]", "[\"ahead_m\"]", "parameters: must be 2 to 50, found 1"),
         ("gaussian-copula", "clayton-copula", "clayton-copula"),
         (

@@ -3,7 +3,7 @@
 use statrs::distribution::{Gamma as GammaLaw, LogNormal as LogNormalLaw, Normal as Gauss, Weibull as WeibullLaw};
 
 use super::marginal::{Law, Marginal};
-use super::spec::{Choice, Distribution, Kind, ShapeScale, Uniform};
+use super::spec::{Choice, Distribution, Kind, PointMass, ShapeScale, Uniform};
 use crate::scenario::short;
 
 /// Least share of a distribution that must lie in its range.
@@ -77,6 +77,7 @@ impl Distribution {
                 cut(kind, Law::Weibull(law), of.low, of.high)
             }
             Self::Choice(choice) => choice_of(choice),
+            Self::PointMass(of) => of.marginal(),
         }
     }
 }
@@ -93,6 +94,29 @@ impl ShapeScale {
             return Err((kind, format!("scale must be from 1e-9 to 1e9, found {}", short(scale))));
         }
         Ok([shape, scale])
+    }
+}
+
+impl PointMass {
+    fn marginal(&self) -> Result<Marginal, (&'static str, String)> {
+        let Self { at, probability, others } = self;
+        if matches!(**others, Distribution::Choice(_) | Distribution::PointMass(_)) {
+            return Err((".point-mass.others", "must have a density: no choice, and no other point mass".to_owned()));
+        }
+        let in_others = |(field, problem): (&'static str, String)| {
+            (".point-mass.others", format!("{}: {problem}", field.trim_start_matches('.')))
+        };
+        let others = others.marginal().map_err(in_others)?;
+        if !(0.0..1.0).contains(probability) {
+            return Err((".point-mass.probability", format!("must be from 0, below 1, found {}", short(*probability))));
+        }
+        let (low, high) = (others.low(), others.high());
+        if !at.is_finite() || (*at > low && *at < high) {
+            let (low, high, at) = (short(low), short(high), short(*at));
+            let problem = format!("must be at most {low} or at least {high}, where the others end, found {at}");
+            return Err((".point-mass.at", problem));
+        }
+        Ok(Marginal::PointMass { at: *at, share: *probability, is_first: *at <= low, others: Box::new(others) })
     }
 }
 

@@ -27,6 +27,8 @@ pub(super) enum Target {
     Class(usize),
     /// Which built-in controller drives.
     DrivenBy(usize),
+    /// The length, and the class that goes with it.
+    Size(usize),
     /// The bumper gap ahead.
     Gap(usize),
     /// The same, as the time it takes at the vehicle's own speed.
@@ -108,6 +110,7 @@ impl Field {
             "time_gap_s" => return Ok(field(Target::TimeGap(index), "s", 1, sets(&["position_m"]))),
             "closing_time_s" => return Ok(field(Target::ClosingTime(index), "s", 1, sets(&["position_m"]))),
             "speed_share" => return Ok(field(Target::SpeedShare(index), "1", 1, sets(&["speed_mps"]))),
+            "size_m" => return Ok(field(Target::Size(index), "m", 1, sets(&["class", "length_m"]))),
             "load" => return Ok(field(Target::Load(index), "1", 1, sets(&["mass_kg", "max_brake_mps2"]))),
             "brake_offset_mps2" => {
                 return Ok(field(Target::BrakeOffset(index), "m/s²", 1, sets(&["max_brake_mps2"])));
@@ -177,7 +180,7 @@ impl Target {
     /// When it is set: what others build on comes first.
     pub(super) fn stage(self) -> u8 {
         match self {
-            Self::Class(_) | Self::DrivenBy(_) => 0,
+            Self::Class(_) | Self::DrivenBy(_) | Self::Size(_) => 0,
             Self::Vehicle(None, _) => 1,
             Self::RateShare(_) | Self::PiecesShare(_) | Self::PiecesCruise(_) => 3,
             Self::TimeGap(_) | Self::ClosingTime(_) | Self::FinalShare(_) => 3,
@@ -224,6 +227,10 @@ impl Target {
                 if let Some(controller) = other.and_then(DriverName::controller) {
                     vehicle.driver = Driver::Controller(controller);
                 }
+            }),
+            Self::Size(index) => with(spec, index, |vehicle| {
+                vehicle.length_m = Some(value);
+                vehicle.class = VehicleClass::of_length(value);
             }),
             Self::Gap(index) => with(spec, index, |vehicle| vehicle.position_m = value),
             Self::TimeGap(index) => with(spec, index, |vehicle| vehicle.position_m = value * vehicle.speed_mps),
@@ -295,6 +302,7 @@ impl Target {
             Self::DrivenBy(index) => {
                 one(of(index).and_then(|v| DriverName::find(v.driver.name())).map(DriverName::number))
             }
+            Self::Size(index) => one(of(index).map(|v| v.length_m())),
             Self::Gap(index) => one(of(index).map(|v| v.position_m)),
             Self::TimeGap(index) => one(of(index).map(|v| v.position_m / v.speed_mps)),
             Self::ClosingTime(index) => one(of(index)
@@ -344,6 +352,7 @@ impl Target {
             | Self::Vehicle(..)
             | Self::LaneChange(..)
             | Self::Class(_)
+            | Self::Size(_)
             | Self::Gap(_)
             | Self::TimeGap(_) => None,
             Self::Load(_) | Self::BrakeOffset(_) => None,
@@ -359,6 +368,7 @@ impl Target {
             Self::Signal(i, _) | Self::Driver(i, _) | Self::Setting(i, _) | Self::LaneChange(i, _) => Some(i),
             Self::ClosingTime(i) | Self::SpeedShare(i) | Self::FinalShare(i) => Some(i),
             Self::TimeGap(i) | Self::DrivenBy(i) | Self::PiecesCruise(i) | Self::PiecesScale(i) => Some(i),
+            Self::Size(i) => Some(i),
             Self::Vehicle(i, _) => i,
             Self::Scenario(_) | Self::Gap(_) | Self::PiecesOnset(_) => None,
         }

@@ -5,7 +5,9 @@ use statrs::distribution::{Continuous, ContinuousCDF, Gamma, LogNormal, Normal a
 /// The distribution of one coordinate over its range.
 ///
 /// A *coordinate* lies in [0, 1] and runs evenly over the range (over the logarithm of the range, for a logarithmic
-/// distribution; over equal slices, one a value, for a choice). Classes are numbered.
+/// distribution; over equal slices, one a value, for a choice; over a tenth for a value with a probability of its own, and over the others
+/// for these). Classes are numbered. Where a coordinate lies within the slice of one value makes no difference to a scenario, and keeps
+/// the share of the distribution that it stands for: the way from coordinates to shares can be gone back.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Marginal {
     Uniform {
@@ -28,6 +30,46 @@ pub(super) enum Marginal {
         values: Vec<f64>,
         shares: Vec<f64>,
     },
+    /// One value, before all others or behind them, and how these are distributed.
+    PointMass {
+        at: f64,
+        share: f64,
+        is_first: bool,
+        others: Box<Marginal>,
+    },
+}
+
+/// The part of a coordinate that stands for a value with a probability of its own: a search meets it in one of ten places.
+const SLICE: f64 = 0.1;
+
+/// A place in [0, 1] of which one end is a slice for one value.
+#[derive(Clone, Copy)]
+enum Part {
+    /// Within the slice, from 0 to 1.
+    Point(f64),
+    /// Within what is left, from 0 to 1.
+    Others(f64),
+}
+
+impl Part {
+    fn of(place: f64, slice: f64, is_first: bool) -> Self {
+        match is_first {
+            true if place < slice => Self::Point(place / slice),
+            true => Self::Others(((place - slice) / (1.0 - slice)).min(1.0)),
+            false if place > 1.0 - slice => Self::Point((place - (1.0 - slice)) / slice),
+            false => Self::Others((place / (1.0 - slice)).min(1.0)),
+        }
+    }
+
+    /// The place in [0, 1] where the slice has another width.
+    fn place(self, slice: f64, is_first: bool) -> f64 {
+        match self {
+            Self::Point(within) if is_first => within.min(1.0 - f64::EPSILON) * slice,
+            Self::Point(within) => (1.0 - slice + within * slice).max((1.0 - slice).next_up()).min(1.0),
+            Self::Others(within) if is_first => (slice + within * (1.0 - slice)).min(1.0),
+            Self::Others(within) => within * (1.0 - slice),
+        }
+    }
 }
 
 /// A distribution that is not cut yet.
@@ -90,6 +132,7 @@ impl Marginal {
         match self {
             Self::Uniform { low, .. } | Self::LogUniform { low, .. } | Self::Cut { low, .. } => *low,
             Self::Choice { values, .. } => values.iter().copied().fold(f64::INFINITY, f64::min),
+            Self::PointMass { at, others, .. } => at.min(others.low()),
         }
     }
 
@@ -97,6 +140,7 @@ impl Marginal {
         match self {
             Self::Uniform { high, .. } | Self::LogUniform { high, .. } | Self::Cut { high, .. } => *high,
             Self::Choice { values, .. } => values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            Self::PointMass { at, others, .. } => at.max(others.high()),
         }
     }
 
@@ -111,10 +155,14 @@ impl Marginal {
                 let index = ((u * values.len() as f64) as usize).min(values.len() - 1);
                 values.get(index).copied().unwrap_or(f64::NAN)
             }
+            Self::PointMass { at, is_first, others, .. } => match Part::of(u, SLICE, *is_first) {
+                Part::Point(_) => *at,
+                Part::Others(within) => others.value(within),
+            },
         }
     }
 
-    /// A coordinate at which the value is taken; of a choice, the middle of its slice.
+    /// A coordinate at which the value is taken; of one that has a slice, the middle of it.
     pub(super) fn coordinate(&self, value: f64) -> f64 {
         match self {
             Self::Uniform { low, high } | Self::Cut { low, high, .. } => ((value - low) / (high - low)).clamp(0.0, 1.0),
@@ -124,6 +172,8 @@ impl Marginal {
                 let nearest = (0..values.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
                 (nearest as f64 + 0.5) / values.len() as f64
             }
+            Self::PointMass { at, is_first, .. } if value == *at => Part::Point(0.5).place(SLICE, *is_first),
+            Self::PointMass { is_first, others, .. } => Part::Others(others.coordinate(value)).place(SLICE, *is_first),
         }
     }
 
@@ -148,14 +198,42 @@ impl Marginal {
                 }
                 1.0
             }
+            Self::PointMass { share, is_first, others, .. } => match Part::of(u, *share, *is_first) {
+                Part::Others(within) => Part::Others(others.quantile(within)),
+                point => point,
+            }
+            .place(SLICE, *is_first),
         }
     }
 
-    /// The share of the distribution below a coordinate; of a choice none is stated.
+    /// The share of the distribution below a coordinate.
     pub(super) fn share_below(&self, coordinate: f64) -> f64 {
+        let u = coordinate.clamp(0.0, 1.0);
         match self {
-            Self::Cut { law, below, mass, .. } => ((law.cdf(self.value(coordinate)) - below) / mass).clamp(0.0, 1.0),
-            _ => coordinate.clamp(0.0, 1.0),
+            Self::Uniform { .. } | Self::LogUniform { .. } => u,
+            Self::Cut { law, below, mass, .. } => ((law.cdf(self.value(u)) - below) / mass).clamp(0.0, 1.0),
+            Self::Choice { shares, .. } => {
+                let place = u * shares.len() as f64;
+                let index = (place as usize).min(shares.len() - 1);
+                let before: f64 = shares.iter().take(index).sum();
+                let share = shares.get(index).copied().unwrap_or(0.0);
+                (before + share * (place - index as f64)).clamp(0.0, 1.0)
+            }
+            Self::PointMass { share, is_first, others, .. } => match Part::of(u, SLICE, *is_first) {
+                Part::Others(within) => Part::Others(others.share_below(within)),
+                point => point,
+            }
+            .place(*share, *is_first),
+        }
+    }
+
+    /// The share of the distribution at a value or below it.
+    pub(super) fn share_up_to(&self, value: f64) -> f64 {
+        match self {
+            Self::PointMass { at, is_first: true, .. } if value < *at => 0.0,
+            Self::PointMass { at, share, is_first: true, .. } if value == *at => *share,
+            Self::PointMass { at, is_first: false, .. } if value >= *at => 1.0,
+            _ => self.share_below(self.coordinate(value)),
         }
     }
 
@@ -173,13 +251,19 @@ impl Marginal {
                 let index = ((coordinate.clamp(0.0, 1.0) * shares.len() as f64) as usize).min(shares.len() - 1);
                 (shares.get(index).copied().unwrap_or(0.0) * shares.len() as f64).ln()
             }
+            Self::PointMass { share, is_first, others, .. } => {
+                match Part::of(coordinate.clamp(0.0, 1.0), SLICE, *is_first) {
+                    Part::Point(_) => (share / SLICE).ln(),
+                    Part::Others(within) => ((1.0 - share) / (1.0 - SLICE)).ln() + others.ln_density(within),
+                }
+            }
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::spec::{Choice, Distribution, LogNormal, Normal, ShapeScale, Uniform, Value};
+    use super::super::spec::{Choice, Distribution, LogNormal, Normal, PointMass, ShapeScale, Uniform, Value};
     use super::Marginal;
     use proptest::prelude::*;
 
@@ -199,7 +283,15 @@ mod tests {
             }
         });
         let weights = prop::collection::vec(0.01..5.0f64, 1..6);
+        let with_point = (range.clone(), 0.02..0.9f64, -5.0..0.0f64, any::<(bool, bool)>());
+        let with_point = with_point.prop_map(|((low, width), probability, apart, (is_first, is_end))| {
+            let (apart, high) = (if is_end { 0.0 } else { apart }, low + width);
+            let others = Normal { mean: low + 0.3 * width, deviation: 0.5 * width, low, high };
+            let at = if is_first { low + apart } else { high - apart };
+            Distribution::PointMass(PointMass { at, probability, others: Box::new(Distribution::Normal(others)) })
+        });
         prop_oneof![
+            with_point,
             range.prop_map(|(low, width)| Distribution::Uniform(Uniform { low, high: low + width })),
             (0.01..5.0f64, 1.1..50.0f64)
                 .prop_map(|(low, times)| Distribution::LogUniform(Uniform { low, high: low * times })),
@@ -210,7 +302,7 @@ mod tests {
                 Distribution::Choice(Choice { values, weights: Some(weights) })
             }),
         ]
-        .prop_map(|distribution| distribution.marginal().expect("valid"))
+        .prop_filter_map("its range holds next to nothing", |distribution| distribution.marginal().ok())
     }
 
     /// The edges of what a file may state: no panic, no hang, no value outside the range.
@@ -251,8 +343,11 @@ mod tests {
             prop_assert!((0.0..=1.0).contains(&at));
             let below: f64 = (0..(at * CELLS as f64) as usize).map(cell).sum();
             prop_assert!((below - u).abs() < 2e-3, "{below} instead of {u}");
+            prop_assert!((marginal.share_below(at) - u).abs() < 1e-8);
+            let point = if let Marginal::PointMass { share, .. } = &marginal { *share } else { 0.0 };
             let is_choice = matches!(marginal, Marginal::Choice { .. });
-            prop_assert!(is_choice || (marginal.share_below(at) - u).abs() < 1e-8);
+            let off = marginal.share_up_to(marginal.value(at)) - u;
+            prop_assert!(is_choice || off.abs() <= point + 1e-8, "{off}");
             let value = marginal.value(at);
             prop_assert!(value >= marginal.low() && value <= marginal.high());
             let again = marginal.value(marginal.coordinate(value));

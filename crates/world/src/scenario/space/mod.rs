@@ -27,6 +27,7 @@
 //! | `vehicles[i].closing_time_s` | the same, as the time it takes at the speed at which the vehicle closes in; 2 m at least |
 //! | `vehicles[i].speed_share` | speed as a share of the one that the vehicle has otherwise |
 //! | `vehicles[i].driver` | who drives: a choice of built-in controllers with their default settings |
+//! | `vehicles[i].size_m` | length, with the class that goes with it: heavy from 7.5 m on |
 //! | `vehicles[i].load` | mass relative to its class's, at its class's brake force: deceleration falls as 1 / load above 1 |
 //! | `vehicles[i].brake_offset_mps2` | largest deceleration relative to its class's |
 //! | `vehicles[i].driver.NAME.rate_share` | rate of a braking script, as a share of what the vehicle can do on this road |
@@ -40,7 +41,9 @@
 //!
 //! Parameters are independent unless `dependence` says otherwise, by a Gaussian copula: uniform numbers u become normal ones,
 //! z = Φ⁻¹(u), these become correlated, y = L z with L Lᵀ the correlation matrix, and the shares Φ(y) go through the inverse CDF
-//! of each parameter (Nelsen, An Introduction to Copulas, 2006, 2.3 and 3.1). Ranges, and thus points, stay as they are.
+//! of each parameter (Nelsen, An Introduction to Copulas, 2006, 2.3 and 3.1). Ranges, and thus points, stay as they are. A value with a
+//! probability of its own takes all shares between two ends, and its slice of a coordinate keeps which of these it was: densities of
+//! points are exact. Where a point is made of values, it is the middle.
 //!
 //! In a space without positions all vehicles keep their bumper gaps when lengths or classes vary.
 
@@ -71,8 +74,8 @@ pub use copula::{Dependence, GaussianCopula};
 pub use observed::{Exposure, Observed, ObservedParameter, SourceExposure};
 pub use ready::ReadyDistribution;
 pub use spec::{
-    Base, Choice, Distribution, DriverName, LogNormal, Normal, ParameterSpec, SPACE_VERSION, ShapeScale, SpaceSpec,
-    Uniform, Value,
+    Base, Choice, Distribution, DriverName, LogNormal, Normal, ParameterSpec, PointMass, SPACE_VERSION, ShapeScale,
+    SpaceSpec, Uniform, Value,
 };
 
 use self::copula::Copula;
@@ -260,6 +263,17 @@ impl Space {
     pub fn point(&self, values: &[f64]) -> Vec<f64> {
         let pairs = self.coordinate_parameters().zip(values);
         pairs.map(|(parameter, &value)| parameter.marginal.coordinate(value)).collect()
+    }
+
+    /// Whether values, one a coordinate, are in the space: each within its range, and of a choice one of its values.
+    #[must_use]
+    pub fn contains(&self, values: &[f64]) -> bool {
+        let is_of = |(parameter, &value): (&Parameter, &f64)| {
+            let [low, high] = parameter.range();
+            let is_chosen = || parameter.value(parameter.coordinate(value)) == value;
+            (low..=high).contains(&value) && (!parameter.is_choice() || is_chosen())
+        };
+        values.len() == self.dimension() && self.coordinate_parameters().zip(values).all(is_of)
     }
 
     /// The scenario of values, one a coordinate.

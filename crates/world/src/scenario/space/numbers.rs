@@ -102,8 +102,8 @@ pub(super) fn final_speed(driver: &mut Driver) -> Option<&mut f64> {
 }
 
 /// What may vary in a vehicle besides its numbers.
-const DERIVED_OF_VEHICLE: [&str; 8] =
-    ["class", "driver", "gap_m", "time_gap_s", "closing_time_s", "speed_share", "load", "brake_offset_mps2"];
+const DERIVED_OF_VEHICLE: [&str; 9] =
+    ["class", "driver", "gap_m", "time_gap_s", "closing_time_s", "speed_share", "size_m", "load", "brake_offset_mps2"];
 
 pub(super) fn known_fields() -> String {
     let scenario = SCENARIO_NUMBERS.iter().map(|(name, ..)| *name);

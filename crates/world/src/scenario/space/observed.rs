@@ -23,6 +23,10 @@ pub struct Exposure {
     pub hours: f64,
     /// Kilometres that the followers drove meanwhile; above 0.
     pub kilometres: f64,
+    /// How many brakings there were besides in this driving that the space does not describe. Failures per hour count them too, as if they
+    /// failed as often as the episodes. Default: 0.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub left_out: u64,
     /// The same for each source; at most 1000, or none where it is not known. They add up to the above.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sources: Vec<SourceExposure>,
@@ -41,6 +45,13 @@ pub struct SourceExposure {
     pub hours: f64,
     /// Kilometres of following.
     pub kilometres: f64,
+    /// Brakings besides that the space does not describe.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub left_out: u64,
+}
+
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }
 
 /// The numbers that a distribution was fitted to, so that it can be fitted again to resamples of the episodes.
@@ -66,6 +77,9 @@ pub struct ObservedParameter {
     pub low: f64,
     /// Largest value that a scenario may have.
     pub high: f64,
+    /// One of these two that has a probability of its own beside a density over the others, such as standstill.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub point_mass: Option<f64>,
     /// One value an episode, within these.
     pub values: Vec<f64>,
 }
@@ -102,6 +116,7 @@ impl Exposure {
             ("exposure.episodes", self.episodes as f64, sum(|source| source.episodes as f64)),
             ("exposure.hours", self.hours, sum(|source| source.hours)),
             ("exposure.kilometres", self.kilometres, sum(|source| source.kilometres)),
+            ("exposure.left_out", self.left_out as f64, sum(|source| source.left_out as f64)),
         ] {
             if (all - found).abs() > 1e-6 * all {
                 return wrong(field, format!("is {}, and the sources add up to {}", short(all), short(found)));
@@ -131,7 +146,7 @@ impl Observed {
         }
         for (index, parameter) in self.parameters.iter().enumerate() {
             let at = |field: &str| format!("observed.parameters[{index}].{field}");
-            let ObservedParameter { name, low, high, values } = parameter;
+            let ObservedParameter { name, low, high, point_mass, values } = parameter;
             if !space.parameters.iter().any(|known| known.name == *name) {
                 return wrong(at("name"), format!("there is no parameter `{name}`"));
             }
@@ -141,6 +156,10 @@ impl Observed {
             if !(low.is_finite() && high.is_finite() && low < high) {
                 let problem = format!("must be a number below high, found {} and {}", short(*low), short(*high));
                 return wrong(at("low"), problem);
+            }
+            if let Some(found) = point_mass.filter(|point| point != low && point != high) {
+                let (low, high, found) = (short(*low), short(*high), short(found));
+                return wrong(at("point_mass"), format!("must be {low} or {high}, found {found}"));
             }
             if values.len() != episodes {
                 return wrong(at("values"), format!("must be {episodes}, one an episode, found {}", values.len()));

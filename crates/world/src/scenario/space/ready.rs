@@ -23,7 +23,7 @@ impl ReadyDistribution {
     /// The share of the distribution up to a value.
     #[must_use]
     pub fn share_below(&self, value: f64) -> f64 {
-        self.0.share_below(self.0.coordinate(value))
+        self.0.share_up_to(value)
     }
 
     /// The value below which a share of it lies.
@@ -35,6 +35,10 @@ impl ReadyDistribution {
     /// How much of the law, before it was cut, lies within its range; 1 where nothing is cut.
     #[must_use]
     pub fn mass(&self) -> f64 {
-        if let Marginal::Cut { mass, .. } = self.0 { mass } else { 1.0 }
+        match &self.0 {
+            Marginal::Cut { mass, .. } => *mass,
+            Marginal::PointMass { others, .. } => Self((**others).clone()).mass(),
+            _ => 1.0,
+        }
     }
 }

@@ -88,6 +88,8 @@ pub enum Distribution {
     Weibull(ShapeScale),
     /// One of a few values.
     Choice(Choice),
+    /// One value with a probability of its own, and a density over all others.
+    PointMass(PointMass),
 }
 
 /// A range, both ends included.
@@ -144,6 +146,20 @@ pub struct ShapeScale {
     pub low: f64,
     /// Largest value.
     pub high: f64,
+}
+
+/// One value with a probability of its own beside a distribution that has a density, such as the final speed of vehicles that brake, of
+/// which some come to a standstill.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct PointMass {
+    /// The value: an end of the range of the others, or outside it.
+    pub at: f64,
+    /// Its probability: from 0, below 1.
+    pub probability: f64,
+    /// How all other values are distributed: neither a choice nor another point mass.
+    pub others: Box<Distribution>,
 }
 
 /// A few values.

@@ -58,6 +58,10 @@ proptest! {
             for (again, value) in space.values(&space.point(&values)).iter().zip(&values) {
                 prop_assert!((again - value).abs() <= 1e-12 * (1.0 + value.abs()));
             }
+            prop_assert!(space.contains(&space.values(&space.draw_point(seed, index))));
+            let mut beyond = space.values(&space.draw_point(seed, index));
+            beyond[0] = space.parameters()[0].range()[1] + 1.0;
+            prop_assert!(!space.contains(&beyond) && !space.contains(&beyond[1..]));
             prop_assert_eq!(space.draw(seed, index).unwrap(), space.draw(seed, index).unwrap());
             prop_assert!(space.ln_likelihood(&space.draw_point(seed, index)).is_finite());
         }

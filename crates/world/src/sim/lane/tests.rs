@@ -106,6 +106,20 @@ fn who_leaves_at_the_start_was_never_there() {
     }
 }
 
+/// Of two whose moment is the same instant the one does not wait for the other: of whom it is asked first does not matter.
+#[test]
+fn all_whose_moment_it_is_change_together() {
+    // 100 m ahead one stands; the second lasts 1.5 s to it, and the third, faster, 1 s to the second: with that one gone it would stay.
+    let line = vec![
+        steady(134.0, 0.0),
+        leaving(steady(100.0, 20.0), LaneChange::TimeToCollision(2.0)),
+        leaving(steady(90.0, 28.0), LaneChange::TimeToCollision(1.2)),
+        steady(0.0, 20.0),
+    ];
+    let simulated = run(&scenario(line, 2.0));
+    assert_eq!([1, 2].map(|vehicle| tracks(&simulated)[vehicle].in_lane_s[1]), [0.0, 0.0]);
+}
+
 /// Everything but the time in the lane.
 fn without_lanes(mut simulated: Simulated) -> Simulated {
     for track in simulated.trace.iter_mut().flat_map(|trace| &mut trace.vehicles) {
@@ -163,6 +177,25 @@ proptest! {
         let far = if leaves { leaving(far, change) } else { entering(far, change) };
         let (with, without) = (run(&line(Some(far))), run(&line(None)));
         prop_assert_eq!(&tracks(&with)[1..], tracks(&without));
+    }
+
+    /// One that leaves and its twin that enters at the same instant are one vehicle for everybody else: who is ahead for no time is
+    /// nobody's neighbour, and no gap passes through anything when they change over.
+    #[test]
+    fn a_twin_that_takes_over_changes_nothing(
+        time_s in prop_oneof![Just(0.0), 0.0..5.0_f64], ahead_m in 5.0..60.0_f64, speed_mps in 10.0..30.0_f64,
+        brakes_mps2 in prop::array::uniform2(0.0..7.0_f64), waits in change(), enters in any::<bool>(),
+    ) {
+        let twin = || scripted(ahead_m, speed_mps, onset(1.5, brakes_mps2[0]));
+        let line = |twins: Vec<VehicleSpec>| {
+            let mut waiting = scripted(0.0, 20.0, onset(2.5, brakes_mps2[1]));
+            *(if enters { &mut waiting.enters } else { &mut waiting.leaves }) = Some(waits);
+            let rest = [waiting, driven(-30.0, 20.0, "idm"), driven(-60.0, 20.0, "acc-aeb")];
+            scenario([steady(500.0, 20.0)].into_iter().chain(twins).chain(rest).collect(), 8.0)
+        };
+        let change = LaneChange::At(time_s);
+        let (one, two) = (run(&line(vec![twin()])), run(&line(vec![leaving(twin(), change), entering(twin(), change)])));
+        prop_assert_eq!(&tracks(&two)[3..], &tracks(&one)[2..]);
     }
 
     /// Behind those who look ahead alone, whoever leaves changes nothing for them.

@@ -9,30 +9,22 @@
 //! folder's manifest ([`Work::grew`](crate::work::Work::grew)), so that nothing before that can be cut off. It is removed once the
 //! campaign is complete: its contents are then in the Parquet files.
 
+mod record;
+
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufReader, Read, Write};
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crate::disk::{self, DiskError};
 use crate::work::{Prefix, Work, WorkError};
 use crumple_world::digest::Sha256;
-use crumple_world::measure::{Braking, FirstContact, RunVerdict};
-use crumple_world::scenario::VehicleClass;
+use crumple_world::measure::RunVerdict;
+use record::{Found, RECORD, checksum_of, is_zero, record};
+pub(super) use record::{decode, encode};
 
-/// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking (or what stands in its place) and
-/// class as bytes.
-const BODY: usize = 3 * 8 + 2 * 4 + 2;
-/// The first bytes of the SHA-256 of the work's identity and the record's number and body: a record in another's place is
-/// damage, too.
-const CHECKSUM: usize = 6;
-const RECORD: usize = BODY + CHECKSUM;
 /// The identity of the work, in hexadecimal, and the end of its line.
 const HEADER: usize = 2 * 32 + 1;
-/// In place of the braking where no vehicles touched.
-const NO_CONTACT: u8 = u8::MAX;
-/// In place of the braking where a controller failed; the vehicle that is hit is then its own.
-const CONTROLLER_FAILED: u8 = u8::MAX - 1;
 
 pub(super) struct Journal {
     file: File,
@@ -162,6 +154,38 @@ impl Journal {
     }
 }
 
+/// At most so many verdicts of a journal that another process may be writing, after the first `known` of them; none if there is no
+/// journal. What is not yet there as a whole is left for later.
+pub(super) fn after(
+    path: &Path,
+    identity: &str,
+    known: u64,
+    most: usize,
+) -> Result<Option<Vec<RunVerdict>>, WorkError> {
+    let unusable = DiskError::at(path);
+    let file = match File::open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        file => file.map_err(unusable)?,
+    };
+    let mut records = BufReader::new(file);
+    if !begins(&mut records, identity)
+        .map_err(unusable)?
+        .ok_or_else(|| WorkError::OtherBuild { path: path.to_owned() })?
+    {
+        return Ok(Some(Vec::new()));
+    }
+    records.seek(SeekFrom::Start(HEADER as u64 + RECORD as u64 * known)).map_err(unusable)?;
+    let mut verdicts = Vec::new();
+    while verdicts.len() < most {
+        let index = known + verdicts.len() as u64;
+        match record(&mut records, identity, index).map_err(unusable)?.at(path, index)? {
+            Found::Record(body, _) => verdicts.push(decode(&body)),
+            _ => break,
+        }
+    }
+    Ok(Some(verdicts))
+}
+
 /// Whether a journal begins as that of work with an identity does; none if it is another's. One whose header was cut short, or never
 /// reached the disk, holds nothing.
 fn begins(journal: &mut impl Read, identity: &str) -> io::Result<Option<bool>> {
@@ -176,115 +200,15 @@ fn begins(journal: &mut impl Read, identity: &str) -> io::Result<Option<bool>> {
     Ok((found == header(identity).as_bytes()).then_some(true))
 }
 
-/// What is read where a record may be.
-enum Found {
-    Record([u8; BODY], [u8; CHECKSUM]),
-    /// The end, or a record that was cut short.
-    Cut,
-    /// Nothing but zeros to the end: what a loss of power leaves.
-    Zeros,
-    /// Something else.
-    Damaged,
-}
-
-impl Found {
-    /// What was found, unless it is damage.
-    fn at(self, path: &Path, index: u64) -> Result<Self, WorkError> {
-        match self {
-            Self::Damaged => Err(WorkError::damaged(
-                path,
-                format!(
-                    "record {} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
-                     another --out",
-                    index + 1
-                ),
-            )),
-            found => Ok(found),
-        }
-    }
-}
-
-fn record(journal: &mut impl Read, identity: &str, index: u64) -> io::Result<Found> {
-    let (mut body, mut checksum) = ([0; BODY], [0; CHECKSUM]);
-    match journal.read_exact(&mut body).and_then(|()| journal.read_exact(&mut checksum)) {
-        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(Found::Cut),
-        read => read?,
-    }
-    if checksum == checksum_of(identity, index, &body) {
-        Ok(Found::Record(body, checksum))
-    } else if body == [0; BODY] && checksum == [0; CHECKSUM] && is_zero(journal)? {
-        Ok(Found::Zeros)
-    } else {
-        Ok(Found::Damaged)
-    }
-}
-
-/// Whether there is nothing but zeros to the end.
-fn is_zero(rest: &mut impl Read) -> io::Result<bool> {
-    let mut part = [0; 1 << 12];
-    loop {
-        match rest.read(&mut part)? {
-            0 => return Ok(true),
-            count if part.iter().take(count).any(|&byte| byte != 0) => return Ok(false),
-            _ => {}
-        }
-    }
-}
-
 fn header(identity: &str) -> String {
     format!("{identity}\n")
-}
-
-fn checksum_of(identity: &str, index: u64, body: &[u8; BODY]) -> [u8; CHECKSUM] {
-    let digest = Sha256::default().with(identity).with(index.to_le_bytes()).with(body).finish();
-    let mut first = [0; CHECKSUM];
-    first.iter_mut().zip(digest).for_each(|(place, byte)| *place = byte);
-    first
-}
-
-pub(super) fn encode(verdict: &RunVerdict) -> [u8; BODY] {
-    let (time_s, impact_speed_mps, vehicles, kind, class) = match (verdict.contact, verdict.failed) {
-        (Some(contact), _) => {
-            let FirstContact { time_s, front_vehicle, rear_vehicle, impact_speed_mps, ego_braking, rear_class } =
-                contact;
-            (time_s, impact_speed_mps, [front_vehicle, rear_vehicle], ego_braking as u8, rear_class.number())
-        }
-        (None, Some((time_s, vehicle))) => (time_s, 0.0, [vehicle, 0], CONTROLLER_FAILED, 0),
-        (None, None) => (0.0, 0.0, [0, 0], NO_CONTACT, 0),
-    };
-    let mut record = [0; BODY];
-    let doubles = [verdict.robustness, time_s, impact_speed_mps].map(f64::to_le_bytes);
-    let vehicles = vehicles.map(u32::to_le_bytes);
-    let bytes = doubles.concat().into_iter().chain(vehicles.concat()).chain([kind, class]);
-    record.iter_mut().zip(bytes).for_each(|(place, byte)| *place = byte);
-    record
-}
-
-pub(super) fn decode(record: &[u8; BODY]) -> RunVerdict {
-    let double = |index: usize| {
-        let bytes = record.get(8 * index..8 * index + 8).and_then(|bytes| bytes.try_into().ok());
-        f64::from_le_bytes(bytes.unwrap_or_default())
-    };
-    let vehicle = |index: usize| {
-        let bytes = record.get(24 + 4 * index..28 + 4 * index).and_then(|bytes| bytes.try_into().ok());
-        u32::from_le_bytes(bytes.unwrap_or_default())
-    };
-    let [.., braking, class] = *record;
-    let contact = Braking::ALL.get(usize::from(braking)).map(|&ego_braking| FirstContact {
-        time_s: double(1),
-        front_vehicle: vehicle(0),
-        rear_vehicle: vehicle(1),
-        impact_speed_mps: double(2),
-        ego_braking,
-        rear_class: VehicleClass::ALL.get(usize::from(class)).copied().unwrap_or(VehicleClass::Light),
-    });
-    let failed = (braking == CONTROLLER_FAILED).then(|| (double(1), vehicle(0)));
-    RunVerdict { robustness: double(0), contact, failed }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crumple_world::measure::{Braking, FirstContact};
+    use crumple_world::scenario::VehicleClass;
 
     fn identity() -> String {
         "1a".repeat(32)

@@ -1,0 +1,214 @@
+//! Which request is answered by what.
+
+use std::sync::{Mutex, TryLockError};
+
+use crumple_world::observation::EstimatorKind;
+use crumple_world::quoted::Terminal;
+use crumple_world::scenario::ScenarioSpec;
+use hyper::{Method, StatusCode};
+use serde::{Deserialize, Serialize};
+
+use crate::avoided::avoided;
+use crate::campaign;
+use crate::drawn::{Sliders, drawn};
+use crate::gate::Gate;
+use crate::offer::Offered;
+use crate::page;
+use crate::refused::Refused;
+use crate::request::{Edited, RunRequest, read};
+use crate::saved::saved;
+
+/// The application: what it offers, and to whom.
+#[derive(Debug)]
+pub(crate) struct Application {
+    pub(crate) gate: Gate,
+    offer: Offered,
+    /// Held while it is decided whether somebody could have avoided something, which takes up to two minutes.
+    deciding: Mutex<()>,
+}
+
+/// What is sent back.
+#[derive(Debug)]
+pub(crate) struct Answer {
+    pub(crate) status: StatusCode,
+    pub(crate) content_type: &'static str,
+    pub(crate) body: Vec<u8>,
+}
+
+/// What is to be opened: an offered scenario, or one of a campaign.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Open {
+    #[serde(default)]
+    scenario: Option<usize>,
+    #[serde(default)]
+    campaign: Option<usize>,
+    /// Place among its distinct failures.
+    #[serde(default)]
+    counterexample: Option<usize>,
+    /// Place among its evaluations.
+    #[serde(default)]
+    evaluation: Option<usize>,
+}
+
+#[derive(Serialize)]
+struct Opened<'a> {
+    scenario: &'a ScenarioSpec,
+    sliders: Sliders,
+    /// Who drove in the campaign; none if that was not offered.
+    controller: Option<String>,
+    estimator: Option<&'static str>,
+    note: Option<String>,
+}
+
+/// A scenario that is to be saved.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Save {
+    what: Edited,
+    controller: String,
+    #[serde(default)]
+    estimator: EstimatorKind,
+    /// Whether it goes into the folder; otherwise it is only told.
+    to_folder: bool,
+}
+
+impl Application {
+    pub(crate) fn new(gate: Gate, offer: Offered) -> Self {
+        Self { gate, offer, deciding: Mutex::new(()) }
+    }
+
+    /// Answers what is behind the token. What is asked with a body may take its time.
+    pub(crate) fn answer(&self, method: &Method, rest: &str, body: &[u8]) -> Result<Answer, Refused> {
+        match (rest, method) {
+            ("", &Method::GET) => Ok(Answer::of("text/html; charset=utf-8", page::scenario(&self.offer))),
+            ("campaigns", &Method::GET) => Ok(Answer::of("text/html; charset=utf-8", page::campaigns(&self.offer))),
+            ("explore.css", &Method::GET) => Ok(Answer::of("text/css; charset=utf-8", page::style())),
+            ("explore.js", &Method::GET) => Ok(Answer::of("text/javascript; charset=utf-8", page::script())),
+            ("" | "campaigns" | "explore.css" | "explore.js", _) => Err(Refused::Method("GET")),
+            ("api/open", &Method::POST) => self.open(&read(body)?),
+            ("api/run", &Method::POST) => json(&drawn(read::<RunRequest>(body)?, &self.offer)?),
+            ("api/avoid", &Method::POST) => self.avoid(read(body)?),
+            ("api/save", &Method::POST) => self.save(read(body)?),
+            ("api/campaign", &Method::POST) => json(&campaign::seen(&read(body)?, &self.offer.campaigns)?),
+            ("api/open" | "api/run" | "api/avoid" | "api/save" | "api/campaign", _) => Err(Refused::Method("POST")),
+            _ => Err(Refused::NotFound("the pages and what they ask for are elsewhere")),
+        }
+    }
+
+    fn open(&self, wanted: &Open) -> Result<Answer, Refused> {
+        match wanted {
+            Open { scenario: Some(index), campaign: None, counterexample: None, evaluation: None } => {
+                let offered = self.offer.scenarios.get(*index);
+                let offered = offered.ok_or_else(|| {
+                    Refused::invalid("scenario", format!("{} were offered", self.offer.scenarios.len()))
+                })?;
+                let scenario = &offered.scenario;
+                json(&Opened {
+                    scenario: scenario.spec(),
+                    sliders: Sliders::of(scenario),
+                    controller: None,
+                    estimator: None,
+                    note: None,
+                })
+            }
+            Open { scenario: None, campaign: Some(index), counterexample, evaluation } => {
+                self.open_of_campaign(*index, *counterexample, *evaluation)
+            }
+            _ => Err(Refused::invalid("scenario", "either a scenario or a campaign is opened")),
+        }
+    }
+
+    fn open_of_campaign(
+        &self,
+        index: usize,
+        counterexample: Option<usize>,
+        evaluation: Option<usize>,
+    ) -> Result<Answer, Refused> {
+        let offered = self.offer.campaigns.get(index);
+        let offered = offered
+            .ok_or_else(|| Refused::invalid("campaign", format!("{} were offered", self.offer.campaigns.len())))?;
+        let look = offered.look();
+        let scenario = match (counterexample, evaluation) {
+            (Some(place), None) => {
+                let found = look.counterexample(place).map_err(campaign::failed)?;
+                found.ok_or_else(|| {
+                    Refused::invalid("counterexample", "the campaign has no such failure, or is not complete")
+                })?
+            }
+            (None, Some(place)) => {
+                let found = look.evaluations().get(place);
+                let (method, evaluated) = found
+                    .ok_or_else(|| Refused::invalid("evaluation", format!("{} are known", look.evaluations().len())))?;
+                let scenario = look.scenario(&evaluated.values).map_err(campaign::failed)?;
+                let name = format!("{}-{}-{}", look.space().name(), method.name(), evaluated.number);
+                let about = format!(
+                    "Evaluation {} of {} in the space `{}`.",
+                    evaluated.number,
+                    method.name(),
+                    look.space().name()
+                );
+                scenario.edited(|spec| (spec.name, spec.about) = (name, about))?
+            }
+            _ => return Err(Refused::invalid("campaign", "either a counterexample or an evaluation is opened")),
+        };
+        self.offer.remember_drivers(&scenario);
+        let name = look.controller();
+        let is_offered = self.offer.controllers.iter().any(|controller| controller.name == name);
+        let note = (!is_offered).then(|| {
+            format!("The campaign is about {}, which this was not started with: --controller", Terminal(name))
+        });
+        json(&Opened {
+            scenario: scenario.spec(),
+            sliders: Sliders::of(&scenario),
+            controller: is_offered.then(|| name.to_owned()),
+            estimator: Some(look.estimator().name()),
+            note,
+        })
+    }
+
+    fn avoid(&self, edited: Edited) -> Result<Answer, Refused> {
+        let scenario = edited.scenario(&self.offer)?;
+        let _alone = match self.deciding.try_lock() {
+            Ok(alone) => alone,
+            // Nothing is kept in it.
+            Err(TryLockError::Poisoned(alone)) => alone.into_inner(),
+            Err(TryLockError::WouldBlock) => {
+                return Err(Refused::Busy("whether another scenario could have been avoided"));
+            }
+        };
+        json(&avoided(&scenario)?)
+    }
+
+    fn save(&self, save: Save) -> Result<Answer, Refused> {
+        let scenario = save.what.scenario(&self.offer)?;
+        let named = self.offer.controllers(std::slice::from_ref(&save.controller))?;
+        let controller = named.first().map_or("", |controller| controller.name.as_str());
+        let out = match (&self.offer.out, save.to_folder) {
+            (Some(folder), true) => Some(folder.as_path()),
+            (None, true) => return Err(Refused::invalid("to_folder", "no folder was given: start with --out")),
+            (_, false) => None,
+        };
+        json(&saved(&scenario, controller, save.estimator.name(), out)?)
+    }
+}
+
+impl Answer {
+    fn of(content_type: &'static str, body: impl Into<Vec<u8>>) -> Self {
+        Self { status: StatusCode::OK, content_type, body: body.into() }
+    }
+}
+
+impl From<Refused> for Answer {
+    fn from(refused: Refused) -> Self {
+        let body = format!("{}\n", refused.json()).into_bytes();
+        Self { status: refused.status(), content_type: JSON, body }
+    }
+}
+
+const JSON: &str = "application/json";
+
+fn json(content: &impl Serialize) -> Result<Answer, Refused> {
+    let body = serde_json::to_vec(content).map_err(|error| Refused::Failed(error.to_string()))?;
+    Ok(Answer::of(JSON, body))
+}

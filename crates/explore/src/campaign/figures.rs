@@ -1,0 +1,213 @@
+//! Figures of campaigns, drawn as those of reports are; what is in them leads to its scenario.
+
+use std::collections::HashMap;
+
+use crumple_report::draw::{
+    Anchor, Axis, BELOW, CellLook, Frame, HEADING, Ink, KeyEntry, LEFT, Marker, Panel, SMALL, Stroke, Svg, cells,
+    extent, key, mark, padded, signed, text_width, words,
+};
+use crumple_search::falsify::Method;
+use maud::{Markup, html};
+
+use super::Shown;
+use super::cells::{Cell, Map, Side};
+
+/// Width of a figure where there is room, and where there is not.
+const WIDTHS: [f64; 2] = [720.0, 380.0];
+const HEIGHT: f64 = 240.0;
+/// Height of a cell of a map.
+const CELL: f64 = 30.0;
+
+fn width(narrow: bool) -> f64 {
+    let [wide, small] = WIDTHS;
+    if narrow { small } else { wide }
+}
+
+/// The smallest robustness so far over the evaluations of each method.
+pub(super) fn best(shown: &[Shown<'_>], narrow: bool) -> Markup {
+    let mut lines: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
+    for one in shown {
+        for method in one.look.methods() {
+            let name =
+                if shown.len() > 1 { format!("{}: {}", one.name, method.name()) } else { method.name().to_owned() };
+            lines.push((name, falling(one, method)));
+        }
+    }
+    let all = || lines.iter().flat_map(|(_, line)| line);
+    let most = all().map(|point| point.0).fold(1.0, f64::max);
+    // Each in its own place on a paper of powers of ten.
+    let marks =
+        (0..=most.log10().ceil().max(1.0) as i32).map(|power| (f64::from(power), format!("{}", 10f64.powi(power))));
+    let x = Axis::marked("evaluations of the method", (0.0, most.log10().max(1.0)), marks.collect());
+    let y = Axis::numbers("", padded(extent(all().map(|point| point.1).chain([0.0])), 0.05), 6);
+    let frame = Frame { left: LEFT + 12.0, top: HEADING, width: width(narrow) - LEFT - 24.0, height: HEIGHT };
+    let title = "Best robustness (below 0 a failure)";
+    let mut panel = Panel::new(frame, title, x, y);
+    panel.rule_y(0.0, Stroke::solid(Ink::Alert, 1.0));
+    let mut entries = Vec::new();
+    for (index, (name, line)) in lines.iter().enumerate() {
+        let line: Vec<(f64, f64)> = line.iter().map(|(x, y)| (x.log10(), *y)).collect();
+        panel.line(&line, Stroke::series(index));
+        entries.push(KeyEntry::Line(Stroke::series(index), name));
+    }
+    let (key, key_height) = key(&entries, width(narrow) - 12.0);
+    let top = frame.bottom() + BELOW + 6.0;
+    let content = html! {
+        (panel.draw(&Svg::id("best", "frame")))
+        g transform={ "translate(12 " (top) ")" } { (key) }
+    };
+    let description =
+        "The smallest robustness that each method had found, over its evaluations on a logarithmic scale.";
+    Svg::new("best", (width(narrow), top + key_height), title, description, content).inline()
+}
+
+/// Where the smallest robustness of a method falls, and where it is in the end.
+fn falling(one: &Shown<'_>, wanted: Method) -> Vec<(f64, f64)> {
+    let mut line: Vec<(f64, f64)> = Vec::new();
+    let (mut least, mut last) = (f64::INFINITY, 0);
+    for (_, evaluated) in one.look.evaluations().iter().filter(|(method, _)| *method == wanted) {
+        last = evaluated.number;
+        let robustness = evaluated.verdict.robustness;
+        if robustness.is_finite() && robustness < least {
+            if least.is_finite() {
+                line.push((last as f64, least));
+            }
+            least = robustness;
+            line.push((last as f64, least));
+        }
+    }
+    if least.is_finite() {
+        line.push((last as f64, least));
+    }
+    line
+}
+
+/// Severity against likelihood.
+pub(super) fn front(shown: &[Shown<'_>], narrow: bool) -> Markup {
+    let fronts: Vec<_> = shown.iter().map(|one| (one, one.look.front())).collect();
+    let points = || fronts.iter().flat_map(|(_, front)| front);
+    if points().next().is_none() {
+        return html! { p.hint { "No failure yet, so nothing stands on the front." } };
+    }
+    let x = Axis::numbers("ln likelihood", padded(extent(points().map(|point| point.ln_likelihood)), 0.06), 8);
+    let y = Axis::numbers("", padded(extent(points().map(|point| point.robustness).chain([0.0])), 0.06), 6);
+    let frame = Frame { left: LEFT + 12.0, top: HEADING, width: width(narrow) - LEFT - 24.0, height: HEIGHT };
+    let title = "Robustness of failures that no other beats in severity and likelihood";
+    let mut panel = Panel::new(frame, if narrow { "The front: robustness" } else { title }, x, y);
+    let markers = [Marker::Disc, Marker::Square];
+    for (series, (one, front)) in fronts.iter().enumerate() {
+        let place: HashMap<(&str, u64), usize> = one
+            .look
+            .evaluations()
+            .iter()
+            .enumerate()
+            .map(|(index, (method, evaluated))| ((method.name(), evaluated.number), index))
+            .collect();
+        let line: Vec<(f64, f64)> = front.iter().map(|point| (point.ln_likelihood, point.robustness)).collect();
+        panel.line(&line, Stroke { width: 0.8, ..Stroke::series(series) });
+        for point in front.iter().filter(|point| point.ln_likelihood.is_finite() && point.robustness.is_finite()) {
+            let drawn =
+                mark(panel.place((point.ln_likelihood, point.robustness)), markers[series % 2], Ink::Series(series));
+            let said = format!(
+                "{}: robustness {}, ln likelihood {}",
+                point.kind,
+                signed(point.robustness, 2),
+                signed(point.ln_likelihood, 2)
+            );
+            panel.overlay(match place.get(&(point.method.as_str(), point.evaluation)) {
+                Some(index) => html! {
+                    a href={ "./?campaign=" (one.index) "&evaluation=" (index) } aria-label=(said) { title { (said) } (drawn) }
+                },
+                // Its evaluation was not kept.
+                None => drawn,
+            });
+        }
+    }
+    let names: Vec<String> = shown.iter().map(|one| one.name.to_owned()).collect();
+    let entries: Vec<KeyEntry<'_>> =
+        names.iter().zip(markers).map(|(name, marker)| KeyEntry::Mark(marker, name)).collect();
+    let (key, key_height) = key(&entries, width(narrow) - 12.0);
+    let top = frame.bottom() + BELOW + 6.0;
+    let content = html! {
+        (panel.draw(&Svg::id("front", "frame")))
+        g transform={ "translate(12 " (top) ")" } { (key) }
+    };
+    Svg::new("front", (width(narrow), top + key_height), title, "Each point leads to its scenario.", content)
+        .with_links()
+        .inline()
+}
+
+/// What was tried in each cell, and what failed.
+pub(super) fn map(shown: &Shown<'_>, map: &Map, narrow: bool) -> Markup {
+    let widest = map.up.cells.iter().map(|(from, _)| text_width(from, SMALL)).fold(0.0, f64::max);
+    let (columns, rows) = (map.across.cells.len(), map.up.cells.len());
+    let left = widest + 16.0;
+    let wide = ((width(narrow) - left - 14.0) / columns as f64).min(2.0 * CELL);
+    let frame = Frame { left, top: HEADING + 4.0, width: wide * columns as f64, height: CELL * rows as f64 };
+    let cell_frame = |index: usize| {
+        let (row, column) = (index / columns, index % columns);
+        // The smallest value below.
+        Frame {
+            left: left + column as f64 * wide,
+            top: frame.bottom() - (row + 1) as f64 * CELL,
+            width: wide,
+            height: CELL,
+        }
+    };
+    let of = |wanted: fn(&Cell) -> bool| {
+        map.cells.iter().enumerate().filter(move |(_, cell)| wanted(cell)).map(|(index, _)| cell_frame(index))
+    };
+    let prefix = format!("map-{}", shown.index);
+    let title = format!("{} over {}", map.up.title(), map.across.title());
+    let content = html! {
+        (words((4.0, 15.0), Anchor::Start, shown.name, SMALL + 1.0, Ink::Text, false))
+        (words((4.0, 32.0), Anchor::Start, &format!("↑ {}", map.up.title()), SMALL, Ink::Muted, false))
+        (cells(CellLook::Blank, of(|cell| cell.tried > 0 && cell.failing == 0)))
+        (cells(CellLook::Crossed, of(|cell| cell.failing > 0 && cell.failing < cell.tried)))
+        @for (index, cell) in map.cells.iter().enumerate().filter(|(_, cell)| cell.failing > 0 && cell.failing == cell.tried) {
+            @let Frame { left, top, width, height } = cell_frame(index);
+            rect x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height)) fill=(Ink::Alert.hex()) fill-opacity="0.5" {}
+            (words((left + width / 2.0, top + height / 2.0 + 4.0), Anchor::Middle, &cell.failing.to_string(), SMALL, Ink::Text, false))
+        }
+        rect x=(px(frame.left)) y=(px(frame.top)) width=(px(frame.width)) height=(px(frame.height)) fill="none" stroke=(Ink::Axis.hex()) {}
+        @for (index, (from, _)) in map.up.cells.iter().enumerate() {
+            @let y = frame.bottom() - (index as f64 + if map.up.is_named { 0.5 } else { 0.0 }) * CELL + 4.0;
+            (words((left - 5.0, y), Anchor::End, from, SMALL, Ink::Text, false))
+        }
+        @for (index, (from, _)) in map.across.cells.iter().enumerate().filter(|(index, _)| map.across.is_named || index % 3 == 0) {
+            @let x = frame.left + (index as f64 + if map.across.is_named { 0.5 } else { 0.0 }) * wide;
+            (words((x, frame.bottom() + 15.0), Anchor::Middle, from, SMALL, Ink::Text, false))
+        }
+        (words((frame.right(), frame.bottom() + 31.0), Anchor::End, &format!("{} →", map.across.title()), SMALL, Ink::Muted, false))
+        @for (index, cell) in map.cells.iter().enumerate() {
+            @if let Some((worst, robustness)) = cell.worst {
+                @let Frame { left, top, width, height } = cell_frame(index);
+                @let said = format!("{}, {}: {} of {} fail, worst robustness {}", map.across.words(index % columns), map.up.words(index / columns),
+                    cell.failing, cell.tried, signed(robustness, 2));
+                a href={ "./?campaign=" (shown.index) "&evaluation=" (worst) } aria-label=(said) {
+                    title { (said) }
+                    rect class="cell" x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height)) fill="transparent" {}
+                }
+            }
+        }
+    };
+    let description = "Green: tried, nothing fails. Crossed: some fail. Red with a number: all that were tried fail. Blank: not tried. Each cell leads \
+        to its worst scenario.";
+    let size = ((frame.right() + 14.0).max(width(narrow).min(320.0)), frame.bottom() + 40.0);
+    html! { div.map { (Svg::new(&prefix, size, &title, description, content).with_links()) } }
+}
+
+impl Side {
+    fn title(&self) -> String {
+        if self.unit == "1" || self.unit.is_empty() {
+            self.name.clone()
+        } else {
+            format!("{} ({})", self.name, self.unit)
+        }
+    }
+}
+
+/// A length in pixels, as it is written.
+fn px(length: f64) -> String {
+    format!("{length:.1}")
+}

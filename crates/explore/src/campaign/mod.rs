@@ -1,0 +1,313 @@
+//! Campaigns as the page shows them, while they run and afterwards.
+
+mod cells;
+mod figures;
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{CampaignError, Evaluated, Look, MOST_SHOWN};
+use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed};
+use crumple_world::quoted::{Lines, Terminal};
+use maud::{Markup, html};
+use serde::{Deserialize, Serialize};
+
+use crate::refused::Refused;
+use cells::Map;
+
+/// Failures that are listed.
+const MOST_LISTED: usize = 40;
+/// How long a request reads on, before it shows what there is.
+const READING: Duration = Duration::from_millis(150);
+/// Evaluations that are read at once.
+const AT_ONCE: usize = 2_000;
+
+/// A campaign, and what it is called in a list.
+#[derive(Debug)]
+pub(crate) struct OfferedCampaign {
+    pub(crate) name: String,
+    look: Mutex<Look>,
+}
+
+/// What the page wants to see.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct CampaignRequest {
+    campaign: usize,
+    /// The one beside it.
+    #[serde(default)]
+    against: Option<usize>,
+    /// Names of the two coordinates of the map.
+    #[serde(default)]
+    across: Option<String>,
+    #[serde(default)]
+    up: Option<String>,
+    /// Only evaluations by this method.
+    #[serde(default)]
+    method: Option<String>,
+    /// Of failures only those of this kind.
+    #[serde(default)]
+    kind: Option<String>,
+    #[serde(default)]
+    narrow: bool,
+}
+
+/// What it sees.
+#[derive(Debug, Serialize)]
+pub(crate) struct Seen {
+    /// Whether more may come.
+    running: bool,
+    /// Whether more is there already.
+    loading: bool,
+    words: Vec<String>,
+    coordinates: Vec<String>,
+    across: String,
+    up: String,
+    methods: Vec<&'static str>,
+    kinds: Vec<String>,
+    best: String,
+    front: String,
+    maps: String,
+    distinct: String,
+    failures: String,
+}
+
+/// A campaign as it is drawn.
+pub(crate) struct Shown<'a> {
+    pub(crate) index: usize,
+    pub(crate) name: &'a str,
+    pub(crate) look: &'a Look,
+}
+
+impl OfferedCampaign {
+    pub(crate) fn new(name: String, look: Look) -> Self {
+        Self { name, look: Mutex::new(look) }
+    }
+
+    /// What is known of it. A reader that panicked has left it as it was.
+    pub(crate) fn look(&self) -> MutexGuard<'_, Look> {
+        self.look.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads on for a moment. Whether more is there.
+    fn read_on(&self) -> Result<bool, Refused> {
+        let (mut look, until) = (self.look(), Instant::now() + READING);
+        loop {
+            let is_more = look.go_on(AT_ONCE).map_err(failed)?;
+            if !is_more || Instant::now() >= until {
+                return Ok(is_more);
+            }
+        }
+    }
+}
+
+/// What cannot be read of a campaign.
+pub(crate) fn failed(error: CampaignError) -> Refused {
+    Refused::Failed(Terminal(&error.to_string()).to_string())
+}
+
+/// Looks at one campaign, or at two beside each other.
+pub(crate) fn seen(request: &CampaignRequest, offered: &[OfferedCampaign]) -> Result<Seen, Refused> {
+    let of = |field: &str, index: usize| {
+        offered.get(index).ok_or_else(|| Refused::invalid(field, format!("{} campaigns were offered", offered.len())))
+    };
+    let one = of("campaign", request.campaign)?;
+    // One beside itself would wait for itself.
+    let against = request.against.filter(|index| *index != request.campaign);
+    let other = against.map(|index| of("against", index)).transpose()?;
+    let mut loading = one.read_on()?;
+    if let Some(other) = other {
+        loading |= other.read_on()?;
+    }
+    // In one order, whoever asks for which beside which.
+    let (first, second) = match other {
+        Some(other) if against < Some(request.campaign) => {
+            let other = other.look();
+            (one.look(), Some(other))
+        }
+        other => (one.look(), other.map(OfferedCampaign::look)),
+    };
+    let mut shown = vec![Shown { index: request.campaign, name: &one.name, look: &first }];
+    if let (Some(look), Some(index), Some(other)) = (&second, against, other) {
+        shown.push(Shown { index, name: &other.name, look });
+    }
+    let look: &Look = &first;
+    let coordinates = look.space().coordinate_names();
+    let place = |field: &str, name: &Option<String>, otherwise: usize| match name {
+        None => Ok(otherwise.min(coordinates.len().saturating_sub(1))),
+        Some(name) => coordinates
+            .iter()
+            .position(|known| known == name)
+            .ok_or_else(|| Refused::invalid(field, "not a parameter of this campaign")),
+    };
+    let (across, up) = (place("across", &request.across, 0)?, place("up", &request.up, 1)?);
+    let kinds = kinds(look);
+    let chosen = Chosen { method: request.method.as_deref(), kind: request.kind.as_deref() };
+    let name = |place: usize| coordinates.get(place).cloned().unwrap_or_default();
+    let maps = html! {
+        div.side-by-side data-columns=(if request.narrow { 1 } else { shown.len() }) {
+            @for one in &shown {
+                @match Map::of(one.look, [&name(across), &name(up)], &chosen) {
+                    Some(map) => (figures::map(one, &map, request.narrow || shown.len() > 1)),
+                    None => p.hint { (Terminal(one.name)) " does not vary both of these." },
+                }
+            }
+        }
+    };
+    Ok(Seen {
+        running: shown.iter().any(|one| one.look.summary().is_none()),
+        loading,
+        words: shown.iter().map(words).collect(),
+        across: name(across),
+        up: name(up),
+        methods: look.methods().into_iter().map(Method::name).collect(),
+        best: plain(figures::best(&shown, request.narrow)),
+        front: plain(figures::front(&shown, request.narrow)),
+        maps: plain(maps),
+        distinct: plain(shown.iter().map(distinct).fold(html! {}, |before, next| html! { (before) (next) })),
+        failures: plain(failures(&shown, &chosen)),
+        coordinates,
+        kinds,
+    })
+}
+
+/// Markup, in which names turn the direction of nothing.
+fn plain(markup: Markup) -> String {
+    Lines(&markup.into_string()).to_string()
+}
+
+/// What is looked at.
+pub(crate) struct Chosen<'a> {
+    method: Option<&'a str>,
+    kind: Option<&'a str>,
+}
+
+impl Chosen<'_> {
+    /// Whether an evaluation is among it, and whether it fails.
+    fn of(&self, look: &Look, method: Method, evaluated: &Evaluated) -> Option<bool> {
+        if self.method.is_some_and(|wanted| wanted != method.name()) {
+            return None;
+        }
+        let fails = evaluated.verdict.is_violation();
+        match self.kind {
+            Some(wanted) if fails => look.kind(evaluated).is_some_and(|kind| kind == wanted).then_some(true),
+            _ => Some(fails),
+        }
+    }
+}
+
+/// The kinds of failures, the most frequent first.
+fn kinds(look: &Look) -> Vec<String> {
+    if let Some(summary) = look.summary().filter(|summary| !summary.failures.is_empty()) {
+        return summary.failures.iter().map(|kind| kind.kind.clone()).collect();
+    }
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for kind in look.evaluations().iter().filter_map(|(_, evaluated)| look.kind(evaluated)) {
+        *counts.entry(kind).or_default() += 1;
+    }
+    let mut kinds: Vec<_> = counts.into_iter().collect();
+    kinds.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+    kinds.into_iter().map(|(kind, _)| kind).collect()
+}
+
+fn words(shown: &Shown<'_>) -> String {
+    let Shown { name, look, .. } = shown;
+    let (made, all) = (look.evaluations().len(), look.total());
+    let failing = look.evaluations().iter().filter(|(_, evaluated)| evaluated.verdict.is_violation()).count();
+    let stage = match look.summary() {
+        None => format!("running, {made} of {all} evaluations so far, {failing} fail"),
+        Some(summary) if summary.methods.iter().any(|method| method.evaluations > 0) && made == 0 => {
+            format!("complete, {all} evaluations, of which none was kept")
+        }
+        Some(_) if made < usize::try_from(all).unwrap_or(usize::MAX) && made >= MOST_SHOWN => {
+            format!("complete; of {all} evaluations the first {made} are shown, {failing} of which fail")
+        }
+        Some(_) => format!("complete, {made} evaluations, {failing} fail"),
+    };
+    let (controller, space) = (look.controller(), look.space().name());
+    Terminal(&format!(
+        "{name}: {controller} in {space}, {}, estimator {}: {stage}",
+        look.specification(),
+        look.estimator().name()
+    ))
+    .to_string()
+}
+
+/// The distinct failures of a complete campaign.
+fn distinct(shown: &Shown<'_>) -> Markup {
+    let Some(summary) = shown.look.summary() else {
+        return html! { p.hint { (Terminal(shown.name)) ": distinct failures are told apart when the search is over." } };
+    };
+    html! {
+        @if summary.counterexamples.is_empty() { p { (Terminal(shown.name)) ": no failure was found. That is no proof that there is none." } }
+        @else { div.scroll tabindex="0" { table {
+            caption { (Terminal(shown.name)) ": distinct failures, shrunk, the severest first" }
+            thead { tr {
+                th scope="col" { "what happens" } th.number scope="col" { "impact (m/s)" } th.number scope="col" { "at (s)" }
+                th scope="col" { "avoidable" } th scope="col" { "found by" } th scope="col" { "not nominal" }
+            } }
+            tbody { @for (place, found) in summary.counterexamples.iter().enumerate() { tr {
+                th scope="row" { a href={ "./?campaign=" (shown.index) "&counterexample=" (place) } { (Terminal(&found.kind)) } }
+                td.number { (number(found.impact_speed_mps, 1)) }
+                td.number { (number(found.contact_time_s, 2)) }
+                td { (avoidable(found.avoidability.class())) }
+                td { (found.found_by) " after " (found.found_at) }
+                td { (Terminal(&found.changed.iter().map(changed).collect::<Vec<_>>().join(", "))) }
+            } } }
+        } } }
+    }
+}
+
+/// Failing evaluations: the latest while a campaign runs, the severest afterwards.
+fn failures(shown: &[Shown<'_>], chosen: &Chosen<'_>) -> Markup {
+    let list = |one: &Shown<'_>| {
+        let rows = one.look.evaluations().iter().enumerate();
+        let mut failing: Vec<_> =
+            rows.filter(|(_, (method, evaluated))| chosen.of(one.look, *method, evaluated) == Some(true)).collect();
+        match one.look.summary() {
+            None => failing.reverse(),
+            Some(_) => {
+                failing.sort_by(|(_, (_, a)), (_, (_, b))| a.verdict.robustness.total_cmp(&b.verdict.robustness))
+            }
+        }
+        let all = failing.len();
+        failing.truncate(MOST_LISTED);
+        let order = if one.look.summary().is_some() { "severest" } else { "latest" };
+        html! { @if all > 0 { div.scroll tabindex="0" { table {
+            caption { (Terminal(one.name)) ": " (all) " failing evaluations" @if all > failing.len() { ", the " (failing.len()) " " (order) } }
+            thead { tr {
+                th scope="col" { "evaluation" } th scope="col" { "what happens" } th.number scope="col" { "impact (m/s)" }
+                th.number scope="col" { "at (s)" } th.number scope="col" { "robustness" } th.number scope="col" { "ln likelihood" }
+            } }
+            tbody { @for (index, (method, evaluated)) in &failing { tr {
+                th scope="row" { a href={ "./?campaign=" (one.index) "&evaluation=" (index) } { (method.name()) " " (evaluated.number) } }
+                td { (Terminal(&one.look.kind(evaluated).unwrap_or_default())) }
+                td.number { (number(evaluated.verdict.contact.map(|contact| contact.impact_speed_mps), 1)) }
+                td.number { (number(evaluated.verdict.contact.map(|contact| contact.time_s), 2)) }
+                td.number { (number(Some(evaluated.verdict.robustness), 2)) }
+                td.number { (number(Some(evaluated.ln_likelihood), 2)) }
+            } } }
+        } } } @else { p.hint { (Terminal(one.name)) ": no evaluation fails among these." } } }
+    };
+    html! { @for one in shown { (list(one)) } }
+}
+
+fn changed(changed: &Changed) -> String {
+    let unit = if changed.unit == "1" { "" } else { changed.unit.as_str() };
+    format!("{} {} {unit}", changed.parameter, changed.value).trim_end().to_owned()
+}
+
+fn avoidable(class: AvoidabilityClass) -> &'static str {
+    match class {
+        AvoidabilityClass::Avoidable => "yes",
+        AvoidabilityClass::Unavoidable => "no, proved",
+        AvoidabilityClass::Undecided => "undecided",
+        AvoidabilityClass::NotAsked => "not asked",
+    }
+}
+
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or("–".to_owned(), |value| crumple_report::draw::signed(value, digits))
+}

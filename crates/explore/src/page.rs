@@ -1,0 +1,155 @@
+//! The pages, their style sheet and their script. Everything that moves is asked for by the script; nothing comes from elsewhere.
+
+use crumple_report::PAGE_STYLE;
+use crumple_report::draw::{self, ANIMATION_SCRIPT, ANIMATION_STYLE};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::quoted::Terminal;
+use crumple_world::scenario::VehicleClass;
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use serde_json::{Value, json};
+
+use crate::offer::{Offer, Offered};
+
+/// The one style sheet.
+pub(crate) fn style() -> String {
+    [PAGE_STYLE, draw::STYLE, ANIMATION_STYLE, include_str!("explore.css")].concat()
+}
+
+/// The one script.
+pub(crate) fn script() -> String {
+    [ANIMATION_SCRIPT, include_str!("explore.js")].concat()
+}
+
+/// The page of a scenario.
+pub(crate) fn scenario(offer: &Offered) -> String {
+    let classes = VehicleClass::ALL.iter().map(|class| {
+        json!({ "name": class.name(), "max_brake_mps2": class.max_brake_mps2(), "max_accel_mps2": class.max_accel_mps2() })
+    });
+    let start = json!({ "classes": classes.collect::<Vec<_>>(), "most_controllers": Offer::MOST_CONTROLLERS });
+    let content = html! {
+        h1.unseen { "Scenario" }
+        div.bench {
+            form.controls id="controls" aria-label="What happens" {
+                label { "Scenario "
+                    select id="scenario" {
+                        @for (index, offered) in offer.scenarios.iter().enumerate() { option value=(index) { (Terminal(&offered.name)) } }
+                    }
+                }
+                p.hint id="about" hidden {}
+                fieldset { legend { "Road" } div id="road" {} }
+                div id="vehicles" {}
+                fieldset {
+                    legend { "How vehicle 0 brakes" }
+                    div id="lead" {}
+                    p.hint id="lead-help" { "Draw its acceleration with the pointer; or focus it, choose a moment with ← and →, and change it with ↑ and ↓." }
+                    button type="button" id="lead-back" { "As in the scenario" }
+                }
+                fieldset id="chosen" {
+                    legend { "Controllers, side by side" }
+                    @for (index, controller) in offer.controllers.iter().enumerate() {
+                        @let name = Terminal(&controller.name);
+                        label.choice { input type="checkbox" value=(controller.name) checked[index < offer.chosen]; " " (name) }
+                    }
+                }
+                label { "They look through "
+                    select id="estimator" {
+                        @for estimator in EstimatorKind::ALL {
+                            option value=(estimator.name()) selected[estimator == offer.estimator] { (estimator.name()) }
+                        }
+                    }
+                }
+                label { "Name " input type="text" id="name" maxlength="200" autocomplete="off"; }
+                div.buttons {
+                    @if offer.out.is_some() { button type="button" id="save" { "Save" } }
+                    button type="button" id="download" { "Download" }
+                    button type="button" id="reset" { "Begin anew" }
+                }
+                p id="saved" role="status" {}
+            }
+            section.seen aria-label="What comes of it" {
+                p.bad id="error" role="alert" hidden {}
+                div id="verdicts" {}
+                p.unseen id="said" role="status" {}
+                p { button type="button" id="avoid" { "Could anyone have avoided it?" } }
+                div id="avoided" aria-live="polite" {}
+                div id="figures" {}
+                div id="above" {}
+            }
+        }
+    };
+    document("scenario", "Scenario", &start, &content)
+}
+
+/// The page of campaigns.
+pub(crate) fn campaigns(offer: &Offered) -> String {
+    let names = || offer.campaigns.iter().enumerate();
+    let content = html! {
+        h1.unseen { "Campaigns" }
+        @if offer.campaigns.is_empty() {
+            p { "No campaign was given. Start with the folder of one, finished or under way:" }
+            p { code { "crumple explore runs/match-leader" } }
+        } @else {
+            form.filters id="filters" aria-label="What is shown" {
+                label { "Campaign " select id="campaign" { @for (index, campaign) in names() { option value=(index) { (Terminal(&campaign.name)) } } } }
+                label { "Beside it "
+                    select id="against" {
+                        option value="" { "none" }
+                        @for (index, campaign) in names() { option value=(index) { (Terminal(&campaign.name)) } }
+                    }
+                }
+                label { "Map across " select id="across" {} }
+                label { "Map up " select id="up" {} }
+                label { "Only by " select id="method" { option value="" { "every method" } } }
+                label { "Only failures in which " select id="kind" { option value="" { "anything fails" } } }
+            }
+            p.bad id="error" role="alert" hidden {}
+            div id="words" {}
+            p.unseen id="said" role="status" {}
+            div.pair { div id="best" {} div id="front" {} }
+            section { h2 { "Where it fails" }
+                p.hint { "Green: tried, nothing fails. Crossed: some fail. Red, with how many: all that were tried fail. Blank: not tried. A cell leads to its worst scenario." }
+                div id="maps" {}
+            }
+            section { h2 { "Failures" } div id="distinct" {} div id="failures" {} }
+        }
+    };
+    document("campaigns", "Campaigns", &json!({}), &content)
+}
+
+fn document(page: &str, title: &str, start: &Value, content: &Markup) -> String {
+    let document = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="generator" content={ "crumple " (env!("CARGO_PKG_VERSION")) };
+                title { (title) " – crumple" }
+                link rel="icon" href="data:,";
+                link rel="stylesheet" href="explore.css";
+                script src="explore.js" defer {}
+            }
+            body.explore data-page=(page) {
+                header {
+                    p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
+                    nav {
+                        @for (name, address, words) in [("scenario", "./", "Scenario"), ("campaigns", "campaigns", "Campaigns")] {
+                            a href=(address) aria-current=[(name == page).then_some("page")] { (words) } " "
+                        }
+                    }
+                }
+                main {
+                    noscript { p.bad { "This page needs its script." } }
+                    (content)
+                }
+                script type="application/json" id="start" { (PreEscaped(embedded(start))) }
+            }
+        }
+    };
+    document.into_string()
+}
+
+/// JSON that nothing in it can end as an element of a page.
+fn embedded(json: &Value) -> String {
+    json.to_string().replace('<', "\\u003c")
+}

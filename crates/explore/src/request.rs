@@ -1,0 +1,171 @@
+//! What the page sends: a scenario, and what was changed of it.
+
+use std::path::Path;
+
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::file::parse_json;
+use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, ScenarioSpec, VehicleClass};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use crate::offer::{Offered, of_scenario};
+use crate::refused::Refused;
+
+/// Most vehicles times steps that are simulated for one request, over all its controllers: half a second's work.
+pub(crate) const MOST_VEHICLE_STEPS: usize = 400_000;
+
+/// A scenario with what was changed of it, as it is.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Edited {
+    scenario: ScenarioSpec,
+    #[serde(default)]
+    edits: Edits,
+}
+
+/// A scenario that is to be run.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct RunRequest {
+    scenario: ScenarioSpec,
+    #[serde(default)]
+    edits: Edits,
+    /// Names of those that run side by side.
+    pub(crate) controllers: Vec<String>,
+    #[serde(default)]
+    pub(crate) estimator: EstimatorKind,
+    /// Whether figures are to fit a narrow screen.
+    #[serde(default)]
+    pub(crate) narrow: bool,
+}
+
+/// What was changed. What is not said stays as it is.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Edits {
+    name: Option<String>,
+    friction: Option<f64>,
+    vehicles: Vec<VehicleEdit>,
+    /// How vehicle 0 accelerates and brakes, in place of its driver.
+    lead: Option<Pieces>,
+}
+
+/// What was changed of one vehicle.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct VehicleEdit {
+    vehicle: usize,
+    class: Option<VehicleClass>,
+    /// The gap to the one listed ahead, between bumpers.
+    gap_m: Option<f64>,
+    speed_mps: Option<f64>,
+}
+
+/// Reads what a request says.
+pub(crate) fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Refused> {
+    let text = std::str::from_utf8(body).map_err(|error| Refused::Malformed {
+        line: 1 + body.iter().take(error.valid_up_to()).filter(|&&byte| byte == b'\n').count(),
+        message: "not UTF-8".to_owned(),
+    })?;
+    Ok(parse_json(text, Path::new("request"))?)
+}
+
+impl Edited {
+    /// The scenario that is meant.
+    pub(crate) fn scenario(self, offer: &Offered) -> Result<Scenario, Refused> {
+        meant(self.scenario, self.edits, 1, offer)
+    }
+}
+
+impl RunRequest {
+    /// The scenario that is meant, taken out.
+    pub(crate) fn scenario(&mut self, offer: &Offered) -> Result<Scenario, Refused> {
+        let (spec, edits) = (self.scenario.clone(), std::mem::take(&mut self.edits));
+        meant(spec, edits, self.controllers.len(), offer)
+    }
+}
+
+/// A scenario with what was changed, found valid and small enough to be run so often.
+fn meant(mut spec: ScenarioSpec, edits: Edits, runs: usize, offer: &Offered) -> Result<Scenario, Refused> {
+    offer.fill_drivers(&mut spec)?;
+    edits.apply(&mut spec)?;
+    let scenario = Scenario::new(spec).map_err(of_scenario)?;
+    let found = scenario.steps().saturating_mul(scenario.vehicles().len()).saturating_mul(runs.max(1));
+    if found > MOST_VEHICLE_STEPS {
+        let problem = format!(
+            "asks for {found} vehicle-steps over all controllers, and {MOST_VEHICLE_STEPS} are followed while one drags"
+        );
+        return Err(Refused::invalid("scenario.duration_s", problem));
+    }
+    Ok(scenario)
+}
+
+impl Edits {
+    fn apply(self, spec: &mut ScenarioSpec) -> Result<(), Refused> {
+        if let Some(name) = self.name {
+            spec.name = name;
+        }
+        if let Some(friction) = self.friction {
+            spec.environment.friction = friction;
+        }
+        // Positions that nobody changed stay as they are to the last bit.
+        let moves = self.vehicles.iter().any(|edit| edit.gap_m.is_some() || edit.class.is_some());
+        let mut gaps_m = gaps_m(spec);
+        for (index, edit) in self.vehicles.iter().enumerate() {
+            let Some(vehicle) = spec.vehicles.get_mut(edit.vehicle) else {
+                let problem = format!("there is no vehicle {} in the scenario", edit.vehicle);
+                return Err(Refused::invalid(format!("edits.vehicles[{index}].vehicle"), problem));
+            };
+            if let Some(class) = edit.class {
+                vehicle.class = class;
+            }
+            if let Some(speed_mps) = edit.speed_mps {
+                vehicle.speed_mps = speed_mps;
+            }
+            match (edit.gap_m, edit.vehicle.checked_sub(1).and_then(|before| gaps_m.get_mut(before))) {
+                (Some(gap_m), Some(gap)) => *gap = gap_m,
+                (Some(_), None) => {
+                    return Err(Refused::invalid(
+                        format!("edits.vehicles[{index}].gap_m"),
+                        "nobody is ahead of the first vehicle",
+                    ));
+                }
+                (None, _) => {}
+            }
+        }
+        if moves {
+            line_up(spec, &gaps_m);
+        }
+        if let (Some(pieces), Some(lead)) = (self.lead, spec.vehicles.first_mut()) {
+            lead.driver = Driver::Profile(LeadProfile::Pieces(pieces));
+            // A script says when a vehicle does what.
+            (lead.reaction_delay_s, lead.actuator_lag_s, lead.actuator_delay_s, lead.jerk_limit_mps3) =
+                (0.0, 0.0, 0.0, None);
+        }
+        Ok(())
+    }
+}
+
+/// The gap ahead of each vehicle but the first, between bumpers, in metres.
+pub(crate) fn gaps_m(spec: &ScenarioSpec) -> Vec<f64> {
+    let gap = |pair: &[_]| match pair {
+        [ahead, behind] => {
+            let (ahead, behind): (&crumple_world::scenario::VehicleSpec, &crumple_world::scenario::VehicleSpec) =
+                (ahead, behind);
+            ahead.position_m - ahead.length_m() - behind.position_m
+        }
+        _ => 0.0,
+    };
+    spec.vehicles.windows(2).map(gap).collect()
+}
+
+/// Puts vehicles behind the first one with these gaps between them.
+fn line_up(spec: &mut ScenarioSpec, gaps_m: &[f64]) {
+    let Some(first) = spec.vehicles.first() else { return };
+    let mut rear_bumper_m = first.position_m - first.length_m();
+    for (vehicle, gap_m) in spec.vehicles.iter_mut().skip(1).zip(gaps_m) {
+        // To the nanometre, so that a file reads as what was chosen.
+        vehicle.position_m = ((rear_bumper_m - gap_m) * 1e9).round() / 1e9;
+        rear_bumper_m = vehicle.position_m - vehicle.length_m();
+    }
+}

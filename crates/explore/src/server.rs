@@ -1,0 +1,212 @@
+//! Connections, their limits, and the end.
+
+use std::convert::Infallible;
+use std::io;
+use std::net::{Ipv4Addr, TcpListener};
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use http_body_util::{BodyExt, Full};
+use hyper::body::Incoming;
+use hyper::header::{CONTENT_TYPE, HeaderValue};
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper::{Method, Request, Response};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::sync::Semaphore;
+use tokio::time::{sleep, timeout};
+
+use crate::answer::{Answer, Application};
+use crate::gate::Gate;
+use crate::offer::{Offer, OfferError};
+use crate::refused::Refused;
+
+/// Most connections at once; more wait for their turn.
+const MOST_CONNECTIONS: usize = 256;
+/// Most bytes of what is asked: a scenario of some minutes of scripted motion.
+const MOST_BYTES: usize = 1 << 20;
+/// Bytes after which nobody listens any more.
+const MOST_HEARD: usize = 32 << 20;
+/// Most bytes of the head of a request, and most headers in it.
+const MOST_HEAD_BYTES: usize = 32 << 10;
+const MOST_HEADERS: usize = 64;
+/// Time in which a request arrives, head and body each, in seconds.
+const PATIENCE_S: u64 = 30;
+
+/// Sent with every answer. Nothing is loaded but from here, nothing is kept, and no other page can show this one.
+const HEADERS: [(&str, &str); 7] = [
+    (
+        "content-security-policy",
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; base-uri 'none'; \
+         form-action 'none'; frame-ancestors 'none'",
+    ),
+    ("x-content-type-options", "nosniff"),
+    ("x-frame-options", "DENY"),
+    // The address holds the token.
+    ("referrer-policy", "no-referrer"),
+    ("cache-control", "no-store"),
+    ("cross-origin-resource-policy", "same-origin"),
+    ("cross-origin-opener-policy", "same-origin"),
+];
+
+/// A server that is bound and not yet serving.
+#[derive(Debug)]
+pub struct Server {
+    listener: TcpListener,
+    port: u16,
+    application: Arc<Application>,
+}
+
+/// Why it cannot serve.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ServeError {
+    /// Something cannot be offered.
+    #[error(transparent)]
+    Offer(#[from] OfferError),
+    /// The port cannot be listened at.
+    #[error("--port {port}: {source}")]
+    Port {
+        /// The port that was asked for.
+        port: u16,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The system has no random numbers for the token.
+    #[error("no random numbers for a token: {0}")]
+    Random(#[from] getrandom::Error),
+    /// The system takes no more connections, or no signals.
+    #[error("cannot serve: {0}")]
+    System(io::Error),
+}
+
+impl Server {
+    /// Listens at a port of 127.0.0.1; at any that is free for 0.
+    ///
+    /// # Errors
+    /// [`ServeError`] if that cannot be listened at, or something cannot be offered.
+    pub fn bind(port: u16, offer: Offer) -> Result<Self, ServeError> {
+        let offer = offer.completed()?;
+        let unusable = |source| ServeError::Port { port, source };
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port)).map_err(unusable)?;
+        listener.set_nonblocking(true).map_err(unusable)?;
+        let port = listener.local_addr().map_err(unusable)?.port();
+        let gate = Gate::new(port)?;
+        Ok(Self { listener, port, application: Arc::new(Application::new(gate, offer)) })
+    }
+
+    /// The first address, with the token.
+    #[must_use]
+    pub fn address(&self) -> String {
+        self.application.gate.address()
+    }
+
+    /// The port.
+    #[must_use]
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// Serves until Ctrl-C.
+    ///
+    /// # Errors
+    /// [`ServeError::System`] if the system does not let it.
+    pub fn run(self) -> Result<(), ServeError> {
+        // Simulations take the processors one each; connections need little more than one thread among them.
+        let processors = std::thread::available_parallelism().map_or(2, usize::from).max(2);
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .max_blocking_threads(processors)
+            .build()
+            .map_err(ServeError::System)?;
+        let done = runtime.block_on(async {
+            let listener = tokio::net::TcpListener::from_std(self.listener)?;
+            tokio::spawn(accept(listener, self.application));
+            tokio::signal::ctrl_c().await
+        });
+        // What is still being simulated is of use to nobody.
+        runtime.shutdown_background();
+        done.map_err(ServeError::System)
+    }
+}
+
+async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>) {
+    let connections = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+    loop {
+        // Closed by nobody.
+        let Ok(permit) = Arc::clone(&connections).acquire_owned().await else { return };
+        let Ok((stream, _)) = listener.accept().await else {
+            // Out of file descriptors, as likely as not: some will be free soon.
+            sleep(Duration::from_millis(20)).await;
+            continue;
+        };
+        let application = Arc::clone(&application);
+        tokio::spawn(async move {
+            let service = service_fn(|request| respond(Arc::clone(&application), request));
+            let connection = http1::Builder::new()
+                .timer(TokioTimer::new())
+                .header_read_timeout(Duration::from_secs(PATIENCE_S))
+                .max_buf_size(MOST_HEAD_BYTES)
+                .max_headers(MOST_HEADERS)
+                .serve_connection(TokioIo::new(stream), service);
+            // Whoever breaks off a connection hears no more of it.
+            let _ = connection.await;
+            drop(permit);
+        });
+    }
+}
+
+async fn respond(
+    application: Arc<Application>,
+    request: Request<Incoming>,
+) -> Result<Response<Full<Bytes>>, Infallible> {
+    let Answer { status, content_type, body } = handle(application, request).await.unwrap_or_else(Answer::from);
+    let mut response = Response::new(Full::new(Bytes::from(body)));
+    *response.status_mut() = status;
+    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(content_type));
+    for (name, value) in HEADERS {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    Ok(response)
+}
+
+async fn handle(application: Arc<Application>, request: Request<Incoming>) -> Result<Answer, Refused> {
+    let (head, body) = request.into_parts();
+    let rest = application.gate.admit(head.uri.path(), &head.headers)?.to_owned();
+    if head.method == Method::GET {
+        return application.answer(&head.method, &rest, &[]);
+    }
+    // A form of another page cannot say this without asking first.
+    let is_json = head.headers.get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).is_some_and(|kind| {
+        kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
+    });
+    if head.method == Method::POST && !is_json {
+        return Err(Refused::NotJson);
+    }
+    let body = match timeout(Duration::from_secs(PATIENCE_S), whole(body)).await {
+        Err(_) => return Err(Refused::Slow(PATIENCE_S)),
+        Ok(body) => body?,
+    };
+    // More than there are threads for wait in line.
+    let answered = tokio::task::spawn_blocking(move || application.answer(&head.method, &rest, &body)).await;
+    answered
+        .unwrap_or_else(|_| Err(Refused::Failed("a fault of crumple: please report it with the scenario".to_owned())))
+}
+
+/// The whole of a body. What is too long is heard out, or its sender would hear nothing of why it was refused.
+async fn whole(mut body: Incoming) -> Result<Vec<u8>, Refused> {
+    let (mut bytes, mut length) = (Vec::new(), 0_usize);
+    while let Some(frame) = body.frame().await {
+        let broken =
+            |error: hyper::Error| Refused::Malformed { line: 1, message: format!("the request breaks off: {error}") };
+        let Ok(data) = frame.map_err(broken)?.into_data() else { continue };
+        length = length.saturating_add(data.len());
+        if length <= MOST_BYTES {
+            bytes.extend_from_slice(&data);
+        } else if length > MOST_HEARD {
+            break;
+        }
+    }
+    if length > MOST_BYTES { Err(Refused::TooLong(MOST_BYTES >> 10)) } else { Ok(bytes) }
+}

@@ -1,0 +1,345 @@
+//! The server as whoever speaks HTTP to it meets it: who is let in, and what becomes of what was sent.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
+
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpStream};
+use std::path::Path;
+use std::sync::OnceLock;
+use std::time::Duration;
+
+use crumple_explore::{Offer, OfferedScenario, Server};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{built_in, file};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+use proptest::prelude::*;
+use serde_json::{Value, json};
+
+/// A server for all tests, its token, and the folder it saves in.
+struct Served {
+    port: u16,
+    token: String,
+    out: tempfile::TempDir,
+}
+
+fn served() -> &'static Served {
+    static SERVED: OnceLock<Served> = OnceLock::new();
+    SERVED.get_or_init(|| {
+        let out = tempfile::tempdir().unwrap();
+        let wet = built_in("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.8).unwrap();
+        let scenarios = vec![OfferedScenario { name: "wet".to_owned(), scenario: wet }];
+        let offer = Offer { scenarios, out: Some(out.path().to_owned()), ..Offer::default() };
+        let server = Server::bind(0, offer).unwrap();
+        let (port, address) = (server.port(), server.address());
+        let token =
+            address.strip_prefix(&format!("http://127.0.0.1:{port}/")).unwrap().trim_end_matches('/').to_owned();
+        std::thread::spawn(|| server.run().unwrap());
+        Served { port, token, out }
+    })
+}
+
+/// Sends bytes, and reads status, head and body.
+fn exchange(request: &[u8]) -> (u16, String, Vec<u8>) {
+    let mut stream = TcpStream::connect(("127.0.0.1", served().port)).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    // It may have answered and closed before it has heard all.
+    let _ = stream.write_all(request);
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer);
+    let split = answer.windows(4).position(|window| window == b"\r\n\r\n").unwrap_or(answer.len());
+    let head = String::from_utf8_lossy(&answer[..split]).into_owned();
+    let status = head.split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or(0);
+    (status, head, answer.get(split + 4..).unwrap_or_default().to_vec())
+}
+
+fn request(method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Vec<u8> {
+    let mut text = format!("{method} {path} HTTP/1.1\r\nConnection: close\r\nContent-Length: {}\r\n", body.len());
+    for (name, value) in headers {
+        text += &format!("{name}: {value}\r\n");
+    }
+    [text.as_bytes(), b"\r\n", body].concat()
+}
+
+/// What the page would send, with the token.
+fn post(what: &str, body: &[u8]) -> (u16, Value) {
+    let Served { port, token, .. } = served();
+    let host = format!("127.0.0.1:{port}");
+    let path = format!("/{token}/api/{what}");
+    let (status, _, answer) =
+        exchange(&request("POST", &path, &[("Host", &host), ("Content-Type", "application/json")], body));
+    (status, serde_json::from_slice(&answer).unwrap_or(Value::Null))
+}
+
+fn run_of(edits: &Value) -> Value {
+    json!({ "scenario": built_in("paper-1").unwrap().spec(), "edits": edits, "controllers": ["baseline", "idm"], "estimator": "truth" })
+}
+
+#[test]
+fn the_pages_are_served_to_who_has_the_token_and_load_nothing_from_elsewhere() {
+    let Served { port, token, .. } = served();
+    let host = format!("localhost:{port}");
+    for (path, kind) in
+        [("", "text/html"), ("campaigns", "text/html"), ("explore.css", "text/css"), ("explore.js", "text/javascript")]
+    {
+        let (status, head, body) = exchange(&request("GET", &format!("/{token}/{path}"), &[("Host", &host)], b""));
+        let head = head.to_ascii_lowercase();
+        assert_eq!(status, 200, "{path}");
+        assert!(
+            head.contains(&format!("content-type: {kind}"))
+                && head.contains("content-security-policy: default-src 'none'"),
+            "{head}"
+        );
+        assert!(
+            head.contains("referrer-policy: no-referrer") && head.contains("x-content-type-options: nosniff"),
+            "{head}"
+        );
+        let text = String::from_utf8(body).unwrap();
+        let elsewhere = text.replace("http://www.w3.org/2000/svg", "");
+        assert!(
+            !elsewhere.contains("http://") && !elsewhere.contains("https://") && !text.contains(token.as_str()),
+            "{path}"
+        );
+    }
+}
+
+#[test]
+fn without_the_token_or_from_another_page_every_request_is_refused() {
+    let Served { port, token, .. } = served();
+    let host = format!("127.0.0.1:{port}");
+    let body = run_of(&json!({})).to_string();
+    let own = [("Host", host.as_str()), ("Content-Type", "application/json")];
+    let wrong = "0".repeat(token.len());
+    for path in [
+        "",
+        "campaigns",
+        "explore.css",
+        "explore.js",
+        "api/open",
+        "api/run",
+        "api/avoid",
+        "api/save",
+        "api/campaign",
+        "nothing",
+    ] {
+        for method in ["GET", "POST", "PUT", "OPTIONS"] {
+            for address in [
+                format!("/{path}"),
+                format!("/{wrong}/{path}"),
+                format!("/{}/{path}", &token[1..]),
+                format!("//{token}/{path}"),
+            ] {
+                assert_eq!(exchange(&request(method, &address, &own, body.as_bytes())).0, 403, "{method} {address}");
+            }
+            let address = format!("/{token}/{path}");
+            for foreign in [
+                [("Host", "rebound.example"), own[1], ("Accept", "*/*")],
+                [own[0], own[1], ("Origin", "https://evil.example")],
+                [own[0], own[1], ("Origin", "null")],
+                [own[0], own[1], ("Sec-Fetch-Site", "cross-site")],
+                [own[0], own[1], ("Sec-Fetch-Site", "same-site")],
+            ] {
+                let (status, head, answer) = exchange(&request(method, &address, &foreign, body.as_bytes()));
+                assert_eq!(status, 403, "{method} {address} {foreign:?}");
+                let error: Value = serde_json::from_slice(&answer).unwrap();
+                assert_eq!(error["error"]["kind"], "forbidden");
+                assert!(!head.to_ascii_lowercase().contains("access-control"), "{head}");
+            }
+        }
+    }
+    // What another page's form can send without asking first is no JSON to it.
+    for kind in ["text/plain", "application/x-www-form-urlencoded"] {
+        let sent =
+            request("POST", &format!("/{token}/api/run"), &[("Host", &host), ("Content-Type", kind)], body.as_bytes());
+        assert_eq!(exchange(&sent).0, 415);
+    }
+}
+
+#[test]
+fn fifty_clients_at_once_lose_nothing() {
+    // Each of them another scenario, so that nobody gets the answer of another.
+    let ask = |client: usize| {
+        let name = format!("client {client}");
+        let speed_mps = 15.0 + 0.3 * client as f64;
+        let edits = json!({ "name": name, "vehicles": [{ "vehicle": 1, "speed_mps": speed_mps }] });
+        (0..4)
+            .map(|_| {
+                let (status, answer) = post("run", run_of(&edits).to_string().as_bytes());
+                assert_eq!(status, 200, "{answer}");
+                assert_eq!(answer["sliders"]["name"], name);
+                assert_eq!(answer["sliders"]["vehicles"][1]["speed_mps"], speed_mps);
+                (answer["runs"].clone(), answer["figures"].as_str().unwrap().len())
+            })
+            .collect::<Vec<_>>()
+    };
+    let answers: Vec<_> = std::thread::scope(|scope| {
+        let clients: Vec<_> = (0..50).map(|client| scope.spawn(move || ask(client))).collect();
+        clients.into_iter().map(|client| client.join().unwrap()).collect()
+    });
+    for (client, of_client) in answers.iter().enumerate() {
+        assert_eq!(of_client.len(), 4);
+        assert!(of_client.iter().all(|answer| answer == &of_client[0]), "client {client}");
+        assert_eq!(of_client[0].0[0]["controller"], "baseline");
+    }
+}
+
+#[test]
+fn what_is_wrong_is_said_with_its_field() {
+    let refused = |what: &str, body: &str, status: u16, said: &str| {
+        let (found, answer) = post(what, body.as_bytes());
+        let message = answer["error"]["message"].as_str().unwrap_or_default();
+        assert!(
+            found == status && message.contains(said),
+            "{what} {body:.80}: {found} {answer}, and {said} is to be in it"
+        );
+    };
+    let with = |change: &dyn Fn(&mut Value)| {
+        let mut body = run_of(&json!({}));
+        change(&mut body);
+        body.to_string()
+    };
+    refused("run", "", 400, "line 1");
+    refused("run", "{", 400, "line 1");
+    refused("run", &"[".repeat(200_000), 400, "line 1");
+    refused("run", &with(&|body| body["colour"] = json!(3)), 400, "colour");
+    refused(
+        "run",
+        &with(&|body| body["scenario"]["vehicles"][0]["speed_mps"] = json!("fast")),
+        400,
+        "scenario.vehicles[0].speed_mps",
+    );
+    refused(
+        "run",
+        &with(&|body| body["scenario"]["vehicles"][0]["speed_mps"] = json!(-1.0)),
+        422,
+        "scenario.vehicles[0].speed_mps",
+    );
+    refused("run", &with(&|body| body["edits"] = json!({ "friction": 7 })), 422, "scenario.environment.friction");
+    refused(
+        "run",
+        &with(&|body| body["edits"] = json!({ "vehicles": [{ "vehicle": 9 }] })),
+        422,
+        "edits.vehicles[0].vehicle",
+    );
+    refused(
+        "run",
+        &with(&|body| body["edits"] = json!({ "vehicles": [{ "vehicle": 0, "gap_m": 3.0 }] })),
+        422,
+        "nobody is ahead",
+    );
+    refused(
+        "run",
+        &with(&|body| body["edits"] = json!({ "vehicles": [{ "vehicle": 1, "gap_m": -3.0 }] })),
+        422,
+        "overlaps",
+    );
+    refused(
+        "run",
+        &with(&|body| body["edits"]["lead"] = json!({ "from_s": [0.0], "accel_mps2": [-30.0] })),
+        422,
+        "raise its max_brake_mps2",
+    );
+    refused("run", &with(&|body| body["controllers"] = json!([])), 422, "1 to 4");
+    refused("run", &with(&|body| body["controllers"] = json!(vec!["idm"; 5])), 422, "1 to 4");
+    refused("run", &with(&|body| body["scenario"]["duration_s"] = json!(1e4)), 422, "vehicle-steps");
+    refused("run", &format!("\"{}\"", "x".repeat(2 << 20)), 413, "KiB");
+    refused("open", r#"{"scenario": 99}"#, 422, "were offered");
+    refused("open", r#"{"campaign": 0, "evaluation": 0}"#, 422, "were offered");
+    refused("open", "{}", 422, "either");
+    refused("campaign", r#"{"campaign": 0}"#, 422, "were offered");
+    let (status, answer) = post("nothing", b"{}");
+    assert_eq!((status, &answer["error"]["kind"]), (404, &json!("not-found")));
+}
+
+/// A page has no file opened and no process started, whatever it names.
+#[test]
+fn no_name_in_a_request_is_a_file_or_a_command() {
+    let touched = served().out.path().join("touched");
+    for name in [
+        format!("exec:touch {}", touched.display()),
+        "shield:exec:true".to_owned(),
+        "/etc/passwd".to_owned(),
+        "../policy.safetensors".to_owned(),
+    ] {
+        let mut body = run_of(&json!({}));
+        body["controllers"] = json!([name]);
+        let (status, answer) = post("run", body.to_string().as_bytes());
+        assert_eq!((status, &answer["error"]["field"]), (422, &json!("controllers[0]")), "{name}");
+    }
+    let mut body = run_of(&json!({}));
+    body["scenario"]["vehicles"][2]["driver"] = json!({ "file": { "path": "/etc/passwd" } });
+    for what in ["run", "avoid", "save"] {
+        let body = match what {
+            "run" => body.clone(),
+            "avoid" => json!({ "scenario": body["scenario"] }),
+            _ => json!({ "what": { "scenario": body["scenario"] }, "controller": "idm", "to_folder": true }),
+        };
+        let (status, answer) = post(what, body.to_string().as_bytes());
+        assert_eq!(
+            (status, &answer["error"]["field"]),
+            (422, &json!("scenario.vehicles[2].driver.file.path")),
+            "{answer}"
+        );
+    }
+    assert!(!touched.exists());
+}
+
+#[test]
+fn what_was_dragged_and_saved_ends_in_the_same_contact() {
+    let edits = json!({
+        "name": "dragged",
+        "friction": 0.75,
+        "vehicles": [{ "vehicle": 1, "gap_m": 11.3, "class": "heavy" }, { "vehicle": 2, "gap_m": 9.77, "speed_mps": 26.1 }],
+        "lead": { "from_s": [0.0, 1.5, 4.25], "accel_mps2": [0.0, -4.5, -1.0] },
+    });
+    let (status, drawn) = post("run", run_of(&edits).to_string().as_bytes());
+    assert_eq!(status, 200, "{drawn}");
+    assert_eq!(drawn["sliders"]["vehicles"][2]["gap_m"].as_f64().map(|gap| (gap * 1e6).round() / 1e6), Some(9.77));
+    let save = json!({ "what": { "scenario": built_in("paper-1").unwrap().spec(), "edits": edits }, "controller": "baseline", "estimator": "truth", "to_folder": true });
+    let (status, saved) = post("save", save.to_string().as_bytes());
+    assert_eq!(status, 200, "{saved}");
+    let path = Path::new(saved["path"].as_str().unwrap());
+    assert_eq!(path.parent(), Some(served().out.path()));
+    let scenario = file::load(path).unwrap();
+    let options = RunOptions::new(ControllerSpec::named("baseline").unwrap())
+        .with_estimator(crumple_world::observation::EstimatorKind::Truth);
+    let again = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
+    let contact_s = again.outcome.contact().expect("hard braking on a wet road").time_s;
+    assert_eq!(drawn["runs"][0]["contact_time_s"].as_f64(), Some(contact_s));
+    assert!(saved["command"].as_str().unwrap().contains("--controller baseline --estimator truth"), "{saved}");
+}
+
+#[test]
+fn whether_it_could_have_been_avoided_is_answered_with_an_escape() {
+    let (status, answer) =
+        post("avoid", json!({ "scenario": built_in("paper-1").unwrap().spec() }).to_string().as_bytes());
+    assert_eq!((status, &answer["verdict"]), (200, &json!("avoidable")), "{answer}");
+    assert!(answer["escape"].as_str().unwrap().contains("<svg"));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(96))]
+    /// A request that was damaged anywhere is answered as well, and with one clear error where it is one.
+    #[test]
+    fn damage_is_refused_in_words(at in 0.0..1.0_f64, put in prop::collection::vec(any::<u8>(), 0..6), cut in 0..9_usize) {
+        let whole = run_of(&json!({ "friction": 0.9, "vehicles": [{ "vehicle": 1, "gap_m": 30.0 }] })).to_string().into_bytes();
+        let place = (at * whole.len() as f64) as usize;
+        let damaged = [&whole[..place], &put, whole.get(place + cut..).unwrap_or_default()].concat();
+        let (status, answer) = post("run", &damaged);
+        prop_assert!(status == 200 || (400..500).contains(&status), "{status}: {answer}");
+        let message = answer["error"]["message"].as_str().unwrap_or_default();
+        prop_assert!((status == 200) == message.is_empty() && message.lines().count() <= 1, "{status}: {answer}");
+    }
+
+    /// So is what is no request at all; then there may be no answer, but there is one to the next.
+    #[test]
+    fn what_is_no_request_harms_nobody(bytes in prop::collection::vec(any::<u8>(), 1..200)) {
+        let sent = [&bytes[..], b"\r\n\r\n"].concat();
+        let mut stream = TcpStream::connect(("127.0.0.1", served().port)).unwrap();
+        // It may have been closed at the first of them.
+        let _ = stream.write_all(&sent).and_then(|()| stream.shutdown(Shutdown::Write));
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        let status = String::from_utf8_lossy(&answer).split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or(0);
+        prop_assert!(status == 0 || (400..500).contains(&status), "{status}");
+        prop_assert_eq!(post("open", br#"{"scenario": 0}"#).0, 200);
+    }
+}

@@ -1,0 +1,167 @@
+//! The zip archive that an FMU is.
+
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek};
+use std::path::{Path, PathBuf};
+
+use zip::ZipArchive;
+use zip::result::ZipError;
+
+use crate::description::{Description, FmiVersion, InvalidDescription};
+
+/// Longest description, in bytes.
+const MOST_DESCRIPTION_BYTES: u64 = 16 << 20;
+/// Most members of an archive, and bytes of all of them unpacked.
+const MOST_MEMBERS: usize = 20_000;
+const MOST_BYTES: u64 = 1 << 30;
+
+/// The member that describes the FMU.
+const DESCRIPTION: &str = "modelDescription.xml";
+
+/// Why an FMU cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FmuError {
+    /// The file cannot be read.
+    #[error("cannot be read: {0}")]
+    Read(#[from] io::Error),
+    /// It is no archive, or is damaged.
+    #[error("is no FMU: {0}")]
+    Archive(#[from] ZipError),
+    /// A member is too large or has a name that leads out of the archive, or there are too many.
+    #[error("is no FMU: {0}")]
+    Member(String),
+    /// What it says of itself cannot be followed.
+    #[error(transparent)]
+    Description(#[from] InvalidDescription),
+    /// It was not built for this platform.
+    #[error("has no library for this platform, `{wanted}`: it has {}", if found.is_empty() { "none" } else { found })]
+    Platform {
+        /// The member that is missing.
+        wanted: String,
+        /// Those that are there.
+        found: String,
+    },
+}
+
+/// An FMU: its archive, and what it says of itself.
+///
+/// Nothing of it is run.
+#[derive(Debug)]
+pub struct Fmu<R> {
+    archive: ZipArchive<R>,
+    description: Description,
+}
+
+impl Fmu<BufReader<File>> {
+    /// Opens an FMU.
+    ///
+    /// # Errors
+    /// [`FmuError`] for what cannot be read, is none, or cannot drive on this platform.
+    pub fn open(path: &Path) -> Result<Self, FmuError> {
+        let file = File::open(path)?;
+        if !file.metadata()?.is_file() {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is no ordinary file").into());
+        }
+        Self::read(BufReader::new(file))
+    }
+}
+
+impl<R: Read + Seek> Fmu<R> {
+    /// Reads an FMU from its bytes.
+    ///
+    /// # Errors
+    /// [`FmuError`], as for [`Fmu::open`].
+    pub fn read(bytes: R) -> Result<Self, FmuError> {
+        let mut archive = ZipArchive::new(bytes)?;
+        if archive.len() > MOST_MEMBERS {
+            return Err(FmuError::Member(format!("it has more than {MOST_MEMBERS} members")));
+        }
+        let mut text = String::new();
+        let member = archive.by_name(DESCRIPTION).map_err(|error| match error {
+            ZipError::FileNotFound => FmuError::Member(format!("it has no {DESCRIPTION}")),
+            other => other.into(),
+        })?;
+        let wrong = |error: io::Error| FmuError::Member(format!("{DESCRIPTION}: {error}"));
+        member.take(MOST_DESCRIPTION_BYTES + 1).read_to_string(&mut text).map_err(wrong)?;
+        if text.len() as u64 > MOST_DESCRIPTION_BYTES {
+            return Err(FmuError::Member(format!("{DESCRIPTION} has more than {MOST_DESCRIPTION_BYTES} bytes")));
+        }
+        let fmu = Self { description: Description::from_xml(&text)?, archive };
+        let wanted = fmu.library();
+        if fmu.archive.index_for_name(&wanted).is_none() {
+            let is_one = |name: &String| name.starts_with("binaries/") && !name.ends_with('/');
+            let mut found: Vec<String> = fmu.names().filter(is_one).collect();
+            found.sort_unstable();
+            found.truncate(8);
+            return Err(FmuError::Platform { wanted, found: found.join(", ") });
+        }
+        Ok(fmu)
+    }
+
+    /// What it says of itself.
+    #[must_use]
+    pub fn description(&self) -> &Description {
+        &self.description
+    }
+
+    /// The member that is its library for this platform.
+    #[must_use]
+    pub fn library(&self) -> String {
+        let (system, extension) = match std::env::consts::OS {
+            "macos" => ("darwin", "dylib"),
+            "windows" => ("windows", "dll"),
+            other => (other, "so"),
+        };
+        let folder = match self.description.version {
+            FmiVersion::Three => format!("{}-{system}", std::env::consts::ARCH),
+            FmiVersion::Two => {
+                let system = if system == "windows" { "win" } else { system };
+                format!("{system}{}", usize::BITS)
+            }
+        };
+        format!("binaries/{folder}/{}.{extension}", self.description.model_identifier)
+    }
+
+    /// Whether it has anything beside its description and its libraries that these may want to read.
+    #[must_use]
+    pub fn has_resources(&self) -> bool {
+        self.names().any(|name| name.starts_with("resources/") && !name.ends_with('/'))
+    }
+
+    /// Members whose names are text.
+    fn names(&self) -> impl Iterator<Item = String> {
+        self.archive.file_names().filter_map(|name| name.ok().map(std::borrow::Cow::into_owned))
+    }
+
+    /// Unpacks what the library of this platform needs into an empty folder: its folder, and the resources. Returns
+    /// where the library lies.
+    ///
+    /// # Errors
+    /// [`FmuError`] for an archive that is damaged or too large, and for a folder that cannot be written.
+    pub fn unpack(&mut self, folder: &Path) -> Result<PathBuf, FmuError> {
+        let library = self.library();
+        let beside = library.rsplit_once('/').map_or("", |(beside, _)| beside).to_owned();
+        let mut left = MOST_BYTES;
+        for index in 0..self.archive.len() {
+            let mut member = self.archive.by_index(index)?;
+            let name = member.name()?.into_owned();
+            if member.is_dir() || !(name.starts_with(&format!("{beside}/")) || name.starts_with("resources/")) {
+                continue;
+            }
+            let inside = member.enclosed_name().filter(|_| !member.is_symlink());
+            let inside = inside.ok_or_else(|| FmuError::Member(format!("{name:?} leads out of the archive")))?;
+            let path = folder.join(inside);
+            if let Some(parent) = path.parent() {
+                std::fs::create_dir_all(parent)?;
+            }
+            let copied = io::copy(&mut (&mut member).take(left + 1), &mut File::create(path)?);
+            let copied = copied.map_err(|error| FmuError::Member(format!("{name}: {error}")))?;
+            left = left.checked_sub(copied).ok_or_else(|| {
+                FmuError::Member(format!("its members have more than {} MiB in all", MOST_BYTES >> 20))
+            })?;
+        }
+        std::fs::create_dir_all(folder.join("resources"))?;
+        Ok(folder.join(library))
+    }
+}

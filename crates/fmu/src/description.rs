@@ -1,0 +1,257 @@
+//! `modelDescription.xml`, as far as a controller needs it.
+
+use roxmltree::{Document, Node, ParsingOptions};
+
+/// Most variables that are read.
+const MOST_VARIABLES: usize = 100_000;
+/// Most elements and attributes of the text.
+const MOST_NODES: u32 = 4_000_000;
+
+/// The edition of the standard that an FMU follows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FmiVersion {
+    /// FMI 2.0.
+    Two,
+    /// FMI 3.0.
+    Three,
+}
+
+/// What an FMU says of itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Description {
+    /// Which edition of the standard it follows.
+    pub version: FmiVersion,
+    /// Its name.
+    pub model_name: String,
+    /// `guid` of FMI 2, `instantiationToken` of FMI 3: its library compares it.
+    pub token: String,
+    /// The name of its library, without an extension, and in FMI 2 of nothing else.
+    pub model_identifier: String,
+    /// Whether it can be instantiated once in a process: a run then begins with a reset.
+    pub is_instantiated_once: bool,
+    /// Its variables of types that a controller can use, in the order of the text.
+    pub variables: Vec<Variable>,
+}
+
+/// A variable of an FMU.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Variable {
+    /// Its name.
+    pub name: String,
+    /// By what its library knows it.
+    pub reference: u32,
+    /// What it is for.
+    pub causality: Causality,
+    /// Its type.
+    pub kind: Kind,
+    /// Its value unless it is set, as it is written.
+    pub start: Option<String>,
+    /// Its unit, as it is written.
+    pub unit: Option<String>,
+    /// What it is, in the author's words.
+    pub description: Option<String>,
+}
+
+/// What a variable is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Causality {
+    /// Set before each step.
+    Input,
+    /// Read after each step.
+    Output,
+    /// Set before the run.
+    Parameter,
+}
+
+/// The type of a variable.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// `Real` of FMI 2, `Float64` of FMI 3.
+    Real,
+    /// `Integer` of FMI 2, `Int32` of FMI 3.
+    Integer,
+    /// A Boolean.
+    Boolean,
+}
+
+impl Kind {
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Real => "real",
+            Self::Integer => "integer",
+            Self::Boolean => "boolean",
+        }
+    }
+
+    /// A value as the number that is handed over, where it is one of this type: 0 and 1 are Booleans.
+    #[must_use]
+    pub fn accepts(self, value: f64) -> bool {
+        match self {
+            Self::Real => value.is_finite(),
+            Self::Integer => value.fract() == 0.0 && value.abs() <= f64::from(i32::MAX),
+            Self::Boolean => value == 0.0 || value == 1.0,
+        }
+    }
+}
+
+/// What is wrong with a description.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidDescription {
+    /// It is no XML.
+    #[error("modelDescription.xml: {0}")]
+    Xml(#[from] roxmltree::Error),
+    /// It follows another edition of the standard, or is none.
+    #[error("modelDescription.xml: is of FMI version {found:?}; FMI 2.0 and 3.0 are read")]
+    Version {
+        /// What it says.
+        found: String,
+    },
+    /// It is for model exchange or scheduled execution alone.
+    #[error(
+        "has no co-simulation, which alone brings its own solver (modelDescription.xml has no element `CoSimulation`)"
+    )]
+    NoCoSimulation,
+    /// It needs a tool that crumple cannot start.
+    #[error("needs the tool that made it to run (needsExecutionTool)")]
+    NeedsTool,
+    /// Something in it is missing or makes no sense.
+    #[error("modelDescription.xml, line {line}: {problem}")]
+    At {
+        /// The line, from 1.
+        line: u32,
+        /// What is wrong.
+        problem: String,
+    },
+}
+
+impl Description {
+    /// Reads a description.
+    ///
+    /// # Errors
+    /// [`InvalidDescription`] for what is none, or of an FMU that cannot drive.
+    pub fn from_xml(text: &str) -> Result<Self, InvalidDescription> {
+        // Without a document type definition, so nothing expands.
+        let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+        let document = Document::parse_with_options(text, options)?;
+        let root = document.root_element();
+        let found = root.attribute("fmiVersion").unwrap_or_default();
+        let version = match found.split('.').next() {
+            Some("2") => FmiVersion::Two,
+            Some("3") => FmiVersion::Three,
+            _ => return Err(InvalidDescription::Version { found: found.to_owned() }),
+        };
+        let co_simulation = child(root, "CoSimulation").ok_or(InvalidDescription::NoCoSimulation)?;
+        if flag(co_simulation, "needsExecutionTool")? {
+            return Err(InvalidDescription::NeedsTool);
+        }
+        let token = match version {
+            FmiVersion::Two => "guid",
+            FmiVersion::Three => "instantiationToken",
+        };
+        let model_identifier = required(co_simulation, "modelIdentifier")?.to_owned();
+        let is_identifier = |c: char| c.is_ascii_alphanumeric() || c == '_';
+        if model_identifier.is_empty() || !model_identifier.chars().all(is_identifier) {
+            return Err(at(co_simulation, format!("modelIdentifier {model_identifier:?} is no identifier of C")));
+        }
+        let listed = child(root, "ModelVariables").ok_or_else(|| at(root, "there is no element `ModelVariables`"))?;
+        let mut variables: Vec<Variable> = Vec::new();
+        for element in listed.children().filter(Node::is_element) {
+            let variable = match version {
+                FmiVersion::Two => of_fmi_2(element)?,
+                FmiVersion::Three => of_fmi_3(element)?,
+            };
+            variables.extend(variable);
+            if variables.len() > MOST_VARIABLES {
+                return Err(at(element, format!("there are more than {MOST_VARIABLES} variables")));
+            }
+        }
+        let mut names: Vec<&str> = variables.iter().map(|variable| variable.name.as_str()).collect();
+        names.sort_unstable();
+        if let Some([name, _]) = names.array_windows().find(|[name, next]| name == next) {
+            return Err(at(listed, format!("there are two variables {name:?}")));
+        }
+        Ok(Self {
+            version,
+            model_name: required(root, "modelName")?.to_owned(),
+            token: required(root, token)?.to_owned(),
+            model_identifier,
+            is_instantiated_once: flag(co_simulation, "canBeInstantiatedOnlyOncePerProcess")?,
+            variables,
+        })
+    }
+
+    /// Its variables that are for something.
+    pub fn of(&self, causality: Causality) -> impl Iterator<Item = &Variable> {
+        self.variables.iter().filter(move |variable| variable.causality == causality)
+    }
+}
+
+/// A variable, unless a controller can do nothing with it.
+fn of_fmi_2(element: Node<'_, '_>) -> Result<Option<Variable>, InvalidDescription> {
+    let types = [("Real", Kind::Real), ("Integer", Kind::Integer), ("Boolean", Kind::Boolean)];
+    let typed = types.into_iter().find_map(|(name, kind)| Some((child(element, name)?, kind)));
+    match typed {
+        Some((typed, kind)) => variable(element, typed, kind),
+        None => Ok(None),
+    }
+}
+
+fn of_fmi_3(element: Node<'_, '_>) -> Result<Option<Variable>, InvalidDescription> {
+    let kind = match element.tag_name().name() {
+        "Float64" => Kind::Real,
+        "Int32" => Kind::Integer,
+        "Boolean" => Kind::Boolean,
+        _ => return Ok(None),
+    };
+    // An array.
+    if child(element, "Dimension").is_some() {
+        return Ok(None);
+    }
+    variable(element, element, kind)
+}
+
+fn variable(element: Node<'_, '_>, typed: Node<'_, '_>, kind: Kind) -> Result<Option<Variable>, InvalidDescription> {
+    let causality = match element.attribute("causality") {
+        Some("input") => Causality::Input,
+        Some("output") => Causality::Output,
+        Some("parameter") => Causality::Parameter,
+        _ => return Ok(None),
+    };
+    let reference = required(element, "valueReference")?;
+    let reference =
+        reference.parse().map_err(|_| at(element, format!("valueReference {reference:?} is no whole number")))?;
+    let text = |node: Node<'_, '_>, name: &str| node.attribute(name).map(str::to_owned);
+    Ok(Some(Variable {
+        name: required(element, "name")?.to_owned(),
+        reference,
+        causality,
+        kind,
+        start: text(typed, "start"),
+        unit: text(typed, "unit"),
+        description: text(element, "description"),
+    }))
+}
+
+fn child<'a, 'input>(of: Node<'a, 'input>, name: &str) -> Option<Node<'a, 'input>> {
+    of.children().find(|child| child.has_tag_name(name))
+}
+
+fn required<'a>(of: Node<'a, '_>, name: &str) -> Result<&'a str, InvalidDescription> {
+    of.attribute(name).ok_or_else(|| at(of, format!("`{}` has no attribute `{name}`", of.tag_name().name())))
+}
+
+fn flag(of: Node<'_, '_>, name: &str) -> Result<bool, InvalidDescription> {
+    match of.attribute(name) {
+        None | Some("false" | "0") => Ok(false),
+        Some("true" | "1") => Ok(true),
+        Some(other) => Err(at(of, format!("{name}: {other:?} is neither true nor false"))),
+    }
+}
+
+fn at(node: Node<'_, '_>, problem: impl Into<String>) -> InvalidDescription {
+    let line = node.document().text_pos_at(node.range().start).row;
+    InvalidDescription::At { line, problem: problem.into() }
+}

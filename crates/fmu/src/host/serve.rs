@@ -1,0 +1,99 @@
+//! The protocol of controllers, version 1: lines of JSON, each answered by one.
+
+use std::fs::File;
+use std::io::{self, BufRead, Write};
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::instance::{Instance, Wiring};
+
+/// Longest line that is read, in bytes.
+const MOST_BYTES: u64 = 1 << 20;
+
+/// A question; crumple writes no others to who does not answer in batches.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Question {
+    Hello {
+        crumple: u32,
+        hello: Hello,
+    },
+    Reset {
+        id: u64,
+        #[serde(rename = "reset")]
+        _reset: serde::de::IgnoredAny,
+    },
+    Decide {
+        id: u64,
+        time_s: f64,
+        see: Vec<f64>,
+    },
+}
+
+#[derive(Deserialize)]
+struct Hello {
+    step_s: f64,
+    inputs: Vec<String>,
+    history: usize,
+}
+
+/// Answers until standard input ends.
+pub(super) fn serve(fmu: &Path, wiring: &Wiring) -> Result<(), String> {
+    let io_failed = |error: io::Error| format!("standard input or output: {error}");
+    let mut answers = own_output().map_err(io_failed)?;
+    let mut instance = Instance::load(fmu, wiring)?;
+    let name = serde_json::Value::from(fmu.file_name().unwrap_or(fmu.as_os_str()).to_string_lossy());
+    let mut interval_s = None;
+    let (mut questions, mut line) = (io::stdin().lock(), String::new());
+    loop {
+        line.clear();
+        let read = io::Read::take(&mut questions, MOST_BYTES).read_line(&mut line).map_err(io_failed)?;
+        if read == 0 {
+            return Ok(());
+        }
+        let question = serde_json::from_str(&line).map_err(|error| format!("{error} in {}", line.trim_end()))?;
+        let answer = match question {
+            Question::Hello { crumple, hello } => {
+                let Hello { step_s, inputs, history } = hello;
+                if crumple != 1 || history != 1 || inputs.len() != wiring.inputs.len() {
+                    return Err(format!("was made for other questions than {}", line.trim_end()));
+                }
+                interval_s = Some(wiring.interval_s.unwrap_or(step_s));
+                let stated = wiring.interval_s.map_or_else(String::new, |own_s| format!(",\"interval_s\":{own_s}"));
+                format!(
+                    "{{\"crumple\":1,\"name\":{name},\"deterministic\":true,\"inputs\":{}{stated}}}\n",
+                    wiring.inputs.len()
+                )
+            }
+            Question::Reset { id, .. } => {
+                instance.begin()?;
+                format!("{{\"id\":{id},\"ready\":true}}\n")
+            }
+            Question::Decide { id, time_s, see } => {
+                let interval_s = interval_s.ok_or("is asked before it was greeted")?;
+                if see.len() != wiring.inputs.len() {
+                    return Err(format!("is shown {} numbers and wired to {}", see.len(), wiring.inputs.len()));
+                }
+                let answer = instance.decide(time_s, interval_s, &see)?;
+                let answer = serde_json::Number::from_f64(answer).ok_or("its output is not finite")?;
+                format!("{{\"id\":{id},\"acceleration_mps2\":{answer}}}\n")
+            }
+        };
+        answers.write_all(answer.as_bytes()).and_then(|()| answers.flush()).map_err(io_failed)?;
+    }
+}
+
+/// Standard output for answers alone: what an FMU prints goes to standard error.
+#[cfg(unix)]
+fn own_output() -> io::Result<File> {
+    let own = rustix::io::dup(rustix::stdio::stdout())?;
+    rustix::stdio::dup2_stdout(rustix::stdio::stderr())?;
+    Ok(own.into())
+}
+
+/// Processes drive where there is Unix.
+#[cfg(not(unix))]
+fn own_output() -> io::Result<File> {
+    Err(io::Error::new(io::ErrorKind::Unsupported, "controllers that are processes need Unix"))
+}

@@ -1,0 +1,18 @@
+//! Co-simulation FMUs (Functional Mock-up Units, FMI 2.0 and 3.0) as controllers.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | `archive` | the zip archive: its description, its library for this platform, and unpacking it |
+//! | `description` | `modelDescription.xml`: what the FMU is called, and its variables |
+//! | `host` (feature `host`) | the program: loads the library and answers crumple's questions by it |
+//!
+//! The first two run nothing of an FMU's. All of crumple's `unsafe` code is in `host`, which nothing but the program
+//! `crumple-fmu` calls: an FMU is native code of somebody else's, and what it breaks is that process.
+
+mod archive;
+mod description;
+#[cfg(feature = "host")]
+pub mod host;
+
+pub use archive::{Fmu, FmuError};
+pub use description::{Causality, Description, FmiVersion, InvalidDescription, Kind, Variable};

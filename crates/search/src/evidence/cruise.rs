@@ -1,0 +1,204 @@
+//! The adaptive cruise control benchmark of ARCH-COMP AINNCS: what is proved of a network, and what random starts show beside it.
+//!
+//! The problem and the proof are `crumple_verify::cruise`'s. The simulation here is independent of it: the classic method of Runge
+//! and Kutta with a tenth of the period, and the network as it drives in single precision.
+
+use std::time::Instant;
+
+use crumple_verify::cruise::{self, Cruise, FARTHEST, KEPT, LEAD_MPS2, PERIOD_S, PERIODS, STARTS, TOLD, Unshown};
+use crumple_verify::reach::{Actor, file_name};
+use crumple_verify::{Certificate, Statement};
+use rand::RngExt;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::certificate;
+use crumple_world::control::{Input, InvalidMapping, Mapping, NetworkController, Output, Quantity};
+use crumple_world::digest::sha256;
+use crumple_world::network::{FeedForward, NetworkFile};
+use crumple_world::policy::Workspace;
+use crumple_world::random::{self, Purpose};
+
+/// Runge-Kutta steps in a period, and starts that are driven together.
+const STEPS: usize = 10;
+const TOGETHER: usize = 500;
+
+/// Why nothing can be said of a network.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CruiseError {
+    /// It does not fit the benchmark.
+    #[error("does not fit the benchmark: {0}")]
+    Mapping(#[from] InvalidMapping),
+    /// The checker does not read it.
+    #[error("{0}")]
+    Unreadable(String),
+    /// Nothing is shown of it.
+    #[error(transparent)]
+    Unshown(#[from] Unshown),
+}
+
+/// A network in the benchmark.
+pub struct CruisePlan {
+    network: NetworkController,
+    bytes: Vec<u8>,
+    actor: Actor,
+}
+
+/// What is proved.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Proved {
+    /// The statement, unchecked.
+    pub certificate: Certificate,
+    /// Lower bound of D_rel - 10 - 1.4 v_ego over the whole box and all times, in metres.
+    pub margin_m: f64,
+    /// Bounds of x_ego at the end, in metres.
+    pub x_ego_m: [f64; 2],
+    /// How long it took, in seconds.
+    pub seconds: f64,
+}
+
+/// What the corners of the box and random starts came to.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Sampled {
+    /// How many.
+    pub samples: usize,
+    /// The least D_rel - 10 - 1.4 v_ego, in metres.
+    pub margin_m: f64,
+    /// The least and the largest x_ego at the end, in metres.
+    pub x_ego_m: [f64; 2],
+}
+
+impl CruisePlan {
+    /// A network that sees (30, 1.4, v_ego, D_rel, v_rel).
+    ///
+    /// # Errors
+    /// [`CruiseError`] if it takes other numbers, or answers with more than one.
+    pub fn new(file: NetworkFile) -> Result<Self, CruiseError> {
+        let answers = file.network.outputs();
+        if answers != 1 {
+            let problem = format!("answers with {answers} numbers, and the benchmark wants 1");
+            return Err(InvalidMapping { field: "network".to_owned(), problem }.into());
+        }
+        let input = |quantity, constant| Input {
+            variable: None,
+            quantity,
+            constant,
+            offset: 0.0,
+            scale: 1.0,
+            low: -FARTHEST,
+            high: FARTHEST,
+            absent: None,
+        };
+        let seen = [Quantity::SpeedMps, Quantity::GapAheadM, Quantity::RelativeSpeedAheadMps];
+        let told = TOLD.map(|constant| input(None, Some(constant)));
+        let mapping = Mapping {
+            decision_interval_s: Some(PERIOD_S),
+            history: 1,
+            newest_first: false,
+            inputs: told.into_iter().chain(seen.map(|quantity| input(Some(quantity), None))).collect(),
+            output: Output {
+                variable: None,
+                answer: 0,
+                squash: None,
+                scale_mps2: 1.0,
+                offset_mps2: 0.0,
+                low_mps2: -FARTHEST,
+                high_mps2: FARTHEST,
+            },
+        };
+        let network = NetworkController::new(file, mapping)?;
+        let bytes = network.checker_file()?;
+        let actor = Actor::from_bytes(&bytes).map_err(CruiseError::Unreadable)?;
+        Ok(Self { network, bytes, actor })
+    }
+
+    /// The file of the network, for the checker.
+    #[must_use]
+    pub fn network_bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// What can be proved with D_rel cut in so many parts at the start.
+    ///
+    /// # Errors
+    /// [`CruiseError`] if bounds become too wide.
+    pub fn prove(&self, cells: u32) -> Result<Proved, CruiseError> {
+        let begin = Instant::now();
+        let found = cruise::bounds(&self.actor, cells)?;
+        let seconds = begin.elapsed().as_secs_f64();
+        let source = self.actor.source.clone();
+        let source = source.ok_or_else(|| CruiseError::Unreadable("says not what it was read from".to_owned()))?;
+        let policy_sha256 = sha256(&self.bytes);
+        let claim = Cruise {
+            policy_file: file_name(&policy_sha256, true),
+            policy_sha256,
+            source,
+            cells,
+            // Whole micrometres: what another version rounds otherwise is still proved.
+            margin_m_at_least: (found.margin_m * 1e6).floor() / 1e6,
+            x_ego_width_m_at_most: (found.x_ego_width_m() * 1e6).ceil() / 1e6,
+        };
+        let certificate = certificate(Statement::AdaptiveCruise(claim));
+        Ok(Proved { certificate, margin_m: found.margin_m, x_ego_m: found.x_ego_m, seconds })
+    }
+
+    /// Drives from the corners of the box and from random starts, the same for the same seed.
+    #[must_use]
+    pub fn sample(&self, samples: usize, seed: u64) -> Sampled {
+        let nothing = || Sampled { samples: 0, margin_m: f64::INFINITY, x_ego_m: [f64::INFINITY, f64::NEG_INFINITY] };
+        let blocks = (0..samples.div_ceil(TOGETHER)).into_par_iter();
+        let driven = blocks.map(|block| {
+            let mut stream = random::stream(seed, Purpose::ScenarioDraw, block as u64);
+            let count = TOGETHER.min(samples - block * TOGETHER);
+            let starts: Vec<[f64; 4]> =
+                (0..count).map(|_| STARTS.map(|[low, high]| low + (high - low) * stream.random::<f64>())).collect();
+            simulated(self.network.network(), &starts)
+        });
+        let corners: Vec<[f64; 4]> =
+            (0..16_usize).map(|corner| std::array::from_fn(|i| STARTS[i][corner >> i & 1])).collect();
+        let both = |a: Sampled, b: Sampled| Sampled {
+            samples: a.samples + b.samples,
+            margin_m: a.margin_m.min(b.margin_m),
+            x_ego_m: [a.x_ego_m[0].min(b.x_ego_m[0]), a.x_ego_m[1].max(b.x_ego_m[1])],
+        };
+        both(driven.reduce(nothing, both), simulated(self.network.network(), &corners))
+    }
+}
+
+/// Drives from starts (x_lead, v_lead, x_ego, v_ego).
+fn simulated(network: &FeedForward, starts: &[[f64; 4]]) -> Sampled {
+    let mut cars: Vec<[[f64; 3]; 2]> =
+        starts.iter().map(|[x_lead, v_lead, x_ego, v_ego]| [[*x_lead, *v_lead, 0.0], [*x_ego, *v_ego, 0.0]]).collect();
+    let margin = |[lead, ego]: &[[f64; 3]; 2]| lead[0] - ego[0] - KEPT[0] - KEPT[1] * ego[1];
+    let mut least = cars.iter().map(margin).fold(f64::INFINITY, f64::min);
+    let mut space = Workspace::default();
+    for _ in 0..PERIODS {
+        let see = |[lead, ego]: &[[f64; 3]; 2]| [TOLD[0], TOLD[1], ego[1], lead[0] - ego[0], lead[1] - ego[1]];
+        let rows: Vec<f32> = cars.iter().flat_map(see).map(|number| number as f32).collect();
+        let answers = network.answers(&rows, cars.len(), &mut space);
+        for (cars, &answer) in cars.iter_mut().zip(answers) {
+            for _ in 0..STEPS {
+                let [lead, ego] = cars;
+                *lead = stepped(*lead, LEAD_MPS2);
+                *ego = stepped(*ego, f64::from(answer));
+                least = least.min(margin(cars));
+            }
+        }
+    }
+    let ends = cars.iter().map(|[_, ego]| ego[0]);
+    let x_ego_m = ends.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], x| [low.min(x), high.max(x)]);
+    Sampled { samples: starts.len(), margin_m: least, x_ego_m }
+}
+
+/// (x, v, γ) a step later.
+fn stepped(from: [f64; 3], a: f64) -> [f64; 3] {
+    let h = PERIOD_S / STEPS as f64;
+    let rate = |[_, v, gamma]: [f64; 3]| [v, gamma, -2.0 * gamma + 2.0 * a - cruise::DRAG * v * v];
+    let moved = |by: [f64; 3], h: f64| std::array::from_fn(|i| from[i] + h * by[i]);
+    let first = rate(from);
+    let second = rate(moved(first, 0.5 * h));
+    let third = rate(moved(second, 0.5 * h));
+    let fourth = rate(moved(third, h));
+    std::array::from_fn(|i| from[i] + h / 6.0 * (first[i] + 2.0 * second[i] + 2.0 * third[i] + fourth[i]))
+}

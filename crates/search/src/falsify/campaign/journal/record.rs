@@ -1,0 +1,127 @@
+//! A record of the journal: what an evaluation was worth, in so many bytes, with a checksum.
+
+use std::io::{self, Read};
+use std::path::Path;
+
+use crate::work::WorkError;
+use crumple_world::digest::Sha256;
+use crumple_world::measure::{Braking, FirstContact, RunVerdict};
+use crumple_world::scenario::VehicleClass;
+
+/// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking (or what stands in its place) and
+/// class as bytes.
+pub(super) const BODY: usize = 3 * 8 + 2 * 4 + 2;
+/// The first bytes of the SHA-256 of the work's identity and the record's number and body: a record in another's place is
+/// damage, too.
+pub(super) const CHECKSUM: usize = 6;
+pub(super) const RECORD: usize = BODY + CHECKSUM;
+/// In place of the braking where no vehicles touched.
+const NO_CONTACT: u8 = u8::MAX;
+/// In place of the braking where a controller failed; the vehicle that is hit is then its own.
+const CONTROLLER_FAILED: u8 = u8::MAX - 1;
+
+/// What is read where a record may be.
+pub(super) enum Found {
+    Record([u8; BODY], [u8; CHECKSUM]),
+    /// The end, or a record that was cut short.
+    Cut,
+    /// Nothing but zeros to the end: what a loss of power leaves.
+    Zeros,
+    /// Something else.
+    Damaged,
+}
+
+impl Found {
+    /// What was found, unless it is damage.
+    pub(super) fn at(self, path: &Path, index: u64) -> Result<Self, WorkError> {
+        match self {
+            Self::Damaged => Err(WorkError::damaged(
+                path,
+                format!(
+                    "record {} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
+                     another --out",
+                    index + 1
+                ),
+            )),
+            found => Ok(found),
+        }
+    }
+}
+
+/// The next record, or what is in its place.
+pub(super) fn record(journal: &mut impl Read, identity: &str, index: u64) -> io::Result<Found> {
+    let (mut body, mut checksum) = ([0; BODY], [0; CHECKSUM]);
+    match journal.read_exact(&mut body).and_then(|()| journal.read_exact(&mut checksum)) {
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(Found::Cut),
+        read => read?,
+    }
+    if checksum == checksum_of(identity, index, &body) {
+        Ok(Found::Record(body, checksum))
+    } else if body == [0; BODY] && checksum == [0; CHECKSUM] && is_zero(journal)? {
+        Ok(Found::Zeros)
+    } else {
+        Ok(Found::Damaged)
+    }
+}
+
+/// Whether there is nothing but zeros to the end.
+pub(super) fn is_zero(rest: &mut impl Read) -> io::Result<bool> {
+    let mut part = [0; 1 << 12];
+    loop {
+        match rest.read(&mut part)? {
+            0 => return Ok(true),
+            count if part.iter().take(count).any(|&byte| byte != 0) => return Ok(false),
+            _ => {}
+        }
+    }
+}
+
+/// The checksum of a record of work with that identity.
+pub(super) fn checksum_of(identity: &str, index: u64, body: &[u8; BODY]) -> [u8; CHECKSUM] {
+    let digest = Sha256::default().with(identity).with(index.to_le_bytes()).with(body).finish();
+    let mut first = [0; CHECKSUM];
+    first.iter_mut().zip(digest).for_each(|(place, byte)| *place = byte);
+    first
+}
+
+/// The bytes of a verdict.
+pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY] {
+    let (time_s, impact_speed_mps, vehicles, kind, class) = match (verdict.contact, verdict.failed) {
+        (Some(contact), _) => {
+            let FirstContact { time_s, front_vehicle, rear_vehicle, impact_speed_mps, ego_braking, rear_class } =
+                contact;
+            (time_s, impact_speed_mps, [front_vehicle, rear_vehicle], ego_braking as u8, rear_class.number())
+        }
+        (None, Some((time_s, vehicle))) => (time_s, 0.0, [vehicle, 0], CONTROLLER_FAILED, 0),
+        (None, None) => (0.0, 0.0, [0, 0], NO_CONTACT, 0),
+    };
+    let mut record = [0; BODY];
+    let doubles = [verdict.robustness, time_s, impact_speed_mps].map(f64::to_le_bytes);
+    let vehicles = vehicles.map(u32::to_le_bytes);
+    let bytes = doubles.concat().into_iter().chain(vehicles.concat()).chain([kind, class]);
+    record.iter_mut().zip(bytes).for_each(|(place, byte)| *place = byte);
+    record
+}
+
+/// The verdict that bytes say.
+pub(in crate::falsify::campaign) fn decode(record: &[u8; BODY]) -> RunVerdict {
+    let double = |index: usize| {
+        let bytes = record.get(8 * index..8 * index + 8).and_then(|bytes| bytes.try_into().ok());
+        f64::from_le_bytes(bytes.unwrap_or_default())
+    };
+    let vehicle = |index: usize| {
+        let bytes = record.get(24 + 4 * index..28 + 4 * index).and_then(|bytes| bytes.try_into().ok());
+        u32::from_le_bytes(bytes.unwrap_or_default())
+    };
+    let [.., braking, class] = *record;
+    let contact = Braking::ALL.get(usize::from(braking)).map(|&ego_braking| FirstContact {
+        time_s: double(1),
+        front_vehicle: vehicle(0),
+        rear_vehicle: vehicle(1),
+        impact_speed_mps: double(2),
+        ego_braking,
+        rear_class: VehicleClass::ALL.get(usize::from(class)).copied().unwrap_or(VehicleClass::Light),
+    });
+    let failed = (braking == CONTROLLER_FAILED).then(|| (double(1), vehicle(0)));
+    RunVerdict { robustness: double(0), contact, failed }
+}

@@ -1,0 +1,83 @@
+//! The scenario in which the numbers of episodes vary, and what is said of the space.
+
+use super::episodes::Sample;
+use super::space::median;
+use crumple_world::control::{AebSettings, ControllerSpec};
+use crumple_world::recording::HARDEST_CHANGE_MPS2;
+use crumple_world::scenario::{
+    BrakeToSpeed, Driver, Environment, LeadProfile, SCENARIO_VERSION, ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+};
+
+/// When the leader begins to brake, in seconds: about when it does in an imported episode.
+const ONSET_S: f64 = 1.0;
+/// How long a scenario goes on when the longest braking of the space is over, in seconds, as in an imported episode.
+const TAIL_S: f64 = 10.0;
+
+/// The scenario in which the numbers vary: of three or more vehicles the last one keeps the baseline, as of imported episodes.
+pub(super) fn base(sample: &Sample, name: &str) -> ScenarioSpec {
+    let values = |index: usize| sample.observed.parameters.get(index).map_or(&[][..], |one| one.values.as_slice());
+    let (speed_mps, brake_mps2, final_share) = (median(values(0)), median(values(1)), median(values(2)));
+    let lead = LeadProfile::BrakeToSpeed(BrakeToSpeed {
+        onset_s: ONSET_S,
+        rate_mps2: brake_mps2,
+        final_speed_mps: final_share * speed_mps,
+    });
+    let last = sample.taken.vehicles - 1;
+    let vehicle = |index: usize| {
+        let driver = match index {
+            0 => Driver::Profile(lead.clone()),
+            _ if index == last && last > 1 => Driver::Controller(ControllerSpec::Baseline(AebSettings::default())),
+            _ => Driver::UnderTest,
+        };
+        // Far enough apart at any speed; gaps are parameters.
+        let position_m = 200.0 * (last - index) as f64;
+        let length_m = sample.sizes.get(index).map_or(crumple_world::recording::CAR_LENGTH_M, |sizes| sizes.usual_m());
+        let mut vehicle = VehicleSpec::new(VehicleClass::of_length(length_m), position_m, speed_mps, driver);
+        vehicle.length_m = Some(length_m);
+        if index == 0 {
+            vehicle.max_brake_mps2 = Some(HARDEST_CHANGE_MPS2);
+        }
+        vehicle
+    };
+    ScenarioSpec {
+        version: SCENARIO_VERSION,
+        name: name.to_owned(),
+        about: format!("A scenario of the space `{name}`."),
+        duration_s: (ONSET_S + slowest_s(sample) + TAIL_S).ceil(),
+        step_s: 0.01,
+        seed: 0,
+        environment: Environment::default(),
+        sensors: Sensors::default(),
+        vehicles: (0..=last).map(vehicle).collect(),
+    }
+}
+
+/// How long the leader brakes at most, in seconds: from the highest speed of the space as gently as it has it, and as far. Whatever is drawn, and
+/// whatever a resample makes of the distributions within their ranges, is over then.
+fn slowest_s(sample: &Sample) -> f64 {
+    let end = |index: usize, which: usize| sample.numbers.get(index).map_or(0.0, |number| number.range[which]);
+    let (fastest_mps, softest_mps2, final_share) = (end(0, 1), end(1, 0), end(2, 0));
+    fastest_mps * (1.0 - final_share) / softest_mps2
+}
+
+/// Where the space is from, and what is not in it.
+pub(super) fn about(sample: &Sample) -> String {
+    let Sample { taken, observed, exposure, left_out, sizes, .. } = sample;
+    let waves = observed.waves.iter().max().map_or(0, |last| last + 1);
+    let mut about = format!(
+        "Fitted to {} braking episodes in {waves} waves of {} vehicles each, in {:.3} h and {:.1} km of following, from {} m/s² on. The leader \
+         brakes at its hardest second's deceleration down to its lowest speed; a scenario lasts until the slowest braking of the space is over, \
+         and {TAIL_S} s more.",
+        exposure.episodes,
+        taken.vehicles,
+        exposure.hours,
+        exposure.kilometres,
+        taken.min_brake.mps2(),
+    );
+    for said in
+        left_out.in_words(taken.vehicles).into_iter().chain(sizes.iter().enumerate().map(|(at, one)| one.in_words(at)))
+    {
+        about += &format!(" {said}.");
+    }
+    about
+}

@@ -1,0 +1,110 @@
+//! How each number is distributed.
+
+use super::FitError;
+use super::family::{Family, FamilyFit, NoFit};
+use crate::evidence::RateInterval;
+use crumple_world::scenario::space::{Choice, Distribution, ObservedParameter, PointMass, Value};
+use serde::Serialize;
+
+/// A value with a probability of its own, as it was fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PointFit {
+    /// The value.
+    pub at: f64,
+    /// In how many episodes it was seen.
+    pub seen: u64,
+    /// In which share of them.
+    pub probability: f64,
+    /// An interval at 95 % for its probability: Clopper's and Pearson's.
+    pub interval_95: [f64; 2],
+}
+
+impl PointFit {
+    fn of(at: f64, values: &[f64]) -> Self {
+        let (seen, of) = (values.iter().filter(|value| **value == at).count() as u64, values.len() as u64);
+        let RateInterval { lower, upper } = RateInterval::exact(seen, of, 0.95);
+        Self { at, seen, probability: seen as f64 / of.max(1) as f64, interval_95: [lower, upper] }
+    }
+}
+
+/// How a number is distributed.
+pub(super) enum Marginal {
+    /// With a density.
+    Dense(Box<Dense>),
+    /// One of a few values.
+    Few(Vec<PointFit>),
+}
+
+/// A density, and one value with a probability of its own if it was seen.
+pub(super) struct Dense {
+    pub(super) families: Families,
+    pub(super) point: Option<PointFit>,
+}
+
+impl Dense {
+    pub(super) fn distribution(&self) -> Distribution {
+        let others = self.families.chosen.distribution.clone();
+        match self.point {
+            None => others,
+            Some(PointFit { at, probability, .. }) => {
+                Distribution::PointMass(PointMass { at, probability, others: Box::new(others) })
+            }
+        }
+    }
+}
+
+impl Marginal {
+    /// Fits a number. What is one of a few values stays so: `stated` is how the space distributes it.
+    pub(super) fn of(parameter: &ObservedParameter, stated: &Distribution) -> Result<Self, FitError> {
+        let values = &parameter.values;
+        if let Distribution::Choice(choice) = stated {
+            let number = |value: &Value| if let Value::Number(number) = value { Some(*number) } else { None };
+            return Ok(Self::Few(choice.values.iter().filter_map(number).map(|at| PointFit::of(at, values)).collect()));
+        }
+        let point = parameter.point_mass.map(|at| PointFit::of(at, values)).filter(|point| point.seen > 0);
+        let others = match point {
+            Some(point) => &values.iter().copied().filter(|value| *value != point.at).collect::<Vec<f64>>(),
+            None => values,
+        };
+        let families = Families::of(&parameter.name, others, [parameter.low, parameter.high])?;
+        Ok(Self::Dense(Box::new(Dense { families, point })))
+    }
+
+    pub(super) fn distribution(&self) -> Distribution {
+        match self {
+            Self::Dense(dense) => dense.distribution(),
+            Self::Few(points) => Distribution::Choice(Choice {
+                values: points.iter().map(|point| Value::Number(point.at)).collect(),
+                weights: Some(points.iter().map(|point| point.seen as f64).collect()),
+            }),
+        }
+    }
+}
+
+/// What every family says of the values of a parameter.
+pub(super) struct Families {
+    /// The likeliest.
+    pub(super) chosen: FamilyFit,
+    /// The others, the likeliest first.
+    pub(super) others: Vec<FamilyFit>,
+    /// Those that do not describe the values.
+    pub(super) impossible: Vec<(Family, NoFit)>,
+}
+
+impl Families {
+    /// Of values that can only lie in a range, by the name of their parameter.
+    pub(super) fn of(name: &str, values: &[f64], range: [f64; 2]) -> Result<Self, FitError> {
+        let (mut fits, mut impossible) = (Vec::new(), Vec::new());
+        for family in Family::ALL {
+            match family.fit(values, range) {
+                Ok(fit) => fits.push(fit),
+                Err(why) => impossible.push((family, why)),
+            }
+        }
+        fits.sort_by(|a: &FamilyFit, b| b.ln_likelihood.total_cmp(&a.ln_likelihood));
+        let mut fits = fits.into_iter();
+        let why = impossible.first().map_or(NoFit::NoMaximum, |(_, why)| *why);
+        let chosen = fits.next().ok_or_else(|| FitError::NoFamily { name: name.to_owned(), why })?;
+        Ok(Self { chosen, others: fits.collect(), impossible })
+    }
+}

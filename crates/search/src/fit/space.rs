@@ -1,0 +1,134 @@
+//! The space of what was fitted, and whether a space still is what was fitted to what it keeps.
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::FitError;
+use super::dependence::{self, Column};
+use super::marginal::Marginal;
+use crumple_world::scenario::space::{
+    Dependence, Distribution, GaussianCopula, InvalidSpace, Observed, ObservedParameter, Space, SpaceSpec, Value,
+};
+
+/// How far a distribution may be from the one that is fitted again, relative to what was observed, and a correlation: another machine
+/// rounds otherwise.
+const SAME: f64 = 1e-4;
+/// Shares at which distributions are compared.
+const COMPARED: u32 = 200;
+
+/// A space fitted to other values of its parameters: their families, estimates and dependence are found anew, all else stays.
+///
+/// # Errors
+/// [`FitError`] for values that no family describes, or that are no space.
+pub fn refitted(spec: &SpaceSpec, observed: &Observed) -> Result<Space, FitError> {
+    space_of(spec, observed, &marginals(spec, observed)?)
+}
+
+/// How each observed parameter is distributed.
+pub(super) fn marginals(spec: &SpaceSpec, observed: &Observed) -> Result<Vec<Marginal>, FitError> {
+    let fitted = |parameter: &ObservedParameter| match stated(spec, &parameter.name) {
+        Some(distribution) => Marginal::of(parameter, distribution),
+        None => {
+            let (field, problem) = ("observed.parameters".to_owned(), format!("there is no `{}`", parameter.name));
+            Err(InvalidSpace { field, problem }.into())
+        }
+    };
+    observed.parameters.par_iter().map(fitted).collect()
+}
+
+fn stated<'a>(spec: &'a SpaceSpec, name: &str) -> Option<&'a Distribution> {
+    spec.parameters.iter().find(|parameter| parameter.name == name).map(|parameter| &parameter.distribution)
+}
+
+/// A space with the distributions that were fitted to values of its parameters, and with their dependence.
+pub(super) fn space_of(spec: &SpaceSpec, observed: &Observed, marginals: &[Marginal]) -> Result<Space, FitError> {
+    let mut spec = spec.clone();
+    let distributions: Vec<Distribution> = marginals.iter().map(Marginal::distribution).collect();
+    for (distribution, values) in distributions.iter().zip(&observed.parameters) {
+        if let Some(parameter) = spec.parameters.iter_mut().find(|parameter| parameter.name == values.name) {
+            parameter.distribution = distribution.clone();
+            parameter.nominal = Some(Value::Number(median(&values.values)));
+        }
+    }
+    let columns: Vec<Column<'_>> = observed
+        .parameters
+        .iter()
+        .zip(&distributions)
+        .map(|(parameter, distribution)| Column { values: &parameter.values, distribution })
+        .collect();
+    let fitted = GaussianCopula {
+        parameters: observed.parameters.iter().map(|parameter| parameter.name.clone()).collect(),
+        correlation: dependence::correlation(&columns),
+    };
+    spec.dependence = joined(spec.dependence.take(), fitted).map(Dependence::GaussianCopula);
+    Ok(Space::new(spec, Path::new(""))?)
+}
+
+/// A copula with the correlations that were fitted, and those that were stated between parameters of which not both were observed.
+fn joined(stated: Option<Dependence>, fitted: GaussianCopula) -> Option<GaussianCopula> {
+    let Some(Dependence::GaussianCopula(stated)) = stated else {
+        return (fitted.parameters.len() > 1).then_some(fitted);
+    };
+    if fitted.parameters.len() < 2 {
+        return Some(stated);
+    }
+    let mut parameters = stated.parameters.clone();
+    parameters.extend(fitted.parameters.iter().filter(|name| !stated.parameters.contains(name)).cloned());
+    let entry = |a: &String, b: &String| match entry_of(&fitted, a, b).or_else(|| entry_of(&stated, a, b)) {
+        _ if a == b => 1.0,
+        found => found.unwrap_or(0.0),
+    };
+    let rows = parameters.iter().map(|a| parameters.iter().map(|b| entry(a, b)).collect()).collect();
+    let all_fitted = parameters.iter().all(|name| fitted.parameters.contains(name));
+    // What was stated need not fit together with what was fitted.
+    let correlation = if all_fitted { rows } else { dependence::fitting_together(rows) };
+    Some(GaussianCopula { parameters, correlation })
+}
+
+fn entry_of(copula: &GaussianCopula, a: &str, b: &str) -> Option<f64> {
+    let place = |name: &str| copula.parameters.iter().position(|known| known == name);
+    copula.correlation.get(place(a)?)?.get(place(b)?).copied()
+}
+
+/// The first thing in which a space is not what is fitted to the values that it keeps: the name of a parameter, or `dependence`. None where it is
+/// as it was fitted. Then only may resamples of these values stand for other data: they would be fitted, and the space was not.
+///
+/// # Errors
+/// [`FitError`] where nothing can be fitted to the values.
+pub fn edited(space: &Space, observed: &Observed) -> Result<Option<String>, FitError> {
+    let again = refitted(space.spec(), observed)?;
+    for parameter in &observed.parameters {
+        let [stated, fitted] = [space.spec(), again.spec()].map(|spec| stated(spec, &parameter.name));
+        let (Some(stated), Some(fitted)) = (stated, fitted) else { continue };
+        let [stated, fitted] = [stated.ready()?, fitted.ready()?];
+        let ends = parameter
+            .values
+            .iter()
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &value| [low.min(value), high.max(value)]);
+        let close = SAME * (ends[1] - ends[0]).abs();
+        let share = |index: u32| f64::from(index) / f64::from(COMPARED);
+        if (0..=COMPARED).any(|at| (stated.quantile(share(at)) - fitted.quantile(share(at))).abs() > close) {
+            return Ok(Some(parameter.name.clone()));
+        }
+    }
+    let copula = |space: &Space| match &space.spec().dependence {
+        Some(Dependence::GaussianCopula(copula)) => copula.clone(),
+        None => GaussianCopula { parameters: Vec::new(), correlation: Vec::new() },
+    };
+    let (stated, fitted) = (copula(space), copula(&again));
+    let differs = |a: &ObservedParameter, b: &ObservedParameter| {
+        let of = |copula: &GaussianCopula| entry_of(copula, &a.name, &b.name).unwrap_or(0.0);
+        a.name != b.name && (of(&stated) - of(&fitted)).abs() > SAME
+    };
+    let parameters = &observed.parameters;
+    let is_other = parameters.iter().any(|a| parameters.iter().any(|b| differs(a, b)));
+    Ok(is_other.then(|| "dependence".to_owned()))
+}
+
+/// The middle value, of an even number of values the higher of both.
+pub(super) fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+}

@@ -1,0 +1,166 @@
+//! A network from outside as one file, for the checker of certificates: `crumple-verify` says what is in it.
+//!
+//! The bytes follow from the network and its mapping alone: who reads the source again gets the same.
+
+use safetensors::tensor::{Dtype, TensorView};
+use serde::Serialize;
+
+use super::mapping::{Input, Output, Squash};
+use super::{InvalidMapping, NetworkController, Quantity};
+use crate::network::{Elementwise, FileFormat, Linear, Step};
+use crate::policy::ObservationScaling;
+
+/// The one metadata key.
+const KEY: &str = "crumple_network";
+const VERSION: u32 = 1;
+
+#[derive(Serialize)]
+struct Header<'a> {
+    version: u32,
+    source: Source<'a>,
+    inputs: &'a [Input],
+    steps: Vec<Done>,
+    output: Answered,
+    empty_gap_m: f64,
+    decision_interval_s: f64,
+}
+
+#[derive(Serialize)]
+struct Source<'a> {
+    format: FileFormat,
+    sha256: &'a str,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum Done {
+    Linear(usize),
+    Relu,
+    LeakyRelu(f64),
+    Elu(f64),
+    Tanh,
+    Sigmoid,
+    Add,
+    Multiply,
+    Divide,
+    Clip,
+}
+
+#[derive(Serialize)]
+struct Answered {
+    answer: usize,
+    scale_mps2: f64,
+    offset_mps2: f64,
+    low_mps2: f64,
+    high_mps2: f64,
+}
+
+/// Name, shape and bytes.
+type Tensor = (String, Vec<usize>, Vec<u8>);
+
+impl NetworkController {
+    /// The file by which the checker knows it.
+    ///
+    /// # Errors
+    /// [`InvalidMapping`] for a mapping that makes something else than affine functions of what is observed now.
+    pub fn checker_file(&self) -> Result<Vec<u8>, InvalidMapping> {
+        let mapping = self.mapping();
+        if mapping.history != 1 {
+            let problem =
+                format!("is {}, and only a network that sees nothing but the present can be followed", mapping.history);
+            return Err(InvalidMapping::new("history", problem));
+        }
+        for (index, input) in mapping.inputs.iter().enumerate() {
+            if let Some(why) = input.quantity.and_then(why_not_affine) {
+                let problem = format!("`{}` {why}", input.name());
+                return Err(InvalidMapping::new(format!("inputs[{index}].quantity"), problem));
+            }
+        }
+        let interval_s = mapping.decision_interval_s;
+        let decision_interval_s = interval_s
+            .ok_or_else(|| InvalidMapping::new("decision_interval_s", "is missing, and a network needs it"))?;
+        let (mut steps, mut tensors) = (Vec::new(), Vec::new());
+        let mut width = self.network().inputs();
+        for (index, step) in self.network().steps().iter().enumerate() {
+            steps.push(written(step, index, width, &mut tensors));
+            if let Step::Linear(Linear { biases, .. }) = step {
+                width = biases.len();
+            }
+        }
+        let Output { answer, variable: _, squash, scale_mps2, offset_mps2, low_mps2, high_mps2 } = mapping.output;
+        // The same function of the same single-precision number.
+        steps.extend(squash.map(|Squash::Tanh| Done::Tanh));
+        let header = Header {
+            version: VERSION,
+            source: Source { format: self.file().format(), sha256: &self.file().sha256 },
+            inputs: &mapping.inputs,
+            steps,
+            output: Answered { answer, scale_mps2, offset_mps2, low_mps2, high_mps2 },
+            empty_gap_m: ObservationScaling::default().empty_gap_m,
+            decision_interval_s,
+        };
+        let unwritten = |error: String| InvalidMapping::new("network", error);
+        let text = serde_json::to_string(&header).map_err(|error| unwritten(error.to_string()))?;
+        let views = tensors
+            .iter()
+            .map(|(name, shape, bytes): &Tensor| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
+            .collect::<Result<Vec<_>, safetensors::SafeTensorError>>();
+        views
+            .and_then(|views| safetensors::serialize(views, Some([(KEY.to_owned(), text)].into())))
+            .map_err(|error| unwritten(error.to_string()))
+    }
+}
+
+/// What stands against a quantity.
+fn why_not_affine(quantity: Quantity) -> Option<&'static str> {
+    match quantity {
+        Quantity::TimeGapAheadS | Quantity::TimeGapBehindS => {
+            Some("is a quotient of what is observed, and only sums and differences can be followed")
+        }
+        Quantity::LastAnswerMps2 => Some("is memory, and only a network without memory can be followed"),
+        _ => None,
+    }
+}
+
+/// A step as it is written, its numbers into `tensors`.
+fn written(step: &Step, index: usize, width: usize, tensors: &mut Vec<Tensor>) -> Done {
+    let mut add = |name: &str, shape: &[usize], numbers: &[f32]| {
+        let bytes = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        tensors.push((format!("steps.{index}.{name}"), shape.to_vec(), bytes));
+    };
+    let each = match step {
+        Step::Linear(Linear { weights, biases }) => {
+            add("weight", &[width, biases.len()], weights);
+            add("bias", &[biases.len()], biases);
+            return Done::Linear(biases.len());
+        }
+        Step::Each(each) => each,
+    };
+    match each {
+        Elementwise::Relu => Done::Relu,
+        Elementwise::LeakyRelu { slope } => Done::LeakyRelu(f64::from(*slope)),
+        Elementwise::Elu { alpha } => Done::Elu(f64::from(*alpha)),
+        Elementwise::Tanh => Done::Tanh,
+        Elementwise::Sigmoid => Done::Sigmoid,
+        Elementwise::Add(operands) => {
+            add("operand", &[width], operands);
+            Done::Add
+        }
+        Elementwise::Multiply(operands) => {
+            add("operand", &[width], operands);
+            Done::Multiply
+        }
+        Elementwise::Divide(operands) => {
+            add("operand", &[width], operands);
+            Done::Divide
+        }
+        Elementwise::Clip { low, high } => {
+            // A missing limit is infinite, and no number of a network is larger than the largest there is.
+            let finite =
+                |limits: &[f32]| limits.iter().map(|limit| limit.clamp(f32::MIN, f32::MAX)).collect::<Vec<_>>();
+            add("low", &[width], &finite(low));
+            add("high", &[width], &finite(high));
+            Done::Clip
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! What an FMU is wired to, and the command that runs it.
+
+use std::path::{Path, PathBuf};
+
+use crumple_fmu::{Causality, Description, Fmu, Kind, Variable};
+
+use super::{FmuProblem, Wiring};
+use crate::control::{Input, InvalidMapping, Mapping, Output, ProcessSetup, Quantity};
+
+/// The program that loads FMUs, installed beside crumple.
+const HOST: &str = "crumple-fmu";
+/// Says where it is if it is elsewhere.
+const HOST_VARIABLE: &str = "CRUMPLE_FMU";
+/// What the output of an FMU that has more than one must be called, unless a controller file says which it is.
+const ANSWER: &str = "acceleration_mps2";
+
+impl ProcessSetup {
+    /// An FMU, by its path from `folder`, wired as it is said. Reads the FMU, and runs nothing of it.
+    ///
+    /// # Errors
+    /// [`FmuProblem`] for a file that is no FMU or cannot drive here, and for variables that it does not have.
+    pub fn of_fmu(folder: &Path, path: &str, wiring: Wiring) -> Result<Self, FmuProblem> {
+        let fmu = Fmu::open(&folder.join(path))?;
+        let description = fmu.description();
+        let plain = Self::new(Vec::new(), folder);
+        let inputs = wiring.inputs.map_or_else(|| by_name(description), Ok)?;
+        let output = wiring.output.unwrap_or_else(|| plain.mapping.output.clone());
+        let mut command: Vec<String> = vec![HOST.to_owned(), "drive".to_owned()];
+        let mut say = |option: &str, value: String| command.push(format!("--{option}={value}"));
+        variables(description, &inputs)?.into_iter().for_each(|variable| say("input", variable));
+        say("output", answer(description, &output)?);
+        for (name, value) in &wiring.parameters {
+            let invalid = |problem| InvalidMapping::new(format!("parameters.{name}"), problem);
+            let Variable { kind, .. } = find(description, Causality::Parameter, name).map_err(invalid)?;
+            if !kind.accepts(*value) {
+                return Err(invalid(format!("{value} is no value of a parameter that is {}", kind.name())).into());
+            }
+            say("parameter", format!("{name}={value}"));
+        }
+        if let Some(interval_s) = wiring.decision_interval_s {
+            say("interval-s", interval_s.to_string());
+        }
+        // Not to be taken for an option.
+        command.push(format!("./{path}"));
+        Ok(Self {
+            command,
+            program: Some(fmu_host().ok_or(FmuProblem::NoHost)?),
+            files: vec![path.to_owned()],
+            mapping: Mapping {
+                inputs,
+                output,
+                decision_interval_s: wiring.decision_interval_s,
+                ..plain.mapping.clone()
+            },
+            ..plain
+        })
+    }
+}
+
+/// Each input by its name.
+fn by_name(description: &Description) -> Result<Vec<Input>, InvalidMapping> {
+    let inputs: Result<Vec<Input>, String> = description
+        .of(Causality::Input)
+        .map(|Variable { name, .. }| {
+            let named = Quantity::named(name).map(Input::plain);
+            named.ok_or_else(|| format!("its input `{name}` is called like nothing that can be seen"))
+        })
+        .collect();
+    match inputs {
+        Ok(inputs) if inputs.is_empty() => Err(InvalidMapping::new("inputs", "it has none")),
+        other => other.map_err(|problem| InvalidMapping::new("inputs", problem)),
+    }
+}
+
+/// The variable of each input, none of them twice.
+fn variables(description: &Description, inputs: &[Input]) -> Result<Vec<String>, InvalidMapping> {
+    let mut variables: Vec<String> = Vec::with_capacity(inputs.len());
+    for (index, input) in inputs.iter().enumerate() {
+        let field = format!("inputs[{index}]");
+        let name = match (&input.variable, input.quantity) {
+            (Some(variable), _) => variable,
+            (None, Some(quantity)) => quantity.name(),
+            (None, None) => return Err(InvalidMapping::new(field, "a constant needs a `variable` that is set to it")),
+        };
+        find(description, Causality::Input, name).map_err(|problem| InvalidMapping::new(&*field, problem))?;
+        if variables.iter().any(|other| other == name) {
+            return Err(InvalidMapping::new(field, format!("the FMU's input `{name}` is set twice")));
+        }
+        variables.push(name.to_owned());
+    }
+    Ok(variables)
+}
+
+/// The output that is the answer.
+fn answer(description: &Description, output: &Output) -> Result<String, InvalidMapping> {
+    let invalid = |problem| InvalidMapping::new("output.variable", problem);
+    let outputs: Vec<&Variable> =
+        description.of(Causality::Output).filter(|variable| variable.kind == Kind::Real).collect();
+    let name = match (&output.variable, outputs.as_slice()) {
+        (Some(variable), _) => variable,
+        (None, [only]) => &only.name,
+        (None, _) => ANSWER,
+    };
+    let found = find(description, Causality::Output, name).map_err(invalid)?;
+    match found.kind {
+        Kind::Real => Ok(found.name.clone()),
+        kind => Err(invalid(format!("`{name}` is {}, and an acceleration is real", kind.name()))),
+    }
+}
+
+fn find<'a>(description: &'a Description, causality: Causality, name: &str) -> Result<&'a Variable, String> {
+    let of_kind = || description.of(causality);
+    of_kind().find(|variable| variable.name == name).ok_or_else(|| {
+        let what = match causality {
+            Causality::Input => "inputs",
+            Causality::Output => "outputs",
+            Causality::Parameter => "parameters",
+        };
+        let mut names: Vec<&str> = of_kind().map(|variable| variable.name.as_str()).take(13).collect();
+        if names.len() == 13 {
+            names[12] = "…";
+        }
+        let there = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+        format!("the FMU has no `{name}` among its {what}: {there}")
+    })
+}
+
+/// Where the program is that runs FMUs: what the variable `CRUMPLE_FMU` says, or else beside this one, or on the path.
+#[must_use]
+pub fn fmu_host() -> Option<PathBuf> {
+    let absolute = |path: PathBuf| std::path::absolute(path).ok().filter(|path| path.is_file());
+    if let Some(said) = std::env::var_os(HOST_VARIABLE) {
+        return absolute(said.into());
+    }
+    let name = format!("{HOST}{}", std::env::consts::EXE_SUFFIX);
+    let own = std::env::current_exe().ok();
+    // Tests and examples lie in a folder of their own beside the programs.
+    let beside = own.iter().flat_map(|own| own.ancestors().skip(1).take(2));
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let folders = beside.map(Path::to_owned).chain(std::env::split_paths(&path));
+    folders.map(|folder| folder.join(&name)).find_map(absolute)
+}

@@ -1,0 +1,84 @@
+//! `crumple explore`: scenarios and campaigns in the browser.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use crumple_explore::{Offer, OfferedScenario, ServeError, Server};
+use serde::Serialize;
+
+use super::simulate::Format;
+use super::{Failure, choice, output, subject};
+use crumple_search::disk::DiskError;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::sim::NamedController;
+
+/// Drag scenarios about in the browser, and watch campaigns
+#[derive(Args)]
+#[command(after_long_help = "\
+Prints an address for the browser of this machine and serves it until Ctrl-C: on 127.0.0.1 alone, and only to who knows the token in that \
+address. Nothing is loaded from elsewhere. A request may have 1 MiB, and ask for 400 000 vehicles times steps over its controllers; of a campaign \
+the first 200 000 evaluations are shown. Scenarios are saved with names of their own, and replace nothing.
+
+Examples:
+  crumple explore
+  crumple explore my-scenario.toml --controller baseline --controller policy --out drawn
+  crumple explore runs/match-leader runs/idm")]
+pub(super) struct Explore {
+    /// Scenarios to begin with, built-in ones or files, and folders of campaigns (`crumple falsify --out`), finished or under way
+    #[arg(value_name = "SCENARIO|CAMPAIGN")]
+    what: Vec<String>,
+    /// Port; 0 for any that is free
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    port: u16,
+    /// Controller to begin with (see `crumple list controllers`), with settings, a file or a command after `exec:`; up to 4, side by side
+    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    controller: Vec<NamedController>,
+    /// What the vehicles under test look through at first
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    estimator: EstimatorKind,
+    /// Folder in which scenarios can be saved, beside being downloaded
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// How to print the address: for a reader, or as one JSON object
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+/// What `--format json` prints.
+#[derive(Serialize)]
+struct Address {
+    address: String,
+    port: u16,
+}
+
+impl Explore {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        let mut offer =
+            Offer { controllers: self.controller, estimator: self.estimator, out: self.out, ..Offer::default() };
+        for name in self.what {
+            if Path::new(&name).is_dir() {
+                offer.campaigns.push(name.into());
+                continue;
+            }
+            let scenario = subject::scenario(&name)?;
+            offer.scenarios.push(OfferedScenario { name, scenario });
+        }
+        let server = Server::bind(self.port, offer)?;
+        let (address, port) = (server.address(), server.port());
+        output::print(&match self.format {
+            Format::Json => serde_json::to_string(&Address { address, port }).map_err(Failure::input)? + "\n",
+            Format::Text => format!("{address}\n"),
+        })?;
+        output::note("open this address in a browser on this machine; Ctrl-C ends it", quiet);
+        Ok(server.run()?)
+    }
+}
+
+impl From<ServeError> for Failure {
+    fn from(error: ServeError) -> Self {
+        match error {
+            ServeError::System(source) => Self::Environment(DiskError { path: "the network".into(), source }),
+            other => Self::input(other),
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! A plan as it is written down: `plan.json`, the files for engines, and what a reader is told.
+
+use std::fs;
+
+use serde::Serialize;
+
+use super::Plan;
+use super::work::Wanted;
+use crate::cli::Failure;
+use crate::cli::output::rounded_up;
+use crumple_search::disk::{self, Files};
+use crumple_search::jobs::{Engine, Jobs, TASK};
+use crumple_world::quoted::ShellWord;
+
+/// The file `plan.json`.
+#[derive(Serialize)]
+pub(super) struct Planned {
+    pub(super) version: u32,
+    #[serde(flatten)]
+    pub(super) wanted: Wanted,
+    pub(super) shards: u32,
+    pub(super) cores_of_a_shard: u32,
+    /// Runs, or evaluations of a search.
+    pub(super) runs_a_core_and_second: f64,
+    pub(super) core_hours: f64,
+    pub(super) minutes_of_a_shard: f64,
+    pub(super) bytes_of_shards: u64,
+    pub(super) files_of_shards: u64,
+    /// What makes the work on one machine.
+    pub(super) command: Vec<String>,
+}
+
+impl Plan {
+    fn engines(&self) -> Vec<Engine> {
+        match self.engine.is_empty() {
+            true => Engine::ALL.to_vec(),
+            false => self.engine.iter().map(|name| name.engine()).collect(),
+        }
+    }
+
+    /// The folder as commands name it: never one that looks like an option.
+    fn folder(&self) -> Result<String, Failure> {
+        let name = || format!("--out: {} is not text, and job files are", self.out.display());
+        let folder = self.out.to_str().ok_or_else(|| Failure::Input(name()))?;
+        Ok(if folder.starts_with('-') { format!("./{folder}") } else { folder.to_owned() })
+    }
+
+    /// Whether nothing is there that would be written over, or mixed with.
+    pub(super) fn is_free(&self) -> Result<(), Failure> {
+        let has_some = fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_some());
+        match has_some && !self.force {
+            true => {
+                let problem = "is not empty: use --force to write a plan there all the same, or another --out";
+                Err(Failure::Input(format!("{}: {problem}", self.out.display())))
+            }
+            false => Ok(()),
+        }
+    }
+
+    /// Writes it.
+    pub(super) fn write(&self, planned: &Planned, words: Vec<String>) -> Result<(), Failure> {
+        let jobs = Jobs {
+            words,
+            shards: planned.shards,
+            cores: self.cores,
+            // Machines differ, and what was interrupted should not be so again.
+            most_minutes: (planned.minutes_of_a_shard * 3.0).ceil() as u64 + 10,
+            folder: self.folder()?,
+        };
+        disk::make_folder(&self.out)?;
+        let mut files = Files::default();
+        let mut stage = |name: &str, text: String| files.stage(&self.out.join(name), text);
+        stage("plan.json", serde_json::to_string_pretty(planned).map_err(Failure::input)? + "\n")?;
+        stage(TASK, jobs.task())?;
+        for engine in self.engines() {
+            let (name, text) = jobs.file(engine);
+            stage(name, text)?;
+        }
+        Ok(files.commit()?)
+    }
+
+    /// What a reader is told.
+    pub(super) fn told(&self, planned: &Planned) -> Result<String, Failure> {
+        let Planned { shards, cores_of_a_shard, .. } = planned;
+        let folder = self.folder()?;
+        let word = |rest: &str| ShellWord(&format!("{folder}/{rest}")).to_string();
+        let (first, last, whole) = match &planned.wanted {
+            Wanted::Rate { registration_sha256, runs, confidence, rate_at_most, failures } => (
+                format!(
+                    "{runs} runs; if {failures} of them fail, a rate of at most {} at confidence {confidence}",
+                    rounded_up(*rate_at_most)
+                ),
+                format!("  registered as {registration_sha256}\n"),
+                "rate",
+            ),
+            Wanted::Search { method, budget, evaluations } => (
+                format!("{evaluations} evaluations: {budget} by {method}, and as many by each reference search"),
+                match self.method.is_blind() {
+                    true => String::new(),
+                    false => format!("  {shards} searches by {method}, each with its share of the budget\n"),
+                },
+                "campaign",
+            ),
+        };
+        let what = if self.budget.is_some() { "evaluations" } else { "runs" };
+        let mut text = format!(
+            "{first}\n  \
+             {:.0} {what} a second on a core here: {:.2} core-hours\n  \
+             {shards} shards on {cores_of_a_shard} core(s) each, {:.1} minutes a shard; {} files, {:.1} MB\n\
+             {last}\n",
+            planned.runs_a_core_and_second,
+            planned.core_hours,
+            planned.minutes_of_a_shard,
+            planned.files_of_shards,
+            planned.bytes_of_shards as f64 / 1e6,
+        );
+        for engine in self.engines() {
+            text += &match engine {
+                Engine::HyperQueue => format!("  python3 {}\n", word("hyperqueue_job.py")),
+                Engine::Ray => format!("  python3 {} --address auto\n", word("ray_job.py")),
+                Engine::Slurm => format!("  sbatch {}\n", word("slurm.sh")),
+            };
+        }
+        Ok(text + &format!("  crumple merge {}/* --out {}\n", word("shards"), word(whole)))
+    }
+}

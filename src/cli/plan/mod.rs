@@ -1,0 +1,147 @@
+//! `crumple plan`: from what is wanted of a rate, or from the budget of a search, to runs, shards, hours and bytes, and files for engines
+//! that place work on machines.
+
+mod files;
+mod work;
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use super::{Failure, choice, output, subject};
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::Aim;
+use crumple_search::jobs::Engine;
+use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::Space;
+use crumple_world::sim::NamedController;
+use files::Planned;
+
+/// Plan a count or a search on many machines: runs, shards, hours, bytes, and job files for HyperQueue, Ray and Slurm
+#[derive(Args)]
+#[command(after_long_help = "\
+A rate is planned with --rate-below or --runs, a search for failures (`falsify`) with --budget. The pace is measured here, on one core, with runs of \
+another seed: nothing of what will be counted is known beforehand. To evaluations of a search comes in every shard what it takes to look at its failures \
+closely, seconds to minutes. DIR gets `plan.json`, \
+`task.sh`, which makes a shard, and a file for each engine: `hyperqueue_job.py`, `ray_job.py` and `slurm.sh`. Begin them in the folder in which \
+`plan` was run, so that relative paths lead to the same files, with the same build of crumple on all machines; \
+docs/many-machines.md goes through it.
+
+Suites, assessments and trainings are not planned: how long they take is not known from a pace. They are divided all the same, by --shard I/N of \
+`suite run` (a range of its tests, each with a controller), of `assess` (some of its pieces of evidence) and of `train --seeds` (a range of the seeds), \
+each with N at most their number, by a loop or any array of tasks:
+  for i in 1 2 3 4; do crumple suite run fmvss-127 --controller policy --shard $i/4 --out tests/$i --resume; done
+  crumple merge tests/* --out failures
+
+Examples:
+  crumple plan --controller shield:policy --estimator truth --rate-below 1e-6 --out campaign
+  crumple plan --controller policy --runs 10000000 --shards 64 --engine slurm --out campaign
+  crumple plan --controller policy --space high-risk --budget 1000000 --out search")]
+pub(super) struct Plan {
+    /// Controller of the vehicles under test (see `crumple list controllers`), or the file of one
+    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    controller: NamedController,
+    /// Space that runs are drawn from (see `crumple list spaces`), or a space file
+    #[arg(long, value_name = "S", default_value = "paper", value_parser = subject::space)]
+    space: (String, Space),
+    /// What is to be shown: that it fails at a rate of at most this, above 0 and below 1
+    #[arg(long, value_name = "P", required_unless_present_any = ["runs", "budget"])]
+    rate_below: Option<f64>,
+    /// Failures among the runs with which that is still shown: 0 to 1 000 000
+    #[arg(long, value_name = "K", default_value_t = 0, conflicts_with = "runs", value_parser = clap::value_parser!(u64).range(0..=1_000_000))]
+    failures: u64,
+    /// A budget of runs instead: 1 to 1 000 000 000
+    #[arg(long, value_name = "N", conflicts_with = "rate_below")]
+    runs: Option<u64>,
+    /// Of a search instead: evaluations of the method, and of each reference search, 1 to 1 000 000 000
+    #[arg(long, value_name = "N", conflicts_with_all = ["rate_below", "runs", "failures"], value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
+    budget: Option<u64>,
+    /// Method of the search (see `crumple list methods`)
+    #[arg(long, value_name = "M", default_value = "auto", conflicts_with_all = ["rate_below", "runs"])]
+    method: Method,
+    /// Which failures the search is after: severest, likeliest or nearest
+    #[arg(long, value_name = "A", default_value = "severest", conflicts_with_all = ["rate_below", "runs"])]
+    aim: Aim,
+    /// What must hold in the search: `no contact`, or a formula of signal temporal logic
+    #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT, conflicts_with_all = ["rate_below", "runs"])]
+    spec: String,
+    /// Confidence of the claim: above 0.5 and below 1
+    #[arg(long, value_name = "c", default_value_t = 0.999, conflicts_with = "budget")]
+    confidence: f64,
+    /// Seed of all draws
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// What the vehicles under test look through
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    estimator: EstimatorKind,
+    /// Number of shards, 1 to 10 000 and at most that of blocks of runs [default: of --minutes each]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    shards: Option<u32>,
+    /// Minutes that a shard should take: 1 to 10 000
+    #[arg(long, value_name = "N", default_value_t = 10, conflicts_with = "shards", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    minutes: u32,
+    /// Cores for each shard: 1 to 1024
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    cores: u32,
+    /// Engine to write a job file for; may be repeated [default: all]
+    #[arg(long, value_enum, value_name = "E")]
+    engine: Vec<EngineName>,
+    /// Where job files go, and shards will; new or empty
+    #[arg(long, value_name = "DIR", default_value = "crumple-plan")]
+    out: PathBuf,
+    /// Write into a folder that is not empty, over an earlier plan; shards of other work that are there stay, and are refused when theirs are made
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum EngineName {
+    /// HyperQueue
+    Hyperqueue,
+    /// Ray
+    Ray,
+    /// Slurm
+    Slurm,
+}
+
+impl EngineName {
+    fn engine(self) -> Engine {
+        match self {
+            Self::Hyperqueue => Engine::HyperQueue,
+            Self::Ray => Engine::Ray,
+            Self::Slurm => Engine::Slurm,
+        }
+    }
+}
+
+impl Plan {
+    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+        self.is_free()?;
+        let (wanted, command, measure) = match self.budget {
+            Some(budget) => self.search(budget, quiet)?,
+            None => self.rate(quiet)?,
+        };
+        let seconds = measure.runs as f64 / measure.pace;
+        let each = seconds / f64::from(self.cores) / (60.0 * f64::from(self.minutes));
+        let shards = match self.shards {
+            // As many as minutes make; the quotient is clamped before it is a number of shards.
+            None => each.ceil().clamp(1.0, f64::from(measure.most_shards)) as u32,
+            Some(shards) => shards,
+        };
+        let planned = Planned {
+            version: 1,
+            wanted,
+            shards,
+            cores_of_a_shard: self.cores,
+            runs_a_core_and_second: measure.pace,
+            core_hours: seconds / 3600.0,
+            minutes_of_a_shard: seconds / 60.0 / f64::from(shards) / f64::from(self.cores),
+            bytes_of_shards: (measure.bytes)(shards),
+            files_of_shards: u64::from(shards) * 4,
+            command: std::iter::once("crumple".to_owned()).chain(command.clone()).collect(),
+        };
+        self.write(&planned, command)?;
+        output::print(&self.told(&planned)?)
+    }
+}

@@ -1,0 +1,155 @@
+//! What is planned: what it takes in runs and seconds, and the words that make it.
+
+use std::time::Duration;
+
+use serde::Serialize;
+
+use super::Plan;
+use crate::cli::{Failure, output};
+use crumple_search::evidence::{RateConfig, RatePlan, runs_for};
+use crumple_search::falsify::campaign::Campaign;
+use crumple_search::shard::Shard;
+use crumple_world::measure::Specification;
+
+/// What is planned, as it stands in `plan.json`.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub(super) enum Wanted {
+    Rate {
+        registration_sha256: String,
+        runs: u64,
+        confidence: f64,
+        /// What is shown if `failures` runs fail.
+        rate_at_most: f64,
+        failures: u64,
+    },
+    Search {
+        method: &'static str,
+        /// Of the method, and of each reference search.
+        budget: u64,
+        /// Of all together.
+        evaluations: u64,
+    },
+}
+
+/// What work takes, whatever it is.
+pub(super) struct Measure {
+    pub(super) runs: u64,
+    /// Of them in a second on one core.
+    pub(super) pace: f64,
+    pub(super) most_shards: u32,
+    /// That so many shards leave behind.
+    pub(super) bytes: Box<dyn Fn(u32) -> u64>,
+}
+
+/// How long the pace is measured.
+const MEASURED: Duration = Duration::from_secs(2);
+/// What keeps draws of the measurement apart from those that are counted.
+const OTHER_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
+
+impl Plan {
+    /// A count.
+    pub(super) fn rate(&self, quiet: bool) -> Result<(Wanted, Vec<String>, Measure), Failure> {
+        let runs = match (self.runs, self.rate_below) {
+            (Some(runs), _) => runs,
+            (None, rate) => {
+                runs_for(rate.unwrap_or_default(), self.confidence, self.failures).map_err(Failure::input)?
+            }
+        };
+        let plan = self.count(self.seed, runs)?;
+        if let Some(shards) = self.shards {
+            plan.blocks_of(Shard::new(shards, shards).map_err(Failure::input)?).map_err(Failure::input)?;
+        }
+        output::note("measuring the pace", quiet);
+        let pace = self.count(self.seed ^ OTHER_SEED, runs.min(100_000))?.pace(MEASURED).map_err(Failure::input)?;
+        let wanted = Wanted::Rate {
+            registration_sha256: plan.registration().digest(),
+            runs,
+            confidence: self.confidence,
+            rate_at_most: plan.record().rate_at_most(self.failures),
+            failures: self.failures,
+        };
+        let most_shards = plan.most_shards();
+        // Those in resamples are not counted, and take as long.
+        let (resamples, runs_each) = plan.resampling().unwrap_or_default();
+        let runs_made = runs + u64::from(resamples) * u64::from(runs_each);
+        let measure =
+            Measure { runs: runs_made, pace, most_shards, bytes: Box::new(move |shards| plan.bytes_of(shards)) };
+        Ok((wanted, self.command(runs), measure))
+    }
+
+    /// A search.
+    pub(super) fn search(&self, budget: u64, quiet: bool) -> Result<(Wanted, Vec<String>, Measure), Failure> {
+        if self.seed > i64::MAX as u64 {
+            return Err(Failure::Input(format!("--seed: of a search at most {}, found {}", i64::MAX, self.seed)));
+        }
+        if self.controller.kind.identity().is_none() {
+            let problem = "states no identity: nobody could tell whether shards of it go together";
+            return Err(Failure::Input(format!("the controller `{}` {problem}", self.controller.name)));
+        }
+        let space = &self.space.1;
+        let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
+        let specification =
+            Specification::parse(&self.spec, &nominal).map_err(|error| Failure::Input(format!("--spec: {error}")))?;
+        let campaign = Campaign {
+            controller: self.controller.clone(),
+            estimator: self.estimator,
+            space: space.clone(),
+            specification,
+            method: self.method,
+            aim: self.aim,
+            budget,
+            seed: self.seed,
+        };
+        if let Some(shards) = self.shards {
+            let last = Shard::new(shards, shards).map_err(Failure::input)?;
+            last.range(budget, "evaluations of each method").map_err(Failure::input)?;
+        }
+        output::note("measuring the pace", quiet);
+        let elsewhere = Campaign { seed: (self.seed ^ OTHER_SEED) & i64::MAX as u64, ..campaign.clone() };
+        let pace = elsewhere.pace(MEASURED)?;
+        let evaluations = budget.saturating_mul(campaign.methods().len() as u64);
+        let mut words = self.words(&["falsify"]);
+        words.extend([
+            format!("--method={}", self.method),
+            format!("--aim={}", self.aim),
+            format!("--budget={budget}"),
+            format!("--spec={}", self.spec),
+        ]);
+        let wanted = Wanted::Search { method: self.method.name(), budget, evaluations };
+        let most_shards = campaign.most_shards();
+        let bytes = Box::new(move |shards| campaign.bytes_of(shards));
+        Ok((wanted, words, Measure { runs: evaluations, pace, most_shards, bytes }))
+    }
+
+    fn count(&self, seed: u64, runs: u64) -> Result<RatePlan, Failure> {
+        RatePlan::new(RateConfig {
+            controllers: (self.controller.clone(), None),
+            space: self.space.1.clone(),
+            seed,
+            estimator: self.estimator,
+            runs,
+            confidence: self.confidence,
+        })
+        .map_err(Failure::input)
+    }
+
+    /// The words that every command has.
+    fn words(&self, command: &[&str]) -> Vec<String> {
+        let mut words: Vec<String> = command.iter().map(|word| (*word).to_owned()).collect();
+        words.extend([
+            format!("--controller={}", self.controller.name),
+            format!("--space={}", self.space.0),
+            format!("--estimator={}", self.estimator.name()),
+            format!("--seed={}", self.seed),
+        ]);
+        words
+    }
+
+    /// The words that make the whole of a count.
+    fn command(&self, runs: u64) -> Vec<String> {
+        let mut words = self.words(&["verify", "rate"]);
+        words.extend([format!("--runs={runs}"), format!("--confidence={}", self.confidence)]);
+        words
+    }
+}

@@ -1,0 +1,73 @@
+//! `crumple explore` in a browser, where there is one, and at its end.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use crate::command_line::{code, crumple, folder};
+
+/// Drags, draws, opens a failure, saves it and runs it again: `tests/browser/explore.py` says what. Skipped in so many words where there
+/// is no Python, no chromium or no driver.
+#[test]
+fn explore_is_driven_in_a_browser() {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/browser/explore.py");
+    let output = match Command::new("python3").arg(script).arg(env!("CARGO_BIN_EXE_crumple")).output() {
+        Ok(output) => output,
+        Err(error) => return println!("skipped: no python3: {error}"),
+    };
+    print!("{}", String::from_utf8_lossy(&output.stdout));
+    assert!(matches!(output.status.code(), Some(0 | 77)), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// The address is the first thing on standard output, and Ctrl-C is a good end.
+#[cfg(unix)]
+#[test]
+fn explore_prints_its_address_and_ends_with_ctrl_c() {
+    for format in ["text", "json"] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
+        command.args(["explore", "--quiet", "--format", format]).stdout(Stdio::piped());
+        let mut child = command.spawn().expect("starts");
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().expect("piped")).read_line(&mut line).expect("a line");
+        let address = match format {
+            "json" => serde_json::from_str::<serde_json::Value>(&line).expect("one object")["address"]
+                .as_str()
+                .expect("text")
+                .to_owned(),
+            _ => line.trim_end().to_owned(),
+        };
+        assert!(address.starts_with("http://127.0.0.1:") && address.ends_with('/'), "{address}");
+        let interrupted = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill is there");
+        assert!(interrupted.success());
+        assert_eq!(child.wait().expect("ends").code(), Some(0));
+    }
+}
+
+#[test]
+fn explore_refuses_what_it_cannot_offer() {
+    let folder = folder();
+    let refused = |arguments: &[&str], said: &str| {
+        let output = crumple(folder.path(), &[&["explore"], arguments].concat());
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(code(&output) == 2 && text.contains(said) && text.lines().count() == 1, "{text}");
+    };
+    refused(&["no-such-scenario"], "neither a built-in scenario");
+    refused(&["."], "no campaign has begun there");
+    refused(&["--out", "nowhere"], "no such folder");
+    refused(&["--controller", "idm", "--controller", "idm"], "given twice");
+    refused(
+        &[
+            "--controller",
+            "idm",
+            "--controller",
+            "rss",
+            "--controller",
+            "baseline",
+            "--controller",
+            "policy",
+            "--controller",
+            "retrained",
+        ],
+        "at most 4",
+    );
+}

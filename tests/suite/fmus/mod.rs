@@ -1,0 +1,318 @@
+//! FMUs as controllers: they drive as the same law does by other ways, what they do wrong ends runs, and damaged ones are refused.
+
+use std::fs;
+use std::io::{Cursor, Write as _};
+use std::path::Path;
+use std::process::Command;
+
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::built_in_space;
+use crumple_world::scenario::{Scenario, built_in};
+use crumple_world::sim::{
+    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate, simulate_batch,
+};
+use rand::{RngExt as _, SeedableRng as _};
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
+
+use crate::command_line::{code, crumple, folder};
+
+const EXAMPLE: &str = include_str!("../../../examples/controllers/fmu/follower.c");
+const EXAMPLE_XML: &str = include_str!("../../../examples/controllers/fmu/modelDescription.xml");
+const ODD: &str = include_str!("odd.c");
+const ODD_XML: &str = include_str!("odd.xml");
+
+/// Where the edition of the standard wants the library of this platform.
+fn member(edition: u32, name: &str) -> String {
+    let system = if cfg!(target_os = "macos") { "darwin" } else { std::env::consts::OS };
+    let extension = if cfg!(target_os = "macos") { "dylib" } else { "so" };
+    let folder = match edition {
+        2 => format!("{system}{}", usize::BITS),
+        _ => format!("{}-{system}", std::env::consts::ARCH),
+    };
+    format!("binaries/{folder}/{name}.{extension}")
+}
+
+/// A library of a C source; none where there is no compiler, with a message.
+fn compiled(folder: &Path, source: &str, what: &str) -> Option<Vec<u8>> {
+    let (from, to) = (folder.join("source.c"), folder.join("library.so"));
+    fs::write(&from, source).unwrap();
+    let paths = ["-o", to.to_str().unwrap(), from.to_str().unwrap(), "-lm"];
+    let done = Command::new("cc").args(["-O2", "-shared", "-fPIC", what]).args(paths).output();
+    match done {
+        Ok(done) if done.status.success() => Some(fs::read(to).unwrap()),
+        Ok(done) => panic!("{}", String::from_utf8_lossy(&done.stderr)),
+        Err(error) => {
+            println!("skipped: no C compiler: {error}");
+            None
+        }
+    }
+}
+
+fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, bytes) in members {
+        archive.start_file(*name, SimpleFileOptions::default()).unwrap();
+        archive.write_all(bytes).unwrap();
+    }
+    archive.finish().unwrap().into_inner()
+}
+
+/// A folder with the example as `follower.fmu`.
+fn with_example() -> Option<tempfile::TempDir> {
+    let folder = folder();
+    let library = compiled(folder.path(), EXAMPLE, "-DEXAMPLE")?;
+    let members = [("modelDescription.xml", EXAMPLE_XML.as_bytes()), (&member(2, "follower"), &library)];
+    fs::write(folder.path().join("follower.fmu"), archive(&members)).unwrap();
+    Some(folder)
+}
+
+/// A folder with the other one as `odd.fmu`, and its controller file.
+fn with_odd(what: &str) -> Option<tempfile::TempDir> {
+    let folder = folder();
+    let library = compiled(folder.path(), ODD, &format!("-DWHAT={what}"))?;
+    let xml = ODD_XML.replace("\"ONCE\"", if what == "ONCE" { "\"true\"" } else { "\"false\"" });
+    let members = [("modelDescription.xml", xml.as_bytes()), (&member(3, "odd"), &library)];
+    fs::write(folder.path().join("odd.fmu"), archive(&members)).unwrap();
+    fs::write(folder.path().join("odd.toml"), WIRED).unwrap();
+    Some(folder)
+}
+
+const WIRED: &str = r#"version = 1
+fmu = "odd.fmu"
+answer_within_s = 0.5
+parameters = { "set speed" = 30.0, lanes = 1 }
+output = { variable = "command", low_mps2 = -7.5, high_mps2 = 2.0 }
+
+[[inputs]]
+quantity = "speed_mps"
+variable = "speed"
+[[inputs]]
+quantity = "gap_ahead_m"
+variable = "distance"
+[[inputs]]
+quantity = "is_ahead"
+variable = "ahead"
+[[inputs]]
+quantity = "relative_speed_ahead_mps"
+variable = "rate"
+"#;
+
+fn find(name: &str, folder: &Path) -> NamedController {
+    NamedController::find(name, folder).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn drive(controller: &ControllerKind, scenario: &Scenario) -> Simulated {
+    let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
+    simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
+}
+
+fn draws(count: u64) -> Vec<Scenario> {
+    let space = built_in_space("high-risk").unwrap();
+    (0..count).map(|index| space.draw(5, index).unwrap().edited(|spec| spec.duration_s = 3.0).unwrap()).collect()
+}
+
+fn in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<Simulated> {
+    let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
+    let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
+    simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated)
+}
+
+/// By FMI 2, by FMI 3 with names of its own, with one instance for all runs, and as a process without FMI: the same bits, in both
+/// engines.
+#[test]
+fn one_law_drives_alike_by_both_editions_and_without() {
+    let Some(example) = with_example() else { return };
+    let source = include_str!("../../../examples/controllers/follower.c");
+    fs::write(example.path().join("process.c"), source).unwrap();
+    let arguments = ["-O2", "-o", "process", "process.c", "-lm"];
+    assert!(Command::new("cc").args(arguments).current_dir(example.path()).status().unwrap().success());
+    let scenarios = draws(25);
+    let expected = in_lockstep(&find("exec:./process", example.path()).kind, &scenarios);
+    let by_fmi_2 = find("follower.fmu", example.path()).kind;
+    assert_eq!(in_lockstep(&by_fmi_2, &scenarios), expected);
+    assert_eq!(drive(&by_fmi_2, &scenarios[7]), expected[7]);
+    for what in ["NOTHING", "ONCE", "PRINT", "WARN"] {
+        let odd = with_odd(what).unwrap();
+        assert_eq!(in_lockstep(&find("odd.toml", odd.path()).kind, &scenarios), expected, "{what}");
+    }
+}
+
+/// What an FMU integrates goes on by one decision interval a decision, from its initialization on: here a lag in closed form.
+#[test]
+fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
+    let Some(odd) = with_odd("LATER") else { return };
+    let text = WIRED.replace("fmu =", "decision_interval_s = 0.1\nfmu =");
+    fs::write(odd.path().join("odd.toml"), text).unwrap();
+    let scenario = built_in("paper-1").unwrap().edited(|spec| spec.duration_s = 2.0).unwrap();
+    let controller = find("odd.toml", odd.path()).kind;
+    let simulated = drive(&controller, &scenario);
+    let trace = simulated.trace.as_ref().unwrap();
+    let (gaps_m, [ahead, own]) = (trace.gaps_m(1), [&trace.vehicles[0], &trace.vehicles[1]]);
+    let decay = 1.0 - (-0.1_f64 / 0.3).exp();
+    let (mut filtered_mps2, mut checked) = (0.0, 0);
+    for k in (0..200).step_by(10) {
+        let (gap_m, speed_mps) = (gaps_m[k].unwrap(), own.speed_mps[k]);
+        let wanted = 0.3 * (gap_m - 4.0 - 1.4 * speed_mps) + 0.9 * (ahead.speed_mps[k] - speed_mps);
+        filtered_mps2 += (wanted.min(2.0).min(30.0 - speed_mps).max(-7.5) - filtered_mps2) * decay;
+        assert!((own.acceleration_mps2[k] - filtered_mps2).abs() < 1e-9, "{k}");
+        assert!((own.acceleration_mps2[k + 9] - filtered_mps2).abs() < 1e-9, "{k}");
+        checked += 1;
+    }
+    assert_eq!(checked, 20);
+    assert_eq!(drive(&controller, &scenario), simulated);
+}
+
+#[test]
+fn whatever_an_fmu_does_wrong_ends_the_run() {
+    let cases = [
+        ("CRASH", 0.03, "ended by signal 6", ""),
+        ("NO_NUMBER", 0.03, "exit code 2", "its output is NaN, at 0.03 s"),
+        ("TO_DISCARD", 0.03, "exit code 2", "the FMU discarded it (fmi3DoStep)"),
+        ("TO_FAIL", 0.03, "exit code 2", "the FMU reports an error (fmi3DoStep)"),
+        ("TO_END", 0.03, "exit code 2", "the FMU asks for the end of the simulation at 0.04 s"),
+        ("HANG", 0.03, "gave no answer within 0.5 s", ""),
+        ("NO_INSTANCE", 0.0, "exit code 2", "the FMU gives no instance (fmi3InstantiateCoSimulation)"),
+    ];
+    for (what, time_s, why, last) in cases {
+        let Some(odd) = with_odd(what) else { return };
+        let failed = drive(&find("odd.toml", odd.path()).kind, &built_in("paper-1").unwrap()).outcome;
+        let failed = failed.failed().unwrap_or_else(|| panic!("{what} drives on"));
+        let said = failed.to_string();
+        assert!((failed.time_s - time_s).abs() < 1e-9 && said.contains("`odd.fmu`"), "{what}: {said}");
+        assert!(said.contains(why) && said.contains(last), "{what}: {said}");
+    }
+}
+
+/// Its file and what it is wired to, and not where it lies.
+#[test]
+fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
+    let Some(odd) = with_odd("NOTHING") else { return };
+    let identity = |folder: &Path| find("odd.toml", folder).kind.identity().expect("has one");
+    let first = identity(odd.path());
+    let elsewhere = folder();
+    for name in ["odd.toml", "odd.fmu"] {
+        fs::copy(odd.path().join(name), elsewhere.path().join(name)).unwrap();
+    }
+    assert_eq!(identity(elsewhere.path()), first);
+    fs::write(elsewhere.path().join("odd.toml"), WIRED.replace("= 30.0", "= 29.0")).unwrap();
+    assert_ne!(identity(elsewhere.path()), first);
+    let search = ["falsify", "--controller", "odd.toml", "--budget", "20", "--out", "found", "--format", "json"];
+    let found = crumple(odd.path(), &search);
+    assert!([0, 1].contains(&code(&found)), "{}", String::from_utf8_lossy(&found.stderr));
+}
+
+#[test]
+fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
+    let Some(odd) = with_odd("NOTHING") else { return };
+    let cases = [
+        (
+            "\"speed\"",
+            "\"Speed\"",
+            "odd.toml:7: inputs[0]: the FMU has no `Speed` among its inputs: distance, rate, speed, ahead",
+        ),
+        ("\"rate\"", "\"speed\"", "odd.toml:16: inputs[3]: the FMU's input `speed` is set twice"),
+        ("variable = \"rate\"", "", "inputs[3]: the FMU has no `relative_speed_ahead_mps` among its inputs"),
+        (
+            "variable = \"command\", ",
+            "",
+            "output.variable: the FMU has no `acceleration_mps2` among its outputs: command, spare",
+        ),
+        ("lanes = 1", "lanes = 1.5", "parameters.lanes: 1.5 is no value of a parameter that is integer"),
+        ("lanes", "roads", "the FMU has no `roads` among its parameters"),
+        ("fmu = ", "history = 2\nfmu = ", "odd.toml:2: history: is not for an FMU"),
+        ("fmu = ", "files = [\"a\"]\nfmu = ", "odd.toml:2: files: is not for an FMU"),
+        ("fmu = ", "command = [\"a\"]\nfmu = ", "command: there is `fmu` already"),
+        ("odd.fmu", "none.fmu", "none.fmu: cannot be read: No such file"),
+        ("odd.fmu", ".", "cannot be read: it is no ordinary file"),
+    ];
+    for (was, is, said) in cases {
+        fs::write(odd.path().join("odd.toml"), WIRED.replacen(was, is, 1)).unwrap();
+        let error = NamedController::find("odd.toml", odd.path()).expect_err(is).to_string();
+        assert!(error.contains(said), "{error}\n  should say\n{said}");
+    }
+    let bare = NamedController::find("odd.fmu", odd.path()).expect_err("needs wiring").to_string();
+    assert!(bare.contains("odd.fmu: inputs: its input `distance` is called like nothing that can be seen"), "{bare}");
+    let nobody = Command::new(env!("CARGO_BIN_EXE_crumple"))
+        .args(["simulate", "paper-1", "--controller", "odd.toml"])
+        .current_dir(odd.path())
+        .env("CRUMPLE_FMU", "/nowhere")
+        .output()
+        .unwrap();
+    fs::write(odd.path().join("odd.toml"), WIRED).unwrap();
+    assert_eq!(code(&nobody), 2);
+}
+
+/// Each of 200 damaged ones: one clear error, exit code 2; and so for whatever else is in an archive.
+#[test]
+fn damaged_fmus_are_refused() {
+    let Some(example) = with_example() else { return };
+    let path = example.path().join("follower.fmu");
+    let whole = fs::read(&path).unwrap();
+    let refused = |what: &str| match NamedController::find("follower.fmu", example.path()) {
+        Ok(_) => None,
+        Err(error) => {
+            let error = error.to_string();
+            assert!(error.contains("follower.fmu: ") && !error.contains('\n'), "{what}: {error:?}");
+            Some(error)
+        }
+    };
+    let mut random = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(20);
+    let mut accepted = 0;
+    for number in 0..200 {
+        let mut bytes = whole.clone();
+        if number % 2 == 0 {
+            bytes.truncate(random.random_range(0..whole.len()));
+        } else {
+            // Where what is read before driving lies: the description, at the beginning, and the list of members, at the end.
+            let place = random.random_range(0..1200);
+            let place = if place < 900 { place } else { whole.len() - (place - 899) };
+            bytes[place] ^= 1 << random.random_range(0..8);
+        }
+        fs::write(&path, bytes).unwrap();
+        accepted += usize::from(refused(&format!("{number}")).is_none());
+    }
+    // A name or a date of a member may change and still be one.
+    assert!(accepted < 40, "{accepted} of 200 are accepted");
+
+    let library = member(2, "follower");
+    let far = "../".repeat(9) + "tmp/evil";
+    let big = EXAMPLE_XML.replace("</fmi", &(" ".repeat(17 << 20) + "</fmi"));
+    let model = |was: &str, is: &str| EXAMPLE_XML.replacen(was, is, 1);
+    let described = [
+        (model("<CoSimulation", "<ModelExchange"), "has no co-simulation"),
+        (model("fmiVersion=\"2.0\"", "fmiVersion=\"1.0\""), "is of FMI version \"1.0\"; FMI 2.0 and 3.0 are read"),
+        (model("modelIdentifier=\"follower\"", "modelIdentifier=\"../follower\""), "is no identifier of C"),
+        (model("modelIdentifier=\"follower\"", "modelIdentifier=\"other\""), "has no library for this platform"),
+        (model("canHandle", "needsExecutionTool=\"true\" canHandle"), "needs the tool that made it"),
+        (model("valueReference=\"0\"", "valueReference=\"-1\""), "line 12: valueReference \"-1\" is no whole number"),
+        (model("name=\"speed_mps\"", "name=\"gap_ahead_m\""), "there are two variables \"gap_ahead_m\""),
+        (
+            model("<?xml version=\"1.0\" encoding=\"UTF-8\"?>", "<!DOCTYPE a [<!ENTITY b \"c\">]>"),
+            "modelDescription.xml",
+        ),
+        (model("</ModelVariables>", ""), "modelDescription.xml: "),
+        (big, "has more than 16777216 bytes"),
+    ];
+    for (xml, said) in described {
+        fs::write(&path, archive(&[("modelDescription.xml", xml.as_bytes()), (&library, &whole)])).unwrap();
+        let error = refused(said).unwrap_or_else(|| panic!("accepted, should say {said}"));
+        assert!(error.contains(said), "{error}\n  should say\n{said}");
+    }
+    let xml = EXAMPLE_XML.as_bytes();
+    fs::write(
+        &path,
+        archive(&[("resources/../../evil", xml), ("modelDescription.xml", xml), (&library, xml), (&far, xml)]),
+    )
+    .unwrap();
+    let ran = crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
+    let said = String::from_utf8_lossy(&ran.stdout).into_owned();
+    assert!(said.contains("leads out of the archive"), "{said}");
+    for bytes in [&whole[..700], b"PK", b""] {
+        fs::write(&path, bytes).unwrap();
+        let ran = crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
+        assert_eq!(code(&ran), 2);
+        let said = String::from_utf8_lossy(&ran.stderr).into_owned();
+        assert_eq!(said.matches("follower.fmu: ").count(), 1, "{said}");
+    }
+}

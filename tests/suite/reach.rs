@@ -1,0 +1,353 @@
+//! What is proved of networks from outside is true of what the simulator does with them.
+
+use std::path::{Path, PathBuf};
+
+use crumple_search::evidence::{BoxSpec, CruiseError, CruisePlan, ReachPlan, bound};
+use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Scene, reach_with_tube};
+use crumple_verify::{Accepted, Certificate, Statement, check_with};
+use crumple_world::control::{Input, Mapping, NetworkController, Output, Quantity, Squash};
+use crumple_world::network::NetworkFile;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::sim::{ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, Trace, simulate};
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use crate::command_line::{code, crumple};
+use crate::onnx_bytes::{Node, any_each, model, product};
+
+fn corpus(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers").join(name)
+}
+
+fn kind(name: &str) -> ControllerKind {
+    NamedController::find(name, &corpus("")).unwrap_or_else(|error| panic!("{error}")).kind
+}
+
+fn spec(scenario: &str, ranges: &str) -> BoxSpec {
+    let text = format!("version = 1\nscenario = \"{scenario}\"\n[ranges]\n{ranges}");
+    BoxSpec::from_toml(&text, Path::new("box.toml")).unwrap()
+}
+
+/// A network of any shape and functions that sees any quantities that can be followed.
+fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
+    use Quantity as Q;
+    let quantities = [
+        (Q::GapAheadM, 16.0),
+        (Q::GapBehindM, 16.0),
+        (Q::SpeedMps, 12.5),
+        (Q::SpeedAheadMps, 12.5),
+        (Q::SpeedBehindMps, 12.5),
+        (Q::AccelerationMps2, 5.0),
+        (Q::AccelerationAheadMps2, 5.0),
+        (Q::AccelerationBehindMps2, 5.0),
+        (Q::RelativeSpeedAheadMps, 5.0),
+        (Q::RelativeSpeedBehindMps, 5.0),
+        (Q::IsAhead, 1.0),
+        (Q::IsBehind, 1.0),
+    ];
+    let inputs: Vec<Input> = (0..random.random_range(2..9_usize))
+        .map(|place| {
+            let (quantity, size) = *quantities.choose(random).expect("some");
+            let is_constant = place == 0;
+            Input {
+                quantity: (!is_constant).then_some(quantity),
+                variable: None,
+                constant: is_constant.then_some(1.4),
+                offset: size * random.random_range(0.0..1.0),
+                scale: if random.random_bool(0.8) { size } else { -size },
+                low: if random.random_bool(0.5) { -1e6 } else { -1.5 },
+                high: if random.random_bool(0.5) { 1e6 } else { 1.2 },
+                absent: None,
+            }
+        })
+        .collect();
+    let (mut nodes, mut width) = (Vec::new(), inputs.len());
+    for depth in 0..random.random_range(1..4_u32) {
+        if depth > 0 {
+            nodes.push(any_each(width, random));
+        }
+        let after = random.random_range(1..14);
+        nodes.push(product(width, after, random.random_range(0.3..1.2), random));
+        width = after;
+    }
+    if random.random_bool(0.5) {
+        nodes.push(any_each(width, random));
+    }
+    let mapping = Mapping {
+        decision_interval_s: Some(*[0.05, 0.1, 0.1, 0.25].choose(random).expect("some")),
+        history: 1,
+        newest_first: false,
+        output: Output {
+            variable: None,
+            answer: random.random_range(0..width),
+            squash: random.random_bool(0.5).then_some(Squash::Tanh),
+            scale_mps2: 5.25,
+            offset_mps2: -2.25,
+            low_mps2: if random.random_bool(0.5) { -7.5 } else { -5.0 },
+            high_mps2: 3.0,
+        },
+        inputs,
+    };
+    let file = NetworkFile::from_onnx(&model(mapping.inputs.len(), &nodes)).unwrap_or_else(|error| panic!("{error}"));
+    NetworkController::new(file, mapping).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn point(ranges: &Ranges, random: &mut Xoshiro256PlusPlus) -> [f64; 8] {
+    Dimension::ALL.map(|dimension| {
+        let range = ranges.get(dimension);
+        (range.low() + random.random::<f64>() * (range.high() - range.low())).clamp(range.low(), range.high())
+    })
+}
+
+/// What the vehicle under test observes at a step, and the gaps behind which nobody is are left out.
+fn observed(trace: &Trace, k: usize) -> Vec<(usize, f64)> {
+    let [leader, ego, rest @ ..] = trace.vehicles.as_slice() else { panic!("two at least") };
+    let before = |a: &[f64]| k.checked_sub(1).map_or(0.0, |before| a[before]);
+    let mut seen = vec![
+        (0, leader.position_m[k] - leader.length_m - ego.position_m[k]),
+        (2, leader.speed_mps[k]),
+        (3, ego.speed_mps[k]),
+        (5, before(&leader.acceleration_mps2)),
+        (6, before(&ego.acceleration_mps2)),
+    ];
+    if let [follower] = rest {
+        seen.push((1, ego.position_m[k] - ego.length_m - follower.position_m[k]));
+        seen.push((4, follower.speed_mps[k]));
+        seen.push((7, before(&follower.acceleration_mps2)));
+    }
+    seen
+}
+
+/// Random networks, random boxes: what is certified is accepted, every trajectory is inside the tube, no gap is smaller than proved, and
+/// what is falsified touches.
+#[test]
+fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
+    let [mut verified, mut falsified, mut compared] = [0; 3];
+    for seed in 0..60 {
+        let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
+        let network = std::sync::Arc::new(any_network(random));
+        let options = RunOptions::new(network.clone()).with_estimator(EstimatorKind::Truth);
+        let size = [0.0, 0.05, 0.3][seed as usize % 3];
+        let ranges = format!(
+            "gap_ahead_m = {{ low = {}, high = 16.1 }}\nego_speed_mps = {{ low = 24.9, high = {} }}",
+            16.0 - size,
+            24.9 + size
+        );
+        let scenario = if random.random_bool(0.5) { "paper-1" } else { "paper-2" };
+        let plan = ReachPlan::new(network, &spec(scenario, &ranges)).unwrap_or_else(|error| panic!("{seed}: {error}"));
+        let partition = plan.partition(2, |_| ()).unwrap();
+        let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()));
+        assert!(matches!(accepted, Ok(Accepted::Reach { .. })), "{seed}: {accepted:?}");
+        bound(&partition.certificate, Some(plan.policy_bytes())).unwrap();
+        let actor = Actor::from_bytes(plan.policy_bytes()).unwrap();
+        let Statement::Reach(claim) = &partition.certificate.statement else { panic!("reach") };
+        let whole = claim.scene(&actor).unwrap();
+        for (cell, ranges, _) in claim.leaves().unwrap() {
+            if let Cell::Falsified(point) = cell {
+                falsified += 1;
+                let outcome = simulate(
+                    &Run::new(&plan.scenario_at(&point).unwrap(), options.clone()).unwrap(),
+                    RecordingLevel::Summary,
+                );
+                assert_ne!(outcome.outcome, Outcome::NoCollision, "{seed}");
+            }
+            let scene = Scene { ranges, stop_at_doubt: false, ..whole.clone() };
+            let (_, tube) = reach_with_tube(&scene);
+            for _ in 0..4 {
+                let scenario = plan.scenario_at(&point(&ranges, random)).unwrap();
+                let run = simulate(&Run::new(&scenario, options.clone()).unwrap(), RecordingLevel::Trace);
+                let trace = run.trace.as_ref().expect("recorded");
+                if cell == Cell::Verified {
+                    verified += 1;
+                    assert_eq!(run.outcome, Outcome::NoCollision, "{seed}");
+                    let gaps = (0..trace.time_s.len()).flat_map(|k| observed(trace, k));
+                    let least =
+                        gaps.filter(|(number, _)| *number < 2).map(|(_, gap)| gap).fold(f64::INFINITY, f64::min);
+                    assert!(least >= claim.min_gap_m_at_least - 1e-8, "{seed}: {least}");
+                }
+                let Some(tube) = &tube else { continue };
+                for (decision, bounds) in tube.iter().enumerate() {
+                    let k = decision * scene.decision_steps as usize;
+                    // Until they touch.
+                    if k + 1 >= trace.time_s.len() && run.outcome != Outcome::NoCollision || k >= trace.time_s.len() {
+                        break;
+                    }
+                    for (number, seen) in observed(trace, k) {
+                        let bound = bounds[number];
+                        let inside = bound.low() - 1e-7 <= seen && seen <= bound.high() + 1e-7;
+                        assert!(inside, "{seed}: number {number} at decision {decision}: {seen} not in {bound:?}");
+                        compared += 1;
+                    }
+                }
+            }
+        }
+    }
+    println!("{verified} runs in verified cells, {falsified} falsified cells, {compared} numbers compared");
+    assert!(verified > 10 && falsified > 10 && compared > 50_000, "{verified} {falsified} {compared}");
+}
+
+/// Of the reference policy it is the same whichever file it came in: only its last tanh is done a step earlier.
+#[test]
+fn a_policy_written_as_onnx_proves_what_it_proves_as_a_policy() {
+    let spec = spec("paper-2", "gap_ahead_m = { low = 15.5, high = 16.5 }\nonset_s = { low = 1.0, high = 1.1 }");
+    let claims = [ControllerKind::from(Policy::reference()), kind("reference.onnx")].map(|kind| {
+        let plan = ReachPlan::new(kind, &spec).unwrap();
+        let certificate = plan.partition(4, |_| ()).unwrap().certificate;
+        check_with(&certificate, Some(plan.policy_bytes())).unwrap();
+        let Statement::Reach(claim) = certificate.statement else { panic!("reach") };
+        claim
+    });
+    let [own, outside] = claims;
+    assert_eq!(own.partition, outside.partition);
+    assert_eq!(own.verified_share_at_least, outside.verified_share_at_least);
+    assert!((own.min_gap_m_at_least - outside.min_gap_m_at_least).abs() < 1e-5, "{own:?} {outside:?}");
+    assert!(own.verified_share_at_least > 0.99 && own.source.is_none() && outside.source.is_some());
+}
+
+#[test]
+fn networks_are_proved_and_checked_on_the_command_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "version = 1\nscenario = \"paper-1\"\n[ranges]\ngap_ahead_m = { low = 15.99, high = 16.01 }";
+    std::fs::write(folder.path().join("box.toml"), text).unwrap();
+    let shown = |path: PathBuf| path.display().to_string();
+    let run = |words: &[&str]| crumple(folder.path(), words);
+    let said = |output: &std::process::Output| {
+        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
+    };
+    for name in ["acc.toml", "leaky-40-clip.onnx", "td3.zip"] {
+        let source = shown(corpus(name));
+        let made = run(&[
+            "verify",
+            "reach",
+            "--controller",
+            &source,
+            "--box",
+            "box.toml",
+            "--depth",
+            "2",
+            "--certificate",
+            "c.json",
+        ]);
+        assert_eq!(code(&made), 0, "{name}: {}", said(&made));
+        for policy in [&[][..], &["--policy", &source]] {
+            let checked = run(&[&["check", "c.json"], policy].concat());
+            assert_eq!(code(&checked), 0, "{name}: {}", said(&checked));
+            for words in ["accepted: reach", "read from a file in the format", "as crumple read it"] {
+                assert!(said(&checked).contains(words), "{words}: {}", said(&checked));
+            }
+        }
+        let other = run(&["check", "c.json", "--policy", &shown(corpus("reference.onnx"))]);
+        assert!(code(&other) == 1 && said(&other).contains("has the digest"), "{}", said(&other));
+        let certificate: Certificate =
+            Certificate::from_json(&std::fs::read_to_string(folder.path().join("c.json")).unwrap()).unwrap();
+        let path = folder.path().join(certificate.policy().expect("of a network").0);
+        let mut bytes = std::fs::read(&path).unwrap();
+        let last = bytes.len() - 2;
+        bytes[last] ^= 1;
+        std::fs::write(&path, bytes).unwrap();
+        let other = run(&["check", "c.json"]);
+        assert!(code(&other) == 1 && said(&other).contains("has the digest"), "{}", said(&other));
+    }
+    let acc = std::fs::read_to_string(corpus("acc.toml")).unwrap();
+    std::fs::copy(corpus("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
+    let with = |name: &str, from: &str, to: &str| {
+        assert!(acc.contains(from), "{from}");
+        std::fs::write(folder.path().join(name), acc.replace(from, to)).unwrap();
+    };
+    with("time-gap.toml", "\"gap_ahead_m\"", "\"time_gap_ahead_s\"");
+    with("memory.toml", "quantity = \"speed_mps\"", "quantity = \"last_answer_mps2\"");
+    with("hard.toml", "low_mps2 = -7.5", "low_mps2 = -9.0");
+    let stacked = shown(corpus("stacked.toml"));
+    for (controller, words) in [
+        ("time-gap.toml", "inputs[3].quantity: `time_gap_ahead_s` is a quotient of what is observed"),
+        ("memory.toml", "inputs[2].quantity: `last_answer_mps2` is memory"),
+        (stacked.as_str(), "history: is 3, and only a network that sees nothing but the present"),
+        ("hard.toml", "asks for more than the vehicle can do"),
+        ("idm", "must be a policy of crumple's own or a network"),
+        ("shield:policy", "must be a policy of crumple's own or a network"),
+        ("exec:true", "must be a policy of crumple's own or a network"),
+    ] {
+        let refused = run(&["verify", "reach", "--controller", controller, "--box", "box.toml"]);
+        assert!(code(&refused) == 2 && said(&refused).contains(words), "{words}: {}", said(&refused));
+    }
+}
+
+/// A network of the benchmark's shape that imitates a calm driver: random layers of rectifiers, the last one fitted.
+fn imitation(subtracts: f32) -> Vec<u8> {
+    let random = &mut Xoshiro256PlusPlus::seed_from_u64(7);
+    let scales = [30.0, 1.4, 30.0, 60.0, 10.0_f32];
+    let mut nodes = Vec::new();
+    if subtracts != 0.0 {
+        nodes.push(Node::With("Sub", vec![subtracts; 5]));
+    }
+    for layer in 0..5 {
+        let before = if layer == 0 { 5 } else { 20 };
+        let Node::Gemm(_, _, mut weights, biases) = product(before, 20, 1.0, random) else { unreachable!() };
+        if layer == 0 {
+            weights.iter_mut().enumerate().for_each(|(place, weight)| *weight /= scales[place / 20]);
+        }
+        nodes.extend([Node::Gemm(before, 20, weights, biases), Node::Plain("Relu", vec![])]);
+    }
+    let hidden = NetworkFile::from_onnx(&model(5, &nodes)).unwrap().network;
+    let mut space = crumple_world::policy::Workspace::default();
+    let mut rows = vec![[0.0_f64; 22]; 21];
+    for _ in 0..4000 {
+        let (v, d, r) =
+            (random.random_range(15.0..33.0_f32), random.random_range(20.0..110.0), random.random_range(-12.0..4.0));
+        let answers = hidden.answers(&[30.0, 1.4, v, d, r], 1, &mut space).iter();
+        let h: Vec<f64> = answers.map(|&x| f64::from(x)).chain([1.0]).collect();
+        let target = f64::from(0.05 * (d - 30.0 - 1.4 * v) + 0.7 * r).clamp(-3.0, 1.0);
+        for (row, own) in rows.iter_mut().zip(&h) {
+            row.iter_mut().zip(&h).for_each(|(to, other)| *to += own * other);
+            row[21] += own * target;
+        }
+    }
+    // Normal equations with a little damping, by Gauss and Jordan.
+    rows.iter_mut().enumerate().for_each(|(i, row)| row[i] += 1e-3);
+    for i in 0..21 {
+        let pivot = rows[i];
+        for (j, row) in rows.iter_mut().enumerate() {
+            let factor = if j == i { 1.0 - 1.0 / pivot[i] } else { row[i] / pivot[i] };
+            row.iter_mut().zip(pivot).for_each(|(to, from)| *to -= factor * from);
+        }
+    }
+    let solved: Vec<f32> = rows.iter().map(|row| row[21] as f32).collect();
+    nodes.push(Node::Gemm(20, 1, solved[..20].to_vec(), vec![solved[20]]));
+    model(5, &nodes)
+}
+
+/// What is subtracted in the official file is not lost, the bound is no idle one, and what is proved is below what any start comes to.
+#[test]
+fn the_benchmark_of_adaptive_cruise_control_is_proved() {
+    for subtracts in [0.0, 1.0] {
+        let plan = CruisePlan::new(NetworkFile::from_onnx(&imitation(subtracts)).unwrap()).unwrap();
+        let (coarse, proved) = (plan.prove(4).unwrap(), plan.prove(16).unwrap());
+        let sampled = plan.sample(2000, 0);
+        println!(
+            "{:.2} m with 4, {:.2} m with 16, {:?}, {:.3} s",
+            coarse.margin_m, proved.margin_m, sampled, proved.seconds
+        );
+        assert!(coarse.margin_m <= proved.margin_m + 1e-9 && proved.margin_m <= sampled.margin_m);
+        assert!(proved.margin_m > 0.0 && sampled.margin_m - proved.margin_m < 4.0, "{proved:?} {sampled:?}");
+        assert!(proved.x_ego_m[0] <= sampled.x_ego_m[0] && sampled.x_ego_m[1] <= proved.x_ego_m[1]);
+        let accepted = check_with(&proved.certificate, Some(plan.network_bytes()));
+        assert!(matches!(accepted, Ok(Accepted::Cruise { .. })), "{accepted:?}");
+        bound(&proved.certificate, Some(plan.network_bytes())).unwrap();
+        assert_eq!(Certificate::from_json(&proved.certificate.canonical()).unwrap(), proved.certificate);
+        for change in [0, 1, 2, 3] {
+            let mut forged = proved.certificate.clone();
+            let Statement::AdaptiveCruise(claim) = &mut forged.statement else { panic!("another") };
+            match change {
+                0 => claim.margin_m_at_least += 1e-3,
+                1 => claim.x_ego_width_m_at_most -= 1e-3,
+                2 => claim.cells = 4,
+                _ => claim.source.sha256 = "0".repeat(64),
+            }
+            assert!(check_with(&forged, Some(plan.network_bytes())).is_err(), "{change}");
+        }
+    }
+    let wrong = CruisePlan::new(NetworkFile::load(&corpus("reference.onnx")).unwrap());
+    assert!(matches!(wrong, Err(CruiseError::Mapping(_))));
+}

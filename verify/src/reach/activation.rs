@@ -1,0 +1,337 @@
+//! What a network does to each of its numbers between products: a straight line, and what is off it.
+//!
+//! Over [l, h] each function f is replaced by s x + [m, M] with a plain number s and m ≤ f(x) - s x ≤ M; what is off the line is a
+//! symbol of its own. s is near the slope of the chord; m and M are bounds for the s that was taken, whatever it is. Besides, what is
+//! computed in single precision is off f by a stated rounding. With u = 2⁻²⁴:
+//!
+//! | function | m and M | rounding |
+//! |---|---|---|
+//! | max(0, x) | convex, and a line on either side of 0: f - s x takes its extremes at l, 0 and h | none |
+//! | x, a x below 0 | a line on either side of 0, whatever a is: likewise | u a x below 0 |
+//! | x cut to [c, d] | lines between c and d: f - s x takes its extremes at l, c, d and h | none |
+//! | tanh | odd, convex below 0 and concave above: each half by its tangent | assumed, [`TANH_ERROR`] |
+//! | 1/(1 + e⁻ˣ) | 1/2 + tanh(x/2)/2, of which every step but the tanh is exact | below |
+//! | x, α (eˣ - 1) below 0 | for 0 ≤ α ≤ 1 convex: highest at l or h, and above its tangents, 0 among them if α ≤ s ≤ 1; else the range, on a level line | below |
+//! | x + a, a x, x / a | a line | u of the result, for products 10⁻⁴⁴ besides |
+//!
+//! # Rounding of exp
+//! exp and exp - 1 in single precision are assumed to be off by 2⁻²² of themselves at most, and by 10⁻³⁸ where they are as small as that;
+//! libm's are within 2⁻²³ in tests. An infinite e⁻ˣ makes 1/(1 + e⁻ˣ) zero, where it is less than 2⁻¹²⁶. With y = e⁻ˣ the derivative of 1/(1 + y) is at most 1
+//! and, times y, at most 1/4: so the quotient is off by 2⁻²⁴ for the exponential, by u for the sum and by u for the division, in all by less
+//! than 2⁻²². α (eˣ - 1) is off by |α| (2⁻²² + u) at most, less than |α| 2⁻²¹.
+
+use super::actor::{TANH_ERROR, U};
+use super::form::Form;
+use super::relax::{elu_line, hyperbolic_tangent_line, line, rectifier};
+use crate::interval::Interval;
+
+/// How far 1/(1 + e⁻ˣ) in single precision is from the true one at most.
+const SIGMOID_ERROR: f64 = TANH_ERROR;
+/// The same of eˣ - 1 times α, for an α of 1.
+const ELU_ERROR: f64 = 2.0 * TANH_ERROR;
+/// More than a product in single precision loses by underflow.
+const UNDERFLOW: f64 = 1e-44;
+
+/// Something done to each number: one operand for each of them where there are operands.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Each {
+    /// max(0, x).
+    Relu,
+    /// x, times this below 0.
+    LeakyRelu(f64),
+    /// x, below 0 this times eˣ - 1.
+    Elu(f64),
+    /// tanh x.
+    Tanh,
+    /// 1 / (1 + e⁻ˣ).
+    Sigmoid,
+    /// x + a.
+    Add(Vec<f64>),
+    /// x a.
+    Multiply(Vec<f64>),
+    /// x / a.
+    Divide(Vec<f64>),
+    /// x cut to lie between two numbers.
+    Clip {
+        /// The lowest.
+        low: Vec<f64>,
+        /// The highest.
+        high: Vec<f64>,
+    },
+}
+
+/// A function is in `slope` x + [`low`, `high`], and what is computed for it within `rounding` of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Line {
+    pub(super) slope: f64,
+    pub(super) low: f64,
+    pub(super) high: f64,
+    pub(super) rounding: f64,
+}
+
+impl Line {
+    const IDENTITY: Self = Self { slope: 1.0, low: 0.0, high: 0.0, rounding: 0.0 };
+
+    fn level(value: f64) -> Self {
+        Self { slope: 0.0, low: value, high: value, rounding: 0.0 }
+    }
+
+    /// The line through values at both ends, and what is off it at any of `points`, between which the function is straight.
+    fn straight_between(points: &[(f64, Interval)], [least, most]: [f64; 2]) -> Self {
+        let (Some((low, at_low)), Some((high, at_high))) = (points.first(), points.last()) else {
+            return Self::level(f64::NAN);
+        };
+        let chord = (at_high.low() - at_low.low()) / (high - low);
+        let slope = if chord.is_finite() { chord.max(least).min(most) } else { 0.0 };
+        let off = |&(x, value): &(f64, Interval)| value - Interval::point(slope) * Interval::point(x);
+        let off = points.iter().map(off).reduce(Interval::hull).unwrap_or(Interval::LINE);
+        Self { slope, low: off.low(), high: off.high(), rounding: 0.0 }
+    }
+
+    pub(super) fn is_identity(&self) -> bool {
+        *self == Self::IDENTITY
+    }
+
+    /// Whether the result is the same number for all.
+    pub(super) fn is_level(&self) -> bool {
+        self.slope == 0.0 && self.low == self.high && self.rounding == 0.0
+    }
+
+    /// The middle of what is off the line, and how far it may be from that.
+    pub(super) fn middle_and_radius(&self) -> (f64, f64) {
+        Interval::new(self.low, self.high).map_or((0.0, f64::INFINITY), Interval::middle_and_radius)
+    }
+
+    fn of(&self, x: &Form) -> Form {
+        if self.is_identity() {
+            return x.clone();
+        }
+        let mut line = line(x, self.slope, self.low, self.high);
+        if self.rounding > 0.0 {
+            line.widen(self.rounding);
+        }
+        line
+    }
+}
+
+impl Each {
+    /// How many numbers it is for; none if for any.
+    #[must_use]
+    pub fn width(&self) -> Option<usize> {
+        match self {
+            Self::Add(operands) | Self::Multiply(operands) | Self::Divide(operands) => Some(operands.len()),
+            Self::Clip { low, .. } => Some(low.len()),
+            _ => None,
+        }
+    }
+
+    /// Bound of the size of what it makes of a number whose size is at most `bound`.
+    pub(super) fn largest(&self, number: usize, bound: f64) -> f64 {
+        let of = |operands: &[f64]| operands.get(number).map_or(f64::NAN, |operand| operand.abs());
+        match self {
+            Self::Relu => bound,
+            Self::LeakyRelu(slope) => bound * slope.abs().max(1.0),
+            Self::Elu(alpha) => bound.max(alpha.abs()),
+            Self::Tanh | Self::Sigmoid => 1.0,
+            Self::Add(operands) => bound + of(operands),
+            Self::Multiply(operands) => bound * of(operands),
+            Self::Divide(operands) => bound / of(operands),
+            Self::Clip { low, high } => of(low).max(of(high)),
+        }
+    }
+
+    /// Operations that a number takes, more or less.
+    pub(super) fn operations(&self) -> u64 {
+        match self {
+            Self::Relu => 0,
+            Self::Tanh | Self::Sigmoid | Self::Elu(_) => 1000,
+            _ => 100,
+        }
+    }
+
+    /// Whether a narrower range could make a better line.
+    pub(super) fn bends(&self, number: usize, low: f64, high: f64) -> bool {
+        let of = |operands: &[f64]| operands.get(number).copied().unwrap_or(f64::NAN);
+        match self {
+            Self::Relu | Self::LeakyRelu(_) => low < 0.0 && high > 0.0,
+            Self::Elu(_) => low < 0.0,
+            Self::Tanh | Self::Sigmoid => true,
+            Self::Add(_) | Self::Multiply(_) | Self::Divide(_) => false,
+            Self::Clip { low: least, high: most } => {
+                let (least, most) = (of(least), of(most));
+                !(least <= low && high <= most || high <= least || low >= most)
+            }
+        }
+    }
+
+    /// A line for number `number` between `low` and `high`.
+    pub(super) fn line(&self, number: usize, low: f64, high: f64) -> Line {
+        let of = |operands: &[f64]| operands.get(number).copied().unwrap_or(f64::NAN);
+        let largest = low.abs().max(high.abs());
+        match self {
+            Self::Relu if low >= 0.0 => Line::IDENTITY,
+            Self::Relu if high <= 0.0 => Line::level(0.0),
+            Self::Relu => {
+                let (slope, excess) = rectifier(low, high);
+                Line { slope, low: 0.0, high: excess, rounding: 0.0 }
+            }
+            Self::LeakyRelu(_) | Self::Elu(_) if low >= 0.0 => Line::IDENTITY,
+            Self::LeakyRelu(slope) => {
+                let below = |x: f64| (x, Interval::point(*slope) * Interval::point(x));
+                let above = |x: f64| (x, Interval::point(x));
+                let ends = [slope.min(1.0), slope.max(1.0)];
+                let line = if high <= 0.0 {
+                    Line { slope: *slope, low: 0.0, high: 0.0, rounding: 0.0 }
+                } else {
+                    Line::straight_between(&[below(low), above(0.0), above(high)], ends)
+                };
+                let rounding = if *slope == 0.0 { 0.0 } else { rounded(slope.abs() * -low) + UNDERFLOW };
+                Line { rounding, ..line }
+            }
+            Self::Elu(alpha) => {
+                let (slope, off) = elu_line(*alpha, low, high);
+                let rounding = alpha.abs() * ELU_ERROR + UNDERFLOW;
+                Line { slope, low: off.low(), high: off.high(), rounding }
+            }
+            Self::Tanh => {
+                let (slope, off) = hyperbolic_tangent_line(low, high);
+                Line { slope, low: off.low(), high: off.high(), rounding: TANH_ERROR }
+            }
+            Self::Sigmoid => {
+                // Halves and quarters are exact, but for an underflow that is much smaller than the rounding.
+                let (slope, off) = hyperbolic_tangent_line(0.5 * low, 0.5 * high);
+                let off = Interval::point(0.5) + off * Interval::point(0.5);
+                Line { slope: 0.25 * slope, low: off.low(), high: off.high(), rounding: SIGMOID_ERROR }
+            }
+            Self::Add(operands) => {
+                let a = of(operands);
+                Line { slope: 1.0, low: a, high: a, rounding: rounded(largest + a.abs()) }
+            }
+            Self::Multiply(operands) => {
+                let a = of(operands);
+                Line { slope: a, low: 0.0, high: 0.0, rounding: rounded(largest * a.abs()) + UNDERFLOW }
+            }
+            Self::Divide(operands) => {
+                let slope = 1.0 / of(operands);
+                let size = largest * slope.abs();
+                let off = size * (2.0 * f64::EPSILON);
+                Line { slope, low: -off, high: off, rounding: rounded(size) + UNDERFLOW }
+            }
+            Self::Clip { low: least, high: most } => {
+                let (least, most) = (of(least), of(most));
+                if low >= least && high <= most {
+                    return Line::IDENTITY;
+                }
+                let cut = |x: f64| {
+                    if x < least {
+                        least
+                    } else if x > most {
+                        most
+                    } else {
+                        x
+                    }
+                };
+                if high <= least || low >= most {
+                    return Line::level(cut(low));
+                }
+                let kinks = [least, most].into_iter().filter(|&kink| low < kink && kink < high);
+                let places = std::iter::once(low).chain(kinks).chain([high]);
+                let points: Vec<_> = places.map(|x| (x, Interval::point(cut(x)))).collect();
+                Line::straight_between(&points, [0.0, 1.0])
+            }
+        }
+    }
+
+    /// What it makes of a form.
+    pub(super) fn of_form(&self, number: usize, x: &Form) -> Form {
+        let range = x.range();
+        self.line(number, range.low(), range.high()).of(x)
+    }
+}
+
+/// What rounding to single precision changes a number of this size by at most.
+fn rounded(size: f64) -> f64 {
+    size * (U * (1.0 + 1e-6))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// What it makes of a number, as a network does in single precision.
+    fn computed(each: &Each, x: f32) -> f32 {
+        let of = |operands: &[f64]| operands[0] as f32;
+        match each {
+            Each::Relu => x.max(0.0),
+            Each::LeakyRelu(slope) => {
+                if x < 0.0 {
+                    *slope as f32 * x
+                } else {
+                    x
+                }
+            }
+            Each::Elu(alpha) => {
+                if x < 0.0 {
+                    *alpha as f32 * x.exp_m1()
+                } else {
+                    x
+                }
+            }
+            Each::Tanh => x.tanh(),
+            Each::Sigmoid => 1.0 / (1.0 + (-x).exp()),
+            Each::Add(operands) => x + of(operands),
+            Each::Multiply(operands) => x * of(operands),
+            Each::Divide(operands) => x / of(operands),
+            Each::Clip { low, high } => x.max(of(low)).min(of(high)),
+        }
+    }
+
+    fn any_single(size: f32) -> impl Strategy<Value = f64> {
+        (-size..size).prop_map(f64::from)
+    }
+
+    fn any_each() -> impl Strategy<Value = Each> {
+        let one = |numbers: f64| vec![numbers];
+        prop_oneof![
+            Just(Each::Relu),
+            prop_oneof![Just(0.0), Just(1.0), any_single(2.0)].prop_map(Each::LeakyRelu),
+            prop_oneof![Just(0.0), Just(1.0), any_single(2.0)].prop_map(Each::Elu),
+            Just(Each::Tanh),
+            Just(Each::Sigmoid),
+            any_single(10.0).prop_map(move |a| Each::Add(one(a))),
+            any_single(10.0).prop_map(move |a| Each::Multiply(one(a))),
+            any_single(10.0).prop_filter("not 0", |a| *a != 0.0).prop_map(move |a| Each::Divide(one(a))),
+            (any_single(3.0), 0.0..3.0_f32)
+                .prop_map(move |(low, more)| { Each::Clip { low: one(low), high: one(f64::from(low as f32 + more)) } }),
+        ]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4000))]
+
+        /// Whatever the range: what is computed lies on the line but for what is off it, and at some point comes near either side.
+        #[test]
+        fn lines_hold_what_is_computed(
+            each in any_each(), middle in prop_oneof![-4.0..4.0_f32, -100.0..100.0_f32],
+            radius in prop_oneof![Just(0.0), 0.0..0.01_f32, 0.0..8.0_f32, 0.0..100.0_f32],
+        ) {
+            let (low, high) = (middle - radius, middle + radius);
+            let line = each.line(0, low.into(), high.into());
+            let (mut nearest_low, mut nearest_high) = (f64::INFINITY, f64::INFINITY);
+            for at in 0..=200 {
+                let x = (low + (high - low) * at as f32 / 200.0).clamp(low, high);
+                let off = f64::from(computed(&each, x)) - line.slope * f64::from(x);
+                let slack = line.rounding + 1e-15 * (1.0 + off.abs());
+                prop_assert!(off >= line.low - slack && off <= line.high + slack, "{each:?} at {x}: {off} {line:?}");
+                nearest_low = nearest_low.min(off - line.low);
+                nearest_high = nearest_high.min(line.high - off);
+            }
+            // As tight as 200 points can tell, but where α makes it turn.
+            if !matches!(each, Each::Elu(alpha) if !(0.0..=1.0).contains(&alpha)) {
+                let spare = 0.02 * f64::from(high - low) + 3.0 * line.rounding + 1e-6;
+                prop_assert!(nearest_low <= spare && nearest_high <= spare, "{each:?} {line:?} {nearest_low} {nearest_high}");
+            }
+        }
+    }
+}
