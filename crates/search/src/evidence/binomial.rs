@@ -163,8 +163,8 @@ mod tests {
     }
 
     proptest! {
-        /// The checker's tail is never below the exact one, and by few parts in 10¹⁰ above it for so many runs: at the end it is what was
-        /// asked for, a little inside of the end it is more.
+        /// The checker's tail is never below the exact one, and above it by what it rounds upwards, at most eight units in the last place
+        /// for each run: at the end it is what was asked for, a little inside of the end it is more.
         #[test]
         fn ends_are_never_inside(
             runs in prop_oneof![1..50_u64, 50..3000_u64, 3000..2_000_000_u64],
@@ -172,7 +172,7 @@ mod tests {
             tail in prop_oneof![1e-3..0.5_f64, 1e-9..1e-3_f64],
         ) {
             let failures = ((runs as f64 * share) as u64).min(runs - 1);
-            let loose = 1.0 + 1e-9;
+            let loose = 1.0 + 1e-12 + 8.0 * f64::EPSILON * runs as f64;
             let high = upper(failures, runs, tail);
             prop_assert!(tail_at_most(failures, runs, high) <= tail * loose);
             let inside = high * (1.0 - 1e-8);
