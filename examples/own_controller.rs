@@ -65,6 +65,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         estimator: EstimatorKind::Kalman,
         space: built_in_space("high-risk").ok_or("not built in")?,
         specification: Specification::NoContact,
+        contrast: None,
         method: Method::Auto,
         aim: Aim::Severest,
         budget: 200,

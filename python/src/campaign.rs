@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use crumple_search::falsify::campaign::{Campaign, Progress};
+use crumple_search::falsify::{Contrast, Relation};
 use crumple_world::measure::Specification;
 use pyo3::prelude::*;
 
@@ -22,6 +23,7 @@ pub(crate) fn falsify<'py>(
     controller: &Bound<'py, PyAny>,
     space: PyRef<'py, Space>,
     spec: &str,
+    (against, metamorphic): (Option<Bound<'py, PyAny>>, Option<String>),
     method: &str,
     aim: &str,
     budget: u64,
@@ -35,7 +37,16 @@ pub(crate) fn falsify<'py>(
     let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Campaign, &error.to_string());
     let space = space.0.clone();
     let nominal = space.scenario(&space.nominal()).map_err(|error| errors::of_field(py, &error))?;
+    let contrast = match (against, metamorphic) {
+        (None, None) => None,
+        (Some(other), None) => Some(Contrast::Against(controller::named(&other, &stop)?)),
+        (None, Some(relation)) => {
+            Some(Contrast::Metamorphic(relation.parse::<Relation>().map_err(|error| wrong(&error))?))
+        }
+        (Some(_), Some(_)) => return Err(wrong(&"against and metamorphic do not go together")),
+    };
     let campaign = Campaign {
+        contrast,
         controller: controller::named(controller, &stop)?,
         estimator: choice("estimator", estimator, &ESTIMATORS)?,
         space,

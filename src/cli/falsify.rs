@@ -7,10 +7,10 @@ use clap::{Args, ValueEnum};
 
 use super::simulate::Format;
 use super::{Failure, choice, interrupt, output, progress, subject};
-use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{
     Aim, Campaign, CampaignError, Log, MergedCampaign, Progress, ShardDone, Summary,
 };
+use crumple_search::falsify::{Contrast, Method, Relation};
 use crumple_search::shard::Shard;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -25,6 +25,11 @@ scenario's step and at a tenth of it, shrunk, told apart and ranked. The folder 
 (`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a summary. A campaign that was \
 interrupted, by `kill -9` too, goes on with --resume and ends with the same bytes. `work.json` says of every file what it is: one that \
 was cut, edited, moved or left over is named, and nothing goes on. That is no protection against somebody who writes both anew.
+
+Rules for --spec are `no braking without cause` (how much harder than a reference driver the vehicle may brake), `imposed braking at \
+most 4 m/s2` (the vehicle behind) and `no amplification` (its largest change of speed is none beyond that of the vehicle ahead, where all drive \
+at one speed at the start). A failure beside --against or --metamorphic has two runs: its robustness is max(r, -r of the other), so that it \
+is negative where the one fails and the other does not; the other scenario of --metamorphic is in `counterexamples/partners/`.
 
 Formulas for --spec are over signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 and \
 v1.jerk_mps3, vehicles counted from the front. A formula may have 4000 words and signs, 64 deep, and a space file 3 MiB. \
@@ -64,9 +69,16 @@ pub(super) struct Falsify {
     /// Seed of the search and of all noise
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
-    /// What must hold: `no contact`, or a formula of signal temporal logic
+    /// What must hold: `no contact`, a formula of signal temporal logic, or one of the rules below
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
     spec: String,
+    /// Only what this other controller passes counts as a failure
+    #[arg(long, value_name = "CONTROLLER", value_parser = subject::controller, conflicts_with = "metamorphic")]
+    against: Option<NamedController>,
+    /// Only what the controller passes with less of this counts: `larger-gap=M` (everybody ahead starts M metres further away) or
+    /// `more-friction=F`
+    #[arg(long, value_name = "RELATION")]
+    metamorphic: Option<Relation>,
     /// What the vehicles under test look through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
@@ -145,6 +157,7 @@ impl Falsify {
             estimator: self.estimator,
             space,
             specification,
+            contrast: self.against.map(Contrast::Against).or(self.metamorphic.map(Contrast::Metamorphic)),
             method: self.method,
             aim: self.aim,
             budget: self.budget,

@@ -175,6 +175,7 @@ fn campaign(controller: NamedController) -> Campaign {
         estimator: EstimatorKind::Truth,
         space: paper(),
         specification: Specification::NoContact,
+        contrast: None,
         method: Method::Auto,
         aim: Aim::Severest,
         budget: 30,

@@ -34,6 +34,7 @@ fn campaign(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), Stri
         estimator: EstimatorKind::Truth,
         space: built_in_space("paper").unwrap(),
         specification: Specification::NoContact,
+        contrast: None,
         aim: Aim::default(),
         method: Method::Uniform,
         budget: 60,

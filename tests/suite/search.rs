@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
+use crumple_search::falsify::{Contrast, Method, Relation};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
 use crumple_world::scenario::space::{Space, built_in_space};
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{NamedController, RunOptions};
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 
@@ -39,6 +39,7 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
         |(space, controller, estimator, aim, method, budget, seed)| Campaign {
             controller: NamedController::find(controller, Path::new(".")).expect("built in"),
             specification: Specification::NoContact,
+            contrast: None,
             estimator,
             space,
             method,
@@ -47,6 +48,10 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
             seed,
         },
     )
+}
+
+fn options(campaign: &Campaign) -> RunOptions {
+    RunOptions::new(campaign.controller.kind.clone()).with_estimator(campaign.estimator)
 }
 
 fn run(campaign: &Campaign, folder: &Path, threads: usize) -> Summary {
@@ -74,7 +79,7 @@ proptest! {
         for found in &summary.counterexamples {
             let judged = |name: &str| {
                 let scenario = file::load(&folder.path().join(name)).unwrap();
-                campaign.specification.judge_scenario(&scenario, campaign.options()).unwrap()
+                campaign.specification.judge_scenario(&scenario, options(&campaign)).unwrap()
             };
             let (shrunk, original) = (judged(&found.file), judged(&found.original_file));
             prop_assert!(shrunk.is_violation() && original.is_violation());
@@ -82,6 +87,37 @@ proptest! {
             // Files hold positions to a billionth of a metre.
             prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", found.original_file);
             prop_assert!(found.found_at <= campaign.budget);
+        }
+    }
+
+    /// What is found beside another run fails alone, and the other run does not: of another controller, or of the same one in the file
+    /// that is named.
+    #[test]
+    fn what_counts_beside_another_run_fails_alone(campaign in any_campaign(), kind in 0..3_usize) {
+        let other = NamedController::find("shield:idm", Path::new(".")).unwrap();
+        let contrast = match kind {
+            0 => Contrast::Against(other.clone()),
+            1 => Contrast::Metamorphic(Relation::LargerGap { by_m: 1.0 }),
+            _ => Contrast::Metamorphic(Relation::MoreFriction { by: 0.1 }),
+        };
+        let campaign = Campaign { contrast: Some(contrast), ..campaign };
+        let folder = tempfile::tempdir().unwrap();
+        let summary = run(&campaign, folder.path(), 2);
+        for found in &summary.counterexamples {
+            let load = |name: &str| file::load(&folder.path().join(name)).unwrap();
+            let judged = |scenario, options| campaign.specification.judge_scenario(scenario, options).unwrap();
+            let scenario = load(&found.file);
+            let own = judged(&scenario, options(&campaign));
+            let beside = match &found.partner_file {
+                Some(partner) => judged(&load(partner), options(&campaign)),
+                None => {
+                    let options = RunOptions::new(other.kind.clone()).with_estimator(campaign.estimator);
+                    judged(&scenario, options)
+                }
+            };
+            prop_assert_eq!(found.partner_file.is_some(), kind > 0);
+            prop_assert!(own.is_violation() && beside.robustness > 0.0, "{:?} {:?}", own, beside);
+            prop_assert!((found.robustness - own.robustness.max(-beside.robustness)).abs() < 1e-6);
         }
     }
 
@@ -103,7 +139,7 @@ proptest! {
             let coordinate = |k| (f64::from(index) * f64::from(4 * k + 3).sqrt()).fract();
             let point: Vec<f64> = (0..space.dimension() as u32).map(coordinate).collect();
             let scenario = space.at(&point).unwrap();
-            campaign.specification.judge_scenario(&scenario, campaign.options()).unwrap().is_violation()
+            campaign.specification.judge_scenario(&scenario, options(&campaign)).unwrap().is_violation()
         };
         let share = (0..LATTICE).filter(|&index| fails(index)).count() as f64 / f64::from(LATTICE);
         let folder = tempfile::tempdir().unwrap();

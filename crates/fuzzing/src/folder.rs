@@ -69,6 +69,7 @@ fn campaign() -> Option<Campaign> {
         estimator: EstimatorKind::Truth,
         space,
         specification: Specification::NoContact,
+        contrast: None,
         method: Method::Uniform,
         aim: Aim::default(),
         budget: 6,

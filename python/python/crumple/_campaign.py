@@ -61,6 +61,8 @@ def falsify(
     space: SpaceLike = "high-risk",
     *,
     spec: str = "no contact",
+    against: ControllerLike | None = None,
+    metamorphic: str | None = None,
     method: str = "auto",
     aim: str = "severest",
     budget: int = 2000,
@@ -72,6 +74,9 @@ def falsify(
 ) -> Campaign:
     """Search a space for scenarios in which a controller fails, as ``crumple falsify`` does.
 
+    With ``against``, another controller, only what that one passes counts as a failure; with ``metamorphic``
+    (``"larger-gap=2"``, ``"more-friction=0.1"``) only what the controller passes with less of it.
+
     With a ``folder`` everything is kept there, as the command line keeps it, and ``resume`` goes on with it; a controller
     in Python needs an identity for that. ``progress`` is called with how many evaluations are done, of how many, and how
     many of them failed; an exception in it, and Ctrl-C, end the search.
@@ -82,6 +87,8 @@ def falsify(
                 controller,
                 space,
                 spec=spec,
+                against=against,
+                metamorphic=metamorphic,
                 method=method,
                 aim=aim,
                 budget=budget,
@@ -92,8 +99,10 @@ def falsify(
                 progress=progress,
             )
     given = as_controller(controller)
+    other = None if against is None else as_controller(against)
+    beside = (other, metamorphic)
     summary, text = _falsify(
-        given, find_space(space), spec, method, aim, budget, seed, estimator, Path(folder), resume, progress
+        given, find_space(space), spec, beside, method, aim, budget, seed, estimator, Path(folder), resume, progress
     )
     after_contact: Literal["stop", "continue"] = "stop" if summary["specification"] == "no contact" else "continue"
     failures = [

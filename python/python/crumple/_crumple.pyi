@@ -231,6 +231,7 @@ def falsify(
     controller: str | Controller,
     space: Space,
     spec: str,
+    beside: tuple[str | Controller | None, str | None],
     method: str,
     aim: str,
     budget: int,

@@ -96,6 +96,7 @@ impl Plan {
             estimator: self.estimator,
             space: space.clone(),
             specification,
+            contrast: None,
             method: self.method,
             aim: self.aim,
             budget,

@@ -166,6 +166,7 @@ impl RoundContext<'_> {
             estimator: plan.estimator(),
             space: plan.space.clone(),
             specification: Specification::NoContact,
+            contrast: None,
             aim: Aim::default(),
             method: plan.method,
             budget: plan.settings.budget,

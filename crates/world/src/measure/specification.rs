@@ -2,10 +2,10 @@
 
 use std::fmt;
 
-use super::ContactRole;
 use super::stl::{
     Formula, MonitorError, ParseError, Signals, SignalsError, motion_signal_names, motion_signals, signal_column,
 };
+use super::{Conduct, ContactRole};
 use crate::scenario::{Scenario, VehicleClass};
 use crate::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate};
 
@@ -30,6 +30,8 @@ pub enum Specification {
     NoContact,
     /// A formula over the signals of the run, which goes on after contacts: those that touch stick together.
     Formula(Formula),
+    /// A rule for the vehicles under test, whoever touches.
+    Conduct(Conduct),
 }
 
 /// Why a formula is no specification.
@@ -156,7 +158,7 @@ impl Specification {
     /// The name of the default specification.
     pub const NO_CONTACT: &str = "no contact";
 
-    /// The specification in words: `no contact`, or a formula.
+    /// The specification in words: `no contact`, one of [`Conduct::WRITTEN`], or a formula.
     ///
     /// # Errors
     /// [`SpecificationError`] for text that does not parse, names a signal that runs like `nominal` do not have, or looks beyond
@@ -164,6 +166,9 @@ impl Specification {
     pub fn parse(text: &str, nominal: &Scenario) -> Result<Self, SpecificationError> {
         if text == Self::NO_CONTACT {
             return Ok(Self::NoContact);
+        }
+        if let Ok(conduct) = text.parse() {
+            return Ok(Self::Conduct(conduct));
         }
         let formula: Formula = text.parse()?;
         let known = motion_signal_names(nominal.vehicles().len());
@@ -184,7 +189,7 @@ impl Specification {
     pub fn keep(&self) -> RecordingLevel {
         match self {
             Self::NoContact => RecordingLevel::Summary,
-            Self::Formula(_) => RecordingLevel::Trace,
+            Self::Formula(_) | Self::Conduct(_) => RecordingLevel::Trace,
         }
     }
 
@@ -193,7 +198,7 @@ impl Specification {
     pub fn after_contact(&self) -> AfterContact {
         match self {
             Self::NoContact => AfterContact::Stop,
-            Self::Formula(_) => AfterContact::Continue,
+            Self::Formula(_) | Self::Conduct(_) => AfterContact::Continue,
         }
     }
 
@@ -223,6 +228,9 @@ impl Specification {
                 let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
                 let signals = motion_signals(trace, run.dt_s(), &formula.signal_names())?;
                 judge_formula(formula, &signals)?
+            }
+            (Self::Conduct(conduct), _) => {
+                conduct.robustness(run.scenario(), result).ok_or(SpecificationError::NoTrace)?
             }
         };
         let failed = result.outcome.failed().map(|failed| (failed.time_s, failed.vehicle as u32));
@@ -268,6 +276,7 @@ impl fmt::Display for Specification {
         match self {
             Self::NoContact => out.write_str(Self::NO_CONTACT),
             Self::Formula(formula) => formula.fmt(out),
+            Self::Conduct(conduct) => conduct.fmt(out),
         }
     }
 }

@@ -195,6 +195,7 @@ impl Search {
             estimator: plan.config.estimator,
             space: space.clone(),
             specification: Specification::NoContact,
+            contrast: None,
             aim: Aim::default(),
             method: Method::Auto,
             budget: plan.config.search.budget,

@@ -7,11 +7,12 @@ use serde::{Deserialize, Serialize};
 use super::run::CONFIGURATION;
 use super::{Aim, CampaignError};
 use crate::disk;
-use crate::falsify::Method;
+use crate::falsify::judging::Judging;
+use crate::falsify::{Contrast, ContrastRecord, Method};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{Space, SpaceSpec};
-use crumple_world::sim::{NamedController, RunOptions};
+use crumple_world::sim::NamedController;
 
 /// The version of the campaign file this release reads and writes.
 pub const CAMPAIGN_VERSION: u32 = 2;
@@ -31,6 +32,7 @@ pub const CAMPAIGN_VERSION: u32 = 2;
 ///     estimator: EstimatorKind::Kalman,
 ///     space: built_in_space("high-risk").unwrap(),
 ///     specification: Specification::NoContact,
+///     contrast: None,
 ///     method: Method::Auto,
 ///     aim: Aim::Severest,
 ///     budget: 50,
@@ -50,6 +52,8 @@ pub struct Campaign {
     pub space: Space,
     /// What must hold.
     pub specification: Specification,
+    /// What else must be so for a failure to count; none if every one does.
+    pub contrast: Option<Contrast>,
     /// The search method.
     pub method: Method,
     /// What the search is after once it knows failures. The reference searches do not look.
@@ -141,6 +145,8 @@ pub(in crate::falsify) struct CampaignRecord {
     pub(in crate::falsify) log: Log,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(in crate::falsify) divided: Option<Divided>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(in crate::falsify) contrast: Option<ContrastRecord>,
     pub(in crate::falsify) space: SpaceSpec,
 }
 
@@ -160,6 +166,7 @@ impl CampaignRecord {
             seed: campaign.seed,
             log,
             divided: None,
+            contrast: campaign.contrast.as_ref().map(Contrast::record),
             space: campaign.space.spec().clone(),
         }
     }
@@ -189,12 +196,20 @@ impl Campaign {
         methods(self.method)
     }
 
-    /// How scenarios are run to be judged.
-    #[must_use]
-    pub fn options(&self) -> RunOptions {
-        RunOptions::new(self.controller.kind.clone())
-            .with_estimator(self.estimator)
-            .with_after_contact(self.specification.after_contact())
+    /// How scenarios are judged.
+    pub(in crate::falsify) fn judging(&self) -> Judging<'_> {
+        Judging {
+            specification: &self.specification,
+            controller: &self.controller,
+            estimator: self.estimator,
+            contrast: self.contrast.as_ref(),
+        }
+    }
+
+    /// Everybody who is put under test: the controller, and the one that it is set against.
+    pub(in crate::falsify) fn drivers(&self) -> impl Iterator<Item = &NamedController> {
+        let other = self.contrast.as_ref().map(|contrast| contrast.driver(&self.controller));
+        std::iter::once(&self.controller).chain(other)
     }
 
     /// The text of `campaign.toml`.

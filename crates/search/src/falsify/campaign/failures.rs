@@ -29,7 +29,7 @@ pub enum FailureKind {
         /// Index of its vehicle.
         vehicle: u32,
     },
-    /// A formula is violated. Which vehicles touch makes no further difference: it need not be the cause.
+    /// A formula or a rule is violated. Which vehicles touch makes no further difference: it need not be the cause.
     Violation {
         /// Whether vehicles touched as well.
         touching: bool,
@@ -82,8 +82,10 @@ impl FailureKind {
     pub fn describe(&self, scenario: &Scenario) -> String {
         let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
             Self::ControllerFailed { vehicle } => return format!("the controller of vehicle {vehicle} fails"),
-            Self::Violation { touching: false } => return "the formula is violated without a contact".to_owned(),
-            Self::Violation { touching: true } => return "the formula is violated, and vehicles touch".to_owned(),
+            Self::Violation { touching: false } => return "the specification is violated without a contact".to_owned(),
+            Self::Violation { touching: true } => {
+                return "the specification is violated, and vehicles touch".to_owned();
+            }
             Self::Contact { front_vehicle, rear_vehicle, ego_braking, rear_class } => {
                 (front_vehicle, rear_vehicle, ego_braking, rear_class)
             }

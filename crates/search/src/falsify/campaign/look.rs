@@ -303,6 +303,7 @@ mod tests {
                 estimator: EstimatorKind::Truth,
                 space: built_in_space(space).unwrap(),
                 specification: Specification::NoContact,
+                contrast: None,
                 method,
                 aim,
                 budget: 300,

@@ -27,6 +27,7 @@ fn campaign(method: Method, seed: u64) -> Campaign {
         estimator: EstimatorKind::Truth,
         space: built_in_space("high-risk").unwrap(),
         specification: Specification::NoContact,
+        contrast: None,
         method,
         aim: Aim::Severest,
         budget: BUDGET,

@@ -16,7 +16,6 @@ use crate::work::{Asked, Examined, Work, WorkError};
 use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::Space;
-use crumple_world::sim::{Run, simulate_batch};
 
 /// Batches of a method that ignores values, asked for at once: enough to fill the engine on all cores.
 const BLIND_BATCHES: usize = 16;
@@ -95,8 +94,8 @@ impl Campaign {
         resume: bool,
         progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<Summary, CampaignError> {
-        if resume && self.controller.kind.identity().is_none() {
-            return Err(CampaignError::NoIdentity(self.controller.name.clone()));
+        if let Some(unknown) = self.drivers().find(|driver| resume && driver.kind.identity().is_none()) {
+            return Err(CampaignError::NoIdentity(unknown.name.clone()));
         }
         let terms = Terms::of(self, log)?;
         self.check(&terms.nominal)?;
@@ -142,22 +141,15 @@ impl Campaign {
         if !nominal.has_vehicle_under_test() {
             return Err(CampaignError::NobodyUnderTest(self.space.name().to_owned()));
         }
-        let run = Run::new(nominal, self.options())?;
-        let result = crumple_world::sim::simulate(&run, self.specification.keep());
-        self.specification.judge(&run, &result)?;
+        self.judging().at(nominal, 1)?;
         Ok(())
     }
 
     /// Verdicts at points, in their order.
     pub(super) fn evaluate(&self, space: &Space, points: &[Vec<f64>]) -> Result<Vec<RunVerdict>, CampaignError> {
         let scenarios = points.iter().map(|point| space.at(point)).collect::<Result<Vec<_>, _>>()?;
-        let options = self.options();
-        let runs =
-            scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-        let judged = simulate_batch(&runs, self.specification.keep(), |index, result| {
-            runs.get(index).map(|run| self.specification.judge(run, &result))
-        });
-        Ok(judged.into_iter().flatten().collect::<Result<_, _>>()?)
+        let asked: Vec<(&Scenario, u32)> = scenarios.iter().map(|scenario| (scenario, 1)).collect();
+        Ok(self.judging().all_at(&asked).into_iter().collect::<Result<_, _>>()?)
     }
 }
 

@@ -91,8 +91,8 @@ impl Campaign {
         progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<ShardDone, CampaignError> {
         let part = shard.range(self.budget, WHAT)?;
-        if self.controller.kind.identity().is_none() {
-            return Err(CampaignError::UnknownInShards(self.controller.name.clone()));
+        if let Some(unknown) = self.drivers().find(|driver| driver.kind.identity().is_none()) {
+            return Err(CampaignError::UnknownInShards(unknown.name.clone()));
         }
         let terms = Terms::of(self, Log::Summary)?;
         self.check(&terms.nominal)?;

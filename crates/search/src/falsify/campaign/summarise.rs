@@ -36,6 +36,7 @@ impl Summary {
             estimator: record.estimator,
             space: terms.space.name().to_owned(),
             specification: terms.specification.to_string(),
+            contrast: record.contrast.clone(),
             method: record.method.name().to_owned(),
             aim: record.aim.name().to_owned(),
             budget: record.budget,

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use super::{Aim, CampaignError, Covered, Divided, FrontPoint, Region};
+use crate::falsify::ContrastRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crate::shard::as_array;
 use crumple_world::measure::Specification;
@@ -39,6 +40,9 @@ pub struct Summary {
     pub space: String,
     /// What must hold.
     pub specification: String,
+    /// What else must be so for a failure to count.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contrast: Option<ContrastRecord>,
     /// The method asked for.
     pub method: String,
     /// What the search was after once it knew failures.
@@ -255,6 +259,9 @@ impl Summary {
         )?;
         if self.aim != Aim::default().name() {
             writeln!(out, "  the search was after the {} failures", self.aim)?;
+        }
+        if let Some(contrast) = &self.contrast {
+            writeln!(out, "  failures count {}", Terminal(&contrast.describe()))?;
         }
         if self.nondeterministic {
             writeln!(

@@ -27,7 +27,7 @@ pub(in crate::falsify) struct Terms {
 impl Terms {
     pub(super) fn of(campaign: &Campaign, log: Log) -> Result<Self, CampaignError> {
         let record = CampaignRecord::of(campaign, log);
-        let is_deterministic = campaign.controller.kind.is_deterministic();
+        let is_deterministic = campaign.drivers().all(|driver| driver.kind.is_deterministic());
         Self::with(record, !is_deterministic, campaign.space.clone(), |_| Ok(campaign.specification.clone()))
     }
 

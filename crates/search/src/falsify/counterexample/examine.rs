@@ -5,12 +5,13 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::Avoidability;
-use super::expected::{FINER, Replay, ReplayError};
+use super::expected::FINER;
 use super::record::Examined;
 use super::shrink::shrink;
 use super::together::all_together;
 use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind, Terms};
-use crumple_world::measure::{RunVerdict, max_delta_v_mps};
+use crate::falsify::judging::Judging;
+use crumple_world::measure::{RunVerdict, SpecificationError, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, simulate};
 
@@ -18,7 +19,7 @@ use crumple_world::sim::{AfterContact, RecordingLevel, Run, simulate};
 const SEVERITY_KEPT: f64 = 0.5;
 
 /// A scenario, in how many parts of its step, and what came of it; none where it is for the one who asks to find out.
-type Ask<'a> = dyn FnMut((Scenario, u32)) -> Option<Result<RunVerdict, ReplayError>> + 'a;
+type Ask<'a> = dyn FnMut((Scenario, u32)) -> Option<Result<RunVerdict, SpecificationError>> + 'a;
 
 /// Examines the failures of a campaign.
 pub(in crate::falsify) struct Examiner<'a> {
@@ -39,7 +40,10 @@ impl<'a> Examiner<'a> {
         let examined = all_together(
             candidates,
             |candidate, ask| self.examine(candidate, ask),
-            |asked: &[(Scenario, u32)]| self.replay().all_at(asked),
+            |asked: &[(Scenario, u32)]| {
+                let asked: Vec<_> = asked.iter().map(|(scenario, parts)| (scenario, *parts)).collect();
+                self.judging().all_at(&asked)
+            },
         );
         Ok(examined.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
@@ -52,12 +56,8 @@ impl<'a> Examiner<'a> {
             .for_each(|one| one.avoidability = Avoidability::of(specification, &one.verdict, &one.scenario));
     }
 
-    fn replay(&self) -> Replay<'_> {
-        Replay {
-            specification: &self.terms.specification,
-            controller: &self.campaign.controller,
-            estimator: self.campaign.estimator,
-        }
+    fn judging(&self) -> Judging<'_> {
+        self.campaign.judging()
     }
 
     fn examine(&self, candidate: &FailureCandidate, ask: &mut Ask<'_>) -> Result<Option<Examined>, CampaignError> {
@@ -94,7 +94,7 @@ impl<'a> Examiner<'a> {
         // From the text, not from memory: the file alone must fail.
         let (scenario, original) = (reread(&self.tidy(&values)?)?, reread(&original)?);
         let (verdict, original_verdict) = (self.judge(&scenario, 1, ask)?, self.judge(&original, 1, ask)?);
-        let options = self.replay().options(&scenario, 1).with_after_contact(AfterContact::Continue);
+        let options = self.judging().options(&scenario, 1).with_after_contact(AfterContact::Continue);
         let aftermath = simulate(&Run::new(&scenario, options)?, RecordingLevel::Summary);
         let vehicles = 0..scenario.vehicles().len();
         let deltas = vehicles.filter_map(|index| max_delta_v_mps(&aftermath.impacts, index));
@@ -119,12 +119,7 @@ impl<'a> Examiner<'a> {
     }
 
     fn judge(&self, scenario: &Scenario, parts: u32, ask: &mut Ask<'_>) -> Result<RunVerdict, CampaignError> {
-        let answered = ask((scenario.clone(), parts)).unwrap_or_else(|| self.replay().at(scenario, parts));
-        answered.map_err(|error| match error {
-            ReplayError::Run(run) => run.into(),
-            ReplayError::Specification(specification) => specification.into(),
-            other => CampaignError::encoding(other),
-        })
+        Ok(ask((scenario.clone(), parts)).unwrap_or_else(|| self.judging().at(scenario, parts))?)
     }
 
     /// The scenario of values as it will stand in its file: no trailing digits of rounding, no piece twice in a row.

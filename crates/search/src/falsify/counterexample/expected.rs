@@ -5,11 +5,13 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{Avoidability, AvoidabilityClass};
+use crate::falsify::judging::Judging;
+use crate::falsify::{Contrast, ContrastRecord};
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{self, FileError};
-use crumple_world::sim::{NamedController, Run, RunError, RunOptions, UnknownController, simulate, simulate_batch};
+use crumple_world::sim::{NamedController, UnknownController};
 
 /// The version of the format of recorded verdicts.
 pub const EXPECTED_VERSION: u32 = 1;
@@ -65,6 +67,9 @@ pub struct Expected {
     /// If that is undecided, why.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub undecided_because: Option<String>,
+    /// What else must be so for a violation to count, and the robustness to be negative.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contrast: Option<ContrastRecord>,
 }
 
 /// A replay beside what was expected.
@@ -101,10 +106,7 @@ pub enum ReplayError {
         /// The hash found.
         found: String,
     },
-    /// The run.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// The specification.
+    /// The run, or the specification.
     #[error(transparent)]
     Specification(#[from] SpecificationError),
 }
@@ -134,20 +136,21 @@ impl Expected {
     pub fn replay(&self, folder: &Path) -> Result<Replayed, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let contender = NamedController::find(&self.controller, folder)?;
-        let digest = contender.policy().map(|policy| policy.digest());
-        if let (Some(expected), found) = (&self.policy_sha256, digest.unwrap_or_default())
-            && *expected != found
+        self.check_policy(&contender, self.policy_sha256.as_ref())?;
+        let contrast = self.contrast.as_ref().map(|record| record.contrast(folder)).transpose()?;
+        if let (Some(Contrast::Against(other)), Some(ContrastRecord::Against { policy_sha256, .. })) =
+            (&contrast, &self.contrast)
         {
-            return Err(ReplayError::OtherPolicy {
-                scenario: self.scenario.clone(),
-                controller: self.controller.clone(),
-                expected: expected.clone(),
-                found,
-            });
+            self.check_policy(other, policy_sha256.as_ref())?;
         }
         let specification = Specification::parse(&self.specification, &scenario)?;
-        let replay = Replay { specification: &specification, controller: &contender, estimator: self.estimator };
-        let (nominal, finer) = (replay.at(&scenario, 1)?, replay.at(&scenario, FINER)?);
+        let judging = Judging {
+            specification: &specification,
+            controller: &contender,
+            estimator: self.estimator,
+            contrast: contrast.as_ref(),
+        };
+        let (nominal, finer) = (judging.at(&scenario, 1)?, judging.at(&scenario, FINER)?);
         let is_violated = |verdict: &RunVerdict| verdict.robustness < 0.0;
         let vehicles = |verdict: &RunVerdict| verdict.contact.map(|c| (c.front_vehicle, c.rear_vehicle));
         let recorded = self.front_vehicle.zip(self.rear_vehicle);
@@ -163,6 +166,20 @@ impl Expected {
             && finer_agrees != self.dt_fragile;
         Ok(Replayed { nominal, finer, as_recorded })
     }
+
+    /// Whether somebody is who the verdict is about.
+    fn check_policy(&self, found: &NamedController, expected: Option<&String>) -> Result<(), ReplayError> {
+        let digest = found.policy().map(|policy| policy.digest()).unwrap_or_default();
+        match expected {
+            Some(expected) if *expected != digest => Err(ReplayError::OtherPolicy {
+                scenario: self.scenario.clone(),
+                controller: found.name.clone(),
+                expected: expected.clone(),
+                found: digest,
+            }),
+            _ => Ok(()),
+        }
+    }
 }
 
 impl Expected {
@@ -174,7 +191,9 @@ impl Expected {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let policy_sha256 = NamedController::find(&self.controller, folder)?.policy().map(|policy| policy.digest());
         let specification = Specification::parse(&self.specification, &scenario)?;
-        let mut renewed = Self { policy_sha256, dt_fragile: false, ..self.clone() };
+        let contrast = self.contrast.as_ref().map(|record| record.contrast(folder)).transpose()?;
+        let contrast = contrast.as_ref().map(Contrast::record);
+        let mut renewed = Self { policy_sha256, contrast, dt_fragile: false, ..self.clone() };
         let verdict = renewed.replay(folder)?.nominal;
         let violated = verdict.robustness < 0.0;
         let class = Avoidability::of(&specification, &verdict, &scenario);
@@ -197,49 +216,6 @@ impl Expected {
 
 /// Parts of the step in which a failure must survive.
 pub(super) const FINER: u32 = 10;
-
-/// How counterexamples are judged, one at a time.
-pub(super) struct Replay<'a> {
-    pub(super) specification: &'a Specification,
-    pub(super) controller: &'a NamedController,
-    pub(super) estimator: EstimatorKind,
-}
-
-impl Replay<'_> {
-    pub(super) fn options(&self, scenario: &Scenario, parts: u32) -> RunOptions {
-        let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
-        if parts == 1 { options } else { options.with_dt_s(scenario.spec().step_s / f64::from(parts)) }
-    }
-
-    /// The verdict with the scenario's step in so many parts.
-    pub(super) fn at(&self, scenario: &Scenario, parts: u32) -> Result<RunVerdict, ReplayError> {
-        let run = self.run(scenario, parts)?;
-        Ok(self.specification.judge(&run, &simulate(&run, self.specification.keep()))?)
-    }
-
-    /// The same of many, which are run together.
-    pub(super) fn all_at(&self, asked: &[(Scenario, u32)]) -> Vec<Result<RunVerdict, ReplayError>> {
-        let prepared = asked.iter().map(|(scenario, parts)| self.run(scenario, *parts));
-        let (mut runs, mut refused) = (Vec::new(), Vec::new());
-        for (place, run) in prepared.enumerate() {
-            match run {
-                Ok(run) => runs.push(run),
-                Err(error) => refused.push((place, error)),
-            }
-        }
-        let keep = self.specification.keep();
-        let judged =
-            simulate_batch(&runs, keep, |index, result| Ok(self.specification.judge(&runs[index], &result)?));
-        let mut verdicts: Vec<Result<RunVerdict, ReplayError>> = judged;
-        // In ascending order, so that each place is there when its turn comes.
-        refused.into_iter().for_each(|(place, error)| verdicts.insert(place, Err(error.into())));
-        verdicts
-    }
-
-    fn run<'s>(&self, scenario: &'s Scenario, parts: u32) -> Result<Run<'s>, RunError> {
-        Run::new(scenario, self.options(scenario, parts).with_after_contact(self.specification.after_contact()))
-    }
-}
 
 /// The paths of all scenario files of an index.
 impl ExpectedFile {

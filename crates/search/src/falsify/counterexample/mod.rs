@@ -39,6 +39,9 @@ pub struct Counterexample {
     pub file: String,
     /// The scenario as it was found.
     pub original_file: String,
+    /// The same with less of what should make no scenario worse, which the controller passes, where that is what was looked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub partner_file: Option<String>,
     /// What happens, in words.
     pub kind: String,
     /// Robustness of the file.

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use super::expected::{EXPECTED_VERSION, Expected, ExpectedFile};
 use super::severity::Severity;
 use super::{Avoidability, Changed, Counterexample};
-use crate::falsify::Method;
 use crate::falsify::campaign::{CampaignError, FailureKind, Terms};
+use crate::falsify::{ContrastRecord, Method};
 use crate::work::Changes;
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::{Scenario, file};
@@ -197,9 +197,17 @@ impl Recorder<'_> {
         let formula = match &self.terms.specification {
             Specification::NoContact => String::new(),
             Specification::Formula(formula) => format!(" The formula is `{formula}`."),
+            Specification::Conduct(rule) => format!(" The rule is `{rule}`."),
+        };
+        let beside = match &terms.contrast {
+            None => String::new(),
+            Some(ContrastRecord::Against { controller, .. }) => format!(", and `{controller}` passes it"),
+            Some(ContrastRecord::Metamorphic(relation)) => {
+                format!(", which it does not {}", relation.describe_partner())
+            }
         };
         let found = format!(
-            "Found in the space `{}` by {} at its evaluation {} (seed {}): with {driver} {kind}.{formula}",
+            "Found in the space `{}` by {} at its evaluation {} (seed {}): with {driver} {kind}{beside}.{formula}",
             self.terms.space.name(),
             one.method,
             one.number,
@@ -229,6 +237,7 @@ impl Recorder<'_> {
                     avoidable: class.class(),
                     best_min_gap_m: class.best_min_gap_m(),
                     undecided_because: class.undecided_because().map(str::to_owned),
+                    contrast: terms.contrast.clone(),
                 });
                 Ok::<(), CampaignError>(())
             };
@@ -236,10 +245,22 @@ impl Recorder<'_> {
         write(&file, (&one.scenario, verdict), name.clone(), found.clone() + how + &class, &one.avoidability)?;
         let original_name = format!("{name}-original");
         write(&original, (&one.original, as_found), original_name, found, &Avoidability::NotAsked)?;
+        let partner_file = match &terms.contrast {
+            Some(ContrastRecord::Metamorphic(relation)) => relation.partner(&one.scenario).map(|partner| {
+                let about = format!("{}: {}.", file, relation.describe_partner());
+                (format!("counterexamples/partners/{file}"), partner, about)
+            }),
+            _ => None,
+        };
+        if let Some((path, partner, about)) = &partner_file {
+            let named = partner.edited(|spec| (spec.name, spec.about) = (format!("{name}-partner"), about.clone()))?;
+            files.push((path.clone(), file::to_toml(&named).map_err(CampaignError::encoding)?));
+        }
         let point = self.terms.space.point(&one.values);
         Ok(Counterexample {
             file: format!("counterexamples/{file}"),
             original_file: format!("counterexamples/{original}"),
+            partner_file: partner_file.map(|(path, ..)| path),
             kind,
             robustness: verdict.robustness,
             contact_time_s: verdict.contact.map(|contact| contact.time_s),

@@ -107,19 +107,23 @@ impl NeedlessBraking {
         self.count == 0
     }
 
+    /// How much harder vehicle `index` could have braked at any instant before it braked without cause, in m/s²: negative if it did, and
+    /// then by how much it braked too hard; none if there is no such vehicle, or it never drives at [`LEAST_SPEED_MPS`].
+    pub(in crate::measure) fn margin_mps2(trace: &Trace, impacts: &[Impact], index: usize) -> Option<f64> {
+        let margin = |brake: NeedlessBrake| brake.caused_mps2 + NEEDLESS_MARGIN_MPS2 - brake.brake_mps2;
+        if let Some(hardest) = Self::of(trace, impacts, index)?.hardest {
+            return Some(margin(hardest));
+        }
+        // What exceeds it for less than it takes to count does not.
+        let all = brakes(steps_of(trace, impacts, index)?);
+        all.map(|(_, brake)| margin(brake).max(0.0)).reduce(f64::min)
+    }
+
     /// All braking of which this holds, and that lasts.
     fn braked(steps: impl Iterator<Item = Step>, is_needless: impl Fn(&NeedlessBrake) -> bool) -> Self {
-        let reference = Idm::from(&IdmSettings::default());
-        let mut largest = SlidingExtreme::new(|new, old| new >= old);
         let (mut sum, mut open) = (Self::default(), None::<Braking>);
-        for step in steps {
+        for (step, brake) in brakes(steps).filter(|(_, brake)| is_needless(brake)) {
             let until_s = step.time_s + step.held_s;
-            let now_mps2 = step.ahead.as_ref().map_or(0.0, |state| caused_mps2(&reference, state));
-            let caused_mps2 = largest.after(now_mps2, until_s, step.time_s - CAUSE_LASTS_S);
-            let brake = NeedlessBrake { time_s: step.time_s, brake_mps2: step.brake_mps2(), caused_mps2 };
-            if step.speed_mps < LEAST_SPEED_MPS || !is_needless(&brake) {
-                continue;
-            }
             match &mut open {
                 Some(braking) if step.time_s < braking.until_s + LEAST_BRAKING_S => braking.goes_on(step.held_s, brake),
                 _ => sum.add(open.replace(Braking { until_s, lasted_s: step.held_s, hardest: brake })),
@@ -138,6 +142,18 @@ impl NeedlessBraking {
         self.count += 1;
         self.hardest = Some(self.hardest.map_or(braking.hardest, |hardest| hardest.or(braking.hardest)));
     }
+}
+
+/// What is braked with at each step that is fast enough to count, beside what has a cause there.
+fn brakes(steps: impl Iterator<Item = Step>) -> impl Iterator<Item = (Step, NeedlessBrake)> {
+    let reference = Idm::from(&IdmSettings::default());
+    let mut largest = SlidingExtreme::new(|new, old| new >= old);
+    let all = steps.map(move |step| {
+        let now_mps2 = step.ahead.as_ref().map_or(0.0, |state| caused_mps2(&reference, state));
+        let caused_mps2 = largest.after(now_mps2, step.time_s + step.held_s, step.time_s - CAUSE_LASTS_S);
+        (step, NeedlessBrake { time_s: step.time_s, brake_mps2: step.brake_mps2(), caused_mps2 })
+    });
+    all.filter(|(step, _)| step.speed_mps >= LEAST_SPEED_MPS)
 }
 
 impl NeedlessBrake {

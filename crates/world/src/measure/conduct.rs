@@ -1,0 +1,146 @@
+//! What a vehicle under test must not do to others and to its passengers, whether or not anybody touches.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::demand::Imposed;
+use super::usefulness::{NeedlessBraking, SpeedAmplification};
+use crate::scenario::Scenario;
+use crate::sim::Simulated;
+
+/// A rule that every vehicle under test has to keep until its first impact, by the measures of an assessment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Conduct {
+    /// It does not brake without cause ([`NeedlessBraking`]). Robustness is how much harder it could have braked, in m/s².
+    NoBrakingWithoutCause,
+    /// The vehicle behind brakes at most so hard ([`Imposed::peak_brake_mps2`]), in m/s², positive. Robustness is what is left.
+    ImposedBraking {
+        /// The limit, in m/s².
+        at_most_mps2: f64,
+    },
+    /// It passes on no disturbance enlarged, where the line drives at one speed at the start ([`SpeedAmplification`]). Robustness is 1
+    /// less the ratio of the largest deviations of speed, its own to that of the vehicle ahead.
+    NoAmplification,
+}
+
+/// What is said where nobody is ahead, behind, or disturbed: more than any rule can leave.
+const NOTHING_TO_JUDGE: f64 = f64::INFINITY;
+
+const NO_BRAKING: &str = "no braking without cause";
+const NO_AMPLIFICATION: &str = "no amplification";
+const IMPOSED: [&str; 2] = ["imposed braking at most", "m/s2"];
+
+impl Conduct {
+    /// How all of them are written, for a reader.
+    pub const WRITTEN: [&str; 3] = [NO_BRAKING, "imposed braking at most 4 m/s2", NO_AMPLIFICATION];
+
+    /// How far the vehicles under test are from breaking the rule, the nearest of them; negative if one breaks it. None without a trace.
+    pub(super) fn robustness(&self, scenario: &Scenario, result: &Simulated) -> Option<f64> {
+        let trace = result.trace.as_ref()?;
+        let under_test = (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index));
+        let of_each = |index: usize| match self {
+            Self::NoBrakingWithoutCause => NeedlessBraking::margin_mps2(trace, &result.impacts, index),
+            Self::ImposedBraking { at_most_mps2 } => {
+                let imposed = Imposed::of(trace, &result.impacts, index).and_then(|imposed| imposed.peak_brake_mps2);
+                imposed.map(|peak_mps2| at_most_mps2 - peak_mps2)
+            }
+            Self::NoAmplification => {
+                let start_s = trace.time_s.first()?;
+                let all = SpeedAmplification::of(trace, *start_s)?;
+                index.checked_sub(1).and_then(|pair| all.of_each.get(pair).copied().flatten()).map(|ratio| 1.0 - ratio)
+            }
+        };
+        Some(under_test.filter_map(of_each).fold(NOTHING_TO_JUDGE, f64::min))
+    }
+}
+
+impl fmt::Display for Conduct {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoBrakingWithoutCause => out.write_str(NO_BRAKING),
+            Self::ImposedBraking { at_most_mps2 } => write!(out, "{} {at_most_mps2} {}", IMPOSED[0], IMPOSED[1]),
+            Self::NoAmplification => out.write_str(NO_AMPLIFICATION),
+        }
+    }
+}
+
+/// The text is none of [`Conduct::WRITTEN`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct NoConduct;
+
+impl FromStr for Conduct {
+    type Err = NoConduct;
+
+    fn from_str(text: &str) -> Result<Self, NoConduct> {
+        match text {
+            NO_BRAKING => Ok(Self::NoBrakingWithoutCause),
+            NO_AMPLIFICATION => Ok(Self::NoAmplification),
+            _ => {
+                let number = text.strip_prefix(IMPOSED[0]).and_then(|rest| rest.strip_suffix(IMPOSED[1]));
+                let limit = number.and_then(|number| number.trim().parse::<f64>().ok());
+                let at_most_mps2 = limit.filter(|limit| limit.is_finite() && *limit > 0.0).ok_or(NoConduct)?;
+                Ok(Self::ImposedBraking { at_most_mps2 })
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::ControllerSpec;
+    use crate::measure::Specification;
+    use crate::scenario::{PaperDistribution, built_in};
+    use crate::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
+    use proptest::prelude::*;
+
+    #[test]
+    fn rules_survive_their_texts_and_others_are_none() {
+        for text in Conduct::WRITTEN {
+            assert_eq!(text.parse::<Conduct>().unwrap().to_string(), text);
+        }
+        for text in [
+            "",
+            "no braking",
+            "imposed braking at most m/s2",
+            "imposed braking at most -1 m/s2",
+            "imposed braking at most inf m/s2",
+        ] {
+            assert!(text.parse::<Conduct>().is_err(), "{text}");
+        }
+    }
+
+    /// Behind a leader that keeps its speed whoever brakes fully brakes without cause, and a reference driver does not.
+    #[test]
+    fn full_brakes_without_cause_are_found_and_causes_are_known() {
+        let scenario = built_in("paper-1").unwrap();
+        let judged = |rule: &str, controller: &str| {
+            let rule = Specification::parse(rule, &scenario).unwrap();
+            let options = RunOptions::new(ControllerSpec::named(controller).unwrap());
+            rule.judge_scenario(&scenario, options).unwrap().robustness
+        };
+        assert!(judged(NO_BRAKING, "idm") >= 0.0);
+        assert!(judged("imposed braking at most 20 m/s2", "baseline") > 0.0);
+        assert!(judged("imposed braking at most 0.1 m/s2", "baseline") < 0.0);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(40))]
+        /// The sign is that of the measures which assessments count.
+        #[test]
+        fn the_sign_is_that_of_the_measure(index in 0..200_u64, controller in 0..4_usize) {
+            let scenario = PaperDistribution { seed: 3 }.draw(index).unwrap();
+            let name = ["idm", "baseline", "acc-aeb", "match-leader"][controller];
+            let options = RunOptions::new(ControllerSpec::named(name).unwrap());
+            let run = Run::new(&scenario, options.with_after_contact(AfterContact::Continue)).unwrap();
+            let result = simulate(&run, RecordingLevel::Trace);
+            let trace = result.trace.as_ref().unwrap();
+            let needless = NeedlessBraking::of(trace, &result.impacts, 1).unwrap();
+            let margin = Conduct::NoBrakingWithoutCause.robustness(&scenario, &result).unwrap();
+            prop_assert_eq!(margin < 0.0, !needless.is_none(), "{} {:?}", margin, needless);
+            let imposed = Imposed::of(trace, &result.impacts, 1).and_then(|imposed| imposed.peak_brake_mps2);
+            let left = Conduct::ImposedBraking { at_most_mps2: 4.0 }.robustness(&scenario, &result).unwrap();
+            prop_assert_eq!(left < 0.0, imposed.is_some_and(|peak| peak > 4.0));
+        }
+    }
+}
