@@ -7,8 +7,11 @@ use serde::Serialize;
 
 use super::simulate::Format;
 use super::{Failure, exposed, interrupt, output, progress};
-use crumple_search::evidence::rare::{Estimate, MOST_LEVELS, MergedEstimate, RareError, RarePlan, RareReport};
+use crumple_search::evidence::rare::{
+    Estimate, MOST_LEVELS, MergedEstimate, RareError, RareMethod, RarePlan, RareReport,
+};
 use crumple_search::shard::{MissingShards, Shard};
+use crumple_world::quoted::Terminal;
 
 /// Estimates, writes the estimate to `folder` and prints it; of one that is there, and with `resume`, prints it.
 pub(super) fn estimate(
@@ -114,6 +117,9 @@ impl From<RareError> for Failure {
     }
 }
 
+/// A larger share of one run in an estimate is worth a word.
+const LARGE: f64 = 0.1;
+
 fn text(report: &RareReport) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
@@ -122,8 +128,8 @@ fn text(report: &RareReport) -> String {
 }
 
 fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
-    let RareReport { controller, space, estimator, seed, estimate, effort, .. } = report;
-    writeln!(out, "{controller} in `{space}`: vehicles touch, estimator {}, seed {seed}", estimator.name())?;
+    let RareReport { controller, space, estimator, seed, failure, method, estimate, effort, .. } = report;
+    writeln!(out, "{controller} in `{space}`: {}, estimator {}, seed {seed}", Terminal(failure), estimator.name())?;
     if report.nondeterministic {
         writeln!(out, "  the controller says that it is not deterministic: the same estimate may come out otherwise")?;
     }
@@ -170,7 +176,18 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
             repetitions.len()
         )?;
     }
-    writeln!(out, "  an estimate by multilevel splitting, no bound and no certificate; {evaluations} runs")?;
+    let method = match method {
+        RareMethod::Splitting => "multilevel splitting",
+        RareMethod::Importance => "importance sampling",
+    };
+    writeln!(out, "  an estimate by {method}, no bound and no certificate; {evaluations} runs")?;
+    if let Some(largest) = estimate.largest_weight.filter(|largest| *largest > LARGE) {
+        let percent = 100.0 * largest;
+        writeln!(
+            out,
+            "  one run alone is {percent:.0} % of it: the interval is too narrow, and more --samples are needed"
+        )?;
+    }
     if let Some(rate) = &report.exposed {
         out.push_str(&exposed::text(rate));
     }
@@ -191,7 +208,7 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
             number(level.acceptance)
         )?;
     }
-    if levels.len() == 1 && probability.is_some() {
+    if levels.len() == 1 && probability.is_some() && report.method == RareMethod::Splitting {
         writeln!(out, "  not rare: a single level, {} runs counted as they are", effort.samples * effort.repetitions)?;
     }
     Ok(())

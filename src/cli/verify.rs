@@ -2,16 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 use crumple_search::disk;
 use crumple_verify::{Certificate, check};
 
 use super::output;
 use super::simulate::Format;
 use super::{Failure, choice, exposed, interrupt, progress, rare, reach, subject};
-use crumple_search::evidence::rare::{Effort, RarePlan};
+use crumple_search::evidence::rare::{Effort, RareMethod, RarePlan};
 use crumple_search::evidence::{RateConfig, RateFolderError, RatePlan, Tally, shipped_kernels};
 use crumple_search::shard::Shard;
+use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::Space;
 use crumple_world::sim::NamedController;
@@ -53,7 +54,8 @@ vehicles touch.
 
 With --rare the probability of a failure too rare to count is estimated by multilevel splitting: populations of runs that climb \
 from level to level of the smallest gap. The levels come from a pilot; the estimate is the mean over independent repetitions, \
-with an interval from their spread. That is an estimate and no bound: it gets no certificate, and DIR/rare-estimate.json \
+with an interval from their spread. With --rare=importance a law is fitted to where such populations arrive, and runs are drawn from it with \
+exact weights: the same mean, of far fewer runs where failures lie in a few places. That is an estimate and no bound: it gets no certificate, and DIR/rare-estimate.json \
 says so. Nothing of it is kept halfway.
 
 In a space that says in how much driving its episodes were seen (see `crumple fit`), failures are also stated per hour and per 1000 km, \
@@ -81,8 +83,12 @@ struct Rate {
     #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
     /// Estimate the probability of a rare failure instead of counting: no certificate
-    #[arg(long, conflicts_with_all = ["runs", "against", "confidence"])]
-    rare: bool,
+    #[arg(long, value_enum, value_name = "METHOD", num_args = 0..=1, require_equals = true, default_missing_value = "splitting",
+        conflicts_with_all = ["runs", "against", "confidence"])]
+    rare: Option<RareName>,
+    /// With --rare: what must hold, as in `crumple falsify` [default: no contact]
+    #[arg(long, value_name = "STL", requires = "rare")]
+    spec: Option<String>,
     /// With --rare: runs of a population, 50 to 100 000; each repetition makes one for each of up to 18 levels [default: 500]
     #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
     samples: Option<u32>,
@@ -115,6 +121,23 @@ struct Rate {
     /// Go on with an interrupted count; with --rare, print the estimate that is there
     #[arg(long)]
     resume: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum RareName {
+    /// Populations climb level by level
+    Splitting,
+    /// Draws from a law fitted to where such populations arrive, with exact weights
+    Importance,
+}
+
+impl RareName {
+    fn method(self) -> RareMethod {
+        match self {
+            Self::Splitting => RareMethod::Splitting,
+            Self::Importance => RareMethod::Importance,
+        }
+    }
 }
 
 impl Verify {
@@ -184,10 +207,20 @@ impl Rate {
     }
 
     fn estimate(self, quiet: bool) -> Result<(), Failure> {
+        let space = self.space.1.clone();
+        let specification = match &self.spec {
+            None => Specification::NoContact,
+            Some(text) => {
+                let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
+                Specification::parse(text, &nominal).map_err(|error| Failure::Input(format!("--spec: {error}")))?
+            }
+        };
         let plan = RarePlan {
             controller: self.controller.clone(),
-            space: self.space.1.clone(),
+            space,
             estimator: self.estimator,
+            specification,
+            method: self.rare.map_or(RareMethod::default(), RareName::method),
             seed: self.seed,
             effort: Effort {
                 samples: self.samples.unwrap_or(500) as usize,

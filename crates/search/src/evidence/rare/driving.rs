@@ -5,7 +5,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Effort, Estimate, Problem, Splitting, State};
+use super::{Effort, Estimate, Pilot, Problem, RareMethod, State};
 use crate::evidence::exposed::{ExposedRate, Part, Probability, estimate_again};
 use crate::shard::{MergeError, TooManyShards};
 use crate::work::WorkError;
@@ -18,7 +18,7 @@ use crumple_world::sim::{NamedController, Run, RunError, RunOptions, simulate_ba
 
 /// How often a controller fails in a space: what `verify rate` counts, for failures too rare to count.
 ///
-/// The margin of a run is the smallest gap between any two vehicles, in metres, and below 0 if vehicles touch.
+/// The margin of a run is its robustness: of contacts the smallest gap between any two vehicles, in metres, and below 0 if vehicles touch.
 pub struct RarePlan {
     /// What is put under test.
     pub controller: NamedController,
@@ -28,6 +28,10 @@ pub struct RarePlan {
     pub estimator: EstimatorKind,
     /// Seed of everything.
     pub seed: u64,
+    /// What must hold.
+    pub specification: Specification,
+    /// How failures are climbed to.
+    pub method: RareMethod,
     /// How much work goes into it.
     pub effort: Effort,
 }
@@ -94,6 +98,9 @@ pub struct RareReport {
     pub failure: String,
     /// Seed of everything.
     pub seed: u64,
+    /// How failures were climbed to.
+    #[serde(default)]
+    pub method: RareMethod,
     /// How much work went into it.
     #[serde(flatten)]
     pub effort: Effort,
@@ -117,8 +124,9 @@ pub(super) struct RareRecord {
     pub(super) estimator: EstimatorKind,
     space: String,
     pub(super) space_sha256: String,
-    failure: String,
+    pub(super) failure: String,
     pub(super) seed: u64,
+    pub(super) method: RareMethod,
     pub(super) effort: Effort,
 }
 
@@ -135,10 +143,12 @@ impl Problem for RarePlan {
             self.space.at_with_noise(&self.space.quantile(&uniform), state.noise)
         };
         let scenarios = states.par_iter().map(scenario).collect::<Result<Vec<_>, _>>()?;
-        let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
+        let specification = &self.specification;
+        let options = RunOptions::new(self.controller.kind.clone())
+            .with_estimator(self.estimator)
+            .with_after_contact(specification.after_contact());
         let runs =
             scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-        let specification = Specification::NoContact;
         let margins = simulate_batch(&runs, specification.keep(), |index, result| {
             runs.get(index).map(|run| specification.judge(run, &result).map(|verdict| verdict.robustness))
         });
@@ -151,8 +161,8 @@ impl RarePlan {
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made.
-    pub fn pilot(&self, done: &(dyn Fn(u64) + Sync)) -> Result<Splitting, RareError> {
-        Splitting::pilot(self, self.effort, self.seed, done)
+    pub fn pilot(&self, done: &(dyn Fn(u64) + Sync)) -> Result<Pilot, RareError> {
+        Pilot::run(self, self.method, self.effort, self.seed, done)
     }
 
     /// Estimates with the levels of a pilot. In a space fitted to episodes, estimates anew, with less effort, in the spaces fitted to so many
@@ -160,12 +170,7 @@ impl RarePlan {
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made.
-    pub fn report(
-        &self,
-        pilot: &Splitting,
-        resamples: u32,
-        done: &(dyn Fn(u64) + Sync),
-    ) -> Result<RareReport, RareError> {
+    pub fn report(&self, pilot: &Pilot, resamples: u32, done: &(dyn Fn(u64) + Sync)) -> Result<RareReport, RareError> {
         let estimate = pilot.estimate(self, done)?;
         let mut again = |space: &Space, seed: u64| self.again(space, seed, done);
         let exposed = match self.space.spec().exposure {
@@ -197,8 +202,8 @@ impl RarePlan {
 
     /// An estimate in another space, with less effort.
     fn again(&self, space: &Space, seed: u64, done: &(dyn Fn(u64) + Sync)) -> Result<Estimate, RareError> {
-        let (controller, estimator) = (self.controller.clone(), self.estimator);
-        let other = Self { controller, space: space.clone(), estimator, seed, effort: AGAIN };
+        let (controller, specification) = (self.controller.clone(), self.specification.clone());
+        let other = Self { controller, space: space.clone(), specification, seed, effort: AGAIN, ..*self };
         other.pilot(done)?.estimate(&other, done)
     }
 
@@ -213,8 +218,12 @@ impl RarePlan {
             estimator: self.estimator,
             space: self.space.name().to_owned(),
             space_sha256: sha256(file::to_toml(&self.space)?),
-            failure: self.controller.failure().to_owned(),
+            failure: match &self.specification {
+                Specification::NoContact => self.controller.failure().to_owned(),
+                other => format!("`{other}` is violated"),
+            },
             seed: self.seed,
+            method: self.method,
             effort: self.effort,
         })
     }
@@ -236,6 +245,7 @@ impl RareRecord {
             space_sha256: record.space_sha256,
             failure: record.failure,
             seed: record.seed,
+            method: record.method,
             effort: record.effort,
             estimate,
             exposed: None,

@@ -37,7 +37,9 @@ impl RareRecord {
             "controller_sha256": self.controller_sha256,
             "estimator": self.estimator,
             "space_sha256": self.space_sha256,
+            "failure": self.failure,
             "seed": self.seed,
+            "method": self.method,
             "effort": self.effort,
         });
         let asked = Asked {

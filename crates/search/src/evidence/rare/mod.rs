@@ -20,6 +20,10 @@
 //! independent their spread says how far the mean can be trusted without any assumption on the chains. A
 //! repetition that dies out counts as zero.
 //!
+//! Importance sampling ([`RareMethod::Importance`]) takes where the pilot arrives and draws there, each draw with its exact weight:
+//! the same mean, of far fewer runs where failures lie in a few places. Its repetitions are populations of draws by one law, which is fixed in
+//! advance as well.
+//!
 //! It is an estimate. Importance enters the choice of what is run, so none of these runs may be counted for a
 //! certificate, and none is: [`RatePlan`](super::RatePlan) has no way to take them in. If failures have several causes, of which
 //! the likeliest is hard to climb to, few repetitions see it: then the estimate is far too low, and the spread with it, more
@@ -28,6 +32,9 @@
 
 mod driving;
 mod folder;
+mod importance;
+mod mixture;
+mod pilot;
 mod shard;
 #[cfg(test)]
 mod shard_tests;
@@ -39,8 +46,9 @@ use serde::{Deserialize, Serialize};
 
 pub use driving::{RareError, RarePlan, RareReport};
 pub use folder::RareFolder;
+pub use pilot::{Pilot, Repetitions};
 pub use shard::{MergedEstimate, RareShard, SHARD_OF_AN_ESTIMATE};
-pub use splitting::{MOST_LEVELS, Problem, Repetition, Splitting, State};
+pub use splitting::{MOST_LEVELS, Problem, Splitting, State};
 
 /// How much work goes into an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,6 +58,24 @@ pub struct Effort {
     /// Independent populations, at least 5.
     #[serde(rename = "populations")]
     pub repetitions: usize,
+}
+
+/// How failures are climbed to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RareMethod {
+    /// Populations that climb level by level, and the product of the shares that pass.
+    #[default]
+    Splitting,
+    /// Draws from a law fitted to where such populations arrive, each with its exact weight.
+    Importance,
+}
+
+impl Effort {
+    /// With what there must be at least.
+    fn at_least(self) -> Self {
+        Self { samples: self.samples.max(50), repetitions: self.repetitions.max(5) }
+    }
 }
 
 impl Default for Effort {
@@ -93,6 +119,9 @@ pub struct Estimate {
     /// How many of these failed.
     #[serde(default)]
     pub independent_failures: u64,
-    /// The levels; where the failure was not reached, those that were, as the pilot saw them.
+    /// The levels; where the failure was not reached, and of importance sampling, those that were, as the pilot saw them.
     pub levels: Vec<Level>,
+    /// Of importance sampling: the largest weight of a run, of the sum of all; if it is large, the spread says little.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub largest_weight: Option<f64>,
 }

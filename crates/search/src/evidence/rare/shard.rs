@@ -7,8 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::driving::RareRecord;
-use super::splitting::Repetition;
-use super::{Estimate, RareError, RarePlan, RareReport, Splitting};
+use super::{Estimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
 use crate::evidence::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, estimate_again, own_resamples};
 use crate::shard::{self, MergeError, MissingShards, Parts, SHARD, Shard};
 use crate::work::{Finished, Work, WorkError};
@@ -20,7 +19,7 @@ pub const SHARD_OF_AN_ESTIMATE: &str = "shard of a rare-failure estimate";
 
 const REPETITIONS: &str = "repetitions.json";
 /// The version of these files.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -46,8 +45,8 @@ struct Exposed {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Repeated {
-    pilot: Splitting,
-    repetitions: Vec<Repetition>,
+    pilot: Pilot,
+    repetitions: Repetitions,
     /// Estimates in its share of the resamples.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     resampled: Vec<Estimate>,
@@ -103,7 +102,7 @@ impl RareShard<'_> {
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written.
-    pub fn repeat(&self, pilot: &Splitting, done: &(dyn Fn(u64) + Sync)) -> Result<(), RareError> {
+    pub fn repeat(&self, pilot: &Pilot, done: &(dyn Fn(u64) + Sync)) -> Result<(), RareError> {
         let all = self.plan.effort.repetitions as u64;
         let range = self.shard.range(all, WHAT)?;
         let own = own_resamples(self.resamples, &range, all);
@@ -123,9 +122,9 @@ impl RareShard<'_> {
 pub struct MergedEstimate {
     record: RareRecord,
     exposed: Option<Exposed>,
-    pilot: Splitting,
+    pilot: Pilot,
     /// Of repetitions.
-    parts: Parts<(Vec<Repetition>, Vec<Estimate>)>,
+    parts: Parts<(Repetitions, Vec<Estimate>)>,
 }
 
 impl MergedEstimate {
@@ -160,12 +159,7 @@ impl MergedEstimate {
         self.place(folder, file.shard, (repeated.repetitions, repeated.resampled))
     }
 
-    fn place(
-        &mut self,
-        folder: &Path,
-        shard: Shard,
-        came_to: (Vec<Repetition>, Vec<Estimate>),
-    ) -> Result<(), MergeError> {
+    fn place(&mut self, folder: &Path, shard: Shard, came_to: (Repetitions, Vec<Estimate>)) -> Result<(), MergeError> {
         let all = self.record.effort.repetitions as u64;
         let range =
             shard.range(all, WHAT).map_err(|error| WorkError::damaged(&folder.join(SHARD), error.to_string()))?;
@@ -193,7 +187,7 @@ impl MergedEstimate {
         if self.missing() > 0 {
             return Ok(None);
         }
-        let repetitions = self.parts.contents().flat_map(|(repetitions, _)| repetitions).cloned().collect();
+        let repetitions = self.parts.contents().map(|(repetitions, _)| repetitions);
         let report = self.record.report(self.pilot.summary(repetitions));
         Ok(Some(RareReport { exposed: self.exposed(&report.estimate)?, ..report }))
     }
@@ -240,12 +234,12 @@ fn read(found: &Finished) -> Result<(ShardFile, Repeated), WorkError> {
     let resamples = file.exposed.as_ref().map_or(0, |exposed| exposed.resamples);
     let own = own_resamples(resamples, &range, file.estimate.effort.repetitions as u64);
     let is_of_space = |exposed: &Exposed| sha256(&exposed.space_text) == file.estimate.space_sha256;
-    let is_sound = repeated.pilot.is_of(file.estimate.effort, file.estimate.seed)
+    let is_sound = repeated.pilot.is_of(file.estimate.method, file.estimate.effort, file.estimate.seed)
         && repeated.pilot.may_have(&repeated.repetitions)
         && file.exposed.iter().all(is_of_space)
         // There are fewer where no space could be fitted to some.
         && repeated.resampled.len() as u64 <= own.end - own.start;
-    if repeated.repetitions.len() as u64 != made || !is_sound {
+    if repeated.repetitions.count() != made || !is_sound {
         return Err(found.damaged(REPETITIONS, format!("not what shard {} of that estimate comes to", file.shard)));
     }
     Ok((file, repeated))

@@ -8,6 +8,7 @@ use super::*;
 use crate::shard::{MergeError, Shard};
 use crate::work::{Finished, Found, find};
 use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::space::built_in_space;
@@ -17,6 +18,8 @@ fn plan(seed: u64) -> RarePlan {
         controller: ControllerSpec::named("match-leader").unwrap().into(),
         space: built_in_space("paper").unwrap(),
         estimator: EstimatorKind::Truth,
+        specification: Specification::NoContact,
+        method: if seed % 2 == 0 { RareMethod::Splitting } else { RareMethod::Importance },
         seed,
         effort: Effort { samples: 50, repetitions: 7 },
     }
@@ -29,10 +32,14 @@ fn finished(folder: &std::path::Path) -> Finished {
     }
 }
 
-/// In any order, some twice: the bytes of an estimate by one machine, or nothing while some are missing.
 #[test]
 fn shards_of_an_estimate_come_to_the_estimate_of_one_machine() {
-    let (plan, root) = (plan(2), tempfile::tempdir().unwrap());
+    [2, 5].into_iter().for_each(put_together);
+}
+
+/// In any order, some twice: the bytes of an estimate by one machine, or nothing while some are missing.
+fn put_together(seed: u64) {
+    let (plan, root) = (plan(seed), tempfile::tempdir().unwrap());
     let pilot = plan.pilot(&|_| ()).unwrap();
     let single = root.path().join("single");
     plan.in_folder(&single, false).unwrap().keep(&plan.report(&pilot, 0, &|_| ()).unwrap()).unwrap();

@@ -69,7 +69,7 @@ pub struct Splitting {
 /// A level on the way.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Stage {
+pub(super) struct Stage {
     threshold: f64,
     is_last: bool,
     step: f64,
@@ -84,14 +84,14 @@ impl Stage {
 }
 
 /// A run and its margin.
-type Sample = (State, f64);
+pub(super) type Sample = (State, f64);
 
 /// One population, with a stream of its own.
-struct Climber<'a, P: Problem> {
+pub(super) struct Climber<'a, P: Problem> {
     problem: &'a P,
     samples: usize,
     random: Stream,
-    evaluations: u64,
+    pub(super) evaluations: u64,
     done: &'a (dyn Fn(u64) + Sync),
 }
 
@@ -127,7 +127,7 @@ impl Splitting {
         seed: u64,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Self, P::Error> {
-        let effort = Effort { samples: effort.samples.max(50), repetitions: effort.repetitions.max(5) };
+        let effort = effort.at_least();
         let mut climber = Climber::new(problem, effort.samples, stream(seed, Purpose::RareEvents, 0), done);
         let mut population = climber.first()?;
         let pilot_failures = failures(&population);
@@ -190,18 +190,20 @@ impl Splitting {
         if self.reached { (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64 } else { 0 }
     }
 
-    /// Runs the repetitions. The result depends neither on the number of threads nor on `done`.
-    ///
-    /// # Errors
-    /// Those of the problem.
-    pub fn estimate<P: Problem>(&self, problem: &P, done: &(dyn Fn(u64) + Sync)) -> Result<Estimate, P::Error> {
-        Ok(self.summary(self.repeat(problem, 0..self.repetitions(), done)?))
+    /// The levels that repetitions climb, the failure last.
+    pub(super) fn stages(&self) -> &[Stage] {
+        &self.stages
     }
 
-    /// How many repetitions there are; none where the pilot did not reach a failure.
-    #[must_use]
-    pub fn repetitions(&self) -> u64 {
-        if self.reached { self.effort.repetitions as u64 } else { 0 }
+    /// What the pilot alone says.
+    pub(super) fn begun(&self) -> Estimate {
+        Estimate {
+            evaluations: self.pilot,
+            independent_runs: self.effort.samples as u64,
+            independent_failures: self.pilot_failures,
+            levels: self.pilot_levels.clone(),
+            ..Estimate::none()
+        }
     }
 
     /// Runs some of the repetitions: each is a function of the seed and its number alone.
@@ -214,11 +216,11 @@ impl Splitting {
         repetitions: Range<u64>,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Repetition>, P::Error> {
-        let repetitions = repetitions.start..repetitions.end.min(self.repetitions());
+        let repetitions = if self.reached { repetitions } else { 0..0 };
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
             let mut climber = Climber::new(problem, self.effort.samples, random, done);
-            let (failures, seen) = climber.climb(&self.stages)?;
+            let (failures, seen, _) = climber.climb(&self.stages)?;
             Ok(Repetition { failures, seen, evaluations: climber.evaluations })
         };
         repetitions.into_par_iter().map(repeat).collect()
@@ -226,8 +228,7 @@ impl Splitting {
 
     /// Whether it was placed by that seed with that effort.
     pub(super) fn is_of(&self, effort: Effort, seed: u64) -> bool {
-        self.effort == Effort { samples: effort.samples.max(50), repetitions: effort.repetitions.max(5) }
-            && self.seed == seed
+        self.effort == effort && self.seed == seed
     }
 
     /// Whether these repetitions could have come of it.
@@ -251,14 +252,7 @@ impl Splitting {
         let independent_failures =
             repeated.iter().map(|one| one.failures).fold(self.pilot_failures, u64::saturating_add);
         if !self.reached {
-            let levels = self.pilot_levels.clone();
-            return Estimate {
-                evaluations: self.pilot,
-                independent_runs,
-                independent_failures,
-                levels,
-                ..Estimate::none()
-            };
+            return self.begun();
         }
         let evaluations = repeated.iter().map(|one| one.evaluations).fold(self.pilot, u64::saturating_add);
         let seen: Vec<Vec<Seen>> = repeated.into_iter().map(|one| one.seen).collect();
@@ -280,18 +274,8 @@ impl Splitting {
         });
         let levels: Vec<Level> = levels.collect();
         let repetitions: Vec<f64> = seen.iter().map(|seen| product(seen, self.stages.len())).collect();
-        let probability = mean(&repetitions);
-        let coefficient_of_variation = variation_of_mean(&repetitions, probability);
-        Estimate {
-            probability: Some(probability),
-            coefficient_of_variation,
-            interval_95: coefficient_of_variation.and_then(|cv| interval(probability, cv, repetitions.len(), 0.95)),
-            repetitions,
-            evaluations,
-            independent_runs,
-            independent_failures,
-            levels,
-        }
+        let begun = Estimate { evaluations, independent_runs, independent_failures, levels, ..Estimate::none() };
+        begun.of_repetitions(repetitions)
     }
 }
 
@@ -307,6 +291,20 @@ impl Estimate {
             independent_runs: 0,
             independent_failures: 0,
             levels: Vec::new(),
+            largest_weight: None,
+        }
+    }
+
+    /// With what independent repetitions say: their mean, and their spread.
+    pub(super) fn of_repetitions(self, repetitions: Vec<f64>) -> Self {
+        let probability = mean(&repetitions);
+        let coefficient_of_variation = variation_of_mean(&repetitions, probability);
+        Self {
+            probability: Some(probability),
+            coefficient_of_variation,
+            interval_95: coefficient_of_variation.and_then(|cv| interval(probability, cv, repetitions.len(), 0.95)),
+            repetitions,
+            ..self
         }
     }
 
@@ -331,12 +329,12 @@ fn failures(population: &[Sample]) -> u64 {
 }
 
 impl<'a, P: Problem> Climber<'a, P> {
-    fn new(problem: &'a P, samples: usize, random: Stream, done: &'a (dyn Fn(u64) + Sync)) -> Self {
+    pub(super) fn new(problem: &'a P, samples: usize, random: Stream, done: &'a (dyn Fn(u64) + Sync)) -> Self {
         Self { problem, samples, random, evaluations: 0, done }
     }
 
-    /// How many runs failed of the first ones, and what was seen at each level.
-    fn climb(&mut self, stages: &[Stage]) -> Result<(u64, Vec<Seen>), P::Error> {
+    /// How many runs failed of the first ones, what was seen at each level, and who arrived.
+    fn climb(&mut self, stages: &[Stage]) -> Result<(u64, Vec<Seen>, Vec<Sample>), P::Error> {
         let mut seen = Vec::with_capacity(stages.len());
         let mut population = self.first()?;
         let failures = failures(&population);
@@ -356,16 +354,34 @@ impl<'a, P: Problem> Climber<'a, P> {
                 break;
             }
         }
-        Ok((failures, seen))
+        Ok((failures, seen, population))
+    }
+
+    /// Runs that fail, spread out over where failures are.
+    pub(super) fn arrived(&mut self, stages: &[Stage]) -> Result<Vec<Sample>, P::Error> {
+        let (_, _, mut population) = self.climb(stages)?;
+        if let (Some(last), false) = (stages.last(), population.is_empty()) {
+            // With the step of the level before, which leads to where the chances are as good.
+            let step = stages.iter().rev().nth(1).map_or(last.step, |before| before.step);
+            for _ in 0..MOVES {
+                self.moved(&mut population, &Stage { step, ..*last })?;
+            }
+        }
+        Ok(population)
     }
 
     /// Independent draws.
     fn first(&mut self) -> Result<Vec<Sample>, P::Error> {
-        let draw = |random: &mut Stream| State {
-            normal: (0..self.problem.dimension()).map(|_| StandardNormal.sample(random)).collect(),
+        self.drawn(|dimension, random| State {
+            normal: (0..dimension).map(|_| StandardNormal.sample(random)).collect(),
             noise: new_noise(random),
-        };
-        let states: Vec<State> = (0..self.samples).map(|_| draw(&mut self.random)).collect();
+        })
+    }
+
+    /// A population by any law.
+    pub(super) fn drawn(&mut self, draw: impl Fn(usize, &mut Stream) -> State) -> Result<Vec<Sample>, P::Error> {
+        let dimension = self.problem.dimension();
+        let states: Vec<State> = (0..self.samples).map(|_| draw(dimension, &mut self.random)).collect();
         let margins = self.margins(&states)?;
         Ok(states.into_iter().zip(margins).collect())
     }
@@ -424,7 +440,7 @@ impl<'a, P: Problem> Climber<'a, P> {
 }
 
 /// A seed that a scenario file can hold.
-fn new_noise(random: &mut Stream) -> u64 {
+pub(super) fn new_noise(random: &mut Stream) -> u64 {
     random.random::<u64>() >> 1
 }
 

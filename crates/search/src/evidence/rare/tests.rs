@@ -10,6 +10,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use super::*;
 use crate::evidence::{RateConfig, RatePlan};
 use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::Stream;
 use crumple_world::scenario::space::built_in_space;
@@ -34,7 +35,11 @@ impl Problem for Known {
 }
 
 fn estimate(problem: &Known, seed: u64) -> Estimate {
-    let pilot = Splitting::pilot(problem, Effort::default(), seed, &|_| {}).unwrap();
+    estimate_by(RareMethod::Splitting, problem, seed)
+}
+
+fn estimate_by(method: RareMethod, problem: &Known, seed: u64) -> Estimate {
+    let pilot = Pilot::run(problem, method, Effort::default(), seed, &|_| {}).unwrap();
     pilot.estimate(problem, &|_| {}).unwrap()
 }
 
@@ -63,32 +68,75 @@ fn noisy(state: &State) -> f64 {
     4.9 - (0.75_f64.sqrt() * state.normal.first().copied().unwrap_or(0.0) + 0.5 * noise)
 }
 
+/// Two conditions at once.
+fn corner(state: &State) -> f64 {
+    let at = |index: usize| state.normal.get(index).copied().unwrap_or(0.0);
+    (3.2 - at(0)).max(3.5 - at(1))
+}
+
+/// One in a hundred: hardly rare.
+fn frequent(state: &State) -> f64 {
+    2.326_347_874_040_841 - state.normal.first().copied().unwrap_or(0.0)
+}
+
+/// What comes of a problem with so many seeds: mean over the truth, how many intervals hold it, and most runs.
+fn found(method: RareMethod, (name, problem, truth): &(&str, Known, f64), seeds: u64) -> (Vec<f64>, usize, u64) {
+    let found: Vec<Estimate> = (0..seeds).map(|seed| estimate_by(method, problem, seed)).collect();
+    let ratios: Vec<f64> = found.iter().map(|one| one.probability.unwrap() / truth).collect();
+    let held = found.iter().filter(|one| {
+        let [low, high] = one.interval_95.unwrap();
+        (low..=high).contains(truth)
+    });
+    let (held, mean) = (held.count(), ratios.iter().sum::<f64>() / seeds as f64);
+    let most = found.iter().map(|one| one.evaluations).max().unwrap();
+    let spread = found.iter().filter_map(|one| one.coefficient_of_variation).fold(0.0, f64::max);
+    println!(
+        "{name} by {method:?}: truth {truth:.3e}, mean {mean:.3}, {held} of {seeds} held, {most} runs, spread {spread:.3}, ratios {ratios:.2?}"
+    );
+    (ratios, held, most)
+}
+
+fn known() -> [(&'static str, Known, f64); 4] {
+    [
+        ("linear", Known { dimension: 10, margin: linear }, upper_tail(5.0)),
+        ("sphere", Known { dimension: 6, margin: sphere }, 1.0 - ChiSquared::new(6.0).unwrap().cdf(45.0)),
+        ("either side", Known { dimension: 3, margin: either_side }, 2.0 * upper_tail(5.0)),
+        ("noisy", Known { dimension: 2, margin: noisy }, upper_tail(4.9)),
+    ]
+}
+
 /// All four are rarer than one in a million. Each estimate lies within a factor of two, nearly all intervals hold the truth,
 /// and over the seeds the mean is right to a tenth: nothing is biased.
 #[test]
 fn known_probabilities_below_a_millionth_are_found() {
     const SEEDS: u64 = 12;
-    let problems = [
-        ("linear", Known { dimension: 10, margin: linear }, upper_tail(5.0)),
-        ("sphere", Known { dimension: 6, margin: sphere }, 1.0 - ChiSquared::new(6.0).unwrap().cdf(45.0)),
-        ("either side", Known { dimension: 3, margin: either_side }, 2.0 * upper_tail(5.0)),
-        ("noisy", Known { dimension: 2, margin: noisy }, upper_tail(4.9)),
-    ];
-    for (name, problem, truth) in problems {
-        assert!(truth < 1e-6, "{name}: {truth}");
-        let found: Vec<Estimate> = (0..SEEDS).map(|seed| estimate(&problem, seed)).collect();
-        let ratios: Vec<f64> = found.iter().map(|one| one.probability.unwrap() / truth).collect();
-        let held = found.iter().filter(|one| {
-            let [low, high] = one.interval_95.unwrap();
-            (low..=high).contains(&truth)
-        });
-        let (held, mean) = (held.count(), ratios.iter().sum::<f64>() / SEEDS as f64);
-        let most = found.iter().map(|one| one.evaluations).max().unwrap();
-        println!("{name}: truth {truth:.3e}, ratios {ratios:.2?}, mean {mean:.3}, {held} of {SEEDS} held, {most} runs");
+    for problem in known() {
+        assert!(problem.2 < 1e-6);
+        let (ratios, held, most) = found(RareMethod::Splitting, &problem, SEEDS);
+        let (name, mean) = (problem.0, ratios.iter().sum::<f64>() / SEEDS as f64);
         assert!(ratios.iter().all(|ratio| (0.5..2.0).contains(ratio)), "{name}: {ratios:?}");
         assert!((mean - 1.0).abs() < 0.1, "{name}: {mean}");
         assert!(held >= 9, "{name}: {held} of {SEEDS}");
         assert!(most < 600_000, "{name}: {most}");
+    }
+}
+
+/// Importance sampling finds the same, of far fewer runs; and what is not rare, and what many numbers decide.
+#[test]
+fn known_probabilities_are_found_by_weighted_draws() {
+    const SEEDS: u64 = 24;
+    let more = [
+        ("corner", Known { dimension: 8, margin: corner }, upper_tail(3.2) * upper_tail(3.5)),
+        ("thirty numbers", Known { dimension: 30, margin: linear }, upper_tail(5.0)),
+        ("frequent", Known { dimension: 5, margin: frequent }, 0.01),
+    ];
+    for problem in known().into_iter().chain(more) {
+        let (ratios, held, most) = found(RareMethod::Importance, &problem, SEEDS);
+        let (name, mean) = (problem.0, ratios.iter().sum::<f64>() / SEEDS as f64);
+        assert!(ratios.iter().all(|ratio| (0.8..1.25).contains(ratio)), "{name}: {ratios:?}");
+        assert!((mean - 1.0).abs() < 0.03, "{name}: {mean}");
+        assert!(held >= 20, "{name}: {held} of {SEEDS}");
+        assert!(most < 120_000, "{name}: {most}");
     }
 }
 
@@ -146,7 +194,15 @@ fn splitting_agrees_with_counting_on_the_road() {
         count.count_block(&mut tally).unwrap();
     }
     let counted = tally.failures as f64 / COUNTED as f64;
-    let plan = RarePlan { controller, space, estimator, seed: 5, effort: Effort { samples: 200, repetitions: 10 } };
+    let plan = RarePlan {
+        controller,
+        space,
+        estimator,
+        specification: Specification::NoContact,
+        method: RareMethod::Splitting,
+        seed: 5,
+        effort: Effort { samples: 200, repetitions: 10 },
+    };
     let report = plan.report(&plan.pilot(&|_| {}).unwrap(), 0, &|_| {}).unwrap();
     let (climbed, variation) =
         (report.estimate.probability.unwrap(), report.estimate.coefficient_of_variation.unwrap());

@@ -1,0 +1,235 @@
+//! Mixtures of normal laws from which runs are drawn where failures are.
+
+use libm::{exp, log};
+use nalgebra::{Cholesky, DMatrix, DVector};
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+use serde::{Deserialize, Serialize};
+
+use crumple_world::random::Stream;
+
+/// Share of draws from the standard normal law itself: no draw weighs more than its inverse, wherever failures are that nobody has seen.
+const DEFENSIVE: f64 = 0.1;
+/// Parts that a mixture begins with: ways to fail that are far apart.
+const PARTS: usize = 4;
+/// A part that explains less is left out.
+const LEAST_PART: f64 = 0.02;
+/// Steps of expectation and maximisation in a fit.
+const STEPS: usize = 12;
+/// By how much spreads are widened: a proposal that is too narrow costs far more than one that is too wide.
+const WIDENED: f64 = 1.15;
+
+/// A mixture of normal laws, and the standard one with a share of its own.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Mixture {
+    parts: Vec<Part>,
+}
+
+/// One of its laws.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Part {
+    /// Of the draws that are not from the standard law.
+    share: f64,
+    mean: Vec<f64>,
+    /// Lower triangle of the factor of the covariance, row by row: of row i as many numbers as i + 1.
+    factor: Vec<f64>,
+}
+
+/// A place where a run failed, and what it stands for.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Seen {
+    pub(super) at: Vec<f64>,
+    pub(super) weight: f64,
+}
+
+impl Mixture {
+    /// Fitted to failures, which is where their density is high; none without any. What they leave open is as in the standard law.
+    pub(super) fn fit(failures: &[Seen], random: &mut Stream) -> Option<Self> {
+        let mut centres: Vec<&[f64]> = vec![&drawn_by(failures, |seen| seen.weight, random)?.at];
+        while centres.len() < PARTS {
+            // The further away from what is covered, the likelier to be another way to fail.
+            let far = |seen: &Seen| {
+                let nearest =
+                    centres.iter().map(|centre| square_distance(centre, &seen.at)).fold(f64::INFINITY, f64::min);
+                seen.weight * nearest
+            };
+            let Some(next) = drawn_by(failures, far, random) else { break };
+            centres.push(&next.at);
+        }
+        let share = 1.0 / centres.len() as f64;
+        let standard = DMatrix::identity(failures.first()?.at.len(), failures.first()?.at.len());
+        let begin = |centre: &&[f64]| Part::of(share, centre.to_vec(), standard.clone());
+        let mut mixture = Self { parts: centres.iter().filter_map(begin).collect() };
+        for _ in 0..STEPS {
+            mixture = mixture.refitted(failures)?;
+        }
+        Some(mixture)
+    }
+
+    /// A step of expectation and maximisation, with what is known before: as if some draws of the standard spread had been seen besides.
+    pub(super) fn refitted(&self, failures: &[Seen]) -> Option<Self> {
+        let all: f64 = failures.iter().map(|seen| seen.weight).sum();
+        let charges: Vec<Vec<f64>> = failures.iter().map(|seen| self.charges(&seen.at)).collect();
+        let part = |index: usize| {
+            let weight = |place: usize, seen: &Seen| seen.weight * charges.get(place)?.get(index);
+            let own: Vec<(f64, &Seen)> =
+                failures.iter().enumerate().filter_map(|(place, seen)| Some((weight(place, seen)?, seen))).collect();
+            Part::fitted(&own, all)
+        };
+        let mut parts: Vec<Part> = (0..self.parts.len()).filter_map(part).collect();
+        let kept: f64 = parts.iter().map(|part| part.share).sum();
+        parts.iter_mut().for_each(|part| part.share /= kept);
+        (!parts.is_empty() && kept > 0.0).then_some(Self { parts })
+    }
+
+    /// How far each part is responsible for a place.
+    fn charges(&self, at: &[f64]) -> Vec<f64> {
+        let ln: Vec<f64> = self.parts.iter().map(|part| log(part.share) + part.ln_density(at)).collect();
+        let most = ln.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let relative: Vec<f64> = ln.iter().map(|one| exp(one - most)).collect();
+        let sum: f64 = relative.iter().sum();
+        relative.into_iter().map(|one| one / sum).collect()
+    }
+
+    /// A draw.
+    pub(super) fn draw(&self, dimension: usize, random: &mut Stream) -> Vec<f64> {
+        let normal = |random: &mut Stream| (0..dimension).map(|_| StandardNormal.sample(random)).collect::<Vec<f64>>();
+        let mut lot: f64 = random.random::<f64>() - DEFENSIVE;
+        if lot < 0.0 {
+            return normal(random);
+        }
+        lot /= 1.0 - DEFENSIVE;
+        let from = self.parts.iter().find(|part| {
+            lot -= part.share;
+            lot < 0.0
+        });
+        let drawn = normal(random);
+        from.or(self.parts.last()).map_or(drawn.clone(), |part| part.placed(&drawn))
+    }
+
+    /// How much likelier a place is by the standard law than as a draw of this: at most 1/[`DEFENSIVE`].
+    pub(super) fn weight(&self, at: &[f64]) -> f64 {
+        let standard = -0.5 * at.iter().map(|x| x * x).sum::<f64>();
+        let ratio = |part: &Part| part.share * exp(part.ln_density(at) - standard);
+        1.0 / (DEFENSIVE + (1.0 - DEFENSIVE) * self.parts.iter().map(ratio).sum::<f64>())
+    }
+}
+
+impl Part {
+    /// None of what is no covariance.
+    fn of(share: f64, mean: Vec<f64>, covariance: DMatrix<f64>) -> Option<Self> {
+        let lower = Cholesky::new(covariance)?.unpack();
+        let rows = (0..mean.len()).flat_map(|row| (0..=row).map(move |column| (row, column)));
+        Some(Self { share, mean, factor: rows.filter_map(|place| lower.get(place).copied()).collect() })
+    }
+
+    /// To places and how far it is responsible for each, of so much in all; none if that is too little.
+    fn fitted(own: &[(f64, &Seen)], all: f64) -> Option<Self> {
+        let (sum, squares) = own.iter().fold((0.0, 0.0), |(sum, squares), (w, _)| (sum + w, squares + w * w));
+        let share = sum / all;
+        if !(share >= LEAST_PART && squares > 0.0) {
+            return None;
+        }
+        let dimension = own.first()?.1.at.len();
+        let mut mean = DVector::zeros(dimension);
+        own.iter().for_each(|(w, seen)| mean.axpy(w / sum, &DVector::from_column_slice(&seen.at), 1.0));
+        let mut covariance = DMatrix::zeros(dimension, dimension);
+        for (w, seen) in own {
+            let off = DVector::from_column_slice(&seen.at) - &mean;
+            covariance.ger(w / sum, &off, &off, 1.0);
+        }
+        // As many draws as would say as much, were all of one weight.
+        let (seen, before) = (sum * sum / squares, dimension as f64 + 1.0);
+        covariance *= WIDENED * seen / (seen + before);
+        covariance += DMatrix::identity(dimension, dimension) * (before / (seen + before));
+        Self::of(share, mean.as_slice().to_vec(), covariance)
+    }
+
+    /// Logarithm of the density, but for the constant that all normal laws of a dimension share.
+    fn ln_density(&self, at: &[f64]) -> f64 {
+        let (mut solved, mut ln, mut rest) = (Vec::with_capacity(at.len()), 0.0, self.factor.as_slice());
+        for (row, (x, mean)) in at.iter().zip(&self.mean).enumerate() {
+            let Some((own, below)) = rest.split_at_checked(row + 1) else { break };
+            rest = below;
+            let Some((diagonal, left)) = own.split_last() else { break };
+            let known: f64 = left.iter().zip(&solved).map(|(factor, z): (&f64, &f64)| factor * z).sum();
+            let z = (x - mean - known) / diagonal;
+            ln -= 0.5 * z * z + log(*diagonal);
+            solved.push(z);
+        }
+        ln
+    }
+
+    /// Where independent standard numbers come to be.
+    fn placed(&self, normal: &[f64]) -> Vec<f64> {
+        let mut rest = self.factor.as_slice();
+        let place = |(row, mean): (usize, &f64)| {
+            let (own, below) = rest.split_at_checked(row + 1)?;
+            rest = below;
+            Some(mean + own.iter().zip(normal).map(|(factor, z)| factor * z).sum::<f64>())
+        };
+        self.mean.iter().enumerate().filter_map(place).collect()
+    }
+}
+
+fn square_distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
+}
+
+/// One of them, by lot; none where nothing has a chance.
+fn drawn_by<'a>(all: &'a [Seen], chance: impl Fn(&Seen) -> f64, random: &mut Stream) -> Option<&'a Seen> {
+    let sum: f64 = all.iter().map(&chance).sum();
+    let mut lot = random.random::<f64>() * sum;
+    let of = |seen: &&Seen| {
+        lot -= chance(seen);
+        lot < 0.0
+    };
+    (sum > 0.0 && sum.is_finite()).then(|| all.iter().find(of).or(all.last())).flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    fn failures(dimension: usize, count: usize, random: &mut Stream) -> Vec<Seen> {
+        let at = |random: &mut Stream| {
+            let mut at: Vec<f64> = (0..dimension).map(|_| StandardNormal.sample(random)).collect();
+            at[0] = 4.0 + 0.3 * at[1];
+            at
+        };
+        (0..count).map(|_| Seen { at: at(random), weight: 1.0 }).collect()
+    }
+
+    /// A proposal is a probability law: draws of it, weighted, come to as much as there is, and no weight is beyond its bound.
+    #[test]
+    fn weights_have_a_mean_of_one_and_a_bound() {
+        let mut random = Stream::seed_from_u64(1);
+        let mixture = Mixture::fit(&failures(5, 300, &mut random), &mut random).unwrap();
+        let weights: Vec<f64> = (0..200_000).map(|_| mixture.weight(&mixture.draw(5, &mut random))).collect();
+        let mean = weights.iter().sum::<f64>() / weights.len() as f64;
+        assert!((mean - 1.0).abs() < 0.02, "{mean}");
+        assert!(weights.iter().all(|weight| (0.0..=1.0 / DEFENSIVE + 1e-9).contains(weight)));
+    }
+
+    #[test]
+    fn a_fit_lies_where_failures_are_and_turns_as_they_do() {
+        let mut random = Stream::seed_from_u64(2);
+        let mixture = Mixture::fit(&failures(4, 2000, &mut random), &mut random).unwrap();
+        let drawn: Vec<Vec<f64>> = (0..20_000).map(|_| mixture.draw(4, &mut random)).collect();
+        let there = drawn.iter().filter(|at| (at[0] - 4.0 - 0.3 * at[1]).abs() < 0.5).count();
+        assert!(there > 15_000, "{there}");
+    }
+
+    #[test]
+    fn nothing_is_fitted_to_nothing() {
+        let mut random = Stream::seed_from_u64(3);
+        assert_eq!(Mixture::fit(&[], &mut random), None);
+        assert_eq!(Mixture::fit(&[Seen { at: vec![1.0], weight: 0.0 }], &mut random), None);
+        let one = Mixture::fit(&[Seen { at: vec![1.0, 2.0], weight: 1.0 }], &mut random).unwrap();
+        assert!(one.weight(&[1.0, 2.0]).is_finite());
+    }
+}
