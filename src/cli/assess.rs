@@ -72,6 +72,9 @@ pub(super) struct Assess {
     /// where `assess` finds it; interrupted, the same command goes on
     #[arg(long, value_name = "I/N", conflicts_with_all = ["fresh", "against"])]
     shard: Option<Shard>,
+    /// How to print: the first page in words, or the summary that is in assessment.json
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
 }
 
 impl Assess {
@@ -139,7 +142,10 @@ impl Assess {
             said += &format!("{}\n", comparison.words());
         }
         let failed: Vec<_> = assessment.summary.gates.iter().filter(|gate| !gate.holds).collect();
-        let printed = output::print(&said);
+        let printed = match self.format {
+            Format::Json => output::print_json(&assessment.summary),
+            Format::Text => output::print(&said),
+        };
         let gate = match failed.as_slice() {
             [] => Ok(()),
             gates => {
@@ -161,8 +167,19 @@ impl Assess {
         bar.finish_and_clear();
         let pieces = gathered?;
         let said = "`crumple merge` puts it together with the others";
-        output::print(&format!("{pieces} pieces of evidence\n{out}: shard {shard}; {said}\n"))
+        match self.format {
+            Format::Json => output::print_json(&Gathered { pieces, folder: out.to_string(), shard }),
+            Format::Text => output::print(&format!("{pieces} pieces of evidence\n{out}: shard {shard}; {said}\n")),
+        }
     }
+}
+
+/// What a shard has gathered, for programs.
+#[derive(Serialize)]
+struct Gathered {
+    pieces: u64,
+    folder: String,
+    shard: Shard,
 }
 
 /// Puts the evidence of shards where an assessment finds it. What is missing ends with exit code 1.

@@ -4,7 +4,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use serde::Serialize;
 
+use super::simulate::Format;
 use super::{Failure, choice, output, subject};
 use crumple_report::export::openscenario::{self, OpenScenario};
 use crumple_search::disk::{DiskError, Files};
@@ -51,6 +53,20 @@ pub(super) struct Export {
     /// Folder for the files; made if it is not there
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+/// What was written of a scenario.
+#[derive(Serialize)]
+struct Exported {
+    scenario: String,
+    /// The files.
+    openscenario: String,
+    opendrive: String,
+    vehicles: usize,
+    vertices: usize,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -75,7 +91,7 @@ impl Export {
             let problem = "--controller: drives in trajectories; with `--as actions` the controller is yours";
             return Err(Failure::Input(problem.to_owned()));
         }
-        let (mut written, mut said, mut names) = (Vec::new(), String::new(), Vec::new());
+        let (mut written, mut exported, mut names) = (Vec::new(), Vec::new(), Vec::new());
         for given in &self.scenarios {
             let scenario = subject::scenario(given)?;
             let name = stem(&scenario.spec().name);
@@ -86,12 +102,13 @@ impl Export {
             let road = format!("{name}.xodr");
             let made = self.export(&scenario, &road, quiet)?;
             let path = self.out.join(format!("{name}.xosc"));
-            let vehicles = scenario.vehicles().len();
-            said += &format!(
-                "{}: {vehicles} vehicles, {} vertices\n",
-                Terminal(&path.display().to_string()),
-                made.vertices
-            );
+            exported.push(Exported {
+                scenario: scenario.spec().name.clone(),
+                openscenario: path.display().to_string(),
+                opendrive: self.out.join(&road).display().to_string(),
+                vehicles: scenario.vehicles().len(),
+                vertices: made.vertices,
+            });
             written.extend([(path, made.scenario), (self.out.join(&road), made.road)]);
             names.push(name);
         }
@@ -101,7 +118,13 @@ impl Export {
             files.stage(&output::place(path)?, contents)?;
         }
         files.commit()?;
-        output::print(&said)
+        let line = |one: &Exported| {
+            format!("{}: {} vehicles, {} vertices\n", Terminal(&one.openscenario), one.vehicles, one.vertices)
+        };
+        match self.format {
+            Format::Json => output::print_json(&exported),
+            Format::Text => output::print(&exported.iter().map(line).collect::<String>()),
+        }
     }
 
     fn export(&self, scenario: &Scenario, road: &str, quiet: bool) -> Result<OpenScenario, Failure> {

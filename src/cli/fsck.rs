@@ -4,7 +4,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use serde::Serialize;
 
+use super::simulate::Format;
 use super::{Failure, output};
 use crumple_search::falsify::campaign::{CAMPAIGN, Divided, with_journal};
 use crumple_search::work::{Examined, Restored, examine, is_there, restore};
@@ -35,22 +37,100 @@ pub(super) struct Fsck {
     /// Go back to what was kept, where something is damaged
     #[arg(long)]
     restore: bool,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+/// What was found in a folder, for programs.
+#[derive(Serialize)]
+struct Found {
+    folder: String,
+    /// Why it could not be looked at, if it could not.
+    error: Option<String>,
+    kind: Option<String>,
+    complete: bool,
+    is_of_this_build: bool,
+    is_whole: bool,
+    files: usize,
+    damaged: Vec<DamagedFile>,
+    can_be_restored: bool,
+    /// What lies where nothing but the work may be, and beside it.
+    strangers: Vec<String>,
+    beside: Vec<String>,
+    /// What `--restore` brought back.
+    restored: Vec<String>,
+    missing_evaluations: u64,
+}
+
+#[derive(Serialize)]
+struct DamagedFile {
+    name: String,
+    problem: String,
+}
+
+impl Found {
+    /// Of what cannot be looked at.
+    fn unreadable(folder: &Path, failure: &Failure) -> Self {
+        Self {
+            folder: folder.display().to_string(),
+            error: Some(failure.to_string()),
+            kind: None,
+            complete: false,
+            is_of_this_build: false,
+            is_whole: false,
+            files: 0,
+            damaged: Vec::new(),
+            can_be_restored: false,
+            strangers: Vec::new(),
+            beside: Vec::new(),
+            restored: Vec::new(),
+            missing_evaluations: 0,
+        }
+    }
+
+    fn of(folder: &Path, found: &Examined, restored: Option<&Restored>, missing_evaluations: u64) -> Self {
+        let damaged = found.files.iter().filter_map(|(name, state)| {
+            let problem = state.as_ref().err()?.clone();
+            Some(DamagedFile { name: name.clone(), problem })
+        });
+        Self {
+            folder: folder.display().to_string(),
+            error: None,
+            kind: Some(found.kind.clone()),
+            complete: found.complete,
+            is_of_this_build: found.is_of_this_build,
+            is_whole: found.is_whole(),
+            files: found.files.len(),
+            damaged: damaged.collect(),
+            can_be_restored: found.can_be_restored,
+            strangers: found.strangers.clone(),
+            beside: found.beside.clone(),
+            restored: restored.map(|restored| restored.restored.clone()).unwrap_or_default(),
+            missing_evaluations,
+        }
+    }
 }
 
 impl Fsck {
     pub(super) fn run(self) -> Result<(), Failure> {
-        let (mut text, mut damaged, mut unreadable) = (String::new(), Vec::new(), None);
+        let (mut text, mut all, mut damaged, mut unreadable) = (String::new(), Vec::new(), Vec::new(), None);
         for folder in self.folders.iter().flat_map(|folder| seeds_in(folder)) {
-            match self.look(&folder, &mut text) {
-                Ok(true) => {}
-                Ok(false) => damaged.push(folder.display().to_string()),
-                Err(failure) => {
-                    text += &format!("{}\n", Terminal(&failure.to_string()));
-                    unreadable = unreadable.or(Some(failure));
-                }
+            let found = self.look(&folder, &mut text).unwrap_or_else(|failure| {
+                text += &format!("{}\n", Terminal(&failure.to_string()));
+                let found = Found::unreadable(&folder, &failure);
+                unreadable.get_or_insert(failure);
+                found
+            });
+            if found.error.is_none() && !found.is_whole {
+                damaged.push(found.folder.clone());
             }
+            all.push(found);
         }
-        let printed = output::print(&text);
+        let printed = match self.format {
+            Format::Json => output::print_json(&all),
+            Format::Text => output::print(&text),
+        };
         let gate = match damaged.is_empty() {
             true => unreadable.map_or(Ok(()), Err),
             false => Err(Failure::Gate(format!("damaged: {}", damaged.join(", ")))),
@@ -58,19 +138,20 @@ impl Fsck {
         Failure::gate_first(gate, printed)
     }
 
-    /// Whether a folder is whole; the text says more.
-    fn look(&self, folder: &Path, text: &mut String) -> Result<bool, Failure> {
+    /// What there is in a folder; the text says it to a reader.
+    fn look(&self, folder: &Path, text: &mut String) -> Result<Found, Failure> {
         if !is_there(folder) {
             let problem = "no folder of work: it holds no work.json";
             return Err(Failure::Input(format!("{}: {problem}", folder.display())));
         }
         let restored = if self.restore { restore(folder)? } else { None };
-        *text += &restored.map_or_else(String::new, |restored| back(folder, &restored));
+        *text += &restored.as_ref().map_or_else(String::new, |restored| back(folder, restored));
         let found = with_journal(folder, examine(folder)?)?;
         // A part of a campaign is as it was written, and yet is not all of it.
         let part = Divided::in_folder(folder).filter(|_| found.kind == CAMPAIGN && found.complete);
-        *text += &described(folder, &found, part.map_or(0, |part| part.missing()));
-        Ok(found.is_whole())
+        let missing = part.map_or(0, |part| part.missing());
+        *text += &described(folder, &found, missing);
+        Ok(Found::of(folder, &found, restored.as_ref(), missing))
     }
 }
 

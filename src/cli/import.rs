@@ -6,8 +6,10 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use serde::Serialize;
 
 use super::Failure;
+use super::simulate::Format;
 use super::{output, simulate};
 use crumple_report::draw::{PNG_SCALE, Svg};
 use crumple_report::figures;
@@ -15,7 +17,8 @@ use crumple_search::disk::{self, DiskError, Files};
 use crumple_world::quoted::Terminal;
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{
-    ImportOptions, Imported, Leaders, MinBrake, Preview, hardest_braking, import, load, preview,
+    ImportOptions, Imported, ImportedScenario, Leaders, MinBrake, Preview, Source, hardest_braking, import, load,
+    preview,
 };
 
 /// Turn braking episodes of recorded platoons into scenario files
@@ -58,6 +61,59 @@ pub(super) struct Import {
     /// Overwrite scenario files, or a picture, that are there and say something else, such as edited ones
     #[arg(long)]
     force: bool,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+/// What was understood of a recording, for programs.
+#[derive(Serialize)]
+struct Understood<'a> {
+    recording: &'a str,
+    format: &'a str,
+    leads: usize,
+    samples: usize,
+    time_s: [f64; 2],
+    step_s: Option<f64>,
+    /// Lowest, median and highest.
+    speed_mps: [f64; 3],
+    gap_m: Option<[f64; 3]>,
+    hardest_braking: String,
+    left_out: Vec<String>,
+}
+
+/// What an import came to, for programs.
+#[derive(Serialize)]
+struct ImportedAll {
+    /// Scenario files.
+    scenarios: Vec<String>,
+    recordings: Vec<ImportedOne>,
+    left_out: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct ImportedOne {
+    recording: String,
+    format: String,
+    scenarios: usize,
+    hardest_braking: String,
+}
+
+impl ImportedAll {
+    fn of(imported: &Imported, out: &Path) -> Self {
+        let one = |source: &Source| ImportedOne {
+            recording: source.path.display().to_string(),
+            format: source.format.name().to_owned(),
+            scenarios: source.scenarios,
+            hardest_braking: source.hardest.to_string(),
+        };
+        let file = |scenario: &ImportedScenario| out.join(&scenario.file_name).display().to_string();
+        Self {
+            scenarios: imported.scenarios.iter().map(file).collect(),
+            recordings: imported.sources.iter().map(one).collect(),
+            left_out: imported.dropped.iter().map(ToString::to_string).collect(),
+        }
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -117,6 +173,20 @@ impl Import {
         let mut files = Files::default();
         stage_unless_edited(&mut files, picture, &drawn, self.force)?;
         files.commit()?;
+        if self.format == Format::Json {
+            return output::print_json(&Understood {
+                recording: &name,
+                format: recording.format.name(),
+                leads: seen.leads,
+                samples: seen.samples,
+                time_s: seen.time_s,
+                step_s: seen.step_s,
+                speed_mps: seen.speed_mps,
+                gap_m: seen.gap_m,
+                hardest_braking: seen.hardest.to_string(),
+                left_out: recording.dropped.iter().map(ToString::to_string).collect(),
+            });
+        }
         let Preview { leads, samples, time_s: [from_s, to_s], step_s, speed_mps: [slow, usual, fast], .. } = seen;
         let mut text = format!("{}: {}\n", Terminal(&name), recording.format.name());
         let each = step_s.map_or("one of each vehicle".to_owned(), |step_s| format!("one each {step_s:.3} s"));
@@ -138,11 +208,12 @@ impl Import {
             imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
             let words = imported.sources.iter().map(|one| format!("{}: {}", one.path.display(), one.hardest));
             let words: Vec<_> = words.collect();
-            return Err(Failure::Gate(format!(
-                "no episode of {} m/s² that makes a scenario; {}",
-                min_brake.mps2(),
-                words.join("; ")
-            )));
+            let none = format!("no episode of {} m/s² that makes a scenario; {}", min_brake.mps2(), words.join("; "));
+            let printed = match self.format {
+                Format::Json => output::print_json(&ImportedAll::of(&imported, &self.out)),
+                Format::Text => Ok(()),
+            };
+            return Failure::gate_first(Err(Failure::Gate(none)), printed);
         }
         fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
         let mut files = Files::default();
@@ -158,6 +229,9 @@ impl Import {
         }
         for dropped in &imported.dropped {
             output::note(&dropped.to_string(), quiet);
+        }
+        if self.format == Format::Json {
+            return output::print_json(&ImportedAll::of(&imported, &self.out));
         }
         let mut text = String::new();
         for source in &imported.sources {

@@ -73,6 +73,9 @@ pub(super) struct Train {
     /// Episodes at most, instead of the preset's: 1 to 10 000 000
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     episodes: Option<u64>,
+    /// How to print what the trained seeds come to
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
 }
 
 /// `traffic`, or `wet.toml=0.2`.
@@ -142,7 +145,10 @@ impl Train {
         let mut printed = Ok(());
         if !done.is_empty() {
             work::exclusively(&self.out, || write_results(&self.out, &config, quiet))?;
-            printed = output::print(&table(&done, config.evaluation.ranking_draws));
+            printed = match self.format {
+                Format::Json => output::print_json(&done),
+                Format::Text => output::print(&table(&done, config.evaluation.ranking_draws)),
+            };
         }
         Failure::gate_first(failure.map_or_else(|| gate(&done), Err), printed)
     }
