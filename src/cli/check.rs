@@ -82,10 +82,13 @@ impl Check {
         for (path, certificate) in &certificates {
             all.push(self.judge(path, certificate, scenario.as_ref(), quiet)?);
         }
-        let printed = output::print(&match self.format {
-            Format::Json => checked::json(&all).map_err(Failure::input)?,
-            Format::Text => checked::text(&all, scenario.as_ref().map(|scenario| scenario.spec().name.as_str())),
-        });
+        let printed = output::print_for(
+            self.format,
+            &match self.format {
+                Format::Json => checked::json(&all).map_err(Failure::input)?,
+                Format::Text => checked::text(&all, scenario.as_ref().map(|scenario| scenario.spec().name.as_str())),
+            },
+        );
         let refused: Vec<&str> = all.iter().filter(|one| one.is_refused()).map(|one| one.path.as_str()).collect();
         let gate =
             if refused.is_empty() { Ok(()) } else { Err(Failure::Gate(format!("rejected: {}", refused.join(", ")))) };

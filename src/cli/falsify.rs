@@ -248,10 +248,13 @@ pub(super) fn merge(
 }
 
 fn print(summary: &Summary, format: Format) -> Result<(), Failure> {
-    output::print(&match format {
-        Format::Json => serde_json::to_string(summary).map_err(Failure::input)? + "\n",
-        Format::Text => summary.to_text(),
-    })
+    output::print_for(
+        format,
+        &match format {
+            Format::Json => serde_json::to_string(summary).map_err(Failure::input)? + "\n",
+            Format::Text => summary.to_text(),
+        },
+    )
 }
 
 fn failures(count: u64) -> String {

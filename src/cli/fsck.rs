@@ -129,7 +129,7 @@ impl Fsck {
         }
         let printed = match self.format {
             Format::Json => output::print_json(&all),
-            Format::Text => output::print(&text),
+            Format::Text => output::print_for(Format::Text, &text),
         };
         let gate = match damaged.is_empty() {
             true => unreadable.map_or(Ok(()), Err),

@@ -267,7 +267,8 @@ impl Merge {
             Format::Text => {
                 let tally = merged.tally().unwrap_or_default();
                 let exposed = exposed.map(|rate| exposed::text(&rate)).unwrap_or_default();
-                output::print(&format!("{}{said}{exposed}", verify::counted(merged.record().is_of_two(), &tally)))
+                let counted = verify::counted(merged.record().is_of_two(), &tally);
+                output::print_for(Format::Text, &format!("{counted}{said}{exposed}"))
             }
         }
     }

@@ -5,19 +5,79 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use anstream::{AutoStream, ColorChoice};
+use anstyle::{AnsiColor, Style};
 use serde::Serialize;
 
 use super::Failure;
+use super::simulate::Format;
 use crumple_search::disk::DiskError;
 use crumple_world::quoted::{Lines, Terminal};
 
 /// Prints to standard output. If its reader has gone, nobody misses the rest.
 pub(super) fn print(text: &str) -> Result<(), Failure> {
+    emit(&Lines(text).to_string())
+}
+
+fn emit(text: &str) -> Result<(), Failure> {
     let mut out = io::BufWriter::new(io::stdout().lock());
-    match write!(out, "{}", Lines(text)).and_then(|()| out.flush()) {
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Ok(()) => Ok(()),
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Err(source) => Err(DiskError::at(Path::new("standard output"))(source).into()),
+    }
+}
+
+/// Prints what came of something, for a reader with its verdicts in colour where that is a terminal that has some.
+pub(super) fn print_for(format: Format, text: &str) -> Result<(), Failure> {
+    let has_colour = AutoStream::choice(&io::stdout()) != ColorChoice::Never;
+    if format == Format::Json || !has_colour {
+        return print(text);
+    }
+    let safe = Lines(text).to_string();
+    emit(&safe.lines().map(|line| coloured(line) + "\n").collect::<String>())
+}
+
+/// Words that are a verdict where they stand alone, and their colour. Of those that begin at one place the first counts.
+const VERDICTS: &[(&str, AnsiColor)] = &[
+    ("CONTROLLER FAILED", AnsiColor::Red),
+    ("COLLISION", AnsiColor::Red),
+    ("CONTACT", AnsiColor::Red),
+    ("VIOLATED", AnsiColor::Red),
+    ("FALSIFIED", AnsiColor::Red),
+    ("INCOMPLETE", AnsiColor::Yellow),
+    ("DT-FRAGILE", AnsiColor::Yellow),
+    ("no collision", AnsiColor::Green),
+    ("no failure found", AnsiColor::Yellow),
+    ("accepted", AnsiColor::Green),
+    ("rejected", AnsiColor::Red),
+    ("unavoidable", AnsiColor::Yellow),
+    ("avoidable", AnsiColor::Red),
+    ("undecided", AnsiColor::Yellow),
+    ("holds", AnsiColor::Green),
+    ("passed", AnsiColor::Green),
+    ("failed", AnsiColor::Red),
+];
+
+/// A line with its first verdict in colour.
+fn coloured(line: &str) -> String {
+    let stands_alone = |at: usize, word: &str| {
+        let is_letter = |letter: char| letter.is_alphanumeric() || letter == '-' || letter == '_';
+        let before = line.get(..at).and_then(|before| before.chars().next_back());
+        let after = line.get(at + word.len()..).and_then(|after| after.chars().next());
+        !before.is_some_and(is_letter) && !after.is_some_and(is_letter)
+    };
+    let found = VERDICTS.iter().filter_map(|(word, colour)| {
+        let at = line.match_indices(word).map(|(at, _)| at).find(|at| stands_alone(*at, word))?;
+        Some((at, *word, *colour))
+    });
+    match found.min_by_key(|(at, ..)| *at) {
+        None => line.to_owned(),
+        Some((at, word, colour)) => {
+            let style = Style::new().fg_color(Some(colour.into())).bold();
+            let (before, after) = (line.get(..at).unwrap_or_default(), line.get(at + word.len()..).unwrap_or_default());
+            format!("{before}{style}{word}{style:#}{after}")
+        }
     }
 }
 
@@ -79,6 +139,25 @@ pub(super) fn rounded_up(bound: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_verdict_of_a_line_is_coloured_where_it_stands_alone() {
+        for (line, word) in [
+            ("  COLLISION at 1.23 s: vehicle 2 hits vehicle 1", Some("COLLISION")),
+            ("  no collision", Some("no collision")),
+            ("proof.json: accepted: no gap", Some("accepted")),
+            ("      unavoidable: proved for every controller", Some("unavoidable")),
+            ("  FALSIFIED: 3 distinct failures, one failed", Some("FALSIFIED")),
+            ("counterexamples/01-failed_runs.toml", None),
+            ("  threshold", None),
+        ] {
+            let shown = coloured(line);
+            let plain = anstream::adapter::strip_str(&shown).to_string();
+            assert_eq!(plain, line);
+            assert_eq!(word.is_some(), shown != line, "{shown}");
+            word.iter().for_each(|word| assert!(shown.contains(&format!("m{word}\u{1b}[")), "{shown:?}"));
+        }
+    }
 
     #[test]
     fn bounds_are_rounded_away_from_what_they_claim() {

@@ -68,20 +68,23 @@ impl Reach {
             keep(path, &partition.certificate, plan.policy_bytes())?;
         }
         let Partition { shares, doubts, .. } = &partition;
-        output::print(&match self.format {
-            Format::Json => {
-                let result = serde_json::json!({ "shares": shares, "doubts": doubts });
-                serde_json::to_string(&result).map_err(Failure::input)? + "\n"
-            }
-            Format::Text => {
-                let lines: String = shares.iter().map(|now| line(now) + "\n").collect();
-                let crumple_search::evidence::Doubts { ahead, behind, too_wide } = doubts;
-                format!(
-                    "{lines}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too wide\n\
+        output::print_for(
+            self.format,
+            &match self.format {
+                Format::Json => {
+                    let result = serde_json::json!({ "shares": shares, "doubts": doubts });
+                    serde_json::to_string(&result).map_err(Failure::input)? + "\n"
+                }
+                Format::Text => {
+                    let lines: String = shares.iter().map(|now| line(now) + "\n").collect();
+                    let crumple_search::evidence::Doubts { ahead, behind, too_wide } = doubts;
+                    format!(
+                        "{lines}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too wide\n\
                      accepted: {accepted}\n"
-                )
-            }
-        })
+                    )
+                }
+            },
+        )
     }
 }
 

@@ -158,7 +158,8 @@ impl Simulate {
             files.stage(&output::place(path)?, contents)?;
         }
         files.commit()?;
-        let printed = output::print(&results.iter().map(|result| result.text.as_str()).collect::<String>());
+        let printed =
+            output::print_for(self.format, &results.iter().map(|result| result.text.as_str()).collect::<String>());
         Failure::gate_first(self.check_expectation(&runs, &results), printed)
     }
 

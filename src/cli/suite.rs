@@ -229,7 +229,11 @@ impl RunSuite {
         if has_failed && self.out.is_none() {
             output::note("note: --out FOLDER writes the scenarios that failed, to be replayed", quiet);
         }
-        Failure::gate_first(self.check(&result), output::print(&text))
+        let printed = match self.format {
+            Format::Text => output::print_for(super::simulate::Format::Text, &text),
+            Format::Json | Format::Junit | Format::Html => output::print(&text),
+        };
+        Failure::gate_first(self.check(&result), printed)
     }
 
     fn make(&self, suite: &Suite, shard: Shard, quiet: bool) -> Result<(), Failure> {

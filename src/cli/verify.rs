@@ -159,7 +159,7 @@ impl Shield {
             disk::write_json(&path, &certificate)?;
             text += &judged(&path, &certificate)?;
         }
-        output::print(&text)
+        output::print_for(Format::Text, &text)
     }
 }
 
@@ -203,7 +203,7 @@ impl Rate {
         let exposed = plan.exposed(count.tally(), &mut |runs| bar.inc(runs));
         bar.finish_and_clear();
         let exposed = exposed.map_err(Failure::input)?.map(|rate| exposed::text(&rate)).unwrap_or_default();
-        output::print(&format!("{}{said}{exposed}", counted(is_comparison, count.tally())))
+        output::print_for(Format::Text, &format!("{}{said}{exposed}", counted(is_comparison, count.tally())))
     }
 
     fn estimate(self, quiet: bool) -> Result<(), Failure> {
