@@ -86,11 +86,15 @@ pub struct SearchConfig {
     pub spaces: Option<Vec<String>>,
     /// Evaluations of the search, and of each reference search. Default 400.
     pub budget: u64,
+    /// What must hold besides that nobody touches, each searched for by itself with that budget: rules of conduct or formulas, as
+    /// `crumple falsify --spec` takes them. Default none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub rules: Vec<String>,
 }
 
 impl Default for SearchConfig {
     fn default() -> Self {
-        Self { spaces: None, budget: 400 }
+        Self { spaces: None, budget: 400, rules: Vec::new() }
     }
 }
 

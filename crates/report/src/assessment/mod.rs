@@ -46,8 +46,9 @@ pub use parts::{
     Distributions, EXAMPLE_MPS, Earlier, Element, ElementKind, Failure, FailureMap, FailureMaps, FirstPage, Glossary,
     Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, LineVerdict, MOST_EVIDENCE_BYTES, Made, MapAxis, MapCell,
     MapRow, MethodReached, Mildest, NamedThing, Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs,
-    Provenance, Sampled, ScenarioCases, Search, Searches, SpaceSearches, SpeaksOf, SuiteFailure, SuiteFindings,
-    SuiteOutcome, SuiteTest, Suites, Summary, Traffic, UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
+    Provenance, RuleSearch, RuleSearches, RuleViolation, Rules, Sampled, ScenarioCases, Search, Searches,
+    SpaceSearches, SpeaksOf, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites, Summary, Traffic,
+    UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -58,6 +59,7 @@ pub use store::{EvidenceHash, Store, StoreError};
 use crumple_search::evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_search::worst_case::AttackError;
+use crumple_world::measure::SpecificationError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::RunError;
 use parts::Findings;
@@ -88,6 +90,9 @@ pub struct Assessment {
     pub suites: Option<Suites>,
     /// What a search for failures found.
     pub searches: Searches,
+    /// What searches for broken rules found; none if the configuration names no rules.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rules: Option<Rules>,
     /// The mildest lead braking against each controller.
     pub worst_profiles: Option<WorstProfiles>,
     /// What each controller survives over two parameters, and what no driver does.
@@ -148,6 +153,9 @@ pub enum AssessError {
     /// Evidence cannot be kept.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// A rule does not fit a space.
+    #[error("a rule does not fit: {0}")]
+    Rule(#[from] SpecificationError),
     /// Whoever was told of the progress ended it.
     #[error("the assessment was broken off")]
     BrokenOff,
@@ -203,6 +211,7 @@ pub fn assess_until(
     let traffic = Traffic::gather(plan, &work)?;
     let suites = Suites::gather(plan, &work)?;
     let searches = Searches::gather(plan, &work)?;
+    let rules = Rules::gather(plan, &work)?;
     let worst_profiles = WorstProfiles::gather(plan, &work)?;
     let failure_maps = FailureMaps::gather(plan, &work)?;
     let usefulness = Usefulness::gather(plan, &work)?;
@@ -217,6 +226,7 @@ pub fn assess_until(
         suites: suites.as_ref(),
         worst: worst_profiles.as_ref(),
         searches: &searches,
+        rules: rules.as_ref(),
         usefulness: usefulness.as_ref(),
         proofs: &proofs,
     };
@@ -238,6 +248,7 @@ pub fn assess_until(
         traffic,
         suites,
         searches,
+        rules,
         worst_profiles,
         failure_maps,
         usefulness,
@@ -258,7 +269,8 @@ impl AssessmentPlan {
         let controllers = self.controllers.len() as u64;
         let scenarios = (crumple_world::scenario::built_in_names().len() + self.traffic.len()) as u64;
         // A search has a method and two reference searches.
-        let searches = 3 * self.spaces.len() as u64 * self.config.search.budget;
+        let searched_by = 1 + self.config.search.rules.len() as u64;
+        let searches = 3 * self.spaces.len() as u64 * self.config.search.budget * searched_by;
         let each = scenarios + self.config.draws * self.distributions.len() as u64 + searches + parts::BUDGET as u64;
         let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
@@ -287,6 +299,7 @@ impl Assessment {
         let (is_drawn, is_searched) = (!self.distributions.spaces.is_empty(), !self.searches.spaces.is_empty());
         parts.extend(is_drawn.then_some(&self.distributions as &dyn Part));
         parts.extend(is_searched.then_some(&self.searches as &dyn Part));
+        parts.extend(self.rules.as_ref().map(|rules| rules as &dyn Part));
         parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn Part));
         parts.extend([&self.proofs as &dyn Part, &self.limits]);
         parts
@@ -350,14 +363,16 @@ impl Assessment {
         let needed = self.command_files.iter().map(|needed| (needed.file.clone(), needed.contents.clone()));
         let failures = self.searches.failures().flat_map(Failure::files);
         let of_suites = self.suites.iter().flat_map(Suites::files);
-        Ok(texts.chain(failures).chain(of_suites).chain(needed).collect())
+        let of_rules = self.rules.iter().flat_map(Rules::files);
+        Ok(texts.chain(failures).chain(of_suites).chain(of_rules).chain(needed).collect())
     }
 
     /// Every command that shows again what the report shows, in its order.
     pub fn commands(&self) -> impl Iterator<Item = &Command> {
         let failures = self.searches.failures().filter_map(|failure| failure.replay.as_ref());
         let of_suites = self.suites.iter().flat_map(Suites::commands);
-        failures.chain(of_suites).chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
+        let of_rules = self.rules.iter().flat_map(Rules::commands);
+        failures.chain(of_suites).chain(of_rules).chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
     }
 }
 
@@ -377,7 +392,9 @@ pub fn files_of_evidence(json: &str) -> Vec<String> {
     let others = list(&evidence["proofs"]["certificates"]).into_iter().chain(list(&evidence["command_files"]));
     let tests = list(&evidence["suites"]["suites"]).into_iter().flat_map(|suite| list(&suite["tests"]));
     let failed = tests.flat_map(|test| list(&test["outcomes"])).map(|outcome| outcome["worst"].clone());
-    let names = counterexamples.chain(others.chain(failed).filter_map(named));
+    let rules = list(&evidence["rules"]["searches"]).into_iter().flat_map(|search| list(&search["controllers"]));
+    let broken = rules.map(|search| search["worst"].clone());
+    let names = counterexamples.chain(others.chain(failed).chain(broken).filter_map(named));
     let is_plain = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
     let is_own = |name: &String| FOLDERS.iter().any(|folder| name.starts_with(folder)) && is_plain(name);
     names.filter(is_own).collect()

@@ -4,8 +4,8 @@
 
 use super::best::CertifiedBest;
 use super::parts::{
-    Distribution, FailureMaps, PaperScenarios, Search, Traffic, Usefulness, WorstProfile, WorstProfiles, count_one,
-    counted_names, run_suite,
+    Distribution, FailureMaps, PaperScenarios, RulePlan, Search, Traffic, Usefulness, WorstProfile, WorstProfiles,
+    count_one, counted_names, run_suite,
 };
 use super::plan::NamedSpace;
 use super::planned_suite::PlannedSuite;
@@ -27,6 +27,7 @@ pub(super) enum Piece<'p> {
     Maps,
     Usefulness,
     Counted(String),
+    Rule(RulePlan<'p>),
     Suite(&'p PlannedSuite),
 }
 
@@ -45,6 +46,7 @@ pub(super) fn pieces(plan: &AssessmentPlan) -> Result<Vec<Piece<'_>>, AssessErro
     all.extend(plan.config.paper.then_some(Piece::Maps));
     all.extend((plan.config.everyday_draws > 0).then_some(Piece::Usefulness));
     all.extend(counted_names(plan).into_iter().map(Piece::Counted));
+    all.extend(RulePlan::all(plan).map(Piece::Rule));
     all.extend(plan.suites.iter().map(Piece::Suite));
     all.sort_by_cached_key(|piece| sha256(piece.name()));
     Ok(all)
@@ -62,6 +64,7 @@ impl Piece<'_> {
             Self::Maps => "failure maps".to_owned(),
             Self::Usefulness => "usefulness".to_owned(),
             Self::Counted(name) => format!("count {name}"),
+            Self::Rule(searched) => searched.name(),
             Self::Suite(planned) => format!("suite {}", planned.known.name),
         }
     }
@@ -82,6 +85,7 @@ impl Piece<'_> {
             Self::Maps => FailureMaps::gather(plan, work).map(drop),
             Self::Usefulness => Usefulness::gather(plan, work).map(drop),
             Self::Counted(name) => count_one(plan, name, work),
+            Self::Rule(searched) => searched.gather(plan, work).map(drop),
             Self::Suite(planned) => run_suite(plan, planned, work).map(drop),
         }
     }

@@ -13,6 +13,7 @@ use super::parts;
 use super::planned_suite::PlannedSuite;
 use crumple_world::control::ControllerSpec;
 use crumple_world::digest::sha256;
+use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::recording::{Dropped, ImportOptions, Imported, ImportedScenario, import};
@@ -272,6 +273,7 @@ impl Loading<'_> {
         let traffic = self.traffic(&config, recorded)?;
         let spaces = self.spaces("search.spaces", &config.searched())?;
         let distributions = self.spaces("distributions", &config.distributions())?;
+        self.check_rules(&config.search.rules, &spaces)?;
         let clash = distributions
             .iter()
             .find(|one| spaces.iter().any(|other| one.space.name() == other.space.name() && one.known != other.known));
@@ -297,6 +299,25 @@ impl Loading<'_> {
             Some(paths) => self.certificates(&paths, &parts::made_here(&plan))?,
         };
         Ok(plan)
+    }
+
+    /// Every rule fits every space that is searched.
+    fn check_rules(&self, rules: &[String], spaces: &[NamedSpace]) -> Result<(), ConfigError> {
+        for (index, rule) in rules.iter().enumerate() {
+            let wrong = |problem: String| self.wrong(&format!("search.rules[{index}]"), problem);
+            if rule == Specification::NO_CONTACT {
+                return Err(wrong("contacts are searched for anyway".to_owned()));
+            }
+            if rules.iter().take(index).any(|known| known == rule) {
+                return Err(wrong(format!("`{rule}` is named twice")));
+            }
+            for named in spaces {
+                let nominal = named.space.scenario(&named.space.nominal());
+                let nominal = nominal.map_err(|error| wrong(error.to_string()))?;
+                Specification::parse(rule, &nominal).map_err(|error| wrong(format!("in {}: {error}", named.name)))?;
+            }
+        }
+        Ok(())
     }
 
     fn add(

@@ -64,21 +64,23 @@ impl fmt::Display for Conduct {
     }
 }
 
-/// The text is none of [`Conduct::WRITTEN`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct NoConduct;
+/// A text is no rule of conduct.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no rule of conduct: there are {}", Conduct::WRITTEN.join(", "))]
+pub struct UnknownConduct(String);
 
 impl FromStr for Conduct {
-    type Err = NoConduct;
+    type Err = UnknownConduct;
 
-    fn from_str(text: &str) -> Result<Self, NoConduct> {
+    fn from_str(text: &str) -> Result<Self, UnknownConduct> {
+        let unknown = || UnknownConduct(text.to_owned());
         match text {
             NO_BRAKING => Ok(Self::NoBrakingWithoutCause),
             NO_AMPLIFICATION => Ok(Self::NoAmplification),
             _ => {
                 let number = text.strip_prefix(IMPOSED[0]).and_then(|rest| rest.strip_suffix(IMPOSED[1]));
                 let limit = number.and_then(|number| number.trim().parse::<f64>().ok());
-                let at_most_mps2 = limit.filter(|limit| limit.is_finite() && *limit > 0.0).ok_or(NoConduct)?;
+                let at_most_mps2 = limit.filter(|limit| limit.is_finite() && *limit > 0.0).ok_or_else(unknown)?;
                 Ok(Self::ImposedBraking { at_most_mps2 })
             }
         }

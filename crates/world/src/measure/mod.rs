@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 
 pub use approach::{Approach, State};
 pub use comfort::{JERK_WINDOW_S, peak_brake_mps2, peak_jerk_mps3};
-pub use conduct::Conduct;
+pub use conduct::{Conduct, UnknownConduct};
 pub use contact_role::ContactRole;
 pub use demand::{Imposed, drac_mps2, required_brake_mps2};
 pub use exposure::{Exposure, TTC_THRESHOLD_S};

@@ -94,6 +94,11 @@ pub enum Property {
     OthersKeepClear,
     /// A line of vehicles with it makes a disturbance no larger from one to the next.
     StringStable,
+    /// It keeps a rule.
+    Keeps {
+        /// The rule, as `--spec` takes it.
+        rule: String,
+    },
 }
 
 /// Where something is claimed.
@@ -191,6 +196,7 @@ impl Property {
             Self::PassesTests => "every test passes that can be run".to_owned(),
             Self::OthersKeepClear => "no contact among the others".to_owned(),
             Self::StringStable => "no disturbance grows".to_owned(),
+            Self::Keeps { rule } => rule.clone(),
         }
     }
 
@@ -208,6 +214,7 @@ impl Property {
             Self::PassesTests => "tests that fail".to_owned(),
             Self::OthersKeepClear => "contact among the others".to_owned(),
             Self::StringStable => "a disturbance that grows".to_owned(),
+            Self::Keeps { rule } => format!("violation of `{rule}`"),
         }
     }
 
@@ -220,7 +227,7 @@ impl Property {
     /// Whether it is said of every run of a domain, so that one run refutes it.
     #[must_use]
     pub fn is_of_every_run(&self) -> bool {
-        matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoNeedlessBraking)
+        matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoNeedlessBraking | Self::Keeps { .. })
     }
 }
 

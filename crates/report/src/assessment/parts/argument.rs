@@ -196,7 +196,12 @@ const GOALS: [(&str, &str, Kind); 6] = [
     (
         "is of use where nothing threatens: it brakes with a cause, keeps up, and damps disturbances",
         "over everyday situations",
-        |property| matches!(property, Property::NoNeedlessBraking | Property::KeepsUp | Property::StringStable),
+        |property| {
+            matches!(
+                property,
+                Property::NoNeedlessBraking | Property::KeepsUp | Property::StringStable | Property::Keeps { .. }
+            )
+        },
     ),
 ];
 

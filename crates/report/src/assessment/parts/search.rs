@@ -394,7 +394,7 @@ fn draw(
     Ok(drawn)
 }
 
-fn read(path: &Path) -> Result<String, AssessError> {
+pub(super) fn read(path: &Path) -> Result<String, AssessError> {
     Ok(std::fs::read_to_string(path).map_err(DiskError::at(path)).map_err(StoreError::from)?)
 }
 

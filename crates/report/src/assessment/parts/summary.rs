@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::certified::{kernel_domain, kernels, seeing};
-use super::{Distributions, PaperScenarios, Proofs, Searches, Suites, Traffic, Usefulness, WorstProfiles};
+use super::{Distributions, PaperScenarios, Proofs, Rules, Searches, Suites, Traffic, Usefulness, WorstProfiles};
 use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, Standing};
 use crate::assessment::markdown::Markdown;
 use crate::assessment::table::{Cell, Table};
@@ -61,6 +61,7 @@ pub(in crate::assessment) struct Findings<'a> {
     pub(in crate::assessment) suites: Option<&'a Suites>,
     pub(in crate::assessment) worst: Option<&'a WorstProfiles>,
     pub(in crate::assessment) searches: &'a Searches,
+    pub(in crate::assessment) rules: Option<&'a Rules>,
     pub(in crate::assessment) usefulness: Option<&'a Usefulness>,
     pub(in crate::assessment) proofs: &'a Proofs,
 }
@@ -74,6 +75,7 @@ impl Findings<'_> {
         all.extend(self.traffic.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.suites.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.searches.evidence(plan));
+        all.extend(self.rules.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.worst.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.usefulness.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.proofs.evidence(plan));
@@ -227,6 +229,9 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     }
     for searched in &found.searches.spaces {
         add("search", None, of_all(Property::NoContact, searched.domain(plan), own));
+    }
+    for searched in found.rules.iter().flat_map(|rules| &rules.searches) {
+        add("rules", None, of_all(searched.property(), searched.domain(plan), own));
     }
     if let Some(usefulness) = found.usefulness {
         let [traffic, danger] = usefulness.domains();

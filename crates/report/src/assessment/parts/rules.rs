@@ -1,0 +1,312 @@
+//! Searches for what a controller must not do besides touching somebody: braking without cause, braking imposed on others, disturbances
+//! enlarged, or any formula.
+
+use std::ops::ControlFlow;
+
+use maud::{Markup, html};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use super::search::read;
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
+use crate::assessment::commands::controller_word;
+use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::plan::{NamedSpace, file_stem};
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::work::Work;
+use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
+use crumple_world::digest::sha256;
+use crumple_world::measure::{Conduct, Specification};
+use crumple_world::sim::NamedController;
+
+/// The part's anchor in the page.
+const ANCHOR: &str = "rules";
+
+/// What was searched for violations of rules, and what was found.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct Rules {
+    /// An entry a space and rule.
+    pub searches: Vec<RuleSearches>,
+}
+
+/// Every controller, in one space, by one rule.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct RuleSearches {
+    /// The space.
+    pub space: Known,
+    /// The rule, as `--spec` takes it.
+    pub rule: String,
+    /// An entry a controller.
+    pub controllers: Vec<RuleSearch>,
+}
+
+/// What was found of one controller.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+pub struct RuleSearch {
+    /// The controller.
+    pub controller: String,
+    /// Evaluations of all methods.
+    pub evaluations: u64,
+    /// How many of them broke the rule.
+    pub violations: u64,
+    /// How many of these are distinct.
+    pub distinct: usize,
+    /// In which of its runs, from 1, the search met the first.
+    pub first: Option<u64>,
+    /// The one that goes furthest.
+    pub worst: Option<RuleViolation>,
+    /// How to search again; none of a controller from outside.
+    pub command: Option<Command>,
+}
+
+/// A run that broke a rule, shrunk.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+pub struct RuleViolation {
+    /// The scenario file, from the folder of the report.
+    pub file: String,
+    /// SHA-256 of that file.
+    pub sha256: String,
+    /// How to see it happen; none of a controller from outside.
+    pub replay: Option<Command>,
+    /// How far the rule holds: negative, in the rule's unit.
+    pub robustness: Rounded<3>,
+    /// What is not nominal.
+    pub changed: Vec<String>,
+    #[serde(skip)]
+    text: String,
+}
+
+/// What one search came to, as it is kept.
+#[derive(Serialize, Deserialize)]
+pub(in crate::assessment) struct Kept {
+    summary: Summary,
+    /// The severest failure's file.
+    worst: Option<String>,
+}
+
+/// One search.
+pub(in crate::assessment) struct RulePlan<'p> {
+    pub(in crate::assessment) space: &'p NamedSpace,
+    pub(in crate::assessment) rule: &'p str,
+    pub(in crate::assessment) controller: (usize, &'p NamedController),
+}
+
+impl<'p> RulePlan<'p> {
+    /// All of a plan.
+    pub(in crate::assessment) fn all(plan: &'p AssessmentPlan) -> impl Iterator<Item = Self> {
+        plan.spaces.iter().flat_map(move |space| {
+            plan.config.search.rules.iter().flat_map(move |rule| {
+                plan.controllers.iter().enumerate().map(move |controller| Self { space, rule, controller })
+            })
+        })
+    }
+
+    /// For readers; one of a kind in a plan.
+    pub(in crate::assessment) fn name(&self) -> String {
+        format!("search {} in {} by {}", self.controller.1.name, self.space.name, self.rule)
+    }
+
+    pub(in crate::assessment) fn gather(&self, plan: &AssessmentPlan, work: &Work<'_>) -> Result<Kept, AssessError> {
+        let (controller, space) = (self.controller.1, &self.space.space);
+        let nominal = space.scenario(&space.nominal())?;
+        let campaign = Campaign {
+            controller: controller.clone(),
+            estimator: plan.config.estimator,
+            space: space.clone(),
+            specification: Specification::parse(self.rule, &nominal)?,
+            contrast: None,
+            aim: Aim::default(),
+            method: Method::Auto,
+            budget: plan.config.search.budget,
+            seed: plan.config.seed,
+        };
+        let item = self.name();
+        let inputs = json!([plan.identity(controller), self.space.text, self.rule, campaign.budget, campaign.seed]);
+        work.get(&item, &inputs, || {
+            let folder = work.store.workplace(&item, &inputs)?;
+            let mut done = 0;
+            let summary = campaign.run_until(folder.path(), controller.kind.identity().is_some(), &mut |progress| {
+                let more = progress.evaluations - done;
+                done = progress.evaluations;
+                if work.did(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+            })?;
+            let worst = summary.counterexamples.first().map(|found| read(&folder.path().join(&found.file)));
+            let worst = worst.transpose()?;
+            folder.remove()?;
+            Ok(Kept { summary, worst })
+        })
+    }
+
+    fn found(&self, plan: &AssessmentPlan, kept: Kept) -> RuleSearch {
+        let (index, controller) = self.controller;
+        let Kept { summary, worst } = kept;
+        let word = controller_word(&controller.kind);
+        let seeing = plan.estimator_words().iter().copied();
+        let stem = format!("{}/{}/{}", file_stem(self.space.space.name()), file_stem(self.rule), plan.slug(index));
+        let worst = summary.counterexamples.first().zip(worst).map(|(found, text)| {
+            let file = format!("counterexamples/rules/{stem}.toml");
+            let replay = word.as_deref().map(|word| {
+                let simulate = Command::new(["simulate", file.as_str(), "--controller", word, "--spec", self.rule]);
+                simulate.and(seeing.clone()).and(["--expect", "violated"])
+            });
+            let changed = found.changed.iter().map(|one| match one.unit.as_str() {
+                "1" => format!("{} {}", one.parameter, one.value),
+                unit => format!("{} {} {unit}", one.parameter, one.value),
+            });
+            RuleViolation {
+                sha256: sha256(&text),
+                robustness: Rounded::new(found.robustness),
+                changed: changed.collect(),
+                file,
+                replay,
+                text,
+            }
+        });
+        let [budget, seed] = [plan.config.search.budget, plan.config.seed].map(|number| number.to_string());
+        let out = format!("searches/rules/{stem}");
+        let command = word.as_deref().map(|word| {
+            let space = self.space.word();
+            let what = ["falsify", "--controller", word, "--space", &space, "--spec", self.rule];
+            let how = ["--budget", &budget, "--seed", &seed, "--out", &out];
+            Command::new(what).and(how).and(seeing.clone())
+        });
+        RuleSearch {
+            controller: controller.name.clone(),
+            evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
+            violations: summary.methods.iter().map(|method| method.failures).sum(),
+            distinct: summary.counterexamples.len(),
+            first: summary.first_falsification,
+            worst,
+            command,
+        }
+    }
+}
+
+impl Rules {
+    /// None if the plan has no rules.
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        let mut searches: Vec<RuleSearches> = Vec::new();
+        for one in RulePlan::all(plan) {
+            let kept = one.gather(plan, work)?;
+            let is_next = one.controller.0 == 0;
+            if is_next {
+                let (space, rule) = (one.space.known.clone(), one.rule.to_owned());
+                searches.push(RuleSearches { space, rule, controllers: Vec::new() });
+            }
+            if let Some(last) = searches.last_mut() {
+                last.controllers.push(one.found(plan, kept));
+            }
+        }
+        Ok((!searches.is_empty()).then_some(Self { searches }))
+    }
+
+    /// What each search says.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let of = |searches: &RuleSearches| {
+            let domain = searches.domain(plan);
+            let claimants = plan.claimants().into_iter().zip(&searches.controllers);
+            let each = claimants.map(|(subject, search)| Evidence {
+                claim: Claim { subject, property: searches.property(), domain: domain.clone() },
+                strength: Strength::of(search.violations, search.evaluations),
+                source: Source::part(ANCHOR, format!("{} evaluations", search.evaluations)),
+            });
+            each.collect::<Vec<_>>()
+        };
+        self.searches.iter().flat_map(of).collect()
+    }
+
+    fn violations(&self) -> impl Iterator<Item = &RuleViolation> {
+        self.searches.iter().flat_map(|one| &one.controllers).filter_map(|search| search.worst.as_ref())
+    }
+
+    /// Scenarios that broke a rule, each a file of the report.
+    pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
+        self.violations().map(|one| (one.file.clone(), one.text.clone().into_bytes()))
+    }
+
+    /// How to see rules broken.
+    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
+        self.violations().filter_map(|one| one.replay.as_ref())
+    }
+}
+
+impl RuleSearches {
+    /// What was tried of the space, as a domain.
+    pub(in crate::assessment) fn domain(&self, plan: &AssessmentPlan) -> Domain {
+        Domain::Search { space: self.space.clone(), seed: plan.config.seed, budget: plan.config.search.budget }
+    }
+
+    /// What is claimed by the rule.
+    pub(in crate::assessment) fn property(&self) -> Property {
+        match self.rule.parse() {
+            Ok(Conduct::NoBrakingWithoutCause) => Property::NoNeedlessBraking,
+            _ => Property::Keeps { rule: self.rule.clone() },
+        }
+    }
+
+    fn table(&self) -> Table {
+        let header =
+            ["controller", "runs that break it", "distinct", "first after (runs)", "robustness", "what is not nominal"];
+        let mut table = Table::new(&header);
+        for search in &self.controllers {
+            let dash = || "–".to_owned();
+            let worst = search.worst.as_ref();
+            table.row(vec![
+                Cell::text(&search.controller),
+                Cell::judged(format!("{} of {}", search.violations, search.evaluations), search.violations == 0),
+                Cell::number(search.distinct),
+                Cell::number(search.first.map_or_else(dash, |first| first.to_string())),
+                Cell::number(worst.map_or_else(dash, |worst| worst.robustness.to_string())),
+                Cell::text(worst.map_or_else(dash, |worst| worst.changed.join(", "))),
+            ]);
+        }
+        table
+    }
+
+    fn replays(&self) -> impl Iterator<Item = &Command> {
+        self.controllers.iter().filter_map(|search| search.worst.as_ref()?.replay.as_ref())
+    }
+
+    fn heading(&self) -> String {
+        format!("{} in {}", self.rule, self.space.name)
+    }
+}
+
+const INTRODUCTION: &str = "Whoever touches nobody may still drive as nobody could on a road. For each rule a search with two reference \
+    searches looks for runs that break it; the one that goes furthest is shrunk and kept. Robustness is how far the rule is from being \
+    broken, negative where it is.";
+
+impl Part for Rules {
+    fn heading(&self) -> (&'static str, String) {
+        (ANCHOR, "Rules of conduct".to_owned())
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (INTRODUCTION) }
+            @for one in &self.searches {
+                h3 { (one.heading()) }
+                (one.table().html())
+                p.replay { @for command in one.replays() { code { (command) } " " } }
+                details {
+                    summary { "search again" }
+                    ul { @for command in one.controllers.iter().filter_map(|search| search.command.as_ref()) { li { code { (command) } } } }
+                }
+            }
+        }
+    }
+
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(INTRODUCTION);
+        for one in &self.searches {
+            text.heading(3, &one.heading());
+            one.table().markdown(&mut text);
+            text.list(one.replays().map(|command| Inline::default().and_code(command)));
+        }
+        text
+    }
+}
