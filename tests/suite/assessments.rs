@@ -6,13 +6,16 @@ use std::process::Command;
 
 use crumple_report::assessment::{
     AssessConfig, Assessment, AssessmentPlan, Gate, ProofStatus, SpeaksOf, Standing, Store, Strength, assess,
+    files_of_evidence,
 };
 use crumple_search::evidence::{RateConfig, RatePlan};
 use crumple_verify::{Certificate, Statement};
+use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
+use crumple_world::scenario::file;
 use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{NamedController, RunOptions};
 
 /// A small assessment of these controllers on draws of the paper's space, without its scenarios.
 pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
@@ -306,12 +309,49 @@ fn what_would_mislead_is_refused_before_the_work() {
             "everyday_draws = 0\n[[gates]]\nrequire = \"string-stable\"\ncontroller = \"idm\"\n",
             "needs `everyday_draws`",
         ),
+        ("[search]\nrules = [\"no brakes\"]\n", "a.toml:5: search.rules[0]: in high-risk: "),
+        ("[search]\nrules = [\"no contact\"]\n", "search.rules[0]: contacts are searched for anyway"),
     ] {
         let path = folder.path().join("a.toml");
         fs::write(&path, format!("{begin}{rest}")).expect("writes");
         let refused = AssessmentPlan::load(&path).expect_err("refused").to_string();
         assert!(refused.contains(said), "{rest}: {refused}");
     }
+}
+
+/// Who brakes for nothing breaks a rule where a reference driver keeps it, and the file that the report has of it shows it again.
+#[test]
+fn rules_are_searched_for_and_what_breaks_them_is_kept() {
+    let mut config = config(&["idm", "constant-brake"]);
+    (config.draws, config.everyday_draws) = (0, 0);
+    (config.search.spaces, config.search.budget) = (Some(vec!["high-risk".to_owned()]), 20);
+    let rules = ["no braking without cause", "always v1.speed_mps >= 0"];
+    config.search.rules = rules.map(str::to_owned).to_vec();
+    let assessment = run(config, Path::new(""));
+    let found = assessment.rules.as_ref().expect("asked for");
+    let violations = |place: usize| -> Vec<u64> {
+        found.searches[place].controllers.iter().map(|search| search.violations).collect()
+    };
+    assert!(violations(0)[0] == 0 && violations(0)[1] > 0, "{found:?}");
+    assert_eq!(violations(1), [0, 0], "nobody drives backwards");
+    let worst = found.searches[0].controllers[1].worst.as_ref().expect("it breaks the rule");
+    let files = assessment.files().expect("renders");
+    let (_, text) = files.iter().find(|(name, _)| *name == worst.file).expect("a file of the report");
+    let scenario = file::from_toml(std::str::from_utf8(text).expect("text"), Path::new("worst")).expect("a scenario");
+    let rule = Specification::parse(rules[0], &scenario).expect("a rule");
+    let controller = NamedController::find("constant-brake", Path::new("")).expect("built in").kind;
+    let judged = rule.judge_scenario(&scenario, RunOptions::new(controller)).expect("runs");
+    assert!((judged.robustness - worst.robustness.value()).abs() < 1e-3 && judged.is_violation());
+    let row = |claim: &str| assessment.summary.claims.iter().find(|row| row.claim.starts_with(claim)).expect("claimed");
+    assert!(row("no braking without cause that a search").standings[1].words().contains("60"));
+    assert!(
+        row("always v1.speed_mps")
+            .standings
+            .iter()
+            .all(|standing| matches!(standing.strength, Strength::Tested { .. }))
+    );
+    let json = assessment.json().expect("renders");
+    assert!(files_of_evidence(&json).contains(&worst.file));
 }
 
 /// Which of two fails less often is what the assessment counted, whatever certificates of no greater weight are given.
