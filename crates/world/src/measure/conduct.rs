@@ -66,14 +66,17 @@ impl fmt::Display for Conduct {
 
 /// A text is no rule of conduct.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no rule of conduct: there are {}", Conduct::WRITTEN.join(", "))]
-pub struct UnknownConduct(String);
+#[error("`{text}` is no rule of conduct: there are {}", Conduct::WRITTEN.join(", "))]
+pub struct UnknownConduct {
+    /// What was found.
+    text: String,
+}
 
 impl FromStr for Conduct {
     type Err = UnknownConduct;
 
     fn from_str(text: &str) -> Result<Self, UnknownConduct> {
-        let unknown = || UnknownConduct(text.to_owned());
+        let unknown = || UnknownConduct { text: text.to_owned() };
         match text {
             NO_BRAKING => Ok(Self::NoBrakingWithoutCause),
             NO_AMPLIFICATION => Ok(Self::NoAmplification),

@@ -161,6 +161,7 @@ fn estimates_without_a_spread_still_bound_the_rate() {
             independent_runs,
             independent_failures,
             levels: Vec::new(),
+            largest_weight: None,
         };
         ExposedRate::of(&space, Probability::Estimated(&estimate), Err(&NotResampled::NotAsked))
     };
@@ -214,6 +215,7 @@ fn estimates_in_resamples_agree_with_new_runs() {
         independent_runs: 500,
         independent_failures: 0,
         levels: vec![Level { margin: 1.0, probability: 1e-3, share: 0.1, step: None, acceptance: None }],
+        largest_weight: None,
     };
     let share = |space: &Space, seed: u64| failures(space, seed, 4000).map(|failed| failed as f64 / 4000.0);
     let climbed = estimate_again(&space, 9, 80, &mut |space: &Space, seed| Ok(estimate(Some(share(space, seed)?))));

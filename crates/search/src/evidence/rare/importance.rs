@@ -28,7 +28,7 @@ const APART: u64 = 1 << 40;
 /// The mixture that draws are made of.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Importance {
+pub(super) struct Importance {
     pub(super) climbed: Splitting,
     mixture: Option<Mixture>,
     /// Runs made to fit it, beside those of the climb's pilot.

@@ -73,9 +73,11 @@ impl Mixture {
         let all: f64 = failures.iter().map(|seen| seen.weight).sum();
         let charges: Vec<Vec<f64>> = failures.iter().map(|seen| self.charges(&seen.at)).collect();
         let part = |index: usize| {
-            let weight = |place: usize, seen: &Seen| seen.weight * charges.get(place)?.get(index);
-            let own: Vec<(f64, &Seen)> =
-                failures.iter().enumerate().filter_map(|(place, seen)| Some((weight(place, seen)?, seen))).collect();
+            let own: Vec<(f64, &Seen)> = failures
+                .iter()
+                .zip(&charges)
+                .filter_map(|(seen, charges)| Some((seen.weight * charges.get(index)?, seen)))
+                .collect();
             Part::fitted(&own, all)
         };
         let mut parts: Vec<Part> = (0..self.parts.len()).filter_map(part).collect();

@@ -9,7 +9,6 @@ use crate::falsify::judging::Judging;
 use crate::falsify::{Contrast, ContrastRecord};
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{self, FileError};
 use crumple_world::sim::{NamedController, UnknownController};
 
