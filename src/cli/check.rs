@@ -9,7 +9,7 @@ use crumple_verify::{Accepted, Certificate, ParseError, Statement, WorkLimit, ch
 
 use super::checked::{self, Checked, Counts};
 use super::simulate::Format;
-use super::{Failure, interrupt, output, progress, subject};
+use super::{Failure, cruise, interrupt, output, progress, subject};
 use crumple_search::evidence::{Rerun, RerunError, Sample, bound, checker_file, lies_within};
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::Policy;
@@ -148,8 +148,11 @@ impl Check {
         if certificate.policy().is_some()
             && let Some(source) = self.policy.as_deref().filter(|path| is_source(path))
         {
-            let read = FileController::load(source).map_err(Failure::input)?;
             let place = source.display();
+            if matches!(certificate.statement, Statement::AdaptiveCruise(_)) {
+                return Ok(Some(cruise::network(source)?.network_bytes().to_vec()));
+            }
+            let read = FileController::load(source).map_err(Failure::input)?;
             let file = checker_file(&read.into()).map_err(|invalid| Failure::Input(format!("{place}: {invalid}")))?;
             return file.map(Some).ok_or_else(|| Failure::Input(format!("{place}: is no network")));
         }

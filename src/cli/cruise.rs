@@ -1,6 +1,6 @@
 //! `crumple benchmark acc`: adaptive cruise control by a network, proved.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
@@ -47,13 +47,18 @@ pub(super) struct Cruise {
 /// What is worth its time.
 const CELLS: u32 = 16;
 
+/// A network as the benchmark sees it.
+pub(super) fn network(path: &Path) -> Result<CruisePlan, Failure> {
+    let file = NetworkFile::load(path).map_err(Failure::input)?;
+    CruisePlan::new(file).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))
+}
+
 impl Cruise {
     pub(super) fn run(self) -> Result<(), Failure> {
         let place = self.network.display();
         let failed = |error| Failure::Input(format!("{place}: {error}"));
-        let file = NetworkFile::load(&self.network).map_err(Failure::input)?;
-        let shape = file.network.shape();
-        let plan = CruisePlan::new(file).map_err(failed)?;
+        let plan = network(&self.network)?;
+        let shape = plan.shape();
         let proved = plan.prove(self.cells).map_err(failed)?;
         let begin = Instant::now();
         let accepted = check_within(&proved.certificate, Some(plan.network_bytes()), WorkLimit::NONE)

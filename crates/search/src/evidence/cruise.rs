@@ -113,6 +113,12 @@ impl CruisePlan {
         Ok(Self { network, bytes, actor })
     }
 
+    /// The widths of the network's layers.
+    #[must_use]
+    pub fn shape(&self) -> String {
+        self.network.network().shape()
+    }
+
     /// The file of the network, for the checker.
     #[must_use]
     pub fn network_bytes(&self) -> &[u8] {
