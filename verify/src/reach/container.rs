@@ -97,7 +97,8 @@ impl Container<'_> {
         let entry = self.tensors.remove(name).ok_or_else(|| format!("has no tensor {name}"))?;
         let [from, to] = entry.data_offsets;
         let numbers = self.data.get(from..to).filter(|_| entry.dtype == "F32" && entry.shape == shape);
-        let numbers = numbers.filter(|bytes| bytes.len() == 4 * shape.iter().product::<usize>());
+        let length = shape.iter().try_fold(4_usize, |bytes, &size| bytes.checked_mul(size));
+        let numbers = numbers.filter(|bytes| Some(bytes.len()) == length);
         let (numbers, _) = numbers.ok_or_else(|| format!("tensor {name} is not what it should be"))?.as_chunks::<4>();
         let numbers: Vec<f64> = numbers.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect();
         if numbers.iter().all(|value| value.is_finite()) {

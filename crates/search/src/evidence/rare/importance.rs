@@ -58,14 +58,13 @@ impl Importance {
             return Ok(Self { climbed, mixture: None, fitting: 0 });
         }
         let mut fitting = 0;
-        let mut seen: Vec<Seen> = Vec::new();
+        let mut seen: Vec<Vec<Seen>> = vec![Vec::new(); climbed.stages().len()];
         for index in 0..POPULATIONS {
             let random = stream(seed, Purpose::RareEvents, APART + index);
             let mut climber = Climber::new(problem, effort.samples, random, done);
-            let arrived = climber.arrived(climbed.stages())?;
-            // Each population stands for one estimate of where failures are, however many of it arrive.
-            let weight = 1.0 / arrived.len().max(1) as f64;
-            seen.extend(arrived.into_iter().map(|(state, _)| Seen { at: state.normal, weight }));
+            for (level, there) in seen.iter_mut().zip(climber.populations(climbed.stages())?) {
+                level.extend(there.into_iter().map(|(state, _)| Seen { at: state.normal, weight: 1.0 }));
+            }
             fitting += climber.evaluations;
         }
         let mut random = stream(seed, Purpose::RareEvents, APART + POPULATIONS);

@@ -220,7 +220,7 @@ impl Splitting {
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
             let mut climber = Climber::new(problem, self.effort.samples, random, done);
-            let (failures, seen, _) = climber.climb(&self.stages)?;
+            let (failures, seen) = climber.climb(&self.stages)?;
             Ok(Repetition { failures, seen, evaluations: climber.evaluations })
         };
         repetitions.into_par_iter().map(repeat).collect()
@@ -333,8 +333,8 @@ impl<'a, P: Problem> Climber<'a, P> {
         Self { problem, samples, random, evaluations: 0, done }
     }
 
-    /// How many runs failed of the first ones, what was seen at each level, and who arrived.
-    fn climb(&mut self, stages: &[Stage]) -> Result<(u64, Vec<Seen>, Vec<Sample>), P::Error> {
+    /// How many runs failed of the first ones, and what was seen at each level.
+    fn climb(&mut self, stages: &[Stage]) -> Result<(u64, Vec<Seen>), P::Error> {
         let mut seen = Vec::with_capacity(stages.len());
         let mut population = self.first()?;
         let failures = failures(&population);
@@ -354,20 +354,24 @@ impl<'a, P: Problem> Climber<'a, P> {
                 break;
             }
         }
-        Ok((failures, seen, population))
+        Ok((failures, seen))
     }
 
-    /// Runs that fail, spread out over where failures are.
-    pub(super) fn arrived(&mut self, stages: &[Stage]) -> Result<Vec<Sample>, P::Error> {
-        let (_, _, mut population) = self.climb(stages)?;
-        if let (Some(last), false) = (stages.last(), population.is_empty()) {
-            // With the step of the level before, which leads to where the chances are as good.
-            let step = stages.iter().rev().nth(1).map_or(last.step, |before| before.step);
-            for _ in 0..MOVES {
-                self.moved(&mut population, &Stage { step, ..*last })?;
+    /// What comes of a population at each level, spread out over what lies below it; nobody once it has died out.
+    pub(super) fn populations(&mut self, stages: &[Stage]) -> Result<Vec<Vec<Sample>>, P::Error> {
+        let mut population = self.first()?;
+        let (mut all, mut step) = (Vec::with_capacity(stages.len()), 1.0);
+        for stage in stages {
+            // The last one has no step of its own, and that of the level before leads to where chances are as good.
+            step = if stage.is_last { step } else { stage.step };
+            let survivors = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
+            population = self.multiplied(survivors);
+            for _ in 0..if population.is_empty() { 0 } else { MOVES } {
+                self.moved(&mut population, &Stage { step, ..*stage })?;
             }
+            all.push(population.clone());
         }
-        Ok(population)
+        Ok(all)
     }
 
     /// Independent draws.

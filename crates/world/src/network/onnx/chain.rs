@@ -320,12 +320,11 @@ impl Chain {
         }
         let shape: Option<Vec<usize>> = shape.into_iter().collect();
         let mut shape = shape.ok_or_else(|| format!("to shape {wanted:?}"))?;
-        let count = shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size)).filter(|&count| count > 0);
-        let missing = count.and_then(|count| self.count().checked_div(count)).unwrap_or(0);
+        let count = |shape: &[usize]| shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
         if let Some(open) = wanted.iter().position(|&size| size == -1) {
-            shape[open] = missing;
+            shape[open] = count(&shape).and_then(|count| self.count().checked_div(count)).unwrap_or(0);
         }
-        if shape.iter().product::<usize>() != self.count() || wanted.len() > 8 {
+        if count(&shape) != Some(self.count()) || wanted.len() > 8 {
             return Err(format!("{} numbers to shape {wanted:?}", self.count()));
         }
         self.shape = shape;
