@@ -196,7 +196,7 @@ fn a_formula_is_falsified_without_a_contact() {
     let robustness: Vec<f64> = found.iter().map(|one| one["robustness"].as_f64().unwrap()).collect();
     assert!(!found.is_empty() && robustness.is_sorted() && robustness.iter().all(|r| *r < 0.0), "{robustness:?}");
     for one in found {
-        assert!(one["kind"].as_str().unwrap().starts_with("the formula is violated"), "{one}");
+        assert!(one["kind"].as_str().unwrap().starts_with("the specification is violated"), "{one}");
         let file = format!("crumple-campaign/{}", one["file"].as_str().unwrap());
         assert!(file.ends_with("-violation.toml"));
         let replay = |spec: &str, expectation: &str| {
