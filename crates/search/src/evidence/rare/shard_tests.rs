@@ -19,7 +19,7 @@ fn plan(seed: u64) -> RarePlan {
         space: built_in_space("paper").unwrap(),
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,
-        method: if seed % 2 == 0 { RareMethod::Splitting } else { RareMethod::Importance },
+        method: if seed.is_multiple_of(2) { RareMethod::Splitting } else { RareMethod::Importance },
         seed,
         effort: Effort { samples: 50, repetitions: 7 },
     }
