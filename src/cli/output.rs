@@ -44,6 +44,8 @@ const VERDICTS: &[(&str, AnsiColor)] = &[
     ("COLLISION", AnsiColor::Red),
     ("CONTACT", AnsiColor::Red),
     ("VIOLATED", AnsiColor::Red),
+    ("PASSED", AnsiColor::Green),
+    ("FAILED", AnsiColor::Red),
     ("FALSIFIED", AnsiColor::Red),
     ("INCOMPLETE", AnsiColor::Yellow),
     ("DT-FRAGILE", AnsiColor::Yellow),
