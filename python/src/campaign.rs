@@ -23,7 +23,7 @@ pub(crate) fn falsify<'py>(
     controller: &Bound<'py, PyAny>,
     space: PyRef<'py, Space>,
     spec: &str,
-    (against, metamorphic): (Option<Bound<'py, PyAny>>, Option<String>),
+    beside: (Option<Bound<'py, PyAny>>, Option<String>),
     method: &str,
     aim: &str,
     budget: u64,
@@ -37,7 +37,7 @@ pub(crate) fn falsify<'py>(
     let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Campaign, &error.to_string());
     let space = space.0.clone();
     let nominal = space.scenario(&space.nominal()).map_err(|error| errors::of_field(py, &error))?;
-    let contrast = match (against, metamorphic) {
+    let contrast = match beside {
         (None, None) => None,
         (Some(other), None) => Some(Contrast::Against(controller::named(&other, &stop)?)),
         (None, Some(relation)) => {

@@ -218,3 +218,13 @@ def test_ctrl_c_ends_it(work):
         threading.Timer(1.0, process.send_signal, [signal.SIGINT]).start()
         said, _ = process.communicate(timeout=90)
     assert (said, process.returncode) == ("stopped\n", 0)
+
+
+def test_failures_beside_another_run_are_failures_of_one_alone():
+    found = crumple.falsify("match-leader", "paper", against="idm", budget=60, seed=3)
+    assert found.falsified
+    for failure in found.failures:
+        assert failure.replay().outcome == "collision"
+        assert crumple.simulate(failure.scenario, "idm").outcome == "no_collision"
+    with pytest.raises(crumple.CampaignError, match="larger-gap"):
+        crumple.falsify("idm", "paper", metamorphic="wider", budget=1)
