@@ -172,8 +172,9 @@ mod tests {
             tail in prop_oneof![1e-3..0.5_f64, 1e-9..1e-3_f64],
         ) {
             let failures = ((runs as f64 * share) as u64).min(runs - 1);
-            let loose = 1.0 + 1e-12 + 8.0 * f64::EPSILON * runs as f64;
             let high = upper(failures, runs, tail);
+            // Of a rate near 1 what is left of it has few digits.
+            let loose = 1.0 + 1e-9 + 8.0 * f64::EPSILON * runs as f64 * (1.0 + 1.0 / (1.0 - high));
             prop_assert!(tail_at_most(failures, runs, high) <= tail * loose);
             let inside = high * (1.0 - 1e-8);
             prop_assert!(tail_at_most(failures, runs, inside) >= tail, "{high}");
