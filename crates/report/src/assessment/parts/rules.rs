@@ -1,14 +1,12 @@
 //! Searches for what a controller must not do besides touching somebody: braking without cause, braking imposed on others, disturbances
 //! enlarged, or any formula.
 
-use std::ops::ControlFlow;
-
 use maud::{Markup, html};
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::json;
 
-use super::search::read;
+use super::search::searched;
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
 use crate::assessment::commands::controller_word;
 use crate::assessment::markdown::{Inline, Markdown};
@@ -79,14 +77,6 @@ pub struct RuleViolation {
     text: String,
 }
 
-/// What one search came to, as it is kept.
-#[derive(Serialize, Deserialize)]
-pub(in crate::assessment) struct Kept {
-    summary: Summary,
-    /// The severest failure's file.
-    worst: Option<String>,
-}
-
 /// One search.
 pub(in crate::assessment) struct RulePlan<'p> {
     pub(in crate::assessment) space: &'p NamedSpace,
@@ -109,7 +99,11 @@ impl<'p> RulePlan<'p> {
         format!("search {} in {} by {}", self.controller.1.name, self.space.name, self.rule)
     }
 
-    pub(in crate::assessment) fn gather(&self, plan: &AssessmentPlan, work: &Work<'_>) -> Result<Kept, AssessError> {
+    pub(in crate::assessment) fn gather(
+        &self,
+        plan: &AssessmentPlan,
+        work: &Work<'_>,
+    ) -> Result<(Summary, Vec<String>), AssessError> {
         let (controller, space) = (self.controller.1, &self.space.space);
         let nominal = space.scenario(&space.nominal())?;
         let campaign = Campaign {
@@ -125,28 +119,15 @@ impl<'p> RulePlan<'p> {
         };
         let item = self.name();
         let inputs = json!([plan.identity(controller), self.space.text, self.rule, campaign.budget, campaign.seed]);
-        work.get(&item, &inputs, || {
-            let folder = work.store.workplace(&item, &inputs)?;
-            let mut done = 0;
-            let summary = campaign.run_until(folder.path(), controller.kind.identity().is_some(), &mut |progress| {
-                let more = progress.evaluations - done;
-                done = progress.evaluations;
-                if work.did(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
-            })?;
-            let worst = summary.counterexamples.first().map(|found| read(&folder.path().join(&found.file)));
-            let worst = worst.transpose()?;
-            folder.remove()?;
-            Ok(Kept { summary, worst })
-        })
+        searched(&campaign, (&item, &inputs), 1, work)
     }
 
-    fn found(&self, plan: &AssessmentPlan, kept: Kept) -> RuleSearch {
+    fn found(&self, plan: &AssessmentPlan, (summary, texts): (Summary, Vec<String>)) -> RuleSearch {
         let (index, controller) = self.controller;
-        let Kept { summary, worst } = kept;
         let word = controller_word(&controller.kind);
         let seeing = plan.estimator_words().iter().copied();
         let stem = format!("{}/{}/{}", file_stem(self.space.space.name()), file_stem(self.rule), plan.slug(index));
-        let worst = summary.counterexamples.first().zip(worst).map(|(found, text)| {
+        let worst = summary.counterexamples.first().zip(texts.into_iter().next()).map(|(found, text)| {
             let file = format!("counterexamples/rules/{stem}.toml");
             let replay = word.as_deref().map(|word| {
                 let simulate = Command::new(["simulate", file.as_str(), "--controller", word, "--spec", self.rule]);
@@ -190,14 +171,13 @@ impl Rules {
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
         let mut searches: Vec<RuleSearches> = Vec::new();
         for one in RulePlan::all(plan) {
-            let kept = one.gather(plan, work)?;
-            let is_next = one.controller.0 == 0;
-            if is_next {
+            let found = one.found(plan, one.gather(plan, work)?);
+            if one.controller.0 == 0 {
                 let (space, rule) = (one.space.known.clone(), one.rule.to_owned());
                 searches.push(RuleSearches { space, rule, controllers: Vec::new() });
             }
             if let Some(last) = searches.last_mut() {
-                last.controllers.push(one.found(plan, kept));
+                last.controllers.push(found);
             }
         }
         Ok((!searches.is_empty()).then_some(Self { searches }))

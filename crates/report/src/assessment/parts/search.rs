@@ -7,7 +7,7 @@ use maud::{Markup, html};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::ScenarioCases;
 use super::found::{Failure, MethodReached, is_own};
@@ -203,19 +203,7 @@ impl Search {
         };
         let item = format!("search {} in {}", controller.name, space.name());
         let inputs = json!([plan.identity(controller), named.text, campaign.budget, campaign.seed]);
-        let (summary, texts): (Summary, Vec<String>) = work.get(&item, &inputs, || {
-            let folder = work.store.workplace(&item, &inputs)?;
-            let mut done = 0;
-            let summary = campaign.run_until(folder.path(), controller.kind.identity().is_some(), &mut |progress| {
-                let more = progress.evaluations - done;
-                done = progress.evaluations;
-                if work.did(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
-            })?;
-            let shown = summary.counterexamples.iter().take(MOST_SHOWN);
-            let texts = shown.map(|found| read(&folder.path().join(&found.file))).collect::<Result<Vec<_>, _>>()?;
-            folder.remove()?;
-            Ok::<_, AssessError>((summary, texts))
-        })?;
+        let (summary, texts) = searched(&campaign, (&item, &inputs), MOST_SHOWN, work)?;
         let place = format!("counterexamples/{}/{}", file_stem(space.name()), plan.slug(index));
         let word = controller_word(&controller.kind);
         let seeing = plan.estimator_words().iter().copied();
@@ -370,6 +358,28 @@ impl Search {
     }
 }
 
+/// A campaign's summary, and the files of its severest failures; kept, and gone on with where it was interrupted.
+pub(super) fn searched(
+    campaign: &Campaign,
+    (item, inputs): (&str, &Value),
+    most: usize,
+    work: &Work<'_>,
+) -> Result<(Summary, Vec<String>), AssessError> {
+    work.get(item, inputs, || {
+        let folder = work.store.workplace(item, inputs)?;
+        let (goes_on, mut done) = (campaign.controller.kind.identity().is_some(), 0);
+        let summary = campaign.run_until(folder.path(), goes_on, &mut |progress| {
+            let more = progress.evaluations - done;
+            done = progress.evaluations;
+            if work.did(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        })?;
+        let shown = summary.counterexamples.iter().take(most);
+        let texts = shown.map(|found| read(&folder.path().join(&found.file))).collect::<Result<Vec<_>, _>>()?;
+        folder.remove()?;
+        Ok((summary, texts))
+    })
+}
+
 /// Those whose failures are drawn: the first controller and the learned ones.
 fn is_drawn(plan: &AssessmentPlan, index: usize, controller: &NamedController) -> bool {
     index == 0 || index == plan.subject || controller.kind.is_learned()
@@ -394,7 +404,7 @@ fn draw(
     Ok(drawn)
 }
 
-pub(super) fn read(path: &Path) -> Result<String, AssessError> {
+fn read(path: &Path) -> Result<String, AssessError> {
     Ok(std::fs::read_to_string(path).map_err(DiskError::at(path)).map_err(StoreError::from)?)
 }
 

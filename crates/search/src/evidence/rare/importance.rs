@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::mixture::{Mixture, Seen};
 use super::splitting::{Climber, new_noise};
-use super::{Effort, Estimate, Level, Problem, Splitting, State};
+use super::{Estimate, Level, Problem, Splitting, State};
 use crumple_world::random::{Purpose, stream};
 
 /// Populations that climb to what the mixture is fitted to, beside one another: several find several ways to fail.
@@ -28,7 +28,7 @@ const APART: u64 = 1 << 40;
 /// The mixture that draws are made of.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Importance {
+pub struct Importance {
     pub(super) climbed: Splitting,
     mixture: Option<Mixture>,
     /// Runs made to fit it, beside those of the climb's pilot.
@@ -51,9 +51,9 @@ impl Importance {
     pub(super) fn pilot<P: Problem>(
         problem: &P,
         climbed: Splitting,
-        (effort, seed): (Effort, u64),
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Self, P::Error> {
+        let (effort, seed) = (climbed.effort(), climbed.seed());
         if !climbed.reaches_failure() {
             return Ok(Self { climbed, mixture: None, fitting: 0 });
         }
@@ -86,7 +86,8 @@ impl Importance {
     }
 
     /// How many runs the repetitions will make.
-    pub(super) fn runs_ahead(&self, effort: Effort) -> u64 {
+    pub(super) fn runs_ahead(&self) -> u64 {
+        let effort = self.climbed.effort();
         if self.reaches_failure() { (effort.repetitions * effort.samples) as u64 } else { 0 }
     }
 
@@ -94,11 +95,11 @@ impl Importance {
     pub(super) fn repeat<P: Problem>(
         &self,
         problem: &P,
-        (effort, seed): (Effort, u64),
         repetitions: Range<u64>,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Weighed>, P::Error> {
         let Some(mixture) = &self.mixture else { return Ok(Vec::new()) };
+        let (effort, seed) = (self.climbed.effort(), self.climbed.seed());
         let repeat = |index: u64| {
             let random = stream(seed, Purpose::RareEvents, 1 + index);
             let mut climber = Climber::new(problem, effort.samples, random, done);
@@ -112,7 +113,8 @@ impl Importance {
     }
 
     /// Whether these repetitions could have come of it.
-    pub(super) fn may_have(effort: Effort, repetitions: &[Weighed]) -> bool {
+    pub(super) fn may_have(&self, repetitions: &[Weighed]) -> bool {
+        let effort = self.climbed.effort();
         let is_mean = |one: &Weighed| one.probability.is_finite() && one.probability >= 0.0;
         repetitions
             .iter()

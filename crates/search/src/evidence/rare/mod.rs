@@ -46,6 +46,7 @@ use serde::{Deserialize, Serialize};
 
 pub use driving::{RareError, RarePlan, RareReport};
 pub use folder::RareFolder;
+pub use importance::Importance;
 pub use pilot::{Pilot, Repetitions};
 pub use shard::{MergedEstimate, RareShard, SHARD_OF_AN_ESTIMATE};
 pub use splitting::{MOST_LEVELS, Problem, Splitting, State};

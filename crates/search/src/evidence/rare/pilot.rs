@@ -10,17 +10,11 @@ use super::{Effort, Estimate, Problem, RareMethod, Splitting};
 
 /// All that repetitions need to know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Pilot {
-    effort: Effort,
-    seed: u64,
-    prepared: Prepared,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-enum Prepared {
+pub enum Pilot {
+    /// Levels to climb.
     Splitting(Splitting),
+    /// A law to draw from.
     Importance(Importance),
 }
 
@@ -46,30 +40,28 @@ impl Pilot {
         seed: u64,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Self, P::Error> {
-        let effort = effort.at_least();
         let climbed = Splitting::pilot(problem, effort, seed, done)?;
-        let prepared = match method {
-            RareMethod::Splitting => Prepared::Splitting(climbed),
-            RareMethod::Importance => Prepared::Importance(Importance::pilot(problem, climbed, (effort, seed), done)?),
-        };
-        Ok(Self { effort, seed, prepared })
+        Ok(match method {
+            RareMethod::Splitting => Self::Splitting(climbed),
+            RareMethod::Importance => Self::Importance(Importance::pilot(problem, climbed, done)?),
+        })
     }
 
     /// Whether it reached a failure.
     #[must_use]
     pub fn reaches_failure(&self) -> bool {
-        match &self.prepared {
-            Prepared::Splitting(levels) => levels.reaches_failure(),
-            Prepared::Importance(proposal) => proposal.reaches_failure(),
+        match self {
+            Self::Splitting(levels) => levels.reaches_failure(),
+            Self::Importance(proposal) => proposal.reaches_failure(),
         }
     }
 
     /// How many runs the repetitions will make at most.
     #[must_use]
     pub fn runs_ahead(&self) -> u64 {
-        match &self.prepared {
-            Prepared::Splitting(levels) => levels.runs_ahead(),
-            Prepared::Importance(proposal) => proposal.runs_ahead(self.effort),
+        match self {
+            Self::Splitting(levels) => levels.runs_ahead(),
+            Self::Importance(proposal) => proposal.runs_ahead(),
         }
     }
 
@@ -78,7 +70,7 @@ impl Pilot {
     /// # Errors
     /// Those of the problem.
     pub fn estimate<P: Problem>(&self, problem: &P, done: &(dyn Fn(u64) + Sync)) -> Result<Estimate, P::Error> {
-        Ok(self.summary([&self.repeat(problem, 0..self.effort.repetitions as u64, done)?]))
+        Ok(self.summary([&self.repeat(problem, 0..self.levels().effort().repetitions as u64, done)?]))
     }
 
     /// Runs some of the repetitions: each is a function of the seed and its number alone. None where no failure was reached.
@@ -91,12 +83,10 @@ impl Pilot {
         range: Range<u64>,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Repetitions, P::Error> {
-        let range = range.start..range.end.min(self.effort.repetitions as u64);
-        Ok(match &self.prepared {
-            Prepared::Splitting(levels) => Repetitions::Splitting(levels.repeat(problem, range, done)?),
-            Prepared::Importance(proposal) => {
-                Repetitions::Importance(proposal.repeat(problem, (self.effort, self.seed), range, done)?)
-            }
+        let range = range.start..range.end.min(self.levels().effort().repetitions as u64);
+        Ok(match self {
+            Self::Splitting(levels) => Repetitions::Splitting(levels.repeat(problem, range, done)?),
+            Self::Importance(proposal) => Repetitions::Importance(proposal.repeat(problem, range, done)?),
         })
     }
 
@@ -104,15 +94,15 @@ impl Pilot {
     #[must_use]
     pub fn summary<'a>(&self, repeated: impl IntoIterator<Item = &'a Repetitions>) -> Estimate {
         let repeated = repeated.into_iter();
-        match &self.prepared {
-            Prepared::Splitting(levels) => {
+        match self {
+            Self::Splitting(levels) => {
                 let all = repeated.flat_map(|some| match some {
                     Repetitions::Splitting(some) => some.as_slice(),
                     Repetitions::Importance(_) => &[],
                 });
                 levels.summary(all.cloned().collect())
             }
-            Prepared::Importance(proposal) => {
+            Self::Importance(proposal) => {
                 let all = repeated.flat_map(|some| match some {
                     Repetitions::Importance(some) => some.as_slice(),
                     Repetitions::Splitting(_) => &[],
@@ -124,19 +114,25 @@ impl Pilot {
 
     /// Whether it was run by that method, with that effort and by that seed.
     pub(super) fn is_of(&self, method: RareMethod, effort: Effort, seed: u64) -> bool {
-        let (levels, own) = match &self.prepared {
-            Prepared::Splitting(levels) => (levels, RareMethod::Splitting),
-            Prepared::Importance(proposal) => (&proposal.climbed, RareMethod::Importance),
+        let own = match self {
+            Self::Splitting(_) => RareMethod::Splitting,
+            Self::Importance(_) => RareMethod::Importance,
         };
-        let effort = effort.at_least();
-        own == method && self.effort == effort && self.seed == seed && levels.is_of(effort, seed)
+        own == method && self.levels().is_of(effort, seed)
+    }
+
+    fn levels(&self) -> &Splitting {
+        match self {
+            Self::Splitting(levels) => levels,
+            Self::Importance(proposal) => &proposal.climbed,
+        }
     }
 
     /// Whether these repetitions could have come of it.
     pub(super) fn may_have(&self, repeated: &Repetitions) -> bool {
-        match (&self.prepared, repeated) {
-            (Prepared::Splitting(levels), Repetitions::Splitting(some)) => levels.may_have(some),
-            (Prepared::Importance(_), Repetitions::Importance(some)) => Importance::may_have(self.effort, some),
+        match (self, repeated) {
+            (Self::Splitting(levels), Repetitions::Splitting(some)) => levels.may_have(some),
+            (Self::Importance(proposal), Repetitions::Importance(some)) => proposal.may_have(some),
             _ => false,
         }
     }

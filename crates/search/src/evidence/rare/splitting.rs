@@ -190,6 +190,16 @@ impl Splitting {
         if self.reached { (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64 } else { 0 }
     }
 
+    /// How much work goes into it.
+    pub(super) fn effort(&self) -> Effort {
+        self.effort
+    }
+
+    /// Seed of everything.
+    pub(super) fn seed(&self) -> u64 {
+        self.seed
+    }
+
     /// The levels that repetitions climb, the failure last.
     pub(super) fn stages(&self) -> &[Stage] {
         &self.stages
@@ -228,7 +238,7 @@ impl Splitting {
 
     /// Whether it was placed by that seed with that effort.
     pub(super) fn is_of(&self, effort: Effort, seed: u64) -> bool {
-        self.effort == effort && self.seed == seed
+        self.effort == effort.at_least() && self.seed == seed
     }
 
     /// Whether these repetitions could have come of it.

@@ -10,7 +10,6 @@ use super::record::Examined;
 use super::shrink::shrink;
 use super::together::all_together;
 use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind, Terms};
-use crate::falsify::judging::Judging;
 use crumple_world::measure::{RunVerdict, SpecificationError, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, simulate};
@@ -42,7 +41,7 @@ impl<'a> Examiner<'a> {
             |candidate, ask| self.examine(candidate, ask),
             |asked: &[(Scenario, u32)]| {
                 let asked: Vec<_> = asked.iter().map(|(scenario, parts)| (scenario, *parts)).collect();
-                self.judging().all_at(&asked)
+                self.campaign.judging().all_at(&asked)
             },
         );
         Ok(examined.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
@@ -54,10 +53,6 @@ impl<'a> Examiner<'a> {
         examined
             .par_iter_mut()
             .for_each(|one| one.avoidability = Avoidability::of(specification, &one.verdict, &one.scenario));
-    }
-
-    fn judging(&self) -> Judging<'_> {
-        self.campaign.judging()
     }
 
     fn examine(&self, candidate: &FailureCandidate, ask: &mut Ask<'_>) -> Result<Option<Examined>, CampaignError> {
@@ -94,7 +89,7 @@ impl<'a> Examiner<'a> {
         // From the text, not from memory: the file alone must fail.
         let (scenario, original) = (reread(&self.tidy(&values)?)?, reread(&original)?);
         let (verdict, original_verdict) = (self.judge(&scenario, 1, ask)?, self.judge(&original, 1, ask)?);
-        let options = self.judging().options(&scenario, 1).with_after_contact(AfterContact::Continue);
+        let options = self.campaign.judging().options(&scenario, 1).with_after_contact(AfterContact::Continue);
         let aftermath = simulate(&Run::new(&scenario, options)?, RecordingLevel::Summary);
         let vehicles = 0..scenario.vehicles().len();
         let deltas = vehicles.filter_map(|index| max_delta_v_mps(&aftermath.impacts, index));
@@ -119,7 +114,7 @@ impl<'a> Examiner<'a> {
     }
 
     fn judge(&self, scenario: &Scenario, parts: u32, ask: &mut Ask<'_>) -> Result<RunVerdict, CampaignError> {
-        Ok(ask((scenario.clone(), parts)).unwrap_or_else(|| self.judging().at(scenario, parts))?)
+        Ok(ask((scenario.clone(), parts)).unwrap_or_else(|| self.campaign.judging().at(scenario, parts))?)
     }
 
     /// The scenario of values as it will stand in its file: no trailing digits of rounding, no piece twice in a row.
