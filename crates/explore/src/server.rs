@@ -1,9 +1,13 @@
 //! Connections, their limits, and the end.
 
 use std::convert::Infallible;
+use std::fmt;
+use std::future::{poll_fn, ready};
 use std::io;
 use std::net::{Ipv4Addr, TcpListener};
+use std::pin::Pin;
 use std::sync::Arc;
+use std::task::Poll;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -14,6 +18,7 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response};
 use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 use tokio::time::{sleep, timeout};
 
@@ -51,12 +56,22 @@ const HEADERS: [(&str, &str); 7] = [
 ];
 
 /// A server that is bound and not yet serving.
-#[derive(Debug)]
 pub struct Server {
     listener: TcpListener,
     port: u16,
     application: Arc<Application>,
+    runtime: Runtime,
+    interrupt: Interrupt,
 }
+
+impl fmt::Debug for Server {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.debug_struct("Server").field("port", &self.port).finish_non_exhaustive()
+    }
+}
+
+/// Done at Ctrl-C.
+type Interrupt = Pin<Box<dyn Future<Output = io::Result<()>> + Send>>;
 
 /// Why it cannot serve.
 #[derive(Debug, thiserror::Error)]
@@ -82,7 +97,8 @@ pub enum ServeError {
 }
 
 impl Server {
-    /// Listens at a port of 127.0.0.1; at any that is free for 0.
+    /// Listens at a port of 127.0.0.1, at any that is free for 0; from here on Ctrl-C is no end of the program but the good end of
+    /// [`Server::run`].
     ///
     /// # Errors
     /// [`ServeError`] if that cannot be listened at, or something cannot be offered.
@@ -93,7 +109,21 @@ impl Server {
         listener.set_nonblocking(true).map_err(unusable)?;
         let port = listener.local_addr().map_err(unusable)?.port();
         let gate = Gate::new(port)?;
-        Ok(Self { listener, port, application: Arc::new(Application::new(gate, offer)) })
+        // Simulations take the processors one each; connections need little more than one thread among them.
+        let processors = std::thread::available_parallelism().map_or(2, usize::from).max(2);
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .max_blocking_threads(processors)
+            .build()
+            .map_err(ServeError::System)?;
+        let mut interrupt: Interrupt = Box::pin(tokio::signal::ctrl_c());
+        // The first poll sets the handler: who has read the address may interrupt at once.
+        let interrupt: Interrupt =
+            match runtime.block_on(poll_fn(|context| Poll::Ready(interrupt.as_mut().poll(context)))) {
+                Poll::Ready(already) => Box::pin(ready(Ok(already.map_err(ServeError::System)?))),
+                Poll::Pending => interrupt,
+            };
+        Ok(Self { listener, port, application: Arc::new(Application::new(gate, offer)), runtime, interrupt })
     }
 
     /// The first address, with the token.
@@ -113,20 +143,13 @@ impl Server {
     /// # Errors
     /// [`ServeError::System`] if the system does not let it.
     pub fn run(self) -> Result<(), ServeError> {
-        // Simulations take the processors one each; connections need little more than one thread among them.
-        let processors = std::thread::available_parallelism().map_or(2, usize::from).max(2);
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .max_blocking_threads(processors)
-            .build()
-            .map_err(ServeError::System)?;
-        let done = runtime.block_on(async {
+        let done = self.runtime.block_on(async {
             let listener = tokio::net::TcpListener::from_std(self.listener)?;
             tokio::spawn(accept(listener, self.application));
-            tokio::signal::ctrl_c().await
+            self.interrupt.await
         });
         // What is still being simulated is of use to nobody.
-        runtime.shutdown_background();
+        self.runtime.shutdown_background();
         done.map_err(ServeError::System)
     }
 }

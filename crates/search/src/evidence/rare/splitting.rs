@@ -230,7 +230,8 @@ impl Splitting {
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
             let mut climber = Climber::new(problem, self.effort.samples, random, done);
-            let (failures, seen) = climber.climb(&self.stages)?;
+            let mut seen = Vec::with_capacity(self.stages.len());
+            let failures = climber.climb(&self.stages, None, |here, _| seen.push(here))?;
             Ok(Repetition { failures, seen, evaluations: climber.evaluations })
         };
         repetitions.into_par_iter().map(repeat).collect()
@@ -343,9 +344,14 @@ impl<'a, P: Problem> Climber<'a, P> {
         Self { problem, samples, random, evaluations: 0, done }
     }
 
-    /// How many runs failed of the first ones, and what was seen at each level.
-    fn climb(&mut self, stages: &[Stage]) -> Result<(u64, Vec<Seen>), P::Error> {
-        let mut seen = Vec::with_capacity(stages.len());
+    /// Takes a population down the levels, and says how many runs failed of the first ones; `told` hears at each level what was seen, and
+    /// who is below it. Below the last one runs are moved on only with a `last_step`.
+    fn climb(
+        &mut self,
+        stages: &[Stage],
+        last_step: Option<f64>,
+        mut told: impl FnMut(Seen, &[Sample]),
+    ) -> Result<u64, P::Error> {
         let mut population = self.first()?;
         let failures = failures(&population);
         for stage in stages {
@@ -353,34 +359,27 @@ impl<'a, P: Problem> Climber<'a, P> {
             let share = survivors.len() as f64 / self.samples as f64;
             let mut here = Seen { share, accepted: 0, proposed: 0 };
             population = self.multiplied(survivors);
-            if !stage.is_last && !population.is_empty() {
+            let step = if stage.is_last { last_step } else { Some(stage.step) };
+            if let Some(step) = step.filter(|_| !population.is_empty()) {
                 for _ in 0..MOVES {
-                    let (accepted, proposed) = self.moved(&mut population, stage)?;
+                    let (accepted, proposed) = self.moved(&mut population, &Stage { step, ..*stage })?;
                     here = Seen { accepted: here.accepted + accepted, proposed: here.proposed + proposed, ..here };
                 }
             }
-            seen.push(here);
+            told(here, &population);
             if population.is_empty() {
                 break;
             }
         }
-        Ok((failures, seen))
+        Ok(failures)
     }
 
-    /// What comes of a population at each level, spread out over what lies below it; nobody once it has died out.
+    /// Who is below each level, spread out, failures last; fewer levels where a population dies out.
     pub(super) fn populations(&mut self, stages: &[Stage]) -> Result<Vec<Vec<Sample>>, P::Error> {
-        let mut population = self.first()?;
-        let (mut all, mut step) = (Vec::with_capacity(stages.len()), 1.0);
-        for stage in stages {
-            // The last one has no step of its own, and that of the level before leads to where chances are as good.
-            step = if stage.is_last { step } else { stage.step };
-            let survivors = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
-            population = self.multiplied(survivors);
-            for _ in 0..if population.is_empty() { 0 } else { MOVES } {
-                self.moved(&mut population, &Stage { step, ..*stage })?;
-            }
-            all.push(population.clone());
-        }
+        // The step of the level before leads to where chances are as good.
+        let last_step = stages.iter().rev().find(|stage| !stage.is_last).map_or(1.0, |before| before.step);
+        let mut all = Vec::with_capacity(stages.len());
+        self.climb(stages, Some(last_step), |_, population| all.push(population.to_vec()))?;
         Ok(all)
     }
 
