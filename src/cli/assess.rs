@@ -12,11 +12,12 @@ use super::simulate::Format;
 use super::{Failure, interrupt, progress};
 use crumple_report::assessment::{
     AssessError, AssessmentPlan, ComparisonError, Earlier, EvidenceShardError, FOLDERS, MOST_EVIDENCE_BYTES, Made,
-    MergedEvidence, Store, StoreError, assess, files_of_evidence, gather_shard,
+    MergedEvidence, REPORT, Store, StoreError, assess, files_of_evidence, gather_shard,
 };
 use crumple_search::disk::{self, DiskError, Files};
 use crumple_search::program;
 use crumple_search::shard::{MissingShards, Shard};
+use crumple_search::work;
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
@@ -96,6 +97,12 @@ impl Assess {
         interrupt::says(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
         let (identity, begun) = (program::identity()?, Instant::now());
         check_own_folders(&self.out)?;
+        if let Some(kind) = work::kind_in(&self.out).filter(|kind| kind != REPORT) {
+            return Err(Failure::Input(format!(
+                "--out: {} holds a {kind}, whose work.json a report would replace",
+                self.out.display()
+            )));
+        }
         let store = Store::open(&kept, identity, self.fresh)?;
         if let Some(unknown) = plan.without_identity() {
             let note = format!(

@@ -135,7 +135,11 @@ impl Checked<'_> {
             text += &format!("  assuming that {assumption}\n");
         }
         let old = if certificate.is_old() { ", an old one: docs/certificates.md says what it leaves open" } else { "" };
-        text + &format!("  version {}{old}; SHA-256 {}\n", certificate.version, certificate.digest())
+        text + &format!(
+            "  version {}{old}; SHA-256 of what it says, without spaces and line breaks: {}\n",
+            certificate.version,
+            certificate.digest()
+        )
     }
 }
 

@@ -23,7 +23,8 @@ as it was before. --restore goes back to that, where something is damaged; --res
 damaged and was not kept cannot be gone on from: begin anew in another --out, with the same seed it ends with the same results.
 
 Files beside those of the work are named, and left alone; so are `training.json` and the learning curves of a folder of trainings, which every \
-`train` writes anew. A folder of `crumple assess` is none of work: what is kept there is checked when it is used. Damage is exit code 1.
+`train` writes anew. A report of `crumple assess` has a `work.json`, too; the evidence kept in its folder `evidence` is checked when it is used.
+Damage is exit code 1.
 
 It finds what was cut, edited, moved or lost, on purpose or by accident; not the work of somebody who wrote files and `work.json` anew.
 
@@ -31,7 +32,7 @@ Examples:
   crumple fsck runs/baseline
   crumple fsck --restore runs/seed-3")]
 pub(super) struct Fsck {
-    /// Folders of campaigns, counts, trainings and retrainings
+    /// Folders of campaigns, counts, trainings, retrainings and reports
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
     /// Go back to what was kept, where something is damaged

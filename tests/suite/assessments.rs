@@ -202,6 +202,16 @@ fn every_command_of_a_report_runs_in_its_folder() {
     }
     commands.iter().for_each(|command| shell(command));
     shell("sh replay.sh");
+    // A failure that was made another is one all the same: it is the file that gives it away.
+    shell("crumple fsck .");
+    let files = assessment.files().expect("renders");
+    let counterexample =
+        |(name, _): &&(String, Vec<u8>)| name.starts_with("counterexamples/") && name.ends_with(".toml");
+    let (name, contents) = files.iter().find(counterexample).expect("it fails somewhere");
+    fs::write(report.join(name), [contents, b"# edited\n".as_slice()].concat()).expect("writes");
+    let looked = Command::new(program).args(["fsck", "."]).current_dir(&report).output().expect("runs");
+    let said = String::from_utf8_lossy(&looked.stdout);
+    assert!(looked.status.code() == Some(1) && said.contains(name.as_str()), "{said}");
     assert!(!report.join("PWNED").exists() && !folder.path().join("PWNED").exists());
 }
 

@@ -41,6 +41,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
         "evidence",
         "replay.sh",
         "scenarios",
+        "work.json",
     ];
     for threads in ["1", "2"] {
         let out = format!("report-{threads}");

@@ -171,9 +171,12 @@ pub(super) fn script<'a>(commands: impl Iterator<Item = &'a Command>) -> String 
          # Shows again what this report shows; every command may also be run by itself, in this folder. CRUMPLE names the program.\n\
          cd \"$(dirname \"$0\")\" || exit 2\n\
          crumple=${CRUMPLE:-crumple}\n\
+         \"$crumple\" --version > /dev/null || { echo \"no program: CRUMPLE=/path/to/crumple sh replay.sh\" >&2; exit 2; }\n\
          failed=0\n\
          run() { \"$crumple\" \"$@\" || { echo \"did not end as reported: crumple $*\" >&2; failed=1; }; }\n",
     );
+    // What was edited since may fail in another way than the report says.
+    script += "run fsck .\nrun check --rerun certificates/*.json\n";
     for command in commands {
         script += &format!("run {}\n", command.quoted());
     }

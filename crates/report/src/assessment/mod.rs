@@ -43,12 +43,12 @@ pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchC
 pub use gate::{Gate, GateResult};
 pub use parts::{
     Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
-    Distributions, EXAMPLE_MPS, Earlier, Element, ElementKind, Failure, FailureMap, FailureMaps, FirstPage, Glossary,
-    Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, LineVerdict, MOST_EVIDENCE_BYTES, Made, MapAxis, MapCell,
-    MapRow, MethodReached, Mildest, NamedThing, Paired, PaperScenarios, Percent, Proof, ProofStatus, Proofs,
-    Provenance, RuleSearch, RuleSearches, RuleViolation, Rules, Sampled, ScenarioCases, Search, Searches,
-    SpaceSearches, SpeaksOf, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites, Summary, Traffic,
-    UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
+    Distributions, Domains, EXAMPLE_MPS, Earlier, Element, ElementKind, Failure, FailureMap, FailureMaps, FirstPage,
+    Glossary, Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, LineVerdict, MOST_EVIDENCE_BYTES, Made, MapAxis,
+    MapCell, MapRow, MethodReached, Mildest, NamedThing, Paired, PaperScenarios, ParameterInNumbers, Percent, Proof,
+    ProofStatus, Proofs, Provenance, RuleSearch, RuleSearches, RuleViolation, Rules, Sampled, ScenarioCases, Search,
+    Searches, SpaceInNumbers, SpaceSearches, SpeaksOf, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites,
+    Summary, Traffic, UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -58,6 +58,7 @@ pub use store::{EvidenceHash, Store, StoreError};
 
 use crumple_search::evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
+use crumple_search::work::{MANIFEST, manifest_of};
 use crumple_search::worst_case::AttackError;
 use crumple_world::measure::SpecificationError;
 use crumple_world::scenario::InvalidField;
@@ -103,6 +104,8 @@ pub struct Assessment {
     pub proofs: Proofs,
     /// How the learned policies drive; none if there are none among the controllers.
     pub learned: Option<Learned>,
+    /// The spaces in numbers.
+    pub domains: Domains,
     /// What this does not show.
     pub limits: Limits,
     /// The verdict as a goal structure.
@@ -239,6 +242,7 @@ pub fn assess_until(
         learned: paper_scenarios.as_ref().and_then(|paper| Learned::of(plan, paper)),
         provenance: Provenance::of(plan, store),
         comparison: None,
+        domains: Domains::of(plan, usefulness.as_ref()),
         command_files: plan.files_beside()?,
         first_page,
         summary,
@@ -312,7 +316,7 @@ impl Assessment {
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn Part));
         parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn Part));
         parts.extend(self.learned.as_ref().map(|learned| learned as &dyn Part));
-        parts.extend([&Glossary as &dyn Part, &self.provenance]);
+        parts.extend([&self.domains as &dyn Part, &Glossary, &self.provenance]);
         parts
     }
 
@@ -364,7 +368,13 @@ impl Assessment {
         let failures = self.searches.failures().flat_map(Failure::files);
         let of_suites = self.suites.iter().flat_map(Suites::files);
         let of_rules = self.rules.iter().flat_map(Rules::files);
-        Ok(texts.chain(failures).chain(of_suites).chain(of_rules).chain(needed).collect())
+        let mut all: Vec<_> = texts.chain(failures).chain(of_suites).chain(of_rules).chain(needed).collect();
+        // Runs for other simulators are made of the counterexamples, and may be left out where a report is kept.
+        let is_kept = |(name, _): &&(String, Vec<u8>)| !name.ends_with(".xosc") && !name.ends_with(".xodr");
+        let contents = all.iter().filter(is_kept).map(|(name, contents)| (name.as_str(), contents.as_slice()));
+        let manifest = manifest_of(REPORT, &self.provenance.config_sha256, contents)?;
+        all.push((MANIFEST.to_owned(), manifest.into_bytes()));
+        Ok(all)
     }
 
     /// Every command that shows again what the report shows, in its order.
@@ -375,6 +385,9 @@ impl Assessment {
         failures.chain(of_suites).chain(of_rules).chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
     }
 }
+
+/// What a folder with a report holds, as `work.json` there says.
+pub const REPORT: &str = "report of an assessment";
 
 /// The folders of a report that hold files which another report may not have.
 pub const FOLDERS: [&str; 5] = ["counterexamples/", "certificates/", "controllers/", "spaces/", "scenarios/"];

@@ -34,6 +34,9 @@ pub(super) struct Manifest {
     /// What it is to write, apart from its other files: nothing else may be in these places. Folders end in a slash.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     outputs: Vec<String>,
+    /// Whether others may put files into its folders, beside its own.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    shares_folders: bool,
     /// Each file as it is, once what is pending is made.
     files: BTreeMap<String, FileState>,
     /// Changes that were announced and may not yet be made. All that they need is on the disk.
@@ -51,10 +54,21 @@ impl Manifest {
             program: Some(program.to_owned()),
             configuration_sha256: configuration_sha256.to_owned(),
             outputs: outputs.iter().map(|name| (*name).to_owned()).collect(),
+            shares_folders: false,
             files: BTreeMap::new(),
             pending: Vec::new(),
             sha256: String::new(),
         }
+    }
+
+    /// Of work that is complete: these are its files, and others may lie in their folders.
+    pub(super) fn of_all<'a>(
+        kind: &str,
+        configuration_sha256: &str,
+        files: impl Iterator<Item = (&'a str, &'a [u8])>,
+    ) -> Self {
+        let files = files.map(|(name, contents)| (name.to_owned(), FileState::of(contents))).collect();
+        Self { program: None, shares_folders: true, files, ..Self::new(kind, "", configuration_sha256, &[]) }
     }
 
     /// What tells the work from all other, as it is done by a program.
@@ -100,7 +114,7 @@ impl Manifest {
     }
 
     /// The file, with its digest in it.
-    fn text(&self) -> Result<String, serde_json::Error> {
+    pub(super) fn text(&self) -> Result<String, serde_json::Error> {
         let with = |sha256| serde_json::to_string_pretty(&Self { sha256, ..self.clone() }).map(|text| text + "\n");
         with(sha256(with(String::new())?))
     }
@@ -145,6 +159,9 @@ impl Manifest {
     /// Files in the folders of the work of which it knows nothing, and folders that are none of its own, or links; and whatever is in
     /// the place of something that is still to be written. In the first folder anything else may lie beside the work.
     pub(super) fn strangers(&self, root: &Path) -> Result<Vec<PathBuf>, DiskError> {
+        if self.shares_folders {
+            return Ok(Vec::new());
+        }
         let (folders, files): (Vec<&str>, Vec<&str>) =
             self.outputs.iter().map(String::as_str).partition(|name| name.ends_with('/'));
         let is_stranger = |name: &&str| !self.knows(name) && root.join(name).symlink_metadata().is_ok();

@@ -46,6 +46,25 @@ pub fn is_there(folder: &Path) -> bool {
     folder.join(MANIFEST).exists() || generation::manifest_in(folder).exists()
 }
 
+/// The manifest of files that are written all at once, by whoever made them, as those of a report are: `work.json` beside them, and
+/// [`examine`] knows what was cut, edited or moved since.
+///
+/// # Errors
+/// [`serde_json::Error`] in principle; it is text and numbers.
+pub fn manifest_of<'a>(
+    kind: &str,
+    configuration: &str,
+    files: impl Iterator<Item = (&'a str, &'a [u8])>,
+) -> Result<String, serde_json::Error> {
+    Manifest::of_all(kind, &sha256(configuration), files).text()
+}
+
+/// What kind of work a folder holds, by its manifest; none if it has none that can be read.
+#[must_use]
+pub fn kind_in(folder: &Path) -> Option<String> {
+    Some(Manifest::read(&folder.join(MANIFEST)).ok()??.kind)
+}
+
 /// What tells work of a kind with a configuration from all other, as this program does it ([`Work::identity`]).
 pub(crate) fn identity(kind: &str, configuration: &str) -> Result<String, DiskError> {
     let program = program::identity()?;

@@ -280,6 +280,10 @@ impl Claim {
             (Property::RateAtMost { .. } | Property::FailsLessOften { .. }, Domain::Space { space }) => {
                 format!("by the law of `{}`", space.name)
             }
+            // Through a filter a shield takes for granted that the truth is near.
+            (Property::NoContactAhead, Domain::Kernels { .. }) if self.subject.estimator == EstimatorKind::Kalman => {
+                format!("{}, while its filter is off by no more than six standard deviations", self.domain.words())
+            }
             (_, domain) => domain.words(),
         }
     }

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::certified::seeing;
 use super::{Limits, ScenarioCases, Searches, Summary, Usefulness};
-use crate::assessment::claims::{Claim, Property, Rule, Standing, Strength};
+use crate::assessment::claims::{Claim, Domain, Property, Rule, Standing, Strength};
 use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::prose::prose;
 use crate::assessment::{AssessmentPlan, Part};
@@ -117,7 +117,11 @@ fn safer(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> String 
     match spaces.as_slice() {
         [] => format!("That it fails less often than `{}` is not shown.", first.name),
         spaces => {
-            format!("It is shown to fail less often than `{}` {}, and nowhere else.", first.name, spaces.join(" and "))
+            format!(
+                "A certificate shows that it fails less often than `{}` {}, and none shows it elsewhere.",
+                first.name,
+                spaces.join(" and ")
+            )
         }
     }
 }
@@ -130,6 +134,12 @@ fn is_asked(plan: &AssessmentPlan, claim: &Claim) -> bool {
 
 /// What a claim that does not hold comes to, what happens before how often.
 fn refuted(words: &str, claim: &Claim, standing: &Standing) -> String {
+    if let (Domain::AnyLeaderBraking { scenario }, Strength::Defeated { peak_brake_mps2 }) =
+        (&claim.domain, &standing.strength)
+    {
+        let what = claim.property.violated_words();
+        return format!("{what} in {} where its leader brakes at up to {peak_brake_mps2} m/s² instead", scenario.name);
+    }
     let strength = standing.strength.words();
     match strength.strip_prefix("refuted") {
         Some(how) => {

@@ -155,7 +155,7 @@ impl Proposition<'_> {
                     self.claim.domain.words()
                 )
             }
-            _ => format!("{name} has {}", self.row.claim),
+            _ => format!("of {name} it is claimed: {}", self.row.claim),
         }
     }
 }
@@ -184,9 +184,7 @@ const GOALS: [(&str, &str, Kind); 6] = [
     ("passes tests after regulations, as far as the model has them", "over suites of tests", |property| {
         matches!(property, Property::PassesTests)
     }),
-    ("fails rarely by the laws of the spaces drawn from", "over the spaces drawn from", |property| {
-        matches!(property, Property::RateAtMost { .. })
-    }),
+    ("fails rarely", "over spaces, by the law of each", |property| matches!(property, Property::RateAtMost { .. })),
     ("fails less often than the controller that it is compared with", "over runs that both made", |property| {
         matches!(property, Property::FailsLessOften { .. })
     }),
@@ -204,6 +202,16 @@ const GOALS: [(&str, &str, Kind); 6] = [
         },
     ),
 ];
+
+/// Where claims about how often something happens are made: one of them must not be read without that.
+fn rare_where(about: &[&Proposition<'_>]) -> String {
+    let is_rate = |one: &&&Proposition<'_>| {
+        matches!(one.claim.property, Property::RateAtMost { .. } | Property::FailsLessOften { .. })
+    };
+    let mut places: Vec<String> = about.iter().filter(is_rate).map(|one| one.claim.place()).collect();
+    places.dedup();
+    if places.is_empty() { String::new() } else { format!(", {}", places.join(" and ")) }
+}
 
 impl Argument {
     pub(in crate::assessment) fn of(plan: &AssessmentPlan, summary: &Summary, limits: &Limits) -> Self {
@@ -249,7 +257,7 @@ impl Argument {
             if about.is_empty() {
                 continue;
             }
-            let goal = building.add(ElementKind::Goal, format!("{subject} {says}"));
+            let goal = building.add(ElementKind::Goal, format!("{subject} {says}{}", rare_where(&about)));
             building.support(&over, goal.clone());
             let strategy = building.add(ElementKind::Strategy, by);
             building.support(&goal, strategy.clone());

@@ -218,7 +218,8 @@ fn shown(accepted: &Accepted) -> String {
     let down = |value: f64| (100.0 * value).floor() / 100.0;
     match accepted {
         Accepted::Rate { at_most, confidence } => {
-            format!("at most {:.4} % of runs fail, at confidence {} %", 100.0 * at_most + 5e-5, 100.0 * confidence)
+            let (percent, confidence_percent) = (100.0 * at_most + 5e-5, 100.0 * confidence);
+            format!("by its counts, at most {percent:.4} % of runs fail, at confidence {confidence_percent} %")
         }
         Accepted::Reach { verified_share, smallest_gap_m, horizon_s, .. } => format!(
             "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s",

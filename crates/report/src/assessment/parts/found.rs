@@ -159,7 +159,7 @@ impl Failure {
     pub(super) fn words(&self) -> String {
         let fragile = if self.dt_fragile { ", only at the scenario's step" } else { "" };
         match (self.impact_speed_mps, self.contact_time_s) {
-            (Some(speed), Some(time)) => format!("{} at {speed} m/s after {time} s{fragile}", self.kind),
+            (Some(speed), Some(time)) => format!("{}: impact at {speed} m/s, after {time} s{fragile}", self.kind),
             _ => format!("{}{fragile}", self.kind),
         }
     }

@@ -49,8 +49,8 @@ impl Limits {
                 ),
             },
             limit(
-                "All other traffic reacts without delay or error",
-                "It sees the true state, unless a scenario says otherwise; the follower's emergency brake never fails.",
+                "All other traffic sees the true state, and reacts as fast as its scenario says",
+                "Without delay, unless a scenario or a space states one; the follower's emergency brake never fails.",
             ),
             limit(
                 "Draws follow the law of their space",

@@ -170,11 +170,11 @@ const INTRODUCTION: &str = "Each claim here is a file that the checker accepted;
     vehicle ahead however that one brakes within its limit, and nothing avoids it from any other: a shield (shield:policy, \
     or before any other controller) lets an action through only if the state stays inside. A rate bounds the share of \
     failures from counted runs that were registered before the first of them; a comparison says which of two controllers \
-    fails less often. Reach bounds the closed loop of a policy over a whole box of starts. A gap bound says of a scenario how \
+    fails less often. Both rest on counts: those made here are of this run, and whoever has only the file counts again by --rerun. Reach bounds the closed loop of a policy over a whole box of starts. A gap bound says of a scenario how \
     close two vehicles get whoever drives; an unavoidable one, that they touch. Nothing is proved of the vehicle behind a shield, \
     nor that a shielded vehicle drives well; on another friction the gaps of a kernel scale by its inverse.";
 
-const RECHECK: &str = "crumple check certificates/*.json";
+const RECHECK: &str = "crumple check --rerun certificates/*.json";
 
 impl Part for Proofs {
     fn heading(&self) -> (&'static str, String) {

@@ -76,7 +76,19 @@ impl Provenance {
                 "searches",
                 format!("{}, {} evaluations a method", self.config.searched().join(", "), self.config.search.budget),
             ),
-            ("counted runs", format!("{} at confidence {}", self.config.rates.runs, self.config.rates.confidence)),
+            (
+                "counted runs",
+                format!(
+                    "{} at confidence {}, with the seed that each certificate states",
+                    self.config.rates.runs, self.config.rates.confidence
+                ),
+            ),
+            ("drives in everyday traffic", self.config.everyday_draws.to_string()),
+            ("gates", format!("{}, stated by the configuration", self.config.gates.len())),
+            (
+                "made again by",
+                "crumple assess, with this configuration, which is in assessment.json, as a file".to_owned(),
+            ),
             (
                 "scenarios from files",
                 self.config.scenarios.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", "),

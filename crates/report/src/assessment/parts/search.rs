@@ -411,10 +411,12 @@ fn read(path: &Path) -> Result<String, AssessError> {
 const INTRODUCTION: &str = "A search looks for contacts; points drawn evenly over the ranges (uniform) and a Halton sequence get the same budget. Failures are \
     replayed at the scenario's step and at a tenth of it, shrunk towards the nominal scenario, told apart, ranked by severity \
     and by likelihood, and classed: avoidable, if a driver who knows the future has an escape; unavoidable, if the checker has \
-    accepted a proof that nobody has one. A failure says that something can happen, not how often.";
+    accepted a proof that nobody has one; `avoid` shows the escape or the proof again. A failure says that something can \
+    happen, not how often: it may need values from the far tails of the law, which a search takes as readily as others.";
 
 const WHERE: &str = "Commands run in the folder of this report, where policies and spaces that are not built in lie beside it; \
-    `replay.sh` runs all that show a failure.";
+    `replay.sh` checks the files of the report and runs all that show a failure. A controller from outside that is no file of its own \
+    (a process, an FMU) has no commands here.";
 
 impl Part for Searches {
     fn heading(&self) -> (&'static str, String) {
@@ -423,7 +425,7 @@ impl Part for Searches {
 
     fn html(&self) -> Markup {
         html! {
-            p { (INTRODUCTION) " " (prose(WHERE)) }
+            p { (prose(INTRODUCTION)) " " (prose(WHERE)) }
             @for space in &self.spaces {
                 h3 { "Space " (space.name) }
                 p { (prose(&space.about)) }
@@ -468,7 +470,12 @@ impl Part for Searches {
                     None => words,
                 });
                 text.list(search.failures.iter().map(|failure| {
-                    let words = Inline::prose(&format!("{}, {}", failure.words(), failure.class_words()));
+                    let words = Inline::prose(&format!(
+                        "{}, {}, rank {} by likelihood",
+                        failure.words(),
+                        failure.class_words(),
+                        failure.likelihood_rank
+                    ));
                     match &failure.replay {
                         Some(command) => words.and(": ").and_code(command),
                         None => words,

@@ -94,6 +94,8 @@ pub struct SuiteOutcome {
     pub points: u64,
     /// How many of them passed.
     pub points_passed: u64,
+    /// How many of them failed; the rest cannot be run.
+    pub points_failed: u64,
     /// How many points were run, of the grid and of the search within ranges and tolerances.
     pub runs: u64,
     /// How many of them failed.
@@ -153,9 +155,16 @@ impl Suites {
             let of_tested = planned.tested.iter().enumerate().filter_map(|(column, &place)| {
                 let claim = claims.get(place)?.clone()?;
                 let outcomes = || found.tests.iter().filter_map(|test| test.outcomes.get(column));
-                let runs = outcomes().map(|outcome| outcome.runs).sum();
-                let strength = Strength::of(outcomes().map(|outcome| outcome.failures).sum(), runs);
-                Some(Evidence { claim, strength, source: Source::part(ANCHOR, format!("{runs} runs")) })
+                let sum = |of: fn(&SuiteOutcome) -> u64| outcomes().map(of).sum::<u64>();
+                let (failed, runs) = (sum(|one| one.points_failed), sum(|one| one.runs));
+                let points = failed + sum(|one| one.points_passed);
+                // A search goes where it fails: how many of its points do says nothing of the tests.
+                let of_tests = Strength::of(failed, points);
+                let (strength, made) = match of_tests.is_refutation() {
+                    true => (of_tests, format!("{points} points that the tests state")),
+                    false => (Strength::of(sum(|one| one.failures), runs), format!("{runs} points, searched ones too")),
+                };
+                Some(Evidence { claim, strength, source: Source::part(ANCHOR, made) })
             });
             of_tested.collect::<Vec<_>>()
         };
@@ -242,6 +251,7 @@ impl SuiteOutcome {
             verdict: verdict(&tested.verdict),
             points: tested.points as u64,
             points_passed: passed,
+            points_failed: failed,
             runs: passed + failed + within.map_or(0, |within| within.tried as u64),
             failures: failed + within.map_or(0, |within| within.failures as u64),
             margins: least_margins(&tested.margins),

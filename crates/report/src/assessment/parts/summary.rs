@@ -86,6 +86,9 @@ impl Findings<'_> {
 /// The largest share of collisions that still counts as rare, in percent.
 const RARE_PERCENT: f64 = 1.0;
 
+/// Who decides what must hold.
+const GATES: &str = "Whoever configured this report chose them, and they decide how the program ends; the answer above does not depend on them.";
+
 impl Summary {
     pub(in crate::assessment) fn of(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Self {
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
@@ -286,6 +289,7 @@ impl Part for Summary {
             }
             @if !self.gates.is_empty() {
                 h3 { "Gates" }
+                p { (GATES) }
                 (self.gate_table().html())
             }
             details { summary { "how evidence speaks for claims" } ul { li { (Rule::Own.words()) } @for rule in Rule::ALL { li { (rule.words()) } } } }
@@ -303,6 +307,7 @@ impl Part for Summary {
         }
         if !self.gates.is_empty() {
             text.heading(3, "Gates");
+            text.paragraph(GATES);
             self.gate_table().markdown(&mut text);
         }
         text

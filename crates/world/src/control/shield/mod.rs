@@ -49,7 +49,8 @@ use std::collections::VecDeque;
 use super::{AnyController, Controller, ControllerFailure, within};
 use crate::observation::Observation;
 
-/// Successive steps in which a shield braked instead of doing what its controller wanted.
+/// Successive steps in which a shield braked instead of doing what its controller wanted, or in which the state was outside the kernel,
+/// where a shield brakes fully whatever its controller wants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Override {
     /// First step.
@@ -133,9 +134,9 @@ impl Controller for Shield {
             && !self.frame.admits(state, wanted_mps2)
         {
             command_mps2 = -self.frame.brake_mps2;
-            // A controller that brakes fully by itself is not overruled.
-            if wanted_mps2 > command_mps2 {
-                let outside_kernel = self.frame.spare_m(state) < 0.5 * self.frame.margin_m;
+            let outside_kernel = self.frame.spare_m(state) < 0.5 * self.frame.margin_m;
+            // A controller that brakes fully by itself is not overruled; that nothing is promised any more is told all the same.
+            if wanted_mps2 > command_mps2 || outside_kernel {
                 self.note_override(outside_kernel, self.frame.endangers_rear(seen));
             }
         }

@@ -225,7 +225,7 @@ fn overrides_in_successive_steps_are_one() {
     assert_eq!(shield.overrides(), [first, second]);
 }
 
-/// Whoever brakes fully is not overruled; whoever answers with more than can be had is cut to that.
+/// Whoever brakes fully is not overruled, but told of where nothing is promised any more; whoever answers with more than can be had is cut to that.
 #[test]
 fn only_what_is_changed_is_an_override() {
     let frame = Frame { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_steps() };
@@ -233,8 +233,12 @@ fn only_what_is_changed_is_an_override() {
     assert_eq!(shield.decide(&behind(20.0, 900.0, 20.0, 0.0)).unwrap(), 1.0, "cut to what there is");
     let full_brake = Frame { accel_mps2: -2.0, ..frame };
     let mut braking = self::shield(full_brake);
-    assert_eq!(braking.decide(&behind(20.0, 0.5, 20.0, 0.0)).unwrap(), -2.0);
+    let near_m = full_brake.kernel().demanded_gap_m(20.0, 20.0) + 0.01;
+    assert_eq!(braking.decide(&behind(20.0, near_m, 20.0, 0.0)).unwrap(), -2.0);
     assert_eq!(braking.overrides(), []);
+    assert_eq!(braking.decide(&behind(20.0, near_m - 1.0, 20.0, 0.0)).unwrap(), -2.0);
+    let told = Override { first_step: 1, last_step: 1, outside_kernel: true, rear_conflict: false };
+    assert_eq!(braking.overrides(), [told]);
 }
 
 #[test]

@@ -251,6 +251,37 @@ impl<'de> Deserialize<'de> for DriverName {
     }
 }
 
+/// The law and the range, as a reader wants them; without the unit.
+impl fmt::Display for Distribution {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Uniform(Uniform { low, high }) => write!(out, "{low} to {high}, evenly"),
+            Self::LogUniform(Uniform { low, high }) => write!(out, "{low} to {high}, evenly on a logarithmic scale"),
+            Self::Normal(Normal { mean, deviation, low, high }) => {
+                write!(out, "{low} to {high}, normal: {mean} ± {deviation}")
+            }
+            Self::LogNormal(LogNormal { ln_mean, ln_deviation, low, high }) => {
+                write!(out, "{low} to {high}, log-normal: logarithm {ln_mean} ± {ln_deviation}")
+            }
+            Self::Gamma(ShapeScale { shape, scale, low, high }) => {
+                write!(out, "{low} to {high}, gamma: shape {shape}, scale {scale}")
+            }
+            Self::Weibull(ShapeScale { shape, scale, low, high }) => {
+                write!(out, "{low} to {high}, Weibull: shape {shape}, scale {scale}")
+            }
+            Self::Choice(Choice { values, weights }) => {
+                let words: Vec<String> = values.iter().map(Value::to_string).collect();
+                write!(out, "{}", words.join(" or "))?;
+                let weights = weights.iter().flatten().map(f64::to_string).collect::<Vec<_>>();
+                if weights.is_empty() { Ok(()) } else { write!(out, ", {}", weights.join(" to ")) }
+            }
+            Self::PointMass(PointMass { at, probability, others }) => {
+                write!(out, "{at} with probability {probability}, otherwise {others}")
+            }
+        }
+    }
+}
+
 impl fmt::Display for Value {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -1,0 +1,123 @@
+//! The spaces that scenarios are drawn from and searched in, in numbers.
+
+use maud::{Markup, html};
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use super::Usefulness;
+use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::prose::prose;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::{AssessmentPlan, Part};
+use crumple_world::scenario::space::{Space, built_in_space};
+
+/// What varies in each space, within which range and by which law.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct Domains {
+    /// One entry a space.
+    pub spaces: Vec<SpaceInNumbers>,
+}
+
+/// A space.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct SpaceInNumbers {
+    /// Its name.
+    pub name: String,
+    /// What it covers.
+    pub about: String,
+    /// What varies.
+    pub parameters: Vec<ParameterInNumbers>,
+    /// Whether some parameters depend on others.
+    pub has_dependence: bool,
+}
+
+/// Something that varies.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct ParameterInNumbers {
+    /// The field of the scenario.
+    pub field: String,
+    /// Its unit.
+    pub unit: String,
+    /// The range and the law within it, in words.
+    pub law: String,
+}
+
+impl Domains {
+    pub(in crate::assessment) fn of(plan: &AssessmentPlan, usefulness: Option<&Usefulness>) -> Self {
+        let mut spaces: Vec<SpaceInNumbers> = Vec::new();
+        let everyday = usefulness.iter().flat_map(|usefulness| usefulness.abouts());
+        let everyday = everyday.filter_map(|(name, _)| built_in_space(&name));
+        let own = plan.distributions.iter().chain(&plan.spaces).map(|named| named.space.clone());
+        for space in own.chain(everyday) {
+            if !spaces.iter().any(|known| known.name == space.name()) {
+                spaces.push(SpaceInNumbers::of(&space));
+            }
+        }
+        Self { spaces }
+    }
+}
+
+impl SpaceInNumbers {
+    fn of(space: &Space) -> Self {
+        let spec = space.spec();
+        let parameters = spec.parameters.iter().map(|one| ParameterInNumbers {
+            field: one.field.clone(),
+            unit: one.unit.clone(),
+            law: one.distribution.to_string(),
+        });
+        Self {
+            name: spec.name.clone(),
+            about: spec.about.clone(),
+            parameters: parameters.collect(),
+            has_dependence: spec.dependence.is_some(),
+        }
+    }
+
+    fn table(&self) -> Table {
+        let mut table = Table::new(&["what varies", "unit", "range and law"]);
+        for one in &self.parameters {
+            table.row(vec![Cell::text(&one.field), Cell::text(&one.unit), Cell::text(&one.law)]);
+        }
+        table
+    }
+
+    fn words(&self) -> String {
+        let depends = if self.has_dependence {
+            " Some of them depend on each other: the file of the space says how."
+        } else {
+            ""
+        };
+        format!("{}{depends}", self.about)
+    }
+}
+
+const INTRODUCTION: &str = "Draws follow the law; a search moves over the whole range. Fields are those of scenario files: vehicle 0 is the \
+    leader, vehicles under test follow, and what is not listed is fixed. `crumple list spaces` names the built-in spaces, and each \
+    certificate of a rate holds the whole space that it was counted in.";
+
+impl Part for Domains {
+    fn heading(&self) -> (&'static str, String) {
+        ("domain", "The domain in numbers".to_owned())
+    }
+
+    fn html(&self) -> Markup {
+        html! {
+            p { (prose(INTRODUCTION)) }
+            @for space in &self.spaces {
+                h3 { "Space " (space.name) }
+                p { (prose(&space.words())) }
+                (space.table().html())
+            }
+        }
+    }
+
+    fn markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        text.paragraph(INTRODUCTION);
+        for space in &self.spaces {
+            text.paragraph(Inline::strong(&format!("Space {}.", space.name)).and(&format!(" {}", space.words())));
+            space.table().markdown(&mut text);
+        }
+        text
+    }
+}
