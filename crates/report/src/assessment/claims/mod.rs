@@ -282,7 +282,7 @@ impl Claim {
             }
             // Through a filter a shield takes for granted that the truth is near.
             (Property::NoContactAhead, Domain::Kernels { .. }) if self.subject.estimator == EstimatorKind::Kalman => {
-                format!("{}, while its filter is off by no more than six standard deviations", self.domain.words())
+                format!("{}, while its filter is off by no more than the shield allows for", self.domain.words())
             }
             (_, domain) => domain.words(),
         }
