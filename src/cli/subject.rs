@@ -31,9 +31,10 @@ pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
     Ok((name_or_path.to_owned(), space))
 }
 
-/// A built-in controller or the one in a file, for clap.
+/// A built-in controller or the one in a file, for clap. What has to be started for it is, once, so that a program that is missing is an
+/// argument that is wrong.
 pub(super) fn controller(name: &str) -> Result<NamedController, String> {
-    NamedController::find(name, Path::new("")).map_err(|error| error.to_string())
+    NamedController::find_and_try(name, Path::new("")).map_err(|error| error.to_string())
 }
 
 /// What a scenario of scripts and fixed drivers does.
