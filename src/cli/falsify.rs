@@ -191,13 +191,14 @@ impl Falsify {
             return made(shard, done?, &out, self.format);
         }
         let (log, kept) = match self.log {
-            Some(LogName::Summary) => (Log::Summary, "summary, counterexamples"),
-            Some(LogName::Full) | None => (Log::Full, "summary, counterexamples, evaluations"),
+            Some(LogName::Summary) => (Log::Summary, ""),
+            Some(LogName::Full) | None => (Log::Full, ", evaluations"),
         };
         let summary = campaign.run_keeping(log, &out, self.resume, &mut show);
         bar.finish_and_clear();
         let summary = summary?;
-        output::note(&format!("wrote {} ({kept})", out.display()), quiet);
+        let found = if summary.counterexamples.is_empty() { "" } else { ", counterexamples" };
+        output::note(&format!("wrote {} (summary{found}{kept})", out.display()), quiet);
         let expected = self.expect.map_or(Ok(()), |expected| expected.is_met(&summary));
         Failure::gate_first(expected, print(&summary, self.format))
     }
@@ -230,7 +231,8 @@ pub(super) fn merge(
     let is_written = missing == 0 || is_part_wanted;
     let summary = if is_written { merged.write_in(folder)? } else { merged.summary()? };
     if is_written {
-        output::note(&format!("wrote {} (summary, counterexamples)", folder.display()), quiet);
+        let found = if summary.counterexamples.is_empty() { "" } else { ", counterexamples" };
+        output::note(&format!("wrote {} (summary{found})", folder.display()), quiet);
     }
     let printed = print(&summary, format);
     let gate = if missing == 0 {

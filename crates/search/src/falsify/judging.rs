@@ -4,7 +4,9 @@ use super::contrast::Contrast;
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{FailedController, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
+use crumple_world::sim::{
+    FailedController, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
+};
 
 /// Everything that decides a verdict on a scenario.
 #[derive(Debug, Clone, Copy)]

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use super::shielding::Shielded;
-use crate::control::{ControllerFailure, ControllerSource, ControllerSpec, Ego, Needs, NetworkController, ProcessController};
+use crate::control::{
+    ControllerFailure, ControllerSource, ControllerSpec, Ego, Needs, NetworkController, ProcessController,
+};
 use crate::digest::sha256;
 use crate::policy::Policy;
 use crate::scenario::controller_file::FileController;

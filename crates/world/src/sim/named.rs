@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use super::{ControllerKind, Shielded};
 use crate::control::{
-    BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, ProcessController, ProcessSetup,
-    RetrainedPolicy, ShieldSettings,
+    BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, ProcessController,
+    ProcessSetup, RetrainedPolicy, ShieldSettings,
 };
 use crate::policy::{Policy, PolicyError};
 use crate::scenario::controller_file::{ControllerFileError, FileController, is_ordinary};
@@ -282,7 +282,8 @@ fn program(name: &str, folder: &Path) -> Option<UnknownController> {
 
 /// A program as a command names it: one in this folder begins with `./`. Of a source or a library, what is made of it.
 fn path_of_program(name: &str, extension: &Option<String>) -> String {
-    let stem = if extension.as_deref() == Some("sh") { Path::new(name).into() } else { Path::new(name).with_extension("") };
+    let stem =
+        if extension.as_deref() == Some("sh") { Path::new(name).into() } else { Path::new(name).with_extension("") };
     let stem = stem.display();
     if name.contains('/') { stem.to_string() } else { format!("./{stem}") }
 }

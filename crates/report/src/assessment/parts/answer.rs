@@ -74,7 +74,7 @@ impl FirstPage {
         // What is refuted because a part of it is stands there already.
         let against: Vec<_> = chosen(&|standing| {
             (standing.strength.is_refutation() && standing.rule != Some(Rule::RefutedInPart))
-                || standing.strength == Strength::Contradicted
+                || matches!(standing.strength, Strength::Contradicted | Strength::Unanswered { .. })
         });
         let against: Vec<String> =
             against.into_iter().map(|(words, claim, standing)| refuted(words, claim, standing)).collect();
@@ -131,6 +131,10 @@ fn is_asked(plan: &AssessmentPlan, claim: &Claim) -> bool {
 /// What a claim that does not hold comes to, what happens before how often.
 fn refuted(words: &str, claim: &Claim, standing: &Standing) -> String {
     let strength = standing.strength.words();
+    // Nothing of what is claimed not to happen did.
+    if let Strength::Unanswered { failures: 0, .. } = standing.strength {
+        return format!("{words}: {}", strength.trim_start_matches("refuted: "));
+    }
     match strength.strip_prefix("refuted") {
         Some(how) => {
             let how = how.strip_prefix(" by").map_or_else(|| how.to_owned(), |by| format!(": with{by}"));

@@ -112,9 +112,10 @@ impl Reached {
         let sampled = if self.method.is_blind() { MOST_POINTS as u64 } else { 0 };
         self.evaluations == made.end - made.start
             && self.failures <= self.evaluations
-            && self.other_unanswered.iter().all(|silent| {
-                is_made(&silent.first) && (1..=self.evaluations - self.failures).contains(&silent.runs)
-            })
+            && self
+                .other_unanswered
+                .iter()
+                .all(|silent| is_made(&silent.first) && (1..=self.evaluations - self.failures).contains(&silent.runs))
             && self.first.is_some() == (self.failures > 0)
             && self.first.iter().all(is_made)
             && !self.best.is_nan()

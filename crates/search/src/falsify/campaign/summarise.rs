@@ -73,10 +73,10 @@ impl MethodSummary {
             first_falsification: reached.first,
             failures: reached.failures,
             best_robustness: finite(reached.best),
-            other_unanswered: reached.other_unanswered.as_ref().map(|silent| Unanswered {
-                runs: silent.runs,
-                because: silent.because.clone(),
-            }),
+            other_unanswered: reached
+                .other_unanswered
+                .as_ref()
+                .map(|silent| Unanswered { runs: silent.runs, because: silent.because.clone() }),
         }
     }
 }
@@ -92,6 +92,10 @@ impl KindSummary {
         Self {
             because: examined.iter().find(|one| one.kind == words).and_then(|one| one.because.clone()),
             kind: words,
+            failed_vehicle: match kind.kind {
+                super::FailureKind::ControllerFailed { vehicle } => Some(vehicle),
+                _ => None,
+            },
             front_vehicle: kind.kind.vehicles().map(|[front, _]| front),
             rear_vehicle: kind.kind.vehicles().map(|[_, rear]| rear),
             count: kind.count(),

@@ -160,6 +160,9 @@ pub struct KindSummary {
     /// Of a controller that gave no answer: when and why, in the severest of those that were looked at.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
+    /// Index of the vehicle whose controller gave no answer; none if it is not about that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub failed_vehicle: Option<u32>,
     /// Index of the vehicle that is hit; none if it is not about a contact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub front_vehicle: Option<u32>,

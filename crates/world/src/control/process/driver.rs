@@ -185,7 +185,8 @@ impl Asking for ProcessDriver {
             match self.ask(&mut second) {
                 Ok(again_mps2) if again_mps2.to_bits() == answer_mps2.to_bits() => self.second = Some(second),
                 Ok(second_mps2) => {
-                    let problem = ProcessProblem::Nondeterministic { first_mps2: answer_mps2, second_mps2, reused: self.reused };
+                    let problem =
+                        ProcessProblem::Nondeterministic { first_mps2: answer_mps2, second_mps2, reused: self.reused };
                     let failure = self.failed(problem, Some(second));
                     return Err(self.controller.refuse(failure));
                 }
