@@ -125,7 +125,17 @@ impl Expectation {
                     "expected nothing, and there are {kinds} distinct failure{plural} in {evaluations} evaluations"
                 )))
             }
-            _ => Ok(()),
+            // What was not judged does not speak for the controller.
+            (Self::Nothing, false) => {
+                match summary.methods.iter().find_map(|method| method.other_unanswered.as_ref()) {
+                    Some(silent) => Err(Failure::Gate(format!(
+                        "expected nothing, and beside some evaluations the other gave no answer, so that they were not judged: {}",
+                        silent.because
+                    ))),
+                    None => Ok(()),
+                }
+            }
+            (Self::Failure, true) => Ok(()),
         }
     }
 }

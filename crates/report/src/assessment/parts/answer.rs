@@ -132,8 +132,12 @@ fn is_asked(plan: &AssessmentPlan, claim: &Claim) -> bool {
 fn refuted(words: &str, claim: &Claim, standing: &Standing) -> String {
     let strength = standing.strength.words();
     // Nothing of what is claimed not to happen did.
-    if let Strength::Unanswered { failures: 0, .. } = standing.strength {
-        return format!("{words}: {}", strength.trim_start_matches("refuted: "));
+    if let Strength::Unanswered { failures: 0, refutes: true, .. } = standing.strength {
+        return format!(
+            "a controller without an answer {}: it {}",
+            claim.place(),
+            strength.trim_start_matches("refuted: ")
+        );
     }
     match strength.strip_prefix("refuted") {
         Some(how) => {

@@ -114,7 +114,9 @@ fn in_vain(statement: &Statement, counts_others: bool, silent: &str) -> Option<P
             let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
             let Registration { runs, confidence, .. } = two.registration;
             Some(ProofStatus::NothingShown {
-                counted: format!("only the first failed in {only_first} runs, only the second in {only_second}{silent}"),
+                counted: format!(
+                    "only the first failed in {only_first} runs, only the second in {only_second}{silent}"
+                ),
                 strength: Strength::CountedInVain { confidence_percent: Rounded::down(100.0 * confidence), runs },
             })
         }

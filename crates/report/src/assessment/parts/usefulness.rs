@@ -234,7 +234,11 @@ impl Usefulness {
             let silent = some_silent.then(|| Cell::judged(format!("{traffic}, {danger}"), traffic + danger == 0));
             let before = [Cell::text(&useful.controller), Cell::judged(useful.failures, useful.failures == 0)];
             let after = [
-                Cell::judged(observed, useful.needless == 0),
+                match (useful.needless, traffic) {
+                    // What was not driven was not driven without needless braking.
+                    (0, 1..) => Cell::number(observed),
+                    (needless, _) => Cell::judged(observed, needless == 0),
+                },
                 Cell::number(format!("{lower} – {upper}")),
                 Cell::number(or_dash(useful.needless_s)),
                 Cell::number(useful.hard),

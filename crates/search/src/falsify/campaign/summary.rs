@@ -301,12 +301,16 @@ impl Summary {
         if self.falsified {
             let failures = if self.counterexamples.len() == 1 { "failure" } else { "failures" };
             writeln!(out, "  FALSIFIED: {} distinct {failures}", self.counterexamples.len())?;
+            let silent = match self.counterexamples.iter().filter(|one| one.because.is_some()).count() {
+                0 => String::new(),
+                silent => format!("; of {silent} it was not asked, since the controller gave no answer"),
+            };
             if let Some(AvoidabilitySummary { avoidable, unavoidable, undecided, avoidable_percent }) =
                 self.avoidability
             {
                 writeln!(
                     out,
-                    "  {avoidable} of them ({avoidable_percent:.0} %) avoidable, {unavoidable} unavoidable, {undecided} undecided"
+                    "  {avoidable} of them ({avoidable_percent:.0} %) avoidable, {unavoidable} unavoidable, {undecided} undecided{silent}"
                 )?;
             }
         } else {
