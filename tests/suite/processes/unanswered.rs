@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 use serde_json::Value;
 
@@ -88,6 +89,14 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
             assert!(error.contains(place) && error.contains(why), "{command:?}: {error}");
             assert!(text.is_empty() && !folder.path().join("out").exists(), "{command:?}: {text}");
         }
+        if controller == "missing.toml" {
+            let driven =
+                file::to_toml(&short()).unwrap().replace("\"under-test\"", "{ file = { path = \"missing.toml\" } }");
+            fs::write(folder.path().join("driven.toml"), driven).unwrap();
+            let (code, _, error) = said(folder.path(), &["simulate", "driven.toml"]);
+            assert!(code == 2 && error.contains("driven.toml: vehicles[1].driver: "), "{error}");
+            assert!(error.contains(place) && error.contains(why), "{error}");
+        }
         fs::write(folder.path().join("a.toml"), format!("{ASSESSED}controllers = [\"idm\", \"{controller}\"]\n"))
             .unwrap();
         let (code, text, error) = said(folder.path(), &["assess", "a.toml", "--out", "out"]);
@@ -131,6 +140,10 @@ fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
     let ((code, text, _), summary) = against("idm", "near.toml");
     assert!(code == 0 && text.contains("NOT JUDGED: `near.toml` gave no answer in "), "{text}");
     assert!(text.contains("gap table: index"), "{text}");
+    let gate =
+        ["falsify", "--space", "short.toml", "--budget", "10", "--out", "gate", "--controller", "idm", "--against"];
+    let (code, _, error) = said(folder.path(), &[&gate[..], &["near.toml", "--expect", "nothing"]].concat());
+    assert!(code == 1 && error.contains("gave no answer, so that they were not judged"), "{error}");
     let silent = &summary["methods"][1]["other_unanswered"];
     assert!(silent["runs"].as_u64().is_some_and(|runs| (1..10).contains(&runs)), "{summary}");
     assert_eq!((&summary["falsified"], &summary["methods"][1]["failures"]), (&Value::from(false), &Value::from(0)));

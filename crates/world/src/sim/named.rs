@@ -154,10 +154,17 @@ impl NamedController {
     /// As [`Self::find`], and [`UnknownController::NotStarted`].
     pub fn find_and_try(name: &str, folder: &Path) -> Result<Self, UnknownController> {
         let found = Self::find(name, folder)?;
-        match found.kind.try_start() {
-            Ok(()) => Ok(found),
-            Err(failure) => Err(UnknownController::NotStarted { place: said_at(&found.name, folder), failure }),
-        }
+        found.try_start(folder)?;
+        Ok(found)
+    }
+
+    /// The trial alone, of one whose name starts at `folder`.
+    ///
+    /// # Errors
+    /// [`UnknownController::NotStarted`].
+    pub fn try_start(&self, folder: &Path) -> Result<(), UnknownController> {
+        let not_started = |failure| UnknownController::NotStarted { place: said_at(&self.name, folder), failure };
+        self.kind.try_start().map_err(not_started)
     }
 
     /// Whether its runs so far say something of it: to be asked before anything that was found is told.
