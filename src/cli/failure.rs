@@ -11,7 +11,7 @@ use crumple_search::disk::DiskError;
 use crumple_search::work::WorkError;
 use crumple_world::recording::RecordingError;
 use crumple_world::scenario::file::FileError;
-use crumple_world::sim::RunError;
+use crumple_world::sim::{RefusedController, RunError};
 
 /// Why a subcommand did not succeed.
 #[derive(Debug, thiserror::Error)]
@@ -111,6 +111,13 @@ impl From<ConfigError> for Failure {
             ConfigError::File(file) => file.into(),
             other => Self::input(other),
         }
+    }
+}
+
+/// What was found says nothing, and it is the controller that has to be mended.
+impl From<RefusedController> for Failure {
+    fn from(error: RefusedController) -> Self {
+        Self::input(error)
     }
 }
 

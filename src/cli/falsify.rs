@@ -125,7 +125,17 @@ impl Expectation {
                     "expected nothing, and there are {kinds} distinct failure{plural} in {evaluations} evaluations"
                 )))
             }
-            _ => Ok(()),
+            // What was not judged does not speak for the controller.
+            (Self::Nothing, false) => {
+                match summary.methods.iter().find_map(|method| method.other_unanswered.as_ref()) {
+                    Some(silent) => Err(Failure::Gate(format!(
+                        "expected nothing, and beside some evaluations the other gave no answer, so that they were not judged: {}",
+                        silent.because
+                    ))),
+                    None => Ok(()),
+                }
+            }
+            (Self::Failure, true) => Ok(()),
         }
     }
 }
@@ -191,13 +201,14 @@ impl Falsify {
             return made(shard, done?, &out, self.format);
         }
         let (log, kept) = match self.log {
-            Some(LogName::Summary) => (Log::Summary, "summary, counterexamples"),
-            Some(LogName::Full) | None => (Log::Full, "summary, counterexamples, evaluations"),
+            Some(LogName::Summary) => (Log::Summary, ""),
+            Some(LogName::Full) | None => (Log::Full, ", evaluations"),
         };
         let summary = campaign.run_keeping(log, &out, self.resume, &mut show);
         bar.finish_and_clear();
         let summary = summary?;
-        output::note(&format!("wrote {} ({kept})", out.display()), quiet);
+        let found = if summary.counterexamples.is_empty() { "" } else { ", counterexamples" };
+        output::note(&format!("wrote {} (summary{found}{kept})", out.display()), quiet);
         let expected = self.expect.map_or(Ok(()), |expected| expected.is_met(&summary));
         Failure::gate_first(expected, print(&summary, self.format))
     }
@@ -230,7 +241,8 @@ pub(super) fn merge(
     let is_written = missing == 0 || is_part_wanted;
     let summary = if is_written { merged.write_in(folder)? } else { merged.summary()? };
     if is_written {
-        output::note(&format!("wrote {} (summary, counterexamples)", folder.display()), quiet);
+        let found = if summary.counterexamples.is_empty() { "" } else { ", counterexamples" };
+        output::note(&format!("wrote {} (summary{found})", folder.display()), quiet);
     }
     let printed = print(&summary, format);
     let gate = if missing == 0 {

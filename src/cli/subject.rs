@@ -6,7 +6,7 @@ use super::Failure;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{Space, find_space};
-use crumple_world::scenario::{Scenario, built_in, built_in_names, file};
+use crumple_world::scenario::{Driver, Scenario, built_in, built_in_names, file};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate};
 
 /// A built-in scenario, or the one in a file.
@@ -22,7 +22,18 @@ pub(super) fn scenario(name_or_path: &str) -> Result<Scenario, Failure> {
             known.join(", ")
         )));
     }
-    Ok(file::load(path)?)
+    let scenario = file::load(path)?;
+    // Who drives in it is started once as well.
+    for (index, vehicle) in scenario.vehicles().iter().enumerate() {
+        if let Driver::File(driver) = &vehicle.driver
+            && let Some(controller) = driver.controller()
+        {
+            let named = NamedController { name: driver.path().to_owned(), kind: controller.clone().into() };
+            let said = |error| Failure::Input(format!("{}: vehicles[{index}].driver: {error}", path.display()));
+            named.try_start(Path::new("")).map_err(said)?;
+        }
+    }
+    Ok(scenario)
 }
 
 /// A built-in space, or the one in a file, for clap; with the name it was asked for by.
@@ -31,9 +42,10 @@ pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
     Ok((name_or_path.to_owned(), space))
 }
 
-/// A built-in controller or the one in a file, for clap.
+/// A built-in controller or the one in a file, for clap. What has to be started for it is, once, so that a program that is missing is an
+/// argument that is wrong.
 pub(super) fn controller(name: &str) -> Result<NamedController, String> {
-    NamedController::find(name, Path::new("")).map_err(|error| error.to_string())
+    NamedController::find_and_try(name, Path::new("")).map_err(|error| error.to_string())
 }
 
 /// What a scenario of scripts and fixed drivers does.

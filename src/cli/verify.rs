@@ -255,7 +255,7 @@ pub(super) fn counted(is_comparison: bool, tally: &Tally) -> String {
     } else {
         format!("{failures} failures")
     };
-    format!("{counts}, of {runs} runs\n")
+    format!("{counts}, of {runs} runs{}\n", tally.unanswered_words())
 }
 
 /// What the checker says of a certificate that goes to `path`.

@@ -62,6 +62,7 @@ impl WorstCase {
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
         let result = hunt(&scenario, &options, self.aim, envelope, self.budget as usize)
             .map_err(|error| Failure::Input(format!("{}: {error}", self.scenario)))?;
+        self.controller.not_refused()?;
         let mut files = Files::default();
         match &result.found {
             Some(attack) => {
@@ -83,13 +84,13 @@ fn describe(report: &AttackReport) -> String {
     if report.nondeterministic {
         text += "  the controller says that it is not deterministic: another attack may end otherwise\n";
     }
-    let (Some(effort), Some(peak), Some(method)) = (report.effort_m2ps3, report.peak_brake_mps2, report.method) else {
+    let (Some(effort), Some(peak)) = (report.effort_m2ps3, report.peak_brake_mps2) else {
         let AttackReport { evaluations, programs, .. } = report;
         return text + &format!("  no collision found in {evaluations} simulations and {programs} convex programs\n");
     };
     // Writing to a string cannot fail.
     if let Some(Outcome::ControllerFailed(failed)) = &report.outcome {
-        let _ = writeln!(text, "  CONTROLLER FAILED: {failed}");
+        let _ = writeln!(text, "  CONTROLLER FAILED, and gave no answer that could be judged: {failed}");
     }
     if let Some(Outcome::Collision(contact)) = &report.outcome {
         let _ = writeln!(
@@ -102,12 +103,16 @@ fn describe(report: &AttackReport) -> String {
     if let (Some(predicted), Some(margin)) = (report.predicted_margin_m, report.margin_m) {
         let _ = writeln!(text, "  margin {margin:.3} m; the last program predicted {predicted:.3} m");
     }
+    let AttackReport { evaluations, programs, .. } = report;
+    let Some(method) = report.method else {
+        let _ = writeln!(text, "  found in {evaluations} simulations and {programs} convex programs");
+        return text;
+    };
     let method = match method {
         AttackMethod::Exact => "exact on this grid",
         AttackMethod::Widened => "near the least on this grid: exact but for noise and filter",
         AttackMethod::Sequential => "a local optimum",
     };
-    let AttackReport { evaluations, programs, .. } = report;
     let _ = writeln!(text, "  {method}; {evaluations} simulations, {programs} convex programs");
     text
 }

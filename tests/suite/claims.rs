@@ -58,7 +58,14 @@ fn strength() -> impl Strategy<Value = Strength> {
         (1..3_u64).prop_map(move |runs| Strength::CountedInVain { confidence_percent, runs }),
         (0..3_u64, 0..3_u64).prop_map(|(own, other)| Strength::Compared { own, other, runs: 9 }),
         (1..9_u64).prop_map(|failures| Strength::Refuted { failures, runs: 9 }),
-        Just(Strength::Found { failures: 2, avoidable: 1 }),
+        Just(Strength::Found { failures: 2, avoidable: 1, because: None }),
+        (any::<bool>(), 0..2_u64).prop_map(|(refutes, failures)| Strength::Unanswered {
+            unanswered: 3,
+            failures,
+            runs: 9,
+            because: "at 1.00 s, it is gone".to_owned(),
+            refutes,
+        }),
         Just(Strength::ProvedIn { share_percent: Rounded::new(40.0) }),
         Just(Strength::Untried),
     ]

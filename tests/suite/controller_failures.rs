@@ -222,5 +222,6 @@ fn an_assessment_says_who_failed_and_when() {
     assert!(assessment.markdown().contains("controller of 1 failed at 1.00 s: it answered with a number"));
     let drawn =
         assessment.distributions.spaces[0].controllers.iter().find(|drawn| drawn.controller == "failing").unwrap();
-    assert_eq!(drawn.collisions, 20, "all draws fail");
+    assert_eq!((drawn.collisions, drawn.failures()), (0, 20), "all draws fail, and nobody touches");
+    assert_eq!(drawn.mean_impact_speed_mps, None);
 }

@@ -48,6 +48,8 @@ pub enum Purpose {
     RareEvents = 14,
     /// Resamples of what was observed, one consumer a resample.
     Resampling = 15,
+    /// Which later runs of a process are asked twice, one consumer a run.
+    AskedTwice = 16,
 }
 
 /// The stream for `purpose`, for the `index`-th consumer of its kind (a vehicle, a draw), under `seed`.

@@ -1,5 +1,7 @@
 //! Controllers that are processes: what they may do wrong ends runs, and nothing of them stays behind.
 
+mod unanswered;
+
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -200,7 +202,7 @@ fn who_is_not_what_he_claims_is_caught_within_two_runs() {
         for run in 0..4 {
             let outcome = drive(&controller, &short()).outcome;
             let said = outcome.failed().map(ToString::to_string).unwrap_or_default();
-            let is_caught = said.contains("says that it is deterministic, and answered -1.");
+            let is_caught = said.contains("says that it is deterministic, and when it was asked the same twice");
             assert_eq!(is_caught, run >= caught_in_run, "{what} {run}: {said}");
         }
     }

@@ -11,7 +11,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
     AfterContact, Contact, FailedController, Impact, NamedController, RecordingLevel, Run, RunError, RunOptions,
-    Simulated, Trace, simulate_batch,
+    Simulated, Trace, Unanswered, simulate_batch,
 };
 
 /// What came of one controller in one scenario.
@@ -153,6 +153,17 @@ impl CaseVerdict {
     #[must_use]
     pub fn is_failure(&self) -> bool {
         matches!(self, Self::Hit(_) | Self::WasHit(_) | Self::ControllerFailed { .. })
+    }
+
+    /// That its controller gave no answer, and why; nothing where it did.
+    #[must_use]
+    pub fn unanswered(&self) -> Option<Unanswered> {
+        match self {
+            Self::ControllerFailed { time_s, because, .. } => {
+                Some(Unanswered { runs: 1, because: format!("at {time_s} s, {because}") })
+            }
+            Self::Safe { .. } | Self::Hit(_) | Self::WasHit(_) | Self::Others(_) => None,
+        }
     }
 
     /// Whether the run says anything of the controller: not if others crashed first.

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::claims::{Claim, Domain, Property, Strength};
 use super::{AssessConfig, Assessment, AssessmentPlan, Comparison, Proof, ProofStatus, Rounded, Useful};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_world::sim::Unanswered;
 
 /// Something that must hold.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -205,10 +206,18 @@ impl Gate {
 }
 
 fn no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bool, String) {
-    let cases = scenarios.iter().flat_map(|scenario| {
-        let own = scenario.cases.iter().filter(|case| case.controller == controller && case.verdict.counts());
-        own.map(|case| (scenario.scenario.as_str(), case.verdict.is_failure()))
-    });
+    let of_controller = || {
+        scenarios.iter().flat_map(|scenario| {
+            let own = scenario.cases.iter().filter(|case| case.controller == controller && case.verdict.counts());
+            own.map(|case| (scenario.scenario.as_str(), &case.verdict))
+        })
+    };
+    if let Some((name, silent)) = of_controller().find_map(|(name, verdict)| Some((name, verdict.unanswered()?))) {
+        let runs = of_controller().filter(|(_, verdict)| verdict.unanswered().is_some()).count() as u64;
+        let words = Unanswered { runs, ..silent }.words(of_controller().count() as u64);
+        return (false, format!("it {words} (first in {name})"));
+    }
+    let cases = of_controller().map(|(name, verdict)| (name, verdict.is_failure()));
     let (failing, passing): (Vec<_>, Vec<_>) = cases.partition(|(_, collides)| *collides);
     let names: Vec<_> = failing.iter().map(|(name, _)| *name).collect();
     match (names.is_empty(), passing.is_empty()) {
@@ -254,10 +263,16 @@ fn rate_not_above(
         0 => String::new(),
         cut_short => format!(", and {cut_short} were cut short"),
     };
-    let because =
-        format!("{} against {} of the same {} draws collide{cut_short}", own.collisions, other.collisions, drawn.draws);
-    let is_known = own.cut_short < drawn.draws;
-    (is_known && own.collisions + own.cut_short <= other.collisions, because)
+    let silent: String = [("it", own), ("the other, in whose favour or against whom that does not count,", other)]
+        .into_iter()
+        .filter_map(|(who, of)| Some(format!(", and {who} {}", of.unanswered.as_ref()?.words(drawn.draws))))
+        .collect();
+    let because = format!(
+        "{} against {} of the same {} draws collide{cut_short}{silent}",
+        own.collisions, other.collisions, drawn.draws
+    );
+    let is_known = own.cut_short < drawn.draws && other.silent() < drawn.draws;
+    (is_known && own.failures() + own.cut_short <= other.collisions, because)
 }
 
 /// The place of the space that a gate asks for, as the configuration names it, among those that are drawn from.
@@ -270,9 +285,14 @@ fn no_avoidable_failure(found: &Assessment, controller: &str, space: &str) -> (b
     let Some(search) = searches.into_iter().find(|search| search.controller == controller) else {
         return (false, "it was not searched for".to_owned());
     };
+    if let Some(words) = search.silent_words() {
+        return (false, format!("it {words}"));
+    }
+    let not_asked = search.count(AvoidabilityClass::NotAsked);
     let (avoidable, undecided) =
         (search.count(AvoidabilityClass::Avoidable), search.count(AvoidabilityClass::Undecided));
     match avoidable + undecided {
+        0 if not_asked > 0 => (false, format!("of {not_asked} it was not asked")),
         0 => (true, format!("none in {} evaluations", search.evaluations())),
         _ => (false, format!("{avoidable} avoidable and {undecided} undecided ones were found")),
     }
@@ -288,8 +308,11 @@ fn drives_at_most(
     let Some((all, useful)) = all.and_then(|all| Some((all, all.of(controller)?))) else {
         return (false, "no such drives were made".to_owned());
     };
-    let share = 100.0 * count(useful) as f64 / all.draws as f64;
-    (share <= percent, format!("{} of {} drives", count(useful), all.draws))
+    // What a drive without an answer would have come to is not known: it counts as the worse.
+    let [silent, _] = useful.silent();
+    let share = 100.0 * (count(useful) + silent) as f64 / all.draws as f64;
+    let words = useful.unanswered[0].as_ref().map_or(String::new(), |silent| format!("; {}", silent.words(all.draws)));
+    (share <= percent, format!("{} of {} drives{words}", count(useful), all.draws))
 }
 
 fn string_stable(found: &Assessment, controller: &str) -> (bool, String) {

@@ -62,7 +62,7 @@ use crumple_search::work::{MANIFEST, manifest_of};
 use crumple_search::worst_case::AttackError;
 use crumple_world::measure::SpecificationError;
 use crumple_world::scenario::InvalidField;
-use crumple_world::sim::RunError;
+use crumple_world::sim::{RefusedController, RunError};
 use parts::Findings;
 use work::Work;
 
@@ -159,6 +159,9 @@ pub enum AssessError {
     /// A rule does not fit a space.
     #[error("a rule does not fit: {0}")]
     Rule(#[from] SpecificationError),
+    /// A controller contradicted itself, or cannot be started any more.
+    #[error(transparent)]
+    Refused(#[from] RefusedController),
     /// Whoever was told of the progress ended it.
     #[error("the assessment was broken off")]
     BrokenOff,
@@ -208,7 +211,7 @@ pub fn assess_until(
 ) -> Result<Assessment, AssessError> {
     let nothing_kept = Store::none();
     let store = if plan.without_identity().is_none() { store } else { &nothing_kept };
-    let work = Work::new(store, told);
+    let work = Work::new(store, told).with(&plan.controllers);
     let paper_scenarios = PaperScenarios::gather(plan, &work)?;
     let distributions = Distributions::gather(plan, &work)?;
     let traffic = Traffic::gather(plan, &work)?;
@@ -221,6 +224,7 @@ pub fn assess_until(
     let scenarios = paper_scenarios.iter().flat_map(|paper| &paper.scenarios);
     let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
     let proofs = Proofs::gather(plan, &work, scenarios)?;
+    work.none_refused()?;
     let limits = Limits::of(plan);
     let found = Findings {
         paper: paper_scenarios.as_ref(),

@@ -364,8 +364,8 @@ impl Loading<'_> {
         let mut controllers = Vec::new();
         for (index, name) in config.controllers.iter().enumerate() {
             let field = format!("controllers[{index}]");
-            let controller =
-                NamedController::find(name, self.folder).map_err(|error| self.wrong(&field, error.to_string()))?;
+            let controller = NamedController::find_and_try(name, self.folder)
+                .map_err(|error| self.wrong(&field, error.to_string()))?;
             self.add(&mut controllers, &field, controller)?;
         }
         Ok(controllers)

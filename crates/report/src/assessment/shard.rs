@@ -104,7 +104,7 @@ pub fn gather_shard(
             told(done);
             std::ops::ControlFlow::Continue(())
         };
-        let gathering = Gathering::new(&store, &told);
+        let gathering = Gathering::new(&store, &told).with(&plan.controllers);
         own.iter().try_for_each(|piece| piece.gather(plan, &gathering))?;
         work.write(EVIDENCE, text(&store.kept()?)?)?;
         work.finish()?;

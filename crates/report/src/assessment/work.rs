@@ -8,17 +8,30 @@ use serde::de::DeserializeOwned;
 
 use super::AssessError;
 use super::store::Store;
+use crumple_world::sim::NamedController;
 
 /// Evidence being gathered.
 pub(super) struct Work<'a> {
     pub(super) store: &'a Store,
     done: AtomicU64,
     told: &'a (dyn Fn(u64) -> ControlFlow<()> + Sync),
+    /// Whose runs they are.
+    controllers: &'a [NamedController],
 }
 
 impl<'a> Work<'a> {
     pub(super) fn new(store: &'a Store, told: &'a (dyn Fn(u64) -> ControlFlow<()> + Sync)) -> Self {
-        Self { store, done: AtomicU64::new(0), told }
+        Self { store, done: AtomicU64::new(0), told, controllers: &[] }
+    }
+
+    /// The same, of runs of these controllers: what was gathered with one that was refused on the way is neither kept nor told.
+    pub(super) fn with(self, controllers: &'a [NamedController]) -> Self {
+        Self { controllers, ..self }
+    }
+
+    /// Whether what was gathered says something of the controllers.
+    pub(super) fn none_refused(&self) -> Result<(), AssessError> {
+        Ok(self.controllers.iter().try_for_each(NamedController::not_refused)?)
     }
 
     /// As [`Store::get`]; what was gathered while somebody broke it off is not kept, since runs may have been ended halfway.
@@ -31,6 +44,7 @@ impl<'a> Work<'a> {
         self.store.get(name, inputs, || {
             let found = gather()?;
             self.did(0)?;
+            self.none_refused()?;
             Ok(found)
         })
     }

@@ -63,7 +63,10 @@ fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&Failed, &Te
         }
         for failed in tested.failures() {
             let _ = writeln!(out, "      fails at {}: {}", failed.point, Terminal(&verdict(&failed.verdict)));
-            let _ = writeln!(out, "        {}", Terminal(&preventable(failed)));
+            let preventable = preventable(failed);
+            if !preventable.is_empty() {
+                let _ = writeln!(out, "        {}", Terminal(&preventable));
+            }
             if let Some(command) = replay(failed, tested) {
                 let _ = writeln!(out, "        {}", Terminal(&command));
             }

@@ -117,7 +117,9 @@ impl Page<'_> {
         let all = worst.len();
         worst.sort_by(|a, b| impact_mps(&b.verdict).total_cmp(&impact_mps(&a.verdict)));
         worst.truncate(MOST_DRAWN);
-        let drivers = tested.failures().next().map(|failed| &failed.references);
+        // None where a controller gave no answer: there may have been nothing to prevent.
+        let drivers = tested.failures().map(|failed| &failed.references).find(|references| !references.is_empty());
+        let asked = drivers.map_or(0, Vec::len);
         html! {
             details {
                 summary { (test.name) ", " (tested.controller) ": " (all) " point" @if all != 1 { "s" } " failed" }
@@ -132,6 +134,7 @@ impl Page<'_> {
                         th scope="row" { (failed.point) }
                         td { (verdict(&failed.verdict)) }
                         @for run in &failed.references { td { (prevention(run.prevention)) } }
+                        @for _ in failed.references.len()..asked { td { "–" } }
                         td { (failed.avoidability.describe().unwrap_or_else(|| "not asked".to_owned())) }
                     } } }
                 } }

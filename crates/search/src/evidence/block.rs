@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crumple_world::digest::Sha256;
-use crumple_world::sim::{Outcome, Simulated};
+use crumple_world::sim::{FailedController, Outcome, Simulated, Unanswered};
 
 /// What begins the bytes of which a block's hash is made.
 const HASHED: &str = "crumple runs 2\n";
@@ -20,11 +20,19 @@ pub struct CountedBlock {
     pub only_second_failed: u64,
     /// SHA-256 of what came of each run, which nobody knows who has not made them: see `docs/certificates.md`.
     pub sha256: String,
+    /// Runs in which the controller, or the first of two, gave no answer: failures.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unanswered: Option<Unanswered>,
+    /// Runs in which the second gave none: these speak for neither of the two.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub other_unanswered: Option<Unanswered>,
 }
 
 /// What came of a run, for hashing: how it ended, when, and the smallest gap, as bits.
 pub(super) struct Ending {
     failed: bool,
+    /// Why the controller gave no answer, if it gave none.
+    unanswered: Option<String>,
     bytes: [u8; 17],
 }
 
@@ -39,7 +47,8 @@ impl Ending {
         let mut bytes = [kind; 17];
         bytes[1..9].copy_from_slice(&at_s.to_bits().to_le_bytes());
         bytes[9..].copy_from_slice(&smallest_m.to_bits().to_le_bytes());
-        Self { failed: kind != 0, bytes }
+        let unanswered = result.outcome.failed().map(FailedController::because);
+        Self { failed: kind != 0, unanswered, bytes }
     }
 }
 
@@ -57,10 +66,19 @@ impl CountedBlock {
         let mut hash = Sha256::default().with(HASHED).with(registered).with(first.to_le_bytes());
         for endings in runs {
             endings.iter().for_each(|ending| hash.update(ending.bytes));
-            match endings.iter().map(|ending| ending.failed).collect::<Vec<_>>().as_slice() {
-                [true, true] | [true] => block.failures += 1,
-                [true, false] => block.only_first_failed += 1,
-                [false, true] => block.only_second_failed += 1,
+            let silent = [&mut block.unanswered, &mut block.other_unanswered];
+            for (known, ending) in silent.into_iter().zip(&endings) {
+                let because = ending.unanswered.clone();
+                Unanswered::join(known, because.map(|because| Unanswered { runs: 1, because }));
+            }
+            match endings.as_slice() {
+                [one] if one.failed => block.failures += 1,
+                [first, second] if first.failed && second.failed => block.failures += 1,
+                [first, second] if first.failed && !second.failed => block.only_first_failed += 1,
+                // Who gave no answer is not known to have been worse off.
+                [first, second] if !first.failed && second.failed && second.unanswered.is_none() => {
+                    block.only_second_failed += 1;
+                }
                 _ => {}
             }
         }

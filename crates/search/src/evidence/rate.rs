@@ -15,7 +15,9 @@ use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::space::{Space, file};
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch};
+use crumple_world::sim::{
+    NamedController, RecordingLevel, RefusedController, Run, RunError, RunOptions, simulate_batch,
+};
 
 /// Runs that are drawn and simulated together, or some more.
 const TOGETHER: u64 = 1000;
@@ -114,6 +116,9 @@ pub enum RateError {
         /// Why.
         source: RunError,
     },
+    /// A controller contradicted itself, or cannot be started any more.
+    #[error(transparent)]
+    Refused(#[from] RefusedController),
     /// Whoever was asked whether to go on ended it.
     #[error("the count was broken off")]
     BrokenOff,
@@ -336,7 +341,9 @@ impl RatePlan {
             let runs = runs.collect::<Result<Vec<_>, _>>()?;
             Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| Ending::of(&result)))
         };
-        self.drivers.iter().map(endings).collect()
+        let endings = self.drivers.iter().map(endings).collect::<Result<Vec<_>, RateError>>()?;
+        self.drivers.iter().try_for_each(NamedController::not_refused)?;
+        Ok(endings)
     }
 
     /// What a full tally shows. For one controller the lowest rate that is accepted, to nine digits.

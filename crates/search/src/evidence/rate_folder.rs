@@ -35,7 +35,7 @@ pub enum RateFolderError {
     #[error(transparent)]
     Shards(#[from] TooManyShards),
     /// The checker does not accept what the counts would show.
-    #[error("{failures} of {runs} runs failed, and nothing is shown by {}: {rejection}", path.display())]
+    #[error("{failures} of {runs} runs failed, and nothing is shown by {}: {rejection}{unanswered}", path.display())]
     Rejected {
         /// What was counted.
         path: PathBuf,
@@ -45,6 +45,8 @@ pub enum RateFolderError {
         failures: u64,
         /// What the checker says.
         rejection: Rejection,
+        /// Who gave no answer, how often and why, as the end of the sentence.
+        unanswered: String,
     },
 }
 
@@ -114,7 +116,10 @@ impl CountRecord {
         work.finish()?;
         match checked {
             Ok(_) => Ok(certificate),
-            Err(rejection) => Err(RateFolderError::Rejected { path, runs, failures, rejection }),
+            Err(rejection) => {
+                let unanswered = tally.unanswered_words();
+                Err(RateFolderError::Rejected { path, runs, failures, rejection, unanswered })
+            }
         }
     }
 

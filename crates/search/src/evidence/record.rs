@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{CountedBlock, binomial};
 use crate::worst_case::certificate_about;
 use crumple_world::digest::sha256;
+use crumple_world::sim::Unanswered;
 
 /// What was fixed before the first run, and the space as a file: enough for the certificate of what was counted, wherever that was.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,6 +46,25 @@ impl Tally {
     #[must_use]
     pub fn failed(&self) -> u64 {
         self.failures.saturating_add(self.only_first_failed).saturating_add(self.only_second_failed)
+    }
+
+    /// Runs in which a controller gave no answer: of the one that is counted, or of the first of two, and of the second.
+    #[must_use]
+    pub fn unanswered(&self) -> [Option<Unanswered>; 2] {
+        let mut all = [None, None];
+        for block in &self.blocks {
+            let own = [&block.unanswered, &block.other_unanswered];
+            all.iter_mut().zip(own).for_each(|(all, own)| Unanswered::join(all, own.clone()));
+        }
+        all
+    }
+
+    /// The same in words, each after a semicolon; nothing where all were answered.
+    #[must_use]
+    pub fn unanswered_words(&self) -> String {
+        let who = ["; the controller ", "; the other controller, whose runs then speak for neither, "];
+        let words = who.into_iter().zip(self.unanswered());
+        words.filter_map(|(who, silent)| Some(format!("{who}{}", silent?.words(self.runs)))).collect()
     }
 
     /// Adds the next block, of so many runs.
@@ -114,11 +134,16 @@ impl CountRecord {
         let counted = tally.blocks.len() as u64;
         let runs_of = |block: u64| length(&self.runs_of(block..block.saturating_add(1)));
         let may_be = |(block, counted): (u64, &CountedBlock)| {
-            let CountedBlock { failures, only_first_failed: first, only_second_failed: second, sha256 } = counted;
+            let CountedBlock { failures, only_first_failed: first, only_second_failed: second, sha256, .. } = counted;
             let is_hash =
                 sha256.len() == 64 && sha256.bytes().all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte));
             let sum = failures.saturating_add(*first).saturating_add(*second);
-            is_hash && sum <= runs_of(block) && (self.is_of_two() || first.saturating_add(*second) == 0)
+            let silent = |of: &Option<Unanswered>| of.as_ref().map_or(0, |silent| silent.runs);
+            let own = failures.saturating_add(*first);
+            let is_known = silent(&counted.unanswered) <= own
+                && sum.saturating_add(silent(&counted.other_unanswered)) <= runs_of(block).saturating_add(*failures)
+                && (self.is_of_two() || counted.other_unanswered.is_none());
+            is_hash && is_known && sum <= runs_of(block) && (self.is_of_two() || first.saturating_add(*second) == 0)
         };
         let sum = |of: fn(&CountedBlock) -> u64| tally.blocks.iter().map(of).fold(0, u64::saturating_add);
         counted <= blocks.end.saturating_sub(blocks.start)

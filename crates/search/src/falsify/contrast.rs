@@ -1,7 +1,8 @@
 //! Failures that say more than that something failed: another controller passes the same scenario, or the same one passes a harder one.
 //!
 //! A run is judged beside a second one, its *partner*. What is looked for is a failure whose partner holds; its robustness is
-//! max(r, -r of the partner), that of "it holds, or the partner does not", and negative for such a failure alone.
+//! max(r, -r of the partner), that of "it holds, or the partner does not", and negative for such a failure alone. A partner whose controller
+//! gave no answer neither holds nor fails: such runs do not count, and how many there are is told.
 
 use std::fmt;
 use std::path::Path;
@@ -130,8 +131,12 @@ impl Contrast {
         }
     }
 
-    /// Beside the partner's verdict; none if it has no partner, so that nothing can be said.
+    /// Beside the partner's verdict; none if it has no partner, so that nothing can be said. Nor can anything where the partner's controller
+    /// gave no answer: when is then in `failed`, beside a robustness that is not negative.
     pub(super) fn verdict(own: RunVerdict, partner: Option<RunVerdict>) -> RunVerdict {
+        if let Some(failed) = partner.and_then(|partner| partner.failed) {
+            return RunVerdict { failed: Some(failed), ..RunVerdict::new(f64::INFINITY) };
+        }
         let robustness = match partner.map(|partner| partner.robustness) {
             None => f64::INFINITY,
             Some(beside) if own.robustness.is_nan() || beside.is_nan() => f64::NAN,
@@ -228,5 +233,16 @@ mod tests {
         assert_eq!(judged(-3.0, None), f64::INFINITY);
         assert_eq!(judged(f64::NEG_INFINITY, Some(1.0)), -1.0);
         assert!(judged(f64::NAN, Some(1.0)).is_nan() && judged(-1.0, Some(f64::NAN)).is_nan());
+    }
+
+    #[test]
+    fn a_partner_without_an_answer_neither_holds_nor_fails() {
+        let silent = RunVerdict { failed: Some((1.5, 1)), ..RunVerdict::new(f64::NEG_INFINITY) };
+        for own in [RunVerdict::new(-3.0), RunVerdict::new(3.0), silent] {
+            let beside = Contrast::verdict(own, Some(silent));
+            assert_eq!((beside.robustness, beside.failed), (f64::INFINITY, Some((1.5, 1))));
+        }
+        let own = Contrast::verdict(silent, Some(RunVerdict::new(2.0)));
+        assert_eq!((own.robustness, own.failed), (-2.0, Some((1.5, 1))));
     }
 }

@@ -4,7 +4,9 @@ use super::contrast::Contrast;
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{NamedController, Run, RunOptions, simulate_batch};
+use crumple_world::sim::{
+    FailedController, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
+};
 
 /// Everything that decides a verdict on a scenario.
 #[derive(Debug, Clone, Copy)]
@@ -42,6 +44,15 @@ impl Judging<'_> {
                 Ok(Contrast::verdict(own?, beside?))
             })
             .collect()
+    }
+
+    /// Why the controller of the run that a scenario is set against gives no answer there; none if it gives one.
+    pub(super) fn silent_beside(&self, scenario: &Scenario) -> Option<String> {
+        let contrast = self.contrast?;
+        let partner = contrast.partner(scenario)?;
+        let options = options(contrast.driver(self.controller), self.estimator, &partner, 1);
+        let run = Run::new(&partner, options.with_after_contact(self.specification.after_contact())).ok()?;
+        simulate(&run, RecordingLevel::Summary).outcome.failed().map(FailedController::because)
     }
 
     fn driven_by(

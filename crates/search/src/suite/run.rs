@@ -15,6 +15,7 @@ use super::preventable::{Prevented, prevented};
 use super::result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
 use super::spec::{ClauseSpec, Lead, TestSpec};
 use super::within::{Within, Worst, worst};
+use crate::falsify::counterexample::Avoidability;
 
 /// When a test is over, and what passes.
 #[derive(Debug, Clone, Copy)]
@@ -204,9 +205,18 @@ impl<'t> Course<'t> {
     fn failed(&self, points: &[Vec<f64>], scenarios: &[Scenario], seen: &[Seen], known: &mut Known) -> Vec<Failed> {
         let all = points.iter().zip(scenarios).zip(seen);
         let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
-        let scenarios: Vec<_> = failed.iter().map(|((_, scenario), _)| *scenario).collect();
+        // Where a controller gave no answer there may be nothing to prevent.
+        let is_silent = |seen: &Seen| matches!(seen.verdict, TestVerdict::ControllerFailed { .. });
+        let touching = failed.iter().filter(|(_, seen)| !is_silent(seen));
+        let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();
         let prevented = self.criterion.map(|criterion| prevented(criterion, &scenarios, known)).unwrap_or_default();
-        let told = failed.into_iter().zip(prevented).map(|(((point, scenario), seen), prevented)| Failed {
+        let mut prevented = prevented.into_iter();
+        let nobody = || Prevented { references: Vec::new(), avoidability: Avoidability::NotAsked };
+        let with = failed.into_iter().map(|one| {
+            let prevented = if is_silent(one.1) { None } else { prevented.next() };
+            (one, prevented.unwrap_or_else(nobody))
+        });
+        let told = with.map(|(((point, scenario), seen), prevented)| Failed {
             point: self.test.in_words(point),
             verdict: seen.verdict.clone(),
             references: prevented.references,

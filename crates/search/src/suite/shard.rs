@@ -13,7 +13,7 @@ use crate::shard::{self, MergeError, MissingShards, Parts, SHARD, Shard, TooMany
 use crate::work::{Finished, Work, WorkError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{NamedController, RefusedController};
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_A_SUITE: &str = "shard of a suite";
@@ -36,6 +36,9 @@ pub enum SuiteShardError {
     /// The controller cannot be told from others.
     #[error("the controller `{0}` states no identity: nobody could tell whether shards of it go together")]
     Unknown(String),
+    /// A controller contradicted itself, or cannot be started any more.
+    #[error(transparent)]
+    Refused(#[from] RefusedController),
     /// None for a valid suite.
     #[error(transparent)]
     Scenario(#[from] InvalidField),
@@ -106,6 +109,7 @@ pub fn run_shard(
         return Err(WorkError::damaged(&work.path(RESULTS), "more than the shard has").into());
     }
     each(suite, controllers, estimator, all.start + known..all.end, &mut |tested| {
+        controllers.iter().try_for_each(NamedController::not_refused)?;
         results.tested.push(TestedRow::of(&tested).map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
         done(results.tested.len() as u64, count);
         work.write(RESULTS, json(&results)?)?;

@@ -20,9 +20,9 @@ pub struct AttackReport {
     /// Whether the controller says of itself that another run may end otherwise.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub nondeterministic: bool,
-    /// Whether some profile makes the controller collide.
+    /// Whether some profile makes the controller fail.
     pub found: bool,
-    /// How it was found.
+    /// How it was found; none where the controller gave no answer.
     pub method: Option<AttackMethod>,
     /// How the run with it ended.
     pub outcome: Option<Outcome>,
@@ -30,7 +30,7 @@ pub struct AttackReport {
     pub effort_m2ps3: Option<f64>,
     /// Hardest braking of the script, in m/s², positive.
     pub peak_brake_mps2: Option<f64>,
-    /// Margin that the convex program predicted, in metres.
+    /// Margin that the convex program predicted, in metres; none where the controller gave no answer, as that below.
     pub predicted_margin_m: Option<f64>,
     /// The margin that the simulation has, in metres.
     pub margin_m: Option<f64>,
@@ -51,6 +51,8 @@ impl AttackReport {
         result: &AttackResult,
     ) -> Self {
         let found = result.found.as_ref();
+        // A run that its controller ended has no margin, and is no optimum of anything.
+        let answered = found.filter(|attack| attack.outcome.failed().is_none());
         Self {
             scenario: scenario.to_owned(),
             controller: controller.name.clone(),
@@ -58,12 +60,12 @@ impl AttackReport {
             aim: aim.name(),
             nondeterministic: !controller.kind.is_deterministic(),
             found: found.is_some(),
-            method: found.map(|attack| attack.method),
+            method: answered.map(|attack| attack.method),
             outcome: found.map(|attack| attack.outcome.clone()),
             effort_m2ps3: found.map(|attack| attack.effort_m2ps3),
             peak_brake_mps2: found.map(|attack| attack.peak_brake_mps2),
-            predicted_margin_m: found.map(|attack| attack.predicted_margin_m),
-            margin_m: found.map(|attack| attack.margin_m),
+            predicted_margin_m: answered.map(|attack| attack.predicted_margin_m),
+            margin_m: answered.map(|attack| attack.margin_m),
             evaluations: result.evaluations,
             programs: result.programs,
         }

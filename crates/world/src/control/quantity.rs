@@ -62,6 +62,11 @@ impl Quantity {
         Self::LastAnswerMps2,
     ];
 
+    /// The names of all of them.
+    pub(in crate::control) fn names() -> impl Iterator<Item = &'static str> {
+        Self::ALL.into_iter().map(Self::name)
+    }
+
     /// The one of a name.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {

@@ -81,7 +81,8 @@ pub struct RunVerdict {
     /// The first contact, if there was one.
     pub contact: Option<FirstContact>,
     /// When a controller failed, in seconds, and the index of its vehicle; none if none did. A run with such a failure
-    /// violates every specification, with a robustness of negative infinity.
+    /// violates every specification, with a robustness of negative infinity. Beside a robustness that is not negative it is the controller
+    /// of a run that this one was set against.
     pub failed: Option<(f64, u32)>,
 }
 

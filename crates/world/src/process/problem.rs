@@ -96,13 +96,19 @@ pub enum ProcessProblem {
     },
     /// It said that it is deterministic, and is not.
     #[error(
-        "says that it is deterministic, and answered {first_mps2} and {second_mps2} m/s² when it was asked the same twice"
+        "says that it is deterministic, and when it was asked the same twice, {} answered {first_mps2} m/s² and a fresh one \
+         {second_mps2} m/s²{}",
+        if *reused { "the process that had driven runs before" } else { "one fresh process" },
+        if *reused { ": is its state cleared at reset?" } else { "" }
     )]
     Nondeterministic {
-        /// One answer, in m/s².
+        /// The answer that counted, in m/s².
         first_mps2: f64,
-        /// The other, in m/s².
+        /// That of a process that had driven no run before, in m/s².
         second_mps2: f64,
+        /// Whether the first answer came from a process that had driven runs before.
+        #[serde(default)]
+        reused: bool,
     },
     /// It says that it is not deterministic, and its controller file does not.
     #[error("says that it is not deterministic: its controller file has to say `deterministic = false`, too")]

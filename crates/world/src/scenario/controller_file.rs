@@ -197,7 +197,7 @@ pub fn file_name(controller: &NetworkController) -> String {
 }
 
 /// Whether there is an ordinary file: a scenario may name anything, and reading some things does not end.
-pub(super) fn is_ordinary(path: &Path) -> bool {
+pub(crate) fn is_ordinary(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|found| found.is_file())
 }
 

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use super::shielding::Shielded;
-use crate::control::{ControllerSource, ControllerSpec, Ego, Needs, NetworkController, ProcessController};
+use crate::control::{
+    ControllerFailure, ControllerSource, ControllerSpec, Ego, Needs, NetworkController, ProcessController,
+};
 use crate::digest::sha256;
 use crate::policy::Policy;
 use crate::scenario::controller_file::FileController;
@@ -92,6 +94,29 @@ impl ControllerKind {
             Self::Shielded(shielded) => shielded.controller.is_deterministic(),
             Self::Process(process) => process.is_deterministic(),
             Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Custom(_) => true,
+        }
+    }
+
+    /// Starts what has to be started, for no run, and ends it: whether there is anything to be asked at all.
+    ///
+    /// # Errors
+    /// [`ControllerFailure`] of a process that cannot be started or does not introduce itself.
+    pub fn try_start(&self) -> Result<(), ControllerFailure> {
+        match self {
+            Self::Shielded(shielded) => shielded.controller.try_start(),
+            Self::Process(process) => process.try_start(),
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Custom(_) => Ok(()),
+        }
+    }
+
+    /// Why a process is refused, if it is by now: it contradicted its own claim to be deterministic, or cannot be started any more. Its runs
+    /// then say nothing of their scenarios.
+    #[must_use]
+    pub fn refusal(&self) -> Option<ControllerFailure> {
+        match self {
+            Self::Shielded(shielded) => shielded.controller.refusal(),
+            Self::Process(process) => process.refusal(),
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Custom(_) => None,
         }
     }
 

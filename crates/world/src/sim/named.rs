@@ -6,11 +6,12 @@ use std::sync::Arc;
 
 use super::{ControllerKind, Shielded};
 use crate::control::{
-    BuiltIn, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, ProcessController, ProcessSetup,
-    RetrainedPolicy, ShieldSettings,
+    BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, ProcessController,
+    ProcessSetup, RetrainedPolicy, ShieldSettings,
 };
 use crate::policy::{Policy, PolicyError};
-use crate::scenario::controller_file::{ControllerFileError, FileController};
+use crate::scenario::controller_file::{ControllerFileError, FileController, is_ordinary};
+use crate::scenario::file::{line_in_toml, read};
 
 /// A controller to put under test, and what it is called.
 ///
@@ -69,6 +70,29 @@ pub enum UnknownController {
         /// What was found.
         command: String,
     },
+    /// A file of a kind that is no controller.
+    #[error(
+        "{path} is no controller, but {what}: a program is asked as `exec:{command}`, or by a controller file, F.toml, with \
+         `command` (docs/controllers.md){hint}"
+    )]
+    Program {
+        /// The file.
+        path: String,
+        /// What it looks like.
+        what: &'static str,
+        /// How a command names what would be run.
+        command: String,
+        /// What else there is to do about it.
+        hint: &'static str,
+    },
+    /// A process that cannot be started, or does not introduce itself.
+    #[error("{place}{failure}")]
+    NotStarted {
+        /// Where it is said, if that is a file: with its line and field.
+        place: String,
+        /// Why not.
+        failure: ControllerFailure,
+    },
     /// A setting of a built-in controller that is wrong.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
@@ -78,6 +102,16 @@ pub enum UnknownController {
     /// A network or a controller file that cannot be used.
     #[error(transparent)]
     File(ControllerFileError),
+}
+
+/// A controller that contradicted itself, or cannot be started any more: what was found with it would not come out again.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("the controller `{controller}` was refused on the way, and nothing that was found with it counts: {failure}")]
+pub struct RefusedController {
+    /// Its name.
+    pub controller: String,
+    /// Why.
+    pub failure: ControllerFailure,
 }
 
 impl From<ControllerFileError> for UnknownController {
@@ -113,6 +147,37 @@ impl NamedController {
         Self::behind(MOST_SHIELDS, name, folder)
     }
 
+    /// The same, and what has to be started for it is started once as a trial: a program that is missing is a mistake of who names it, not
+    /// a failure of a controller.
+    ///
+    /// # Errors
+    /// As [`Self::find`], and [`UnknownController::NotStarted`].
+    pub fn find_and_try(name: &str, folder: &Path) -> Result<Self, UnknownController> {
+        let found = Self::find(name, folder)?;
+        found.try_start(folder)?;
+        Ok(found)
+    }
+
+    /// The trial alone, of one whose name starts at `folder`.
+    ///
+    /// # Errors
+    /// [`UnknownController::NotStarted`].
+    pub fn try_start(&self, folder: &Path) -> Result<(), UnknownController> {
+        let not_started = |failure| UnknownController::NotStarted { place: said_at(&self.name, folder), failure };
+        self.kind.try_start().map_err(not_started)
+    }
+
+    /// Whether its runs so far say something of it: to be asked before anything that was found is told.
+    ///
+    /// # Errors
+    /// [`RefusedController`] if it was asked the same twice in some run, and answered otherwise, or cannot be started any more.
+    pub fn not_refused(&self) -> Result<(), RefusedController> {
+        match self.kind.refusal() {
+            None => Ok(()),
+            Some(failure) => Err(RefusedController { controller: self.name.clone(), failure }),
+        }
+    }
+
     /// The controller of that name, which says at most so many shields.
     fn behind(shields: usize, name: &str, folder: &Path) -> Result<Self, UnknownController> {
         // Its name in version 0.1.0.
@@ -135,6 +200,9 @@ impl NamedController {
             let Self { name: inner_name, kind: controller } = Self::behind(left, inner, folder)?;
             let name = format!("{}{inner_name}", name.strip_suffix(inner).unwrap_or(name));
             return Ok(Self { name, kind: Shielded { controller, settings }.into() });
+        }
+        if let Some(program) = program(name, folder) {
+            return Err(program);
         }
         if Path::new(name).extension().is_none() {
             let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
@@ -176,6 +244,55 @@ fn is_named(kind: &ControllerKind, name: &str) -> bool {
         }
         ControllerKind::Network(_) | ControllerKind::Process(_) | ControllerKind::Custom(_) => false,
     }
+}
+
+/// Where a controller file says what is to be started, to stand before what is wrong with it; nothing for other names.
+fn said_at(name: &str, folder: &Path) -> String {
+    let mut inner = name;
+    while let Some((_, rest)) = inner.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
+        inner = rest;
+    }
+    if inner.starts_with(EXEC) {
+        return String::new();
+    }
+    let path = folder.join(inner);
+    if path.extension().is_none_or(|extension| extension != "toml") {
+        return format!("{}: ", path.display());
+    }
+    let Ok(text) = read(&path) else { return format!("{}: ", path.display()) };
+    let is_said = |field: &&str| text.lines().any(|line| line.trim_start().starts_with(*field));
+    let field = ["command", "fmu"].into_iter().find(is_said).unwrap_or("command");
+    format!("{}:{}: {field}: ", path.display(), line_in_toml(&text, field))
+}
+
+/// What to say of a name that is that of a program, or of something that one is made of.
+fn program(name: &str, folder: &Path) -> Option<UnknownController> {
+    const LIBRARIES: [&str; 3] = ["so", "dll", "dylib"];
+    const SOURCES: [&str; 10] = ["c", "h", "cc", "cpp", "cxx", "rs", "py", "m", "java", "sh"];
+    let path = folder.join(name);
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+    let is_one_of = |kinds: &[&str]| extension.as_deref().is_some_and(|own| kinds.contains(&own));
+    let (what, hint) = if !is_ordinary(&path) {
+        return None;
+    } else if is_one_of(&LIBRARIES) {
+        ("a shared library", "; a library as an FMU, F.fmu")
+    } else if is_one_of(&SOURCES) {
+        ("a source text", "; a model as an FMU, F.fmu, or a network, F.onnx")
+    } else if extension.is_none() {
+        ("a file without an extension", "")
+    } else {
+        return None;
+    };
+    let stem = if is_one_of(&["py"]) { format!("python3 {name}") } else { path_of_program(name, &extension) };
+    Some(UnknownController::Program { path: path.display().to_string(), what, command: stem, hint })
+}
+
+/// A program as a command names it: one in this folder begins with `./`. Of a source or a library, what is made of it.
+fn path_of_program(name: &str, extension: &Option<String>) -> String {
+    let stem =
+        if extension.as_deref() == Some("sh") { Path::new(name).into() } else { Path::new(name).with_extension("") };
+    let stem = stem.display();
+    if name.contains('/') { stem.to_string() } else { format!("./{stem}") }
 }
 
 /// The words of a command as a shell would split them; none for one that does not end.

@@ -46,6 +46,47 @@ impl fmt::Display for FailedController {
     }
 }
 
+/// Runs that ended because a controller gave no answer. They are failures of that controller, and say nothing of what it would have done.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Unanswered {
+    /// How many.
+    pub runs: u64,
+    /// Why the first of them ended, and when.
+    pub because: String,
+}
+
+impl Unanswered {
+    /// One more run, after those that are known.
+    pub fn count(known: &mut Option<Self>, failed: &FailedController) {
+        Self::join(known, Some(Self { runs: 1, because: failed.because() }));
+    }
+
+    /// So many more, which come after those that are known.
+    pub fn join(known: &mut Option<Self>, later: Option<Self>) {
+        match (known.as_mut(), later) {
+            (Some(known), Some(later)) => known.runs = known.runs.saturating_add(later.runs),
+            (None, later) => *known = later,
+            (Some(_), None) => {}
+        }
+    }
+
+    /// What there is to say of it, of so many runs in all.
+    #[must_use]
+    pub fn words(&self, of: u64) -> String {
+        format!("gave no answer in {} of {of}: {}", self.runs, self.because)
+    }
+}
+
+impl FailedController {
+    /// Why and when it failed.
+    #[must_use]
+    pub fn because(&self) -> String {
+        format!("at {:.2} s, {}", self.time_s, self.failure)
+    }
+}
+
 impl Outcome {
     /// The first contact, if there was one.
     #[must_use]

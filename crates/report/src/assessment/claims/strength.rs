@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::assessment::Rounded;
 use crate::assessment::table::Mark;
+use crumple_world::sim::Unanswered;
 
 /// Least confidence, in percent, with which counting decides a claim.
 pub const LEAST_CONFIDENCE_PERCENT: f64 = 95.0;
@@ -88,12 +89,38 @@ pub enum Strength {
         /// Of so many tries.
         runs: u64,
     },
+    /// Its controller gave no answer in some runs, which ended there: these are failures of the controller, and no contacts, no braking and
+    /// no driving of which anything could be said.
+    Unanswered {
+        /// In how many.
+        unanswered: u64,
+        /// How many others refute the claim.
+        failures: u64,
+        /// Of so many runs in all.
+        runs: u64,
+        /// When the first of them ended, and why.
+        because: String,
+        /// Whether that refutes the claim by itself: it does where a controller that fails is what is claimed not to be.
+        refutes: bool,
+    },
+    /// The other controller gave no answer in so many of the runs that this does not show which of the two fails less often.
+    OtherUnanswered {
+        /// In how many.
+        unanswered: u64,
+        /// Of so many runs.
+        runs: u64,
+        /// When the first of them ended, and why.
+        because: String,
+    },
     /// A search made it fail.
     Found {
         /// In how many distinct ways.
         failures: usize,
         /// How many of them another driver would have avoided.
         avoidable: usize,
+        /// Of those in which the controller gave no answer: when and why, in the severest.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        because: Option<String>,
     },
     /// A braking of the leader makes it fail.
     Defeated {
@@ -119,6 +146,18 @@ impl Strength {
             (_, 0) => Self::Untried,
             (0, _) => Self::Tested { runs },
             _ => Self::Refuted { failures, runs },
+        }
+    }
+
+    /// The same where in some of the runs, which are not among the `failures`, the controller gave no answer. Of a claim about contacts that
+    /// is a failure (`refutes`); of one about how it drives, nothing to go by.
+    #[must_use]
+    pub fn of_answered(failures: u64, runs: u64, unanswered: Option<&Unanswered>, refutes: bool) -> Self {
+        match unanswered {
+            None => Self::of(failures, runs),
+            Some(Unanswered { runs: unanswered, because }) => {
+                Self::Unanswered { unanswered: *unanswered, failures, runs, because: because.clone(), refutes }
+            }
         }
     }
 
@@ -160,6 +199,7 @@ impl Strength {
         match self {
             Self::Refuted { .. } | Self::Found { .. } | Self::Defeated { .. } | Self::Exceeded { .. } => true,
             Self::Compared { own, other, .. } => own > other,
+            Self::Unanswered { failures, refutes, .. } => *refutes || *failures > 0,
             _ => false,
         }
     }
@@ -177,6 +217,10 @@ impl Strength {
         match self {
             Self::Refuted { failures, .. } => 8.0 + within(*failures as f64),
             Self::Found { failures, .. } => 8.0 + within(*failures as f64),
+            Self::Unanswered { unanswered, failures, .. } if self.is_refutation() => {
+                8.0 + within((unanswered + failures) as f64)
+            }
+            Self::Unanswered { .. } | Self::OtherUnanswered { .. } => 1.4,
             Self::Defeated { .. } | Self::Exceeded { .. } | Self::Contradicted => 8.0,
             Self::Proved { certificates } => 7.0 + within(*certificates as f64),
             Self::ProvedIn { share_percent } => 6.0 + within(share_percent.value()),
@@ -205,9 +249,20 @@ impl Strength {
 
     pub(in crate::assessment) fn words(&self) -> String {
         match self {
-            Self::Found { failures, avoidable } => {
+            Self::Found { failures, avoidable, because } => {
                 let plural = if *failures == 1 { "" } else { "s" };
-                format!("refuted: {failures} distinct failure{plural}, {avoidable} avoidable")
+                let silent = because.as_ref().map_or(String::new(), |because| format!("; it gave no answer {because}"));
+                format!("refuted: {failures} distinct failure{plural}, {avoidable} avoidable{silent}")
+            }
+            Self::Unanswered { unanswered, failures: 0, runs, because, refutes } => {
+                let how = if *refutes { "refuted" } else { "not shown" };
+                format!("{how}: gave no answer in {unanswered} of {runs}: {because}")
+            }
+            Self::Unanswered { unanswered, failures, runs, because, .. } => {
+                format!("refuted: {failures} of {runs} fail, and it gave no answer in {unanswered}: {because}")
+            }
+            Self::OtherUnanswered { unanswered, runs, because } => {
+                format!("not shown: the other gave no answer in {unanswered} of {runs}: {because}")
             }
             Self::ProvedIn { share_percent } => format!("proved for {share_percent} % of the box, see Proofs"),
             Self::Proved { .. } => "proved under assumptions, see Proofs".to_owned(),

@@ -74,7 +74,7 @@ impl FirstPage {
         // What is refuted because a part of it is stands there already.
         let against: Vec<_> = chosen(&|standing| {
             (standing.strength.is_refutation() && standing.rule != Some(Rule::RefutedInPart))
-                || standing.strength == Strength::Contradicted
+                || matches!(standing.strength, Strength::Contradicted | Strength::Unanswered { .. })
         });
         let against: Vec<String> =
             against.into_iter().map(|(words, claim, standing)| refuted(words, claim, standing)).collect();
@@ -141,6 +141,14 @@ fn refuted(words: &str, claim: &Claim, standing: &Standing) -> String {
         return format!("{what} in {} where its leader brakes at up to {peak_brake_mps2} m/s² instead", scenario.name);
     }
     let strength = standing.strength.words();
+    // Nothing of what is claimed not to happen did.
+    if let Strength::Unanswered { failures: 0, refutes: true, .. } = standing.strength {
+        return format!(
+            "a controller without an answer {}: it {}",
+            claim.place(),
+            strength.trim_start_matches("refuted: ")
+        );
+    }
     match strength.strip_prefix("refuted") {
         Some(how) => {
             let how = how.strip_prefix(" by").map_or_else(|| how.to_owned(), |by| format!(": with{by}"));

@@ -248,7 +248,11 @@ fn score(strength: &Strength) -> f64 {
         Strength::Bounded { upper_percent, .. } | Strength::Undecided { upper_percent, .. } => -upper_percent.value(),
         Strength::Exceeded { lower_percent, .. } => -lower_percent.value(),
         Strength::Refuted { failures, runs } => -100.0 * *failures as f64 / (*runs).max(1) as f64,
-        Strength::Found { failures, avoidable } => -(0.001 * *failures as f64) - *avoidable as f64,
+        Strength::Unanswered { unanswered, failures, runs, .. } => {
+            -100.0 * (unanswered + failures) as f64 / (*runs).max(1) as f64
+        }
+        Strength::OtherUnanswered { .. } => 0.0,
+        Strength::Found { failures, avoidable, .. } => -(0.001 * *failures as f64) - *avoidable as f64,
         Strength::Defeated { peak_brake_mps2 } => peak_brake_mps2.value(),
         Strength::Between { upper_percent, .. } => -upper_percent.value(),
         Strength::Counted { confidence_percent, .. } => confidence_percent.value(),

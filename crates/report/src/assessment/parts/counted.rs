@@ -82,7 +82,8 @@ fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result
         runs: plan.config.rates.runs,
         confidence: plan.config.rates.confidence,
     })?;
-    let text: String = work.get(&name, rates.registration(), || {
+    // A line with the certificate, and one with who gave no answer, if somebody did.
+    let kept: String = work.get(&name, rates.registration(), || {
         let mut tally = rates.tally();
         while tally.runs < plan.config.rates.runs {
             let before = tally.runs;
@@ -90,12 +91,16 @@ fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result
             work.did(tally.runs - before)?;
         }
         let text = serde_json::to_string(&rates.certificate(&tally)).map_err(StoreError::encoding)?;
-        Ok::<_, AssessError>(text)
+        Ok::<_, AssessError>(match tally.unanswered_words() {
+            silent if silent.is_empty() => text,
+            silent => format!("{text}\n{silent}"),
+        })
     })?;
-    let certificate = Certificate::from_json(&text).map_err(|error| AssessError::Certificate(error.to_string()))?;
+    let (text, silent) = kept.split_once('\n').unwrap_or((&kept, ""));
+    let certificate = Certificate::from_json(text).map_err(|error| AssessError::Certificate(error.to_string()))?;
     let mut proof = proof(plan, name, &certificate, None)?;
     let counts_others = counts_others(plan, &certificate.statement);
-    if let Some(status) = in_vain(&certificate.statement, counts_others).filter(|_| !proof.is_accepted()) {
+    if let Some(status) = in_vain(&certificate.statement, counts_others, silent).filter(|_| !proof.is_accepted()) {
         proof.status = status;
     }
     Ok(proof)
@@ -103,18 +108,20 @@ fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result
 
 /// What becomes of counts that were made here and do not show what they were to show: they are no proof, and none that was
 /// tampered with.
-fn in_vain(statement: &Statement, counts_others: bool) -> Option<ProofStatus> {
+fn in_vain(statement: &Statement, counts_others: bool, silent: &str) -> Option<ProofStatus> {
     match statement {
         Statement::Comparison(two) => {
             let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
             let Registration { runs, confidence, .. } = two.registration;
             Some(ProofStatus::NothingShown {
-                counted: format!("only the first failed in {only_first} runs, only the second in {only_second}"),
+                counted: format!(
+                    "only the first failed in {only_first} runs, only the second in {only_second}{silent}"
+                ),
                 strength: Strength::CountedInVain { confidence_percent: Rounded::down(100.0 * confidence), runs },
             })
         }
         Statement::Rate(rate) => Some(ProofStatus::NothingShown {
-            counted: format!("{} of {} runs failed", rate.failures, rate.registration.runs),
+            counted: format!("{} of {} runs failed{silent}", rate.failures, rate.registration.runs),
             strength: between(rate, 1.0, counts_others),
         }),
         _ => None,

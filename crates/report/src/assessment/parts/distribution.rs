@@ -18,7 +18,9 @@ use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
 use crumple_search::evidence::RateInterval;
 use crumple_search::evidence::exposed::{ExposedRate, Probability};
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
+use crumple_world::sim::{
+    NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, Unanswered, simulate_batch,
+};
 
 /// Confidence of the intervals.
 const CONFIDENCE: f64 = 0.95;
@@ -53,15 +55,18 @@ pub struct Distribution {
 pub struct Sampled {
     /// The controller's name.
     pub controller: String,
-    /// Draws in which vehicles touched.
+    /// Draws in which a vehicle under test touched another.
     pub collisions: u64,
+    /// Draws that ended because its controller gave no answer: failures, and no collisions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unanswered: Option<Unanswered>,
     /// Draws that ended when vehicles that are not under test touched: they say nothing of the controller.
     pub cut_short: u64,
     /// Draws in which a vehicle under test hit the one ahead first.
     pub hit: u64,
     /// Draws in which a vehicle under test was hit from behind first.
     pub was_hit: u64,
-    /// The share of collisions, in percent, and its exact bounds.
+    /// The share of collisions, and of draws without an answer, in percent, and its exact bounds.
     pub rate_percent: Percent,
     /// Smallest gap ahead of a vehicle under test over all draws, in metres.
     pub min_gap_ahead_m: Option<Rounded<2>>,
@@ -101,14 +106,14 @@ impl Percent {
     }
 }
 
-/// Two controllers on the same draws.
+/// Two controllers on the same draws. Draws in which the first gave no answer are not among those in which only it fails.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Paired {
-    /// Both collide.
+    /// Both fail.
     pub both: u64,
     /// Only the first controller collides.
     pub only_first: u64,
-    /// Only this one collides.
+    /// Only this one fails.
     pub only_this: u64,
 }
 
@@ -120,6 +125,30 @@ pub(super) struct Draw {
 }
 
 impl Sampled {
+    /// Draws that its controller gave no answer in.
+    #[must_use]
+    pub fn silent(&self) -> u64 {
+        self.unanswered.as_ref().map_or(0, |silent| silent.runs)
+    }
+
+    /// Draws that it fails, in whatever way.
+    #[must_use]
+    pub fn failures(&self) -> u64 {
+        self.collisions.saturating_add(self.silent())
+    }
+
+    /// What the draws say of the claim that it fails in fewer of them than another. Those in which the other gave no answer may have gone
+    /// either way.
+    fn compared(&self, other: &Self, draws: u64) -> Strength {
+        let beside = [other.collisions, other.cut_short.saturating_add(other.silent())];
+        match (Strength::compared([self.failures(), self.cut_short], beside, draws), &other.unanswered) {
+            (Strength::Untried, Some(Unanswered { runs: unanswered, because })) => {
+                Strength::OtherUnanswered { unanswered: *unanswered, runs: draws, because: because.clone() }
+            }
+            (strength, _) => strength,
+        }
+    }
+
     /// The exact bounds on the share of collisions.
     fn between(&self, distribution: &Distribution) -> Strength {
         Strength::Between {
@@ -151,13 +180,14 @@ impl Distributions {
                     let claim = Claim { subject: subject.clone(), property, domain };
                     all.push(Evidence { claim, strength, source: source() });
                 };
-                add(Property::NoContact, draws(), Strength::of(sampled.collisions, drawn.draws - sampled.cut_short));
+                let telling = drawn.draws - sampled.cut_short;
+                let touching = Strength::of_answered(sampled.collisions, telling, sampled.unanswered.as_ref(), true);
+                add(Property::NoContact, draws(), touching);
                 add(Property::OthersKeepClear, draws(), Strength::of(sampled.cut_short, drawn.draws));
                 add(Property::FailureRate, Domain::Space { space: space() }, sampled.between(drawn));
                 if let Some((first, of_first)) = first.as_ref().filter(|(first, _)| *first != subject) {
-                    let [own, other] = [sampled, of_first].map(|of| [of.collisions, of.cut_short]);
                     let than = Property::FailsLessOften { than: first.controller.clone() };
-                    add(than, draws(), Strength::compared(own, other, drawn.draws));
+                    add(than, draws(), sampled.compared(of_first, drawn.draws));
                 }
             }
         }
@@ -172,7 +202,7 @@ impl Distribution {
         work: &Work<'_>,
     ) -> Result<Self, AssessError> {
         let inputs = json!([named.text, plan.config.draws, plan.config.seed, plan.identities()]);
-        work.store.get(&format!("draws of {}", named.space.name()), &inputs, || Self::run(plan, named, work))
+        work.get(&format!("draws of {}", named.space.name()), &inputs, || Self::run(plan, named, work))
     }
 
     fn run(plan: &AssessmentPlan, named: &NamedSpace, work: &Work<'_>) -> Result<Self, AssessError> {
@@ -182,20 +212,20 @@ impl Distribution {
             let to = config.draws.min(from + DRAWS_AT_ONCE);
             let draw = |index| named.space.draw(config.seed, index);
             let scenarios = (from..to).map(draw).collect::<Result<Vec<_>, _>>()?;
-            let mut first: Vec<bool> = Vec::new();
+            let mut first: Vec<Fared> = Vec::new();
             for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
                 let draws = run_draws(&scenarios, controller, plan)?;
-                let collides: Vec<bool> = draws.iter().map(|draw| draw.verdict.is_failure()).collect();
+                let fared: Vec<Fared> = draws.iter().map(|draw| Fared::of(&draw.verdict)).collect();
                 if first.is_empty() {
-                    first.clone_from(&collides);
+                    first.clone_from(&fared);
                 }
-                tally.add(&draws, first.iter().copied().zip(collides));
+                tally.add(&draws, first.iter().copied().zip(fared));
             }
             work.did((to - from) * plan.controllers.len() as u64)?;
         }
         let finish = |(index, (controller, tally)): (usize, (&NamedController, Tally))| {
             let known =
-                Probability::Counted { failures: tally.collisions, unknown: tally.cut_short, runs: tally.draws };
+                Probability::Counted { failures: tally.failures(), unknown: tally.cut_short, runs: tally.draws };
             let exposed = exposed(plan, named, controller, known, work)?;
             Ok(Sampled { exposed, ..tally.finish(controller, index > 0) })
         };
@@ -224,9 +254,11 @@ impl Distribution {
     fn table(&self) -> Table {
         let first = self.controllers.first().map_or("", |sampled| sampled.controller.as_str());
         let paired = [format!("only {first} collides"), "only this one".to_owned()];
-        let mut table = Table::new(&[
-            "controller",
-            "collisions",
+        // A column for it where there is any.
+        let some_silent = self.controllers.iter().any(|sampled| sampled.unanswered.is_some());
+        let silent: &[&str] = if some_silent { &["no answer"] } else { &[] };
+        let before = ["controller", "collisions"];
+        let after = [
             "rate %",
             "bounds %",
             "hit ahead",
@@ -237,14 +269,18 @@ impl Distribution {
             "mean impact m/s",
             &paired[0],
             &paired[1],
-        ]);
+        ];
+        let mut table = Table::new(&[&before[..], silent, &after[..]].concat());
         for sampled in &self.controllers {
             let rate = sampled.rate_percent;
             let pair = |of: fn(&Paired) -> u64| sampled.paired.as_ref().map_or("–".to_owned(), |p| of(p).to_string());
             let dash = |value: Option<Rounded<2>>| value.map_or("–".to_owned(), |value| value.to_string());
-            table.row(vec![
+            let silent = some_silent.then(|| Cell::judged(sampled.silent(), sampled.silent() == 0));
+            let before = [
                 Cell::text(&sampled.controller),
                 Cell::judged(sampled.collisions, sampled.collisions + sampled.cut_short == 0),
+            ];
+            let after = [
                 Cell::number(rate.observed),
                 Cell::number(format!("{} – {}", rate.lower, rate.upper)),
                 Cell::number(sampled.hit),
@@ -255,9 +291,19 @@ impl Distribution {
                 Cell::number(sampled.mean_impact_speed_mps.map_or("–".to_owned(), |speed| speed.to_string())),
                 Cell::number(pair(|p| p.only_first)),
                 Cell::number(pair(|p| p.only_this)),
-            ]);
+            ];
+            table.row(before.into_iter().chain(silent).chain(after).collect());
         }
         table
+    }
+
+    /// Of each controller that gave no answer in some draws: in how many, and why.
+    fn silent(&self) -> Vec<String> {
+        let silent = self.controllers.iter().filter_map(|sampled| Some((sampled, sampled.unanswered.as_ref()?)));
+        let words = silent.map(|(sampled, silent)| {
+            format!("{} {}. That is a failure of it, and no collision.", sampled.controller, silent.words(self.draws))
+        });
+        words.collect()
     }
 
     fn figure(&self) -> Svg {
@@ -271,8 +317,8 @@ impl Distribution {
         for (index, sampled) in self.controllers.iter().enumerate() {
             let y = (names.len() - 1 - index) as f64;
             let Percent { observed, lower, upper } = sampled.rate_percent;
-            let ink = if sampled.collisions == 0 { Ink::Series(0) } else { Ink::Alert };
-            let marker = if sampled.collisions == 0 { Marker::Ring } else { Marker::Cross };
+            let ink = if sampled.failures() == 0 { Ink::Series(0) } else { Ink::Alert };
+            let marker = if sampled.failures() == 0 { Marker::Ring } else { Marker::Cross };
             panel.segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
             panel.marks(&[(observed.value(), y)], marker, ink);
         }
@@ -309,11 +355,31 @@ impl Draw {
     }
 }
 
+/// How a controller fared in a draw, as far as it is set beside another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Fared {
+    Passes,
+    Fails,
+    /// It gave no answer.
+    Silent,
+}
+
+impl Fared {
+    fn of(verdict: &CaseVerdict) -> Self {
+        match verdict {
+            CaseVerdict::ControllerFailed { .. } => Self::Silent,
+            verdict if verdict.is_failure() => Self::Fails,
+            _ => Self::Passes,
+        }
+    }
+}
+
 /// Sums over draws.
 #[derive(Default)]
 struct Tally {
     draws: u64,
     collisions: u64,
+    unanswered: Option<Unanswered>,
     cut_short: u64,
     hit: u64,
     was_hit: u64,
@@ -324,10 +390,11 @@ struct Tally {
 }
 
 impl Tally {
-    fn add(&mut self, draws: &[Draw], with_first: impl Iterator<Item = (bool, bool)>) {
+    fn add(&mut self, draws: &[Draw], with_first: impl Iterator<Item = (Fared, Fared)>) {
         for draw in draws {
             self.draws += 1;
-            self.collisions += u64::from(draw.verdict.is_failure());
+            self.collisions += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_) | CaseVerdict::WasHit(_)));
+            Unanswered::join(&mut self.unanswered, draw.verdict.unanswered());
             self.cut_short += u64::from(!draw.verdict.counts());
             self.hit += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_)));
             self.was_hit += u64::from(matches!(draw.verdict, CaseVerdict::WasHit(_)));
@@ -341,26 +408,32 @@ impl Tally {
         }
         for (first, this) in with_first {
             match (first, this) {
-                (true, true) => self.paired.both += 1,
-                (true, false) => self.paired.only_first += 1,
-                (false, true) => self.paired.only_this += 1,
-                (false, false) => {}
+                (Fared::Fails | Fared::Silent, Fared::Fails | Fared::Silent) => self.paired.both += 1,
+                (Fared::Fails, Fared::Passes) => self.paired.only_first += 1,
+                (Fared::Passes, Fared::Fails | Fared::Silent) => self.paired.only_this += 1,
+                // What the first gave no answer in does not count in favour of this one.
+                (Fared::Silent | Fared::Passes, Fared::Passes) => {}
             }
         }
+    }
+
+    fn failures(&self) -> u64 {
+        self.collisions.saturating_add(self.unanswered.as_ref().map_or(0, |silent| silent.runs))
     }
 
     fn finish(self, controller: &NamedController, is_paired: bool) -> Sampled {
         let mean_impact_mps = self.impact_speed_sum_mps / self.impacts as f64;
         Sampled {
             controller: controller.name.clone(),
+            rate_percent: Percent::exact([self.failures(), self.cut_short], self.draws, CONFIDENCE),
             collisions: self.collisions,
+            unanswered: self.unanswered,
             cut_short: self.cut_short,
             hit: self.hit,
             was_hit: self.was_hit,
-            rate_percent: Percent::exact([self.collisions, self.cut_short], self.draws, CONFIDENCE),
             min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
             min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),
-            mean_impact_speed_mps: (self.collisions > 0).then(|| mean_impact_mps.into()),
+            mean_impact_speed_mps: (self.impacts > 0).then(|| mean_impact_mps.into()),
             exposed: None,
             paired: is_paired.then_some(self.paired),
         }
@@ -379,6 +452,7 @@ impl Part for Distributions {
             @for drawn in &self.spaces {
                 p { (prose(&drawn.introduction())) }
                 (drawn.table().html())
+                @for line in drawn.silent() { p { (prose(&line)) } }
                 @if let Some((words, table)) = on_the_road(drawn) {
                     p { (prose(&words)) }
                     (table.html())
@@ -393,6 +467,7 @@ impl Part for Distributions {
         for drawn in &self.spaces {
             text.paragraph(drawn.introduction());
             drawn.table().markdown(&mut text);
+            drawn.silent().into_iter().for_each(|line| text.paragraph(line));
             if let Some((words, table)) = on_the_road(drawn) {
                 text.paragraph(words);
                 table.markdown(&mut text);

@@ -29,6 +29,9 @@ pub struct MethodReached {
     pub first_failure: Option<u64>,
     /// How many of them the controller failed in.
     pub failures: u64,
+    /// In how many of those it gave no answer.
+    #[serde(default, skip_serializing_if = "is_none_of_them")]
+    pub unanswered: u64,
     /// How many ended when vehicles touched that are not under test: they say nothing of the controller.
     pub others: u64,
 }
@@ -37,6 +40,8 @@ impl MethodReached {
     /// Of scenarios like `nominal`.
     pub(super) fn of(method: &MethodSummary, all: &Summary, nominal: &Scenario) -> Self {
         let own = all.failures.iter().filter(|kind| is_own([kind.front_vehicle, kind.rear_vehicle], nominal));
+        let silent = all.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
+        let silent = silent.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method);
         let own: Vec<_> = own.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method).collect();
         let failures = own.iter().map(|by| by.count).sum();
         Self {
@@ -44,9 +49,14 @@ impl MethodReached {
             evaluations: method.evaluations,
             first_failure: own.iter().map(|by| by.first).min(),
             failures,
+            unanswered: silent.map(|by| by.count).sum(),
             others: method.failures.saturating_sub(failures),
         }
     }
+}
+
+fn is_none_of_them(count: &u64) -> bool {
+    *count == 0
 }
 
 /// Whether a contact between these is one of a vehicle under test; what is no contact is its controller's.
@@ -66,6 +76,9 @@ pub struct Failure {
     pub replay: Option<Command>,
     /// What happens.
     pub kind: String,
+    /// Of a controller that gave no answer: when and why.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub because: Option<String>,
     /// When vehicles first touch, in seconds.
     pub contact_time_s: Option<Rounded<2>>,
     /// Difference of their speeds, in m/s.
@@ -110,6 +123,7 @@ impl Failure {
             replay: replay(&file),
             file,
             kind: found.kind.clone(),
+            because: found.because.clone(),
             contact_time_s: found.contact_time_s.map(Rounded::new),
             impact_speed_mps: found.impact_speed_mps.map(Rounded::new),
             max_delta_v_mps: found.max_delta_v_mps.map(Rounded::new),
@@ -158,6 +172,9 @@ impl Failure {
 
     pub(super) fn words(&self) -> String {
         let fragile = if self.dt_fragile { ", only at the scenario's step" } else { "" };
+        if let Some(because) = &self.because {
+            return format!("{} {because}{fragile}", self.kind);
+        }
         match (self.impact_speed_mps, self.contact_time_s) {
             (Some(speed), Some(time)) => format!("{}: impact at {speed} m/s, after {time} s{fragile}", self.kind),
             _ => format!("{}{fragile}", self.kind),

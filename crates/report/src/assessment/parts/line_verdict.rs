@@ -8,10 +8,10 @@ use crate::assessment::claims::Strength;
 use crate::assessment::table::{Cell, Mark};
 use crumple_world::measure::SpeedAmplification;
 use crumple_world::scenario::{SPEED_DIP_S, Scenario};
-use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
+use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, Unanswered, simulate};
 
 /// What a line of vehicles makes of a disturbance of its leader.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum LineVerdict {
@@ -27,13 +27,21 @@ pub enum LineVerdict {
     },
     /// The line does not drive at one speed to begin with.
     DoesNotSettle,
-    /// Vehicles touch, or a controller fails.
+    /// Vehicles touch.
     Fails,
+    /// Its controller gave no answer.
+    NoAnswer {
+        /// When and why.
+        because: String,
+    },
 }
 
 impl LineVerdict {
     pub(super) fn of(line: &Scenario, options: &RunOptions) -> Result<Self, RunError> {
         let simulated = simulate(&Run::new(line, options.clone())?, RecordingLevel::Trace);
+        if let Some(failed) = simulated.outcome.failed() {
+            return Ok(Self::NoAnswer { because: failed.because() });
+        }
         if !simulated.outcome.is_safe() {
             return Ok(Self::Fails);
         }
@@ -45,36 +53,42 @@ impl LineVerdict {
     }
 
     /// What it says of the claim that no disturbance grows: of a line that drives at no one speed nothing.
-    pub(super) fn strength(self) -> Strength {
+    pub(super) fn strength(&self) -> Strength {
         match self {
             Self::Damps { .. } => Strength::of(0, 1),
             Self::Amplifies { .. } | Self::Fails => Strength::of(1, 1),
+            Self::NoAnswer { because } => {
+                let silent = Unanswered { runs: 1, because: because.clone() };
+                Strength::of_answered(0, 1, Some(&silent), false)
+            }
             Self::DoesNotSettle => Strength::Untried,
         }
     }
 
     /// Whether no disturbance grew.
-    pub(in crate::assessment) fn holds(self) -> bool {
+    pub(in crate::assessment) fn holds(&self) -> bool {
         matches!(self, Self::Damps { .. })
     }
 
-    pub(in crate::assessment) fn words(self) -> String {
+    pub(in crate::assessment) fn words(&self) -> String {
         match self {
             Self::Damps { gain } => format!("it shrinks to {gain} of what it was"),
             Self::Amplifies { gain } => {
                 format!("some vehicle deviates more than the one ahead, the last by {gain} of it")
             }
             Self::DoesNotSettle => "the line does not settle to one speed".to_owned(),
-            Self::Fails => "vehicles of the line touch, or a controller fails".to_owned(),
+            Self::Fails => "vehicles of the line touch".to_owned(),
+            Self::NoAnswer { because } => format!("it gave no answer: {because}"),
         }
     }
 
-    pub(super) fn cell(self) -> Cell {
+    pub(super) fn cell(&self) -> Cell {
         match self {
             Self::Damps { gain } => Cell::marked(gain, Mark::Good),
             Self::Amplifies { gain } => Cell::marked(gain, Mark::Bad),
             Self::DoesNotSettle => Cell::text("does not settle"),
             Self::Fails => Cell::marked("fails", Mark::Bad),
+            Self::NoAnswer { .. } => Cell::marked("no answer", Mark::Bad),
         }
     }
 }

@@ -11,14 +11,16 @@ use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source
 use crate::assessment::commands::controller_word;
 use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::plan::{NamedSpace, file_stem};
+use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
+use crumple_search::falsify::counterexample::Counterexample;
 use crumple_world::digest::sha256;
 use crumple_world::measure::{Conduct, Specification};
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{NamedController, Unanswered};
 
 /// The part's anchor in the page.
 const ANCHOR: &str = "rules";
@@ -50,7 +52,10 @@ pub struct RuleSearch {
     pub evaluations: u64,
     /// How many of them broke the rule.
     pub violations: u64,
-    /// How many of these are distinct.
+    /// Evaluations in which the controller gave no answer: these neither keep a rule nor break it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unanswered: Option<Unanswered>,
+    /// How many of the violations are distinct.
     pub distinct: usize,
     /// In which of its runs, from 1, the search met the first.
     pub first: Option<u64>,
@@ -127,7 +132,9 @@ impl<'p> RulePlan<'p> {
         let word = controller_word(&controller.kind);
         let seeing = plan.estimator_words().iter().copied();
         let stem = format!("{}/{}/{}", file_stem(self.space.space.name()), file_stem(self.rule), plan.slug(index));
-        let worst = summary.counterexamples.first().zip(texts.into_iter().next()).map(|(found, text)| {
+        let is_silent = |found: &&Counterexample| found.because.is_some();
+        let severest = summary.counterexamples.first().filter(|found| !is_silent(found));
+        let worst = severest.zip(texts.into_iter().next()).map(|(found, text)| {
             let file = format!("counterexamples/rules/{stem}.toml");
             let replay = word.as_deref().map(|word| {
                 let simulate = Command::new(["simulate", file.as_str(), "--controller", word, "--spec", self.rule]);
@@ -154,12 +161,20 @@ impl<'p> RulePlan<'p> {
             let how = ["--budget", &budget, "--seed", &seed, "--out", &out];
             Command::new(what).and(how).and(seeing.clone())
         });
+        let silent = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
+        let runs: u64 = silent.clone().map(|kind| kind.count).sum();
+        let because = silent.filter_map(|kind| kind.because.clone()).next();
+        let because = because.unwrap_or_else(|| "of none of them is it known why".to_owned());
+        let breaking = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_none());
+        let by_method = breaking.flat_map(|kind| &kind.by_method).filter(|by| by.method == summary.method);
+        let failures: u64 = summary.methods.iter().map(|method| method.failures).sum();
         RuleSearch {
             controller: controller.name.clone(),
             evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
-            violations: summary.methods.iter().map(|method| method.failures).sum(),
-            distinct: summary.counterexamples.len(),
-            first: summary.first_falsification,
+            violations: failures.saturating_sub(runs),
+            unanswered: (runs > 0).then_some(Unanswered { runs, because }),
+            distinct: summary.counterexamples.iter().filter(|found| !is_silent(found)).count(),
+            first: by_method.map(|by| by.first).min(),
             worst,
             command,
         }
@@ -190,7 +205,12 @@ impl Rules {
             let claimants = plan.claimants().into_iter().zip(&searches.controllers);
             let each = claimants.map(|(subject, search)| Evidence {
                 claim: Claim { subject, property: searches.property(), domain: domain.clone() },
-                strength: Strength::of(search.violations, search.evaluations),
+                strength: Strength::of_answered(
+                    search.violations,
+                    search.evaluations,
+                    search.unanswered.as_ref(),
+                    false,
+                ),
                 source: Source::part(ANCHOR, format!("{} evaluations", search.evaluations)),
             });
             each.collect::<Vec<_>>()
@@ -236,7 +256,10 @@ impl RuleSearches {
             let worst = search.worst.as_ref();
             table.row(vec![
                 Cell::text(&search.controller),
-                Cell::judged(format!("{} of {}", search.violations, search.evaluations), search.violations == 0),
+                Cell::judged(
+                    format!("{} of {}", search.violations, search.evaluations),
+                    search.violations == 0 && search.unanswered.is_none(),
+                ),
                 Cell::number(search.distinct),
                 Cell::number(search.first.map_or_else(dash, |first| first.to_string())),
                 Cell::number(worst.map_or_else(dash, |worst| worst.robustness.to_string())),
@@ -244,6 +267,12 @@ impl RuleSearches {
             ]);
         }
         table
+    }
+
+    /// Of each controller that gave no answer in some runs: in how many, and why.
+    fn silent(&self) -> impl Iterator<Item = String> {
+        let silent = self.controllers.iter().filter_map(|search| Some((search, search.unanswered.as_ref()?)));
+        silent.map(|(search, silent)| format!("{} {}.", search.controller, silent.words(search.evaluations)))
     }
 
     fn replays(&self) -> impl Iterator<Item = &Command> {
@@ -270,6 +299,7 @@ impl Part for Rules {
             @for one in &self.searches {
                 h3 { (one.heading()) }
                 (one.table().html())
+                @for line in one.silent() { p { (prose(&line)) } }
                 p.replay { @for command in one.replays() { code { (command) } " " } }
                 details {
                     summary { "search again" }
@@ -285,6 +315,7 @@ impl Part for Rules {
         for one in &self.searches {
             text.heading(3, &one.heading());
             one.table().markdown(&mut text);
+            one.silent().for_each(|line| text.paragraph(line));
             text.list(one.replays().map(|command| Inline::default().and_code(command)));
         }
         text

@@ -6,13 +6,14 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::assessment::best::CertifiedBest;
-use crate::assessment::case::Case;
+use crate::assessment::case::{Case, CaseVerdict};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject, Words};
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, Best, Command};
 use crate::draw::{MotionFigure, Svg, animation, motion_beside, motion_plate, motion_responsive, vehicle_names};
 use crumple_world::scenario::Scenario;
+use crumple_world::sim::Unanswered;
 
 /// What came of every controller in one scenario.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
@@ -43,9 +44,12 @@ pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part:
     let of = |(index, subject): (usize, Subject)| {
         let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict);
         let counted: Vec<_> = verdicts.filter(|verdict| verdict.counts()).collect();
-        let failures = counted.iter().filter(|verdict| verdict.is_failure()).count();
+        let mut silent = None;
+        counted.iter().for_each(|verdict| Unanswered::join(&mut silent, verdict.unanswered()));
+        let touches = |verdict: &&&CaseVerdict| verdict.is_failure() && verdict.unanswered().is_none();
+        let failures = counted.iter().filter(touches).count();
         let claim = Claim { subject, property: Property::NoContact, domain: domain(scenarios, part) };
-        let strength = Strength::of(failures as u64, counted.len() as u64);
+        let strength = Strength::of_answered(failures as u64, counted.len() as u64, silent.as_ref(), true);
         Evidence { claim, strength, source: Source::part(part, format!("{} runs", counted.len())) }
     };
     plan.claimants().into_iter().enumerate().map(of).collect()

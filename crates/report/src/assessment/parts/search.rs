@@ -28,7 +28,7 @@ use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_world::measure::Specification;
 use crumple_world::scenario::file;
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{NamedController, Unanswered};
 
 /// Failures of one search that are shown, the severest first: more than a campaign of a few hundred runs tells apart.
 const MOST_SHOWN: usize = 100;
@@ -119,7 +119,15 @@ impl Searches {
         let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &Search))| {
             let strength = match search.total() {
                 0 => Strength::of(search.methods.iter().map(|reached| reached.failures).sum(), search.telling()),
-                failures => Strength::Found { failures, avoidable: search.count(AvoidabilityClass::Avoidable) },
+                // Nothing but that: no contact was found.
+                failures if failures == search.silent().count() => {
+                    Strength::of_answered(0, search.telling(), search.unanswered().as_ref(), true)
+                }
+                failures => Strength::Found {
+                    failures,
+                    avoidable: search.count(AvoidabilityClass::Avoidable),
+                    because: search.unanswered().map(|silent| silent.because),
+                },
             };
             let claim = Claim { subject, property: Property::NoContact, domain: space.domain(plan) };
             Evidence {
@@ -242,6 +250,26 @@ impl Search {
             others: summary.counterexamples.len() - own.len(),
             drawn,
         })
+    }
+
+    /// Those of the failures that are shown in which the controller gave no answer.
+    fn silent(&self) -> impl Iterator<Item = &Failure> {
+        self.failures.iter().filter(|failure| failure.because.is_some())
+    }
+
+    /// Evaluations in which it gave none, and why.
+    fn unanswered(&self) -> Option<Unanswered> {
+        let runs = self.methods.iter().map(|reached| reached.unanswered).sum();
+        let because = self.silent().find_map(|failure| failure.because.clone());
+        (runs > 0).then(|| Unanswered {
+            runs,
+            because: because.unwrap_or_else(|| "of none of them is it known why".to_owned()),
+        })
+    }
+
+    /// The same in words.
+    pub(in crate::assessment) fn silent_words(&self) -> Option<String> {
+        Some(self.unanswered()?.words(self.evaluations()))
     }
 
     /// Distinct failures of a class.

@@ -10,6 +10,7 @@ use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, St
 use crate::assessment::markdown::Markdown;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, GateResult, Part, Rounded};
+use crumple_world::control::ProcessController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{ControllerKind, NamedController};
 
@@ -172,11 +173,21 @@ fn what_drives(kind: &ControllerKind) -> String {
             )
         }
         ControllerKind::Process(process) => match process.is_deterministic() {
-            true => "a process".to_owned(),
-            false => "a process that is not deterministic: made again, this report may say otherwise".to_owned(),
+            true => what_process(process).to_owned(),
+            false => {
+                format!(
+                    "{} that is not deterministic: made again, this report may say otherwise",
+                    what_process(process)
+                )
+            }
         },
         ControllerKind::Custom(_) => "a controller from outside".to_owned(),
     }
+}
+
+/// An FMU runs in a process of its own, and is none for its user.
+fn what_process(process: &ProcessController) -> &'static str {
+    if process.setup().program.is_some() { "an FMU" } else { "a process" }
 }
 
 /// Every claim, each of all controllers.

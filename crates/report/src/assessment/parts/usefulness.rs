@@ -10,6 +10,7 @@ use super::{LineVerdict, Percent};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Words};
 use crate::assessment::markdown::Markdown;
+use crate::assessment::prose::prose;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
@@ -18,7 +19,9 @@ use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, Marker, Panel, SMALL, Stroke
 use crumple_world::measure::{self, Following, NEEDLESS_MARGIN_MPS2};
 use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
 use crumple_world::scenario::{Scenario, speed_dip};
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
+use crumple_world::sim::{
+    NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, Unanswered, simulate_batch,
+};
 
 /// The part's anchor in the page.
 const ANCHOR: &str = "usefulness";
@@ -63,7 +66,11 @@ pub struct Useful {
     pub cut_short: [u64; 2],
     /// Draws where something threatens in which it failed.
     pub high_risk_failures: u64,
-    /// Drives in traffic with braking without cause, or with a controller that failed.
+    /// Drives in traffic, and draws where something threatens, that ended because its controller gave no answer. They are failures, and say
+    /// nothing of how it drives.
+    #[serde(default, skip_serializing_if = "all_answered")]
+    pub unanswered: [Option<Unanswered>; 2],
+    /// Drives in traffic with braking without cause.
     pub needless: u64,
     /// Their share, in percent, and its exact bounds.
     pub needless_percent: Percent,
@@ -89,6 +96,10 @@ pub struct Useful {
     pub line: LineVerdict,
     /// The share of failures where something threatens, in percent, and its exact bounds.
     pub high_risk_percent: Percent,
+}
+
+fn all_answered(unanswered: &[Option<Unanswered>; 2]) -> bool {
+    unanswered.iter().all(Option::is_none)
 }
 
 /// What is kept of one drive in traffic.
@@ -158,18 +169,25 @@ impl Usefulness {
         let [traffic, danger] = self.domains();
         let mut all = Vec::new();
         for (subject, useful) in plan.claimants().into_iter().zip(&self.controllers) {
+            let touching = |place: usize, failures: u64| failures.saturating_sub(useful.silent()[place]);
+            let [in_traffic, in_danger] = &useful.unanswered;
             let counts = [
-                (Property::NoContact, &traffic, useful.failures, useful.cut_short[0]),
-                (Property::NoNeedlessBraking, &traffic, useful.needless, 0),
-                (Property::KeepsUp, &traffic, useful.left_behind, 0),
-                (Property::NoContact, &danger, useful.high_risk_failures, useful.cut_short[1]),
+                (Property::NoContact, &traffic, touching(0, useful.failures), useful.cut_short[0], in_traffic),
+                (Property::NoNeedlessBraking, &traffic, useful.needless, 0, in_traffic),
+                (Property::KeepsUp, &traffic, useful.left_behind, 0, in_traffic),
+                (Property::NoContact, &danger, touching(1, useful.high_risk_failures), useful.cut_short[1], in_danger),
             ];
             let line = Claim { subject: subject.clone(), property: Property::StringStable, domain: self.line_domain() };
             let source = Source::part(ANCHOR, "one run of a line");
             all.push(Evidence { claim: line, strength: useful.line.strength(), source });
-            all.extend(counts.map(|(property, domain, failures, cut_short)| Evidence {
+            all.extend(counts.map(|(property, domain, failures, cut_short, silent)| Evidence {
+                strength: Strength::of_answered(
+                    failures,
+                    self.draws - cut_short,
+                    silent.as_ref(),
+                    property == Property::NoContact,
+                ),
                 claim: Claim { subject: subject.clone(), property, domain: domain.clone() },
-                strength: Strength::of(failures, self.draws - cut_short),
                 source: Source::part(ANCHOR, format!("{} drives, seed {}", self.draws, self.seed)),
             }));
         }
@@ -191,9 +209,11 @@ impl Usefulness {
     }
 
     fn table(&self) -> Table {
-        let mut table = Table::new(&[
-            "controller",
-            "fails in traffic",
+        // A column for it where there is any.
+        let some_silent = self.controllers.iter().any(|useful| useful.unanswered.iter().any(Option::is_some));
+        let silent: &[&str] = if some_silent { &["no answer in traffic, high-risk"] } else { &[] };
+        let before = ["controller", "fails in traffic"];
+        let after = [
             "brakes without cause %",
             "bounds %",
             "s a drive",
@@ -206,13 +226,19 @@ impl Usefulness {
             "follower brakes m/s²",
             "gain of a line",
             "fails in high-risk %",
-        ]);
+        ];
+        let mut table = Table::new(&[&before[..], silent, &after[..]].concat());
         for useful in &self.controllers {
             let Percent { observed, lower, upper } = useful.needless_percent;
-            table.row(vec![
-                Cell::text(&useful.controller),
-                Cell::judged(useful.failures, useful.failures == 0),
-                Cell::judged(observed, useful.needless == 0),
+            let [traffic, danger] = useful.silent();
+            let silent = some_silent.then(|| Cell::judged(format!("{traffic}, {danger}"), traffic + danger == 0));
+            let before = [Cell::text(&useful.controller), Cell::judged(useful.failures, useful.failures == 0)];
+            let after = [
+                match (useful.needless, traffic) {
+                    // What was not driven was not driven without needless braking.
+                    (0, 1..) => Cell::number(observed),
+                    (needless, _) => Cell::judged(observed, needless == 0),
+                },
                 Cell::number(format!("{lower} – {upper}")),
                 Cell::number(or_dash(useful.needless_s)),
                 Cell::number(useful.hard),
@@ -224,9 +250,28 @@ impl Usefulness {
                 Cell::number(or_dash(useful.imposed_brake_mps2)),
                 useful.line.cell(),
                 Cell::number(useful.high_risk_percent.observed),
-            ]);
+            ];
+            table.row(before.into_iter().chain(silent).chain(after).collect());
         }
         table
+    }
+
+    /// Of each controller that gave no answer somewhere: how often, and why.
+    fn silent(&self) -> Vec<String> {
+        let of = |useful: &Useful| {
+            let places = ["traffic", "high-risk"].into_iter().zip(&useful.unanswered);
+            let words = places.filter_map(|(place, silent)| {
+                Some(format!("{} in `{place}`: {}", useful.controller, silent.as_ref()?.words(self.draws)))
+            });
+            let line = match &useful.line {
+                LineVerdict::NoAnswer { because } => {
+                    Some(format!("{} in the line: gave no answer: {because}", useful.controller))
+                }
+                _ => None,
+            };
+            words.chain(line).collect::<Vec<_>>()
+        };
+        self.controllers.iter().flat_map(of).collect()
     }
 
     /// Both sides: a row a controller, and nothing at the right is better.
@@ -282,30 +327,39 @@ impl Drive {
 }
 
 impl Useful {
+    /// Drives in traffic, and draws where something threatens, in which its controller gave no answer.
+    #[must_use]
+    pub fn silent(&self) -> [u64; 2] {
+        self.unanswered.each_ref().map(|silent| silent.as_ref().map_or(0, |silent| silent.runs))
+    }
+
     fn of(controller: &NamedController, drives: &[Drive], danger: &[Draw], line: LineVerdict) -> Self {
-        let all: Vec<_> = drives.iter().filter_map(|drive| drive.usefulness).collect();
+        // A drive that its controller ended by giving no answer shows neither how it drives nor that it is not left behind.
+        let answered = |drive: &&Drive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
+        let all: Vec<_> = drives.iter().filter(answered).filter_map(|drive| drive.usefulness).collect();
+        let mut unanswered = [None, None];
+        drives.iter().for_each(|drive| Unanswered::join(&mut unanswered[0], drive.verdict.unanswered()));
+        danger.iter().for_each(|draw| Unanswered::join(&mut unanswered[1], draw.verdict.unanswered()));
         let count = |is: &dyn Fn(&measure::Usefulness) -> bool| all.iter().filter(|one| is(one)).count() as u64;
         let mean = |of: &dyn Fn(&measure::Usefulness) -> Option<f64>| {
             let (sum, n) = all.iter().filter_map(of).fold((0.0, 0_u32), |(sum, n), value| (sum + value, n + 1));
             (n > 0).then(|| Rounded::new(sum / f64::from(n)))
         };
         let following = |of: fn(Following) -> Option<f64>| mean(&|one| one.following.and_then(of));
-        // Who failed to answer is not known to have driven any better.
-        let brakes = |drive: &&Drive| {
-            drive.usefulness.is_some_and(|one| !one.needless.is_none())
-                || matches!(drive.verdict, CaseVerdict::ControllerFailed { .. })
-        };
-        let needless = drives.iter().filter(brakes).count() as u64;
+        let needless = count(&|one| !one.needless.is_none());
+        // What those would have come to is not known.
+        let silent = unanswered[0].as_ref().map_or(0, |silent: &Unanswered| silent.runs);
         let (drives_end, danger_ends) =
             (drives.iter().map(|drive| &drive.verdict), danger.iter().map(|draw| &draw.verdict));
         let ([failures, cut_short], [high_risk_failures, high_risk_cut_short]) = (ends(drives_end), ends(danger_ends));
         Self {
             controller: controller.name.clone(),
             failures,
+            unanswered,
             cut_short: [cut_short, high_risk_cut_short],
             high_risk_failures,
             needless,
-            needless_percent: Percent::exact([needless, 0], drives.len() as u64, CONFIDENCE),
+            needless_percent: Percent::exact([needless, silent], drives.len() as u64, CONFIDENCE),
             needless_s: mean(&|one| Some(one.needless.time_s)),
             hard: count(&|one| !one.hard.is_none()),
             left_behind: count(&|one| one.following.is_some_and(|following| following.left_behind)),
@@ -341,6 +395,7 @@ impl Part for Usefulness {
         html! {
             p { (self.introduction()) }
             (self.table().html())
+            @for line in self.silent() { p { (prose(&line)) } }
             figure { (self.figure(ANCHOR)) }
         }
     }
@@ -349,6 +404,7 @@ impl Part for Usefulness {
         let mut text = Markdown::default();
         text.paragraph(self.introduction());
         self.table().markdown(&mut text);
+        self.silent().into_iter().for_each(|line| text.paragraph(line));
         text
     }
 }

@@ -11,6 +11,7 @@ use crate::assessment::case::{Case, CaseVerdict, Motion, PileUp, run_cases};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
 use crate::assessment::commands::controller_word;
 use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
@@ -69,10 +70,11 @@ pub struct Mildest {
     pub pile_up: Option<PileUp>,
     /// Whether a driver could have avoided it.
     pub best: Best,
-    /// Margin that the last convex program predicted, in metres: the smallest gap, or minus v²/10 of an impact at v m/s.
-    pub predicted_margin_m: Rounded<3>,
-    /// The margin that the simulation has, in metres.
-    pub margin_m: Rounded<3>,
+    /// Margin that the last convex program predicted, in metres: the smallest gap, or minus v²/10 of an impact at v m/s. None where the
+    /// controller gave no answer.
+    pub predicted_margin_m: Option<Rounded<3>>,
+    /// The margin that the simulation has, in metres; none where the controller gave no answer.
+    pub margin_m: Option<Rounded<3>>,
     /// Whether a milder one is ruled out on this grid, or it is a local optimum.
     pub method: AttackMethod,
     /// The profile, for the figure.
@@ -110,6 +112,9 @@ impl WorstProfiles {
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let of = |(subject, profile): (Subject, &WorstProfile)| {
             let strength = match &profile.mildest {
+                Some(mildest) if mildest.verdict.unanswered().is_some() => {
+                    Strength::of_answered(0, 1, mildest.verdict.unanswered().as_ref(), true)
+                }
                 Some(mildest) => Strength::Defeated { peak_brake_mps2: mildest.peak_brake_mps2 },
                 // A search that found nothing is as many tests.
                 None => Strength::of(0, profile.evaluations as u64),
@@ -155,9 +160,10 @@ impl WorstProfiles {
                 Cell::marked(mildest.verdict.words(), mildest.verdict.mark()),
                 Cell::number(pile_up),
                 Cell::text(mildest.best.brief()),
-                Cell::number(mildest.predicted_margin_m),
-                Cell::number(mildest.margin_m),
+                Cell::number(or_dash(mildest.predicted_margin_m)),
+                Cell::number(or_dash(mildest.margin_m)),
                 Cell::text(match mildest.method {
+                    _ if mildest.verdict.unanswered().is_some() => "–",
                     AttackMethod::Exact => "ruled out on this grid",
                     AttackMethod::Widened => "not ruled out, but near the least",
                     AttackMethod::Sequential => "not ruled out",
@@ -180,7 +186,8 @@ impl WorstProfiles {
     }
 
     fn avoidable(&self) -> String {
-        let (found, avoidable) = self.found().fold((0, 0), |(found, avoidable), (_, mildest)| {
+        let touching = self.found().filter(|(_, mildest)| mildest.verdict.unanswered().is_none());
+        let (found, avoidable) = touching.fold((0, 0), |(found, avoidable), (_, mildest)| {
             (found + 1, avoidable + usize::from(matches!(mildest.best, Best::Avoidable { .. })))
         });
         format!("Another driver would have avoided {avoidable} of these {found} collisions.")
@@ -256,8 +263,8 @@ impl Mildest {
             verdict,
             pile_up,
             best,
-            predicted_margin_m: attack.predicted_margin_m.into(),
-            margin_m: attack.margin_m.into(),
+            predicted_margin_m: attack.outcome.failed().is_none().then(|| attack.predicted_margin_m.into()),
+            margin_m: attack.outcome.failed().is_none().then(|| attack.margin_m.into()),
             method: attack.method,
             profile: Some(profile),
         }))

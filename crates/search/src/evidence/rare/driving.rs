@@ -14,7 +14,7 @@ use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::space::{Space, file};
-use crumple_world::sim::{NamedController, Run, RunError, RunOptions, simulate_batch};
+use crumple_world::sim::{NamedController, RefusedController, Run, RunError, RunOptions, simulate_batch};
 
 /// How often a controller fails in a space: what `verify rate` counts, for failures too rare to count.
 ///
@@ -49,6 +49,9 @@ pub enum RareError {
     /// A controller cannot drive the scenario.
     #[error(transparent)]
     Run(#[from] RunError),
+    /// The controller contradicted itself, or cannot be started any more.
+    #[error(transparent)]
+    Refused(#[from] RefusedController),
     /// The run cannot be judged.
     #[error(transparent)]
     Specification(#[from] SpecificationError),
@@ -152,7 +155,9 @@ impl Problem for RarePlan {
         let margins = simulate_batch(&runs, specification.keep(), |index, result| {
             runs.get(index).map(|run| specification.judge(run, &result).map(|verdict| verdict.robustness))
         });
-        Ok(margins.into_iter().flatten().collect::<Result<_, _>>()?)
+        let margins = margins.into_iter().flatten().collect::<Result<_, _>>()?;
+        self.controller.not_refused()?;
+        Ok(margins)
     }
 }
 

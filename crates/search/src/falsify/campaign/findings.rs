@@ -24,6 +24,21 @@ pub(super) struct Reached {
     pub(super) coverage: Coverage,
     /// Of a reference search: which of its first points fail, in order.
     pub(super) failing: Vec<u64>,
+    /// Evaluations beside which the other controller gave no answer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) other_unanswered: Option<Silent>,
+}
+
+/// Evaluations beside which the other controller gave no answer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Silent {
+    /// How many.
+    pub(super) runs: u64,
+    /// The first of them, its values, and why.
+    pub(super) first: u64,
+    pub(super) values: Vec<f64>,
+    pub(super) because: String,
 }
 
 /// Everything that is remembered of evaluations.
@@ -43,6 +58,7 @@ impl Reached {
             best: f64::INFINITY,
             coverage: Coverage::new(dimension),
             failing: Vec::new(),
+            other_unanswered: None,
         }
     }
 
@@ -55,6 +71,16 @@ impl Reached {
                 self.failing.push(evaluated.number);
             }
         }
+        // It is the other's where this one does not fail.
+        if evaluated.verdict.failed.is_some() && !evaluated.verdict.is_violation() {
+            let silent = self.other_unanswered.get_or_insert_with(|| Silent {
+                runs: 0,
+                first: evaluated.number,
+                values: evaluated.values.clone(),
+                because: String::new(),
+            });
+            silent.runs += 1;
+        }
         self.best = self.best.min(evaluated.verdict.robustness);
         self.coverage.add(&evaluated.point);
     }
@@ -64,6 +90,17 @@ impl Reached {
         self.failures = self.failures.saturating_add(other.failures);
         self.first = self.first.into_iter().chain(other.first).min();
         self.best = self.best.min(other.best);
+        match (&mut self.other_unanswered, other.other_unanswered) {
+            (Some(known), Some(other)) => {
+                let runs = known.runs.saturating_add(other.runs);
+                if other.first < known.first {
+                    *known = other;
+                }
+                known.runs = runs;
+            }
+            (None, other) => self.other_unanswered = other,
+            (Some(_), None) => {}
+        }
         self.coverage.join(&other.coverage);
         self.failing.extend(other.failing);
         self.failing.sort_unstable();
@@ -75,6 +112,10 @@ impl Reached {
         let sampled = if self.method.is_blind() { MOST_POINTS as u64 } else { 0 };
         self.evaluations == made.end - made.start
             && self.failures <= self.evaluations
+            && self
+                .other_unanswered
+                .iter()
+                .all(|silent| is_made(&silent.first) && (1..=self.evaluations - self.failures).contains(&silent.runs))
             && self.first.is_some() == (self.failures > 0)
             && self.first.iter().all(is_made)
             && !self.best.is_nan()

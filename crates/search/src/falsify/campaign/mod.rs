@@ -55,7 +55,7 @@ use crate::disk::DiskError;
 use crate::work::WorkError;
 use crumple_world::measure::{RunVerdict, SpecificationError};
 use crumple_world::scenario::InvalidField;
-use crumple_world::sim::RunError;
+use crumple_world::sim::{RefusedController, RunError};
 
 /// One evaluation of a campaign.
 #[derive(Debug, Clone, PartialEq)]
@@ -110,6 +110,9 @@ pub enum CampaignError {
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NobodyUnderTest(String),
+    /// A controller contradicted itself, or cannot be started any more.
+    #[error(transparent)]
+    Refused(#[from] RefusedController),
     /// The caller broke it off.
     #[error("the campaign was broken off")]
     BrokenOff,

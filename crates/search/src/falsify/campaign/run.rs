@@ -16,6 +16,7 @@ use crate::work::{Asked, Examined, Work, WorkError};
 use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::Space;
+use crumple_world::sim::NamedController;
 
 /// Batches of a method that ignores values, asked for at once: enough to fill the engine on all cores.
 const BLIND_BATCHES: usize = 16;
@@ -115,6 +116,7 @@ impl Campaign {
             part: 0..self.budget,
         };
         searching.search_all(progress)?;
+        searching.ask_the_silent()?;
         let Searching { table, findings, .. } = &mut searching;
         // Until all of this is there, the journal is.
         let mut results = work.changes();
@@ -124,6 +126,7 @@ impl Campaign {
         let (examiner, recorder) = (Examiner::new(self, &terms), Recorder { terms: &terms });
         let mut distinct = recorder.distinct(examiner.examine_all(&findings.failures.picks(MOST_KINDS))?);
         examiner.class_all(&mut distinct);
+        self.none_refused()?;
         let counterexamples = recorder.record_all(&distinct, &mut results)?;
         let summary = Summary::of(&terms, findings, counterexamples, &[])?;
         go_on(progress(&told))?;
@@ -142,14 +145,21 @@ impl Campaign {
             return Err(CampaignError::NobodyUnderTest(self.space.name().to_owned()));
         }
         self.judging().at(nominal, 1)?;
-        Ok(())
+        self.none_refused()
+    }
+
+    /// Whether what was found with the controllers would come out again: asked before anything of it is kept or told.
+    pub(super) fn none_refused(&self) -> Result<(), CampaignError> {
+        Ok(self.drivers().try_for_each(NamedController::not_refused)?)
     }
 
     /// Verdicts at points, in their order.
     pub(super) fn evaluate(&self, space: &Space, points: &[Vec<f64>]) -> Result<Vec<RunVerdict>, CampaignError> {
         let scenarios = points.iter().map(|point| space.at(point)).collect::<Result<Vec<_>, _>>()?;
         let asked: Vec<(&Scenario, u32)> = scenarios.iter().map(|scenario| (scenario, 1)).collect();
-        Ok(self.judging().all_at(&asked).into_iter().collect::<Result<_, _>>()?)
+        let verdicts = self.judging().all_at(&asked).into_iter().collect::<Result<_, _>>()?;
+        self.none_refused()?;
+        Ok(verdicts)
     }
 }
 
@@ -161,6 +171,17 @@ impl Searching<'_> {
             self.findings.reached.push(reached);
         }
         Ok(())
+    }
+
+    /// Finds out why the other controller gave no answer where it did not: a journal does not say.
+    pub(super) fn ask_the_silent(&mut self) -> Result<(), CampaignError> {
+        for reached in &mut self.findings.reached {
+            if let Some(silent) = &mut reached.other_unanswered {
+                let because = self.campaign.judging().silent_beside(&self.terms.space.scenario(&silent.values)?);
+                silent.because = because.unwrap_or_else(|| "it answers when it is asked again".to_owned());
+            }
+        }
+        self.campaign.none_refused()
     }
 
     pub(super) fn progress(&self, current: Option<&Reached>) -> Progress {

@@ -109,11 +109,13 @@ impl Campaign {
         let mut searching =
             Searching { campaign: self, terms: &terms, work: &work, journal, table: None, findings, part };
         searching.search_all(progress)?;
+        searching.ask_the_silent()?;
         go_on(progress(&searching.progress(None)))?;
         let (findings, examiner) = (&searching.findings, Examiner::new(self, &terms));
         // Of all kinds: which are the most frequent in the end is not known here.
         let mut examined = examiner.examine_all(&findings.failures.picks(usize::MAX))?;
         examiner.class_all(&mut examined);
+        self.none_refused()?;
         go_on(progress(&searching.progress(None)))?;
         let file = FindingsFile::of(findings, &examined)?;
         work.changes().write(FINDINGS, json(&file)?).remove(JOURNAL).commit()?;

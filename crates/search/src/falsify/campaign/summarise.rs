@@ -12,6 +12,7 @@ use super::summary::{
 use super::terms::Terms;
 use crate::falsify::counterexample::Counterexample;
 use crumple_world::digest::sha256;
+use crumple_world::sim::Unanswered;
 
 impl Summary {
     /// What was found, with the distinct failures as they were written down. Evaluations may be missing.
@@ -51,7 +52,11 @@ impl Summary {
                 with_reference_searches: all.covered(),
             },
             methods: reached.iter().map(MethodSummary::of).collect(),
-            failures: failures.by_frequency().into_iter().map(|kind| KindSummary::of(kind, terms)).collect(),
+            failures: failures
+                .by_frequency()
+                .into_iter()
+                .map(|kind| KindSummary::of(kind, terms, &counterexamples))
+                .collect(),
             front: failures.front.points(&terms.specification, &terms.nominal),
             regions: findings.regions(terms, missing),
             avoidability: AvoidabilitySummary::of(&counterexamples),
@@ -68,19 +73,29 @@ impl MethodSummary {
             first_falsification: reached.first,
             failures: reached.failures,
             best_robustness: finite(reached.best),
+            other_unanswered: reached
+                .other_unanswered
+                .as_ref()
+                .map(|silent| Unanswered { runs: silent.runs, because: silent.because.clone() }),
         }
     }
 }
 
 impl KindSummary {
-    fn of(kind: &Kind, terms: &Terms) -> Self {
+    fn of(kind: &Kind, terms: &Terms, examined: &[Counterexample]) -> Self {
         let by_method = |&(method, count, first): &(crate::falsify::Method, u64, u64)| ByMethod {
             method: method.name().to_owned(),
             count,
             first,
         };
+        let words = kind.kind.describe(&terms.nominal);
         Self {
-            kind: kind.kind.describe(&terms.nominal),
+            because: examined.iter().find(|one| one.kind == words).and_then(|one| one.because.clone()),
+            kind: words,
+            failed_vehicle: match kind.kind {
+                super::FailureKind::ControllerFailed { vehicle } => Some(vehicle),
+                _ => None,
+            },
             front_vehicle: kind.kind.vehicles().map(|[front, _]| front),
             rear_vehicle: kind.kind.vehicles().map(|[_, rear]| rear),
             count: kind.count(),

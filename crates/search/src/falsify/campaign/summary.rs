@@ -11,6 +11,7 @@ use crate::shard::as_array;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::Terminal;
+use crumple_world::sim::Unanswered;
 
 /// The version of `summary.json`.
 pub(super) const SUMMARY_VERSION: u32 = 1;
@@ -145,6 +146,10 @@ pub struct MethodSummary {
     /// Smallest robustness.
     #[serde(with = "crate::falsify::non_finite::optional")]
     pub best_robustness: Option<f64>,
+    /// Evaluations beside which the other controller, or the same one in the other scenario, gave no answer: whatever came of them, they do
+    /// not count as failures.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub other_unanswered: Option<Unanswered>,
 }
 
 /// Failures of one kind.
@@ -152,6 +157,12 @@ pub struct MethodSummary {
 pub struct KindSummary {
     /// In words.
     pub kind: String,
+    /// Of a controller that gave no answer: when and why, in the severest of those that were looked at.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub because: Option<String>,
+    /// Index of the vehicle whose controller gave no answer; none if it is not about that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub failed_vehicle: Option<u32>,
     /// Index of the vehicle that is hit; none if it is not about a contact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub front_vehicle: Option<u32>,
@@ -247,6 +258,21 @@ impl Summary {
         Ok(())
     }
 
+    /// Of how many evaluations nothing is known, since the one they are set against gave no answer.
+    fn write_silent(&self, out: &mut String) -> std::fmt::Result {
+        let who = match &self.contrast {
+            Some(ContrastRecord::Against { controller, .. }) => format!("`{}`", Terminal(controller)),
+            _ => "the controller in the other scenario".to_owned(),
+        };
+        for method in &self.methods {
+            if let Some(silent) = &method.other_unanswered {
+                let words = silent.words(method.evaluations);
+                writeln!(out, "  NOT JUDGED: {who} {words} ({}); these do not count as failures", method.method)?;
+            }
+        }
+        Ok(())
+    }
+
     fn write(&self, out: &mut String) -> std::fmt::Result {
         writeln!(
             out,
@@ -275,12 +301,16 @@ impl Summary {
         if self.falsified {
             let failures = if self.counterexamples.len() == 1 { "failure" } else { "failures" };
             writeln!(out, "  FALSIFIED: {} distinct {failures}", self.counterexamples.len())?;
+            let silent = match self.counterexamples.iter().filter(|one| one.because.is_some()).count() {
+                0 => String::new(),
+                silent => format!("; of {silent} it was not asked, since the controller gave no answer"),
+            };
             if let Some(AvoidabilitySummary { avoidable, unavoidable, undecided, avoidable_percent }) =
                 self.avoidability
             {
                 writeln!(
                     out,
-                    "  {avoidable} of them ({avoidable_percent:.0} %) avoidable, {unavoidable} unavoidable, {undecided} undecided"
+                    "  {avoidable} of them ({avoidable_percent:.0} %) avoidable, {unavoidable} unavoidable, {undecided} undecided{silent}"
                 )?;
             }
         } else {
@@ -301,11 +331,15 @@ impl Summary {
                 method.method, method.evaluations, method.failures
             )?;
         }
+        self.write_silent(out)?;
         if !self.failures.is_empty() {
             writeln!(out, "\n  kinds of failures, and after how many evaluations each method met them first")?;
             for kind in &self.failures {
                 let by: Vec<_> = kind.by_method.iter().map(|by| format!("{} {}", by.method, by.first)).collect();
                 writeln!(out, "  {:>9} x  {}  [{}]", kind.count, kind.kind, by.join(", "))?;
+                if let Some(because) = &kind.because {
+                    writeln!(out, "               {because}")?;
+                }
             }
         }
         if !self.counterexamples.is_empty() {

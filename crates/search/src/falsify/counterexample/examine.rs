@@ -12,7 +12,7 @@ use super::together::all_together;
 use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind, Terms};
 use crumple_world::measure::{RunVerdict, SpecificationError, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
-use crumple_world::sim::{AfterContact, RecordingLevel, Run, simulate};
+use crumple_world::sim::{AfterContact, FailedController, RecordingLevel, Run, simulate};
 
 /// Share of the impact speed, or of the violation of a formula, that shrinking must leave.
 const SEVERITY_KEPT: f64 = 0.5;
@@ -91,6 +91,13 @@ impl<'a> Examiner<'a> {
         let (verdict, original_verdict) = (self.judge(&scenario, 1, ask)?, self.judge(&original, 1, ask)?);
         let options = self.campaign.judging().options(&scenario, 1).with_after_contact(AfterContact::Continue);
         let aftermath = simulate(&Run::new(&scenario, options)?, RecordingLevel::Summary);
+        let failed = aftermath.outcome.failed();
+        // What does not come out again from the file alone is no counterexample: that of a controller from outside may not.
+        let is_again = self.kind(&verdict) == Some(kind)
+            && verdict.failed.is_some() == (verdict.contact.is_none() && failed.is_some());
+        if !is_again && self.campaign.drivers().any(|driver| driver.kind.is_from_outside()) {
+            return Ok(None);
+        }
         let vehicles = 0..scenario.vehicles().len();
         let deltas = vehicles.filter_map(|index| max_delta_v_mps(&aftermath.impacts, index));
         Ok(Some(Examined {
@@ -104,6 +111,7 @@ impl<'a> Examiner<'a> {
             dt_fragile,
             max_delta_v_mps: deltas.reduce(f64::max),
             vehicles_involved: aftermath.vehicles_involved(),
+            because: failed.filter(|_| verdict.failed.is_some()).map(FailedController::because),
             scenario,
             avoidability: Avoidability::NotAsked,
         }))

@@ -44,6 +44,9 @@ pub struct Counterexample {
     pub partner_file: Option<String>,
     /// What happens, in words.
     pub kind: String,
+    /// Of a controller that gave no answer: when and why, with the last lines of its standard error.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub because: Option<String>,
     /// Robustness of the file.
     #[serde(with = "crate::falsify::non_finite")]
     pub robustness: f64,
@@ -100,6 +103,7 @@ impl Counterexample {
         let contact = self.impact_speed_mps.zip(self.contact_time_s);
         let contact = contact.map(|(speed, time)| format!("{speed:.1} m/s at {time:.1} s"));
         let severity = match (of_formula, contact) {
+            _ if self.because.is_some() => self.because.clone().unwrap_or_default(),
             (false, Some(contact)) => contact,
             (true, Some(contact)) => format!("robustness {:.3}; first contact {contact}", self.robustness),
             (_, None) => format!("robustness {:.3}", self.robustness),

@@ -35,6 +35,8 @@ pub(in crate::falsify) struct Examined {
     pub(super) dt_fragile: bool,
     pub(super) max_delta_v_mps: Option<f64>,
     pub(super) vehicles_involved: usize,
+    /// Of a controller that gave no answer: when and why.
+    pub(super) because: Option<String>,
     pub(super) avoidability: Avoidability,
 }
 
@@ -54,6 +56,8 @@ pub(in crate::falsify) struct ExaminedRow {
     dt_fragile: bool,
     max_delta_v_mps: Option<f64>,
     vehicles_involved: usize,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    because: Option<String>,
     avoidability: Avoidability,
 }
 
@@ -71,6 +75,7 @@ impl ExaminedRow {
             dt_fragile: one.dt_fragile,
             max_delta_v_mps: one.max_delta_v_mps,
             vehicles_involved: one.vehicles_involved,
+            because: one.because.clone(),
             avoidability: one.avoidability.clone(),
         })
     }
@@ -99,6 +104,7 @@ impl ExaminedRow {
                 dt_fragile: self.dt_fragile,
                 max_delta_v_mps: self.max_delta_v_mps,
                 vehicles_involved: self.vehicles_involved,
+                because: self.because,
                 avoidability: self.avoidability,
             }),
             _ => Err(format!("{place} is none, or of another space")),
@@ -206,8 +212,9 @@ impl Recorder<'_> {
                 format!(", which it does not {}", relation.describe_partner())
             }
         };
+        let why = one.because.as_ref().map_or(String::new(), |because| format!(" {because}"));
         let found = format!(
-            "Found in the space `{}` by {} at its evaluation {} (seed {}): with {driver} {kind}{beside}.{formula}",
+            "Found in the space `{}` by {} at its evaluation {} (seed {}): with {driver} {kind}{why}{beside}.{formula}",
             self.terms.space.name(),
             one.method,
             one.number,
@@ -262,6 +269,7 @@ impl Recorder<'_> {
             original_file: format!("counterexamples/{original}"),
             partner_file: partner_file.map(|(path, ..)| path),
             kind,
+            because: one.because.clone(),
             robustness: verdict.robustness,
             contact_time_s: verdict.contact.map(|contact| contact.time_s),
             front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),

@@ -18,7 +18,9 @@ pub struct ProcessDriver {
     /// Its own for the run; none if it answers in batches, when one is borrowed for each decision.
     own: Option<Greeted>,
     is_batch: bool,
-    /// A second process that is asked the same, in the runs that are checked.
+    /// Whether it had driven runs before this one.
+    reused: bool,
+    /// A second, fresh process that is asked the same, in the runs that are checked.
     second: Option<Greeted>,
     interval: Interval,
     step_s: f64,
@@ -38,8 +40,10 @@ impl ProcessDriver {
     /// [`ControllerFailure`] if it cannot be started, or is not ready.
     pub fn new(controller: Arc<ProcessController>, ego: &Ego, seed: u64) -> Result<Self, ControllerFailure> {
         let hello = controller.hello(ego);
-        let first = controller.ready(controller.take(&hello)?, seed)?;
-        let checked = controller.is_to_be_checked(ego.vehicle);
+        let taken = controller.take(&hello)?;
+        let reused = taken.asked > 0;
+        let first = controller.ready(taken, seed)?;
+        let checked = controller.is_to_be_checked(ego.vehicle, reused, seed);
         let second = checked.then(|| controller.start(&hello).and_then(|second| controller.ready(second, seed)));
         let is_batch = first.greeting.batch;
         let interval_s = controller.setup.mapping.decision_interval_s.or(first.greeting.interval_s);
@@ -47,6 +51,7 @@ impl ProcessDriver {
             own: Some(first),
             hello,
             is_batch,
+            reused,
             second: second.transpose()?,
             interval: Interval::new(interval_s, ego.step_s),
             step_s: ego.step_s,
@@ -180,7 +185,8 @@ impl Asking for ProcessDriver {
             match self.ask(&mut second) {
                 Ok(again_mps2) if again_mps2.to_bits() == answer_mps2.to_bits() => self.second = Some(second),
                 Ok(second_mps2) => {
-                    let problem = ProcessProblem::Nondeterministic { first_mps2: answer_mps2, second_mps2 };
+                    let problem =
+                        ProcessProblem::Nondeterministic { first_mps2: answer_mps2, second_mps2, reused: self.reused };
                     let failure = self.failed(problem, Some(second));
                     return Err(self.controller.refuse(failure));
                 }

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use rand::Rng as _;
 use serde::Serialize;
 
 pub use self::driver::ProcessDriver;
@@ -21,6 +22,7 @@ use crate::digest::{Sha256, sha256};
 use crate::process::protocol::{self, Greeting, Hello, Task, VERSION, Vehicle};
 use crate::process::{ProcessFailure, ProcessProblem, Program, shortened};
 use crate::quoted::ShellWord;
+use crate::random::{self, Purpose};
 
 /// Most words of a command, files that an identity stands for, and bytes of one of these.
 const MOST_WORDS: usize = 1000;
@@ -34,8 +36,10 @@ const MOST_WITHIN_S: f64 = 3600.0;
 const MOST_FAILED_STARTS: u32 = 3;
 const MOST_STARTS: u32 = 10_000;
 
-/// Runs of each vehicle in which a process that says it is deterministic is asked everything twice.
-const CHECKED_RUNS: u32 = 2;
+/// Of the runs of each vehicle, those in which a process that says it is deterministic is asked everything twice: so many at the
+/// start, and of each later doubling of their number about so many.
+const CHECKED_FIRST: u64 = 2;
+const CHECKED_OF_EACH_DOUBLING: u64 = 3;
 
 /// A command that drives, what it sees, and what its answer means.
 #[derive(Debug, Clone, PartialEq)]
@@ -132,8 +136,15 @@ struct State {
     refused: Option<ControllerFailure>,
     starts: u32,
     failed_in_a_row: u32,
-    /// Runs that were checked, by vehicle.
-    checked: Vec<(usize, u32)>,
+    /// Runs so far, by vehicle.
+    runs: Vec<(usize, RunsOfVehicle)>,
+}
+
+/// Runs of a vehicle, by whether the process that drives had driven others before: what a reset forgets to clear shows in these alone.
+#[derive(Default)]
+struct RunsOfVehicle {
+    fresh: u64,
+    reused: u64,
 }
 
 /// A process that has introduced itself.
@@ -195,6 +206,23 @@ impl ProcessController {
     #[must_use]
     pub fn is_deterministic(&self) -> bool {
         self.setup.deterministic && self.state().greeting.as_ref().is_none_or(|greeting| greeting.deterministic)
+    }
+
+    /// Starts one for no run, hears what it says of itself, and ends it: whether there is a program that can be asked at all.
+    ///
+    /// # Errors
+    /// [`ControllerFailure`] if there is none, or it does not introduce itself.
+    pub fn try_start(&self) -> Result<(), ControllerFailure> {
+        let ego = Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
+        let greeted = self.start(&self.hello(&ego))?;
+        greeted.program.end();
+        Ok(())
+    }
+
+    /// Why it is refused, if it is: it contradicted itself, or cannot be started any more. All runs from then on fail, whatever they are.
+    #[must_use]
+    pub fn refusal(&self) -> Option<ControllerFailure> {
+        self.state().refused.clone()
     }
 
     /// Whether one process can answer for many runs at once. Starts one if that is not known yet.
@@ -330,21 +358,27 @@ impl ProcessController {
         self.state().idle.push(greeted);
     }
 
-    /// Whether the next run of a vehicle is one of those that are checked.
-    fn is_to_be_checked(&self, vehicle: usize) -> bool {
+    /// Whether the next run of a vehicle, by a process that is fresh or has driven before, is one of those that are checked. Which of the
+    /// later runs are follows from their number and the scenario's seed.
+    fn is_to_be_checked(&self, vehicle: usize, reused: bool, seed: u64) -> bool {
         if !self.is_deterministic() {
             return false;
         }
         let mut state = self.state();
-        let place = state.checked.iter().position(|(known, _)| *known == vehicle).unwrap_or_else(|| {
-            state.checked.push((vehicle, 0));
-            state.checked.len() - 1
+        let place = state.runs.iter().position(|(known, _)| *known == vehicle).unwrap_or_else(|| {
+            state.runs.push((vehicle, RunsOfVehicle::default()));
+            state.runs.len() - 1
         });
-        let Some((_, runs)) = state.checked.get_mut(place).filter(|(_, runs)| *runs < CHECKED_RUNS) else {
-            return false;
-        };
-        *runs += 1;
-        true
+        let Some((_, runs)) = state.runs.get_mut(place) else { return false };
+        let made = if reused { &mut runs.reused } else { &mut runs.fresh };
+        let number = *made;
+        *made += 1;
+        if number < CHECKED_FIRST {
+            return true;
+        }
+        // Fresh ones that differ would do so at once; what is left over in one that has driven may show late.
+        let drawn = random::stream(seed, Purpose::AskedTwice, number).next_u64();
+        reused && drawn % number.next_power_of_two() < CHECKED_OF_EACH_DOUBLING
     }
 
     /// A failure for good: nothing is started any more.

@@ -63,7 +63,13 @@ fn by_name(description: &Description) -> Result<Vec<Input>, InvalidMapping> {
         .of(Causality::Input)
         .map(|Variable { name, .. }| {
             let named = Quantity::named(name).map(Input::plain);
-            named.ok_or_else(|| format!("its input `{name}` is called like nothing that can be seen"))
+            named.ok_or_else(|| {
+                format!(
+                    "its input `{name}` is called like nothing that can be seen: a controller file, F.toml with `fmu`, wires inputs of other \
+                     names by `[[inputs]]` with `quantity` and `variable` (docs/controllers.md); the quantities are {}",
+                    Quantity::names().collect::<Vec<_>>().join(", ")
+                )
+            })
         })
         .collect();
     match inputs {

@@ -1,0 +1,325 @@
+//! Controllers that give no answer: what is told of them wherever results are told, and what is not concluded from it.
+
+use std::fs;
+use std::path::Path;
+
+use crumple_world::scenario::file;
+use crumple_world::sim::NamedController;
+use serde_json::Value;
+
+use super::{bad, drive, find, short, write_short_space};
+use crate::command_line::{code, crumple, folder};
+
+/// Holds its speed, and dies where the vehicle ahead is nearer than its argument, in whole metres.
+const NEAR: &str = r#"#!/bin/sh
+while read -r line; do
+    id=${line#'{"id":'}
+    id=${id%%,*}
+    case $line in
+        *hello*) printf '%s\n' '{"crumple":1,"name":"near","deterministic":true}' && continue ;;
+        *reset*) printf '%s\n' "{\"id\":$id,\"ready\":true}" && continue ;;
+    esac
+    gap=${line##*'['}
+    gap=${gap%%[!0-9]*}
+    if [ "$gap" -lt "$1" ]; then
+        echo "gap table: index $gap out of range" >&2
+        exit 9
+    fi
+    printf '%s\n' "{\"id\":$id,\"acceleration_mps2\":0}"
+done
+"#;
+
+/// A folder with a space of short runs, a controller that dies near others, one that never does, one that remembers the runs before, and
+/// two that cannot be started.
+fn bench() -> tempfile::TempDir {
+    let folder = bad("remember", "files = [\"bad.sh\"]");
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    write("near.sh", NEAR);
+    let controller = |command: &str| {
+        format!(
+            "version = 1\ncommand = {command}\nfiles = [\"near.sh\"]\ninputs = [{{ quantity = \"gap_ahead_m\" }}]\n"
+        )
+    };
+    write("near.toml", &controller("[\"sh\", \"near.sh\", \"24\"]"));
+    write("far.toml", &controller("[\"sh\", \"near.sh\", \"0\"]"));
+    write("missing.toml", &controller("[\"./no-such-program\"]"));
+    write("silent.toml", &controller("[\"sh\", \"-c\", \"echo no licence >&2; exit 4\"]"));
+    write_short_space(folder.path());
+    folder
+}
+
+/// What a command says on standard output, with its exit code and its errors.
+fn said(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
+    let output = crumple(folder, arguments);
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (code(&output), text(&output.stdout), text(&output.stderr))
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
+}
+
+const ASSESSED: &str = "version = 1\npaper = false\ndistributions = [\"short.toml\"]\ndraws = 8\neveryday_draws = 2\ncertificates = []\n\
+                        search = { spaces = [\"short.toml\"], budget = 8 }\nrates = { runs = 0 }\n";
+
+#[test]
+fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
+    let folder = bench();
+    let commands: [&[&str]; 10] = [
+        &["simulate", "paper-1", "--controller"],
+        &["falsify", "--space", "short.toml", "--budget", "3", "--out", "out", "--controller"],
+        &["falsify", "--space", "short.toml", "--budget", "3", "--out", "out", "--controller", "idm", "--against"],
+        &["verify", "rate", "--space", "short.toml", "--runs", "5", "--out", "out", "--controller"],
+        &["verify", "rate", "--space", "short.toml", "--runs", "5", "--out", "out", "--controller", "idm", "--against"],
+        &["worst-case", "paper-1", "--controller"],
+        &["suite", "run", "afgbv-cut-in", "--controller"],
+        &["plan", "--budget", "9", "--out", "out", "--controller"],
+        &["explore", "paper-1", "--controller"],
+        &["export", "paper-1", "--to", "openscenario", "--out", "out", "--controller"],
+    ];
+    for (controller, place, why) in [
+        ("missing.toml", "missing.toml:2: command: ", "`./no-such-program` cannot be started: No such file"),
+        ("silent.toml", "silent.toml:2: command: ", "ended by itself with exit code 4; it said last: no licence"),
+        ("exec:./no-such-program", "--", "`./no-such-program` cannot be started: No such file"),
+        ("shield:missing.toml", "missing.toml:2: command: ", "cannot be started"),
+    ] {
+        for command in commands {
+            let (code, text, error) = said(folder.path(), &[command, &[controller]].concat());
+            assert_eq!(code, 2, "{command:?} {controller}: {text}{error}");
+            assert!(error.contains(place) && error.contains(why), "{command:?}: {error}");
+            assert!(text.is_empty() && !folder.path().join("out").exists(), "{command:?}: {text}");
+        }
+        if controller == "missing.toml" {
+            let driven =
+                file::to_toml(&short()).unwrap().replace("\"under-test\"", "{ file = { path = \"missing.toml\" } }");
+            fs::write(folder.path().join("driven.toml"), driven).unwrap();
+            let (code, _, error) = said(folder.path(), &["simulate", "driven.toml"]);
+            assert!(code == 2 && error.contains("driven.toml: vehicles[1].driver: "), "{error}");
+            assert!(error.contains(place) && error.contains(why), "{error}");
+        }
+        fs::write(folder.path().join("a.toml"), format!("{ASSESSED}controllers = [\"idm\", \"{controller}\"]\n"))
+            .unwrap();
+        let (code, text, error) = said(folder.path(), &["assess", "a.toml", "--out", "out"]);
+        assert_eq!(code, 2, "{text}{error}");
+        assert!(error.contains("a.toml:9: controllers[1]: ") && error.contains(why), "{error}");
+        assert!(!folder.path().join("out").exists());
+    }
+}
+
+#[test]
+fn a_search_says_why_a_controller_gave_no_answer() {
+    let folder = bench();
+    let search = ["falsify", "--controller", "near.toml", "--space", "short.toml", "--budget", "10", "--out", "out"];
+    let (code, text, error) = said(folder.path(), &search);
+    let why = "it said last: gap table: index 23 out of range";
+    assert!(code == 0 && text.contains("the controller of vehicle 1 fails") && text.contains(why), "{text}{error}");
+    let summary = json(&folder.path().join("out/summary.json"));
+    let because = |of: &Value| of["because"].as_str().unwrap_or_default().to_owned();
+    assert!(because(&summary["counterexamples"][0]).contains(why), "{summary}");
+    assert!(because(&summary["failures"][0]).contains("`near` ended by itself with exit code 9"), "{summary}");
+    assert_eq!(summary["failures"][0]["failed_vehicle"], 1);
+    let file = summary["counterexamples"][0]["file"].as_str().unwrap().to_owned();
+    let scenario = fs::read_to_string(folder.path().join("out").join(file)).unwrap();
+    assert!(scenario.contains(why), "{scenario}");
+    let nothing = ["falsify", "--controller", "far.toml", "--space", "short.toml", "--budget", "4", "--out", "none"];
+    let (code, _, error) = said(folder.path(), &nothing);
+    assert!(code == 0 && !error.contains("counterexamples"), "{error}");
+}
+
+#[test]
+fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
+    let folder = bench();
+    let against = |controller: &str, other: &str| {
+        let search = ["falsify", "--space", "short.toml", "--budget", "10", "--out", "out", "--format"];
+        let out =
+            said(folder.path(), &[&search[..], &["text", "--controller", controller, "--against", other]].concat());
+        let summary = json(&folder.path().join("out/summary.json"));
+        fs::remove_dir_all(folder.path().join("out")).unwrap();
+        (out, summary)
+    };
+    let ((code, text, _), summary) = against("idm", "near.toml");
+    assert!(code == 0 && text.contains("NOT JUDGED: `near.toml` gave no answer in "), "{text}");
+    assert!(text.contains("gap table: index"), "{text}");
+    let gate =
+        ["falsify", "--space", "short.toml", "--budget", "10", "--out", "gate", "--controller", "idm", "--against"];
+    let (code, _, error) = said(folder.path(), &[&gate[..], &["near.toml", "--expect", "nothing"]].concat());
+    assert!(code == 1 && error.contains("gave no answer, so that they were not judged"), "{error}");
+    let silent = &summary["methods"][1]["other_unanswered"];
+    assert!(silent["runs"].as_u64().is_some_and(|runs| (1..10).contains(&runs)), "{summary}");
+    assert_eq!((&summary["falsified"], &summary["methods"][1]["failures"]), (&Value::from(false), &Value::from(0)));
+    // Who fails where the other gives no answer either has not failed beside it.
+    let (_, summary) = against("near.toml", "near.toml");
+    assert_eq!(summary["falsified"], false, "{summary}");
+
+    let count = |controller: &str, other: Option<&str>, confidence: &str| {
+        let rate =
+            ["verify", "rate", "--space", "short.toml", "--runs", "60", "--out", "out", "--controller", controller];
+        let other = other.map_or(Vec::new(), |other| vec!["--against", other]);
+        let said = said(folder.path(), &[&rate[..], &["--confidence", confidence], &other].concat());
+        let tally = json(&folder.path().join("out/progress.json"));
+        fs::remove_dir_all(folder.path().join("out")).unwrap();
+        (said, tally)
+    };
+    let ((code, text, error), tally) = count("idm", Some("near.toml"), "0.9");
+    assert_eq!((code, &tally["only_second_failed"]), (1, &Value::from(0)), "{text}{error}");
+    assert!(error.contains("the other controller, whose runs then speak for neither, gave no answer in "), "{error}");
+    let ((code, text, _), tally) = count("near.toml", None, "0.9");
+    assert!(code == 0 && text.contains("; the controller gave no answer in ") && text.contains("index"), "{text}");
+    assert!(tally["failures"].as_u64().is_some_and(|failures| failures > 0), "{tally}");
+    let ((_, _, error), tally) = count("near.toml", Some("idm"), "0.9");
+    assert!(tally["only_first_failed"].as_u64().is_some_and(|failures| failures > 0), "{tally}");
+    assert!(error.contains("; the controller gave no answer in "), "{error}");
+}
+
+#[test]
+fn a_comparison_is_confirmed_by_the_definition_that_counted_it() {
+    let folder = bench();
+    fs::write(
+        folder.path().join("worse.toml"),
+        fs::read_to_string(folder.path().join("near.toml")).unwrap().replace("24", "33"),
+    )
+    .unwrap();
+    // Both fail by giving no answer: the first against it, the second for nobody.
+    let rate = ["verify", "rate", "--space", "short.toml", "--runs", "40", "--confidence", "0.6", "--out", "out"];
+    let (code, text, error) =
+        said(folder.path(), &[&rate[..], &["--controller", "near.toml", "--against", "worse.toml"]].concat());
+    assert_eq!(code, 1, "{text}{error}");
+    let (code, text, error) =
+        said(folder.path(), &[&rate[..8], &["--out", "one", "--controller", "near.toml"]].concat());
+    assert_eq!(code, 0, "{text}{error}");
+    let check = ["check", "one/certificate.json", "--rerun", "--controller", "near.toml"];
+    let (code, text, error) = said(folder.path(), &check);
+    assert!(code == 0 && text.contains("confirmed"), "{text}{error}");
+}
+
+#[test]
+fn nothing_is_published_of_a_controller_that_remembers_the_runs_before() {
+    let folder = bench();
+    fs::write(folder.path().join("a.toml"), format!("{ASSESSED}controllers = [\"idm\", \"bad.toml\"]\n")).unwrap();
+    let commands: [&[&str]; 6] = [
+        &["falsify", "--controller", "bad.toml", "--space", "short.toml", "--budget", "5", "--out", "out"],
+        &[
+            "falsify",
+            "--controller",
+            "idm",
+            "--against",
+            "bad.toml",
+            "--space",
+            "short.toml",
+            "--budget",
+            "5",
+            "--out",
+            "out",
+        ],
+        &["verify", "rate", "--controller", "bad.toml", "--space", "short.toml", "--runs", "9", "--out", "out"],
+        &["suite", "run", "afgbv-cut-in", "--controller", "bad.toml"],
+        &["worst-case", "paper-1", "--controller", "bad.toml", "--budget", "20"],
+        &["assess", "a.toml", "--out", "out"],
+    ];
+    for command in commands {
+        let (code, text, error) = said(folder.path(), command);
+        assert_eq!(code, 2, "{command:?}: {text}{error}");
+        let told = [
+            "the controller `bad.toml` was refused on the way",
+            "a fresh one -1.1 m/s²: is its state cleared at reset?",
+        ];
+        assert!(told.iter().all(|told| error.contains(told)), "{command:?}: {error}");
+        assert!(text.is_empty(), "{command:?}: {text}");
+        for name in ["summary.json", "certificate.json", "assessment.json", "counterexamples"] {
+            assert!(!folder.path().join("out").join(name).exists(), "{command:?}: {name}");
+        }
+        let _ = fs::remove_dir_all(folder.path().join("out"));
+    }
+}
+
+/// A few later runs are asked twice, too.
+#[test]
+fn who_remembers_late_is_caught_in_the_end() {
+    let folder = bad("remember-late", "files = [\"bad.sh\"]");
+    let controller = find("bad.toml", folder.path());
+    let scenario = short();
+    let failed = (0..64).find(|_| drive(&controller.kind, &scenario).outcome.failed().is_some());
+    assert!(failed.is_some_and(|run| run > 4), "{failed:?}");
+    assert!(controller.not_refused().is_err_and(|error| error.to_string().contains("is its state cleared at reset?")));
+    assert!(find("bad.toml", folder.path()).not_refused().is_ok());
+}
+
+#[test]
+fn an_assessment_takes_no_answer_for_nothing_but_that() {
+    let folder = bench();
+    let gates = [
+        "require = \"no-avoidable-failure\"\ncontroller = \"near.toml\"\nspace = \"short.toml\"",
+        "require = \"needless-braking-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
+        "require = \"left-behind-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
+        "require = \"string-stable\"\ncontroller = \"near.toml\"",
+        "require = \"rate-not-above\"\ncontroller = \"idm\"\nthan = \"near.toml\"",
+    ];
+    let gates: String = gates.iter().map(|gate| format!("[[gates]]\n{gate}\n")).collect();
+    // It dies in every drive, and at once in most.
+    let near = fs::read_to_string(folder.path().join("near.toml")).unwrap().replace("\"24\"", "\"900\"");
+    fs::write(folder.path().join("near.toml"), near).unwrap();
+    let config = format!("{ASSESSED}controllers = [\"near.toml\", \"idm\"]\nsubject = \"near.toml\"\n{gates}");
+    fs::write(folder.path().join("a.toml"), config).unwrap();
+    let (code, text, error) = said(folder.path(), &["assess", "a.toml", "--out", "out"]);
+    assert_eq!(code, 1, "{text}{error}");
+    let report = json(&folder.path().join("out/assessment.json"));
+    let held: Vec<_> =
+        report["summary"]["gates"].as_array().unwrap().iter().filter(|gate| gate["holds"] == true).collect();
+    assert!(held.is_empty(), "{held:?}");
+    let drawn = &report["distributions"]["spaces"][0]["controllers"][0];
+    assert_eq!((&drawn["collisions"], &drawn["unanswered"]["runs"]), (&Value::from(0), &Value::from(8)), "{drawn}");
+    let own = &report["usefulness"]["controllers"][0];
+    assert_eq!((&own["needless"], &own["unanswered"][0]["runs"]), (&Value::from(0), &Value::from(2)), "{own}");
+    assert_eq!(own["line"]["kind"], "no_answer");
+    for claim in report["summary"]["claims"].as_array().unwrap() {
+        let (words, standing) = (claim["claim"].as_str().unwrap(), &claim["standings"][0]);
+        let of_driving = ["no braking without cause", "never left behind", "no disturbance grows"];
+        match of_driving.iter().any(|driving| words.starts_with(driving)) {
+            true => assert_eq!(
+                (&standing["strength"], &standing["refutes"]),
+                (&"unanswered".into(), &false.into()),
+                "{words}"
+            ),
+            false => assert_ne!(standing["strength"], "tested", "{words}: {standing}"),
+        }
+    }
+    let markdown = fs::read_to_string(folder.path().join("out/assessment.md")).unwrap();
+    assert!(!markdown.contains("NaN"), "{markdown}");
+    for why in ["gap table: index", "gave no answer in 8 of 8", "never left behind in 2 draws of `traffic` (seed 0)"] {
+        assert!(markdown.contains(why), "{why}: {markdown}");
+    }
+    assert!(text.contains("gap table: index") && !text.contains("contact in 8 draws"), "{text}");
+    assert!(
+        !markdown.contains("more-than-once")
+            && !text.contains("braking without cause in 2 draws of `traffic` (seed 0): 2")
+    );
+}
+
+#[test]
+fn a_worst_case_without_an_answer_has_no_margin() {
+    let folder = bench();
+    let attack = ["worst-case", "paper-1", "--controller", "near.toml", "--budget", "60"];
+    let (code, text, error) = said(folder.path(), &attack);
+    assert!(code == 0 && text.contains("CONTROLLER FAILED") && text.contains("gap table: index"), "{text}{error}");
+    assert!(!text.contains("margin") && !text.contains("optimum"), "{text}");
+    let (_, text, _) = said(folder.path(), &[&attack[..], &["--format", "json"]].concat());
+    let report: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!((&report["margin_m"], &report["method"], &report["found"]), (&Value::Null, &Value::Null, &true.into()));
+}
+
+/// Who names a program, or what one is made of, hears how to name it.
+#[test]
+fn a_file_that_is_no_controller_is_told_how_to_become_one() {
+    let folder = folder();
+    for (name, told) in [
+        ("aeb", "asked as `exec:./aeb`"),
+        ("aeb.c", "is no controller, but a source text: a program is asked as `exec:./aeb`"),
+        ("libaeb.so", "a shared library"),
+        ("aeb.py", "`exec:python3 aeb.py`"),
+    ] {
+        fs::write(folder.path().join(name), "int main(void) {}").unwrap();
+        let error = NamedController::find(name, folder.path()).unwrap_err().to_string();
+        assert!(error.contains(told) && error.contains("controller file"), "{error}");
+    }
+    assert!(NamedController::find("./none", folder.path()).unwrap_err().to_string().contains("there is no controller"));
+}
