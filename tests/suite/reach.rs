@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crumple_search::evidence::{BoxSpec, CruiseError, CruisePlan, ReachPlan, bound};
 use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Scene, reach_with_tube};
 use crumple_verify::{Accepted, Certificate, Statement, check_with};
-use crumple_world::control::{Input, Mapping, NetworkController, Output, Quantity, Squash};
+use crumple_world::control::{HistoryPadding, Input, Mapping, NetworkController, Output, Quantity, Squash};
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
@@ -78,10 +78,11 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
     let mapping = Mapping {
         decision_interval_s: Some(*[0.05, 0.1, 0.1, 0.25].choose(random).expect("some")),
         history: 1,
+        history_padding: HistoryPadding::First,
         newest_first: false,
         output: Output {
             variable: None,
-            answer: random.random_range(0..width),
+            answer: Some(random.random_range(0..width)),
             squash: random.random_bool(0.5).then_some(Squash::Tanh),
             scale_mps2: 5.25,
             offset_mps2: -2.25,
