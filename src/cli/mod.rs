@@ -109,6 +109,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             }
         };
     let quiet = arguments.quiet;
+    subject::doubts().iter().for_each(|doubt| output::note(doubt, quiet));
     let done = match arguments.command {
         Command::Assess(command) => command.run(quiet),
         Command::Simulate(command) => command.run(quiet),

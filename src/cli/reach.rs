@@ -10,6 +10,7 @@ use super::output;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
 use crumple_search::evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, Shares};
+use crumple_world::control::InvalidMapping;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
@@ -50,7 +51,10 @@ impl Reach {
         let place = self.starts.display();
         let failed = |error: InvalidBox| match error {
             InvalidBox::Controller(problem) => Failure::Input(format!("--controller: {problem}")),
-            InvalidBox::Mapping(invalid) => Failure::Input(format!("--controller: cannot be followed: {invalid}")),
+            InvalidBox::Mapping(invalid) => Failure::Input(format!(
+                "--controller: {}cannot be followed: {invalid}",
+                place_of(&self.controller.name, &invalid)
+            )),
             other => Failure::Input(format!("{place}: {other}")),
         };
         let text = file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?;
@@ -58,7 +62,7 @@ impl Reach {
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
         let told = |now: &Shares| {
             bar.set_position(u64::from(now.depth));
-            bar.set_message(line(now));
+            bar.set_message(line(now, false));
         };
         let partition = plan.partition(self.depth, told).map_err(failed)?;
         bar.finish_and_clear();
@@ -68,7 +72,8 @@ impl Reach {
             keep(path, &partition.certificate, plan.policy_bytes())?;
         }
         let Partition { shares, doubts, .. } = &partition;
-        output::print_for(
+        let is_verified = is_positive(shares, |now| now.verified);
+        let printed = output::print_for(
             self.format,
             &match self.format {
                 Format::Json => {
@@ -76,15 +81,25 @@ impl Reach {
                     serde_json::to_string(&result).map_err(Failure::input)? + "\n"
                 }
                 Format::Text => {
-                    let lines: String = shares.iter().map(|now| line(now) + "\n").collect();
+                    let last = shares.len().saturating_sub(1);
+                    let lines: String =
+                        shares.iter().enumerate().map(|(index, now)| line(now, index == last) + "\n").collect();
                     let crumple_search::evidence::Doubts { ahead, behind, too_wide } = doubts;
+                    let falsified = match is_positive(shares, |now| now.falsified) {
+                        true => "falsified: boxes of which one start, tried at the end, ends in contact\n",
+                        false => "",
+                    };
+                    let verdict = if is_verified { "accepted" } else { "nothing verified" };
                     format!(
-                        "{lines}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too wide\n\
-                     accepted: {accepted}\n"
+                        "{lines}{falsified}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too \
+                         wide\n{verdict}: {accepted}\n"
                     )
                 }
             },
-        )
+        );
+        let deeper = if is_positive(shares, |now| now.undecided) { "; a larger --depth may" } else { "" };
+        let problem = format!("{place}: no part of the box was verified{deeper}");
+        Failure::gate_first(if is_verified { Ok(()) } else { Err(Failure::Gate(problem)) }, printed)
     }
 }
 
@@ -100,10 +115,30 @@ pub(super) fn keep(path: &Path, certificate: &Certificate, network: &[u8]) -> Re
     Ok(files.commit()?)
 }
 
-fn line(now: &Shares) -> String {
-    let [verified, falsified, undecided] = [now.verified, now.falsified, now.undecided].map(|share| 100.0 * share);
+/// Whether there is some of it in the end.
+fn is_positive(shares: &[Shares], share: impl Fn(&Shares) -> f64) -> bool {
+    shares.last().is_some_and(|last| share(last) > 0.0)
+}
+
+/// Where in its file a network says what is wrong, if it is said in one: `acc.toml:12: `.
+fn place_of(name: &str, invalid: &InvalidMapping) -> String {
+    let path = Path::new(name);
+    let text = path
+        .extension()
+        .filter(|extension| *extension == "toml")
+        .and_then(|_| file::read_at_most(path, file::MOST_TOML_BYTES).ok());
+    text.map(|text| format!("{name}:{}: ", file::line_in_toml(&text, &invalid.field))).unwrap_or_default()
+}
+
+/// What is known at a depth. Starts that end in contact are looked for at the last one.
+fn line(now: &Shares, is_last: bool) -> String {
+    // As the checker says them: lower bounds, rounded down.
+    let down = |share: f64| (1e4 * share).floor() / 1e2;
+    let (verified, falsified) = (down(now.verified), down(now.falsified));
+    let falsified_words = if is_last { format!(" {falsified:6.2} % falsified,") } else { String::new() };
+    let undecided = 100.0 - verified - if is_last { falsified } else { 0.0 };
     format!(
-        "depth {:2}: {verified:6.2} % verified, {falsified:6.2} % falsified, {undecided:6.2} % undecided; {} boxes, {:.2} s",
+        "depth {:2}: {verified:6.2} % verified,{falsified_words} {undecided:6.2} % undecided; {} boxes, {:.2} s",
         now.depth, now.boxes, now.seconds
     )
 }

@@ -65,8 +65,9 @@ fn seen(mapping: &Mapping, saved: &SavedModel) -> Option<String> {
     let named = all.get(..all.len().min(MOST_NAMED)).unwrap_or_default().join("; ");
     let others = all.len().saturating_sub(MOST_NAMED);
     let others = if others > 0 { format!("; and {others} more") } else { String::new() };
-    (!all.is_empty())
-        .then(|| format!("in ordinary driving the model sees what its space of observations does not hold: {named}{others}"))
+    (!all.is_empty()).then(|| {
+        format!("in ordinary driving the model sees what its space of observations does not hold: {named}{others}")
+    })
 }
 
 /// Actions that reach less or more than the answer may be.

@@ -43,7 +43,8 @@ impl NetworkController {
                 return Err(InvalidMapping::new("output.answer", problem));
             }
             (None, answers) if answers > 1 => {
-                let problem = format!("is missing: the network has {answers} answers, and one of them has to be what drives");
+                let problem =
+                    format!("is missing: the network has {answers} answers, and one of them has to be what drives");
                 return Err(InvalidMapping::new("output.answer", problem));
             }
             (answer, _) => answer.unwrap_or_default(),
@@ -138,8 +139,7 @@ impl NetworkController {
         let width = self.file.network.outputs();
         let answer = self.mapping.output.answer.unwrap_or_default();
         let answers = self.file.network.answers(rows, batch, space).chunks_exact(width);
-        answers
-            .map(move |row| self.mapping.acceleration_mps2(row.get(answer).copied().unwrap_or(f32::NAN)))
+        answers.map(move |row| self.mapping.acceleration_mps2(row.get(answer).copied().unwrap_or(f32::NAN)))
     }
 }
 

@@ -75,7 +75,9 @@ impl Quantity {
             Q::SpeedMps | Q::SpeedAheadMps | Q::SpeedBehindMps => [5.0, 25.0],
             Q::GapAheadM | Q::GapBehindM => [10.0, 50.0],
             Q::RelativeSpeedAheadMps | Q::RelativeSpeedBehindMps => [-3.0, 3.0],
-            Q::AccelerationMps2 | Q::AccelerationAheadMps2 | Q::AccelerationBehindMps2 | Q::LastAnswerMps2 => [-3.0, 2.0],
+            Q::AccelerationMps2 | Q::AccelerationAheadMps2 | Q::AccelerationBehindMps2 | Q::LastAnswerMps2 => {
+                [-3.0, 2.0]
+            }
             Q::TimeGapAheadS | Q::TimeGapBehindS => [0.8, 2.5],
             Q::IsAhead | Q::IsBehind => [0.0, 1.0],
         }

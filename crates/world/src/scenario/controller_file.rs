@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{
-    FmuProblem, HistoryPadding, Input, InvalidMapping, Mapping, NetworkController, Output, ProcessController, ProcessSetup, Wiring,
+    FmuProblem, HistoryPadding, Input, InvalidMapping, Mapping, NetworkController, Output, ProcessController,
+    ProcessSetup, Wiring,
 };
 use crate::network::{NetworkError, NetworkFile, Statistics, VecNormalizeTrace};
 use crate::policy::{Policy, PolicyError};
@@ -147,7 +148,7 @@ pub enum FileController {
 
 impl FileController {
     /// Reads a controller. A name that ends in `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.fmu` an FMU, in
-    /// `.toml` a controller file, and any other file a policy.
+    /// `.toml` a controller file, and any other file a policy, or a model of Stable-Baselines3 if it begins as a zip archive.
     ///
     /// # Errors
     /// [`ControllerFileError`] if there is no such file, or it holds no usable controller.
@@ -236,10 +237,12 @@ fn normalised_by(file: &NetworkFile, path: &Path) -> Option<String> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let beside = beside.map(|beside| beside.strip_prefix(folder).unwrap_or(&beside).display().to_string());
     match (trace, beside) {
-        (VecNormalizeTrace::Behind, Some(beside)) => {
-            Some(format!("it was trained behind VecNormalize, as its own data tells (`{beside}` seems to have the statistics)"))
+        (VecNormalizeTrace::Behind, Some(beside)) => Some(format!(
+            "it was trained behind VecNormalize, as its own data tells (`{beside}` seems to have the statistics)"
+        )),
+        (VecNormalizeTrace::Behind, None) => {
+            Some("it was trained behind VecNormalize, as its own data tells".to_owned())
         }
-        (VecNormalizeTrace::Behind, None) => Some("it was trained behind VecNormalize, as its own data tells".to_owned()),
         (_, Some(beside)) => Some(format!("beside it lies `{beside}`, so what it saw in training was normalised")),
         (_, None) => None,
     }

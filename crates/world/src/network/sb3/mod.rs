@@ -45,8 +45,7 @@ struct Data {
 const NEEDED: [&str; 3] = ["policy_class", "observation_space", "action_space"];
 
 /// The way for what is not followed.
-pub(super) const AS_A_PROCESS: &str =
-    "a program that loads the model and answers with `predict` can drive instead (`exec:`, docs/controllers.md, Processes)";
+pub(super) const AS_A_PROCESS: &str = "a program that loads the model and answers with `predict` can drive instead (`exec:`, docs/controllers.md, Processes)";
 
 /// How the actor of an algorithm is built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
