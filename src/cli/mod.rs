@@ -7,6 +7,7 @@ mod check;
 mod checked;
 mod choice;
 mod cruise;
+mod describe;
 mod doctor;
 mod explore;
 mod export;
@@ -85,6 +86,7 @@ enum Command {
     Merge(merge::Merge),
     Fsck(fsck::Fsck),
     List(list::List),
+    Describe(describe::Describe),
     Doctor(doctor::Doctor),
     Completions(shell::Completions),
     Man(shell::Man),
@@ -130,6 +132,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Merge(command) => command.run(quiet),
         Command::Fsck(command) => command.run(),
         Command::List(command) => command.run(),
+        Command::Describe(command) => command.run(),
         Command::Doctor(command) => command.run(),
         Command::Completions(command) => command.run(commands()),
         Command::Man(command) => command.run(commands(), quiet),

@@ -35,9 +35,14 @@ pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
 
 /// A built-in controller or the one in a file, for clap. What may be wrong with it is kept for [`doubts`].
 pub(super) fn controller(name: &str) -> Result<NamedController, String> {
-    let found = NamedController::find(name, Path::new("")).map_err(|error| error.to_string())?;
+    let found = find(name)?;
     doubt(&found);
     Ok(found)
+}
+
+/// A built-in controller or the one in a file.
+pub(super) fn find(name: &str) -> Result<NamedController, String> {
+    NamedController::find(name, Path::new("")).map_err(|error| error.to_string())
 }
 
 /// A policy of crumple's own, for clap.

@@ -224,6 +224,24 @@ fn load_network(path: &Path) -> Result<Arc<NetworkController>, ControllerFileErr
     Ok(Arc::new(controller.with_normalised(is_behind.then_some(false))))
 }
 
+/// Whether the inputs hold what the statistics beside a model say.
+fn has_statistics(mapping: &Mapping, path: &Path) -> bool {
+    /// Numbers are often written with seven digits.
+    const CLOSE: f64 = 1e-5;
+    let Some(Statistics::OfObservations(theirs)) = Statistics::beside(path).map(|beside| Statistics::load(&beside))
+    else {
+        return false;
+    };
+    let is_close = |own: f64, their: f64| (own - their).abs() <= CLOSE * their.abs().max(CLOSE);
+    theirs.means.len() == mapping.inputs.len()
+        && mapping.inputs.iter().zip(theirs.means.iter().zip(&theirs.deviations)).all(|(input, (mean, deviation))| {
+            is_close(input.offset, *mean)
+                && is_close(input.scale, *deviation)
+                && is_close(input.low, -theirs.limit)
+                && is_close(input.high, theirs.limit)
+        })
+}
+
 /// What tells that a model's observations were normalised in training: its own file, or statistics beside it.
 fn normalised_by(file: &NetworkFile, path: &Path) -> Option<String> {
     let trace = file.saved_model()?.trace;
@@ -271,6 +289,7 @@ fn load(path: &Path) -> Result<FileController, ControllerFileError> {
             let place = folder.join(name);
             let network = NetworkFile::load(&place)?;
             if normalised.is_none()
+                && !has_statistics(&mapping, &place)
                 && let Some(reason) = normalised_by(&network, &place)
             {
                 let problem = format!(
