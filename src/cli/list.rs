@@ -14,6 +14,12 @@ use crumple_world::scenario::space::BUILT_IN_SPACES;
 const SHIELD: (&str, &str) =
     ("shield:policy", "policy, or full braking where it would leave no way out; shield: goes before any controller");
 
+const FILES: (&str, &str) = (
+    "FILE",
+    "a policy, a network (F.onnx, F.zip of Stable-Baselines3), an FMU (F.fmu), or a controller file (F.toml) that says what any sees and \
+     answers: docs/controllers.md; `crumple describe F.zip` begins one",
+);
+
 /// List the built-in scenarios, controllers, spaces and search methods
 #[derive(Args)]
 pub(super) struct List {
@@ -65,7 +71,7 @@ impl Catalogue {
                         if settings.is_empty() { String::new() } else { format!("; {}", settings.join(",")) };
                     Entry { name: spec.name(), summary: format!("{}{settings}", spec.summary()) }
                 });
-                own.chain([entry(SHIELD)]).collect()
+                own.chain([entry(SHIELD), entry(FILES)]).collect()
             }
             Self::Spaces => BUILT_IN_SPACES.map(|(name, summary, _)| entry((name, summary))).into(),
             Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),

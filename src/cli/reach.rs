@@ -25,15 +25,20 @@ A network from outside (F.onnx, F.zip, or a controller file F.toml) is written t
 assumes that this is what the source file means; `crumple check --policy F.onnx` reads the source again. What it sees has to be sums and \
 differences of what is observed now, each with offset, scale and limits: no time gaps, no history, no last answer.
 
+A box is a file in TOML: `version = 1`, `scenario` (paper-1, or another built-in one with a leader that brakes, one vehicle under test \
+and at most one behind it), and under `[ranges]` what differs from it, each a number or `{ low = A, high = B }`: gap_ahead_m, gap_behind_m, \
+leader_speed_mps, ego_speed_mps, follower_speed_mps, leader_brake_mps2, follower_brake_mps2, onset_s. `observation_error` may say how far each \
+of the eight numbers that a policy sees may be from the truth (docs/controllers.md). Exit code 1 if no part of the box is verified.
+
 Examples:
-  crumple verify reach --controller policy --box corpora/boxes/paper-1.toml --depth 6 --certificate reach/paper-1.json
-  crumple verify reach --controller acc.toml --box corpora/boxes/paper-1.toml --certificate reach/acc.json")]
+  crumple verify reach --controller policy --box paper-1 --depth 6 --certificate reach/paper-1.json
+  crumple verify reach --controller acc.toml --box my-box.toml --certificate reach/acc.json")]
 pub(super) struct Reach {
     /// A learned policy (`policy`, or a policy file), or a network (F.onnx, F.zip, F.toml)
     #[arg(long, value_name = "C", default_value = "policy", value_parser = subject::controller)]
     controller: NamedController,
-    /// The box
-    #[arg(long = "box", value_name = "FILE")]
+    /// The box: paper-1 or paper-2, which are built in, or a file
+    #[arg(long = "box", value_name = "BOX")]
     starts: PathBuf,
     /// How often one box is cut at most: 0 to 40
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(0..=40))]
@@ -44,6 +49,15 @@ pub(super) struct Reach {
     /// How results are printed
     #[arg(long, value_enum, default_value = "text")]
     format: Format,
+}
+
+/// The box of that name.
+fn built_in_box(name: &Path) -> Option<&'static str> {
+    match name.to_str()? {
+        "paper-1" => Some(include_str!("boxes/paper-1.toml")),
+        "paper-2" => Some(include_str!("boxes/paper-2.toml")),
+        _ => None,
+    }
 }
 
 impl Reach {
@@ -57,7 +71,10 @@ impl Reach {
             )),
             other => Failure::Input(format!("{place}: {other}")),
         };
-        let text = file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?;
+        let text = match built_in_box(&self.starts) {
+            Some(text) if !self.starts.exists() => text.to_owned(),
+            _ => file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?,
+        };
         let plan = ReachPlan::new(self.controller.kind, &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
         let told = |now: &Shares| {

@@ -33,3 +33,28 @@ impl<T: Copy + Default> History<T> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_decisions_before_the_first_are_the_first_or_zeros() {
+        for (padding, newest_first, wanted) in [
+            (HistoryPadding::First, false, [[1, 2, 1, 2, 1, 2], [1, 2, 1, 2, 3, 4]]),
+            (HistoryPadding::Zeros, false, [[0, 0, 0, 0, 1, 2], [0, 0, 1, 2, 3, 4]]),
+            (HistoryPadding::Zeros, true, [[1, 2, 0, 0, 0, 0], [3, 4, 1, 2, 0, 0]]),
+        ] {
+            let own = Mapping::own();
+            let inputs = own.inputs.iter().take(2).cloned().collect();
+            let mapping = Mapping { history: 3, history_padding: padding, newest_first, inputs, ..own };
+            let mut history = History::default();
+            let seen = [[1, 2], [3, 4]].map(|now| {
+                let mut row = Vec::new();
+                history.look_back(&mapping, now.into_iter(), &mut row);
+                row
+            });
+            assert_eq!(seen, wanted);
+        }
+    }
+}
