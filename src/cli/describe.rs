@@ -186,9 +186,9 @@ impl Description {
         let is_normalised = normalisation.is_some_and(|found| found.means.len() == self.inputs);
         if is_normalised {
             text += "normalised = true # the inputs hold the statistics\n";
-        } else if saved.is_some_and(|saved| saved.trace != VecNormalizeTrace::None) {
-            text +=
-                "normalised = false # true, with means and deviations below, if VecNormalize normalised observations\n";
+        } else if saved.is_some_and(|saved| saved.trace == VecNormalizeTrace::Behind) {
+            // Nothing is said in the place of who knows: the file is refused until somebody does.
+            text += "# Say normalised = true once the inputs hold means and deviations, or false if VecNormalize left observations alone.\n";
         }
         for index in 0..self.inputs {
             let own = own.inputs.get(index).filter(|_| self.drives_as_it_is);

@@ -14,6 +14,7 @@ use crumple_world::scenario::space::BUILT_IN_SPACES;
 const SHIELD: (&str, &str) =
     ("shield:policy", "policy, or full braking where it would leave no way out; shield: goes before any controller");
 
+/// What is no name, for a reader alone.
 const FILES: (&str, &str) = (
     "FILE",
     "a policy, a network (F.onnx, F.zip of Stable-Baselines3), an FMU (F.fmu), or a controller file (F.toml) that says what any sees and \
@@ -71,7 +72,7 @@ impl Catalogue {
                         if settings.is_empty() { String::new() } else { format!("; {}", settings.join(",")) };
                     Entry { name: spec.name(), summary: format!("{}{settings}", spec.summary()) }
                 });
-                own.chain([entry(SHIELD), entry(FILES)]).collect()
+                own.chain([entry(SHIELD)]).collect()
             }
             Self::Spaces => BUILT_IN_SPACES.map(|(name, summary, _)| entry((name, summary))).into(),
             Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),
@@ -108,6 +109,10 @@ fn table(catalogues: &[Catalogue]) -> String {
             let _ = writeln!(text, "{gap}{}", catalogue.title());
         }
         for Entry { name, summary } in catalogue.entries() {
+            let _ = writeln!(text, "  {name:<20}{summary}");
+        }
+        if let Catalogue::Controllers = catalogue {
+            let (name, summary) = FILES;
             let _ = writeln!(text, "  {name:<20}{summary}");
         }
     }
