@@ -2,6 +2,7 @@
 
     python make.py networks      # ONNX, by numpy, onnx, onnxruntime
     python make.py models        # models of Stable-Baselines3, by torch, stable-baselines3
+    python make.py normalised    # one behind VecNormalize and its statistics, likewise
     python make.py oracle DIR    # 100 000 observations of each, for the ignored test `networks_agree_with_their_makers`
 
 README.md says with which versions the committed files were made.
@@ -243,6 +244,58 @@ def models():
     write_expected("models.json", pairs)
 
 
+def normalised():
+    """A model behind VecNormalize, without what is of no use here, its statistics, and those of one that normalised rewards alone."""
+    import zipfile
+
+    import gymnasium
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    class Follow(gymnasium.Env):
+        observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float32)
+        action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
+
+        def reset(self, *, seed=None, options=None):
+            super().reset(seed=seed)
+            self.state = self.np_random.uniform([5, 5, -3], [50, 30, 3])
+            return self.state.astype(np.float32), {}
+
+        def step(self, action):
+            acceleration = 3 * float(action[0]) - 1
+            self.state += [0.1 * self.state[2], 0.1 * acceleration, -0.1 * acceleration]
+            gap, speed, _ = self.state
+            return self.state.astype(np.float32), -abs(gap - 4 - 1.4 * speed) / 20, False, bool(self.np_random.random() < 0.05), {}
+
+    folder = HERE / "normalised"
+    folder.mkdir(exist_ok=True)
+    torch.manual_seed(0)
+    env = VecNormalize(DummyVecEnv([Follow]), clip_obs=5.0)
+    model = PPO("MlpPolicy", env, n_steps=64, batch_size=32, n_epochs=2, seed=0, policy_kwargs={"net_arch": [4]})
+    model.learn(128)
+    model.save(folder / "whole.zip")
+    with zipfile.ZipFile(folder / "whole.zip") as whole, zipfile.ZipFile(folder / "ppo.zip", "w") as small:
+        for name in ["data", "policy.pth", "_stable_baselines3_version"]:
+            small.writestr(name, whole.read(name))
+    (folder / "whole.zip").unlink()
+    env.save(folder / "ppo_vecnormalize.pkl")
+    env.norm_obs = False
+    env.save(folder / "rewards-alone.pkl")
+    env.norm_obs = True
+    env.training = False
+    seen = (observations(FEW, 3) * [20, 5, 2] + [25, 15, 0]).astype(np.float32)
+    answers = model.predict(env.normalize_obs(seen), deterministic=True)[0]
+    (folder / "answers.json").write_text(json.dumps({"seen": seen.tolist(), "answers": answers.astype(np.float64).tolist()}) + "\n")
+    quantities = ["gap_ahead_m", "speed_mps", "relative_speed_ahead_mps"]
+    text = 'version = 1\nnetwork = "ppo.zip"\ndecision_interval_s = 0.1\nnormalised = true\n'
+    for quantity, mean, variance in zip(quantities, env.obs_rms.mean, env.obs_rms.var):
+        text += f'\n[[inputs]]\nquantity = "{quantity}"\noffset = {float(mean)}\nscale = {float(np.sqrt(variance + env.epsilon))}\n'
+        text += f"low = {-env.clip_obs}\nhigh = {env.clip_obs}\n"
+    text += "\n[output]\nscale_mps2 = 3.0\noffset_mps2 = -1.0\nlow_mps2 = -4.0\nhigh_mps2 = 2.0\n"
+    (folder / "ppo.toml").write_text(text)
+
+
 # Measuring ----------------------------------------------------------------------------------------------------------------
 
 
@@ -272,6 +325,8 @@ if __name__ == "__main__":
             networks()
         case ["models"]:
             models()
+        case ["normalised"]:
+            normalised()
         case ["oracle", folder]:
             oracle(pathlib.Path(folder))
         case _:

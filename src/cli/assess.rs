@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::output;
 use super::simulate::Format;
-use super::{Failure, interrupt, progress};
+use super::{Failure, interrupt, progress, subject};
 use crumple_report::assessment::{
     AssessError, AssessmentPlan, ComparisonError, Earlier, EvidenceShardError, FOLDERS, MOST_EVIDENCE_BYTES, Made,
     MergedEvidence, REPORT, Store, StoreError, assess, files_of_evidence, gather_shard,
@@ -82,7 +82,12 @@ impl Assess {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let plan = match &self.config {
             None => AssessmentPlan::built_in(),
-            Some(path) => AssessmentPlan::load(path)?,
+            Some(path) => {
+                let plan = AssessmentPlan::load(path)?;
+                let doubts = plan.controllers().iter().flat_map(subject::of_controller);
+                doubts.for_each(|doubt| output::note(&doubt, quiet));
+                plan
+            }
         };
         if let Some(shard) = self.shard {
             return self.gather(&plan, shard, quiet);

@@ -55,9 +55,14 @@ impl Counts {
             ),
             Self::Confirmed { confirmation, seed } => {
                 let Confirmation { blocks, of_blocks, runs, of_runs, .. } = confirmation;
-                let chances = catches(confirmation).map(|(forged, chance)| {
-                    format!("{forged} forged runs with a chance of {:.2} %", (1e4 * chance).floor() / 1e2)
-                });
+                let mut chances = catches(confirmation).to_vec();
+                // Of few runs a hundredth is one as well.
+                chances.dedup();
+                let chance = |(forged, chance): (u64, f64)| {
+                    let runs = if forged == 1 { "run" } else { "runs" };
+                    format!("{forged} forged {runs} with a chance of {:.2} %", (1e4 * chance).floor() / 1e2)
+                };
+                let chances: Vec<String> = chances.into_iter().map(chance).collect();
                 format!(
                     "confirmed by a sample: {blocks} of {of_blocks} blocks, {runs} of {of_runs} runs ({:.2} %), were drawn and \
                      simulated again here, and each ended as it is said to. Chosen with seed {}, after the file was fixed, this \

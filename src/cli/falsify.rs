@@ -51,7 +51,7 @@ Examples:
   crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm --spec 'always v1.time_gap_s > 0.3' --expect violated")]
 pub(super) struct Falsify {
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
-    /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network or a controller, or a command after `exec:`
+    /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
     #[arg(long, value_name = "C", value_parser = subject::controller)]
     controller: NamedController,
     /// Where to search: a built-in space (see `crumple list spaces`) or a space file

@@ -14,6 +14,13 @@ use crumple_world::scenario::space::BUILT_IN_SPACES;
 const SHIELD: (&str, &str) =
     ("shield:policy", "policy, or full braking where it would leave no way out; shield: goes before any controller");
 
+/// What is no name, for a reader alone.
+const FILES: (&str, &str) = (
+    "FILE",
+    "a policy, a network (F.onnx, F.zip of Stable-Baselines3), an FMU (F.fmu), or a controller file (F.toml) that says what any sees and \
+     answers: docs/controllers.md; `crumple describe F.zip` begins one",
+);
+
 /// List the built-in scenarios, controllers, spaces and search methods
 #[derive(Args)]
 pub(super) struct List {
@@ -102,6 +109,10 @@ fn table(catalogues: &[Catalogue]) -> String {
             let _ = writeln!(text, "{gap}{}", catalogue.title());
         }
         for Entry { name, summary } in catalogue.entries() {
+            let _ = writeln!(text, "  {name:<20}{summary}");
+        }
+        if let Catalogue::Controllers = catalogue {
+            let (name, summary) = FILES;
             let _ = writeln!(text, "  {name:<20}{summary}");
         }
     }

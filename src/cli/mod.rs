@@ -7,6 +7,7 @@ mod check;
 mod checked;
 mod choice;
 mod cruise;
+mod describe;
 mod doctor;
 mod explore;
 mod export;
@@ -85,6 +86,7 @@ enum Command {
     Merge(merge::Merge),
     Fsck(fsck::Fsck),
     List(list::List),
+    Describe(describe::Describe),
     Doctor(doctor::Doctor),
     Completions(shell::Completions),
     Man(shell::Man),
@@ -109,6 +111,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             }
         };
     let quiet = arguments.quiet;
+    subject::doubts().iter().for_each(|doubt| output::note(doubt, quiet));
     let done = match arguments.command {
         Command::Assess(command) => command.run(quiet),
         Command::Simulate(command) => command.run(quiet),
@@ -129,6 +132,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Merge(command) => command.run(quiet),
         Command::Fsck(command) => command.run(),
         Command::List(command) => command.run(),
+        Command::Describe(command) => command.run(),
         Command::Doctor(command) => command.run(),
         Command::Completions(command) => command.run(commands()),
         Command::Man(command) => command.run(commands(), quiet),

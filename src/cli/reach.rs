@@ -10,6 +10,7 @@ use super::output;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
 use crumple_search::evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, Shares};
+use crumple_world::control::InvalidMapping;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
@@ -24,15 +25,20 @@ A network from outside (F.onnx, F.zip, or a controller file F.toml) is written t
 assumes that this is what the source file means; `crumple check --policy F.onnx` reads the source again. What it sees has to be sums and \
 differences of what is observed now, each with offset, scale and limits: no time gaps, no history, no last answer.
 
+A box is a file in TOML: `version = 1`, `scenario` (paper-1, or another built-in one with a leader that brakes, one vehicle under test \
+and at most one behind it), and under `[ranges]` what differs from it, each a number or `{ low = A, high = B }`: gap_ahead_m, gap_behind_m, \
+leader_speed_mps, ego_speed_mps, follower_speed_mps, leader_brake_mps2, follower_brake_mps2, onset_s. `observation_error` may say how far each \
+of the eight numbers that a policy sees may be from the truth (docs/controllers.md). Exit code 1 if no part of the box is verified.
+
 Examples:
-  crumple verify reach --controller policy --box corpora/boxes/paper-1.toml --depth 6 --certificate reach/paper-1.json
-  crumple verify reach --controller acc.toml --box corpora/boxes/paper-1.toml --certificate reach/acc.json")]
+  crumple verify reach --controller policy --box paper-1 --depth 6 --certificate reach/paper-1.json
+  crumple verify reach --controller acc.toml --box my-box.toml --certificate reach/acc.json")]
 pub(super) struct Reach {
     /// A learned policy (`policy`, or a policy file), or a network (F.onnx, F.zip, F.toml)
     #[arg(long, value_name = "C", default_value = "policy", value_parser = subject::controller)]
     controller: NamedController,
-    /// The box
-    #[arg(long = "box", value_name = "FILE")]
+    /// The box: paper-1 or paper-2, which are built in, or a file
+    #[arg(long = "box", value_name = "BOX")]
     starts: PathBuf,
     /// How often one box is cut at most: 0 to 40
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(0..=40))]
@@ -45,20 +51,35 @@ pub(super) struct Reach {
     format: Format,
 }
 
+/// The box of that name.
+fn built_in_box(name: &Path) -> Option<&'static str> {
+    match name.to_str()? {
+        "paper-1" => Some(include_str!("boxes/paper-1.toml")),
+        "paper-2" => Some(include_str!("boxes/paper-2.toml")),
+        _ => None,
+    }
+}
+
 impl Reach {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let place = self.starts.display();
         let failed = |error: InvalidBox| match error {
             InvalidBox::Controller(problem) => Failure::Input(format!("--controller: {problem}")),
-            InvalidBox::Mapping(invalid) => Failure::Input(format!("--controller: cannot be followed: {invalid}")),
+            InvalidBox::Mapping(invalid) => Failure::Input(format!(
+                "--controller: {}cannot be followed: {invalid}",
+                place_of(&self.controller.name, &invalid)
+            )),
             other => Failure::Input(format!("{place}: {other}")),
         };
-        let text = file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?;
+        let text = match built_in_box(&self.starts) {
+            Some(text) if !self.starts.exists() => text.to_owned(),
+            _ => file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?,
+        };
         let plan = ReachPlan::new(self.controller.kind, &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
         let told = |now: &Shares| {
             bar.set_position(u64::from(now.depth));
-            bar.set_message(line(now));
+            bar.set_message(line(now, false));
         };
         let partition = plan.partition(self.depth, told).map_err(failed)?;
         bar.finish_and_clear();
@@ -68,7 +89,8 @@ impl Reach {
             keep(path, &partition.certificate, plan.policy_bytes())?;
         }
         let Partition { shares, doubts, .. } = &partition;
-        output::print_for(
+        let is_verified = is_positive(shares, |now| now.verified);
+        let printed = output::print_for(
             self.format,
             &match self.format {
                 Format::Json => {
@@ -76,15 +98,25 @@ impl Reach {
                     serde_json::to_string(&result).map_err(Failure::input)? + "\n"
                 }
                 Format::Text => {
-                    let lines: String = shares.iter().map(|now| line(now) + "\n").collect();
+                    let last = shares.len().saturating_sub(1);
+                    let lines: String =
+                        shares.iter().enumerate().map(|(index, now)| line(now, index == last) + "\n").collect();
                     let crumple_search::evidence::Doubts { ahead, behind, too_wide } = doubts;
+                    let falsified = match is_positive(shares, |now| now.falsified) {
+                        true => "falsified: boxes of which one start, tried at the end, ends in contact\n",
+                        false => "",
+                    };
+                    let verdict = if is_verified { "accepted" } else { "nothing verified" };
                     format!(
-                        "{lines}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too wide\n\
-                     accepted: {accepted}\n"
+                        "{lines}{falsified}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too \
+                         wide\n{verdict}: {accepted}\n"
                     )
                 }
             },
-        )
+        );
+        let deeper = if is_positive(shares, |now| now.undecided) { "; a larger --depth may" } else { "" };
+        let problem = format!("{place}: no part of the box was verified{deeper}");
+        Failure::gate_first(if is_verified { Ok(()) } else { Err(Failure::Gate(problem)) }, printed)
     }
 }
 
@@ -100,10 +132,30 @@ pub(super) fn keep(path: &Path, certificate: &Certificate, network: &[u8]) -> Re
     Ok(files.commit()?)
 }
 
-fn line(now: &Shares) -> String {
-    let [verified, falsified, undecided] = [now.verified, now.falsified, now.undecided].map(|share| 100.0 * share);
+/// Whether there is some of it in the end.
+fn is_positive(shares: &[Shares], share: impl Fn(&Shares) -> f64) -> bool {
+    shares.last().is_some_and(|last| share(last) > 0.0)
+}
+
+/// Where in its file a network says what is wrong, if it is said in one: `acc.toml:12: `.
+fn place_of(name: &str, invalid: &InvalidMapping) -> String {
+    let path = Path::new(name);
+    let text = path
+        .extension()
+        .filter(|extension| *extension == "toml")
+        .and_then(|_| file::read_at_most(path, file::MOST_TOML_BYTES).ok());
+    text.map(|text| format!("{name}:{}: ", file::line_in_toml(&text, &invalid.field))).unwrap_or_default()
+}
+
+/// What is known at a depth. Starts that end in contact are looked for at the last one.
+fn line(now: &Shares, is_last: bool) -> String {
+    // As the checker says them: lower bounds, rounded down.
+    let down = |share: f64| (1e4 * share).floor() / 1e2;
+    let (verified, falsified) = (down(now.verified), down(now.falsified));
+    let falsified_words = if is_last { format!(" {falsified:6.2} % falsified,") } else { String::new() };
+    let undecided = 100.0 - verified - if is_last { falsified } else { 0.0 };
     format!(
-        "depth {:2}: {verified:6.2} % verified, {falsified:6.2} % falsified, {undecided:6.2} % undecided; {} boxes, {:.2} s",
+        "depth {:2}: {verified:6.2} % verified,{falsified_words} {undecided:6.2} % undecided; {} boxes, {:.2} s",
         now.depth, now.boxes, now.seconds
     )
 }

@@ -33,7 +33,7 @@ Examples:
   crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
 pub(super) struct Retrain {
     /// Policy to begin with: `policy`, or a policy file
-    #[arg(long, value_name = "P", default_value = "policy", value_parser = subject::controller)]
+    #[arg(long, value_name = "P", default_value = "policy", value_parser = subject::own_policy)]
     policy: NamedController,
     /// Where to search, and what to draw from: a built-in space (see `crumple list spaces`) or a space file
     #[arg(long, value_name = "S", default_value = "high-risk", value_parser = subject::space)]
@@ -91,8 +91,11 @@ impl Retrain {
         let name = &self.policy.name;
         let is_shielded = matches!(self.policy.kind, ControllerKind::Shielded(_));
         let first = self.policy.policy().filter(|_| !is_shielded);
-        let first =
-            first.ok_or_else(|| Failure::Input(format!("--policy: `{name}` is no policy that can be trained on")))?;
+        let first = first.ok_or_else(|| {
+            Failure::Input(format!(
+                "--policy: `{name}` is no policy that can be trained on: those are crumple's own, which `crumple train` makes"
+            ))
+        })?;
         let regression = regression_spaces(&self.regression)?;
         let regression_draws = if regression.is_empty() { 0 } else { self.regression_draws };
         let plan = RetrainingPlan {

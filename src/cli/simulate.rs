@@ -42,7 +42,7 @@ pub(super) struct Simulate {
     #[arg(required = true, value_name = "SCENARIO")]
     scenarios: Vec<String>,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
-    /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network or a controller, or a command after `exec:`
+    /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = subject::controller)]
     controller: NamedController,
     /// What the vehicles under test look through

@@ -1,9 +1,11 @@
 //! Arguments that several subcommands share: which scenario, which controller.
 
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 use super::Failure;
 use crumple_world::control::ControllerSpec;
+use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{Space, find_space};
 use crumple_world::scenario::{Driver, Scenario, built_in, built_in_names, file};
@@ -43,9 +45,51 @@ pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
 }
 
 /// A built-in controller or the one in a file, for clap. What has to be started for it is, once, so that a program that is missing is an
-/// argument that is wrong.
+/// argument that is wrong; what may be wrong with it is kept for [`doubts`].
 pub(super) fn controller(name: &str) -> Result<NamedController, String> {
+    let found = find(name)?;
+    doubt(&found);
+    Ok(found)
+}
+
+/// A built-in controller or the one in a file, started once where it has to be.
+pub(super) fn find(name: &str) -> Result<NamedController, String> {
     NamedController::find_and_try(name, Path::new("")).map_err(|error| error.to_string())
+}
+
+/// A policy of crumple's own, for clap.
+pub(super) fn own_policy(name: &str) -> Result<NamedController, String> {
+    if NetworkFile::is_one(Path::new(name)) {
+        return Err(
+            "is a network from outside: policies that can be trained on are crumple's own, which `crumple train` makes"
+                .to_owned(),
+        );
+    }
+    controller(name)
+}
+
+/// What may be wrong with controllers that arguments name: whether to be quiet is known only once all of them are read.
+static DOUBTS: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+/// Keeps what may be wrong with a controller.
+fn doubt(controller: &NamedController) {
+    let mut kept = DOUBTS.lock().unwrap_or_else(PoisonError::into_inner);
+    for doubt in of_controller(controller) {
+        if !kept.contains(&doubt) {
+            kept.push(doubt);
+        }
+    }
+}
+
+/// What may be wrong with a controller, a line each.
+pub(super) fn of_controller(controller: &NamedController) -> impl Iterator<Item = String> {
+    let name = controller.name.clone();
+    controller.kind.doubts().into_iter().map(move |doubt| format!("note: {name}: {doubt}"))
+}
+
+/// What may be wrong with the controllers that were named, once.
+pub(super) fn doubts() -> Vec<String> {
+    std::mem::take(&mut *DOUBTS.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
 /// What a scenario of scripts and fixed drivers does.

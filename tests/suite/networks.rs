@@ -192,7 +192,7 @@ fn the_schema_of_controller_files_is_committed() {
 #[test]
 fn the_controller_files_of_the_corpus_follow_the_schema() {
     let schema = controller_file_schema();
-    for name in ["acc.toml", "stacked.toml", "a2c.toml"] {
+    for name in ["acc.toml", "stacked.toml", "a2c.toml", "normalised/ppo.toml"] {
         let file: serde_json::Value = toml::from_str(&fs::read_to_string(corpus().join(name)).unwrap()).unwrap();
         validate(&schema, &schema, &file, name).unwrap();
     }
@@ -237,6 +237,11 @@ fn controller_files_are_refused_by_file_line_and_field() {
         ("high = 50.0", "absent = 1.0", "a.toml:15: inputs[2].absent: is for what is seen of another vehicle"),
         ("[output]", "[[inputs]]\nconstant = 1\n[output]", "inputs: there are 6, and the network takes 5 numbers"),
         ("[output]", "[output]\nanswer = 1", "a.toml:30: output.answer: must be below 1"),
+        (
+            "interval_s = 0.1",
+            "interval_s = 0.1\nhistory_padding = \"ones\"",
+            "a.toml:5: history_padding: unknown variant `ones`",
+        ),
         ("high_mps2 = 3.0", "high_mps2 = -9", "a.toml:30: output.low_mps2: must be below high_mps2"),
         ("acc-5x20.onnx", "none.onnx", "none.onnx: No such file"),
         ("acc-5x20.onnx", "a.toml", "a network's file ends in .onnx, or in .zip"),
@@ -254,7 +259,9 @@ fn networks_that_need_a_controller_file_say_so() {
     let refused = |name: &str| NamedController::find(name, &corpus()).expect_err(name).to_string();
     for (name, said) in [
         ("acc-5x20.onnx", "it makes 1 of 5 numbers"),
-        ("a2c.zip", "nothing in it keeps its answer from -1 to 1"),
+        ("a2c.zip", "its space of actions is -7.5 to 3, where crumple's own policies answer with -1 to 1"),
+        ("elu-7-5.onnx", "it makes 4 of 3 numbers"),
+        ("mixed-50-25.onnx", "nothing in it keeps its answer from -1 to 1"),
         ("normalised-64-64-64.onnx", ""),
     ] {
         if said.is_empty() {
@@ -270,6 +277,153 @@ fn networks_that_need_a_controller_file_say_so() {
     fs::write(folder.path().join("vecnormalize.pkl"), "").unwrap();
     let error = NamedController::find("m.zip", folder.path()).expect_err("normalised").to_string();
     assert!(error.contains("beside it lies `vecnormalize.pkl`"), "{error}");
+    // What it saw is that of the file, wherever the pickle is: this one says that it left observations alone.
+    fs::copy(normalised("rewards-alone.pkl"), folder.path().join("vecnormalize.pkl")).unwrap();
+    assert!(NamedController::find("m.zip", folder.path()).is_ok());
+}
+
+fn normalised(name: &str) -> PathBuf {
+    corpus().join("normalised").join(name)
+}
+
+/// The file of a model trained behind `VecNormalize` tells so, with its statistics beside it or without.
+#[test]
+fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
+    use crumple_world::network::VecNormalizeTrace as Trace;
+    let trace = |path: &Path| NetworkFile::load(path).unwrap().saved_model().unwrap().trace;
+    assert_eq!(trace(&normalised("ppo.zip")), Trace::Behind);
+    assert_eq!(["ppo.zip", "sac.zip"].map(|name| trace(&corpus().join(name))), [Trace::None, Trace::Unknown]);
+
+    let folder = tempfile::tempdir().unwrap();
+    let told = fs::read_to_string(normalised("ppo.toml")).unwrap();
+    let untold = told.replace("normalised = true\n", "");
+    let find = |text: &str| {
+        fs::write(folder.path().join("a.toml"), text).unwrap();
+        NamedController::find("a.toml", folder.path()).map(|found| found.identity_beside_name())
+    };
+    fs::copy(normalised("ppo.zip"), folder.path().join("ppo.zip")).unwrap();
+    let said = find(&untold).expect_err("not told").to_string();
+    assert!(said.contains("a.toml:1: normalised: is missing: ") && said.contains("as its own data tells"), "{said}");
+    let said = NamedController::find("ppo.zip", folder.path()).expect_err("not told").to_string();
+    assert!(said.contains("trained behind VecNormalize") && said.contains("`normalised = true`"), "{said}");
+    let identity = find(&told).unwrap();
+    // What is said of its training changes nothing of how it drives.
+    assert_eq!(find(&untold.replacen("version = 1", "version = 1\nnormalised = false", 1)).unwrap(), identity);
+    // With the statistics beside it nobody has to say that the inputs hold them, unless they do not.
+    fs::copy(normalised("ppo_vecnormalize.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
+    assert_eq!(find(&untold).unwrap(), identity);
+    let said = find(&untold.replace("high = 5.0", "high = 10.0")).expect_err("another limit").to_string();
+    assert!(said.contains("`ppo_vecnormalize.pkl` seems to have the statistics"), "{said}");
+    fs::copy(normalised("rewards-alone.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
+    assert!(find(&untold.replace("high = 5.0", "high = 10.0")).is_ok());
+}
+
+/// What the controller file says and what `VecNormalize` did are the same.
+#[test]
+fn a_model_behind_vec_normalize_answers_as_its_maker() {
+    #[derive(Deserialize)]
+    struct Answers {
+        seen: Vec<Vec<f64>>,
+        answers: Vec<Vec<f64>>,
+    }
+    let text = fs::read_to_string(normalised("answers.json")).unwrap();
+    let Answers { seen, answers } = serde_json::from_str(&text).unwrap();
+    let ControllerKind::Network(controller) = kind("normalised/ppo.toml") else { panic!("a network") };
+    let mapped = |row: Vec<f64>| -> Vec<f32> {
+        let inputs = &controller.mapping().inputs;
+        let one = |(value, input): (f64, &crumple_world::control::Input)| {
+            ((value - input.offset) / input.scale).clamp(input.low, input.high) as f32
+        };
+        row.into_iter().zip(inputs).map(one).collect()
+    };
+    let inputs: Vec<f32> = seen.into_iter().flat_map(mapped).collect();
+    let difference = largest_difference(&normalised("ppo.zip"), &inputs, &answers.concat());
+    assert!(difference <= 1e-5, "{difference:e}");
+    assert!(controller.doubts().is_empty(), "{:?}", controller.doubts());
+}
+
+/// Which of several answers drives has to be said; a model's spaces are compared with what the file says of it.
+#[test]
+fn what_does_not_fit_a_model_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a2c.zip", "elu-7-5.onnx"] {
+        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+    }
+    let find = |text: &str| {
+        fs::write(folder.path().join("a.toml"), text).unwrap();
+        NamedController::find("a.toml", folder.path())
+    };
+    let fitting = fs::read_to_string(corpus().join("a2c.toml")).unwrap();
+    assert_eq!(find(&fitting).unwrap().kind.doubts(), Vec::<String>::new());
+    let doubts = |text: &str| find(text).unwrap().kind.doubts().join("\n");
+    let unscaled = fitting.replacen("offset = 16.0\nscale = 16.0\nlow = -4.0\nhigh = 4.0\n", "", 1);
+    assert!(doubts(&unscaled).contains("inputs[0] (gap_ahead_m) is 10 to 50, of -4 to 4"), "{}", doubts(&unscaled));
+    for (said, doubt) in [
+        (
+            "scale_mps2 = 0.1",
+            "the model's actions of -7.5 to 3 mean -0.75 to 0.3 m/s² here, of low_mps2 = -7.5 to high_mps2 = 3",
+        ),
+        ("scale_mps2 = 2.0", "mean -15 to 6 m/s² here, cut to low_mps2 = -7.5 to high_mps2 = 3"),
+    ] {
+        let doubts = doubts(&fitting.replace("[output]", &format!("[output]\n{said}")));
+        assert!(doubts.contains(doubt), "{doubts}");
+    }
+    let said = find(&fitting.replace("[output]", "[output]\noffset_mps2 = 20.0")).expect_err("one action").to_string();
+    assert!(said.contains("output: leaves nothing of the model's actions of -7.5 to 3"), "{said}");
+    let noted = crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a2c.zip"]);
+    assert_eq!(code(&noted), 2);
+    fs::write(folder.path().join("a.toml"), &unscaled).unwrap();
+    let noted = crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a.toml"]);
+    let said = String::from_utf8_lossy(&noted.stderr).into_owned();
+    assert!(said.starts_with("note: shield:a.toml: in ordinary driving") && said.lines().count() == 1, "{said}");
+    let quiet = crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a.toml", "--quiet"]);
+    assert!(quiet.stderr.is_empty() && quiet.stdout == noted.stdout);
+
+    let several = "version = 1\nnetwork = \"elu-7-5.onnx\"\ndecision_interval_s = 0.1\n\
+                   [[inputs]]\nquantity = \"gap_ahead_m\"\nscale = 100.0\n[[inputs]]\nquantity = \"speed_mps\"\nscale = 40.0\n\
+                   [[inputs]]\nquantity = \"acceleration_mps2\"\n[output]\nlow_mps2 = -7.5\nhigh_mps2 = 3.0\n";
+    let said = find(several).expect_err("which?").to_string();
+    assert!(said.contains("output.answer: is missing: the network has 4 answers"), "{said}");
+    assert!(find(&several.replace("[output]", "[output]\nanswer = 3")).is_ok());
+}
+
+/// `model.save("ppo_0.5")` writes no `.zip`.
+#[test]
+fn a_model_is_known_by_its_first_bytes_and_a_name_without_its_ending_is_guessed() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["ppo_0.5", "plain", "m.zip"] {
+        fs::copy(corpus().join("ppo.zip"), folder.path().join(name)).unwrap();
+    }
+    for name in ["ppo_0.5", "plain"] {
+        let found = NamedController::find(name, folder.path()).unwrap();
+        assert_eq!(found.kind.identity(), kind("ppo.zip").identity());
+    }
+    let said = NamedController::find("m", folder.path()).expect_err("no ending").to_string();
+    assert_eq!(said, "there is no controller `m`; did you mean the file `m.zip`?");
+}
+
+/// What is printed of any network is a controller file that drives.
+#[test]
+fn what_is_described_drives() {
+    let folder = tempfile::tempdir().unwrap();
+    let names = ["ppo.zip", "sac.zip", "td3.zip", "acc-5x20.onnx", "elu-7-5.onnx", "normalised/ppo.zip"];
+    for name in names {
+        let path = corpus().join(name).display().to_string();
+        let described = crumple(folder.path(), &["describe", &path]);
+        assert_eq!(code(&described), 0, "{}", String::from_utf8_lossy(&described.stderr));
+        fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
+        let found = NamedController::find("a.toml", folder.path()).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let json = crumple(folder.path(), &["describe", &path, "--format", "json"]);
+        let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+        let text = String::from_utf8_lossy(&described.stdout).into_owned();
+        assert!(text.ends_with(json["controller_file"].as_str().unwrap()), "{name}");
+        if name == "normalised/ppo.zip" {
+            let ControllerKind::Network(controller) = found.kind else { panic!("a network") };
+            let ControllerKind::Network(written) = kind("normalised/ppo.toml") else { panic!("a network") };
+            assert_eq!(controller.mapping().inputs, written.mapping().inputs);
+            assert!(text.contains("VecNormalize: it was trained behind one"), "{text}");
+        }
+    }
 }
 
 /// Runs an example of `examples/controllers` where Python has what it needs; whether it did.
@@ -299,6 +453,8 @@ fn the_examples_make_controllers() {
     if example("export_onnx.py", "torch, onnx, onnxscript", &["follower.onnx"], folder.path()) {
         assert!(drive("follower.onnx").is_safe());
     }
+    let statistics = normalised("ppo_vecnormalize.pkl").display().to_string();
+    example("vecnormalize.py", "stable_baselines3", &[&statistics], folder.path());
     if example("train_sb3.py", "stable_baselines3", &["follower.zip", "150"], folder.path()) {
         drive("follower.zip");
     }

@@ -216,6 +216,11 @@ impl std::fmt::Display for Accepted {
                  {x_ego_width_m} m"
             ),
             // Shares are lower bounds: rounded down.
+            Self::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => write!(
+                formatter,
+                "reach: nothing is shown of any part of the box; {:.2} % of its volume is in cells with a start that ends in contact",
+                (1e4 * falsified_share).floor() / 1e2
+            ),
             Self::Reach { verified_share, falsified_share, smallest_gap_m, horizon_s, has_follower } => write!(
                 formatter,
                 "reach: in {:.2} % of the box's volume no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s, {}; \

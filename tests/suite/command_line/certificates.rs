@@ -84,7 +84,7 @@ fn a_sample_is_chosen_afterwards_and_says_what_it_would_have_caught() {
     for words in [
         "2 of 3 blocks, 200 of 300 runs (66.66 %)",
         "after the file was fixed",
-        "1 forged runs with a chance of 66.66 %",
+        "1 forged run with a chance of 66.66 %",
     ] {
         assert!(stdout(&text).contains(words), "{words}: {}", stdout(&text));
     }

@@ -271,7 +271,7 @@ pub(crate) fn actor_of(file: Option<&[u8]>, digest: &str, source: Option<&Source
     let file = file.ok_or_else(|| wrong("is not there"))?;
     let found = sha256(file);
     if found != digest {
-        return Err(Rejection::Policy { problem: format!("has the digest {found}, not `policy_sha256`") });
+        return Err(Rejection::Policy { problem: format!("has the SHA-256 {found}, and `policy_sha256` is {digest}") });
     }
     let actor = Actor::from_bytes(file).map_err(|problem| Rejection::Policy { problem })?;
     if actor.source.as_ref() == source { Ok(actor) } else { Err(wrong("was read from another file than `source`")) }

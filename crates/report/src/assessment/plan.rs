@@ -168,6 +168,12 @@ impl AssessmentPlan {
         self.controllers.iter().map(|controller| self.identity(controller)).collect()
     }
 
+    /// The controllers under test.
+    #[must_use]
+    pub fn controllers(&self) -> &[NamedController] {
+        &self.controllers
+    }
+
     /// The first controller that states no identity: evidence about it cannot be told from that about others, so none is kept.
     #[must_use]
     pub fn without_identity(&self) -> Option<&NamedController> {

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::certificate;
-use crumple_world::control::{Input, InvalidMapping, Mapping, NetworkController, Output, Quantity};
+use crumple_world::control::{HistoryPadding, Input, InvalidMapping, Mapping, NetworkController, Output, Quantity};
 use crumple_world::digest::sha256;
 use crumple_world::network::{FeedForward, NetworkFile};
 use crumple_world::policy::Workspace;
@@ -95,11 +95,12 @@ impl CruisePlan {
         let mapping = Mapping {
             decision_interval_s: Some(PERIOD_S),
             history: 1,
+            history_padding: HistoryPadding::First,
             newest_first: false,
             inputs: told.into_iter().chain(seen.map(|quantity| input(Some(quantity), None))).collect(),
             output: Output {
                 variable: None,
-                answer: 0,
+                answer: None,
                 squash: None,
                 scale_mps2: 1.0,
                 offset_mps2: 0.0,

@@ -193,7 +193,7 @@ impl ReachPlan {
             .ok_or_else(|| InvalidBox::Controller("must be a policy of crumple's own or a network".to_owned()))?;
         let actor = Actor::from_bytes(&bytes).map_err(InvalidBox::Controller)?;
         if !starts.allows(actor.action_mps2) {
-            return Err(InvalidBox::Controller("asks for more than the vehicle can do".to_owned()));
+            return Err(asks_for_too_much(actor.action_mps2, starts.able_mps2(), &controller));
         }
         let digest = sha256(&bytes);
         let claim = Reach {
@@ -367,6 +367,20 @@ impl ReachPlan {
         let options = RunOptions::new(self.controller.clone()).with_estimator(EstimatorKind::Truth);
         let run = Run::new(&scenario, options)?;
         Ok(simulate(&run, RecordingLevel::Summary).outcome != Outcome::NoCollision)
+    }
+}
+
+/// Why a controller that may ask for more than the vehicle can do is refused; a network's file says at which field.
+fn asks_for_too_much(asked_mps2: [f64; 2], able_mps2: [f64; 2], controller: &ControllerKind) -> InvalidBox {
+    let (field, bound_mps2) = match asked_mps2[0] < able_mps2[0] {
+        true => ("output.low_mps2", asked_mps2[0]),
+        false => ("output.high_mps2", asked_mps2[1]),
+    };
+    let [least_mps2, most_mps2] = able_mps2;
+    let problem = format!("asks for up to {bound_mps2} m/s², and the vehicle does {least_mps2} to {most_mps2} m/s²");
+    match controller {
+        ControllerKind::Network(_) => InvalidMapping { field: field.to_owned(), problem }.into(),
+        _ => InvalidBox::Controller(problem),
     }
 }
 

@@ -86,6 +86,11 @@ impl Starts {
         Self::new(scenario, &BoxSpec::around(&scenario.spec().name, RangesSpec::default()))
     }
 
+    /// What the vehicle under test can do, in m/s².
+    pub(super) fn able_mps2(&self) -> [f64; 2] {
+        self.able_mps2
+    }
+
     /// Whether the vehicle under test can do whatever a policy with these bounds asks for.
     pub(super) fn allows(&self, [low_mps2, high_mps2]: [f64; 2]) -> bool {
         low_mps2 >= self.able_mps2[0] && high_mps2 <= self.able_mps2[1]

@@ -95,7 +95,7 @@ impl NetworkController {
             source: Source { format: self.file().format(), sha256: &self.file().sha256 },
             inputs: &mapping.inputs,
             steps,
-            output: Answered { answer, scale_mps2, offset_mps2, low_mps2, high_mps2 },
+            output: Answered { answer: answer.unwrap_or_default(), scale_mps2, offset_mps2, low_mps2, high_mps2 },
             empty_gap_m: ObservationScaling::default().empty_gap_m,
             decision_interval_s,
         };

@@ -1,12 +1,12 @@
 //! What a controller saw at its last decisions.
 
-use super::Mapping;
+use super::{HistoryPadding, Mapping};
 
 /// What was seen at the last decisions, as many as the mapping looks back on; empty before the first, or if it does not look back.
 #[derive(Default)]
 pub(super) struct History<T>(Vec<T>);
 
-impl<T: Copy> History<T> {
+impl<T: Copy + Default> History<T> {
     /// Appends to `into` what a controller sees at a decision, in the order that the mapping says.
     pub(super) fn look_back(&mut self, mapping: &Mapping, now: impl Iterator<Item = T>, into: &mut Vec<T>) {
         if mapping.history == 1 {
@@ -15,7 +15,13 @@ impl<T: Copy> History<T> {
         let width = mapping.inputs.len();
         if self.0.is_empty() {
             self.0.extend(now);
-            self.0 = self.0.repeat(mapping.history);
+            match mapping.history_padding {
+                HistoryPadding::First => self.0 = self.0.repeat(mapping.history),
+                HistoryPadding::Zeros => {
+                    let before = width * (mapping.history - 1);
+                    self.0.splice(..0, std::iter::repeat_n(T::default(), before));
+                }
+            }
         } else {
             self.0.drain(..width);
             self.0.extend(now);
@@ -24,6 +30,31 @@ impl<T: Copy> History<T> {
             into.extend(self.0.rchunks_exact(width).flatten());
         } else {
             into.extend_from_slice(&self.0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_decisions_before_the_first_are_the_first_or_zeros() {
+        for (padding, newest_first, wanted) in [
+            (HistoryPadding::First, false, [[1, 2, 1, 2, 1, 2], [1, 2, 1, 2, 3, 4]]),
+            (HistoryPadding::Zeros, false, [[0, 0, 0, 0, 1, 2], [0, 0, 1, 2, 3, 4]]),
+            (HistoryPadding::Zeros, true, [[1, 2, 0, 0, 0, 0], [3, 4, 1, 2, 0, 0]]),
+        ] {
+            let own = Mapping::own();
+            let inputs = own.inputs.iter().take(2).cloned().collect();
+            let mapping = Mapping { history: 3, history_padding: padding, newest_first, inputs, ..own };
+            let mut history = History::default();
+            let seen = [[1, 2], [3, 4]].map(|now| {
+                let mut row = Vec::new();
+                history.look_back(&mapping, now.into_iter(), &mut row);
+                row
+            });
+            assert_eq!(seen, wanted);
         }
     }
 }

@@ -80,9 +80,9 @@ pub struct Output {
     /// The output of an FMU that is the answer; the only one, or `acceleration_mps2`, unless it is said.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variable: Option<String>,
-    /// Which of the answers it is, from 0.
+    /// Which of the answers it is, from 0. A controller with several needs it.
     #[serde(default)]
-    pub answer: usize,
+    pub answer: Option<usize>,
     /// What is done to the answer before it is scaled.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub squash: Option<Squash>,
@@ -98,13 +98,35 @@ pub struct Output {
     pub high_mps2: f64,
 }
 
+/// What stands for the decisions before the first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum HistoryPadding {
+    /// What was seen first.
+    #[default]
+    First,
+    /// Zeros in place of each number that the controller sees.
+    Zeros,
+}
+
+impl HistoryPadding {
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+    pub(crate) fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
 /// What a controller from outside sees, when it is asked, and what its answer means.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Mapping {
     /// Time between decisions, in seconds; none to decide at every step, or as a process says itself.
     pub decision_interval_s: Option<f64>,
-    /// Decisions of which it sees the inputs: 1 for the present ones alone. Before there are as many, the first stands in.
+    /// Decisions of which it sees the inputs: 1 for the present ones alone.
     pub history: usize,
+    /// What stands in before there are as many. Not written where it is the usual, so that identities stay what they were.
+    #[serde(skip_serializing_if = "HistoryPadding::is_default")]
+    pub history_padding: HistoryPadding,
     /// Whether the present inputs come first; otherwise they come last.
     pub newest_first: bool,
     /// What it sees, in order.
@@ -159,11 +181,12 @@ impl Mapping {
         Self {
             decision_interval_s: Some(OWN_INTERVAL_S),
             history: 1,
+            history_padding: HistoryPadding::First,
             newest_first: false,
             inputs: order.into_iter().zip(offset.into_iter().zip(scale)).map(input).collect(),
             output: Output {
                 variable: None,
-                answer: 0,
+                answer: None,
                 squash: None,
                 scale_mps2: 0.5 * (high_mps2 - low_mps2),
                 offset_mps2: 0.5 * (low_mps2 + high_mps2),
@@ -193,11 +216,12 @@ impl Mapping {
         Self {
             decision_interval_s: None,
             history: 1,
+            history_padding: HistoryPadding::First,
             newest_first: false,
             inputs: order.map(Input::plain).into(),
             output: Output {
                 variable: None,
-                answer: 0,
+                answer: None,
                 squash: None,
                 scale_mps2: 1.0,
                 offset_mps2: 0.0,
@@ -243,6 +267,14 @@ impl Mapping {
     #[inline]
     pub fn see(&self, seen: &Observation, last_answer_mps2: f64) -> impl Iterator<Item = f64> {
         self.inputs.iter().map(move |input| input.of(seen, last_answer_mps2))
+    }
+
+    /// Where each number that the controller sees lies.
+    pub(super) fn limits(&self) -> Vec<[f64; 2]> {
+        let has_zeros = self.history > 1 && self.history_padding == HistoryPadding::Zeros;
+        let with_zero = |[low, high]: [f64; 2]| if has_zeros { [low.min(0.0), high.max(0.0)] } else { [low, high] };
+        let limits: Vec<_> = self.inputs.iter().map(|input| with_zero(input.limits())).collect();
+        limits.repeat(self.history)
     }
 
     /// The acceleration that a network's answer means, in m/s², cut to its range; the least for what is no number.
@@ -337,7 +369,7 @@ impl Input {
     }
 
     #[inline]
-    fn scaled(&self, value: f64) -> f64 {
+    pub(super) fn scaled(&self, value: f64) -> f64 {
         let scaled = (value - self.offset) / self.scale;
         let scaled = if scaled.is_nan() { 0.0 } else { scaled };
         let scaled = if scaled < self.low { self.low } else { scaled };

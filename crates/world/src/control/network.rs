@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::fit;
 use super::history::History;
 use super::interval::Interval;
 use super::{Controller, ControllerFailure, Ego, InvalidMapping, Mapping};
@@ -19,6 +20,8 @@ pub struct NetworkController {
     file: NetworkFile,
     mapping: Mapping,
     identity: String,
+    /// Whether its inputs are said to hold the normalisation of its training: a statement, which changes nothing of how it drives.
+    normalised: Option<bool>,
 }
 
 impl NetworkController {
@@ -26,7 +29,7 @@ impl NetworkController {
     ///
     /// # Errors
     /// [`InvalidMapping`] if the mapping is wrong, or does not fit the network.
-    pub fn new(file: NetworkFile, mapping: Mapping) -> Result<Self, InvalidMapping> {
+    pub fn new(file: NetworkFile, mut mapping: Mapping) -> Result<Self, InvalidMapping> {
         mapping.check()?;
         let network = &file.network;
         if mapping.width() != network.inputs() {
@@ -34,16 +37,28 @@ impl NetworkController {
             let field = if mapping.history == 1 { "inputs" } else { "history" };
             return Err(InvalidMapping::new(field, problem));
         }
-        if mapping.output.answer >= network.outputs() {
-            let problem = format!("must be below {}, the number of the network's answers", network.outputs());
-            return Err(InvalidMapping::new("output.answer", problem));
-        }
-        let limits: Vec<_> = mapping.inputs.iter().map(super::Input::limits).collect();
+        let answer = match (mapping.output.answer, network.outputs()) {
+            (Some(answer), answers) if answer >= answers => {
+                let problem = format!("must be below {answers}, the number of the network's answers");
+                return Err(InvalidMapping::new("output.answer", problem));
+            }
+            (None, answers) if answers > 1 => {
+                let problem =
+                    format!("is missing: the network has {answers} answers, and one of them has to be what drives");
+                return Err(InvalidMapping::new("output.answer", problem));
+            }
+            (answer, _) => answer.unwrap_or_default(),
+        };
+        // Said or not, it is the same controller.
+        mapping.output.answer = Some(answer);
         let refused = |error: crate::network::NetworkError| InvalidMapping::new("network", error.to_string());
-        network.answer_ranges(&limits.repeat(mapping.history)).map_err(refused)?;
+        network.answer_ranges(&mapping.limits()).map_err(refused)?;
+        if let Some(saved) = file.saved_model() {
+            fit::check(&mapping, saved)?;
+        }
         let written = serde_json::to_string(&mapping).map_err(|e| InvalidMapping::new("inputs", e.to_string()))?;
         let identity = sha256(format!("network {} {written}", file.sha256));
-        Ok(Self { file, mapping, identity })
+        Ok(Self { file, mapping, identity, normalised: None })
     }
 
     /// A network that sees and answers what crumple's own policies do.
@@ -62,12 +77,37 @@ impl NetworkController {
                 mapping.width()
             ));
         }
+        if let Some((low, high)) = file.saved_model().and_then(|saved| saved.actions.of(0))
+            && !(low >= -1.0 && high <= 1.0)
+        {
+            return refused(format!(
+                "its space of actions is {low} to {high}, where crumple's own policies answer with -1 to 1"
+            ));
+        }
         let controller = Self::new(file, mapping)?;
-        let limits: Vec<_> = controller.mapping.inputs.iter().map(super::Input::limits).collect();
-        match controller.file.network.answer_ranges(&limits) {
+        match controller.file.network.answer_ranges(&controller.mapping.limits()) {
             Ok(ranges) if ranges.iter().all(|[low, high]| *low >= -1.0 && *high <= 1.0) => Ok(controller),
             _ => refused("nothing in it keeps its answer from -1 to 1, as tanh or a clip would".to_owned()),
         }
+    }
+
+    /// Says whether the inputs hold the normalisation behind which it was trained (`normalised` of a controller file).
+    #[must_use]
+    pub fn with_normalised(self, normalised: Option<bool>) -> Self {
+        Self { normalised, ..self }
+    }
+
+    /// Whether the inputs are said to hold the normalisation behind which it was trained.
+    #[must_use]
+    pub fn normalised(&self) -> Option<bool> {
+        self.normalised
+    }
+
+    /// What may be wrong with its mapping, by the spaces in which it was trained: nothing for a network that does not state them.
+    #[must_use]
+    pub fn doubts(&self) -> Vec<String> {
+        let doubts = |saved| fit::doubts(&self.mapping, saved, self.normalised == Some(true));
+        self.file.saved_model().map(doubts).unwrap_or_default()
     }
 
     /// The network.
@@ -97,9 +137,9 @@ impl NetworkController {
     /// The accelerations for `batch` rows of what is seen.
     fn act(&self, rows: &[f32], batch: usize, space: &mut Workspace) -> impl Iterator<Item = f64> {
         let width = self.file.network.outputs();
+        let answer = self.mapping.output.answer.unwrap_or_default();
         let answers = self.file.network.answers(rows, batch, space).chunks_exact(width);
-        answers
-            .map(|row| self.mapping.acceleration_mps2(row.get(self.mapping.output.answer).copied().unwrap_or(f32::NAN)))
+        answers.map(move |row| self.mapping.acceleration_mps2(row.get(answer).copied().unwrap_or(f32::NAN)))
     }
 }
 

@@ -73,6 +73,21 @@ impl Quantity {
         Self::ALL.into_iter().find(|quantity| quantity.name() == name)
     }
 
+    /// Where it lies most of the time where vehicles follow each other.
+    pub(super) fn ordinary(self) -> [f64; 2] {
+        use Quantity as Q;
+        match self {
+            Q::SpeedMps | Q::SpeedAheadMps | Q::SpeedBehindMps => [5.0, 25.0],
+            Q::GapAheadM | Q::GapBehindM => [10.0, 50.0],
+            Q::RelativeSpeedAheadMps | Q::RelativeSpeedBehindMps => [-3.0, 3.0],
+            Q::AccelerationMps2 | Q::AccelerationAheadMps2 | Q::AccelerationBehindMps2 | Q::LastAnswerMps2 => {
+                [-3.0, 2.0]
+            }
+            Q::TimeGapAheadS | Q::TimeGapBehindS => [0.8, 2.5],
+            Q::IsAhead | Q::IsBehind => [0.0, 1.0],
+        }
+    }
+
     /// The name used in files and by processes.
     #[must_use]
     pub fn name(self) -> &'static str {

@@ -30,6 +30,7 @@ use serde::Serialize;
 pub use crate::policy::Elementwise;
 pub use error::NetworkError;
 pub use feed_forward::{FeedForward, Linear, Step};
+pub use sb3::{BoxSpace, Normalisation, SavedModel, Statistics, VecNormalizeTrace};
 
 /// Largest file that is read, in bytes.
 const MOST_BYTES: u64 = 64 << 20;
@@ -53,10 +54,12 @@ pub struct NetworkFile {
     /// The file itself, to be laid beside what is said of it.
     bytes: Arc<[u8]>,
     format: FileFormat,
+    saved: Option<Arc<SavedModel>>,
 }
 
 impl NetworkFile {
-    /// Whether a file of this name is taken for a network: it ends in `.onnx`, or `.zip` for a model of Stable-Baselines3.
+    /// Whether a file is taken for a network: it ends in `.onnx`, in `.zip` for a model of Stable-Baselines3, or in neither and
+    /// begins as a zip archive, for `model.save("ppo_0.5")` appends no `.zip` to what looks like an ending.
     #[must_use]
     pub fn is_one(path: &Path) -> bool {
         FileFormat::of(path).is_some()
@@ -79,11 +82,20 @@ impl NetworkFile {
         if bytes.len() as u64 > MOST_BYTES {
             return Err(NetworkError::TooLarge);
         }
-        let network = match format {
-            FileFormat::Onnx => onnx::read(bytes),
-            FileFormat::StableBaselines => sb3::read(bytes),
+        let (network, saved) = match format {
+            FileFormat::Onnx => (onnx::read(bytes)?, None),
+            FileFormat::StableBaselines => {
+                let (network, saved) = sb3::read(bytes)?;
+                (network, Some(Arc::new(saved)))
+            }
         };
-        Ok(Self { network: network?, sha256: crate::digest::sha256(bytes), bytes: bytes.into(), format })
+        Ok(Self { network, sha256: crate::digest::sha256(bytes), bytes: bytes.into(), format, saved })
+    }
+
+    /// What a model of Stable-Baselines3 says of itself.
+    #[must_use]
+    pub fn saved_model(&self) -> Option<&SavedModel> {
+        self.saved.as_deref()
     }
 
     /// What kind of file it is.
@@ -132,12 +144,21 @@ pub enum FileFormat {
 
 impl FileFormat {
     fn of(path: &Path) -> Option<Self> {
-        match path.extension()?.to_str()? {
-            "onnx" => Some(Self::Onnx),
-            "zip" => Some(Self::StableBaselines),
-            _ => None,
+        match path.extension().and_then(|extension| extension.to_str()) {
+            Some("onnx") => Some(Self::Onnx),
+            Some("zip") => Some(Self::StableBaselines),
+            // These are something else, whatever they begin with.
+            Some("toml" | "fmu" | "safetensors") => None,
+            _ => begins_as_archive(path).then_some(Self::StableBaselines),
         }
     }
+}
+
+/// Whether an ordinary file begins as a zip archive does: reading some other things does not end.
+fn begins_as_archive(path: &Path) -> bool {
+    let mut first = [0; 4];
+    let is_ordinary = std::fs::metadata(path).is_ok_and(|found| found.is_file());
+    is_ordinary && File::open(path).is_ok_and(|mut file| file.read_exact(&mut first).is_ok()) && first == *b"PK\x03\x04"
 }
 
 #[cfg(test)]

@@ -18,9 +18,12 @@ pub(super) struct Id(usize);
 /// A value.
 #[derive(Debug, Clone)]
 pub(super) enum Object<'a> {
-    /// None, a truth value, or a number that is not whole: nothing that is looked at.
-    Other,
+    /// None.
+    None,
+    Truth(bool),
     Integer(i64),
+    /// A number that is not whole.
+    Number(f64),
     Text(&'a str),
     Bytes(&'a [u8]),
     Tuple(Vec<Id>),
@@ -59,7 +62,7 @@ impl<'a> Pickle<'a> {
     }
 
     pub(super) fn get(&self, id: Id) -> &Object<'a> {
-        self.values.get(id.0).unwrap_or(&Object::Other)
+        self.values.get(id.0).unwrap_or(&Object::None)
     }
 
     pub(super) fn text(&self, id: Id) -> Option<&'a str> {
@@ -68,6 +71,19 @@ impl<'a> Pickle<'a> {
 
     pub(super) fn integer(&self, id: Id) -> Option<i64> {
         if let Object::Integer(integer) = self.get(id) { Some(*integer) } else { None }
+    }
+
+    pub(super) fn truth(&self, id: Id) -> Option<bool> {
+        if let Object::Truth(truth) = self.get(id) { Some(*truth) } else { None }
+    }
+
+    /// A number, whole or not.
+    pub(super) fn number(&self, id: Id) -> Option<f64> {
+        match self.get(id) {
+            Object::Number(number) => Some(*number),
+            Object::Integer(integer) => Some(*integer as f64),
+            _ => None,
+        }
     }
 
     pub(super) fn tuple(&self, id: Id) -> Option<&[Id]> {
@@ -138,7 +154,8 @@ impl<'a> Machine<'a> {
                 Ok(())
             }
             b'0' => self.pop().map(drop),
-            b'N' | 0x88 | 0x89 => self.push(Object::Other),
+            b'N' => self.push(Object::None),
+            0x88 | 0x89 => self.push(Object::Truth(operation == 0x88)),
             b'J' => {
                 let bytes = self.array()?;
                 self.push(Object::Integer(i32::from_le_bytes(bytes).into()))
@@ -153,8 +170,8 @@ impl<'a> Machine<'a> {
             }
             0x8a => self.long(),
             b'G' => {
-                self.array::<8>()?;
-                self.push(Object::Other)
+                let bytes = self.array()?;
+                self.push(Object::Number(f64::from_be_bytes(bytes)))
             }
             b'X' => self.text(4),
             0x8c => self.text(1),

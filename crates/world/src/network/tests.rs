@@ -125,9 +125,26 @@ fn what_is_not_followed_is_refused_by_operator_and_node() {
     assert!(refusal(&model(13, &[2], &skip, &[])).contains("node `tanh` (Tanh): it does not take `a` once"));
     let said = refusal(&model(13, &[3], &[node("MatMul", &["x", "w"], "y", &[])], &[w()]));
     assert_eq!(said, "node `matmul` (MatMul): a matrix of 2 by 2 against numbers of shape [3]");
+    let gemm = |shape: &[u8]| refusal(&model(13, shape, &[node("Gemm", &["x", "w"], "y", &[])], &[w()]));
+    let said = gemm(&[2, 2]);
+    assert!(said.contains("a matrix of 2 by 2 against 4 numbers: ") && said.contains("a batch of several"), "{said}");
+    let said = gemm(&[1]);
+    assert!(said.contains("against 1 number: the axis of the numbers may have no fixed length"), "{said}");
     let unfinished = model(13, &[2], &[node("Relu", &["x"], "z", &[])], &[]);
     assert_eq!(refusal(&unfinished), "the graph answers with `y`, and its chain ends in `z`");
     assert!(refusal(&model(5, &[2], &[node("Relu", &["x"], "y", &[])], &[])).starts_with("opset 5 is too old"));
+}
+
+/// What exporters put before a network that is asked in another precision.
+#[test]
+fn a_cast_between_real_numbers_changes_nothing() {
+    let cast = |to: u8| {
+        let nodes = [node("Cast", &["x"], "a", &[whole_attribute("to", to)]), node("Relu", &["a"], "y", &[])];
+        model(13, &[2], &nodes, &[])
+    };
+    assert_eq!(answer(&cast(1), &[2.5, -1.0]), [2.5, 0.0]);
+    assert_eq!(answer(&cast(11), &[2.5, -1.0]), [2.5, 0.0]);
+    assert!(refusal(&cast(7)).contains("only casts to single and double precision"));
 }
 
 #[test]

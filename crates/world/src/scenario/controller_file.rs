@@ -10,9 +10,10 @@ use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{
-    FmuProblem, Input, InvalidMapping, Mapping, NetworkController, Output, ProcessController, ProcessSetup, Wiring,
+    FmuProblem, HistoryPadding, Input, InvalidMapping, Mapping, NetworkController, Output, ProcessController,
+    ProcessSetup, Wiring,
 };
-use crate::network::{NetworkError, NetworkFile};
+use crate::network::{NetworkError, NetworkFile, Statistics, VecNormalizeTrace};
 use crate::policy::{Policy, PolicyError};
 
 /// Version of the format of controller files that this release reads.
@@ -54,13 +55,21 @@ pub struct ControllerFile {
     /// Time between decisions, in seconds; a command may say it itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decision_interval_s: Option<f64>,
-    /// Decisions of which the controller sees the inputs: 1 for the present ones alone. Before there are as many, the first
-    /// stands in.
+    /// Decisions of which the controller sees the inputs: 1 for the present ones alone.
     #[serde(default = "one")]
     pub history: usize,
+    /// What stands for the decisions before the first: what was seen first, unless it says `zeros`, as Stable-Baselines3's
+    /// `VecFrameStack` begins.
+    #[serde(default, skip_serializing_if = "HistoryPadding::is_default")]
+    pub history_padding: HistoryPadding,
     /// Whether the present inputs come first; otherwise they come last.
     #[serde(default)]
     pub newest_first: bool,
+    /// Whether the inputs hold what `VecNormalize` did to observations in training (means as `offset`, square roots of the variances
+    /// plus epsilon as `scale`, `clip_obs` as `low` and `high`); false says that it did nothing to them. A model that may have been trained
+    /// behind it needs the answer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub normalised: Option<bool>,
     /// What the controller sees, in order; everything there is, for a command without them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inputs: Option<Vec<Input>>,
@@ -112,21 +121,18 @@ pub enum ControllerFileError {
         /// What the mapping without one does not fit.
         invalid: InvalidMapping,
     },
-    /// A model beside the statistics by which its observations were normalised.
+    /// A model whose observations were normalised in training, and nothing says how.
     #[error(
-        "{path}: beside it lies `{statistics}`, so what it saw in training was normalised: write a controller file whose inputs \
-         have the means as offsets and the deviations as scales (docs/controllers.md)"
+        "{path}: {reason}: write a controller file whose inputs have the means as offsets and the deviations as scales, and that says \
+         `normalised = true`, or `false` if observations were left alone (docs/controllers.md)"
     )]
     Normalised {
         /// The model's file.
         path: String,
-        /// The name of the other.
-        statistics: &'static str,
+        /// What tells it.
+        reason: String,
     },
 }
-
-/// Names under which statistics of normalised observations are usually saved.
-const STATISTICS: [&str; 2] = ["vecnormalize.pkl", "vec_normalize.pkl"];
 
 /// A controller that was read from a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -142,7 +148,7 @@ pub enum FileController {
 
 impl FileController {
     /// Reads a controller. A name that ends in `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.fmu` an FMU, in
-    /// `.toml` a controller file, and any other file a policy.
+    /// `.toml` a controller file, and any other file a policy, or a model of Stable-Baselines3 if it begins as a zip archive.
     ///
     /// # Errors
     /// [`ControllerFileError`] if there is no such file, or it holds no usable controller.
@@ -174,14 +180,17 @@ impl FileController {
 /// # Errors
 /// None in practice; the serializer's error is passed on rather than hidden.
 pub fn files_of(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2], toml::ser::Error> {
-    let Mapping { decision_interval_s, history, newest_first, inputs, output } = controller.mapping().clone();
+    let Mapping { decision_interval_s, history, history_padding, newest_first, inputs, output } =
+        controller.mapping().clone();
     let (network, bytes) = controller.file().named();
     let file = ControllerFile {
         version: CONTROLLER_FILE_VERSION,
         network: Some(network.clone()),
         decision_interval_s,
         history,
+        history_padding,
         newest_first,
+        normalised: controller.normalised(),
         inputs: Some(inputs),
         output: Some(output),
         ..ControllerFile::default()
@@ -205,15 +214,56 @@ pub(crate) fn is_ordinary(path: &Path) -> bool {
 fn load_network(path: &Path) -> Result<Arc<NetworkController>, ControllerFileError> {
     let file = NetworkFile::load(path)?;
     let shown = || path.display().to_string();
-    let is_beside = |name: &&&str| path.with_file_name(**name).exists();
-    if path.extension().is_some_and(|extension| extension == "zip")
-        && let Some(statistics) = STATISTICS.iter().find(is_beside)
-    {
-        return Err(ControllerFileError::Normalised { path: shown(), statistics });
+    if let Some(reason) = normalised_by(&file, path) {
+        return Err(ControllerFileError::Normalised { path: shown(), reason });
     }
     let controller = NetworkController::with_own_mapping(file)
         .map_err(|invalid| ControllerFileError::NeedsMapping { path: shown(), invalid })?;
-    Ok(Arc::new(controller))
+    // Where the statistics beside it say that they left observations alone, a copy elsewhere still has to say so.
+    let is_behind = controller.file().saved_model().is_some_and(|saved| saved.trace == VecNormalizeTrace::Behind);
+    Ok(Arc::new(controller.with_normalised(is_behind.then_some(false))))
+}
+
+/// Whether the inputs hold what the statistics beside a model say.
+fn has_statistics(mapping: &Mapping, path: &Path) -> bool {
+    /// Numbers are often written with seven digits.
+    const CLOSE: f64 = 1e-5;
+    let Some(Statistics::OfObservations(theirs)) = Statistics::beside(path).map(|beside| Statistics::load(&beside))
+    else {
+        return false;
+    };
+    let is_close = |own: f64, their: f64| (own - their).abs() <= CLOSE * their.abs().max(CLOSE);
+    theirs.means.len() == mapping.inputs.len()
+        && mapping.inputs.iter().zip(theirs.means.iter().zip(&theirs.deviations)).all(|(input, (mean, deviation))| {
+            is_close(input.offset, *mean)
+                && is_close(input.scale, *deviation)
+                && is_close(input.low, -theirs.limit)
+                && is_close(input.high, theirs.limit)
+        })
+}
+
+/// What tells that a model's observations were normalised in training: its own file, or statistics beside it.
+fn normalised_by(file: &NetworkFile, path: &Path) -> Option<String> {
+    let trace = file.saved_model()?.trace;
+    if trace == VecNormalizeTrace::None {
+        return None;
+    }
+    let beside = Statistics::beside(path);
+    if beside.as_deref().is_some_and(|beside| Statistics::load(beside) == Statistics::OfRewards) {
+        return None;
+    }
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let beside = beside.map(|beside| beside.strip_prefix(folder).unwrap_or(&beside).display().to_string());
+    match (trace, beside) {
+        (VecNormalizeTrace::Behind, Some(beside)) => Some(format!(
+            "it was trained behind VecNormalize, as its own data tells (`{beside}` seems to have the statistics)"
+        )),
+        (VecNormalizeTrace::Behind, None) => {
+            Some("it was trained behind VecNormalize, as its own data tells".to_owned())
+        }
+        (_, Some(beside)) => Some(format!("beside it lies `{beside}`, so what it saw in training was normalised")),
+        (_, None) => None,
+    }
 }
 
 /// The controller of a controller file.
@@ -233,10 +283,24 @@ fn load(path: &Path) -> Result<FileController, ControllerFileError> {
     let folder = path.with_file_name("");
     match file.drives().map_err(wrong)? {
         Drives::Network(name) => {
+            let normalised = file.normalised;
             let mapping = file.mapping_of_network().map_err(wrong)?;
             mapping.check().map_err(wrong)?;
-            let network = NetworkFile::load(&folder.join(name))?;
-            Ok(FileController::Network(Arc::new(NetworkController::new(network, mapping).map_err(wrong)?)))
+            let place = folder.join(name);
+            let network = NetworkFile::load(&place)?;
+            if normalised.is_none()
+                && !has_statistics(&mapping, &place)
+                && let Some(reason) = normalised_by(&network, &place)
+            {
+                let problem = format!(
+                    "is missing: {}: {reason}; say `true` once the inputs have the means as offsets and the deviations as scales, or \
+                     `false` if observations were left alone (docs/controllers.md)",
+                    place.display()
+                );
+                return Err(wrong(InvalidMapping::new("normalised", problem)).into());
+            }
+            let controller = NetworkController::new(network, mapping).map_err(wrong)?;
+            Ok(FileController::Network(Arc::new(controller.with_normalised(normalised))))
         }
         Drives::Fmu(name) => {
             let (deterministic, start_within_s) = (file.deterministic, file.start_within_s);
@@ -301,7 +365,9 @@ impl ControllerFile {
             ("start_within_s".to_owned(), self.start_within_s.is_some() && is_network),
             ("answer_within_s".to_owned(), self.answer_within_s.is_some() && is_network),
             ("history".to_owned(), self.history != one() && is_fmu),
+            ("history_padding".to_owned(), !self.history_padding.is_default() && is_fmu),
             ("newest_first".to_owned(), self.newest_first && is_fmu),
+            ("normalised".to_owned(), self.normalised.is_some() && !is_network),
             ("parameters".to_owned(), !self.parameters.is_empty() && !is_fmu),
             (format!("inputs[{}].variable", input.unwrap_or_default()), input.is_some() && !is_fmu),
             ("output.variable".to_owned(), output && !is_fmu),
@@ -318,6 +384,7 @@ impl ControllerFile {
         Ok(Mapping {
             decision_interval_s: Some(self.decision_interval_s.ok_or_else(|| missing("decision_interval_s"))?),
             history: self.history,
+            history_padding: self.history_padding,
             newest_first: self.newest_first,
             inputs: self.inputs.ok_or_else(|| missing("inputs"))?,
             output: self.output.ok_or_else(|| missing("output"))?,
@@ -341,6 +408,7 @@ impl ControllerFile {
             mapping: Mapping {
                 decision_interval_s: self.decision_interval_s,
                 history: self.history,
+                history_padding: self.history_padding,
                 newest_first: self.newest_first,
                 inputs: self.inputs.unwrap_or(plain.mapping.inputs),
                 output: self.output.unwrap_or(plain.mapping.output),

@@ -43,6 +43,16 @@ impl ControllerKind {
         }
     }
 
+    /// What may be wrong with it, a line each: so far, how a network's mapping fits the spaces in which it was trained.
+    #[must_use]
+    pub fn doubts(&self) -> Vec<String> {
+        match self {
+            Self::Network(network) => network.doubts(),
+            Self::Shielded(shielded) => shielded.controller.doubts(),
+            _ => Vec::new(),
+        }
+    }
+
     /// Time between its decisions, in seconds; none if it decides at every step, or is a process that has yet to say so. Starts
     /// nothing.
     #[must_use]

@@ -9,6 +9,7 @@ use crate::control::{
     BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, ProcessController,
     ProcessSetup, RetrainedPolicy, ShieldSettings,
 };
+use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
 use crate::scenario::controller_file::{ControllerFileError, FileController, is_ordinary};
 use crate::scenario::file::{line_in_toml, read};
@@ -51,6 +52,14 @@ pub enum UnknownController {
         name: String,
         /// Built-in names.
         known: String,
+    },
+    /// A file's name without its ending.
+    #[error("there is no controller `{name}`; did you mean the file `{file}`?")]
+    Ending {
+        /// What was asked for.
+        name: String,
+        /// The file that is there.
+        file: String,
     },
     /// A shield that is set wrongly.
     #[error(
@@ -201,14 +210,19 @@ impl NamedController {
             let name = format!("{}{inner_name}", name.strip_suffix(inner).unwrap_or(name));
             return Ok(Self { name, kind: Shielded { controller, settings }.into() });
         }
-        if let Some(program) = program(name, folder) {
+        let place = folder.join(name);
+        let is_network = NetworkFile::is_one(&place);
+        if let Some(program) = program(name, folder).filter(|_| !is_network) {
             return Err(program);
         }
-        if Path::new(name).extension().is_none() {
+        if Path::new(name).extension().is_none() && !is_network {
+            if let Some(file) = file_like(&place, name) {
+                return Err(UnknownController::Ending { name: name.to_owned(), file });
+            }
             let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
             return Err(UnknownController::Name { name: name.to_owned(), known: known.join(", ") });
         }
-        Ok(Self { name: name.to_owned(), kind: FileController::load(&folder.join(name))?.into() })
+        Ok(Self { name: name.to_owned(), kind: FileController::load(&place)?.into() })
     }
 
     /// The identity, where name and policy do not say what drives: of a controller from outside, and of one that goes by
@@ -229,6 +243,13 @@ impl NamedController {
     pub fn policy(&self) -> Option<Arc<Policy>> {
         self.kind.policy()
     }
+}
+
+/// The file that a name without its ending may mean.
+fn file_like(place: &Path, name: &str) -> Option<String> {
+    const ENDINGS: [&str; 5] = ["toml", "zip", "onnx", "fmu", "safetensors"];
+    let is_there = |ending: &&str| place.with_extension(ending).is_file();
+    ENDINGS.into_iter().find(is_there).map(|ending| format!("{name}.{ending}"))
 }
 
 /// Whether a name stands for what drives; of a policy, beside its digest.

@@ -56,6 +56,19 @@ struct Chain {
     steps: Vec<Step>,
 }
 
+/// Why a matrix may not fit the numbers there are: what exporters make of an axis that has no fixed length, or of a batch.
+fn why_not(taken: usize, count: usize) -> &'static str {
+    match (taken, count) {
+        (2.., 1) => {
+            ": the axis of the numbers may have no fixed length; export with one, and let the batch alone be dynamic"
+        }
+        (1.., _) if count > taken && count.is_multiple_of(taken) => {
+            ": the network may have been exported with a batch of several; export with a batch of 1, or a dynamic one"
+        }
+        _ => "",
+    }
+}
+
 /// Which of two factors is the constant.
 enum Constant {
     Left(Rc<Tensor>),
@@ -108,6 +121,9 @@ impl Chain {
             "Sigmoid" => self.each(Elementwise::Sigmoid),
             "Clip" => self.clip(&node)?,
             "Identity" => {}
+            // Single and double precision: all is calculated in single.
+            "Cast" if matches!(integer(&node, "to"), Some(1 | 11)) => {}
+            "Cast" => return Err("only casts to single and double precision are followed".to_owned()),
             "Flatten" => self.shape = vec![1, self.count()],
             "Reshape" => self.reshape(&node)?,
             _ => return Err("this operator is not followed".to_owned()),
@@ -184,7 +200,8 @@ impl Chain {
             (_, []) => false,
         };
         if !is_vector || taken != self.count() {
-            return Err(format!("a matrix of {rows} by {columns} against numbers of shape {:?}", self.shape));
+            let problem = format!("a matrix of {rows} by {columns} against numbers of shape {:?}", self.shape);
+            return Err(problem + why_not(taken, self.count()));
         }
         let outputs = if transposed { rows } else { columns };
         let numbers = constant.real()?;
@@ -211,7 +228,8 @@ impl Chain {
         let transposed = is_set(if is_left { "transA" } else { "transB" }) != is_left;
         let (inputs, outputs) = if transposed { (columns, rows) } else { (rows, columns) };
         if inputs != self.count() {
-            return Err(format!("a matrix of {rows} by {columns} against {} numbers", self.count()));
+            let (count, noun) = (self.count(), if self.count() == 1 { "number" } else { "numbers" });
+            return Err(format!("a matrix of {rows} by {columns} against {count} {noun}{}", why_not(inputs, count)));
         }
         let numbers = constant.real()?;
         self.admit(numbers.len(), outputs)?;

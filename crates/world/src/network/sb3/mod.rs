@@ -3,20 +3,25 @@
 //! What is followed is `model.predict(observation, deterministic=True)`: the mean of PPO and A2C, cut to the space of
 //! actions; of SAC the tanh of the mean, of TD3 and DDPG the answer, both stretched to the space of actions.
 //!
-//! A model saves nothing of the wrappers of its environment. Whether it was trained behind `VecNormalize` can therefore not
-//! be known from its file.
+//! A model saves nothing of the wrappers of its environment. But what it saw last, before and after `VecNormalize`, is in its
+//! file, and often tells whether there was one (`normalisation`).
 
+mod normalisation;
+mod saved;
 mod space;
 mod weights;
 
 use serde::Deserialize;
 use serde_json::Value;
 
+pub use normalisation::{Normalisation, Statistics, VecNormalizeTrace};
+pub use saved::SavedModel;
+pub use space::BoxSpace;
+
 use super::archive::Archive;
 use super::error::shown;
 use super::pickle::Pickle;
 use super::{Elementwise, FeedForward, NetworkError, Step};
-use space::BoxSpace;
 use weights::Weights;
 
 /// Longest description of a model, in bytes.
@@ -32,7 +37,15 @@ struct Data {
     action_space: Value,
     #[serde(default)]
     use_sde: bool,
+    #[serde(default, rename = "_last_obs")]
+    last: Value,
 }
+
+/// What a model can be saved without, and cannot be read without.
+const NEEDED: [&str; 3] = ["policy_class", "observation_space", "action_space"];
+
+/// The way for what is not followed.
+pub(super) const AS_A_PROCESS: &str = "a program that loads the model and answers with `predict` can drive instead (`exec:`, docs/controllers.md, Processes)";
 
 /// How the actor of an algorithm is built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,16 +62,27 @@ fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
     Err(NetworkError::Unsupported(problem.into()))
 }
 
-/// Reads the actor of a model.
-pub(super) fn read(bytes: &[u8]) -> Result<FeedForward, NetworkError> {
+/// What is not followed, and the way that is left.
+fn not_followed<T>(what: impl std::fmt::Display) -> Result<T, NetworkError> {
+    unsupported(format!("{what}; {AS_A_PROCESS}"))
+}
+
+/// Reads the actor of a model, and what the model says of itself.
+pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkError> {
     let archive = Archive::read(bytes)?;
     let data = archive.member("data")?;
     if data.len() > MOST_DATA_BYTES {
         return unsupported(format!("its member `data` has more than {MOST_DATA_BYTES} bytes"));
     }
-    let data: Data = serde_json::from_slice(data)
-        .map_err(|error| NetworkError::damaged("member `data`", shown(&error.to_string())))?;
-    let actor = Actor::of(&data.policy_class)?;
+    let wrong = |error: serde_json::Error| NetworkError::damaged("member `data`", shown(&error.to_string()));
+    let settings: serde_json::Map<String, Value> = serde_json::from_slice(data).map_err(wrong)?;
+    if let Some(missing) = NEEDED.into_iter().find(|needed| !settings.contains_key(*needed)) {
+        return unsupported(format!(
+            "it was saved without its `{missing}`, which says what it sees or answers: save it without `exclude` of that"
+        ));
+    }
+    let data = Data::deserialize(&settings).map_err(wrong)?;
+    let (actor, class) = Actor::of(&data.policy_class)?;
     let observed = space::of(&data.observation_space, "observation_space")?;
     let actions = space::of(&data.action_space, "action_space")?;
     let weights = Weights::read(archive.member("policy.pth")?)?;
@@ -69,23 +93,31 @@ pub(super) fn read(bytes: &[u8]) -> Result<FeedForward, NetworkError> {
         let problem = format!("its actor has {} answers for {} actions", last.biases.len(), actions.low.len());
         return Err(NetworkError::damaged("model", problem));
     }
-    steps.extend(actor.ending(&data, actions));
-    FeedForward::new(observed.low.len(), steps)
+    steps.extend(actor.ending(&data, actions.clone()));
+    let original = settings.get("_last_original_obs");
+    let saved = SavedModel {
+        algorithm: saved::algorithm(class, &settings),
+        version: saved::version(&archive),
+        trace: VecNormalizeTrace::of(&data.last, original, actor == Actor::OnPolicy),
+        observations: observed,
+        actions,
+    };
+    Ok((FeedForward::new(saved.observations.low.len(), steps)?, saved))
 }
 
 impl Actor {
-    /// By the class of the policy.
-    fn of(class: &Value) -> Result<Self, NetworkError> {
+    /// By the class of the policy, and the name of that.
+    fn of(class: &Value) -> Result<(Self, &'static str), NetworkError> {
         let bytes = space::serialized(class, "policy_class")?;
         let pickle = Pickle::read(&bytes)?;
         let Some((module, name)) = pickle.global(pickle.top) else {
-            return unsupported("its policy is a class of its own, which is not followed");
+            return not_followed("its policy is a class of its own, which is not followed");
         };
         match (module, name) {
-            ("stable_baselines3.common.policies", "ActorCriticPolicy") => Ok(Self::OnPolicy),
-            ("stable_baselines3.sac.policies", "SACPolicy") => Ok(Self::SoftActorCritic),
-            ("stable_baselines3.td3.policies", "TD3Policy") => Ok(Self::Deterministic),
-            _ => unsupported(format!(
+            ("stable_baselines3.common.policies", "ActorCriticPolicy") => Ok((Self::OnPolicy, "ActorCriticPolicy")),
+            ("stable_baselines3.sac.policies", "SACPolicy") => Ok((Self::SoftActorCritic, "SACPolicy")),
+            ("stable_baselines3.td3.policies", "TD3Policy") => Ok((Self::Deterministic, "TD3Policy")),
+            _ => not_followed(format_args!(
                 "its policy `{}.{}` is not followed: PPO, A2C, SAC, TD3 and DDPG with MlpPolicy are",
                 shown(module),
                 shown(name)
@@ -98,7 +130,7 @@ impl Actor {
         let told = &data.policy_kwargs;
         let class = told.get("features_extractor_class").and_then(Value::as_str);
         if class.is_some_and(|class| !class.contains("FlattenExtractor")) || weights.has_part("features_extractor") {
-            return unsupported("it has a features extractor of its own, which is not followed");
+            return not_followed("it has a features extractor of its own, which is not followed");
         }
         let activation = activation(told, self)?;
         let mut steps = Vec::new();
@@ -135,7 +167,7 @@ impl Actor {
                 }
             }
         }
-        if steps.is_empty() { unsupported("its policy has no layers of the names that are known") } else { Ok(steps) }
+        if steps.is_empty() { not_followed("its policy has no layers of the names that are known") } else { Ok(steps) }
     }
 
     /// From the actor's answer into the space of actions.
@@ -168,7 +200,7 @@ fn activation(told: &Value, actor: Actor) -> Result<Option<Elementwise>, Network
     let said = said.as_str().unwrap_or_default();
     let name = said.trim_end_matches("'>").rsplit('.').next().unwrap_or_default();
     if !said.contains("torch.nn.modules.") {
-        return unsupported(format!("its activation function `{}` is not one of PyTorch's", shown(said)));
+        return not_followed(format_args!("its activation function `{}` is not one of PyTorch's", shown(said)));
     }
     Ok(Some(match name {
         "Tanh" => Elementwise::Tanh,
@@ -177,6 +209,6 @@ fn activation(told: &Value, actor: Actor) -> Result<Option<Elementwise>, Network
         "LeakyReLU" => Elementwise::LeakyRelu { slope: 0.01 },
         "ELU" => Elementwise::Elu { alpha: 1.0 },
         "Identity" => return Ok(None),
-        _ => return unsupported(format!("its activation function `{}` is not followed", shown(name))),
+        _ => return not_followed(format_args!("its activation function `{}` is not followed", shown(name))),
     }))
 }

@@ -6,10 +6,22 @@ use super::super::NetworkError;
 use super::super::error::shown;
 use super::super::pickle::{Id, Object, Pickle};
 
-/// A box of numbers.
-pub(super) struct BoxSpace {
-    pub(super) low: Vec<f32>,
-    pub(super) high: Vec<f32>,
+/// A space of observations or actions: a box of numbers.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct BoxSpace {
+    /// The least of each number; minus infinity where there is none.
+    pub low: Vec<f32>,
+    /// The largest of each number; infinity where there is none.
+    pub high: Vec<f32>,
+}
+
+impl BoxSpace {
+    /// Between which bounds a number lies.
+    #[must_use]
+    pub fn of(&self, index: usize) -> Option<(f64, f64)> {
+        Some((f64::from(*self.low.get(index)?), f64::from(*self.high.get(index)?)))
+    }
 }
 
 fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
@@ -34,12 +46,14 @@ pub(super) fn of(value: &Value, field: &str) -> Result<BoxSpace, NetworkError> {
     };
     if !(module.ends_with("spaces.box") && name == "Box") {
         return unsupported(format!(
-            "its {field} is `{}`, and only Box, of a fixed count of numbers, is followed",
-            shown(name)
+            "its {field} is `{}`, and only Box, of a fixed count of numbers, is followed; {}",
+            shown(name),
+            super::AS_A_PROCESS
         ));
     }
     let bound = |name: &str| {
         let array = call.state.and_then(|state| pickle.entry(state, name)).and_then(|id| numbers(&pickle, id));
+        let array = array.map(|array| array.into_iter().map(|bound| bound as f32).collect::<Vec<_>>());
         array.ok_or_else(|| NetworkError::damaged("member `data`", format!("{field} has no readable bound `{name}`")))
     };
     let (low, high) = (bound("low")?, bound("high")?);
@@ -50,7 +64,7 @@ pub(super) fn of(value: &Value, field: &str) -> Result<BoxSpace, NetworkError> {
 }
 
 /// The numbers of a NumPy array, in either of the forms in which it is pickled.
-fn numbers(pickle: &Pickle<'_>, id: Id) -> Option<Vec<f32>> {
+pub(super) fn numbers(pickle: &Pickle<'_>, id: Id) -> Option<Vec<f64>> {
     let call = pickle.call(id)?;
     let (_, name) = pickle.global(call.of)?;
     let (bytes, kind) = match name {
@@ -71,11 +85,11 @@ fn numbers(pickle: &Pickle<'_>, id: Id) -> Option<Vec<f32>> {
     match (pickle.text(*pickle.tuple(kind.arguments)?.first()?)?, is_little(pickle, kind.state)) {
         ("f4", true) => {
             let (numbers, rest) = bytes.as_chunks::<4>();
-            rest.is_empty().then(|| numbers.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect())
+            rest.is_empty().then(|| numbers.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect())
         }
         ("f8", true) => {
             let (numbers, rest) = bytes.as_chunks::<8>();
-            rest.is_empty().then(|| numbers.iter().map(|&bytes| f64::from_le_bytes(bytes) as f32).collect())
+            rest.is_empty().then(|| numbers.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect())
         }
         _ => None,
     }

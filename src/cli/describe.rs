@@ -1,0 +1,231 @@
+//! `crumple describe`: what a file of a network says of itself, as a controller file to begin with.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::output;
+use super::simulate::Format;
+use super::{Failure, subject};
+use crumple_world::control::{Mapping, Quantity};
+use crumple_world::network::{FileFormat, NetworkFile, Normalisation, SavedModel, Statistics, Step, VecNormalizeTrace};
+
+/// What a network from outside says of itself, as a controller file to begin with
+#[derive(Args)]
+#[command(after_long_help = "\
+Of a model of Stable-Baselines3 it tells the algorithm, the spaces of observations and actions, and whether it was trained behind \
+VecNormalize; of any network its layers. What is printed is a controller file that runs, with that as comments: which quantity each \
+input is, in which order and unit, no file says, so correct these before you believe a result.
+
+Examples:
+  crumple describe ppo.zip
+  crumple describe ppo.zip > ppo.toml
+  crumple describe acc.onnx --format json")]
+pub(super) struct Describe {
+    /// The network: F.onnx, or F.zip of Stable-Baselines3
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// How to print: a controller file with comments, or one JSON object with it
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+#[derive(Serialize)]
+struct Description {
+    file: String,
+    format: FileFormat,
+    sha256: String,
+    layers: String,
+    functions: Vec<String>,
+    inputs: usize,
+    answers: usize,
+    /// Of Stable-Baselines3: algorithm, version, bounds of observations and actions (none where there are none), `VecNormalize`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    model: Option<Model>,
+    /// Whether it drives as it is, without a controller file.
+    drives_as_it_is: bool,
+    controller_file: String,
+}
+
+#[derive(Serialize)]
+struct Model {
+    algorithm: &'static str,
+    version: Option<String>,
+    observations: Vec<[Option<f32>; 2]>,
+    actions: Vec<[Option<f32>; 2]>,
+    vec_normalize: VecNormalizeTrace,
+    /// The file that seems to have the statistics, and what it says of observations.
+    statistics: Option<String>,
+    normalisation: Option<Normalisation>,
+}
+
+/// What inputs are taken for, for want of anything better, in this order.
+const GUESSES: [Quantity; 6] = [
+    Quantity::GapAheadM,
+    Quantity::SpeedMps,
+    Quantity::RelativeSpeedAheadMps,
+    Quantity::AccelerationMps2,
+    Quantity::SpeedAheadMps,
+    Quantity::AccelerationAheadMps2,
+];
+
+impl Describe {
+    pub(super) fn run(self) -> Result<(), Failure> {
+        let place = &self.file;
+        let network = NetworkFile::load(place).map_err(Failure::input)?;
+        let statistics = network.saved_model().and_then(|_| Statistics::beside(place));
+        let normalisation = match statistics.as_deref().map(Statistics::load) {
+            Some(Statistics::OfObservations(normalisation)) => Some(normalisation),
+            _ => None,
+        };
+        let is_named = subject::find(&place.to_string_lossy()).is_ok();
+        let model = network.saved_model().map(|saved| Model {
+            algorithm: saved.algorithm,
+            version: saved.version.clone(),
+            observations: bounds(&saved.observations.low, &saved.observations.high),
+            actions: bounds(&saved.actions.low, &saved.actions.high),
+            vec_normalize: saved.trace,
+            statistics: statistics.map(|path| path.display().to_string()),
+            normalisation,
+        });
+        let mut description = Description {
+            file: place.display().to_string(),
+            format: network.format(),
+            sha256: network.sha256.clone(),
+            layers: network.network.shape(),
+            functions: functions(network.network.steps()),
+            inputs: network.network.inputs(),
+            answers: network.network.outputs(),
+            model,
+            drives_as_it_is: is_named,
+            controller_file: String::new(),
+        };
+        description.controller_file = description.starter(network.saved_model());
+        match self.format {
+            Format::Json => output::print_json(&description),
+            Format::Text => output::print(&format!("{}{}", description.comments(), description.controller_file)),
+        }
+    }
+}
+
+/// Bounds of single numbers; none where there is no bound.
+fn bounds(low: &[f32], high: &[f32]) -> Vec<[Option<f32>; 2]> {
+    low.iter()
+        .zip(high)
+        .map(|(low, high)| [*low, *high].map(|bound| Some(bound).filter(|bound| bound.is_finite())))
+        .collect()
+}
+
+/// The functions between the products by name, each once, in order.
+fn functions(steps: &[Step]) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
+    for step in steps {
+        if let Step::Each(each) = step {
+            let name: String = format!("{each:?}").chars().take_while(|letter| letter.is_alphanumeric()).collect();
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+    }
+    names
+}
+
+/// `2 numbers from -1 to 1`, or each by itself.
+fn told(bounds: &[[Option<f32>; 2]]) -> String {
+    let one = |[low, high]: &[Option<f32>; 2]| {
+        let end = |bound: &Option<f32>, open: &str| bound.map_or_else(|| open.to_owned(), |bound| bound.to_string());
+        format!("{} to {}", end(low, "-inf"), end(high, "inf"))
+    };
+    let noun = if bounds.len() == 1 { "number" } else { "numbers" };
+    let ranges = match bounds.split_first() {
+        Some((first, rest)) if rest.iter().all(|other| other == first) => one(first),
+        _ => bounds.iter().map(one).collect::<Vec<_>>().join(", "),
+    };
+    format!("{} {noun}, {ranges}", bounds.len())
+}
+
+impl Description {
+    /// What is known of it, a comment a line.
+    fn comments(&self) -> String {
+        let mut lines = vec![format!("{}: layers {}, {}", self.file, self.layers, self.functions.join(", "))];
+        if let Some(model) = &self.model {
+            let version = model.version.as_ref().map(|version| format!(" {version}")).unwrap_or_default();
+            lines.push(format!("{}, saved by Stable-Baselines3{version}", model.algorithm));
+            lines.push(format!("observation_space: {}", told(&model.observations)));
+            lines.push(format!("action_space: {}", told(&model.actions)));
+            let trace = match model.vec_normalize {
+                VecNormalizeTrace::None => "it was trained without, or it changed no observation",
+                VecNormalizeTrace::Behind => "it was trained behind one",
+                _ => "its file does not tell",
+            };
+            let statistics = model.statistics.as_ref().map(|path| format!("; `{path}` seems to have the statistics"));
+            lines.push(format!("VecNormalize: {trace}{}", statistics.unwrap_or_default()));
+        }
+        if self.drives_as_it_is {
+            lines.push(
+                "It drives without a controller file, if it sees and answers what crumple's own policies do."
+                    .to_owned(),
+            );
+        }
+        lines.push(
+            "Which quantity each input is, in which order and unit, is a guess: correct it (docs/controllers.md)."
+                .to_owned(),
+        );
+        lines.iter().map(|line| format!("# {}\n", line.escape_debug())).collect()
+    }
+
+    /// A controller file that runs.
+    fn starter(&self, saved: Option<&SavedModel>) -> String {
+        let own = Mapping::own();
+        let model = self.model.as_ref();
+        let normalisation = model.and_then(|model| model.normalisation.as_ref());
+        // Escaped as TOML wants it, too.
+        let path = serde_json::Value::from(self.file.as_str());
+        let mut text = format!("version = 1\nnetwork = {path}\ndecision_interval_s = 0.1 # as in training\n");
+        let is_normalised = normalisation.is_some_and(|found| found.means.len() == self.inputs);
+        if is_normalised {
+            text += "normalised = true # the inputs hold the statistics\n";
+        } else if saved.is_some_and(|saved| saved.trace == VecNormalizeTrace::Behind) {
+            // Nothing is said in the place of who knows: the file is refused until somebody does.
+            text += "# Say normalised = true once the inputs hold means and deviations, or false if VecNormalize left observations alone.\n";
+        }
+        for index in 0..self.inputs {
+            let own = own.inputs.get(index).filter(|_| self.drives_as_it_is);
+            let quantity = own.and_then(|own| own.quantity).unwrap_or(GUESSES[index % GUESSES.len()]);
+            text += &format!("\n[[inputs]]\nquantity = \"{}\" # a guess\n", quantity.name());
+            let (mut offset, mut scale) = own.map_or((0.0, 1.0), |own| (own.offset, own.scale));
+            let bounds = model.and_then(|model| model.observations.get(index)).copied().unwrap_or_default();
+            let [mut low, mut high] = bounds.map(|bound| bound.map(f64::from));
+            if let Some(found) = normalisation.filter(|_| is_normalised) {
+                (offset, scale) = (found.means[index], found.deviations[index]);
+                (low, high) = (Some(-found.limit), Some(found.limit));
+            }
+            text += &format!("offset = {offset:?}\nscale = {scale:?}\n");
+            text += &low.map(|low| format!("low = {low:?}\n")).unwrap_or_default();
+            text += &high.map(|high| format!("high = {high:?}\n")).unwrap_or_default();
+        }
+        let [least_mps2, most_mps2] = [own.output.low_mps2, own.output.high_mps2];
+        text += "\n[output]\n";
+        if self.answers > 1 {
+            text += "answer = 0 # which of them drives, a guess\n";
+        }
+        let actions = model.and_then(|model| model.actions.first());
+        text += &match actions {
+            // Taken for accelerations.
+            Some([Some(low), Some(high)]) if *low < -1.5 && *high <= 10.0 => {
+                format!("low_mps2 = {low:?}\nhigh_mps2 = {high:?}\n")
+            }
+            Some([Some(low), Some(high)]) => {
+                let scale_mps2 = (most_mps2 - least_mps2) / f64::from(high - low);
+                let offset_mps2 = least_mps2 - scale_mps2 * f64::from(*low);
+                format!(
+                    "scale_mps2 = {scale_mps2:?} # a guess: all that a light vehicle can do\noffset_mps2 = {offset_mps2:?}\n\
+                     low_mps2 = {least_mps2:?}\nhigh_mps2 = {most_mps2:?}\n"
+                )
+            }
+            _ => format!("low_mps2 = {least_mps2:?}\nhigh_mps2 = {most_mps2:?}\n"),
+        };
+        text
+    }
+}
