@@ -306,8 +306,8 @@ fn damaged_fmus_are_refused() {
     )
     .unwrap();
     let ran = crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
-    let said = String::from_utf8_lossy(&ran.stdout).into_owned();
-    assert!(said.contains("leads out of the archive"), "{said}");
+    let said = String::from_utf8_lossy(&ran.stderr).into_owned();
+    assert!(code(&ran) == 2 && said.contains("leads out of the archive"), "{said}");
     for bytes in [&whole[..700], b"PK", b""] {
         fs::write(&path, bytes).unwrap();
         let ran = crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);

@@ -37,9 +37,9 @@ const MOST_FAILED_STARTS: u32 = 3;
 const MOST_STARTS: u32 = 10_000;
 
 /// Of the runs of each vehicle, those in which a process that says it is deterministic is asked everything twice: so many at the
-/// start, and of each later doubling of their number about so many.
+/// start, and of each two later doublings of their number about so many.
 const CHECKED_FIRST: u64 = 2;
-const CHECKED_OF_EACH_DOUBLING: u64 = 3;
+const CHECKED_OF_TWO_DOUBLINGS: u64 = 3;
 
 /// A command that drives, what it sees, and what its answer means.
 #[derive(Debug, Clone, PartialEq)]
@@ -380,7 +380,7 @@ impl ProcessController {
         }
         // Fresh ones that differ would do so at once; what is left over in one that has driven may show late.
         let drawn = random::stream(seed, Purpose::AskedTwice, number).next_u64();
-        reused && drawn % number.next_power_of_two() < CHECKED_OF_EACH_DOUBLING
+        reused && drawn % number.next_power_of_two() < CHECKED_OF_TWO_DOUBLINGS
     }
 
     /// A failure for good: nothing is started any more.
