@@ -267,7 +267,7 @@ fn networks_are_proved_and_checked_on_the_command_line() {
         (stacked.as_str(), "history: is 3, and only a network that sees nothing but the present"),
         (
             "hard.toml",
-            "hard.toml:27: cannot be followed: output.low_mps2: asks for up to -9 m/s², and the vehicle does -7.5 to 3",
+            "hard.toml:30: cannot be followed: output.low_mps2: asks for up to -9 m/s², and the vehicle does -7.5 to 3",
         ),
         ("idm", "must be a policy of crumple's own or a network"),
         ("shield:policy", "must be a policy of crumple's own or a network"),
