@@ -96,7 +96,9 @@ fn reports_show_hostile_names_as_text() {
     let replayed = files.iter().find(|(name, _)| name == "replay.sh").expect("written");
     for line in String::from_utf8_lossy(&replayed.1).lines().filter(|line| line.starts_with("run ")) {
         let words = shlex::split(line).expect("words of a shell");
-        let is_harmless = |letter: char| letter.is_ascii_alphanumeric() || "-_./,=:".contains(letter);
+        // The shell finds the certificates, whose names are the report's own.
+        let others = if line == "run check --rerun certificates/*.json" { "-_./*" } else { "-_./,=:" };
+        let is_harmless = |letter: char| letter.is_ascii_alphanumeric() || others.contains(letter);
         assert!(words.iter().all(|word| word.chars().all(is_harmless)), "{line}");
     }
     for (name, _) in &files {

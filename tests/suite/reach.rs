@@ -271,7 +271,7 @@ fn networks_are_proved_and_checked_on_the_command_line() {
         ),
         ("idm", "must be a policy of crumple's own or a network"),
         ("shield:policy", "must be a policy of crumple's own or a network"),
-        ("exec:true", "must be a policy of crumple's own or a network"),
+        ("exec:true", "`true` ended by itself with exit code 0"),
     ] {
         let refused = run(&["verify", "reach", "--controller", controller, "--box", "box.toml"]);
         assert!(code(&refused) == 2 && said(&refused).contains(words), "{words}: {}", said(&refused));
