@@ -76,9 +76,15 @@ fn the_committed_report_is_current() {
     let is_run = |name: &str| name.ends_with(".xosc") || name.ends_with(".xodr");
     let failures = files.iter().filter(|(name, _)| name.starts_with("counterexamples/") && name.ends_with(".toml"));
     let beside = files.iter().filter(|(name, _)| is_run(name));
-    assert_eq!(beside.count(), 2 * failures.count(), "each counterexample has its run and its road beside it");
+    let runs_beside = beside.count();
+    assert_eq!(runs_beside, 2 * failures.count(), "each counterexample has its run and its road beside it");
     for (name, now) in files.iter().filter(|(name, _)| !is_run(name)) {
-        if name.ends_with(".safetensors") {
+        if name == "work.json" {
+            // It says when, too, in what it says of the page.
+            let reports = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
+            let found = crumple_search::work::examine(&reports).expect("it has a manifest");
+            assert!(found.is_whole() && found.files.len() + 1 + runs_beside == files.len(), "{found:?}");
+        } else if name.ends_with(".safetensors") {
             let there = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name));
             assert!(there.is_ok_and(|there| there == *now), "reports/{name} is out of date");
         } else {
