@@ -16,7 +16,8 @@ use crumple_world::network::{FileFormat, NetworkFile, Normalisation, SavedModel,
 #[command(after_long_help = "\
 Of a model of Stable-Baselines3 it tells the algorithm, the spaces of observations and actions, and whether it was trained behind \
 VecNormalize; of any network its layers. What is printed is a controller file that runs, with that as comments: which quantity each \
-input is, in which order and unit, no file says, so correct these before you believe a result.
+input is, in which order and unit, no file says, so correct these before you believe a result. It names the network as you do here, from \
+the folder in which the controller file lies.
 
 Examples:
   crumple describe ppo.zip
