@@ -63,6 +63,7 @@ impl Quantity {
     ];
 
     /// The names of all of them.
+    #[cfg(feature = "process")]
     pub(in crate::control) fn names() -> impl Iterator<Item = &'static str> {
         Self::ALL.into_iter().map(Self::name)
     }
