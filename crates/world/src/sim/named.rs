@@ -304,16 +304,19 @@ fn program(name: &str, folder: &Path) -> Option<UnknownController> {
     } else {
         return None;
     };
-    let stem = if is_one_of(&["py"]) { format!("python3 {name}") } else { path_of_program(name, &extension) };
-    Some(UnknownController::Program { path: path.display().to_string(), what, command: stem, hint })
+    let command = match extension.as_deref() {
+        Some("py") => format!("python3 {name}"),
+        // A script is run as it is; of a source or a library, what is made of it.
+        Some("sh") => in_folder(Path::new(name)),
+        _ => in_folder(&Path::new(name).with_extension("")),
+    };
+    Some(UnknownController::Program { path: path.display().to_string(), what, command, hint })
 }
 
-/// A program as a command names it: one in this folder begins with `./`. Of a source or a library, what is made of it.
-fn path_of_program(name: &str, extension: &Option<String>) -> String {
-    let stem =
-        if extension.as_deref() == Some("sh") { Path::new(name).into() } else { Path::new(name).with_extension("") };
-    let stem = stem.display();
-    if name.contains('/') { stem.to_string() } else { format!("./{stem}") }
+/// A program as a command names it: one in this folder begins with `./`.
+fn in_folder(program: &Path) -> String {
+    let name = program.display();
+    if program.components().count() > 1 { name.to_string() } else { format!("./{name}") }
 }
 
 /// The words of a command as a shell would split them; none for one that does not end.

@@ -102,11 +102,11 @@ impl Counterexample {
     pub(in crate::falsify) fn write(&self, out: &mut String, of_formula: bool) -> std::fmt::Result {
         let contact = self.impact_speed_mps.zip(self.contact_time_s);
         let contact = contact.map(|(speed, time)| format!("{speed:.1} m/s at {time:.1} s"));
-        let severity = match (of_formula, contact) {
-            _ if self.because.is_some() => self.because.clone().unwrap_or_default(),
-            (false, Some(contact)) => contact,
-            (true, Some(contact)) => format!("robustness {:.3}; first contact {contact}", self.robustness),
-            (_, None) => format!("robustness {:.3}", self.robustness),
+        let severity = match (&self.because, of_formula, contact) {
+            (Some(because), ..) => because.clone(),
+            (None, false, Some(contact)) => contact,
+            (None, true, Some(contact)) => format!("robustness {:.3}; first contact {contact}", self.robustness),
+            (None, _, None) => format!("robustness {:.3}", self.robustness),
         };
         let fragile = if self.dt_fragile { ", DT-FRAGILE" } else { "" };
         writeln!(out, "  {}\n      {}: {severity}{fragile}", self.file, self.kind)?;
