@@ -200,7 +200,7 @@ impl Episodes {
     #[getter]
     fn acceleration_range_mps2(&self) -> (f64, f64) {
         let bounds = bounds(&self.task.environment);
-        (bounds.acceleration_mps2(-1.0), bounds.acceleration_mps2(1.0))
+        (bounds.low_mps2, bounds.high_mps2)
     }
 
     /// Begins an episode in every lane of `mask`. With `seeds`, their episodes are from then on the draws of these.

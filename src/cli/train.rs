@@ -84,7 +84,7 @@ fn space_share(words: &str) -> Result<SpaceShare, String> {
         Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is no weight"))?),
         None => (words, 1.0),
     };
-    Ok(SpaceShare { space: space.to_owned(), weight })
+    Ok(SpaceShare { space: space.to_owned(), weight, costs_times: 1.0 })
 }
 
 /// The file `training.json`: all finished trainings in the folder.

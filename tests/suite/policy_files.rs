@@ -31,7 +31,7 @@ fn the_checker_refuses_whatever_policy_file_the_simulator_refuses() {
             (Ok(_), Err(error)) => panic!("{seed}: the checker accepts what the simulator refuses: {error}"),
             (Ok(actor), Ok(policy)) => {
                 accepted += 1;
-                let action = policy.header().action;
+                let action = &policy.header().action;
                 assert_eq!(actor.action_mps2, [action.low_mps2, action.high_mps2], "{seed}");
                 assert_eq!(actor.decision_interval_s, policy.header().decision_interval_s, "{seed}");
             }

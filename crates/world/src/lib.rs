@@ -8,6 +8,8 @@
 //! | [`quoted`] | what users wrote, as it goes out: to a terminal, into Markdown, to a shell |
 //! | [`random`] | seeded streams: one seed decides everything |
 //! | [`observation`] | what a controller may see |
+//! | `settings` | settings of controllers: numbers with a default, a range and a usual range |
+//! | `idm` | the Intelligent Driver Model, which drives, is departed from and is compared with |
 //! | [`policy`] | the actor network and its file: acting, one state or many |
 //! | [`network`] | networks from outside: ONNX, Stable-Baselines3 |
 //! | [`process`] | programs that are asked line by line, and how they fail |
@@ -21,6 +23,7 @@
 pub mod control;
 pub mod digest;
 pub mod estimate;
+mod idm;
 pub mod measure;
 pub mod network;
 pub mod observation;
@@ -31,4 +34,5 @@ pub mod random;
 #[cfg(feature = "recording")]
 pub mod recording;
 pub mod scenario;
+mod settings;
 pub mod sim;

@@ -1,6 +1,7 @@
 //! crumple's own policies: what the text in the file says of the network.
 
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 
 use super::actor::{Actor, Layer, OBSERVED, Own};
 use super::container::{Container, MOST_NUMBERS, WIDEST_LAYER};
@@ -49,6 +50,7 @@ struct Scaling {
 struct Bounds {
     low_mps2: f64,
     high_mps2: f64,
+    departs_from: Option<IgnoredAny>,
 }
 
 impl Header {
@@ -71,7 +73,11 @@ impl Header {
         if !positive || !offset.iter().all(|value| value.is_finite()) {
             return Err("has a scaling that makes no sense".to_owned());
         }
-        let Bounds { low_mps2: low, high_mps2: high } = action;
+        let Bounds { low_mps2: low, high_mps2: high, departs_from } = action;
+        if departs_from.is_some() {
+            let is_not = "its acceleration is not the network's answer alone, and of that law nothing is proved here";
+            return Err(format!("{KEY}: action: departs from a law of driving: {is_not}"));
+        }
         if low < high && (low - high).is_finite() && (low + high).is_finite() {
             Ok(())
         } else {

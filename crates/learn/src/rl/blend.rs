@@ -12,6 +12,9 @@ use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::{Space, find_space};
 use crumple_world::scenario::{InvalidField, Scenario};
 
+/// Most times that costs count.
+pub(super) const MOST_COSTS_TIMES: f64 = 1e4;
+
 /// Most spaces of a blend.
 const MOST_SPACES: usize = 32;
 
@@ -23,6 +26,18 @@ pub struct SpaceShare {
     pub space: String,
     /// How many of the episodes are drawn from it, relative to the weights of the others.
     pub weight: f64,
+    /// How many times their weights the costs of a step count in its episodes: more where nothing is to be gained by paying them.
+    #[serde(default = "once", skip_serializing_if = "is_once")]
+    pub costs_times: f64,
+}
+
+fn once() -> f64 {
+    1.0
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_once(times: &f64) -> bool {
+    *times == 1.0
 }
 
 /// Draws of several spaces by turns.
@@ -37,6 +52,7 @@ struct Part {
     share: f64,
     /// Sum of the shares up to this one.
     below: f64,
+    costs_times: f64,
 }
 
 /// Sets the stream of the turns apart from those of other mixtures.
@@ -53,24 +69,28 @@ impl WeightedSpaces {
         if shares.len() > MOST_SPACES {
             return Err(problem(format!("{MOST_SPACES} are the most, found {}", shares.len())));
         }
-        for SpaceShare { space, weight } in shares {
+        for SpaceShare { space, weight, costs_times } in shares {
             if !(1e-6..=1e6).contains(weight) {
                 return Err(problem(format!(
                     "the weight of `{space}` must be between 0.000001 and 1000000, found {weight}"
                 )));
             }
+            if !(0.0..=MOST_COSTS_TIMES).contains(costs_times) {
+                let range = format!("must be between 0 and {MOST_COSTS_TIMES}, found {costs_times}");
+                return Err(problem(format!("`costs_times` of `{space}` {range}")));
+            }
         }
         let total: f64 = shares.iter().map(|share| share.weight).sum();
         let (mut parts, mut below) = (Vec::new(), 0.0);
-        for SpaceShare { space, weight } in shares {
-            let space = find_space(space).map_err(|error| problem(error.to_string()))?;
+        for SpaceShare { space, weight, costs_times } in shares {
+            let (costs_times, space) = (*costs_times, find_space(space).map_err(|error| problem(error.to_string()))?);
             let first = space.draw(0, 0).map_err(|error| problem(error.to_string()))?;
             if let Some(reason) = unsuited(&first) {
                 return Err(problem(format!("`{}` cannot be trained on: {reason}", space.name())));
             }
             let share = weight / total;
             below += share;
-            parts.push(Part { space, share, below });
+            parts.push(Part { space, share, below, costs_times });
         }
         Ok(Self { parts })
     }
@@ -81,22 +101,37 @@ impl WeightedSpaces {
     }
 }
 
-impl ScenarioSource for WeightedSpaces {
-    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+impl WeightedSpaces {
+    /// Whose turn it is; none only where there are no spaces.
+    fn turn(&self, seed: u64, index: u64) -> Option<&Part> {
         let mut stream = random::stream(random::derived_seed(seed, TURN), Purpose::ScenarioDraw, index);
         let turn = stream.random::<f64>();
         // Shares add up to 1 but for rounding: the last one takes what is left.
-        let part = self.parts.iter().find(|part| turn < part.below).or(self.parts.last());
-        match part {
+        self.parts.iter().find(|part| turn < part.below).or(self.parts.last())
+    }
+}
+
+impl ScenarioSource for WeightedSpaces {
+    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+        match self.turn(seed, index) {
             Some(part) => part.space.draw(seed, index),
             None => PaperDraws.draw(seed, index),
         }
     }
 
+    fn costs_times(&self, seed: u64, index: u64) -> f64 {
+        self.turn(seed, index).map_or(1.0, |part| part.costs_times)
+    }
+
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
         let named = self.parts.iter().map(|part| {
             let name = part.space.identity()?.unwrap_or_default();
-            Ok(format!("a share of {} of {name}", part.share))
+            let costs = if is_once(&part.costs_times) {
+                String::new()
+            } else {
+                format!(", whose costs count {} times", part.costs_times)
+            };
+            Ok(format!("a share of {} of {name}{costs}", part.share))
         });
         Ok(Some(named.collect::<Result<Vec<_>, serde_json::Error>>()?.join(", ")))
     }
@@ -112,7 +147,7 @@ mod tests {
     use super::*;
 
     fn share(space: &str, weight: f64) -> SpaceShare {
-        SpaceShare { space: space.to_owned(), weight }
+        SpaceShare { space: space.to_owned(), weight, costs_times: 1.0 }
     }
 
     #[test]

@@ -11,6 +11,7 @@ use super::observation::ObservationConfig;
 use super::reward::CostConfig;
 use super::source::ScenarioSource;
 use crumple_world::observation::EstimatorKind;
+use crumple_world::policy::Departure;
 use crumple_world::scenario::file;
 
 /// Version of the preset format this release reads.
@@ -72,6 +73,9 @@ pub struct EnvironmentConfig {
     pub time_limit: TimeLimit,
     /// Highest acceleration the actor can choose, in m/s²; the lowest is -7.5.
     pub max_accel_mps2: f64,
+    /// The law that actions depart from; without one an action is the acceleration itself, between -7.5 m/s² and the highest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub departs_from: Option<Departure>,
     /// What a step costs beside; nothing in the paper. A policy file that was made without costs states none.
     #[serde(default, skip_serializing_if = "CostConfig::is_free")]
     pub costs: CostConfig,
@@ -287,6 +291,10 @@ impl TrainingConfig {
         let mut terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
         terms.try_for_each(|(field, value, range)| within(field, value, range))?;
         self.environment.observation.check()?;
+        if let Some(Err((field, problem))) = self.environment.departs_from.as_ref().map(Departure::check) {
+            let problem = format!("{field} {problem}");
+            return Err(ConfigError::Field { field: "environment.departs_from", problem });
+        }
         within("network.hidden", self.network.hidden.len() as f64, [1.0, 16.0])?;
         for &width in &self.network.hidden {
             within("network.hidden", width as f64, [1.0, 4096.0])?;

@@ -2,7 +2,8 @@
 
 use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::Earnings;
-use crumple_world::policy::{ActionBounds, ObservationScaling, STATE};
+use crumple_world::policy::{ActionBounds, Held, ObservationScaling, STATE};
+use crumple_world::scenario::PAPER_STEP_S;
 use crumple_world::sim::{Motion, Run, Stepper};
 
 /// Index of the vehicle the agent drives.
@@ -48,6 +49,7 @@ pub struct Episode<'r, 's> {
     scaling: ObservationScaling,
     earnings: Earnings,
     bounds: ActionBounds,
+    held: Held,
     steps: usize,
     settled_steps: usize,
     standing_steps: usize,
@@ -66,6 +68,7 @@ impl<'r, 's> Episode<'r, 's> {
             discount,
             scaling: config.observation.scaling(),
             bounds: bounds(config),
+            held: Held::default(),
             steps: run.scenario().steps(),
             settled_steps: (SETTLED_S / run.scenario().spec().step_s).round() as usize,
             standing_steps: 0,
@@ -80,13 +83,19 @@ impl<'r, 's> Episode<'r, 's> {
 
     /// Holds an action, between -1 and 1, until the next decision.
     pub fn decide(&mut self, action: f32) -> Consequence {
-        let acceleration_mps2 = self.bounds.acceleration_mps2(action);
+        self.held.turn_to(action);
         let (mut reward, mut of_last_step) = (0.0, 0.0);
         let mut ending = Ending::None;
+        let mut acceleration_mps2 = None;
         for _ in 0..self.config.decision_steps {
-            self.stepper.command(EGO, acceleration_mps2);
+            if acceleration_mps2.is_none() || self.bounds.departs_from.is_some() {
+                let (held, bounds) = (&mut self.held, &self.bounds);
+                let seen = self.stepper.observe(EGO);
+                acceleration_mps2 = seen.map(|seen| held.acceleration_mps2(bounds, &seen, PAPER_STEP_S));
+            }
+            self.stepper.command(EGO, acceleration_mps2.unwrap_or_default());
             self.stepper.step();
-            of_last_step = self.earnings.of_step(&self.stepper, &self.config);
+            of_last_step = self.earnings.of_step(&self.stepper, &self.config, self.held.departure());
             reward += of_last_step;
             let at_rest = self.stepper.motion().iter().all(|motion| motion.speed_mps == 0.0);
             self.standing_steps = if at_rest { self.standing_steps + 1 } else { 0 };
@@ -154,7 +163,11 @@ impl<'r, 's> Episode<'r, 's> {
 /// The accelerations an agent of this configuration chooses from.
 #[must_use]
 pub fn bounds(config: &EnvironmentConfig) -> ActionBounds {
-    ActionBounds { high_mps2: config.max_accel_mps2, ..ActionBounds::default() }
+    ActionBounds {
+        high_mps2: config.max_accel_mps2,
+        departs_from: config.departs_from.clone(),
+        ..ActionBounds::default()
+    }
 }
 
 #[cfg(test)]

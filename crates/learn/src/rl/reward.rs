@@ -35,6 +35,7 @@ const MOST_WEIGHT: f64 = 100.0;
 /// | `jerk` | change of acceleration in the step / its time / 75 m/s³ |
 /// | `imposed` | braking of the vehicle behind beyond that of the one ahead / 7.5 m/s² |
 /// | `needless` | braking beyond 1 m/s² more than has a cause ([`caused_brake_mps2`]) / 7.5 m/s² |
+/// | `departure` | how far the action departs from the law that it is relative to, from 0 to 1 ([`Departure::strength`](crumple_world::policy::Departure::strength)) |
 ///
 /// The wanted gap is `standstill_m + headway_s * speed`. Terms about a vehicle that is not there are 0.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -59,6 +60,14 @@ pub struct CostConfig {
     pub imposed: f64,
     /// Weight of braking without cause.
     pub needless: f64,
+    /// Weight of departing from the law that the action is relative to.
+    #[serde(skip_serializing_if = "is_nothing")]
+    pub departure: f64,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_nothing(weight: &f64) -> bool {
+    *weight == 0.0
 }
 
 impl Default for CostConfig {
@@ -73,13 +82,14 @@ impl Default for CostConfig {
             jerk: 0.0,
             imposed: 0.0,
             needless: 0.0,
+            departure: 0.0,
         }
     }
 }
 
 impl CostConfig {
     /// Name and value of every weight.
-    fn weights(&self) -> [(&'static str, f64); 7] {
+    fn weights(&self) -> [(&'static str, f64); 8] {
         [
             ("environment.costs.far", self.far),
             ("environment.costs.near", self.near),
@@ -88,6 +98,7 @@ impl CostConfig {
             ("environment.costs.jerk", self.jerk),
             ("environment.costs.imposed", self.imposed),
             ("environment.costs.needless", self.needless),
+            ("environment.costs.departure", self.departure),
         ]
     }
 
@@ -106,13 +117,41 @@ impl CostConfig {
         self.weights().iter().all(|(_, weight)| *weight == 0.0)
     }
 
+    /// With every weight so many times as large.
+    pub(super) fn times(&self, times: f64) -> Self {
+        let Self {
+            standstill_m,
+            headway_s,
+            far,
+            near,
+            relative_speed,
+            acceleration,
+            jerk,
+            imposed,
+            needless,
+            departure,
+        } = *self;
+        Self {
+            standstill_m,
+            headway_s,
+            far: far * times,
+            near: near * times,
+            relative_speed: relative_speed * times,
+            acceleration: acceleration * times,
+            jerk: jerk * times,
+            imposed: imposed * times,
+            needless: needless * times,
+            departure: departure * times,
+        }
+    }
+
     /// About the largest cost of a step, as a share of its reward.
     pub(super) fn largest(&self) -> f64 {
         self.weights().iter().map(|(_, weight)| weight).sum()
     }
 
     /// What a step costs, as a share of its reward. `before_mps2` is the ego's acceleration in the step before.
-    fn of(&self, stepper: &Stepper<'_, '_>, before_mps2: f64, step_s: f64) -> f64 {
+    fn of(&self, stepper: &Stepper<'_, '_>, before_mps2: f64, step_s: f64, departure: f64) -> f64 {
         let motion = stepper.motion();
         let (Some(ego), Some(gap_m), Some(front)) = (motion.get(EGO), stepper.gap_m(EGO), EGO.checked_sub(1)) else {
             return 0.0;
@@ -138,6 +177,7 @@ impl CostConfig {
             + self.jerk * (ego.acceleration_mps2 - before_mps2).abs() / step_s / FULL_JERK_MPS3
             + self.imposed * imposed_mps2.max(0.0) / FULL_BRAKE_MPS2
             + self.needless * (brake_mps2 - caused_brake_mps2(&state) - NEEDLESS_MARGIN_MPS2).max(0.0) / FULL_BRAKE_MPS2
+            + self.departure * departure
     }
 }
 
@@ -153,14 +193,14 @@ impl Earnings {
     }
 
     /// The reward of the step just made, unscaled.
-    pub(super) fn of_step(&mut self, stepper: &Stepper<'_, '_>, config: &EnvironmentConfig) -> f64 {
+    pub(super) fn of_step(&mut self, stepper: &Stepper<'_, '_>, config: &EnvironmentConfig, departure: f64) -> f64 {
         if stepper.has_touched() {
             return config.contact_reward;
         }
         if config.costs.is_free() {
             return config.step_reward;
         }
-        let cost = config.costs.of(stepper, self.before_mps2, self.step_s);
+        let cost = config.costs.of(stepper, self.before_mps2, self.step_s, departure);
         self.before_mps2 = acceleration_mps2(stepper);
         config.step_reward * (1.0 - cost)
     }
@@ -187,7 +227,7 @@ mod tests {
         let mut earnings = Earnings::new(&stepper, 0.01);
         stepper.command(EGO, -4.0);
         stepper.step();
-        earnings.of_step(&stepper, &config) / config.step_reward
+        earnings.of_step(&stepper, &config, 0.25) / config.step_reward
     }
 
     #[test]
@@ -203,5 +243,6 @@ mod tests {
         // The reference driver wants 42 m, and brakes at 0.73 (42 / 16)² m/s²: more than 4.
         near(earned(CostConfig { needless: 1.0, ..none() }), 0.0);
         near(earned(CostConfig { imposed: 1.0, ..none() }), 0.0);
+        near(earned(CostConfig { departure: 2.0, ..none() }), 0.5);
     }
 }

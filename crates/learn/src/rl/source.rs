@@ -20,6 +20,11 @@ pub trait ScenarioSource: Debug + Send + Sync {
     /// [`InvalidField`] if what was drawn is no valid scenario.
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField>;
 
+    /// How many times their weights the costs of a step count in episode `index`.
+    fn costs_times(&self, _seed: u64, _index: u64) -> f64 {
+        1.0
+    }
+
     /// What tells this source from every other: a training is resumed only with the source that it began with, and a policy
     /// file states it. None for the paper's distribution, which needs no mention.
     ///
@@ -69,6 +74,11 @@ impl Blend {
     pub fn new(first: Arc<dyn ScenarioSource>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
         Self { first, share: share.clamp(0.0, 1.0), otherwise }
     }
+
+    fn turn(&self, seed: u64, index: u64) -> &Arc<dyn ScenarioSource> {
+        let mut stream = random::stream(random::derived_seed(seed, TURN), Purpose::ScenarioDraw, index);
+        if stream.random::<f64>() < self.share { &self.first } else { &self.otherwise }
+    }
 }
 
 /// Sets the stream of the blend apart from that of a mixture inside it.
@@ -76,9 +86,11 @@ const TURN: u64 = u64::MAX - 2;
 
 impl ScenarioSource for Blend {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
-        let mut stream = random::stream(random::derived_seed(seed, TURN), Purpose::ScenarioDraw, index);
-        let source = if stream.random::<f64>() < self.share { &self.first } else { &self.otherwise };
-        source.draw(seed, index)
+        self.turn(seed, index).draw(seed, index)
+    }
+
+    fn costs_times(&self, seed: u64, index: u64) -> f64 {
+        self.turn(seed, index).costs_times(seed, index)
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
@@ -106,6 +118,13 @@ impl Mixed {
     pub fn new(cases: Vec<Scenario>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
         Self { cases, share: share.clamp(0.0, 1.0), otherwise }
     }
+
+    /// The case whose turn it is; none if it is the other source's.
+    fn case(&self, seed: u64, index: u64) -> Option<&Scenario> {
+        let mut stream = random::stream(random::derived_seed(seed, CHOICE), Purpose::ScenarioDraw, index);
+        let is_turn = !self.cases.is_empty() && stream.random::<f64>() < self.share;
+        if is_turn { self.cases.get(stream.random_range(0..self.cases.len())) } else { None }
+    }
 }
 
 /// Sets the stream of the mixture apart from those of what is mixed.
@@ -113,12 +132,11 @@ const CHOICE: u64 = u64::MAX - 1;
 
 impl ScenarioSource for Mixed {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
-        let mut stream = random::stream(random::derived_seed(seed, CHOICE), Purpose::ScenarioDraw, index);
-        if !self.cases.is_empty() && stream.random::<f64>() < self.share {
-            Ok(self.cases[stream.random_range(0..self.cases.len())].clone())
-        } else {
-            self.otherwise.draw(seed, index)
-        }
+        self.case(seed, index).map_or_else(|| self.otherwise.draw(seed, index), |case| Ok(case.clone()))
+    }
+
+    fn costs_times(&self, seed: u64, index: u64) -> f64 {
+        self.case(seed, index).map_or_else(|| self.otherwise.costs_times(seed, index), |_| 1.0)
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {

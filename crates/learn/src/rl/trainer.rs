@@ -6,7 +6,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-use super::config::{ConfigError, TimeLimit, TrainingConfig};
+use super::config::{ConfigError, EnvironmentConfig, TimeLimit, TrainingConfig};
 use super::environment::{Ending, Episode, bounds};
 use super::evaluation::{Evaluation, HeldOut};
 use super::learner::{Learner, Losses};
@@ -209,7 +209,8 @@ impl Trainer {
     pub fn run_episode(&mut self) -> Result<EpisodeRecord, TrainingError> {
         let index = self.episode;
         // The stream of training draws has a seed of its own, apart from every seed a user may assess with.
-        let scenario = self.source.draw(random::derived_seed(self.seed, u64::MAX), index)?;
+        let draws_seed = random::derived_seed(self.seed, u64::MAX);
+        let scenario = self.source.draw(draws_seed, index)?;
         if let Some(problem) = unsuited(&scenario) {
             return Err(TrainingError::Unsuited { name: scenario.spec().name.clone(), problem });
         }
@@ -217,7 +218,9 @@ impl Trainer {
         let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
             .with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;
-        let mut episode = Episode::new(&run, &self.config.environment, self.config.learning.discount);
+        let costs = self.config.environment.costs.times(self.source.costs_times(draws_seed, index));
+        let environment = EnvironmentConfig { costs, ..self.config.environment.clone() };
+        let mut episode = Episode::new(&run, &environment, self.config.learning.discount);
         let mut trials = random::stream(self.seed, Purpose::Exploration, index);
         let mut draws = random::stream(self.seed, Purpose::ReplayDraw, index);
         let mut target_noise = random::stream(self.seed, Purpose::TargetNoise, index);
@@ -293,7 +296,8 @@ impl Trainer {
             TimeLimit::Truncation => discounted,
             TimeLimit::End => discounted.min(steps as f64 * environment.step_reward),
         };
-        let most_cost = environment.costs.largest().max(1.0);
+        let most_times = self.config.spaces.iter().fold(1.0, |most: f64, share| most.max(share.costs_times));
+        let most_cost = (most_times * environment.costs.largest()).max(1.0);
         let largest_value = environment.reward_scale * most_cost * paid.max(-environment.contact_reward);
         let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
         // The rectifier turns NaN into 0, so a network can be broken while its outputs look sound.

@@ -40,7 +40,7 @@ pub struct AssessConfig {
     /// `high-risk` if the paper is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distributions: Option<Vec<String>>,
-    /// Draws of each of these spaces for each controller. Default 1000.
+    /// Draws of each of these spaces for each controller, and, 200 at most, of each resample of a space that was fitted. Default 1000.
     #[serde(default = "default_draws")]
     pub draws: u64,
     /// Drives of each controller in everyday traffic, and as many where something threatens; none leaves usefulness out.

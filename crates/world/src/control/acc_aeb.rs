@@ -1,9 +1,9 @@
 //! Adaptive cruise control with automatic emergency braking, as production systems combine them.
 
 use super::baseline::Aeb;
-use super::settings::settings;
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::observation::Observation;
+use crate::settings::settings;
 
 settings! {
     /// Settings of adaptive cruise control with emergency braking.

@@ -1,8 +1,8 @@
 //! The paper's baseline ADAS (algorithm 2) and its unlatched variant.
 
-use super::settings::settings;
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::observation::{Neighbour, Observation};
+use crate::settings::settings;
 
 settings! {
     /// Settings of the emergency brake of the baseline controllers.

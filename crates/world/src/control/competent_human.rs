@@ -1,9 +1,9 @@
 //! The careful and competent human driver of UN Regulation No. 157, for car following.
 
 use super::reaction::{Noticed, Ramp, whole_steps};
-use super::settings::settings;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
 use crate::observation::Observation;
+use crate::settings::settings;
 
 settings! {
     /// Settings of the careful and competent human driver (UN R157, car following).

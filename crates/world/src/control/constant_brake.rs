@@ -1,9 +1,9 @@
 //! Braking at one rate as soon as the vehicle ahead brakes: the other trivial controller.
 
 use super::reaction::{Noticed, whole_steps};
-use super::settings::settings;
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::observation::Observation;
+use crate::settings::settings;
 
 settings! {
     /// Settings of the controller that brakes at a constant rate.

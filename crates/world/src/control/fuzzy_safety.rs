@@ -4,9 +4,9 @@
 //! and Prevention 148 (2020) 105794. Formulas and numbers are as the authors' public implementation has them, written anew here.
 
 use super::reaction::{Noticed, Ramp, whole_steps};
-use super::settings::settings;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
 use crate::observation::{Neighbour, Observation};
+use crate::settings::settings;
 
 settings! {
     /// Settings of the fuzzy safety model (UN R157). `graze_m` is ours: without it the driver who takes the critical metric at its

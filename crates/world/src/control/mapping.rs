@@ -157,7 +157,7 @@ impl Mapping {
     pub fn own() -> Self {
         use Quantity as Q;
         let ObservationScaling { offset, scale, limit, empty_gap_m } = ObservationScaling::default();
-        let ActionBounds { low_mps2, high_mps2 } = ActionBounds::default();
+        let ActionBounds { low_mps2, high_mps2, .. } = ActionBounds::default();
         let order = [
             Q::GapAheadM,
             Q::GapBehindM,

@@ -69,7 +69,6 @@ mod quantity;
 mod r157_simple;
 mod reaction;
 mod rss;
-mod settings;
 mod shield;
 mod source;
 mod stress;
@@ -81,7 +80,6 @@ pub use built_in::{AnyController, BuiltIn, ControllerSpec, InvalidSetting, Role}
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use fuzzy_safety::{FuzzySafety, FuzzySafetySettings};
-pub use idm::{Idm, IdmSettings};
 pub use mapping::{HistoryPadding, Input, InvalidMapping, Mapping, Output, Squash};
 pub use match_leader::MatchLeader;
 pub use network::{NetworkController, NetworkDriver};
@@ -92,7 +90,6 @@ pub use process::{FmuProblem, ProcessController, ProcessDriver, ProcessSetup, Wi
 pub use quantity::Quantity;
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
-pub use settings::{Field, NoSettings, Settings};
 pub use shield::{
     Behind, ErrorBounds, Frame, Kernel, MARGIN_M, MOST_MARGIN_M, Override, Real, Shield, ShieldSettings, ShieldState,
     Travel, largest_closing_m, moved,
@@ -101,7 +98,9 @@ pub use source::{BatchController, ControllerFailure, ControllerSource, Needs, Ze
 pub use stress::{FullThrottle, RandomActions};
 pub(crate) use with_controllers;
 
+pub use crate::idm::{Idm, IdmSettings};
 use crate::observation::Observation;
+pub use crate::settings::{Field, NoSettings, Settings};
 
 /// What a controller knows about its own vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]

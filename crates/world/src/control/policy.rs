@@ -5,13 +5,14 @@ use std::sync::Arc;
 use super::interval::Interval;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings, Role};
 use crate::observation::Observation;
-use crate::policy::{Policy, Workspace};
+use crate::policy::{Held, Policy, Workspace};
 
-/// Asks a policy once every decision interval and holds its answer in between.
+/// Asks a policy once every decision interval and holds its action in between.
 pub struct PolicyDriver {
     policy: Arc<Policy>,
     interval: Interval,
-    held_mps2: f64,
+    held: Held,
+    step_s: f64,
     space: Workspace,
 }
 
@@ -20,16 +21,16 @@ impl PolicyDriver {
     #[must_use]
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
         let interval = Interval::new(Some(policy.header().decision_interval_s), ego.step_s);
-        Self { policy, interval, held_mps2: 0.0, space: Workspace::default() }
+        Self { policy, interval, held: Held::default(), step_s: ego.step_s, space: Workspace::default() }
     }
 }
 
 impl Controller for PolicyDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         if self.interval.is_due() {
-            self.held_mps2 = self.policy.act(seen, &mut self.space);
+            self.held.turn_to(self.policy.choose(seen, &mut self.space));
         }
-        Ok(self.held_mps2)
+        Ok(self.held.acceleration_mps2(&self.policy.header().action, seen, self.step_s))
     }
 
     /// Those whose decision is due decide in one matrix product for each run of equal policies.
@@ -39,12 +40,12 @@ impl Controller for PolicyDriver {
         commands_mps2: &mut [f64],
         _failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
+        let all_seen: Vec<Observation> = (0..all.len()).map(&mut see).collect();
         let (mut due, mut seen) = (Vec::new(), Vec::new());
-        for (index, driver) in all.iter_mut().enumerate() {
-            let observation = see(index);
+        for (index, (driver, observation)) in all.iter_mut().zip(&all_seen).enumerate() {
             if driver.interval.is_due() {
                 due.push((index, Arc::clone(&driver.policy)));
-                seen.push(observation);
+                seen.push(*observation);
             }
         }
         let mut seen = seen.as_slice();
@@ -52,14 +53,14 @@ impl Controller for PolicyDriver {
         for alike in due.chunk_by(|(_, a), (_, b)| Arc::ptr_eq(a, b)) {
             let (now, later) = seen.split_at(alike.len());
             seen = later;
-            let mut answers_mps2 = vec![0.0; now.len()];
-            alike[0].1.act_all(now, &mut space, &mut answers_mps2);
-            for ((index, _), answer_mps2) in alike.iter().zip(answers_mps2) {
-                all[*index].held_mps2 = answer_mps2;
+            let mut actions = vec![0.0; now.len()];
+            alike[0].1.choose_all(now, &mut space, &mut actions);
+            for ((index, _), action) in alike.iter().zip(actions) {
+                all[*index].held.turn_to(action);
             }
         }
-        for (command_mps2, driver) in commands_mps2.iter_mut().zip(all) {
-            *command_mps2 = driver.held_mps2;
+        for ((command_mps2, driver), seen) in commands_mps2.iter_mut().zip(all).zip(&all_seen) {
+            *command_mps2 = driver.held.acceleration_mps2(&driver.policy.header().action, seen, driver.step_s);
         }
     }
 }

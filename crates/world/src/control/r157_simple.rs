@@ -1,9 +1,9 @@
 //! The simple driver model of UN Regulation No. 157: a delay, and braking at one rate.
 
 use super::reaction::{Noticed, whole_steps};
-use super::settings::settings;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role};
 use crate::observation::Observation;
+use crate::settings::settings;
 
 settings! {
     /// Settings of the simple driver model (UN R157: 0.35 s and 6 m/s²). What starts its reaction is ours: the regulation

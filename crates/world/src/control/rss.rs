@@ -2,9 +2,9 @@
 //! Scalable Self-driving Cars*, arXiv:1708.06374, 2017).
 
 use super::reaction::whole_steps;
-use super::settings::settings;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role};
 use crate::observation::Observation;
+use crate::settings::settings;
 
 settings! {
     /// Settings of Responsibility-Sensitive Safety. The paper leaves the numbers to those who regulate: these are ours.

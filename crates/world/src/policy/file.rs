@@ -8,7 +8,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensorError, SafeTensors};
 
 use super::header::{POLICY_VERSION, PolicyHeader, STATE};
-use super::{Network, Policy};
+use super::{Departure, Network, Policy};
 
 /// The one metadata key; a single key keeps the bytes the same from run to run.
 const KEY: &str = "crumple_policy";
@@ -218,12 +218,15 @@ pub(super) fn check(header: &PolicyHeader) -> Result<(), PolicyError> {
             return wrong(field, format!("must be positive, found {value}"));
         }
     }
-    let action = header.action;
+    let action = &header.action;
     if action.low_mps2.is_nan() || action.high_mps2.is_nan() || action.low_mps2 >= action.high_mps2 {
         return wrong("action", "low_mps2 must be below high_mps2".to_owned());
     }
     if !(action.low_mps2 - action.high_mps2).is_finite() || !(action.low_mps2 + action.high_mps2).is_finite() {
         return wrong("action", "the bounds must be finite, and so their sum and difference".to_owned());
+    }
+    if let Some(Err((field, problem))) = action.departs_from.as_ref().map(Departure::check) {
+        return wrong("action.departs_from", format!("{field} {problem}"));
     }
     Ok(())
 }

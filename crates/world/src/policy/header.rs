@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::departure::Departure;
 use crate::observation::{EstimatorKind, Neighbour, Observation};
 
 /// Version of the policy file format this release reads and writes.
@@ -88,34 +89,30 @@ impl ObservationScaling {
 }
 
 /// The accelerations a policy chooses from.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActionBounds {
     /// Lowest acceleration, in m/s².
     pub low_mps2: f64,
     /// Highest acceleration, in m/s².
     pub high_mps2: f64,
+    /// The law that is followed unless the network says otherwise; without one it says the acceleration itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub departs_from: Option<Departure>,
 }
 
 impl Default for ActionBounds {
     fn default() -> Self {
-        Self { low_mps2: -7.5, high_mps2: 3.0 }
+        Self { low_mps2: -7.5, high_mps2: 3.0, departs_from: None }
     }
 }
 
 impl ActionBounds {
-    /// The acceleration for what the network answers, before its tanh. No number at all, which no policy that was accepted
-    /// answers with, would mean full braking: a vehicle must not coast because its controller failed.
+    /// The action, between -1 and 1, of the output of a network, before the final tanh. NaN, which a network whose weights multiply to
+    /// infinity answers with, would mean full braking: a vehicle must not coast because its controller failed.
     #[must_use]
     #[inline]
-    pub fn of_output(&self, raw: f32) -> f64 {
-        if raw.is_nan() { self.low_mps2 } else { self.acceleration_mps2(libm::tanhf(raw)) }
-    }
-
-    /// The acceleration of an action between -1 and 1, in m/s²: linear between the bounds.
-    #[must_use]
-    #[inline]
-    pub fn acceleration_mps2(&self, action: f32) -> f64 {
-        0.5 * (self.low_mps2 + self.high_mps2) + 0.5 * (self.high_mps2 - self.low_mps2) * f64::from(action)
+    pub fn action(raw: f32) -> f32 {
+        if raw.is_nan() { -1.0 } else { libm::tanhf(raw) }
     }
 }

@@ -3,6 +3,7 @@
 //! Acting is plain single-precision arithmetic in a fixed order: a state gets the same bits alone or among
 //! others, and on any machine. No learning framework is needed to drive.
 
+mod departure;
 mod elementwise;
 mod file;
 mod header;
@@ -12,6 +13,7 @@ mod simd;
 
 use std::sync::{Arc, LazyLock};
 
+pub use departure::{Departure, Held};
 pub use elementwise::Elementwise;
 pub use file::PolicyError;
 pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE};
@@ -122,22 +124,22 @@ impl Policy {
         self.digest.clone()
     }
 
-    /// The acceleration wanted for one observation, in m/s²: a number within the action's bounds, whatever is seen.
+    /// The action chosen for one observation, between -1 and 1.
     #[must_use]
-    pub fn act(&self, seen: &Observation, space: &mut Workspace) -> f64 {
+    pub fn choose(&self, seen: &Observation, space: &mut Workspace) -> f32 {
         let state = self.header.observation.state(seen);
         match *self.acting.forward(&state, 1, space) {
-            [raw] => self.header.action.of_output(raw),
-            _ => self.header.action.low_mps2,
+            [raw] => ActionBounds::action(raw),
+            _ => -1.0,
         }
     }
 
-    /// What [`Policy::act`] answers for each of many observations, as one matrix product a layer.
-    pub fn act_all(&self, seen: &[Observation], space: &mut Workspace, commands_mps2: &mut [f64]) {
+    /// What [`Policy::choose`] answers for each of many observations, as one matrix product a layer.
+    pub fn choose_all(&self, seen: &[Observation], space: &mut Workspace, actions: &mut [f32]) {
         let states: Vec<f32> = seen.iter().flat_map(|seen| self.header.observation.state(seen)).collect();
-        let actions = self.acting.forward(&states, seen.len(), space);
-        for (command_mps2, &action) in commands_mps2.iter_mut().zip(actions) {
-            *command_mps2 = self.header.action.of_output(action);
+        let answers = self.acting.forward(&states, seen.len(), space);
+        for (action, &raw) in actions.iter_mut().zip(answers) {
+            *action = ActionBounds::action(raw);
         }
     }
 }

@@ -9,9 +9,10 @@ use crumple_search::evidence::exposed::{ExposedRate, Figure, Probability, WithDa
 use crumple_world::scenario::space::Space;
 use crumple_world::sim::NamedController;
 
-/// Resamples of the episodes that a space was fitted to, and runs of each controller in each of them.
+/// Resamples of the episodes that a space was fitted to.
 const RESAMPLES: u32 = 100;
-const RUNS_EACH: u32 = 200;
+/// Runs of each controller in each of them, at most: where fewer draws are wanted of the space itself, so many.
+const MOST_RUNS_EACH: u32 = 200;
 
 /// A table of a space's controllers and what is to be said of it; none where the space does not say in how much driving it was seen.
 pub(super) fn on_the_road(drawn: &Distribution) -> Option<(String, Table)> {
@@ -93,6 +94,7 @@ pub(super) fn exposed(
         let draws = run_draws(&scenarios, controller, plan)?;
         Ok(draws.iter().filter(|draw| draw.verdict.is_failure()).count() as u64)
     };
-    let resamples = run_again(&named.space, plan.config.seed, (RESAMPLES, RUNS_EACH), &mut failures)?;
+    let runs_each = u32::try_from(plan.config.draws).unwrap_or(MOST_RUNS_EACH).clamp(1, MOST_RUNS_EACH);
+    let resamples = run_again(&named.space, plan.config.seed, (RESAMPLES, runs_each), &mut failures)?;
     Ok(ExposedRate::of(&named.space, known, resamples.as_ref()))
 }

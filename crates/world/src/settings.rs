@@ -55,9 +55,9 @@ macro_rules! settings {
             }
         }
 
-        impl $crate::control::Settings for $name {
-            const FIELDS: &'static [$crate::control::Field] = &[
-                $($crate::control::Field { name: stringify!($field), range: [$low, $high], usual: [$from, $to] },)*
+        impl $crate::settings::Settings for $name {
+            const FIELDS: &'static [$crate::settings::Field] = &[
+                $($crate::settings::Field { name: stringify!($field), range: [$low, $high], usual: [$from, $to] },)*
             ];
 
             fn get(&self, index: usize) -> Option<f64> {
@@ -72,7 +72,7 @@ macro_rules! settings {
         }
     };
 }
-pub(super) use settings;
+pub(crate) use settings;
 
 settings! {
     /// Settings of a controller that has none.
