@@ -58,6 +58,7 @@ pub use store::{EvidenceHash, Store, StoreError};
 
 use crumple_search::evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
+use crumple_search::suite::SuiteRunError;
 use crumple_search::work::{MANIFEST, manifest_of};
 use crumple_search::worst_case::AttackError;
 use crumple_world::measure::SpecificationError;
@@ -162,6 +163,9 @@ pub enum AssessError {
     /// A controller contradicted itself, or cannot be started any more.
     #[error(transparent)]
     Refused(#[from] RefusedController),
+    /// A suite cannot be run.
+    #[error(transparent)]
+    Suite(#[from] SuiteRunError),
     /// Whoever was told of the progress ended it.
     #[error("the assessment was broken off")]
     BrokenOff,
