@@ -16,7 +16,7 @@ use super::preventable::{Prevented, prevented};
 use super::result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
 use super::spec::{ClauseSpec, Lead, TestSpec};
 use super::within::{Within, Worst, worst};
-use crate::falsify::counterexample::Avoidability;
+use crate::falsify::counterexample::Classed;
 
 /// Why a suite or a map of one is not run to its end.
 #[derive(Debug, thiserror::Error)]
@@ -203,7 +203,7 @@ impl<'t> Course<'t> {
     }
 
     fn within(&self, driven: &Driven<'_>, known: &mut Known) -> Option<Within> {
-        let Worst { point, scenario, seen, tried, failures } =
+        let Worst { point, scenario, seen, tried, failures, unanswered } =
             worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
         let (points, scenarios, all) = ([point], [scenario], [seen]);
         let failed = self.failed(&points, &scenarios, &all, known).pop();
@@ -214,6 +214,7 @@ impl<'t> Course<'t> {
             min_gap_m: seen.min_gap_m,
             tried,
             failures,
+            unanswered,
             failed,
         })
     }
@@ -227,7 +228,7 @@ impl<'t> Course<'t> {
         let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();
         let prevented = self.criterion.map(|criterion| prevented(criterion, &scenarios, known)).unwrap_or_default();
         let mut prevented = prevented.into_iter();
-        let nobody = || Prevented { references: Vec::new(), avoidability: Avoidability::NotAsked };
+        let nobody = || Prevented { references: Vec::new(), classed: Classed::default() };
         let with = failed.into_iter().map(|one| {
             let prevented = if is_silent(one.1) { None } else { prevented.next() };
             (one, prevented.unwrap_or_else(nobody))
@@ -236,7 +237,8 @@ impl<'t> Course<'t> {
             point: self.test.in_words(point),
             verdict: seen.verdict.clone(),
             references: prevented.references,
-            avoidability: prevented.avoidability,
+            avoidability: prevented.classed.avoidability,
+            escape: prevented.classed.escape,
             scenario_name: scenario.spec().name.clone(),
             scenario: scenario.clone(),
         });
