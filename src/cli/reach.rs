@@ -10,7 +10,6 @@ use super::output;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
 use crumple_search::evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, Shares};
-use crumple_world::control::InvalidMapping;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
@@ -65,17 +64,19 @@ impl Reach {
         let place = self.starts.display();
         let failed = |error: InvalidBox| match error {
             InvalidBox::Controller(problem) => Failure::Input(format!("--controller: {problem}")),
-            InvalidBox::Mapping(invalid) => Failure::Input(format!(
-                "--controller: {}cannot be followed: {invalid}",
-                place_of(&self.controller.name, &invalid)
-            )),
+            InvalidBox::Mapping(invalid) => {
+                let place = self.controller.place_of(&invalid.field, Path::new(""));
+                let place = place.map(|place| place.to_string()).unwrap_or_default();
+                Failure::Input(format!("--controller: {place}cannot be followed: {invalid}"))
+            }
             other => Failure::Input(format!("{place}: {other}")),
         };
         let text = match built_in_box(&self.starts) {
             Some(text) if !self.starts.exists() => text.to_owned(),
             _ => file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?,
         };
-        let plan = ReachPlan::new(self.controller.kind, &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
+        let plan =
+            ReachPlan::new(self.controller.kind.clone(), &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
         let told = |now: &Shares| {
             bar.set_position(u64::from(now.depth));
@@ -135,16 +136,6 @@ pub(super) fn keep(path: &Path, certificate: &Certificate, network: &[u8]) -> Re
 /// Whether there is some of it in the end.
 fn is_positive(shares: &[Shares], share: impl Fn(&Shares) -> f64) -> bool {
     shares.last().is_some_and(|last| share(last) > 0.0)
-}
-
-/// Where in its file a network says what is wrong, if it is said in one: `acc.toml:12: `.
-fn place_of(name: &str, invalid: &InvalidMapping) -> String {
-    let path = Path::new(name);
-    let text = path
-        .extension()
-        .filter(|extension| *extension == "toml")
-        .and_then(|_| file::read_at_most(path, file::MOST_TOML_BYTES).ok());
-    text.map(|text| format!("{name}:{}: ", file::line_in_toml(&text, &invalid.field))).unwrap_or_default()
 }
 
 /// What is known at a depth. Starts that end in contact are looked for at the last one.

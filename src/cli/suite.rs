@@ -110,7 +110,6 @@ impl TableOfSuites {
         let controllers = if self.controllers.is_empty() { built_in()? } else { self.controllers };
         let run = |(name, _): &(&str, &str)| run(&find(name)?, &controllers, self.estimator).map_err(Failure::input);
         let results = SHIPPED.iter().map(run).collect::<Result<Vec<_>, Failure>>()?;
-        controllers.iter().try_for_each(NamedController::not_refused)?;
         output::print(&suite::table(&results))
     }
 }
@@ -221,7 +220,6 @@ impl RunSuite {
             return self.make(&suite, shard, quiet);
         }
         let result = run(&suite, &self.controllers, self.estimator).map_err(Failure::input)?;
-        self.controllers.iter().try_for_each(NamedController::not_refused)?;
         if let Some(folder) = &self.out {
             write(&result, folder)?;
         }

@@ -115,7 +115,6 @@ impl MapCommand {
             Failure::Input(format!("{option}: {problem}"))
         })?;
         let map = spec.run(&self.controllers, self.estimator).map_err(Failure::input)?;
-        self.controllers.iter().try_for_each(NamedController::not_refused)?;
         let mut files = Files::default();
         for picture in &self.out {
             files.stage(&output::place(&picture.path)?, picture.render(&map)?)?;

@@ -9,6 +9,7 @@ use crumple_report::assessment::{
     files_of_evidence,
 };
 use crumple_search::evidence::{RateConfig, RatePlan};
+use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_verify::{Certificate, Statement};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -201,7 +202,21 @@ fn every_command_of_a_report_runs_in_its_folder() {
     {
         assert!(commands.iter().any(|command| command.starts_with(wanted)), "{wanted}: {commands:#?}");
     }
+    // Whoever could have avoided it has the escape beside it, which the report calls its own.
+    let json = assessment.json().expect("encodes");
+    let own = files_of_evidence(&json);
+    let found: Vec<_> = assessment.searches.spaces.iter().flat_map(|space| &space.controllers).collect();
+    let failures: Vec<_> = found.iter().flat_map(|search| &search.failures).collect();
+    assert!(failures.iter().any(|failure| failure.class == AvoidabilityClass::Avoidable), "{failures:?}");
+    for failure in &failures {
+        let beside = failure.file.replace(".toml", "-escape.toml");
+        let is_avoidable = failure.class == AvoidabilityClass::Avoidable;
+        assert_eq!(failure.escape.as_ref().map(|escape| escape.file.clone()), is_avoidable.then(|| beside.clone()));
+        assert_eq!((report.join(&beside).exists(), own.contains(&beside)), (is_avoidable, is_avoidable), "{beside}");
+    }
     commands.iter().for_each(|command| shell(command));
+    let script = fs::read_to_string(report.join("replay.sh")).expect("written");
+    assert!(script.contains("-escape.toml --expect safe"), "{script}");
     shell("sh replay.sh");
     // A failure that was made another is one all the same: it is the file that gives it away.
     shell("crumple fsck .");
@@ -214,6 +229,18 @@ fn every_command_of_a_report_runs_in_its_folder() {
     let said = String::from_utf8_lossy(&looked.stdout);
     assert!(looked.status.code() == Some(1) && said.contains(name.as_str()), "{said}");
     assert!(!report.join("PWNED").exists() && !folder.path().join("PWNED").exists());
+}
+
+/// A network is called what it was trained as.
+#[test]
+fn a_saved_model_is_named_with_its_algorithm() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers");
+    let mut asked = config(&["a2c.toml", "acc.toml"]);
+    (asked.draws, asked.everyday_draws) = (0, 0);
+    let found = run(asked, &folder);
+    let told: Vec<_> = found.summary.named.iter().map(|named| named.what.as_str()).take(2).collect();
+    assert!(told[0].starts_with("a network from outside (A2C of Stable-Baselines3) with layers "), "{told:?}");
+    assert!(told[1].starts_with("a network from outside with layers "), "{told:?}");
 }
 
 /// A space of one's own has a name in the configuration that is not its own.

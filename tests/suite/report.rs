@@ -74,7 +74,8 @@ fn schemas_are_those_of_the_types() {
 fn the_committed_report_is_current() {
     let files = BUILT_IN.files().expect("renders");
     let is_run = |name: &str| name.ends_with(".xosc") || name.ends_with(".xodr");
-    let failures = files.iter().filter(|(name, _)| name.starts_with("counterexamples/") && name.ends_with(".toml"));
+    let is_failure = |name: &str| name.ends_with(".toml") && !name.ends_with("-escape.toml");
+    let failures = files.iter().filter(|(name, _)| name.starts_with("counterexamples/") && is_failure(name));
     let beside = files.iter().filter(|(name, _)| is_run(name));
     let runs_beside = beside.count();
     assert_eq!(runs_beside, 2 * failures.count(), "each counterexample has its run and its road beside it");

@@ -87,6 +87,13 @@ proptest! {
             // Files hold positions to a billionth of a metre.
             prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", found.original_file);
             prop_assert!(found.found_at <= campaign.budget);
+            // What is called avoidable is avoided by the file beside it, in which nobody is under test.
+            prop_assert_eq!(found.escape_file.is_some(), found.avoidability.is_avoidable() == Some(true));
+            if let Some(escape) = &found.escape_file {
+                let scenario = file::load(&folder.path().join(escape)).unwrap();
+                let verdict = Specification::NoContact.judge_scenario(&scenario, options(&campaign)).unwrap();
+                prop_assert!(verdict.contact.is_none() && !scenario.has_vehicle_under_test(), "{}", escape);
+            }
         }
     }
 

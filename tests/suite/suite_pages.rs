@@ -182,11 +182,23 @@ fn suites_are_evidence_of_an_assessment() {
     let junit = text("assessment.junit.xml");
     assert!(junit.contains("suite fmvss-127") && junit.contains("decelerating-lead: full-throttle"), "{junit}");
     assert!(text("replay.sh").contains("counterexamples/suites/fmvss-127-stopped-lead-002.toml"));
-    let (name, scenario) = files.iter().find(|(file, _)| file.starts_with("counterexamples/suites/")).unwrap();
+    let is_failed = |file: &str| file.starts_with("counterexamples/suites/") && !file.ends_with("-escape.toml");
+    let (name, scenario) = files.iter().find(|(file, _)| is_failed(file)).unwrap();
     fs::write(folder.path().join("failed.toml"), scenario).unwrap();
     let replayed =
         crumple(folder.path(), &["simulate", "failed.toml", "--controller", "full-throttle", "--expect", "collision"]);
     assert_eq!(code(&replayed), 0, "{name}");
+    // What is called avoidable is shown avoided, beside it.
+    let outcomes =
+        found.suites.iter().flat_map(|part| &part.suites).flat_map(|one| &one.tests).flat_map(|test| &test.outcomes);
+    let worst: Vec<_> = outcomes.filter_map(|outcome| outcome.worst.as_ref()).collect();
+    for one in &worst {
+        assert_eq!(one.escape.is_some(), one.preventable.contains("an escape keeps"), "{one:?}");
+    }
+    let escape = worst.iter().find_map(|one| one.escape.as_ref()).expect("something is avoidable");
+    fs::write(folder.path().join("escape.toml"), text(&escape.file)).unwrap();
+    assert_eq!(code(&crumple(folder.path(), &["simulate", "escape.toml", "--expect", "safe"])), 0, "{escape:?}");
+    assert!(text("replay.sh").contains(&format!("run simulate {} --expect safe\n", escape.file)), "{escape:?}");
     let (again, (pieces, reused)) = gather();
     assert_eq!(pieces, reused, "nothing is worked out again");
     assert_eq!(again.files().unwrap(), files);

@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::Path;
 
+use crumple_search::suite::{MapSpec, Situation, Suite, SuiteRunError, run};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 use serde_json::Value;
@@ -244,21 +246,51 @@ fn who_remembers_late_is_caught_in_the_end() {
     assert!(find("bad.toml", folder.path()).not_refused().is_ok());
 }
 
+/// Who calls a suite or a map of one need not ask whether a controller was refused on the way.
+#[test]
+fn suites_and_maps_find_nothing_of_a_controller_that_is_refused() {
+    let folder = bad("remember", "files = [\"bad.sh\"]");
+    let suite = Suite::shipped("afgbv-cut-in").unwrap().unwrap();
+    let refused = run(&suite, &[find("bad.toml", folder.path())], EstimatorKind::Truth);
+    assert!(matches!(refused, Err(SuiteRunError::Refused(_))), "{refused:?}");
+    let map = MapSpec::new(Situation::CarFollowing { time_gap_s: 1.0 }, [4, 4]).unwrap();
+    let refused = map.run(&[find("bad.toml", folder.path())], EstimatorKind::Truth);
+    assert!(matches!(refused, Err(SuiteRunError::Refused(_))), "{refused:?}");
+}
+
+/// Wherever its name starts, and behind whatever shields.
+#[test]
+fn a_field_of_a_controller_is_found_in_its_file() {
+    let folder = bench();
+    for (name, place) in
+        [("near.toml", "near.toml:3: "), ("shield:near.toml", "near.toml:3: "), ("near.sh", "near.sh: ")]
+    {
+        let kind = find("near.toml", folder.path()).kind;
+        let controller = NamedController { name: name.to_owned(), kind };
+        let told = controller.place_of("files", folder.path()).unwrap().to_string();
+        assert_eq!(told, folder.path().join(place).display().to_string());
+        let command = NamedController { name: "exec:near".to_owned(), ..controller };
+        assert_eq!(command.place_of("files", folder.path()), None);
+    }
+}
+
 #[test]
 fn an_assessment_takes_no_answer_for_nothing_but_that() {
     let folder = bench();
+    let suites = "suites = [{ suite = \"fmvss-127\", controllers = [\"near.toml\"] }]\n";
     let gates = [
         "require = \"no-avoidable-failure\"\ncontroller = \"near.toml\"\nspace = \"short.toml\"",
         "require = \"needless-braking-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
         "require = \"left-behind-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
         "require = \"string-stable\"\ncontroller = \"near.toml\"",
+        "require = \"suite-passed\"\ncontroller = \"near.toml\"\nsuite = \"fmvss-127\"",
         "require = \"rate-not-above\"\ncontroller = \"idm\"\nthan = \"near.toml\"",
     ];
     let gates: String = gates.iter().map(|gate| format!("[[gates]]\n{gate}\n")).collect();
     // It dies in every drive, and at once in most.
     let near = fs::read_to_string(folder.path().join("near.toml")).unwrap().replace("\"24\"", "\"900\"");
     fs::write(folder.path().join("near.toml"), near).unwrap();
-    let config = format!("{ASSESSED}controllers = [\"near.toml\", \"idm\"]\nsubject = \"near.toml\"\n{gates}");
+    let config = format!("{ASSESSED}controllers = [\"near.toml\", \"idm\"]\nsubject = \"near.toml\"\n{suites}{gates}");
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let (code, text, error) = said(folder.path(), &["assess", "a.toml", "--out", "out"]);
     assert_eq!(code, 1, "{text}{error}");
@@ -271,6 +303,15 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     let own = &report["usefulness"]["controllers"][0];
     assert_eq!((&own["needless"], &own["unanswered"][0]["runs"]), (&Value::from(0), &Value::from(2)), "{own}");
     assert_eq!(own["line"]["kind"], "no_answer");
+    let tested = &report["suites"]["suites"][0]["tests"][0]["outcomes"][0];
+    assert_eq!(tested["unanswered"]["runs"], tested["points"], "{tested}");
+    assert!(tested["unanswered"]["because"].as_str().unwrap().contains("gap table: index"), "{tested}");
+    let gates = report["summary"]["gates"].as_array().unwrap();
+    let of_suite = gates.iter().find(|gate| gate["gate"].as_str().unwrap().contains("fmvss-127")).unwrap();
+    assert!(of_suite["because"].as_str().unwrap().contains("; it gave no answer in "), "{of_suite}");
+    let claims = report["summary"]["claims"].as_array().unwrap();
+    let of_suite = claims.iter().find(|claim| claim["part"] == "suites").unwrap();
+    assert_eq!(of_suite["standings"][0]["strength"], "unanswered", "{of_suite}");
     for claim in report["summary"]["claims"].as_array().unwrap() {
         let (words, standing) = (claim["claim"].as_str().unwrap(), &claim["standings"][0]);
         let of_driving = ["no braking without cause", "never left behind", "no disturbance grows"];

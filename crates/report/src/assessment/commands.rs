@@ -3,6 +3,7 @@
 //! Every word is quoted for a shell. Policies, networks and spaces that are not built in lie in the folder, policies and networks
 //! under their hashes, so that neither a name nor a folder elsewhere matters. A controller from code has no name on a command line.
 
+use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fmt;
 use std::path::Path;
@@ -177,8 +178,10 @@ pub(super) fn script<'a>(commands: impl Iterator<Item = &'a Command>) -> String 
     );
     // What was edited since may fail in another way than the report says.
     script += "run fsck .\nrun check --rerun certificates/*.json\n";
-    for command in commands {
-        script += &format!("run {}\n", command.quoted());
+    // Controllers that fail at one point of a suite share the escape from it.
+    let mut said = BTreeSet::new();
+    for command in commands.map(Command::quoted).filter(|command| said.insert(command.clone())) {
+        script += &format!("run {command}\n");
     }
     script + "exit $failed\n"
 }

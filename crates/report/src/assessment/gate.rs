@@ -336,10 +336,16 @@ fn suite_passed(plan: &AssessmentPlan, found: &Assessment, controller: &str, sui
     let run: Vec<_> = outcomes.iter().filter(|(_, outcome)| outcome.points > 0).collect();
     let missed: Vec<_> =
         run.iter().filter(|(_, outcome)| outcome.passed != Some(true)).map(|(test, _)| test.test.as_str()).collect();
+    let (mut silent, mut runs) = (None, 0);
+    for (_, outcome) in &run {
+        Unanswered::join(&mut silent, outcome.silent());
+        runs += outcome.runs;
+    }
+    let silent = silent.map_or(String::new(), |silent| format!("; it {}", silent.words(runs)));
     match (run.len(), missed.as_slice()) {
         (0, _) => (false, "no test could be run".to_owned()),
         (all, []) => (true, format!("{all} of {all} tests pass")),
-        (_, missed) => (false, format!("these do not pass: {}", missed.join(", "))),
+        (_, missed) => (false, format!("these do not pass: {}{silent}", missed.join(", "))),
     }
 }
 

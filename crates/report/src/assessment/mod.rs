@@ -43,12 +43,12 @@ pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchC
 pub use gate::{Gate, GateResult};
 pub use parts::{
     Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
-    Distributions, Domains, EXAMPLE_MPS, Earlier, Element, ElementKind, Failure, FailureMap, FailureMaps, FirstPage,
-    Glossary, Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, LineVerdict, MOST_EVIDENCE_BYTES, Made, MapAxis,
-    MapCell, MapRow, MethodReached, Mildest, NamedThing, Paired, PaperScenarios, ParameterInNumbers, Percent, Proof,
-    ProofStatus, Proofs, Provenance, RuleSearch, RuleSearches, RuleViolation, Rules, Sampled, ScenarioCases, Search,
-    Searches, SpaceInNumbers, SpaceSearches, SpeaksOf, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites,
-    Summary, Traffic, UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
+    Distributions, Domains, EXAMPLE_MPS, Earlier, Element, ElementKind, EscapeFile, Failure, FailureMap, FailureMaps,
+    FirstPage, Glossary, Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, LineVerdict, MOST_EVIDENCE_BYTES,
+    Made, MapAxis, MapCell, MapRow, MethodReached, Mildest, NamedThing, Paired, PaperScenarios, ParameterInNumbers,
+    Percent, Proof, ProofStatus, Proofs, Provenance, RuleSearch, RuleSearches, RuleViolation, Rules, Sampled,
+    ScenarioCases, Search, Searches, SpaceInNumbers, SpaceSearches, SpeaksOf, SuiteFailure, SuiteFindings,
+    SuiteOutcome, SuiteTest, Suites, Summary, Traffic, UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -58,6 +58,7 @@ pub use store::{EvidenceHash, Store, StoreError};
 
 use crumple_search::evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
+use crumple_search::suite::SuiteRunError;
 use crumple_search::work::{MANIFEST, manifest_of};
 use crumple_search::worst_case::AttackError;
 use crumple_world::measure::SpecificationError;
@@ -162,6 +163,9 @@ pub enum AssessError {
     /// A controller contradicted itself, or cannot be started any more.
     #[error(transparent)]
     Refused(#[from] RefusedController),
+    /// A suite cannot be run.
+    #[error(transparent)]
+    Suite(#[from] SuiteRunError),
     /// Whoever was told of the progress ended it.
     #[error("the assessment was broken off")]
     BrokenOff,
@@ -383,7 +387,7 @@ impl Assessment {
 
     /// Every command that shows again what the report shows, in its order.
     pub fn commands(&self) -> impl Iterator<Item = &Command> {
-        let failures = self.searches.failures().filter_map(|failure| failure.replay.as_ref());
+        let failures = self.searches.failures().flat_map(Failure::commands);
         let of_suites = self.suites.iter().flat_map(Suites::commands);
         let of_rules = self.rules.iter().flat_map(Rules::commands);
         failures.chain(of_suites).chain(of_rules).chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
@@ -403,15 +407,18 @@ pub fn files_of_evidence(json: &str) -> Vec<String> {
     let evidence: serde_json::Value = serde_json::from_str(json).unwrap_or_default();
     let list = |value: &serde_json::Value| value.as_array().cloned().unwrap_or_default();
     let searches = list(&evidence["searches"]["spaces"]).into_iter().flat_map(|space| list(&space["controllers"]));
-    let failures = searches.flat_map(|search| list(&search["failures"]));
+    let failures: Vec<_> = searches.flat_map(|search| list(&search["failures"])).collect();
     let named = |file: serde_json::Value| file["file"].as_str().map(str::to_owned);
-    let counterexamples = failures.filter_map(named).flat_map(|file| Failure::beside(&file).into_iter().chain([file]));
+    let counterexamples =
+        failures.iter().cloned().filter_map(named).flat_map(|file| Failure::beside(&file).into_iter().chain([file]));
     let others = list(&evidence["proofs"]["certificates"]).into_iter().chain(list(&evidence["command_files"]));
     let tests = list(&evidence["suites"]["suites"]).into_iter().flat_map(|suite| list(&suite["tests"]));
     let failed = tests.flat_map(|test| list(&test["outcomes"])).map(|outcome| outcome["worst"].clone());
+    let failed: Vec<_> = failed.collect();
     let rules = list(&evidence["rules"]["searches"]).into_iter().flat_map(|search| list(&search["controllers"]));
     let broken = rules.map(|search| search["worst"].clone());
-    let names = counterexamples.chain(others.chain(failed).chain(broken).filter_map(named));
+    let escapes: Vec<_> = failures.iter().chain(&failed).map(|failure| failure["escape"].clone()).collect();
+    let names = counterexamples.chain(others.chain(failed).chain(broken).chain(escapes).filter_map(named));
     let is_plain = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
     let is_own = |name: &String| FOLDERS.iter().any(|folder| name.starts_with(folder)) && is_plain(name);
     names.filter(is_own).collect()

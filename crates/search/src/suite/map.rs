@@ -2,12 +2,11 @@
 
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::InvalidField;
-use crumple_world::sim::{ControllerKind, NamedController};
+use crumple_world::sim::NamedController;
 use serde::Serialize;
 
 use super::result::{STATEMENT, TestVerdict};
-use super::run::{Criterion, Driven};
+use super::run::{Criterion, Driven, SuiteRunError};
 use super::situation::{Boundary, MapAxis, Situation};
 
 /// Most cells across, and most up.
@@ -119,8 +118,8 @@ impl MapSpec {
     /// Drives every cell with every driver. The result does not depend on the number of threads.
     ///
     /// # Errors
-    /// [`InvalidField`] if a cell makes no scenario.
-    pub fn run(&self, controllers: &[NamedController], estimator: EstimatorKind) -> Result<CrashMap, InvalidField> {
+    /// [`SuiteRunError`] for a controller that is refused on the way, and if a cell makes no scenario.
+    pub fn run(&self, controllers: &[NamedController], estimator: EstimatorKind) -> Result<CrashMap, SuiteRunError> {
         let situation = self.situation;
         let [across, up] = situation.axes(self.cells);
         let points: Vec<[f64; 2]> = (0..up.cells)
@@ -130,12 +129,13 @@ impl MapSpec {
             points.iter().map(|&[across, up]| situation.scenario(across, up)).collect::<Result<Vec<_>, _>>()?;
         let boundaries = situation.boundaries([&across, &up]);
         let references = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Reference);
-        let references =
-            references.map(|spec| (spec.name().to_owned(), ControllerKind::from(spec), EstimatorKind::Truth, true));
-        let asked = controllers.iter().map(|one| (one.name.clone(), one.kind.clone(), estimator, false));
-        let panel = |(driver, controller, estimator, is_reference): (String, ControllerKind, _, bool)| {
-            let seen =
-                Driven { controller: &controller, estimator }.seen(Criterion::no_contact(situation.lead()), &scenarios);
+        let references = references.map(|spec| (NamedController::from(spec), EstimatorKind::Truth, true));
+        let asked = controllers.iter().map(|one| (one.clone(), estimator, false));
+        let panel = |(controller, estimator, is_reference): (NamedController, _, bool)| {
+            let driven = Driven { controller: &controller.kind, estimator };
+            let seen = driven.seen(Criterion::no_contact(situation.lead()), &scenarios);
+            controller.not_refused()?;
+            let driver = controller.name;
             let cells: Vec<CrashCell> = points
                 .iter()
                 .zip(seen)
@@ -152,16 +152,16 @@ impl MapSpec {
                 let says = |cell: &&CrashCell| situation.touches(line, [cell.across, cell.up]);
                 cells.iter().filter(|cell| says(cell).is_some_and(|touches| touches != cell.is_contact())).count()
             };
-            MapPanel {
+            Ok(MapPanel {
                 contacts: cells.iter().filter(|cell| cell.is_contact()).count(),
                 without_reaction: cells.iter().filter(|cell| cell.is_without_reaction()).count(),
                 unlike_closed_form: own.map(unlike),
                 driver,
                 is_reference,
                 cells,
-            }
+            })
         };
-        let panels = references.chain(asked).map(panel).collect();
+        let panels = references.chain(asked).map(panel).collect::<Result<_, SuiteRunError>>()?;
         let stated = situation.stated();
         Ok(CrashMap { statement: STATEMENT, situation, across, up, estimator, boundaries, stated, panels })
     }

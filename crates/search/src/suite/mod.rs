@@ -28,7 +28,7 @@ pub use map::{CrashCell, CrashMap, MapPanel, MapProblem, MapSpec};
 pub use margin::{Beyond, Margin, MarginEnd};
 pub use preventable::{Prevention, ReferenceRun};
 pub use result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
-pub use run::run;
+pub use run::{SuiteRunError, run};
 pub use shard::{MergedSuite, SHARD_OF_A_SUITE, SuiteShardError, run_shard};
 pub use situation::{Boundary, MapAxis, Situation};
 pub use spec::{ClauseSpec, Lead, Push, SuiteSpec, TestSpec};

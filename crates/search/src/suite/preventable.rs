@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::result::TestVerdict;
 use super::run::{Criterion, Driven, Known};
-use crate::falsify::counterexample::Avoidability;
+use crate::falsify::counterexample::{Avoidability, Classed};
 
 /// Of so many failed points of a test, the first ones, it is asked whether anybody could have avoided the contact.
 const MOST_ASKED: usize = 3;
@@ -39,7 +39,7 @@ pub struct ReferenceRun {
 #[derive(Debug, Clone)]
 pub(super) struct Prevented {
     pub(super) references: Vec<ReferenceRun>,
-    pub(super) avoidability: Avoidability,
+    pub(super) classed: Classed,
 }
 
 /// What is known of these scenarios of a test; what has to be found out for it is added to `known`.
@@ -50,24 +50,23 @@ pub(super) fn prevented(criterion: Criterion, scenarios: &[&Scenario], known: &m
     let references = references(criterion, &new);
     for (index, scenario) in new.iter().enumerate() {
         let references = references.iter().filter_map(|all| all.get(index).cloned()).collect();
-        known.insert(name(scenario), Prevented { references, avoidability: Avoidability::NotAsked });
+        known.insert(name(scenario), Prevented { references, classed: Classed::default() });
     }
     let is_open = |scenario: &&&Scenario| {
-        known.get(&name(scenario)).is_some_and(|known| known.avoidability == Avoidability::NotAsked)
+        known.get(&name(scenario)).is_some_and(|known| known.classed.avoidability == Avoidability::NotAsked)
     };
     let asked: Vec<_> = scenarios.iter().take(MOST_ASKED).filter(is_open).collect();
-    let answers: Vec<_> =
-        asked.par_iter().map(|scenario| (name(scenario), Avoidability::of_contact(scenario))).collect();
+    let answers: Vec<_> = asked.par_iter().map(|scenario| (name(scenario), Classed::of_contact(scenario))).collect();
     for (name, answer) in answers {
         if let Some(known) = known.get_mut(&name) {
-            known.avoidability = answer;
+            known.classed = answer;
         }
     }
     // Who was asked for another controller's sake is not told of, so that a result does not depend on the others.
     let told = scenarios.iter().enumerate().filter_map(|(index, scenario)| {
         let mut prevented = known.get(&name(scenario))?.clone();
         if index >= MOST_ASKED {
-            prevented.avoidability = Avoidability::NotAsked;
+            prevented.classed = Classed::default();
         }
         Some(prevented)
     });

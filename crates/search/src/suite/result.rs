@@ -2,6 +2,7 @@
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
+use crumple_world::sim::Unanswered;
 use serde::{Deserialize, Serialize};
 
 use super::figure::{Figures, ImpactLimit};
@@ -97,6 +98,9 @@ pub struct Failed {
     /// Whether anybody could have avoided the contact who knows the future.
     #[serde(flatten)]
     pub avoidability: Avoidability,
+    /// How it could have been avoided, where it is avoidable: a script in place of the vehicle under test, and nobody touches.
+    #[serde(skip)]
+    pub escape: Option<Scenario>,
     /// Name of the scenario's file, without its ending.
     pub scenario_name: String,
     /// The scenario.
@@ -132,6 +136,14 @@ pub enum TestVerdict {
 }
 
 impl Tested {
+    /// Points of its grid in which the controller gave no answer: they are among those that failed.
+    #[must_use]
+    pub fn unanswered(&self) -> Option<Unanswered> {
+        let mut all = None;
+        self.failed.iter().for_each(|failed| Unanswered::join(&mut all, failed.verdict.unanswered()));
+        all
+    }
+
     /// Every failure: of the grid, and the worst within the ranges.
     pub fn failures(&self) -> impl Iterator<Item = &Failed> {
         self.failed.iter().chain(self.within.as_ref().and_then(|within| within.failed.as_ref()))
@@ -155,6 +167,13 @@ impl TestVerdict {
     #[must_use]
     pub fn is_failure(&self) -> bool {
         matches!(self, Self::Failed { .. } | Self::ControllerFailed { .. })
+    }
+
+    /// That its controller gave no answer, and why; nothing where it did.
+    #[must_use]
+    pub fn unanswered(&self) -> Option<Unanswered> {
+        let Self::ControllerFailed { time_s, reason } = self else { return None };
+        Some(Unanswered { runs: 1, because: format!("at {time_s:.2} s, {reason}") })
     }
 
     /// Whether the test could not be run.

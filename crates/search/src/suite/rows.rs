@@ -10,6 +10,7 @@ use super::result::{Failed, TestVerdict, Tested};
 use super::within::Within;
 use crate::falsify::counterexample::Avoidability;
 use crumple_world::scenario::file;
+use crumple_world::sim::Unanswered;
 
 /// [`Tested`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -34,6 +35,8 @@ struct WithinRow {
     min_gap_m: Option<f64>,
     tried: usize,
     failures: usize,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    unanswered: Option<Unanswered>,
     failed: Option<FailedRow>,
 }
 
@@ -45,6 +48,8 @@ struct FailedRow {
     verdict: TestVerdict,
     references: Vec<ReferenceRun>,
     avoidability: Avoidability,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    escape: Option<String>,
     scenario: String,
 }
 
@@ -74,27 +79,31 @@ impl TestedRow {
 
 impl WithinRow {
     fn of(within: Within) -> Result<Self, toml::ser::Error> {
-        let Within { point, verdict, min_gap_m, tried, failures, failed } = within;
-        Ok(Self { point, verdict, min_gap_m, tried, failures, failed: failed.map(FailedRow::of).transpose()? })
+        let Within { point, verdict, min_gap_m, tried, failures, unanswered, failed } = within;
+        let failed = failed.map(FailedRow::of).transpose()?;
+        Ok(Self { point, verdict, min_gap_m, tried, failures, unanswered, failed })
     }
 
     fn read(self) -> Result<Within, String> {
-        let Self { point, verdict, min_gap_m, tried, failures, failed } = self;
-        Ok(Within { point, verdict, min_gap_m, tried, failures, failed: failed.map(FailedRow::read).transpose()? })
+        let Self { point, verdict, min_gap_m, tried, failures, unanswered, failed } = self;
+        let failed = failed.map(FailedRow::read).transpose()?;
+        Ok(Within { point, verdict, min_gap_m, tried, failures, unanswered, failed })
     }
 }
 
 impl FailedRow {
     fn of(failed: Failed) -> Result<Self, toml::ser::Error> {
         let scenario = file::to_toml(&failed.scenario)?;
+        let escape = failed.escape.as_ref().map(file::to_toml).transpose()?;
         let Failed { point, verdict, references, avoidability, .. } = failed;
-        Ok(Self { point, verdict, references, avoidability, scenario })
+        Ok(Self { point, verdict, references, avoidability, escape, scenario })
     }
 
     fn read(self) -> Result<Failed, String> {
-        let Self { point, verdict, references, avoidability, scenario } = self;
-        let scenario = file::from_toml(&scenario, Path::new("scenario")).map_err(|error| error.to_string())?;
+        let Self { point, verdict, references, avoidability, escape, scenario } = self;
+        let read = |text: &str| file::from_toml(text, Path::new("scenario")).map_err(|error| error.to_string());
+        let (scenario, escape) = (read(&scenario)?, escape.as_deref().map(read).transpose()?);
         let scenario_name = scenario.spec().name.clone();
-        Ok(Failed { point, verdict, references, avoidability, scenario_name, scenario })
+        Ok(Failed { point, verdict, references, avoidability, escape, scenario_name, scenario })
     }
 }

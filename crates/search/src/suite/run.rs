@@ -6,7 +6,8 @@ use std::ops::Range;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{InvalidField, Scenario};
 use crumple_world::sim::{
-    ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, Trace, simulate_batch,
+    ControllerKind, NamedController, Outcome, RecordingLevel, RefusedController, Run, RunOptions, Simulated, Trace,
+    simulate_batch,
 };
 
 use super::Suite;
@@ -15,7 +16,19 @@ use super::preventable::{Prevented, prevented};
 use super::result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
 use super::spec::{ClauseSpec, Lead, TestSpec};
 use super::within::{Within, Worst, worst};
-use crate::falsify::counterexample::Avoidability;
+use crate::falsify::counterexample::Classed;
+
+/// Why a suite or a map of one is not run to its end.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SuiteRunError {
+    /// None for a valid suite.
+    #[error(transparent)]
+    Scenario(#[from] InvalidField),
+    /// A controller contradicted itself, or cannot be started any more: what was seen of it says nothing.
+    #[error(transparent)]
+    Refused(#[from] RefusedController),
+}
 
 /// When a test is over, and what passes.
 #[derive(Debug, Clone, Copy)]
@@ -63,16 +76,16 @@ impl Seen {
 /// The result depends neither on the number of threads nor on which other controllers there are.
 ///
 /// # Errors
-/// None for a valid suite: an [`InvalidField`] is passed on rather than hidden.
+/// [`SuiteRunError::Refused`] for a controller that is refused on the way; of a valid suite nothing else.
 pub fn run(
     suite: &Suite,
     controllers: &[NamedController],
     estimator: EstimatorKind,
-) -> Result<SuiteResult, InvalidField> {
+) -> Result<SuiteResult, SuiteRunError> {
     let mut tested = Vec::new();
     each(suite, controllers, estimator, 0..pieces(suite, controllers.len()), &mut |one| {
         tested.push(one);
-        Ok::<(), InvalidField>(())
+        Ok::<(), SuiteRunError>(())
     })?;
     Ok(assembled(suite, estimator, controllers.len(), tested))
 }
@@ -82,8 +95,8 @@ pub(super) fn pieces(suite: &Suite, controllers: usize) -> u64 {
     suite.spec().clauses.iter().map(|clause| clause.tests.len() as u64).sum::<u64>() * controllers as u64
 }
 
-/// Runs some of the pieces, in order, and says of each what was found.
-pub(super) fn each<E: From<InvalidField>>(
+/// Runs some of the pieces, in order, and says of each what was found; of a controller that was refused on the way nothing is said.
+pub(super) fn each<E: From<SuiteRunError>>(
     suite: &Suite,
     controllers: &[NamedController],
     estimator: EstimatorKind,
@@ -99,9 +112,12 @@ pub(super) fn each<E: From<InvalidField>>(
         if own.end <= wanted.start || own.start >= wanted.end {
             continue;
         }
-        let course = Course::new(&spec.name, test, format!("{}: {}", clause.clause, clause.says))?;
+        let course = Course::new(&spec.name, test, format!("{}: {}", clause.clause, clause.says))
+            .map_err(SuiteRunError::Scenario)?;
         for (_, controller) in own.zip(controllers).filter(|(piece, _)| wanted.contains(piece)) {
-            found(course.tested(controller, estimator, &mut known))?;
+            let tested = course.tested(controller, estimator, &mut known);
+            controller.not_refused().map_err(SuiteRunError::Refused)?;
+            found(tested)?;
         }
     }
     Ok(())
@@ -187,7 +203,7 @@ impl<'t> Course<'t> {
     }
 
     fn within(&self, driven: &Driven<'_>, known: &mut Known) -> Option<Within> {
-        let Worst { point, scenario, seen, tried, failures } =
+        let Worst { point, scenario, seen, tried, failures, unanswered } =
             worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
         let (points, scenarios, all) = ([point], [scenario], [seen]);
         let failed = self.failed(&points, &scenarios, &all, known).pop();
@@ -198,6 +214,7 @@ impl<'t> Course<'t> {
             min_gap_m: seen.min_gap_m,
             tried,
             failures,
+            unanswered,
             failed,
         })
     }
@@ -211,7 +228,7 @@ impl<'t> Course<'t> {
         let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();
         let prevented = self.criterion.map(|criterion| prevented(criterion, &scenarios, known)).unwrap_or_default();
         let mut prevented = prevented.into_iter();
-        let nobody = || Prevented { references: Vec::new(), avoidability: Avoidability::NotAsked };
+        let nobody = || Prevented { references: Vec::new(), classed: Classed::default() };
         let with = failed.into_iter().map(|one| {
             let prevented = if is_silent(one.1) { None } else { prevented.next() };
             (one, prevented.unwrap_or_else(nobody))
@@ -220,7 +237,8 @@ impl<'t> Course<'t> {
             point: self.test.in_words(point),
             verdict: seen.verdict.clone(),
             references: prevented.references,
-            avoidability: prevented.avoidability,
+            avoidability: prevented.classed.avoidability,
+            escape: prevented.classed.escape,
             scenario_name: scenario.spec().name.clone(),
             scenario: scenario.clone(),
         });

@@ -7,13 +7,12 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::rows::TestedRow;
-use super::run::{assembled, each, pieces};
+use super::run::{SuiteRunError, assembled, each, pieces};
 use super::{Suite, SuiteResult, SuiteSpec, Tested};
 use crate::shard::{self, MergeError, MissingShards, Parts, SHARD, Shard, TooManyShards};
 use crate::work::{Finished, Work, WorkError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::InvalidField;
-use crumple_world::sim::{NamedController, RefusedController};
+use crumple_world::sim::NamedController;
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_A_SUITE: &str = "shard of a suite";
@@ -36,12 +35,9 @@ pub enum SuiteShardError {
     /// The controller cannot be told from others.
     #[error("the controller `{0}` states no identity: nobody could tell whether shards of it go together")]
     Unknown(String),
-    /// A controller contradicted itself, or cannot be started any more.
+    /// A controller was refused on the way.
     #[error(transparent)]
-    Refused(#[from] RefusedController),
-    /// None for a valid suite.
-    #[error(transparent)]
-    Scenario(#[from] InvalidField),
+    Run(#[from] SuiteRunError),
     /// A file cannot be encoded.
     #[error("cannot encode a file of a shard: {0}")]
     Encoding(String),
@@ -109,7 +105,6 @@ pub fn run_shard(
         return Err(WorkError::damaged(&work.path(RESULTS), "more than the shard has").into());
     }
     each(suite, controllers, estimator, all.start + known..all.end, &mut |tested| {
-        controllers.iter().try_for_each(NamedController::not_refused)?;
         results.tested.push(TestedRow::of(&tested).map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
         done(results.tested.len() as u64, count);
         work.write(RESULTS, json(&results)?)?;

@@ -11,6 +11,7 @@ use super::spec::TestSpec;
 use crumple_world::digest::sha256;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
+use crumple_world::sim::Unanswered;
 
 /// Points that are drawn evenly, at least one for each of the grid, then how often and how many near the worst so far.
 const DRAWN: usize = 256;
@@ -30,6 +31,9 @@ pub struct Within {
     pub tried: usize,
     /// How many of them failed.
     pub failures: usize,
+    /// In how many of those the controller gave no answer, and why in the first of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unanswered: Option<Unanswered>,
     /// What is known of it, if it failed.
     pub failed: Option<Failed>,
 }
@@ -41,6 +45,7 @@ pub(super) struct Worst {
     pub(super) seen: Seen,
     pub(super) tried: usize,
     pub(super) failures: usize,
+    pub(super) unanswered: Option<Unanswered>,
 }
 
 /// A figure that is searched over.
@@ -88,7 +93,8 @@ pub(super) fn worst(
         return None;
     }
     let grid = test.grid();
-    let mut search = Search { name, about, test, criterion, driven, worst: None, tried: 0, failures: 0 };
+    let mut search =
+        Search { name, about, test, criterion, driven, worst: None, tried: 0, failures: 0, unanswered: None };
     let mut stream = random::stream(0, Purpose::Search, 1);
     let drawn = (0..DRAWN.max(grid.len())).filter_map(|index| {
         let home = grid.get(index % grid.len())?;
@@ -110,8 +116,8 @@ pub(super) fn worst(
         });
         search.look(near.collect());
     }
-    let (tried, failures) = (search.tried, search.failures);
-    search.worst.map(|(_, worst)| Worst { tried, failures, ..worst })
+    let Search { tried, failures, unanswered, worst, .. } = search;
+    worst.map(|(_, worst)| Worst { tried, failures, unanswered, ..worst })
 }
 
 /// A point, after the point of the grid that it belongs to.
@@ -128,6 +134,7 @@ struct Search<'t> {
     worst: Option<(&'t [f64], Worst)>,
     tried: usize,
     failures: usize,
+    unanswered: Option<Unanswered>,
 }
 
 impl<'t> Search<'t> {
@@ -142,9 +149,10 @@ impl<'t> Search<'t> {
         let seen = self.driven.seen(self.criterion, &scenarios);
         self.tried += seen.iter().filter(|seen| !seen.verdict.is_refusal()).count();
         self.failures += seen.iter().filter(|seen| seen.verdict.is_failure()).count();
+        seen.iter().for_each(|seen| Unanswered::join(&mut self.unanswered, seen.verdict.unanswered()));
         for (((home, point), scenario), seen) in points.into_iter().zip(scenarios).zip(seen) {
             if self.worst.as_ref().is_none_or(|(_, worst)| badness(&seen) > badness(&worst.seen)) {
-                self.worst = Some((home, Worst { point, scenario, seen, tried: 0, failures: 0 }));
+                self.worst = Some((home, Worst { point, scenario, seen, tried: 0, failures: 0, unanswered: None }));
             }
         }
     }

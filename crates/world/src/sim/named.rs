@@ -1,7 +1,7 @@
 //! What can be put under test, by name.
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::{ControllerKind, Shielded};
@@ -12,7 +12,7 @@ use crate::control::{
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
 use crate::scenario::controller_file::{ControllerFileError, FileController, is_ordinary};
-use crate::scenario::file::{line_in_toml, read};
+use crate::scenario::file::{MOST_TOML_BYTES, line_in_toml, read_at_most};
 
 /// A controller to put under test, and what it is called.
 ///
@@ -37,6 +37,23 @@ const MOST_SHIELDS: usize = 8;
 
 /// What stands before a command.
 const EXEC: &str = "exec:";
+
+/// Where a file of a controller says something, to stand before what is wrong with it: `acc.toml:12: `.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FieldPlace {
+    path: PathBuf,
+    /// None of a file that is no controller file, or cannot be read any more.
+    line: Option<usize>,
+}
+
+impl fmt::Display for FieldPlace {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.line {
+            Some(line) => write!(out, "{}:{line}: ", self.path.display()),
+            None => write!(out, "{}: ", self.path.display()),
+        }
+    }
+}
 
 /// Why a name stands for no controller.
 #[derive(Debug, thiserror::Error)]
@@ -172,8 +189,41 @@ impl NamedController {
     /// # Errors
     /// [`UnknownController::NotStarted`].
     pub fn try_start(&self, folder: &Path) -> Result<(), UnknownController> {
-        let not_started = |failure| UnknownController::NotStarted { place: said_at(&self.name, folder), failure };
+        let not_started = |failure| UnknownController::NotStarted { place: self.said_at(folder), failure };
         self.kind.try_start().map_err(not_started)
+    }
+
+    /// Where it says what is to be started, to stand before what is wrong with that; nothing for a command by itself.
+    fn said_at(&self, folder: &Path) -> String {
+        let mut kind = &self.kind;
+        while let ControllerKind::Shielded(shielded) = kind {
+            kind = &shielded.controller;
+        }
+        let is_fmu = matches!(kind, ControllerKind::Process(process) if process.setup().program.is_some());
+        let field = if is_fmu { "fmu" } else { "command" };
+        match self.place_of(field, folder) {
+            None => String::new(),
+            // Only a controller file says fields.
+            Some(place @ FieldPlace { line: None, .. }) => place.to_string(),
+            Some(place) => format!("{place}{field}: "),
+        }
+    }
+
+    /// Where a field of its file is, of a controller whose name starts at `folder`; none of a command by itself, which has no file.
+    #[must_use]
+    pub fn place_of(&self, field: &str, folder: &Path) -> Option<FieldPlace> {
+        let mut inner = self.name.as_str();
+        while let Some((_, rest)) = inner.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
+            inner = rest;
+        }
+        if inner.starts_with(EXEC) {
+            return None;
+        }
+        let path = folder.join(inner);
+        let is_controller_file = path.extension().is_some_and(|extension| extension == "toml");
+        let text = is_controller_file.then(|| read_at_most(&path, MOST_TOML_BYTES).ok()).flatten();
+        let line = text.map(|text| line_in_toml(&text, field));
+        Some(FieldPlace { path, line })
     }
 
     /// Whether its runs so far say something of it: to be asked before anything that was found is told.
@@ -265,25 +315,6 @@ fn is_named(kind: &ControllerKind, name: &str) -> bool {
         }
         ControllerKind::Network(_) | ControllerKind::Process(_) | ControllerKind::Custom(_) => false,
     }
-}
-
-/// Where a controller file says what is to be started, to stand before what is wrong with it; nothing for other names.
-fn said_at(name: &str, folder: &Path) -> String {
-    let mut inner = name;
-    while let Some((_, rest)) = inner.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
-        inner = rest;
-    }
-    if inner.starts_with(EXEC) {
-        return String::new();
-    }
-    let path = folder.join(inner);
-    if path.extension().is_none_or(|extension| extension != "toml") {
-        return format!("{}: ", path.display());
-    }
-    let Ok(text) = read(&path) else { return format!("{}: ", path.display()) };
-    let is_said = |field: &&str| text.lines().any(|line| line.trim_start().starts_with(*field));
-    let field = ["command", "fmu"].into_iter().find(is_said).unwrap_or("command");
-    format!("{}:{}: {field}: ", path.display(), line_in_toml(&text, field))
 }
 
 /// What to say of a name that is that of a program, or of something that one is made of.

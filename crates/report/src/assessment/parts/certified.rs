@@ -221,6 +221,16 @@ fn shown(accepted: &Accepted) -> String {
             let (percent, confidence_percent) = (100.0 * at_most + 5e-5, 100.0 * confidence);
             format!("by its counts, at most {percent:.4} % of runs fail, at confidence {confidence_percent} %")
         }
+        // Where nothing is verified, no gap is bounded either.
+        Accepted::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => {
+            let falsified = match down(100.0 * falsified_share) {
+                share if share > 0.0 => {
+                    format!("; {share:.2} % of its volume is in cells with a start that ends in contact")
+                }
+                _ => String::new(),
+            };
+            format!("nothing was verified of any part of the box, and so no gap is bounded{falsified}")
+        }
         Accepted::Reach { verified_share, smallest_gap_m, horizon_s, .. } => format!(
             "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s",
             down(100.0 * verified_share),
@@ -465,4 +475,27 @@ pub(super) fn kernels(controller: &NamedController) -> Vec<Kernel> {
 pub(super) fn kernel_domain(kernels: &[Kernel]) -> Domain {
     let limits = |kernel: &Kernel| [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new);
     Domain::Kernels { limits_mps2: kernels.iter().map(limits).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn where_nothing_is_verified_nothing_is_bounded() {
+        let reach = |verified_share, falsified_share, smallest_gap_m| {
+            shown(&Accepted::Reach {
+                verified_share,
+                falsified_share,
+                smallest_gap_m,
+                horizon_s: 15.0,
+                has_follower: true,
+            })
+        };
+        let nothing = "nothing was verified of any part of the box, and so no gap is bounded";
+        assert_eq!(reach(0.0, 0.0, f64::INFINITY), nothing);
+        let falsified = "; 1.56 % of its volume is in cells with a start that ends in contact";
+        assert_eq!(reach(0.0, 0.015_625, f64::INFINITY), format!("{nothing}{falsified}"));
+        assert!(reach(0.5, 0.0, 1.999).contains("50.00 %") && reach(0.5, 0.0, 1.999).contains("1.99 m"));
+    }
 }

@@ -4,8 +4,9 @@ use std::iter;
 use std::path::Path;
 
 use schemars::JsonSchema;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+use super::search::Texts;
 use crate::assessment::{Command, Rounded};
 use crate::export::openscenario::{OpenScenario, trajectories};
 use crumple_search::falsify::campaign::{MethodSummary, Summary};
@@ -65,6 +66,30 @@ pub(super) fn is_own(vehicles: [Option<u32>; 2], nominal: &Scenario) -> bool {
     tested.peek().is_none() || tested.any(|is_tested| is_tested)
 }
 
+/// How a counterexample could have been avoided: its scenario with a script in place of every vehicle under test, in which nobody
+/// touches.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct EscapeFile {
+    /// The scenario file, from the folder of the report, beside that of the counterexample.
+    pub file: String,
+    /// SHA-256 of that file.
+    pub sha256: String,
+    /// How to see nothing happen.
+    pub replay: Command,
+    /// The file itself; of what was kept it is among the files that were kept with it.
+    #[serde(skip)]
+    pub(super) text: String,
+}
+
+impl EscapeFile {
+    /// Beside the file of a counterexample.
+    pub(super) fn beside(counterexample: &str, text: String) -> Self {
+        let file = format!("{}-escape.toml", counterexample.trim_end_matches(".toml"));
+        let replay = Command::new(["simulate", file.as_str(), "--expect", "safe"]);
+        Self { sha256: sha256(&text), file, replay, text }
+    }
+}
+
 /// A distinct failure, shrunk.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Failure {
@@ -91,6 +116,9 @@ pub struct Failure {
     pub class: AvoidabilityClass,
     /// The smallest gap of the best escape, in metres, rounded down.
     pub best_gap_m: Option<Rounded<2>>,
+    /// That escape.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub escape: Option<EscapeFile>,
     /// Place among all of its search by likelihood, from 1.
     pub likelihood_rank: usize,
     /// Whether it disappears at a tenth of the step.
@@ -113,12 +141,14 @@ impl Failure {
     pub(super) fn of(
         found: &Counterexample,
         place: &str,
-        text: String,
+        texts: Texts,
         replay: &dyn Fn(&str) -> Option<Command>,
     ) -> Self {
         let name = found.file.rsplit('/').next().unwrap_or(&found.file);
         let file = format!("{place}/{name}");
+        let Texts { counterexample: text, escape } = texts;
         Self {
+            escape: escape.map(|text| EscapeFile::beside(&file, text)),
             sha256: sha256(&text),
             replay: replay(&file),
             file,
@@ -158,11 +188,18 @@ impl Failure {
         Ok(self)
     }
 
-    /// Its files: the scenario, and beside it the run for other simulators.
+    /// How to see it happen, and what would have avoided it.
+    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
+        self.replay.iter().chain(self.escape.iter().map(|escape| &escape.replay))
+    }
+
+    /// Its files: the scenario, and beside it the escape and the run for other simulators.
     pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
         let [scenario, road] = Self::beside(&self.file);
         let run = self.run.as_ref().map(|run| [(scenario, run.scenario.clone()), (road, run.road.clone())]);
-        iter::once((self.file.clone(), self.text.clone().into_bytes())).chain(run.into_iter().flatten())
+        let escape = self.escape.as_ref().map(|escape| (escape.file.clone(), escape.text.clone().into_bytes()));
+        let own = iter::once((self.file.clone(), self.text.clone().into_bytes()));
+        own.chain(escape).chain(run.into_iter().flatten())
     }
 
     /// Its file's name without folders.

@@ -38,7 +38,7 @@ pub use compared::{Change, Comparison, ComparisonError, Earlier, MOST_EVIDENCE_B
 pub(super) use counted::{gather_one as count_one, made_here, names as counted_names};
 pub use distribution::{Distribution, Distributions, Paired, Percent, Sampled};
 pub use domain::{Domains, ParameterInNumbers, SpaceInNumbers};
-pub use found::{Failure, MethodReached};
+pub use found::{EscapeFile, Failure, MethodReached};
 pub use glossary::Glossary;
 pub use learned::{BRAKING_MPS2, Braking, Learned, LearnedPolicy};
 pub use limits::{Limit, Limits};

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::json;
 
-use super::search::searched;
+use super::search::{Texts, searched};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
 use crate::assessment::commands::controller_word;
 use crate::assessment::markdown::{Inline, Markdown};
@@ -108,7 +108,7 @@ impl<'p> RulePlan<'p> {
         &self,
         plan: &AssessmentPlan,
         work: &Work<'_>,
-    ) -> Result<(Summary, Vec<String>), AssessError> {
+    ) -> Result<(Summary, Vec<Texts>), AssessError> {
         let (controller, space) = (self.controller.1, &self.space.space);
         let nominal = space.scenario(&space.nominal())?;
         let campaign = Campaign {
@@ -127,14 +127,14 @@ impl<'p> RulePlan<'p> {
         searched(&campaign, (&item, &inputs), 1, work)
     }
 
-    fn found(&self, plan: &AssessmentPlan, (summary, texts): (Summary, Vec<String>)) -> RuleSearch {
+    fn found(&self, plan: &AssessmentPlan, (summary, texts): (Summary, Vec<Texts>)) -> RuleSearch {
         let (index, controller) = self.controller;
         let word = controller_word(&controller.kind);
         let seeing = plan.estimator_words().iter().copied();
         let stem = format!("{}/{}/{}", file_stem(self.space.space.name()), file_stem(self.rule), plan.slug(index));
         let is_silent = |found: &&Counterexample| found.because.is_some();
         let severest = summary.counterexamples.first().filter(|found| !is_silent(found));
-        let worst = severest.zip(texts.into_iter().next()).map(|(found, text)| {
+        let worst = severest.zip(texts.into_iter().next()).map(|(found, Texts { counterexample: text, .. })| {
             let file = format!("counterexamples/rules/{stem}.toml");
             let replay = word.as_deref().map(|word| {
                 let simulate = Command::new(["simulate", file.as_str(), "--controller", word, "--spec", self.rule]);

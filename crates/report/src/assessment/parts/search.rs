@@ -6,7 +6,7 @@ use std::path::Path;
 use maud::{Markup, html};
 use rayon::prelude::*;
 use schemars::JsonSchema;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::ScenarioCases;
@@ -386,13 +386,22 @@ impl Search {
     }
 }
 
+/// The files of a counterexample.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(in crate::assessment) struct Texts {
+    /// The scenario.
+    pub(super) counterexample: String,
+    /// The escape from it, where it is avoidable.
+    pub(super) escape: Option<String>,
+}
+
 /// A campaign's summary, and the files of its severest failures; kept, and gone on with where it was interrupted.
 pub(super) fn searched(
     campaign: &Campaign,
     (item, inputs): (&str, &Value),
     most: usize,
     work: &Work<'_>,
-) -> Result<(Summary, Vec<String>), AssessError> {
+) -> Result<(Summary, Vec<Texts>), AssessError> {
     work.get(item, inputs, || {
         let folder = work.store.workplace(item, inputs)?;
         let (goes_on, mut done) = (campaign.controller.kind.identity().is_some(), 0);
@@ -402,7 +411,12 @@ pub(super) fn searched(
             if work.did(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         })?;
         let shown = summary.counterexamples.iter().take(most);
-        let texts = shown.map(|found| read(&folder.path().join(&found.file))).collect::<Result<Vec<_>, _>>()?;
+        let read = |name: &String| read(&folder.path().join(name));
+        let texts = shown.map(|found| {
+            let escape = found.escape_file.as_ref().map(read).transpose()?;
+            Ok::<_, AssessError>(Texts { counterexample: read(&found.file)?, escape })
+        });
+        let texts = texts.collect::<Result<Vec<_>, _>>()?;
         folder.remove()?;
         Ok((summary, texts))
     })
@@ -439,11 +453,11 @@ fn read(path: &Path) -> Result<String, AssessError> {
 const INTRODUCTION: &str = "A search looks for contacts; points drawn evenly over the ranges (uniform) and a Halton sequence get the same budget. Failures are \
     replayed at the scenario's step and at a tenth of it, shrunk towards the nominal scenario, told apart, ranked by severity \
     and by likelihood, and classed: avoidable, if a driver who knows the future has an escape; unavoidable, if the checker has \
-    accepted a proof that nobody has one; `avoid` shows the escape or the proof again. A failure says that something can \
+    accepted a proof that nobody has one; the escape lies beside the file of the failure, as `…-escape.toml`, and `avoid` shows the proof again. A failure says that something can \
     happen, not how often: it may need values from the far tails of the law, which a search takes as readily as others.";
 
 const WHERE: &str = "Commands run in the folder of this report, where policies and spaces that are not built in lie beside it; \
-    `replay.sh` checks the files of the report and runs all that show a failure. A controller from outside that is no file of its own \
+    `replay.sh` checks the files of the report and runs all that show a failure or an escape. A controller from outside that is no file of its own \
     (a process, an FMU) has no commands here.";
 
 impl Part for Searches {
@@ -464,7 +478,7 @@ impl Part for Searches {
                         p { (prose(&search.effort())) }
                         @if !search.failures.is_empty() {
                             (search.table().html())
-                            ul { @for command in search.failures.iter().filter_map(|one| one.replay.as_ref()) { li { code { (command) } } } }
+                            ul { @for command in search.failures.iter().flat_map(Failure::commands) { li { code { (command) } } } }
                         }
                         @if let Some(command) = &search.command { p { "Search again: " code { (command) } } }
                         @if !search.drawn.is_empty() {

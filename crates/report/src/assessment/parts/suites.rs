@@ -7,10 +7,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use super::found::EscapeFile;
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
 use crate::assessment::commands::controller_word;
 use crate::assessment::markdown::Markdown;
 use crate::assessment::planned_suite::PlannedSuite;
+use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Mark, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, StoreError};
@@ -18,7 +20,7 @@ use crate::suite::{least_margins, preventable, verdict, within_in_words};
 use crumple_search::suite::{Failed, STATEMENT, TestVerdict, Tested, run};
 use crumple_world::digest::sha256;
 use crumple_world::scenario::file;
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{NamedController, Unanswered};
 
 /// The part's anchor in the page.
 const ANCHOR: &str = "suites";
@@ -96,10 +98,16 @@ pub struct SuiteOutcome {
     pub points_passed: u64,
     /// How many of them failed; the rest cannot be run.
     pub points_failed: u64,
+    /// In how many of those that failed the controller gave no answer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unanswered: Option<Unanswered>,
     /// How many points were run, of the grid and of the search within ranges and tolerances.
     pub runs: u64,
     /// How many of them failed.
     pub failures: u64,
+    /// In how many of those that the search ran the controller gave no answer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unanswered_within: Option<Unanswered>,
     /// How far it can be pushed until it fails, in words.
     pub margins: Vec<String>,
     /// The worst point found within the ranges and tolerances of the clause, in words; none where there are none.
@@ -123,6 +131,9 @@ pub struct SuiteFailure {
     pub what: String,
     /// Who could have prevented it.
     pub preventable: String,
+    /// How it could have been avoided, where it is avoidable.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub escape: Option<EscapeFile>,
 }
 
 /// A suite's findings as they are kept, with the scenarios that failed.
@@ -158,11 +169,25 @@ impl Suites {
                 let sum = |of: fn(&SuiteOutcome) -> u64| outcomes().map(of).sum::<u64>();
                 let (failed, runs) = (sum(|one| one.points_failed), sum(|one| one.runs));
                 let points = failed + sum(|one| one.points_passed);
+                let silent = |of: fn(&SuiteOutcome) -> &Option<Unanswered>| {
+                    let mut all = None;
+                    outcomes().for_each(|one| Unanswered::join(&mut all, of(one).clone()));
+                    all
+                };
+                // A point without an answer is a failure of the controller, and none of its driving.
+                let strength = |failed: u64, points: u64, silent: Option<Unanswered>| {
+                    let touching = failed.saturating_sub(silent.as_ref().map_or(0, |silent| silent.runs));
+                    Strength::of_answered(touching, points, silent.as_ref(), true)
+                };
                 // A search goes where it fails: how many of its points do says nothing of the tests.
-                let of_tests = Strength::of(failed, points);
+                let of_tests = strength(failed, points, silent(|one| &one.unanswered));
                 let (strength, made) = match of_tests.is_refutation() {
                     true => (of_tests, format!("{points} points that the tests state")),
-                    false => (Strength::of(sum(|one| one.failures), runs), format!("{runs} points, searched ones too")),
+                    false => {
+                        let failures = sum(|one| one.failures);
+                        let strength = strength(failures, runs, silent(|one| &one.unanswered_within));
+                        (strength, format!("{runs} points, searched ones too"))
+                    }
                 };
                 Some(Evidence { claim, strength, source: Source::part(ANCHOR, made) })
             });
@@ -197,7 +222,7 @@ impl Suites {
     /// How to see failures happen.
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
         let outcomes = self.suites.iter().flat_map(|found| &found.tests).flat_map(|test| &test.outcomes);
-        outcomes.filter_map(|outcome| outcome.worst.as_ref()?.replay.as_ref())
+        outcomes.filter_map(|outcome| outcome.worst.as_ref()).flat_map(SuiteFailure::commands)
     }
 }
 
@@ -252,22 +277,37 @@ impl SuiteOutcome {
             points: tested.points as u64,
             points_passed: passed,
             points_failed: failed,
+            unanswered: tested.unanswered(),
             runs: passed + failed + within.map_or(0, |within| within.tried as u64),
             failures: failed + within.map_or(0, |within| within.failures as u64),
+            unanswered_within: within.and_then(|within| within.unanswered.clone()),
             margins: least_margins(&tested.margins),
             within: within.map(within_in_words),
             worst: worst.map(|worst| SuiteFailure::of(worst, controller, plan, files)).transpose()?,
         })
     }
 
+    /// Runs that its controller gave no answer in, of the grid and of the search, and why in the first of them.
+    pub(in crate::assessment) fn silent(&self) -> Option<Unanswered> {
+        let mut all = self.unanswered.clone();
+        Unanswered::join(&mut all, self.unanswered_within.clone());
+        all
+    }
+
     /// In a few words, for a matrix.
     fn cell(&self) -> Cell {
-        let words = match (self.points, self.passed, &self.worst) {
+        // Why it gave none stands below: it may be long.
+        let silent = self.silent().map_or(0, |silent| silent.runs);
+        let contact = self.worst.as_ref().filter(|_| silent < self.failures);
+        let mut words = match (self.points, self.passed, contact) {
             (0, ..) => "not run".to_owned(),
             (points, None, _) => format!("{} of {points}, the rest cannot be run", self.points_passed),
             (points, Some(_), Some(worst)) => format!("{} of {points}; {}", self.points_passed, worst.what),
             (points, Some(_), None) => format!("{} of {points}", self.points_passed),
         };
+        if silent > 0 {
+            words += &format!("; no answer in {silent} of {} runs", self.runs);
+        }
         Cell::marked(words, self.passed.map_or(Mark::None, |passed| if passed { Mark::Good } else { Mark::Bad }))
     }
 }
@@ -287,9 +327,17 @@ impl SuiteFailure {
                 .and(plan.estimator_words().iter().copied())
                 .and(["--expect", "collision"])
         });
+        let escape = failed.escape.as_ref().map(file::to_toml).transpose().map_err(StoreError::encoding)?;
+        let escape = escape.map(|text| EscapeFile::beside(&file, text));
+        files.extend(escape.iter().map(|escape| (escape.file.clone(), escape.text.clone())));
         files.insert(file.clone(), text);
         let (point, what) = (failed.point.clone(), verdict(&failed.verdict));
-        Ok(Self { file, sha256, replay, point, what, preventable: preventable(failed) })
+        Ok(Self { file, sha256, replay, point, what, preventable: preventable(failed), escape })
+    }
+
+    /// How to see it happen, and what would have avoided it.
+    fn commands(&self) -> impl Iterator<Item = &Command> {
+        self.replay.iter().chain(self.escape.iter().map(|escape| &escape.replay))
     }
 }
 
@@ -330,6 +378,19 @@ impl SuiteFindings {
         table
     }
 
+    /// Of each controller that gave no answer in some runs: in how many, and why.
+    fn silent(&self) -> Vec<String> {
+        let of = |(column, controller): (usize, &String)| {
+            let (mut all, mut runs) = (None, 0);
+            for outcome in self.tests.iter().filter_map(|test| test.outcomes.get(column)) {
+                Unanswered::join(&mut all, outcome.silent());
+                runs += outcome.runs;
+            }
+            Some(format!("{controller} {}. That is a failure of it, and no contact.", all?.words(runs)))
+        };
+        self.controllers.iter().enumerate().filter_map(of).collect()
+    }
+
     fn words(&self) -> String {
         format!("After {}. Figures from: {} {STATEMENT}", self.document, self.figures_from)
     }
@@ -340,7 +401,7 @@ impl SuiteFindings {
 
     fn replays(&self) -> impl Iterator<Item = &Command> {
         let outcomes = self.tests.iter().flat_map(|test| &test.outcomes);
-        outcomes.filter_map(|outcome| outcome.worst.as_ref()?.replay.as_ref())
+        outcomes.filter_map(|outcome| outcome.worst.as_ref()).flat_map(SuiteFailure::commands)
     }
 }
 
@@ -361,6 +422,7 @@ impl Part for Suites {
                 h3 { (found.suite.name) }
                 p { (found.words()) }
                 (found.matrix().html())
+                @for line in found.silent() { p { (prose(&line)) } }
                 details { summary { "verdicts, margins, the worst within each clause" } (found.details().html()) }
                 details { summary { "outside the model, and left out" } ul { @for line in found.outside() { li { (line) } } } }
                 p.replay { @for command in found.replays() { code { (command) } " " } }
@@ -375,6 +437,7 @@ impl Part for Suites {
             text.heading(3, &found.suite.name);
             text.paragraph(found.words());
             found.matrix().markdown(&mut text);
+            found.silent().into_iter().for_each(|line| text.paragraph(line));
             found.details().markdown(&mut text);
             text.paragraph("Outside the model, and left out:");
             text.list(found.outside());

@@ -164,7 +164,9 @@ fn what_drives(kind: &ControllerKind) -> String {
         ControllerKind::BuiltIn(spec) => spec.summary().to_owned(),
         ControllerKind::Policy(policy) => format!("a learned policy with hidden layers {:?}", policy.header().hidden),
         ControllerKind::Network(network) => {
-            format!("a network from outside with layers {}", network.network().shape())
+            let saved = network.file().saved_model();
+            let saved = saved.map_or(String::new(), |saved| format!(" ({} of Stable-Baselines3)", saved.algorithm));
+            format!("a network from outside{saved} with layers {}", network.network().shape())
         }
         ControllerKind::Shielded(shielded) => {
             format!(

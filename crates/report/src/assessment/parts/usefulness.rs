@@ -66,6 +66,12 @@ pub struct Useful {
     pub cut_short: [u64; 2],
     /// Draws where something threatens in which it failed.
     pub high_risk_failures: u64,
+    /// Drives in traffic, and draws where something threatens, in which a vehicle under test hit the one ahead first.
+    #[serde(default)]
+    pub hit: [u64; 2],
+    /// Those in which a vehicle under test was hit from behind first.
+    #[serde(default)]
+    pub was_hit: [u64; 2],
     /// Drives in traffic, and draws where something threatens, that ended because its controller gave no answer. They are failures, and say
     /// nothing of how it drives.
     #[serde(default, skip_serializing_if = "all_answered")]
@@ -226,6 +232,8 @@ impl Usefulness {
             "follower brakes m/s²",
             "gain of a line",
             "fails in high-risk %",
+            "hit ahead in traffic, high-risk",
+            "hit from behind in traffic, high-risk",
         ];
         let mut table = Table::new(&[&before[..], silent, &after[..]].concat());
         for useful in &self.controllers {
@@ -250,6 +258,8 @@ impl Usefulness {
                 Cell::number(or_dash(useful.imposed_brake_mps2)),
                 useful.line.cell(),
                 Cell::number(useful.high_risk_percent.observed),
+                Cell::number(format!("{}, {}", useful.hit[0], useful.hit[1])),
+                Cell::number(format!("{}, {}", useful.was_hit[0], useful.was_hit[1])),
             ];
             table.row(before.into_iter().chain(silent).chain(after).collect());
         }
@@ -351,13 +361,15 @@ impl Useful {
         let silent = unanswered[0].as_ref().map_or(0, |silent: &Unanswered| silent.runs);
         let (drives_end, danger_ends) =
             (drives.iter().map(|drive| &drive.verdict), danger.iter().map(|draw| &draw.verdict));
-        let ([failures, cut_short], [high_risk_failures, high_risk_cut_short]) = (ends(drives_end), ends(danger_ends));
+        let [in_traffic, in_danger] = [Ends::of(drives_end), Ends::of(danger_ends)];
         Self {
             controller: controller.name.clone(),
-            failures,
+            failures: in_traffic.failures,
             unanswered,
-            cut_short: [cut_short, high_risk_cut_short],
-            high_risk_failures,
+            cut_short: [in_traffic.cut_short, in_danger.cut_short],
+            high_risk_failures: in_danger.failures,
+            hit: [in_traffic.hit, in_danger.hit],
+            was_hit: [in_traffic.was_hit, in_danger.was_hit],
             needless,
             needless_percent: Percent::exact([needless, silent], drives.len() as u64, CONFIDENCE),
             needless_s: mean(&|one| Some(one.needless.time_s)),
@@ -371,7 +383,7 @@ impl Useful {
             imposed_brake_mps2: mean(&|one| one.imposed.and_then(|imposed| imposed.peak_brake_mps2)),
             line,
             high_risk_percent: Percent::exact(
-                [high_risk_failures, high_risk_cut_short],
+                [in_danger.failures, in_danger.cut_short],
                 danger.len() as u64,
                 CONFIDENCE,
             ),
@@ -379,11 +391,27 @@ impl Useful {
     }
 }
 
-/// How many fail, and how many are cut short by others.
-fn ends<'a>(verdicts: impl Iterator<Item = &'a CaseVerdict>) -> [u64; 2] {
-    verdicts.fold([0, 0], |[failures, cut_short], verdict| {
-        [failures + u64::from(verdict.is_failure()), cut_short + u64::from(!verdict.counts())]
-    })
+/// How runs end, counted.
+#[derive(Default)]
+struct Ends {
+    failures: u64,
+    /// By others.
+    cut_short: u64,
+    hit: u64,
+    was_hit: u64,
+}
+
+impl Ends {
+    fn of<'a>(verdicts: impl Iterator<Item = &'a CaseVerdict>) -> Self {
+        let mut ends = Self::default();
+        for verdict in verdicts {
+            ends.failures += u64::from(verdict.is_failure());
+            ends.cut_short += u64::from(!verdict.counts());
+            ends.hit += u64::from(matches!(verdict, CaseVerdict::Hit(_)));
+            ends.was_hit += u64::from(matches!(verdict, CaseVerdict::WasHit(_)));
+        }
+        ends
+    }
 }
 
 impl Part for Usefulness {
@@ -428,6 +456,10 @@ mod tests {
         assert_eq!((idm.failures, idm.needless, idm.hard, retrained.failures), (0, 0, 0, 0));
         assert!(retrained.needless > found.draws / 2 && retrained.progress < idm.progress);
         assert!(retrained.high_risk_percent.observed < idm.high_risk_percent.observed, "the other side");
+        for useful in [idm, retrained] {
+            assert_eq!(useful.hit[1] + useful.was_hit[1], useful.high_risk_failures, "whoever fails touches");
+        }
+        assert!(idm.was_hit[1] > 0 || idm.hit[1] > 0);
         assert!(matches!(idm.line, LineVerdict::Damps { gain } if gain.value() < 1.0), "{:?}", idm.line);
         assert_eq!(retrained.line, LineVerdict::DoesNotSettle);
         let json = serde_json::to_string(&found).unwrap();

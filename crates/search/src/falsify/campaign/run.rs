@@ -252,6 +252,7 @@ pub(super) fn open(folder: &Path, configuration: &str, resume: bool) -> Result<W
             TEXT,
             "counterexamples/",
             "counterexamples/originals/",
+            "counterexamples/escapes/",
             "evaluations/",
         ],
     };

@@ -43,25 +43,51 @@ pub enum AvoidabilityClass {
     Undecided,
 }
 
-impl Avoidability {
-    /// What convex programming says about a verdict: asked of contacts alone, where contact is what must not happen.
+/// What convex programming says about a failure, and how it could have been avoided where it says that.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Classed {
+    /// The class.
+    pub avoidability: Avoidability,
+    /// The escape of one that is avoidable: the scenario with a script in place of every vehicle under test, in which nobody touches.
+    pub escape: Option<Scenario>,
+}
+
+impl Classed {
+    /// Asked of contacts alone, where contact is what must not happen.
     #[must_use]
     pub fn of(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
         match (specification, verdict.contact) {
             (Specification::NoContact, Some(_)) => Self::of_contact(scenario),
-            _ => Self::NotAsked,
+            _ => Self::default(),
         }
+    }
+
+    /// Of a scenario that ends in contact.
+    #[must_use]
+    pub fn of_contact(scenario: &Scenario) -> Self {
+        let (avoidability, escape) = match avoid(scenario, AvoidOptions::default()).map(|avoidance| avoidance.verdict) {
+            Ok(AvoidanceVerdict::Avoidable(escape)) => {
+                (Avoidability::Avoidable { best_min_gap_m: escape.min_gap_m }, Some(escape.scenario))
+            }
+            Ok(AvoidanceVerdict::Unavoidable(_)) => (Avoidability::Unavoidable, None),
+            Ok(AvoidanceVerdict::Undecided(reason)) => (Avoidability::Undecided { reason: reason.to_string() }, None),
+            Err(error) => (Avoidability::Undecided { reason: error.to_string() }, None),
+        };
+        Self { avoidability, escape }
+    }
+}
+
+impl Avoidability {
+    /// What convex programming says about a verdict: asked of contacts alone, where contact is what must not happen.
+    #[must_use]
+    pub fn of(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
+        Classed::of(specification, verdict, scenario).avoidability
     }
 
     /// What convex programming says about a scenario that ends in contact.
     #[must_use]
     pub fn of_contact(scenario: &Scenario) -> Self {
-        match avoid(scenario, AvoidOptions::default()).map(|avoidance| avoidance.verdict) {
-            Ok(AvoidanceVerdict::Avoidable(escape)) => Self::Avoidable { best_min_gap_m: escape.min_gap_m },
-            Ok(AvoidanceVerdict::Unavoidable(_)) => Self::Unavoidable,
-            Ok(AvoidanceVerdict::Undecided(reason)) => Self::Undecided { reason: reason.to_string() },
-            Err(error) => Self::Undecided { reason: error.to_string() },
-        }
+        Classed::of_contact(scenario).avoidability
     }
 
     /// The class alone.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::Avoidability;
+use super::Classed;
 use super::expected::FINER;
 use super::record::Examined;
 use super::shrink::shrink;
@@ -50,9 +50,7 @@ impl<'a> Examiner<'a> {
     /// Classes them: could any driver have avoided it?
     pub(in crate::falsify) fn class_all(&self, examined: &mut [Examined]) {
         let specification = &self.terms.specification;
-        examined
-            .par_iter_mut()
-            .for_each(|one| one.avoidability = Avoidability::of(specification, &one.verdict, &one.scenario));
+        examined.par_iter_mut().for_each(|one| one.classed = Classed::of(specification, &one.verdict, &one.scenario));
     }
 
     fn examine(&self, candidate: &FailureCandidate, ask: &mut Ask<'_>) -> Result<Option<Examined>, CampaignError> {
@@ -113,7 +111,7 @@ impl<'a> Examiner<'a> {
             vehicles_involved: aftermath.vehicles_involved(),
             because: failed.filter(|_| verdict.failed.is_some()).map(FailedController::because),
             scenario,
-            avoidability: Avoidability::NotAsked,
+            classed: Classed::default(),
         }))
     }
 

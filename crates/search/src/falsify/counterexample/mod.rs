@@ -26,7 +26,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-pub use avoidability::{Avoidability, AvoidabilityClass};
+pub use avoidability::{Avoidability, AvoidabilityClass, Classed};
 pub(in crate::falsify) use examine::Examiner;
 pub use expected::{EXPECTED_VERSION, Expected, ExpectedFile, ReplayError, Replayed};
 pub use record::SAME_WITHIN;
@@ -42,6 +42,10 @@ pub struct Counterexample {
     /// The same with less of what should make no scenario worse, which the controller passes, where that is what was looked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub partner_file: Option<String>,
+    /// How it could have been avoided, where it is avoidable: the same with a script in place of every vehicle under test, in which
+    /// nobody touches.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub escape_file: Option<String>,
     /// What happens, in words.
     pub kind: String,
     /// Of a controller that gave no answer: when and why, with the last lines of its standard error.

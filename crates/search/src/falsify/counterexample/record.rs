@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::expected::{EXPECTED_VERSION, Expected, ExpectedFile};
 use super::severity::Severity;
-use super::{Avoidability, Changed, Counterexample};
+use super::{Avoidability, Changed, Classed, Counterexample};
 use crate::falsify::campaign::{CampaignError, FailureKind, Terms};
 use crate::falsify::{ContrastRecord, Method};
 use crate::work::Changes;
@@ -37,7 +37,7 @@ pub(in crate::falsify) struct Examined {
     pub(super) vehicles_involved: usize,
     /// Of a controller that gave no answer: when and why.
     pub(super) because: Option<String>,
-    pub(super) avoidability: Avoidability,
+    pub(super) classed: Classed,
 }
 
 /// The same as a file holds it.
@@ -59,6 +59,8 @@ pub(in crate::falsify) struct ExaminedRow {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     because: Option<String>,
     avoidability: Avoidability,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    escape: Option<String>,
 }
 
 impl ExaminedRow {
@@ -76,7 +78,8 @@ impl ExaminedRow {
             max_delta_v_mps: one.max_delta_v_mps,
             vehicles_involved: one.vehicles_involved,
             because: one.because.clone(),
-            avoidability: one.avoidability.clone(),
+            avoidability: one.classed.avoidability.clone(),
+            escape: one.classed.escape.as_ref().map(text).transpose()?,
         })
     }
 
@@ -105,7 +108,10 @@ impl ExaminedRow {
                 max_delta_v_mps: self.max_delta_v_mps,
                 vehicles_involved: self.vehicles_involved,
                 because: self.because,
-                avoidability: self.avoidability,
+                classed: Classed {
+                    avoidability: self.avoidability,
+                    escape: self.escape.as_deref().map(scenario).transpose()?,
+                },
             }),
             _ => Err(format!("{place} is none, or of another space")),
         }
@@ -222,7 +228,8 @@ impl Recorder<'_> {
         );
         let how =
             if one.dt_fragile { " It disappears at a tenth of the step: kept as it was found." } else { " Shrunk." };
-        let class = one.avoidability.describe().map_or(String::new(), |words| format!(" {}.", sentence(&words)));
+        let class =
+            one.classed.avoidability.describe().map_or(String::new(), |words| format!(" {}.", sentence(&words)));
         let name = format!("{}-{}-{place:02}", self.terms.space.name(), terms.seed);
         let mut write =
             |file: &str, (scenario, verdict): (&Scenario, &RunVerdict), name, about, class: &Avoidability| {
@@ -249,7 +256,7 @@ impl Recorder<'_> {
                 Ok::<(), CampaignError>(())
             };
         let (verdict, as_found) = (&one.verdict, &one.original_verdict);
-        write(&file, (&one.scenario, verdict), name.clone(), found.clone() + how + &class, &one.avoidability)?;
+        write(&file, (&one.scenario, verdict), name.clone(), found.clone() + how + &class, &one.classed.avoidability)?;
         let original_name = format!("{name}-original");
         write(&original, (&one.original, as_found), original_name, found, &Avoidability::NotAsked)?;
         let partner_file = match &terms.contrast {
@@ -263,11 +270,18 @@ impl Recorder<'_> {
             let named = partner.edited(|spec| (spec.name, spec.about) = (format!("{name}-partner"), about.clone()))?;
             files.push((path.clone(), file::to_toml(&named).map_err(CampaignError::encoding)?));
         }
+        let escape_file = one.classed.escape.as_ref().map(|escape| (format!("counterexamples/escapes/{file}"), escape));
+        if let Some((path, escape)) = &escape_file {
+            let about = format!("An escape from {file}: who knows the future avoids the contact like this.");
+            let named = escape.edited(|spec| (spec.name, spec.about) = (format!("{name}-escape"), about))?;
+            files.push((path.clone(), file::to_toml(&named).map_err(CampaignError::encoding)?));
+        }
         let point = self.terms.space.point(&one.values);
         Ok(Counterexample {
             file: format!("counterexamples/{file}"),
             original_file: format!("counterexamples/{original}"),
             partner_file: partner_file.map(|(path, ..)| path),
+            escape_file: escape_file.map(|(path, _)| path),
             kind,
             because: one.because.clone(),
             robustness: verdict.robustness,
@@ -282,7 +296,7 @@ impl Recorder<'_> {
             departure: self.terms.departure(&point),
             likelihood_rank: 0,
             dt_fragile: one.dt_fragile,
-            avoidability: one.avoidability.clone(),
+            avoidability: one.classed.avoidability.clone(),
             found_by: one.method.name().to_owned(),
             found_at: one.number,
             changed: self.changed(&one.values),
