@@ -83,11 +83,14 @@ fn drawn(names: &[String], front: &[(f64, f64)], draws: u64) -> Svg {
     let x = Axis::numbers("m/s³", (0.0, 1.1 * most), 8);
     let title = "Contacts in high-risk (%) against rms of jerk in everyday traffic";
     let mut panel = Panel::new(frame, title, x, Axis::numbers("", (0.0, 100.0), 6));
-    for (index, (name, at)) in names.iter().zip(front).enumerate() {
+    let mut points: Vec<(&String, &(f64, f64))> = names.iter().zip(front).collect();
+    points.sort_by(|a, b| a.1.1.total_cmp(&b.1.1));
+    // Neighbours are named on opposite sides.
+    for (index, (name, at)) in points.into_iter().enumerate() {
         let stem = Path::new(name).file_stem().map_or(name.as_str().into(), |stem| stem.to_string_lossy());
         let marker = if name.ends_with(".safetensors") { Marker::Ring } else { Marker::Cross };
         panel.marks(&[*at], marker, Ink::Series(usize::from(name.ends_with(".safetensors"))));
-        let (side, anchor) = if index % 2 == 0 { (0.012, Anchor::Start) } else { (-0.012, Anchor::End) };
+        let (side, anchor) = if index % 2 == 1 { (0.012, Anchor::Start) } else { (-0.012, Anchor::End) };
         panel.note((at.0 + side * most, at.1), anchor, &stem, Ink::Muted);
     }
     let content = panel.draw(&Svg::id("front", "frame"));

@@ -8,99 +8,187 @@ run() { "$crumple" "$@" || { echo "did not end as reported: crumple $*" >&2; fai
 run fsck .
 run check --rerun certificates/*.json
 run simulate counterexamples/paper/baseline/01-2-hits-1.toml --controller baseline --expect collision
+run simulate counterexamples/paper/baseline/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/baseline/02-2-hits-1.toml --controller baseline --expect collision
+run simulate counterexamples/paper/baseline/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/baseline-unlatched/01-2-hits-1.toml --controller baseline-unlatched --expect collision
+run simulate counterexamples/paper/baseline-unlatched/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/baseline-unlatched/02-2-hits-1.toml --controller baseline-unlatched --expect collision
+run simulate counterexamples/paper/baseline-unlatched/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/match-leader/01-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/paper/match-leader/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/match-leader/02-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/paper/match-leader/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/match-leader/03-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/paper/match-leader/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/match-leader/04-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/paper/match-leader/04-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/constant-brake/01-1-hits-0.toml --controller constant-brake --expect collision
+run simulate counterexamples/paper/constant-brake/01-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/paper/constant-brake/02-2-hits-1.toml --controller constant-brake --expect collision
+run simulate counterexamples/paper/constant-brake/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/idm/01-2-hits-1.toml --controller idm --expect collision
+run simulate counterexamples/paper/idm/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/idm/02-2-hits-1.toml --controller idm --expect collision
+run simulate counterexamples/paper/idm/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/acc-aeb/01-2-hits-1.toml --controller acc-aeb --expect collision
+run simulate counterexamples/paper/acc-aeb/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/acc-aeb/02-2-hits-1.toml --controller acc-aeb --expect collision
+run simulate counterexamples/paper/acc-aeb/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/acc-aeb/03-2-hits-1.toml --controller acc-aeb --expect collision
+run simulate counterexamples/paper/acc-aeb/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/policy/01-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/paper/policy/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/policy/02-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/paper/policy/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/policy/03-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/paper/policy/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/policy/04-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/paper/policy/04-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/shield-policy/01-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/paper/shield-policy/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/shield-policy/02-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/paper/shield-policy/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline/01-2-hits-1.toml --controller baseline --expect collision
+run simulate counterexamples/high-risk/baseline/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline/02-2-hits-1.toml --controller baseline --expect collision
+run simulate counterexamples/high-risk/baseline/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline/03-1-hits-0.toml --controller baseline --expect collision
+run simulate counterexamples/high-risk/baseline/03-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline-unlatched/01-1-hits-0.toml --controller baseline-unlatched --expect collision
+run simulate counterexamples/high-risk/baseline-unlatched/01-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline-unlatched/02-2-hits-1.toml --controller baseline-unlatched --expect collision
+run simulate counterexamples/high-risk/baseline-unlatched/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline-unlatched/03-2-hits-1.toml --controller baseline-unlatched --expect collision
+run simulate counterexamples/high-risk/baseline-unlatched/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/01-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/02-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/03-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/04-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/04-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/05-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/06-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/06-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/07-1-hits-0.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/07-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/08-2-hits-1.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/08-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/09-1-hits-0.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/09-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/10-1-hits-0.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/10-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/match-leader/11-1-hits-0.toml --controller match-leader --expect collision
+run simulate counterexamples/high-risk/match-leader/11-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/constant-brake/01-1-hits-0.toml --controller constant-brake --expect collision
+run simulate counterexamples/high-risk/constant-brake/01-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/constant-brake/02-2-hits-1.toml --controller constant-brake --expect collision
+run simulate counterexamples/high-risk/constant-brake/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/constant-brake/03-2-hits-1.toml --controller constant-brake --expect collision
+run simulate counterexamples/high-risk/constant-brake/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/constant-brake/04-2-hits-1.toml --controller constant-brake --expect collision
+run simulate counterexamples/high-risk/constant-brake/04-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/constant-brake/05-2-hits-1.toml --controller constant-brake --expect collision
+run simulate counterexamples/high-risk/constant-brake/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/constant-brake/06-1-hits-0.toml --controller constant-brake --expect collision
+run simulate counterexamples/high-risk/constant-brake/06-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/constant-brake/07-1-hits-0.toml --controller constant-brake --expect collision
+run simulate counterexamples/high-risk/constant-brake/07-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/constant-brake/08-1-hits-0.toml --controller constant-brake --expect collision
+run simulate counterexamples/high-risk/constant-brake/08-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/constant-brake/09-2-hits-1.toml --controller constant-brake --expect collision
+run simulate counterexamples/high-risk/constant-brake/09-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/constant-brake/10-1-hits-0.toml --controller constant-brake --expect collision
+run simulate counterexamples/high-risk/constant-brake/10-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/idm/01-2-hits-1.toml --controller idm --expect collision
 run simulate counterexamples/high-risk/idm/02-2-hits-1.toml --controller idm --expect collision
+run simulate counterexamples/high-risk/idm/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/idm/03-2-hits-1.toml --controller idm --expect collision
+run simulate counterexamples/high-risk/idm/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/idm/04-2-hits-1.toml --controller idm --expect collision
+run simulate counterexamples/high-risk/idm/04-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/idm/05-2-hits-1.toml --controller idm --expect collision
+run simulate counterexamples/high-risk/idm/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/idm/06-1-hits-0.toml --controller idm --expect collision
 run simulate counterexamples/high-risk/idm/07-2-hits-1.toml --controller idm --expect collision
+run simulate counterexamples/high-risk/idm/07-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/idm/08-2-hits-1.toml --controller idm --expect collision
+run simulate counterexamples/high-risk/idm/08-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/idm/09-2-hits-1.toml --controller idm --expect collision
+run simulate counterexamples/high-risk/idm/09-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/idm/10-1-hits-0.toml --controller idm --expect collision
 run simulate counterexamples/high-risk/idm/11-2-hits-1.toml --controller idm --expect collision
+run simulate counterexamples/high-risk/idm/11-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/acc-aeb/01-2-hits-1.toml --controller acc-aeb --expect collision
+run simulate counterexamples/high-risk/acc-aeb/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/acc-aeb/02-1-hits-0.toml --controller acc-aeb --expect collision
+run simulate counterexamples/high-risk/acc-aeb/02-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/acc-aeb/03-2-hits-1.toml --controller acc-aeb --expect collision
+run simulate counterexamples/high-risk/acc-aeb/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/acc-aeb/04-2-hits-1.toml --controller acc-aeb --expect collision
+run simulate counterexamples/high-risk/acc-aeb/04-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/acc-aeb/05-2-hits-1.toml --controller acc-aeb --expect collision
+run simulate counterexamples/high-risk/acc-aeb/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/acc-aeb/06-2-hits-1.toml --controller acc-aeb --expect collision
+run simulate counterexamples/high-risk/acc-aeb/06-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/01-1-hits-0.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/01-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/02-1-hits-0.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/02-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/03-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/04-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/04-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/05-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/06-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/06-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/07-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/07-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/08-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/08-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/09-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/09-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/10-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/10-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/11-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/11-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/01-2-hits-1.toml --controller shield:policy --expect collision
 run simulate counterexamples/high-risk/shield-policy/02-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/high-risk/shield-policy/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/03-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/high-risk/shield-policy/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/04-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/high-risk/shield-policy/04-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/05-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/high-risk/shield-policy/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/06-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/high-risk/shield-policy/06-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/07-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/high-risk/shield-policy/07-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/08-1-hits-0.toml --controller shield:policy --expect collision
 run simulate counterexamples/high-risk/shield-policy/09-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/high-risk/shield-policy/09-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/01-2-hits-1.toml --controller retrained --expect collision
 run simulate counterexamples/high-risk/retrained/02-1-hits-0.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/02-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/03-1-hits-0.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/03-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/04-1-hits-0.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/04-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/05-2-hits-1.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/06-2-hits-1.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/06-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/07-2-hits-1.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/07-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/08-2-hits-1.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/08-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/09-2-hits-1.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/09-2-hits-1-escape.toml --expect safe
 run worst-case paper-1 --controller baseline
 run worst-case paper-1 --controller baseline-unlatched
 run worst-case paper-1 --controller match-leader

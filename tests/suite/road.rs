@@ -4,12 +4,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crumple_learn::rl::TrainingConfig;
+use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Usefulness;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Scenario, built_in};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, simulate_batch};
 
 fn policy() -> Arc<Policy> {
     Arc::new(Policy::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/policy/road.safetensors")).unwrap())
@@ -26,27 +27,63 @@ fn the_preset_is_that_of_the_policy() {
     assert_eq!(policy.header().observation, preset.environment.observation.scaling());
 }
 
-/// In draws that no training and no selection saw it touches nobody in the paper's scenarios and in traffic, and follows there as
-/// a driver would.
+/// The configurations of the front in `reports/training.md` can be trained with, and are the preset but for what each says.
 #[test]
-fn it_is_safe_in_the_papers_task_and_of_use_in_traffic() {
-    let policy = policy();
-    let drive = |scenarios: &[Scenario], estimator| -> Vec<(bool, Option<Usefulness>)> {
-        let options = RunOptions::new(Arc::clone(&policy)).with_estimator(estimator);
-        let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
-        simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            let useful = result.trace.as_ref().and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
-            (result.outcome.contact().is_some(), useful)
-        })
-    };
+fn the_front_is_made_of_configurations() {
+    let road = TrainingConfig::preset("road").unwrap();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/training");
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let config = TrainingConfig::parse(&std::fs::read_to_string(&path).unwrap(), &path).unwrap();
+        assert_eq!(Some(config.name.as_str()), path.file_stem().and_then(|stem| stem.to_str()));
+        assert_eq!((&config.network, &config.td3, &config.evaluation), (&road.network, &road.td3, &road.evaluation));
+        assert_ne!(config, road);
+        names.push(config.name);
+    }
+    assert_eq!(names.len(), 6, "{names:?}");
+}
+
+fn driven(
+    controller: impl Into<ControllerKind>,
+    scenarios: &[Scenario],
+    estimator: EstimatorKind,
+) -> Vec<(bool, Option<Usefulness>)> {
+    let options = RunOptions::new(controller).with_estimator(estimator);
+    let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
+    simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
+        let useful = result.trace.as_ref().and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
+        (result.outcome.contact().is_some(), useful)
+    })
+}
+
+#[test]
+fn it_is_safe_in_the_papers_task() {
     let paper = ["paper-1", "paper-2", "paper-3"].map(|name| built_in(name).unwrap());
     for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-        assert!(drive(&paper, estimator).iter().all(|(touched, _)| !touched), "{estimator:?}");
+        assert!(driven(policy(), &paper, estimator).iter().all(|(touched, _)| !touched), "{estimator:?}");
     }
+}
+
+/// In draws of traffic that no training and no selection saw it touches nobody, falls behind nowhere, brakes hard without cause in one drive
+/// of a hundred at most, and is about as comfortable as `idm`: a tenth more acceleration and twice the jerk at most.
+#[test]
+fn it_is_of_use_in_traffic() {
     let traffic = built_in_space("traffic").unwrap();
-    let draws: Vec<_> = (0..60).map(|index| traffic.draw(0x726f_6164, index).unwrap()).collect();
-    for (touched, useful) in drive(&draws, EstimatorKind::Kalman) {
-        let useful = useful.unwrap();
-        assert!(!touched && useful.hard.is_none() && !useful.following.unwrap().left_behind, "{useful:?}");
+    let draws: Vec<_> = (0..200).map(|index| traffic.draw(0x726f_6164, index).unwrap()).collect();
+    let mut squares = [[0.0; 2]; 2];
+    let both = [ControllerKind::from(policy()), ControllerSpec::named("idm").unwrap().into()];
+    for (controller, sums) in both.into_iter().zip(&mut squares) {
+        let mut hard = 0;
+        for (touched, useful) in driven(controller, &draws, EstimatorKind::Kalman) {
+            let useful = useful.unwrap();
+            assert!(!touched && !useful.following.unwrap().left_behind, "{useful:?}");
+            hard += u32::from(!useful.hard.is_none());
+            sums[0] += useful.rms_acceleration_mps2.unwrap().powi(2);
+            sums[1] += useful.rms_jerk_mps3.unwrap().powi(2);
+        }
+        assert!(hard <= 2, "{hard} of 200");
     }
+    let [acceleration, jerk] = [0, 1].map(|of| (squares[0][of] / squares[1][of]).sqrt());
+    assert!(acceleration < 1.1 && jerk < 2.0, "{acceleration} and {jerk} times those of idm");
 }

@@ -75,6 +75,15 @@ impl Escape {
         acceleration_mps2: Vec<Vec<f64>>,
         found_by: FoundBy,
     ) -> Option<(Self, Simulated)> {
+        let acceleration_mps2: Vec<Vec<f64>> = (first..)
+            .zip(acceleration_mps2)
+            .map(|(index, each)| {
+                let brake_mps2 = scenario.usable_brake_mps2(index);
+                let accel_mps2 = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.max_accel_mps2());
+                // Rounded up, full braking would be more than there is.
+                each.into_iter().map(|held| rounded(held).max(-brake_mps2).min(accel_mps2)).collect()
+            })
+            .collect();
         let scripted = scripted(scenario, first, &acceleration_mps2, found_by).ok()?;
         let run = Run::new(&scripted, by_script()).ok()?;
         let coarse = simulate(&run, RecordingLevel::Trace);
@@ -94,6 +103,13 @@ impl Escape {
         let step_s = self.scenario.spec().step_s;
         self.acceleration_mps2.iter().flatten().map(|a| a * a * step_s).sum()
     }
+}
+
+/// To a millionth of a metre per second squared: of what a solver answers, the last digits differ from machine to machine, and files of
+/// escapes shall not. What is replayed, and so what counts, is what the file holds.
+fn rounded(acceleration_mps2: f64) -> f64 {
+    const UNIT: f64 = 1e6;
+    (acceleration_mps2 * UNIT).round() / UNIT + 0.0
 }
 
 /// Runs of a scenario in which nobody is under test.

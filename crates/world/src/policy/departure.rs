@@ -109,7 +109,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::control::{Controller, ControllerSpec, Ego};
+    use crate::control::{BuiltIn, Controller, Ego};
     use crate::observation::Neighbour;
 
     const EGO: Ego = Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 4.0, step_s: 0.01 };
@@ -129,7 +129,7 @@ mod tests {
             let ahead = Some(Neighbour { gap_m, speed_mps: ahead_mps, acceleration_mps2: 0.0 });
             let seen = Observation { speed_mps, acceleration_mps2: 0.0, ahead, behind: None };
             let bounds = bounds(dead_zone);
-            let mut idm = ControllerSpec::named("idm").unwrap().start(&EGO, 0);
+            let mut idm = Idm::start(&IdmSettings::default(), &EGO, 0);
             let law_mps2 = idm.decide(&seen).unwrap().clamp(-7.5, 3.0);
             let mut held = Held::default();
             let mut after = |action, steps| {
