@@ -160,15 +160,15 @@ fn multiply_adds_in_registers(bencher: Bencher<'_, '_>) {
 #[divan::bench(args = [64, 256])]
 fn act_on_one_state(bencher: Bencher<'_, '_>, width: usize) {
     let (policy, seen, mut space) = (policy(width), seen(1), Workspace::default());
-    bencher.counter(ItemsCount::new(acting(width))).bench_local(|| policy.act(&seen[0], &mut space));
+    bencher.counter(ItemsCount::new(acting(width))).bench_local(|| policy.choose(&seen[0], &mut space));
 }
 
 #[divan::bench(args = [64, 256])]
 fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
     let (policy, seen, mut space) = (policy(width), seen(512), Workspace::default());
-    let mut commands_mps2 = vec![0.0; seen.len()];
+    let mut actions = vec![0.0; seen.len()];
     let counter = ItemsCount::new(seen.len() * acting(width));
-    bencher.counter(counter).bench_local(|| policy.act_all(&seen, &mut space, &mut commands_mps2));
+    bencher.counter(counter).bench_local(|| policy.choose_all(&seen, &mut space, &mut actions));
 }
 
 /// 512 runs of the paper's distribution in lockstep, a decision every step, everything included but the draw of the scenarios.

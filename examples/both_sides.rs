@@ -83,14 +83,16 @@ fn drawn(names: &[String], front: &[(f64, f64)], draws: u64) -> Svg {
     let x = Axis::numbers("m/s³", (0.0, 1.1 * most), 8);
     let title = "Contacts in high-risk (%) against rms of jerk in everyday traffic";
     let mut panel = Panel::new(frame, title, x, Axis::numbers("", (0.0, 100.0), 6));
-    let mut points: Vec<(&String, &(f64, f64))> = names.iter().zip(front).collect();
-    points.sort_by(|a, b| a.1.1.total_cmp(&b.1.1));
-    // Neighbours are named on opposite sides.
-    for (index, (name, at)) in points.into_iter().enumerate() {
+    let apart = |a: &(f64, f64), b: &(f64, f64)| ((a.0 - b.0) / most).hypot((a.1 - b.1) / 100.0);
+    for (index, (name, at)) in names.iter().zip(front).enumerate() {
+        let others = front.iter().enumerate().filter(|(other, _)| *other != index);
+        let nearest = others.map(|(_, other)| other).min_by(|a, b| apart(a, at).total_cmp(&apart(b, at)));
         let stem = Path::new(name).file_stem().map_or(name.as_str().into(), |stem| stem.to_string_lossy());
         let marker = if name.ends_with(".safetensors") { Marker::Ring } else { Marker::Cross };
         panel.marks(&[*at], marker, Ink::Series(usize::from(name.ends_with(".safetensors"))));
-        let (side, anchor) = if index % 2 == 1 { (0.012, Anchor::Start) } else { (-0.012, Anchor::End) };
+        // The name is on the other side of its mark than the nearest mark.
+        let is_left = nearest.is_some_and(|nearest| nearest.0 > at.0);
+        let (side, anchor) = if is_left { (-0.012, Anchor::End) } else { (0.012, Anchor::Start) };
         panel.note((at.0 + side * most, at.1), anchor, &stem, Ink::Muted);
     }
     let content = panel.draw(&Svg::id("front", "frame"));
