@@ -8,6 +8,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
+use super::simulate::Format;
 use super::{Failure, choice, output, subject};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::Aim;
@@ -93,6 +94,9 @@ pub(super) struct Plan {
     /// Write into a folder that is not empty, over an earlier plan; shards of other work that are there stay, and are refused when theirs are made
     #[arg(long)]
     force: bool,
+    /// How to print what is planned; json is what `plan.json` holds
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -142,6 +146,10 @@ impl Plan {
             command: std::iter::once("crumple".to_owned()).chain(command.clone()).collect(),
         };
         self.write(&planned, command)?;
-        output::print(&self.told(&planned)?)
+        let text = match self.format {
+            Format::Json => serde_json::to_string(&planned).map_err(Failure::input)? + "\n",
+            Format::Text => self.told(&planned)?,
+        };
+        output::print(&text)
     }
 }

@@ -347,7 +347,10 @@ fn a_plan_of_a_search_makes_its_shards() {
     assert_refused(&crumple(folder, &[&plan[..], &["--runs=10"]].concat()), "cannot be used with");
     // Not over an earlier one, unless that is meant.
     assert_refused(&crumple(folder, &[&plan[..], &["--out=p"]].concat()), "p: is not empty: use --force");
-    assert_eq!(code(&crumple(folder, &[&plan[..], &["--out=p", "--force"]].concat())), 0);
+    let again = crumple(folder, &[&plan[..], &["--out=p", "--force", "--format=json"]].concat());
+    assert_eq!(code(&again), 0, "{}", stderr(&again));
+    let read = |text: &[u8]| serde_json::from_slice::<serde_json::Value>(text).unwrap();
+    assert_eq!(read(&again.stdout), read(&fs::read(folder.join("p/plan.json")).unwrap()));
     // A folder that looks like an option.
     let output = crumple(folder, &[&plan[..], &["--out=-x"]].concat());
     assert_eq!(code(&output), 0, "{}", stderr(&output));
