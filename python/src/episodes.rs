@@ -74,7 +74,8 @@ impl Task {
         let idle = ControllerSpec::MatchLeader(NoSettings::default());
         let options = RunOptions::new(idle).with_estimator(self.environment.estimator);
         let run = OwnedRun::try_new(scenario, |scenario| Run::new(scenario, options)).map_err(|e| e.to_string())?;
-        Ok(OwnedEpisode::new(run, |run| Episode::new(run.borrow_dependent(), &self.environment, self.discount)))
+        let environment = self.environment.of_episode(self.source.as_ref(), seed, index);
+        Ok(OwnedEpisode::new(run, |run| Episode::new(run.borrow_dependent(), &environment, self.discount)))
     }
 }
 

@@ -13,7 +13,7 @@ use crumple_world::scenario::space::{Space, find_space};
 use crumple_world::scenario::{InvalidField, Scenario};
 
 /// Most times that costs count.
-pub(super) const MOST_COSTS_TIMES: f64 = 1e4;
+const MOST_COSTS_TIMES: f64 = 1e4;
 
 /// Most spaces of a blend.
 const MOST_SPACES: usize = 32;

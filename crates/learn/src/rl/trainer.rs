@@ -6,7 +6,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-use super::config::{ConfigError, EnvironmentConfig, TimeLimit, TrainingConfig};
+use super::config::{ConfigError, TimeLimit, TrainingConfig};
 use super::environment::{Ending, Episode, bounds};
 use super::evaluation::{Evaluation, HeldOut};
 use super::learner::{Learner, Losses};
@@ -218,8 +218,7 @@ impl Trainer {
         let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
             .with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;
-        let costs = self.config.environment.costs.times(self.source.costs_times(draws_seed, index));
-        let environment = EnvironmentConfig { costs, ..self.config.environment.clone() };
+        let environment = self.config.environment.of_episode(self.source.as_ref(), draws_seed, index);
         let mut episode = Episode::new(&run, &environment, self.config.learning.discount);
         let mut trials = random::stream(self.seed, Purpose::Exploration, index);
         let mut draws = random::stream(self.seed, Purpose::ReplayDraw, index);
