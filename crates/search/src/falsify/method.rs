@@ -174,6 +174,9 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        // Each case runs all methods twice.
+        #![proptest_config(ProptestConfig::with_cases(100))]
+
         /// Parts of a search that does not look at values are that search; of any other they are searches of their own.
         #[test]
         fn a_part_of_a_blind_search_is_its_points(seed in any::<u64>(), points in 0..200_u64) {
