@@ -3,7 +3,7 @@
 //! A [`Descent`] asks for values and is told them; what the values are of, and how they are computed, is not its affair. So
 //! an attack on one scenario and a search that shares a budget with others take the same steps.
 
-use super::quadratic_program::{QuadraticProgram, Solved};
+use crumple_quadratic::{QuadraticProgram, Solved};
 
 /// What the variables may be.
 #[derive(Debug, Clone, Copy)]

@@ -5,7 +5,7 @@
 //! times H. Everything asked of the leader at a step is a bound on d + θ w there.
 
 use super::attack::{Aim, Bench};
-use super::quadratic_program::{QuadraticProgram, Solved};
+use crumple_quadratic::{QuadraticProgram, Solved};
 
 /// The variable of the peak.
 const PEAK: usize = 0;

@@ -27,7 +27,6 @@ mod family;
 mod lead;
 mod multipliers;
 mod program;
-mod quadratic_program;
 mod reason;
 mod report;
 mod scripted;

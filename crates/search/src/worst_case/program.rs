@@ -17,8 +17,8 @@
 //! so nothing need say that the brake has not fired before τ.
 
 use super::multipliers::Multipliers;
-use super::quadratic_program::{QuadraticProgram, Solved};
 use super::situation::{Side, Situation};
+use crumple_quadratic::{QuadraticProgram, Solved};
 
 /// Instants, in steps, between which accelerations are held.
 #[derive(Debug, Clone, PartialEq)]

@@ -7,7 +7,7 @@
 
 use super::attack::{Aim, Attack, AttackError, AttackMethod, Bench};
 use super::descent::{Descent, Limits, Pace, REGION_FACTORS, slopes};
-use super::quadratic_program::QuadraticProgram;
+use crumple_quadratic::QuadraticProgram;
 
 /// Knots of a profile.
 const KNOTS: usize = 26;

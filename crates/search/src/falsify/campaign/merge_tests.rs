@@ -201,8 +201,9 @@ fn shards_of_other_campaigns_and_damaged_ones_are_refused() {
     assert!(refused(&b).ends_with("campaign.seed differs"), "{}", refused(&b));
     let c = make(&own, 1, 3, "c");
     assert!(refused(&c).contains("shard 1/3 has done what shard 1/2"), "{}", refused(&c));
-    let error =
-        own.run_shard(Shard::new(1, BUDGET as u32 + 1).unwrap(), &root.path().join("x"), false, &mut |_| ControlFlow::Continue(()));
+    let error = own.run_shard(Shard::new(1, BUDGET as u32 + 1).unwrap(), &root.path().join("x"), false, &mut |_| {
+        ControlFlow::Continue(())
+    });
     assert!(error.unwrap_err().to_string().contains("there are 40 evaluations of each method"));
     // Every place that is changed is named.
     let d = make(&own, 2, 2, "d");

@@ -1,4 +1,7 @@
-//! A thin layer over the solver: rows in, a point and multipliers out.
+//! Convex quadratic programs: rows in, a point and multipliers out. A thin layer over the interior-point solver Clarabel.
+//!
+//! A crate of its own since the solver is generic: it is compiled where it is called, and so once and optimised even where its callers
+//! are not.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::SupportedConeT::{NonnegativeConeT, ZeroConeT};
@@ -6,7 +9,7 @@ use clarabel::solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverSt
 
 /// Minimise ½ xᵀ P x + qᵀ x over x with A x = b in the first rows and A x <= b in the others.
 #[derive(Debug, Clone, Default)]
-pub(super) struct QuadraticProgram {
+pub struct QuadraticProgram {
     variables: usize,
     cost: Vec<f64>,
     /// Upper triangle: row, column, value.
@@ -26,7 +29,7 @@ struct Rows {
 
 /// What the solver made of a program.
 #[derive(Debug, Clone)]
-pub(super) enum Solved {
+pub enum Solved {
     /// A minimum, and a multiplier for each inequality.
     Optimal {
         /// The point.
@@ -42,19 +45,20 @@ pub(super) enum Solved {
 
 impl QuadraticProgram {
     /// No rows and no cost.
-    pub(super) fn new(variables: usize) -> Self {
+    #[must_use]
+    pub fn new(variables: usize) -> Self {
         Self { variables, cost: vec![0.0; variables], ..Self::default() }
     }
 
     /// Adds to the linear cost.
-    pub(super) fn cost(&mut self, variable: usize, value: f64) {
+    pub fn cost(&mut self, variable: usize, value: f64) {
         if let Some(cost) = self.cost.get_mut(variable) {
             *cost += value;
         }
     }
 
     /// Adds `weight` (Σ cᵢ xᵢ)² to the cost.
-    pub(super) fn square(&mut self, terms: &[(usize, f64)], weight: f64) {
+    pub fn square(&mut self, terms: &[(usize, f64)], weight: f64) {
         for &(i, c) in terms {
             for &(j, d) in terms.iter().filter(|(j, _)| i <= *j) {
                 self.curvature.push((i, j, 2.0 * weight * c * d));
@@ -63,17 +67,18 @@ impl QuadraticProgram {
     }
 
     /// Adds Σ cᵢ xᵢ = bound.
-    pub(super) fn equal(&mut self, terms: &[(usize, f64)], bound: f64) {
+    pub fn equal(&mut self, terms: &[(usize, f64)], bound: f64) {
         self.equal.add(terms, bound);
     }
 
     /// Adds Σ cᵢ xᵢ <= bound.
-    pub(super) fn at_most(&mut self, terms: &[(usize, f64)], bound: f64) {
+    pub fn at_most(&mut self, terms: &[(usize, f64)], bound: f64) {
         self.at_most.add(terms, bound);
     }
 
     /// Solves.
-    pub(super) fn solve(&self) -> Solved {
+    #[must_use]
+    pub fn solve(&self) -> Solved {
         let equalities = self.equal.bound.len();
         let n = self.variables;
         let rows = equalities + self.at_most.bound.len();
