@@ -132,3 +132,18 @@ def test_memory_stays_as_it_is():
     # A gigabyte of traces alone, were they kept.
     live(1_000_000, 10_000)
     assert used_bytes() - before < 8 << 20
+
+
+def test_costs_count_as_often_as_the_space_says():
+    def costs(times):
+        preset = crumple.training_preset("road").split("[[spaces]]")[0]
+        preset += f'[[spaces]]\nspace = "traffic"\nweight = 1\ncosts_times = {times}\n'
+        env = PlatoonEnv(preset=preset)
+        env.reset(seed=2)
+        rewards = [env.step(np.full(1, action, np.float32))[1] for action in (0.9, -0.5, 0.9, -0.5)]
+        return 1.0 - np.array(rewards)
+
+    once = costs(1)
+    assert once.min() > 0.01
+    assert costs(0) == pytest.approx(np.zeros(4), abs=1e-6)
+    assert costs(10) == pytest.approx(10 * once, rel=1e-4)

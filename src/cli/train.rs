@@ -52,7 +52,7 @@ pub(super) struct Train {
     #[arg(long, value_name = "PRESET", default_value = "fast")]
     preset: String,
     /// Draw episodes from this space, built-in or a file, with a weight relative to others (1 by default); may be given several
-    /// times, and replaces the preset's
+    /// times, and replaces the preset's, with all costs counting once
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = space_share)]
     space: Vec<SpaceShare>,
     /// Train this seed [default: 0]

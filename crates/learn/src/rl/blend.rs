@@ -145,6 +145,7 @@ pub(super) fn source(shares: &[SpaceShare]) -> Result<Arc<dyn ScenarioSource>, C
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rl::TrainingConfig;
 
     fn share(space: &str, weight: f64) -> SpaceShare {
         SpaceShare { space: space.to_owned(), weight, costs_times: 1.0 }
@@ -176,5 +177,29 @@ mod tests {
             assert!(refused(&[share("paper", weight)]).starts_with("spaces: the weight of `paper` must be between"));
         }
         assert!(refused(&vec![share("paper", 1.0); 33]).contains("32 are the most"));
+        for costs_times in [-1.0, f64::NAN, f64::INFINITY, 2.0 * MOST_COSTS_TIMES] {
+            let found = refused(&[SpaceShare { costs_times, ..share("paper", 1.0) }]);
+            assert!(found.starts_with("spaces: `costs_times` of `paper` must be between 0 and 10000"), "{found}");
+        }
+    }
+
+    /// In the episodes of its space, and in no others; and a training of other costs is another one.
+    #[test]
+    fn costs_count_as_often_as_the_space_says() {
+        let ten = SpaceShare { costs_times: 10.0, ..share("traffic", 1.0) };
+        let blend = WeightedSpaces::new(&[ten, share("paper", 1.0)]).unwrap();
+        let config = TrainingConfig::preset("road").unwrap().environment;
+        let weight = config.costs.jerk;
+        assert!(weight > 0.0);
+        let mut counts = [0; 2];
+        for index in 0..100 {
+            let is_traffic = blend.spaces().position(|space| space.draw(3, index) == blend.draw(3, index)) == Some(0);
+            counts[usize::from(is_traffic)] += 1;
+            let times = if is_traffic { 10.0 } else { 1.0 };
+            assert_eq!(config.of_episode(&blend, 3, index).costs.jerk, times * weight);
+        }
+        assert!(counts.iter().all(|count| *count > 20), "{counts:?}");
+        let identity = blend.identity().unwrap().unwrap();
+        assert!(identity.contains("whose costs count 10 times, a share of 0.5"), "{identity}");
     }
 }
