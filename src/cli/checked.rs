@@ -1,8 +1,10 @@
 //! What `crumple check` says of certificates it has checked.
 
+use std::path::Path;
+
 use crumple_search::evidence::Confirmation;
 use crumple_verify::certificate::COUNTS_ARE_THE_MAKERS_WORD;
-use crumple_verify::{Accepted, Certificate, Statement};
+use crumple_verify::{Accepted, Certificate, Statement, check};
 use crumple_world::quoted::Terminal;
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
@@ -80,6 +82,14 @@ impl Counts {
 fn catches(confirmation: &Confirmation) -> [(u64, f64); 3] {
     [1, confirmation.of_runs.div_ceil(100), confirmation.of_runs.div_ceil(10)]
         .map(|forged| (forged, confirmation.chance_of_catching(forged)))
+}
+
+impl<'a> Checked<'a> {
+    /// A certificate just made, as the checker sees it.
+    pub(super) fn now(path: &Path, certificate: &'a Certificate) -> Self {
+        let accepted = check(certificate).map_err(|rejection| rejection.to_string());
+        Self { path: path.display().to_string(), certificate, accepted, counts: None, about: None }
+    }
 }
 
 impl Checked<'_> {

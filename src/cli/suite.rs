@@ -89,7 +89,7 @@ struct RunSuite {
     format: Format,
 }
 
-/// Run every suite that is shipped, and print one table in Markdown
+/// Run every suite that is shipped, and print one table
 #[derive(Args)]
 #[command(after_long_help = "\
 Examples:
@@ -103,6 +103,9 @@ struct TableOfSuites {
     /// What the vehicle under test looks through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
+    /// How to print: a table in Markdown, or one JSON object a suite, as `crumple suite run` has it
+    #[arg(long, value_enum, default_value = "text")]
+    format: super::simulate::Format,
 }
 
 impl TableOfSuites {
@@ -110,7 +113,10 @@ impl TableOfSuites {
         let controllers = if self.controllers.is_empty() { built_in()? } else { self.controllers };
         let run = |(name, _): &(&str, &str)| run(&find(name)?, &controllers, self.estimator).map_err(Failure::input);
         let results = SHIPPED.iter().map(run).collect::<Result<Vec<_>, Failure>>()?;
-        output::print(&suite::table(&results))
+        match self.format {
+            super::simulate::Format::Json => results.iter().try_for_each(output::print_json),
+            super::simulate::Format::Text => output::print(&suite::table(&results)),
+        }
     }
 }
 

@@ -4,18 +4,21 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
 use crumple_search::disk;
-use crumple_verify::{Certificate, check};
+use crumple_verify::{Accepted, Certificate, check};
+use serde::Serialize;
 
+use super::checked::{self, Checked};
 use super::output;
 use super::simulate::Format;
 use super::{Failure, choice, exposed, interrupt, progress, rare, reach, subject};
+use crumple_search::evidence::exposed::ExposedRate;
 use crumple_search::evidence::rare::{Effort, RareMethod, RarePlan};
 use crumple_search::evidence::{RateConfig, RateFolderError, RatePlan, Tally, shipped_kernels};
 use crumple_search::shard::Shard;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::Space;
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{NamedController, Unanswered};
 
 /// Make claims and write certificates that `crumple check` accepts by itself
 #[derive(Args)]
@@ -43,6 +46,9 @@ struct Shield {
     /// Where certificates go
     #[arg(long, value_name = "DIR", default_value = "crumple-shield")]
     out: PathBuf,
+    /// How to print: for a reader, or one JSON object a certificate, as `crumple check` has it
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
 }
 
 /// How often a controller fails at most, or that it fails less often than another
@@ -95,9 +101,9 @@ struct Rate {
     /// With --rare: independent populations, 5 to 1000 [default: 20]
     #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(5..=1000))]
     repetitions: Option<u32>,
-    /// With --rare: how to print [default: text]
-    #[arg(long, value_enum, requires = "rare")]
-    format: Option<Format>,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
     /// In a space fitted to episodes: resamples of these, to each of which it is fitted again: 0 (none) or 79 to 2000 [default: 200, with
     /// --rare 80, each with an estimate of about 20 000 runs]
     #[arg(long, value_name = "N", value_parser = exposed::resamples)]
@@ -153,13 +159,18 @@ impl Verify {
 impl Shield {
     fn run(self) -> Result<(), Failure> {
         disk::make_folder(&self.out)?;
-        let mut text = String::new();
-        for (name, certificate) in shipped_kernels() {
+        let (mut text, kernels) = (String::new(), shipped_kernels());
+        let mut all = Vec::new();
+        for (name, certificate) in &kernels {
             let path = self.out.join(format!("{name}.json"));
-            disk::write_json(&path, &certificate)?;
-            text += &judged(&path, &certificate)?;
+            disk::write_json(&path, certificate)?;
+            text += &judged(&path, certificate)?;
+            all.push(Checked::now(&path, certificate));
         }
-        output::print_for(Format::Text, &text)
+        match self.format {
+            Format::Json => output::print(&checked::json(&all).map_err(Failure::input)?),
+            Format::Text => output::print_for(Format::Text, &text),
+        }
     }
 }
 
@@ -190,7 +201,12 @@ impl Rate {
             bar.finish_and_clear();
             done?;
             let said = format!("{}: shard {shard}; `crumple merge` puts it together with the others\n", out.display());
-            return output::print(&format!("{}{said}", counted(is_comparison, part.tally())));
+            return match self.format {
+                Format::Json => {
+                    output::print_json(&CountReport { shard: Some(shard), ..CountReport::of(part.tally(), &out) })
+                }
+                Format::Text => output::print(&format!("{}{said}", counted(is_comparison, part.tally()))),
+            };
         }
         let mut count = plan.register_in(&out, self.resume)?;
         registered();
@@ -198,12 +214,28 @@ impl Rate {
         let bar = progress::bar("counting", runs, quiet);
         let certificate = count.certificate(&mut |done| bar.set_position(done));
         bar.finish_and_clear();
-        let said = judged(&count.certificate_path(), &certificate?)?;
+        let (certificate, path) = (certificate?, count.certificate_path());
+        let said = judged(&path, &certificate)?;
         let bar = progress::counter("resampling", quiet);
         let exposed = plan.exposed(count.tally(), &mut |runs| bar.inc(runs));
         bar.finish_and_clear();
-        let exposed = exposed.map_err(Failure::input)?.map(|rate| exposed::text(&rate)).unwrap_or_default();
-        output::print_for(Format::Text, &format!("{}{said}{exposed}", counted(is_comparison, count.tally())))
+        let exposed = exposed.map_err(Failure::input)?;
+        match self.format {
+            Format::Json => {
+                let rate_at_most = match Checked::now(&path, &certificate).accepted {
+                    Ok(Accepted::Rate { at_most, .. }) => Some(at_most),
+                    _ => None,
+                };
+                let confidence = Some(plan.registration().confidence);
+                let certificate = Some(path.as_path());
+                let report = CountReport::of(count.tally(), &out);
+                output::print_json(&CountReport { certificate, rate_at_most, confidence, exposed, ..report })
+            }
+            Format::Text => {
+                let exposed = exposed.map(|rate| exposed::text(&rate)).unwrap_or_default();
+                output::print_for(Format::Text, &format!("{}{said}{exposed}", counted(is_comparison, count.tally())))
+            }
+        }
     }
 
     fn estimate(self, quiet: bool) -> Result<(), Failure> {
@@ -231,7 +263,7 @@ impl Rate {
         if let Some(shard) = self.shard {
             return rare::shard(&plan, (shard, resamples), &self.out_of(), self.resume, quiet);
         }
-        rare::estimate(&plan, resamples, &self.out_of(), self.resume, self.format.unwrap_or(Format::Text), quiet)
+        rare::estimate(&plan, resamples, &self.out_of(), self.resume, self.format, quiet)
     }
 
     /// Where it goes.
@@ -246,6 +278,48 @@ impl Rate {
 
 /// Where a count goes by default.
 const OUT: &str = "crumple-rate";
+
+/// What was counted, for programs: names as in what `crumple merge` says of counts.
+#[derive(Serialize)]
+struct CountReport<'a> {
+    registration_sha256: &'a str,
+    folder: &'a Path,
+    /// The shard, where it is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    shard: Option<Shard>,
+    runs: u64,
+    failures: u64,
+    only_first_failed: u64,
+    only_second_failed: u64,
+    /// Runs without an answer, of the first controller and of the second.
+    unanswered: [Option<Unanswered>; 2],
+    /// Where the certificate lies; of a shard there is none.
+    certificate: Option<&'a Path>,
+    /// Of one controller: the bound that the checker accepted.
+    rate_at_most: Option<f64>,
+    confidence: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    exposed: Option<ExposedRate>,
+}
+
+impl<'a> CountReport<'a> {
+    fn of(tally: &'a Tally, folder: &'a Path) -> Self {
+        Self {
+            registration_sha256: &tally.registration_sha256,
+            folder,
+            shard: None,
+            runs: tally.runs,
+            failures: tally.failures,
+            only_first_failed: tally.only_first_failed,
+            only_second_failed: tally.only_second_failed,
+            unanswered: tally.unanswered(),
+            certificate: None,
+            rate_at_most: None,
+            confidence: None,
+            exposed: None,
+        }
+    }
+}
 
 /// What was counted, in a line.
 pub(super) fn counted(is_comparison: bool, tally: &Tally) -> String {

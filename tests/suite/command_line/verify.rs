@@ -135,3 +135,38 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     assert_eq!(code(&estimate(&["--runs", "10"])), 2, "either counted or estimated");
     assert_eq!(code(&crumple(folder.path(), &["verify", "rate", "--controller", "idm"])), 2, "--runs is missing");
 }
+
+/// What programs read says what people read, and names things as `check`, `merge` and `suite run` do.
+#[test]
+fn what_is_verified_can_be_read_by_programs() {
+    let folder = folder();
+    let said = |arguments: &[&str]| {
+        let output = crumple(folder.path(), arguments);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        objects(&output)
+    };
+    let kernels = said(&["verify", "shield", "--out", "kernels", "--format", "json"]);
+    assert_eq!(kernels.len(), std::fs::read_dir(folder.path().join("kernels")).unwrap().count());
+    for kernel in &kernels {
+        assert_eq!(kernel["accepted"], true);
+        let checked = &said(&["check", kernel["certificate"].as_str().unwrap(), "--format", "json"])[0];
+        assert_eq!(kernel, checked);
+    }
+    let rate = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "300", "--format", "json"];
+    let one = &said(&[&rate[..], &["--out", "rate", "--confidence", "0.99"]].concat())[0];
+    assert_eq!(
+        (one["runs"].as_u64(), one["failures"].as_u64(), one["confidence"].as_f64()),
+        (Some(300), Some(0), Some(0.99))
+    );
+    // Nobody fails in n runs with a chance of 1 - c at the rate 1 - (1 - c)^(1/n).
+    let bound = 1.0 - 0.01_f64.powf(1.0 / 300.0);
+    assert!((one["rate_at_most"].as_f64().unwrap() - bound).abs() < 1e-9, "{one}");
+    let checked = &said(&["check", one["certificate"].as_str().unwrap(), "--format", "json"])[0];
+    assert_eq!(checked["rate_at_most"], one["rate_at_most"]);
+    let shard = &said(&[&rate[..], &["--out", "part", "--confidence", "0.99", "--shard", "1/3"]].concat())[0];
+    assert_eq!((shard["runs"].as_u64(), shard["shard"].as_str()), (Some(100), Some("1/3")));
+    assert_eq!(
+        (&shard["certificate"], &shard["registration_sha256"]),
+        (&serde_json::Value::Null, &one["registration_sha256"])
+    );
+}
