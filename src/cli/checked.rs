@@ -124,6 +124,9 @@ impl Checked<'_> {
         let Self { certificate, accepted, counts, about, .. } = self;
         let path = Terminal(&self.path);
         let mut text = match accepted {
+            Ok(accepted) if matches!(counts, Some(Counts::Refuted { .. })) => {
+                format!("{path}: REFUTED, though it would follow from its counts: {accepted}\n")
+            }
             Ok(accepted) => format!("{path}: accepted: {accepted}\n"),
             Err(rejection) => {
                 format!("{path}: rejected: {} is not proved: {}\n", certificate.statement.name(), Terminal(rejection))

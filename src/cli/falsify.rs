@@ -120,10 +120,9 @@ impl Expectation {
             }
             (Self::Nothing, true) => {
                 let kinds = summary.counterexamples.len();
-                let plural = if kinds == 1 { "" } else { "s" };
-                Err(Failure::Gate(format!(
-                    "expected nothing, and there are {kinds} distinct failure{plural} in {evaluations} evaluations"
-                )))
+                let found =
+                    if kinds == 1 { "is 1 distinct failure" } else { &format!("are {kinds} distinct failures") };
+                Err(Failure::Gate(format!("expected nothing, and there {found} in {evaluations} evaluations")))
             }
             // What was not judged does not speak for the controller.
             (Self::Nothing, false) => {

@@ -10,6 +10,7 @@ use super::simulate::Format;
 use super::{Failure, assess, exposed, falsify, output, rare, suite, train, verify};
 use crumple_learn::rl::{MergedTrainings, is_of_trainings};
 use crumple_report::assessment::{MergedEvidence, SHARD_OF_AN_ASSESSMENT};
+use crumple_search::evidence::RateFolderError;
 use crumple_search::evidence::exposed::ExposedRate;
 use crumple_search::evidence::rare::{MergedEstimate, SHARD_OF_AN_ESTIMATE};
 use crumple_search::evidence::{MergedCount, SHARD_OF_A_COUNT, SoFar};
@@ -248,7 +249,21 @@ impl Merge {
     }
 
     fn count(&self, merged: &MergedCount, format: Format) -> Result<(), Failure> {
-        let Some((path, certificate)) = merged.write_in(&self.out)? else {
+        let written = match merged.write_in(&self.out) {
+            // What was counted is an answer, too.
+            Err(rejected @ RateFolderError::Rejected { .. }) => {
+                let printed = match format {
+                    Format::Json => output::print_json(&merged.so_far()),
+                    Format::Text => {
+                        let tally = merged.tally().unwrap_or_default();
+                        output::print(&verify::counted(merged.record().is_of_two(), &tally))
+                    }
+                };
+                return Failure::gate_first(Err(rejected.into()), printed);
+            }
+            written => written?,
+        };
+        let Some((path, certificate)) = written else {
             let so_far = merged.so_far();
             let printed = match format {
                 Format::Json => output::print_json(&so_far),

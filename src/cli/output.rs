@@ -53,6 +53,7 @@ const VERDICTS: &[(&str, AnsiColor)] = &[
     ("no failure found", AnsiColor::Yellow),
     ("accepted", AnsiColor::Green),
     ("rejected", AnsiColor::Red),
+    ("REFUTED", AnsiColor::Red),
     ("unavoidable", AnsiColor::Yellow),
     ("avoidable", AnsiColor::Red),
     ("undecided", AnsiColor::Yellow),

@@ -62,7 +62,7 @@ pub(super) fn shard(
     (shard, resamples): (Shard, u32),
     folder: &Path,
     resume: bool,
-    quiet: bool,
+    (format, quiet): (Format, bool),
 ) -> Result<(), Failure> {
     let part = plan.shard_in_folder((shard, resamples), folder, resume)?;
     if !part.is_complete() {
@@ -79,7 +79,17 @@ pub(super) fn shard(
         repeated?;
     }
     let said = "`crumple merge` puts it together with the others";
-    output::print(&format!("{}: shard {shard}; {said}\n", folder.display()))
+    match format {
+        Format::Json => output::print_json(&ShardReport { folder, shard }),
+        Format::Text => output::print(&format!("{}: shard {shard}; {said}\n", folder.display())),
+    }
+}
+
+/// A shard that is made, for programs.
+#[derive(Serialize)]
+struct ShardReport<'a> {
+    folder: &'a Path,
+    shard: Shard,
 }
 
 /// What is missing of an estimate, for programs.

@@ -52,7 +52,7 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seed: Option<u64>,
     /// Integration step in seconds, a whole fraction of the scenario's; controllers, sensors and noise keep the scenario's
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = seconds)]
     dt: Option<f64>,
     /// What happens when vehicles touch
     #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = choice::one_of(choice::AFTER_CONTACT))]
@@ -127,6 +127,14 @@ struct Rendered {
     is_useful: bool,
     collided: bool,
     violated: bool,
+}
+
+/// A length of time that steps can have.
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(found) if (1e-6..=1.0).contains(&found) => Ok(found),
+        _ => Err("must be from 0.000001 to 1 s".to_owned()),
+    }
 }
 
 impl Simulate {

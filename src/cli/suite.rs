@@ -111,12 +111,22 @@ struct TableOfSuites {
 impl TableOfSuites {
     fn run(self) -> Result<(), Failure> {
         let controllers = if self.controllers.is_empty() { built_in()? } else { self.controllers };
+        once_each(&controllers)?;
         let run = |(name, _): &(&str, &str)| run(&find(name)?, &controllers, self.estimator).map_err(Failure::input);
         let results = SHIPPED.iter().map(run).collect::<Result<Vec<_>, Failure>>()?;
         match self.format {
             super::simulate::Format::Json => results.iter().try_for_each(output::print_json),
             super::simulate::Format::Text => output::print(&suite::table(&results)),
         }
+    }
+}
+
+/// A controller that is named twice is a mistake.
+fn once_each(controllers: &[NamedController]) -> Result<(), Failure> {
+    let names = || controllers.iter().map(|controller| controller.name.as_str());
+    match names().enumerate().find(|(place, name)| names().take(*place).any(|before| before == *name)) {
+        Some((_, name)) => Err(Failure::Input(format!("--controller: `{name}` is named twice"))),
+        None => Ok(()),
     }
 }
 
@@ -225,6 +235,7 @@ impl RunSuite {
         if let Some(shard) = self.shard {
             return self.make(&suite, shard, quiet);
         }
+        once_each(&self.controllers)?;
         let result = run(&suite, &self.controllers, self.estimator).map_err(Failure::input)?;
         if let Some(folder) = &self.out {
             write(&result, folder)?;

@@ -177,6 +177,15 @@ impl Shield {
 impl Rate {
     fn run(self, quiet: bool) -> Result<(), Failure> {
         let Some(runs) = self.runs else { return self.estimate(quiet) };
+        // clap asks for nothing that conflicts with what is there, and `--rare` does with `--runs`.
+        let of_rare = [
+            ("--spec", self.spec.is_some()),
+            ("--samples", self.samples.is_some()),
+            ("--repetitions", self.repetitions.is_some()),
+        ];
+        if let Some((name, _)) = of_rare.iter().find(|(_, is_given)| *is_given) {
+            return Err(Failure::Input(format!("{name}: is of --rare; a count is of runs without contact")));
+        }
         let (is_comparison, out) = (self.against.is_some(), self.out_of());
         let plan = RatePlan::new(RateConfig {
             controllers: (self.controller, self.against),
@@ -214,7 +223,21 @@ impl Rate {
         let bar = progress::bar("counting", runs, quiet);
         let certificate = count.certificate(&mut |done| bar.set_position(done));
         bar.finish_and_clear();
-        let (certificate, path) = (certificate?, count.certificate_path());
+        let (certificate, path) = match certificate {
+            Ok(certificate) => (certificate, count.certificate_path()),
+            // What was counted is an answer, too.
+            Err(rejected @ RateFolderError::Rejected { .. }) => {
+                let confidence = Some(plan.registration().confidence);
+                let printed = match self.format {
+                    Format::Json => {
+                        output::print_json(&CountReport { confidence, ..CountReport::of(count.tally(), &out) })
+                    }
+                    Format::Text => output::print(&counted(is_comparison, count.tally())),
+                };
+                return Failure::gate_first(Err(rejected.into()), printed);
+            }
+            Err(error) => return Err(error.into()),
+        };
         let said = judged(&path, &certificate)?;
         let bar = progress::counter("resampling", quiet);
         let exposed = plan.exposed(count.tally(), &mut |runs| bar.inc(runs));
@@ -261,7 +284,7 @@ impl Rate {
         };
         let resamples = self.resamples.unwrap_or(80);
         if let Some(shard) = self.shard {
-            return rare::shard(&plan, (shard, resamples), &self.out_of(), self.resume, quiet);
+            return rare::shard(&plan, (shard, resamples), &self.out_of(), self.resume, (self.format, quiet));
         }
         rare::estimate(&plan, resamples, &self.out_of(), self.resume, self.format, quiet)
     }
@@ -323,13 +346,7 @@ impl<'a> CountReport<'a> {
 
 /// What was counted, in a line.
 pub(super) fn counted(is_comparison: bool, tally: &Tally) -> String {
-    let Tally { runs, failures, only_first_failed, only_second_failed, .. } = tally;
-    let counts = if is_comparison {
-        format!("{only_first_failed} runs in which only the first failed, {only_second_failed} only the second")
-    } else {
-        format!("{failures} failures")
-    };
-    format!("{counts}, of {runs} runs{}\n", tally.unanswered_words())
+    tally.words(is_comparison) + "\n"
 }
 
 /// What the checker says of a certificate that goes to `path`.

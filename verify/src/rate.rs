@@ -116,7 +116,7 @@ pub(crate) fn check_rate(claim: &Rate, work: &Work) -> Result<Accepted, Rejectio
     let registration = &claim.registration;
     check_registration(registration, &claim.registration_sha256)?;
     if claim.failures >= registration.runs {
-        return Err(Rejection::invalid("failures", "every run failed: no bound on the rate follows"));
+        return Err(Rejection::invalid("failures", "are all runs: no bound on the rate follows"));
     }
     if !(claim.rate_at_most > 0.0 && claim.rate_at_most < 1.0) {
         return Err(Rejection::invalid("rate_at_most", "must be between 0 and 1"));

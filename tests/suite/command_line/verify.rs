@@ -170,3 +170,23 @@ fn what_is_verified_can_be_read_by_programs() {
         (&serde_json::Value::Null, &one["registration_sha256"])
     );
 }
+
+/// What is of the estimate of a rare failure is refused beside a count, which it would not change; a count that shows nothing is told.
+#[test]
+fn a_count_says_what_it_is_of() {
+    let folder = folder();
+    let rate = ["verify", "rate", "--controller", "baseline", "--runs", "100", "--estimator", "truth", "--out", "rate"];
+    for rare in [["--spec", "always v1.speed_mps > 1000"], ["--samples", "100"], ["--repetitions", "5"]] {
+        assert_refused(&crumple(folder.path(), &[&rate[..], &rare].concat()), &format!("{}: is of --rare", rare[0]));
+    }
+    let shown = crumple(folder.path(), &[&rate[..], &["--format", "json"]].concat());
+    let one = &objects(&shown)[0];
+    assert_eq!((code(&shown), one["runs"].as_u64(), &one["certificate"]), (1, Some(100), &Value::Null), "{one}");
+    // Where it is not rare, runs are counted: all of 250 fail, and the truth may be 0.985.
+    let rare = ["verify", "rate", "--controller", "baseline", "--estimator", "truth", "--rare", "--samples", "50"];
+    let rare =
+        crumple(folder.path(), &[&rare[..], &["--repetitions", "5", "--out", "rare", "--format", "json"]].concat());
+    let one = &objects(&rare)[0]["estimate"];
+    let [low, high] = [0, 1].map(|end| one["interval_95"][end].as_f64().unwrap());
+    assert!((low - 0.025_f64.powf(1.0 / 250.0)).abs() < 1e-9 && high == 1.0, "{one}");
+}

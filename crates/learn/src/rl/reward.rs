@@ -35,7 +35,7 @@ const MOST_WEIGHT: f64 = 100.0;
 /// | `jerk` | change of acceleration in the step / its time / 75 m/s³ |
 /// | `imposed` | braking of the vehicle behind beyond that of the one ahead / 7.5 m/s² |
 /// | `needless` | braking beyond 1 m/s² more than has a cause ([`caused_brake_mps2`]) / 7.5 m/s² |
-/// | `departure` | how far the action departs from the law that it is relative to, from 0 to 1 ([`Held::departure`](crumple_world::policy::Held::departure)) |
+/// | `departure` | how far the action departs from the law that it is relative to, from 0 to 1 |
 ///
 /// The wanted gap is `standstill_m + headway_s * speed`. Terms about a vehicle that is not there are 0.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -35,18 +35,14 @@ pub enum RateFolderError {
     #[error(transparent)]
     Shards(#[from] TooManyShards),
     /// The checker does not accept what the counts would show.
-    #[error("{failures} of {runs} runs failed, and nothing is shown by {}: {rejection}{unanswered}", path.display())]
+    #[error("nothing is shown by {}: {rejection} ({counts})", path.display())]
     Rejected {
         /// What was counted.
         path: PathBuf,
-        /// Runs that were made.
-        runs: u64,
-        /// Those that failed.
-        failures: u64,
+        /// What they are, in words.
+        counts: String,
         /// What the checker says.
         rejection: Rejection,
-        /// Who gave no answer, how often and why, as the end of the sentence.
-        unanswered: String,
     },
 }
 
@@ -107,7 +103,6 @@ impl CountRecord {
         let path = work.path(PROGRESS);
         work.write(PROGRESS, json(&path, tally)?)?;
         let certificate = self.certificate(tally);
-        let Tally { runs, failures, .. } = *tally;
         let checked = check(&certificate);
         if checked.is_ok() {
             work.write(CERTIFICATE, json(&work.path(CERTIFICATE), &certificate)?)?;
@@ -116,10 +111,7 @@ impl CountRecord {
         work.finish()?;
         match checked {
             Ok(_) => Ok(certificate),
-            Err(rejection) => {
-                let unanswered = tally.unanswered_words();
-                Err(RateFolderError::Rejected { path, runs, failures, rejection, unanswered })
-            }
+            Err(rejection) => Err(RateFolderError::Rejected { path, counts: tally.words(self.is_of_two()), rejection }),
         }
     }
 

@@ -59,7 +59,21 @@ impl Tally {
         all
     }
 
-    /// The same in words, each after a semicolon; nothing where all were answered.
+    /// What was counted, in words: of one controller, or of two.
+    #[must_use]
+    pub fn words(&self, is_of_two: bool) -> String {
+        let Self { runs, failures, only_first_failed, only_second_failed, .. } = self;
+        let counts = if is_of_two {
+            format!(
+                "{only_first_failed} runs in which only the first failed, {only_second_failed} only the second, {failures} both"
+            )
+        } else {
+            format!("{failures} failures")
+        };
+        format!("{counts}, of {runs} runs{}", self.unanswered_words())
+    }
+
+    /// Who gave no answer, in words, each after a semicolon; nothing where all were answered.
     #[must_use]
     pub fn unanswered_words(&self) -> String {
         let who = ["; the controller ", "; the other controller, whose runs then speak for neither, "];

@@ -108,7 +108,8 @@ pub struct Estimate {
     pub probability: Option<f64>,
     /// Standard deviation of that mean, relative to it; none if it is zero.
     pub coefficient_of_variation: Option<f64>,
-    /// An interval at 95 % for the probability, if there is an estimate above 0: Student's, on a logarithmic scale.
+    /// An interval at 95 % for the probability, if there is an estimate above 0: Student's, on a logarithmic scale; Clopper's and
+    /// Pearson's where there is one level, so that runs are only counted.
     pub interval_95: Option<[f64; 2]>,
     /// What each repetition says. The mean of these is the estimate.
     pub repetitions: Vec<f64>,

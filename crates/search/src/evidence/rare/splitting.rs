@@ -310,19 +310,33 @@ impl Estimate {
     pub(super) fn of_repetitions(self, repetitions: Vec<f64>) -> Self {
         let probability = mean(&repetitions);
         let coefficient_of_variation = variation_of_mean(&repetitions, probability);
-        Self {
-            probability: Some(probability),
-            coefficient_of_variation,
-            interval_95: coefficient_of_variation.and_then(|cv| interval(probability, cv, repetitions.len(), 0.95)),
-            repetitions,
-            ..self
-        }
+        let estimate = Self { probability: Some(probability), coefficient_of_variation, repetitions, ..self };
+        Self { interval_95: estimate.interval(0.95), ..estimate }
     }
 
     /// An interval for the probability, as that at 95 %.
     #[must_use]
     pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
-        interval(self.probability?, self.coefficient_of_variation?, self.repetitions.len(), confidence)
+        let (probability, variation) = (self.probability?, self.coefficient_of_variation?);
+        match self.counted() {
+            Some((failures, runs)) => {
+                let RateInterval { lower, upper } = RateInterval::exact(failures, runs, confidence);
+                Some([lower, upper])
+            }
+            None => interval(probability, variation, self.repetitions.len(), confidence),
+        }
+    }
+
+    /// Failures and runs of the repetitions where the first level is the failure itself: nothing is split then, and runs are counted. The
+    /// spread of repetitions that all fail throughout is nothing, and so says nothing.
+    fn counted(&self) -> Option<(u64, u64)> {
+        let repetitions = self.repetitions.len() as u64;
+        let each = self.independent_runs / (1 + repetitions);
+        let is_counted = self.levels.len() == 1 && self.largest_weight.is_none() && each > 0 && repetitions > 0;
+        is_counted.then(|| {
+            let failures = self.repetitions.iter().map(|share| (share * each as f64).round() as u64).sum();
+            (failures, each * repetitions)
+        })
     }
 
     /// An interval from the independent draws alone, which no level helped: Clopper's and Pearson's; none of an estimate that does not know them.
