@@ -132,8 +132,9 @@ struct Rendered {
 /// A length of time that steps can have.
 fn seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
-        Ok(found) if (1e-6..=1.0).contains(&found) => Ok(found),
-        _ => Err("must be from 0.000001 to 1 s".to_owned()),
+        Ok(found) if found > 0.0 && f64::is_finite(found) => Ok(found),
+        Ok(_) => Err("must be a positive number of seconds".to_owned()),
+        Err(error) => Err(error.to_string()),
     }
 }
 

@@ -83,6 +83,7 @@ fn evidence() -> impl Strategy<Value = Evidence> {
 fn level(said: &Value) -> u8 {
     match said["strength"].as_str().expect("a strength") {
         "refuted" | "found" | "defeated" | "exceeded" | "contradicted" => 0,
+        "unanswered" if said["refutes"] == true || said["failures"].as_u64() > Some(0) => 0,
         "compared" if said["own"].as_u64() > said["other"].as_u64() => 0,
         "compared" if said["own"].as_u64() < said["other"].as_u64() => 2,
         "tested" => 2,
