@@ -321,8 +321,10 @@ mod tests {
             let (mut nearest_low, mut nearest_high) = (f64::INFINITY, f64::INFINITY);
             for at in 0..=200 {
                 let x = (low + (high - low) * at as f32 / 200.0).clamp(low, high);
-                let off = f64::from(computed(&each, x)) - line.slope * f64::from(x);
-                let slack = line.rounding + 1e-15 * (1.0 + off.abs());
+                let (found, on_line) = (f64::from(computed(&each, x)), line.slope * f64::from(x));
+                let off = found - on_line;
+                // What is rounded here.
+                let slack = line.rounding + 1e-15 * (1.0 + found.abs() + on_line.abs());
                 prop_assert!(off >= line.low - slack && off <= line.high + slack, "{each:?} at {x}: {off} {line:?}");
                 nearest_low = nearest_low.min(off - line.low);
                 nearest_high = nearest_high.min(line.high - off);
