@@ -138,7 +138,7 @@ def test_costs_count_as_often_as_the_space_says():
     def costs(times):
         preset = crumple.training_preset("road").split("[[spaces]]")[0]
         preset += f'[[spaces]]\nspace = "traffic"\nweight = 1\ncosts_times = {times}\n'
-        env = PlatoonEnv(preset=preset)
+        env = PlatoonEnv(None, preset=preset)
         env.reset(seed=2)
         rewards = [env.step(np.full(1, action, np.float32))[1] for action in (0.9, -0.5, 0.9, -0.5)]
         return 1.0 - np.array(rewards)
