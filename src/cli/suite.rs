@@ -232,10 +232,10 @@ fn show(name: &str) -> Result<(), Failure> {
 impl RunSuite {
     fn run(self, quiet: bool) -> Result<(), Failure> {
         let suite = find(&self.suite)?;
+        once_each(&self.controllers)?;
         if let Some(shard) = self.shard {
             return self.make(&suite, shard, quiet);
         }
-        once_each(&self.controllers)?;
         let result = run(&suite, &self.controllers, self.estimator).map_err(Failure::input)?;
         if let Some(folder) = &self.out {
             write(&result, folder)?;

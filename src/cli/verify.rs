@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
 use crumple_search::disk;
-use crumple_verify::{Accepted, Certificate, check};
+use crumple_verify::{Certificate, Statement, check};
 use serde::Serialize;
 
 use super::checked::{self, Checked};
@@ -245,8 +245,9 @@ impl Rate {
         let exposed = exposed.map_err(Failure::input)?;
         match self.format {
             Format::Json => {
-                let rate_at_most = match Checked::now(&path, &certificate).accepted {
-                    Ok(Accepted::Rate { at_most, .. }) => Some(at_most),
+                // As accepted above.
+                let rate_at_most = match &certificate.statement {
+                    Statement::Rate(rate) => Some(rate.rate_at_most),
                     _ => None,
                 };
                 let confidence = Some(plan.registration().confidence);

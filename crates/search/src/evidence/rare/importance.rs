@@ -133,7 +133,8 @@ impl Importance {
         let sum: f64 = shares.iter().sum();
         let largest = repeated.iter().map(|one| one.largest * one.probability).fold(0.0, f64::max);
         let largest_weight = (sum > 0.0).then_some(largest / sum);
-        let mut estimate = Estimate { evaluations, largest_weight, ..begun.of_repetitions(shares) };
+        // Weights first: an estimate without any of one level would be taken for a count.
+        let mut estimate = Estimate { evaluations, largest_weight, ..begun }.of_repetitions(shares);
         let probability = estimate.probability.unwrap_or(0.0);
         let before = estimate.levels.last().map_or(1.0, |level| level.probability);
         let share = if before > 0.0 { (probability / before).min(1.0) } else { 0.0 };
