@@ -483,7 +483,7 @@ fn variation_of_mean(values: &[f64], mean: f64) -> Option<f64> {
 }
 
 /// Products of many shares are nearly log-normal, and so is their mean.
-fn interval(mean: f64, variation: f64, repetitions: usize, confidence: f64) -> Option<[f64; 2]> {
+pub(super) fn interval(mean: f64, variation: f64, repetitions: usize, confidence: f64) -> Option<[f64; 2]> {
     let student = StudentsT::new(0.0, 1.0, repetitions as f64 - 1.0).ok()?;
     let factor = (student.inverse_cdf(0.5 + 0.5 * confidence) * (variation * variation).ln_1p().sqrt()).exp();
     Some([mean / factor, (mean * factor).min(1.0)])
