@@ -1,7 +1,11 @@
 //! The paper's Markov decision process on the simulator (section "Markov decision process").
 
+use std::cell::Cell;
+use std::ops::ControlFlow;
+
 use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::Earnings;
+use crumple_world::observation::Observation;
 use crumple_world::policy::{ActionBounds, Held, ObservationScaling, STATE};
 use crumple_world::scenario::PAPER_STEP_S;
 use crumple_world::sim::{Motion, Run, Stepper};
@@ -62,7 +66,7 @@ impl<'r, 's> Episode<'r, 's> {
     pub fn new(run: &'r Run<'s>, config: &EnvironmentConfig, discount: f64) -> Self {
         let stepper = Stepper::without_summaries(run);
         Self {
-            earnings: Earnings::new(&stepper, run.scenario().spec().step_s),
+            earnings: Earnings::new(&stepper, run.scenario().spec().step_s, &config.costs),
             stepper,
             config: config.clone(),
             discount,
@@ -84,34 +88,34 @@ impl<'r, 's> Episode<'r, 's> {
     /// Holds an action, between -1 and 1, until the next decision.
     pub fn decide(&mut self, action: f32) -> Consequence {
         self.held.turn_to(action);
-        let (mut reward, mut of_last_step) = (0.0, 0.0);
-        let mut ending = Ending::None;
+        let Self { stepper, config, earnings, bounds, held, standing_steps, .. } = self;
+        let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, Ending::None);
+        let departure = Cell::new(0.0);
         let mut acceleration_mps2 = None;
-        for _ in 0..self.config.decision_steps {
-            if acceleration_mps2.is_none() || self.bounds.departs_from.is_some() {
-                let (held, bounds) = (&mut self.held, &self.bounds);
-                let seen = self.stepper.observe(EGO);
-                acceleration_mps2 = seen.map(|seen| held.acceleration_mps2(bounds, &seen, PAPER_STEP_S));
+        let command = |seen: &Observation| match acceleration_mps2 {
+            Some(held_mps2) if bounds.departs_from.is_none() => held_mps2,
+            _ => {
+                let wanted_mps2 = held.acceleration_mps2(bounds, seen, PAPER_STEP_S);
+                departure.set(held.departure());
+                *acceleration_mps2.insert(wanted_mps2)
             }
-            self.stepper.command(EGO, acceleration_mps2.unwrap_or_default());
-            self.stepper.step();
-            of_last_step = self.earnings.of_step(&self.stepper, &self.config, self.held.departure());
+        };
+        stepper.drive(EGO, config.decision_steps as usize, command, |now| {
+            of_last_step = earnings.of_step(now, config, departure.get());
             reward += of_last_step;
-            let at_rest = self.stepper.motion().iter().all(|motion| motion.speed_mps == 0.0);
-            self.standing_steps = if at_rest { self.standing_steps + 1 } else { 0 };
-            ending = if self.stepper.has_touched() {
+            let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
+            *standing_steps = if at_rest { *standing_steps + 1 } else { 0 };
+            ending = if now.has_touched {
                 Ending::Contact
-            } else if self.stepper.has_ended() {
+            } else if now.has_ended {
                 Ending::TimeOver
-            } else if self.standing_steps >= self.settled_steps {
+            } else if *standing_steps >= self.settled_steps {
                 Ending::AtRest
             } else {
                 Ending::None
             };
-            if ending != Ending::None {
-                break;
-            }
-        }
+            if ending == Ending::None { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        });
         self.undiscounted += reward;
         let mut to_learn = reward;
         if ending == Ending::AtRest {

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::config::EnvironmentConfig;
 use super::environment::EGO;
 use crumple_world::measure::{State, caused_brake_mps2};
-use crumple_world::sim::Stepper;
+use crumple_world::sim::{Moment, Motion, Stepper};
 
 /// Braking as hard as a car can on a dry road, in m/s²: what decelerations are relative to.
 const FULL_BRAKE_MPS2: f64 = 7.5;
@@ -151,12 +151,12 @@ impl CostConfig {
     }
 
     /// What a step costs, as a share of its reward. `before_mps2` is the ego's acceleration in the step before.
-    fn of(&self, stepper: &Stepper<'_, '_>, before_mps2: f64, step_s: f64, departure: f64) -> f64 {
-        let motion = stepper.motion();
-        let (Some(ego), Some(gap_m), Some(front)) = (motion.get(EGO), stepper.gap_m(EGO), EGO.checked_sub(1)) else {
+    fn of(&self, now: &Moment<'_>, before_mps2: f64, step_s: f64, departure: f64) -> f64 {
+        let motion = now.motion;
+        let ([Some(front), Some(ego)], Some(gap_m)) = ([EGO - 1, EGO].map(|vehicle| motion.get(vehicle)), now.gap_m)
+        else {
             return 0.0;
         };
-        let Some(front) = motion.get(front) else { return 0.0 };
         let wanted_m = self.standstill_m + self.headway_s * ego.speed_mps;
         let off = (gap_m - wanted_m) / wanted_m;
         let brake_mps2 = -ego.acceleration_mps2;
@@ -185,33 +185,37 @@ impl CostConfig {
 pub(super) struct Earnings {
     step_s: f64,
     before_mps2: f64,
+    nothing_costs: bool,
 }
 
 impl Earnings {
-    pub(super) fn new(stepper: &Stepper<'_, '_>, step_s: f64) -> Self {
-        Self { step_s, before_mps2: acceleration_mps2(stepper) }
+    pub(super) fn new(stepper: &Stepper<'_, '_>, step_s: f64, costs: &CostConfig) -> Self {
+        Self { step_s, before_mps2: acceleration_mps2(stepper.motion()), nothing_costs: costs.is_free() }
     }
 
     /// The reward of the step just made, unscaled.
-    pub(super) fn of_step(&mut self, stepper: &Stepper<'_, '_>, config: &EnvironmentConfig, departure: f64) -> f64 {
-        if stepper.has_touched() {
+    #[inline]
+    pub(super) fn of_step(&mut self, now: &Moment<'_>, config: &EnvironmentConfig, departure: f64) -> f64 {
+        if now.has_touched {
             return config.contact_reward;
         }
-        if config.costs.is_free() {
+        if self.nothing_costs {
             return config.step_reward;
         }
-        let cost = config.costs.of(stepper, self.before_mps2, self.step_s, departure);
-        self.before_mps2 = acceleration_mps2(stepper);
+        let cost = config.costs.of(now, self.before_mps2, self.step_s, departure);
+        self.before_mps2 = acceleration_mps2(now.motion);
         config.step_reward * (1.0 - cost)
     }
 }
 
-fn acceleration_mps2(stepper: &Stepper<'_, '_>) -> f64 {
-    stepper.motion().get(EGO).map_or(0.0, |ego| ego.acceleration_mps2)
+fn acceleration_mps2(motion: &[Motion]) -> f64 {
+    motion.get(EGO).map_or(0.0, |ego| ego.acceleration_mps2)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::ops::ControlFlow;
+
     use super::*;
     use crate::rl::TrainingConfig;
     use crumple_world::control::ControllerSpec;
@@ -224,10 +228,18 @@ mod tests {
         let scenario = built_in("paper-1").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         let mut stepper = Stepper::new(&run, RecordingLevel::Summary);
-        let mut earnings = Earnings::new(&stepper, 0.01);
-        stepper.command(EGO, -4.0);
-        stepper.step();
-        earnings.of_step(&stepper, &config, 0.25) / config.step_reward
+        let mut earnings = Earnings::new(&stepper, 0.01, &config.costs);
+        let mut earned = 0.0;
+        stepper.drive(
+            EGO,
+            1,
+            |_| -4.0,
+            |now| {
+                earned = earnings.of_step(now, &config, 0.25);
+                ControlFlow::Break(())
+            },
+        );
+        earned / config.step_reward
     }
 
     #[test]

@@ -102,12 +102,10 @@ impl Platoon {
         let pairs = self.motion.windows(2).zip(ends.windows(2)).zip(&self.length_m);
         for ((gap_m, &sticks), ((now, end), length_m)) in gaps_m.iter_mut().zip(&self.sticks).skip(1).zip(pairs) {
             let ([front, rear], [front_end, rear_end]) = (now, end) else { continue };
-            let closing_mps = [rear.speed_mps - front.speed_mps, rear_end.speed_mps - front_end.speed_mps];
-            let before_m = front.position_m - length_m - rear.position_m;
-            if sticks || needs_care(before_m, [rear.speed_mps, rear_end.speed_mps], closing_mps, dt_s) {
-                return false;
+            match gap_after_m([front, rear], [front_end, rear_end], *length_m, dt_s) {
+                Some(end_m) if !sticks => *gap_m = end_m,
+                _ => return false,
             }
-            *gap_m = front_end.position_m - length_m - rear_end.position_m;
         }
         for (least_m, gap_m) in self.min_gap_m.iter_mut().zip(gaps_m) {
             // By hand, since `f64::min` spends time on NaN, of which there is none here.
@@ -279,6 +277,15 @@ impl Platoon {
             }
         }
     }
+}
+
+/// The gap between two vehicles, front and rear, at the end of `dt_s` seconds, in metres; none where they could touch or come closer inside.
+#[inline]
+pub(super) fn gap_after_m(now: [&Motion; 2], end: [&Motion; 2], length_m: f64, dt_s: f64) -> Option<f64> {
+    let gap_m = |[front, rear]: [&Motion; 2]| front.position_m - length_m - rear.position_m;
+    let closing_mps = [now, end].map(|[front, rear]| rear.speed_mps - front.speed_mps);
+    let rear_mps = [now[1].speed_mps, end[1].speed_mps];
+    (!needs_care(gap_m(now), rear_mps, closing_mps, dt_s)).then(|| gap_m(end))
 }
 
 #[cfg(test)]

@@ -1,5 +1,10 @@
 //! One run whose steps are made one at a time, with room for somebody else to decide for a vehicle.
 
+mod short_line;
+
+use std::ops::ControlFlow;
+
+use self::short_line::Pause;
 use super::actuator::{Actuator, Disturbance, unless_at_rest};
 use super::platoon::Platoon;
 use super::recorder::{Tally, finished, hardest_brake_mps2, summary, ttc_s};
@@ -27,6 +32,19 @@ pub struct Stepper<'r, 's> {
     failed: Option<FailedController>,
     step: usize,
     ended: bool,
+}
+
+/// A run after a step that somebody from outside drove in.
+#[derive(Debug, Clone, Copy)]
+pub struct Moment<'a> {
+    /// Where every vehicle is, front to rear.
+    pub motion: &'a [Motion],
+    /// Bumper gap ahead of the vehicle driven, in metres; none if nobody is ahead of it in the lane.
+    pub gap_m: Option<f64>,
+    /// Whether vehicles have touched.
+    pub has_touched: bool,
+    /// Whether the run is over.
+    pub has_ended: bool,
 }
 
 /// What every step asks of its run, kept where the step is: of a thousand runs under way each lies elsewhere in memory.
@@ -130,14 +148,64 @@ impl<'r, 's> Stepper<'r, 's> {
         }
     }
 
+    /// Lets `command` drive vehicle `index` for up to `steps` steps, by what the vehicle sees, in m/s²: as [`observe`](Self::observe),
+    /// [`command`](Self::command) and [`step`](Self::step) do, until the run ends or `after` a step breaks off.
+    pub fn drive(
+        &mut self,
+        index: usize,
+        steps: usize,
+        mut command: impl FnMut(&Observation) -> f64,
+        mut after: impl FnMut(&Moment<'_>) -> ControlFlow<()>,
+    ) {
+        let last = self.step.saturating_add(steps);
+        while self.step < last && !self.ended {
+            let (command, after) = (&mut command, &mut after);
+            let pause = match self.loops.len() {
+                2 => self.drive_line::<2>(index, last, command, after),
+                3 => self.drive_line::<3>(index, last, command, after),
+                4 => self.drive_line::<4>(index, last, command, after),
+                _ => Pause::Undecided,
+            };
+            match pause {
+                Pause::Over => return,
+                Pause::Decided => {}
+                Pause::Undecided => {
+                    if let Some(seen) = self.observe(index) {
+                        self.command(index, command(&seen));
+                    }
+                    self.decide();
+                }
+            }
+            self.make_step();
+            let moment = Moment {
+                motion: self.motion(),
+                gap_m: self.gap_m(index),
+                has_touched: self.has_touched(),
+                has_ended: self.ended,
+            };
+            if after(&moment).is_break() {
+                return;
+            }
+        }
+    }
+
     /// Makes one step of the scenario; does nothing once the run has ended.
     pub fn step(&mut self) {
-        if self.ended {
-            return;
+        if !self.ended {
+            self.decide();
+            self.make_step();
         }
+    }
+
+    /// The instants between which the next step lies, in seconds.
+    fn span_s(&self) -> [f64; 2] {
+        [self.pace.time_s(self.step, 0), self.pace.time_s(self.step + 1, 0)]
+    }
+
+    /// Lets everybody decide.
+    fn decide(&mut self) {
         let run = self.run;
-        let pace = self.pace;
-        let span_s = [pace.time_s(self.step, 0), pace.time_s(self.step + 1, 0)];
+        let span_s = self.span_s();
         // Everybody decides on the state at the start of the step; only then does anybody move.
         for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.decided_mps2).enumerate() {
             match vehicle.decide(&self.platoon, index, run, span_s) {
@@ -148,6 +216,10 @@ impl<'r, 's> Stepper<'r, 's> {
                 }
             }
         }
+    }
+
+    /// Lets everybody move as was decided.
+    fn make_step(&mut self) {
         if self.failed.is_some() {
             self.ended = true;
             return;
@@ -158,14 +230,14 @@ impl<'r, 's> Stepper<'r, 's> {
         if self.has_touched() {
             self.platoon.share_acceleration();
         }
-        for substep in 0..pace.substeps {
-            self.advance(pace.time_s(self.step, substep));
+        for substep in 0..self.pace.substeps {
+            self.advance(self.pace.time_s(self.step, substep));
             if self.ended {
                 break;
             }
         }
         self.step += 1;
-        self.ended |= self.step == pace.steps;
+        self.ended |= self.step == self.pace.steps;
     }
 
     fn advance(&mut self, from_s: f64) {
@@ -307,12 +379,18 @@ impl<'s> VehicleLoop<'s> {
                 None => controller.decide(&truth(platoon, index).observation)?,
             },
         };
+        Ok(self.answer(command_mps2, speed_mps, platoon.is_stuck(index)))
+    }
+
+    /// The acceleration that the vehicle has of a command, in m/s².
+    #[inline]
+    fn answer(&mut self, command_mps2: f64, speed_mps: f64, is_stuck: bool) -> f64 {
         let acceleration_mps2 = self.actuator.respond(command_mps2);
         let noise_mps2 = self.disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
-        Ok(match platoon.is_stuck(index) {
+        match is_stuck {
             true => acceleration_mps2 + noise_mps2,
             false => unless_at_rest(acceleration_mps2, noise_mps2, speed_mps),
-        })
+        }
     }
 }
 
