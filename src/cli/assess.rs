@@ -33,7 +33,7 @@ the best escape found from each scenario (see avoid), and with every certificate
   paper = true                             # false leaves out the paper's scenarios, profiles, maps, training and space
   distributions = [\"paper\"]               # spaces by whose law failures are counted
   draws = 1000                             # of each of them
-  everyday_draws = 200                     # drives in `traffic`, where braking needs a cause
+  everyday_draws = 200                     # drives in `traffic`, where braking needs a cause, and as many in `high-risk`
   seed = 0
   scenarios = [\"episodes\"]                 # scenario files, and folders of them, relative to this file
   recordings = [\"platoon.csv\"]             # whose braking episodes are scenarios too (see import)
@@ -78,6 +78,9 @@ pub(super) struct Assess {
     format: Format,
 }
 
+/// The folder in a report's in which evidence is kept for the next one.
+pub(super) const EVIDENCE: &str = "evidence";
+
 impl Assess {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let plan = match &self.config {
@@ -97,7 +100,7 @@ impl Assess {
             return Err(Failure::Input("--against: the gate `nothing-worse` needs an earlier assessment".to_owned()));
         }
         let folder = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
-        let kept = self.out.join("evidence");
+        let kept = self.out.join(EVIDENCE);
         let again = if self.fresh { "the same command without --fresh goes on" } else { "the same command goes on" };
         interrupt::says(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
         let (identity, begun) = (program::identity()?, Instant::now());
@@ -197,7 +200,7 @@ struct Gathered {
 /// Puts the evidence of shards where an assessment finds it. What is missing ends with exit code 1.
 pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: Format) -> Result<(), Failure> {
     check_own_folders(out)?;
-    let folder = out.join("evidence");
+    let folder = out.join(EVIDENCE);
     let pieces = merged.write_in(&folder)?;
     let (is_of_this_build, missing) = (merged.program() == program::identity()?, merged.missing());
     let shards = merged.missing_shards();
@@ -243,10 +246,7 @@ struct Merged {
 
 /// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.
 fn check_own_folders(out: &Path) -> Result<(), Failure> {
-    FOLDERS
-        .into_iter()
-        .chain(["evidence", "figures"])
-        .try_for_each(|name| is_own(&out.join(name.trim_end_matches('/'))))
+    FOLDERS.into_iter().chain([EVIDENCE, "figures"]).try_for_each(|name| is_own(&out.join(name.trim_end_matches('/'))))
 }
 
 /// Whether neither a folder nor any below it leads elsewhere. What is no folder is of no interest.

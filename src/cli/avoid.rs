@@ -12,7 +12,8 @@ use super::output;
 use super::{Failure, choice, subject};
 use crumple_search::disk::Files;
 use crumple_search::worst_case::{
-    AvoidOptions, Avoidance, AvoidanceVerdict, Escape, EscapeKind, Family, FoundBy, Ranges, Reason, avoid_all, certify,
+    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, Escape, EscapeKind, Family, FoundBy, Ranges, Reason,
+    avoid_all, certify,
 };
 use crumple_world::quoted::Terminal;
 use crumple_world::scenario::{Scenario, file};
@@ -56,10 +57,10 @@ pub(super) struct Avoid {
     /// brake behind
     #[arg(long, value_name = "ESCAPE", default_value = "largest-gap", value_parser = choice::one_of(choice::ESCAPES))]
     escape: EscapeKind,
-    /// Write what `crumple check` accepts: the escape or the proof
+    /// Write what `crumple check` accepts: the escape or the proof; a file there is replaced
     #[arg(long, value_name = "F.json")]
     certificate: Option<PathBuf>,
-    /// Write what `crumple check` accepts: why nobody keeps more than the bound, where there is an escape
+    /// Write what `crumple check` accepts: why nobody keeps more than the bound, where there is an escape; a file there is replaced
     #[arg(long, value_name = "F.json")]
     bound_certificate: Option<PathBuf>,
     #[command(flatten)]
@@ -88,8 +89,10 @@ impl Avoid {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let family = self.family()?;
         let options = AvoidOptions { grid_s: self.grid, escape: self.escape, certify_bound: true };
-        let avoidance =
-            avoid_all(&family, options).map_err(|error| Failure::Input(format!("{}: {error}", self.scenario)))?;
+        let avoidance = avoid_all(&family, options).map_err(|error| match error {
+            AvoidError::Grid { .. } => Failure::Input(format!("--grid: {error}")),
+            other => Failure::Input(format!("{}: {other}", self.scenario)),
+        })?;
         let mut files = Files::default();
         self.stage_certificates(&family, &avoidance, &mut files)?;
         match avoidance.verdict.escape() {
@@ -105,8 +108,13 @@ impl Avoid {
     fn family(&self) -> Result<Family, Failure> {
         let scenario = subject::scenario(&self.scenario)?;
         let Some(path) = &self.ranges else { return Ok(Family::point(&scenario)) };
-        let ranges: Ranges = file::parse_toml(&file::read(path)?, path)?;
-        Family::new(&scenario, &ranges).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))
+        let text = file::read(path)?;
+        let ranges: Ranges = file::parse_toml(&text, path)?;
+        Family::new(&scenario, &ranges).map_err(|error| {
+            let place = error.place(&ranges);
+            let line = file::line_in_toml(&text, &place);
+            Failure::Input(format!("{}:{line}: {place}: {error}", path.display()))
+        })
     }
 
     fn stage_certificates(&self, family: &Family, avoidance: &Avoidance, files: &mut Files) -> Result<(), Failure> {

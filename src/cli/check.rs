@@ -24,7 +24,8 @@ The checker (crate crumple-verify) shares no code with the simulation, the searc
 recomputes everything in outward-rounded interval arithmetic. What the certificate says it is about (scenario, box, space, \
 controllers) is then derived again from the texts it holds, and compared. Exit code 1 if a certificate is rejected, is not \
 about what it says, takes more work to check than --work-limit allows, is not about the scenario named with --scenario, or \
-counted what --rerun does not find again; 2 if a file is no certificate.
+counted what --rerun does not find again; else 2 if a file is no certificate or cannot be judged. Whatever is wrong with one, the \
+verdicts of the others are printed.
 
 The counts of a rate or a comparison are the maker's word. --rerun draws and simulates them again, all of them or a share \
 of the blocks, chosen here and now: a maker cannot know which.
@@ -73,25 +74,38 @@ fn percent(text: &str) -> Result<f64, String> {
 impl Check {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let scenario = self.scenario.as_deref().map(subject::scenario).transpose()?;
-        let read = self.certificates.iter().map(|path| Ok((path, certificate(path)?)));
-        let certificates = read.collect::<Result<Vec<_>, Failure>>()?;
         if self.rerun.is_some() {
             interrupt::says("nothing was confirmed or refuted".to_owned(), quiet);
         }
+        // What is wrong with one says nothing of the others.
+        let (mut certificates, mut others) = (Vec::new(), Vec::new());
+        for path in &self.certificates {
+            match certificate(path) {
+                Ok(certificate) => certificates.push((path, certificate)),
+                Err(failure) => others.push((path.display().to_string(), failure)),
+            }
+        }
         let mut all = Vec::new();
         for (path, certificate) in &certificates {
-            all.push(self.judge(path, certificate, scenario.as_ref(), quiet)?);
+            match self.judge(path, certificate, scenario.as_ref(), quiet) {
+                Ok(checked) => all.push(checked),
+                Err(failure) => others.push((path.display().to_string(), failure)),
+            }
         }
         let printed = output::print_for(
             self.format,
             &match self.format {
-                Format::Json => checked::json(&all).map_err(Failure::input)?,
+                Format::Json => checked::json(&all)
+                    .and_then(|lines| Ok(lines + &checked::json_of_others(&others)?))
+                    .map_err(Failure::input)?,
                 Format::Text => checked::text(&all, scenario.as_ref().map(|scenario| scenario.spec().name.as_str())),
             },
         );
-        let refused: Vec<&str> = all.iter().filter(|one| one.is_refused()).map(|one| one.path.as_str()).collect();
-        let gate =
-            if refused.is_empty() { Ok(()) } else { Err(Failure::Gate(format!("rejected: {}", refused.join(", ")))) };
+        let gate = match refusal(&all) {
+            Some(refusal) => Err(Failure::Gate(refusal)),
+            None => others.pop().map_or(Ok(()), |(_, failure)| Err(failure)),
+        };
+        others.iter().for_each(|(_, failure)| failure.report());
         Failure::gate_first(gate, printed)
     }
 
@@ -166,6 +180,20 @@ impl Check {
         let is_reach = matches!(certificate.statement, Statement::Reach(_));
         Ok(found.or_else(|| (is_reach && self.policy.is_none()).then(|| Policy::reference_bytes().to_vec())))
     }
+}
+
+/// Which certificates are refused, if any is.
+fn refusal(all: &[Checked<'_>]) -> Option<String> {
+    let of = |is_wanted: &dyn Fn(&Checked<'_>) -> bool| {
+        let paths: Vec<&str> = all.iter().filter(|one| is_wanted(one)).map(|one| one.path.as_str()).collect();
+        paths.join(", ")
+    };
+    let rejected = of(&|one| one.is_rejected());
+    let elsewhere = of(&|one| one.is_refused() && !one.is_rejected());
+    let parts = [("rejected", rejected), ("not about the scenario asked for", elsewhere)];
+    let parts: Vec<_> =
+        parts.iter().filter(|(_, paths)| !paths.is_empty()).map(|(what, paths)| format!("{what}: {paths}")).collect();
+    (!parts.is_empty()).then(|| parts.join("; "))
 }
 
 /// Whether a file is the source of a network, and not what the checker reads.

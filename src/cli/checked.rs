@@ -10,6 +10,8 @@ use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
 use serde::Serialize;
 
+use super::Failure;
+
 /// A certificate and what was found.
 pub(super) struct Checked<'a> {
     /// Its file.
@@ -90,12 +92,42 @@ impl<'a> Checked<'a> {
         let accepted = check(certificate).map_err(|rejection| rejection.to_string());
         Self { path: path.display().to_string(), certificate, accepted, counts: None, about: None }
     }
+
+    /// What the checker says of it, in a line; a failing gate if it is rejected.
+    pub(super) fn said(&self) -> Result<String, Failure> {
+        match &self.accepted {
+            Ok(accepted) => Ok(format!("{}: accepted: {accepted}\n", self.path)),
+            Err(rejection) => Err(Failure::Gate(format!("{}: rejected: {rejection}", self.path))),
+        }
+    }
+}
+
+/// A certificate that could not be judged, one line of `--format json`.
+#[derive(Serialize)]
+struct NotJudged<'a> {
+    certificate: &'a str,
+    accepted: bool,
+    error: String,
+}
+
+/// What is said of certificates that could not be judged, with their files.
+pub(super) fn json_of_others(others: &[(String, Failure)]) -> Result<String, serde_json::Error> {
+    let line = |(certificate, failure): &(String, Failure)| {
+        let line = NotJudged { certificate, accepted: false, error: failure.to_string() };
+        Ok(serde_json::to_string(&line)? + "\n")
+    };
+    others.iter().map(line).collect()
 }
 
 impl Checked<'_> {
     /// Whether anything speaks against it.
     pub(super) fn is_refused(&self) -> bool {
-        self.accepted.is_err() || self.about == Some(false) || matches!(self.counts, Some(Counts::Refuted { .. }))
+        self.is_rejected() || self.about == Some(false)
+    }
+
+    /// Whether what it says is not proved, or refuted.
+    pub(super) fn is_rejected(&self) -> bool {
+        self.accepted.is_err() || matches!(self.counts, Some(Counts::Refuted { .. }))
     }
 
     /// The confidence of an accepted bound.
@@ -127,14 +159,21 @@ impl Checked<'_> {
             Ok(accepted) if matches!(counts, Some(Counts::Refuted { .. })) => {
                 format!("{path}: REFUTED, though it would follow from its counts: {accepted}\n")
             }
+            Ok(accepted) if let (Some(scenario), Some(false)) = (scenario, about) => {
+                format!("{path}: is NOT about {}; taken by itself it is accepted: {accepted}\n", Terminal(scenario))
+            }
             Ok(accepted) => format!("{path}: accepted: {accepted}\n"),
             Err(rejection) => {
                 format!("{path}: rejected: {} is not proved: {}\n", certificate.statement.name(), Terminal(rejection))
             }
         };
-        if let (Some(scenario), Some(about)) = (scenario, about) {
-            let verb = if *about { "is about" } else { "is NOT about" };
-            text += &format!("  {verb} {}\n", Terminal(scenario));
+        match (scenario, about) {
+            (Some(scenario), Some(true)) => text += &format!("  is about {}\n", Terminal(scenario)),
+            // Of an accepted one the first line says so.
+            (Some(scenario), Some(false)) if accepted.is_err() => {
+                text += &format!("  is NOT about {}\n", Terminal(scenario));
+            }
+            _ => {}
         }
         if accepted.is_err() {
             return text;

@@ -50,7 +50,7 @@ pub(super) struct Export {
     /// What happens when vehicles touch
     #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = choice::one_of(choice::AFTER_CONTACT))]
     after_contact: AfterContact,
-    /// Folder for the files; made if it is not there
+    /// Folder for the files, made if it is not there; files of these names are replaced, and others stay
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
     /// How to print

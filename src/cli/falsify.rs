@@ -4,13 +4,14 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use serde::Serialize;
 
 use super::simulate::Format;
 use super::{Failure, choice, interrupt, output, progress, subject};
 use crumple_search::falsify::campaign::{
-    Aim, Campaign, CampaignError, Log, MergedCampaign, Progress, ShardDone, Summary,
+    Aim, Campaign, CampaignError, Log, MergedCampaign, MethodSummary, Progress, ShardDone, Summary,
 };
-use crumple_search::falsify::{Contrast, Method, Relation};
+use crumple_search::falsify::{Contrast, Method, Relation, non_finite};
 use crumple_search::shard::Shard;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -258,11 +259,51 @@ pub(super) fn merge(
     Failure::gate_first(gate, printed)
 }
 
+/// A summary for programs. Its figures are some of the method that was asked for and some of all methods together; these two say which,
+/// under names of their own.
+#[derive(Serialize)]
+struct SummaryReport<'a> {
+    #[serde(flatten)]
+    summary: &'a Summary,
+    of_method_asked_for: Option<&'a MethodSummary>,
+    of_all_methods: OfAllMethods,
+}
+
+/// What the method that was asked for and the reference searches found together.
+#[derive(Serialize)]
+struct OfAllMethods {
+    methods: usize,
+    evaluations: u64,
+    /// Evaluations that failed.
+    failures: u64,
+    falsified: bool,
+    /// Failures told apart, as they are listed in `counterexamples`.
+    distinct_failures: usize,
+    #[serde(serialize_with = "non_finite::optional::serialize")]
+    best_robustness: Option<f64>,
+}
+
+impl<'a> SummaryReport<'a> {
+    fn of(summary: &'a Summary) -> Self {
+        let methods = &summary.methods;
+        let best_robustness = methods.iter().filter_map(|method| method.best_robustness).reduce(f64::min);
+        let of_all_methods = OfAllMethods {
+            methods: methods.len(),
+            evaluations: methods.iter().map(|method| method.evaluations).sum(),
+            failures: methods.iter().map(|method| method.failures).sum(),
+            falsified: summary.falsified,
+            distinct_failures: summary.counterexamples.len(),
+            best_robustness,
+        };
+        Self { summary, of_method_asked_for: methods.first(), of_all_methods }
+    }
+}
+
 fn print(summary: &Summary, format: Format) -> Result<(), Failure> {
     output::print_for(
         format,
         &match format {
-            Format::Json => serde_json::to_string(summary).map_err(Failure::input)? + "\n",
+            Format::Json => serde_json::to_string(&SummaryReport::of(summary)).map_err(Failure::input)? + "\n",
             Format::Text => summary.to_text(),
         },
     )

@@ -15,10 +15,10 @@ use crumple_world::sim::Simulated;
 /// Where a finding goes.
 #[derive(Args)]
 pub(super) struct Finding {
-    /// Write what was found as a scenario for `crumple simulate`
+    /// Write what was found as a scenario for `crumple simulate`; a file there is replaced
     #[arg(long, value_name = "F.toml")]
     out: Option<PathBuf>,
-    /// Draw it
+    /// Draw it; a file there is replaced
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
     /// How to print

@@ -6,8 +6,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
+use super::assess::EVIDENCE;
 use super::simulate::Format;
 use super::{Failure, output};
+use crumple_report::assessment::REPORT;
 use crumple_search::falsify::campaign::{CAMPAIGN, Divided, with_journal};
 use crumple_search::work::{Examined, Restored, examine, is_there, restore};
 use crumple_world::quoted::Terminal;
@@ -115,7 +117,7 @@ impl Found {
 
 impl Fsck {
     pub(super) fn run(self) -> Result<(), Failure> {
-        let (mut text, mut all, mut damaged, mut unreadable) = (String::new(), Vec::new(), Vec::new(), None);
+        let (mut text, mut all, mut unreadable) = (String::new(), Vec::new(), None);
         for folder in self.folders.iter().flat_map(|folder| seeds_in(folder)) {
             let found = self.look(&folder, &mut text).unwrap_or_else(|failure| {
                 text += &format!("{}\n", Terminal(&failure.to_string()));
@@ -123,18 +125,23 @@ impl Fsck {
                 unreadable.get_or_insert(failure);
                 found
             });
-            if found.error.is_none() && !found.is_whole {
-                damaged.push(found.folder.clone());
-            }
             all.push(found);
         }
         let printed = match self.format {
             Format::Json => output::print_json(&all),
             Format::Text => output::print_for(Format::Text, &text),
         };
-        let gate = match damaged.is_empty() {
-            true => unreadable.map_or(Ok(()), Err),
-            false => Err(Failure::Gate(format!("damaged: {}", damaged.join(", ")))),
+        let folders = |is_wanted: &dyn Fn(&Found) -> bool| -> String {
+            let folders: Vec<&str> =
+                all.iter().filter(|found| is_wanted(found)).map(|found| found.folder.as_str()).collect();
+            folders.join(", ")
+        };
+        let damaged = folders(&|found| found.error.is_none() && !found.is_whole);
+        let unlooked = folders(&|found| found.error.is_some());
+        let gate = match (damaged.is_empty(), unlooked.is_empty()) {
+            (true, _) => unreadable.map_or(Ok(()), Err),
+            (false, true) => Err(Failure::Gate(format!("damaged: {damaged}"))),
+            (false, false) => Err(Failure::Gate(format!("damaged: {damaged}; could not be looked at: {unlooked}"))),
         };
         Failure::gate_first(gate, printed)
     }
@@ -147,7 +154,11 @@ impl Fsck {
         }
         let restored = if self.restore { restore(folder)? } else { None };
         *text += &restored.as_ref().map_or_else(String::new, |restored| back(folder, restored));
-        let found = with_journal(folder, examine(folder)?)?;
+        let mut found = with_journal(folder, examine(folder)?)?;
+        if found.kind == REPORT {
+            // Kept for the next report, under hashes of its own.
+            found.beside.retain(|name| name != EVIDENCE);
+        }
         // A part of a campaign is as it was written, and yet is not all of it.
         let part = Divided::in_folder(folder).filter(|_| found.kind == CAMPAIGN && found.complete);
         let missing = part.map_or(0, |part| part.missing());

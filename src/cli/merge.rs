@@ -215,7 +215,7 @@ impl Merge {
         }
         let format = self.only_text_or_json(merged.kind());
         match merged {
-            Merged::Suite(merged) => suite::merge(&merged, &self.out, self.format.of_suite()),
+            Merged::Suite(merged) => suite::merge(&merged, &self.out, self.format.of_suite(), quiet),
             Merged::Count(merged) => self.count(&merged, format?),
             Merged::Estimate(merged) => rare::merge(&merged, &self.out, format?),
             Merged::Campaign(merged) => falsify::merge(&merged, &self.out, (format?, self.partial), quiet),

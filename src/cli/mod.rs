@@ -32,6 +32,7 @@ mod simulate;
 mod simulated;
 mod subject;
 mod suite;
+mod suite_folder;
 mod suite_map;
 mod train;
 mod verify;

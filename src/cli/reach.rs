@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use crumple_search::disk::Files;
-use crumple_verify::{Certificate, WorkLimit, check_within};
+use crumple_verify::{Accepted, Certificate, WorkLimit, check_within};
+use serde::Serialize;
 
 use super::output;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
-use crumple_search::evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, Shares};
+use crumple_search::evidence::{BoxSpec, Doubts, InvalidBox, Partition, ReachPlan, Shares};
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
@@ -42,7 +43,7 @@ pub(super) struct Reach {
     /// How often one box is cut at most: 0 to 40
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(0..=40))]
     depth: u32,
-    /// Where the certificate goes
+    /// Where the certificate goes, and the policy or network beside it; a file there is replaced
     #[arg(long, value_name = "FILE")]
     certificate: Option<PathBuf>,
     /// How results are printed
@@ -50,19 +51,31 @@ pub(super) struct Reach {
     format: Format,
 }
 
-/// The box of that name.
-fn built_in_box(name: &Path) -> Option<&'static str> {
-    match name.to_str()? {
-        "paper-1" => Some(include_str!("boxes/paper-1.toml")),
-        "paper-2" => Some(include_str!("boxes/paper-2.toml")),
-        _ => None,
+/// Boxes that are built in.
+const BOXES: [(&str, &str); 2] =
+    [("paper-1", include_str!("boxes/paper-1.toml")), ("paper-2", include_str!("boxes/paper-2.toml"))];
+
+/// The text of the box of that name, or in that file.
+fn box_text(place: &Path) -> Result<String, Failure> {
+    let built_in = BOXES.iter().find(|(name, _)| Path::new(name) == place);
+    match built_in {
+        Some((_, text)) if !place.exists() => Ok((*text).to_owned()),
+        None if place.extension().is_none() && !place.exists() => {
+            let known = BOXES.map(|(name, _)| name).join(", ");
+            Err(Failure::Input(format!("--box: `{}` is neither a built-in box ({known}) nor a file", place.display())))
+        }
+        _ => Ok(file::read_at_most(place, file::MOST_TOML_BYTES)?),
     }
 }
 
 impl Reach {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let place = self.starts.display();
+        let text = box_text(&self.starts)?;
         let failed = |error: InvalidBox| match error {
+            InvalidBox::Field { ref field, .. } => {
+                Failure::Input(format!("{place}:{}: {error}", file::line_in_toml(&text, field)))
+            }
             InvalidBox::Controller(problem) => Failure::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {
                 let place = self.controller.place_of(&invalid.field, Path::new(""));
@@ -70,10 +83,6 @@ impl Reach {
                 Failure::Input(format!("--controller: {place}cannot be followed: {invalid}"))
             }
             other => Failure::Input(format!("{place}: {other}")),
-        };
-        let text = match built_in_box(&self.starts) {
-            Some(text) if !self.starts.exists() => text.to_owned(),
-            _ => file::read_at_most(&self.starts, file::MOST_TOML_BYTES)?,
         };
         let plan =
             ReachPlan::new(self.controller.kind.clone(), &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
@@ -95,14 +104,14 @@ impl Reach {
             self.format,
             &match self.format {
                 Format::Json => {
-                    let result = serde_json::json!({ "shares": shares, "doubts": doubts });
+                    let result = self.result(&partition, &accepted);
                     serde_json::to_string(&result).map_err(Failure::input)? + "\n"
                 }
                 Format::Text => {
                     let last = shares.len().saturating_sub(1);
                     let lines: String =
                         shares.iter().enumerate().map(|(index, now)| line(now, index == last) + "\n").collect();
-                    let crumple_search::evidence::Doubts { ahead, behind, too_wide } = doubts;
+                    let Doubts { ahead, behind, too_wide } = doubts;
                     let falsified = match is_positive(shares, |now| now.falsified) {
                         true => "falsified: boxes of which one start, tried at the end, ends in contact\n",
                         false => "",
@@ -119,6 +128,57 @@ impl Reach {
         let problem = format!("{place}: no part of the box was verified{deeper}");
         Failure::gate_first(if is_verified { Ok(()) } else { Err(Failure::Gate(problem)) }, printed)
     }
+}
+
+impl Reach {
+    /// What was found, for programs: of the certificate what `crumple check` says of it, under the same names.
+    fn result<'a>(&'a self, partition: &'a Partition, accepted: &Accepted) -> Found<'a> {
+        let Partition { certificate, shares, doubts } = partition;
+        let (smallest_gap_m, verified_share) = match *accepted {
+            Accepted::Reach { smallest_gap_m, verified_share, .. } => {
+                // Of no start nothing is known, and JSON has no infinity.
+                (Some(smallest_gap_m).filter(|gap_m| verified_share > 0.0 && gap_m.is_finite()), Some(verified_share))
+            }
+            _ => (None, None),
+        };
+        Found {
+            controller: &self.controller.name,
+            policy_sha256: certificate.policy().map(|(_, digest)| digest),
+            starts: &self.starts,
+            scenario: &certificate.provenance.scenario,
+            certificate: self.certificate.as_deref(),
+            certificate_sha256: certificate.digest(),
+            accepted: true,
+            verified_share,
+            smallest_gap_m,
+            horizon_s: certificate.scope().horizon_s.filter(|horizon_s| horizon_s.is_finite()),
+            shares,
+            doubts: *doubts,
+        }
+    }
+}
+
+/// What `--format json` prints.
+#[derive(Serialize)]
+struct Found<'a> {
+    controller: &'a str,
+    /// Of the policy or network that the certificate is about.
+    policy_sha256: Option<&'a str>,
+    #[serde(rename = "box")]
+    starts: &'a Path,
+    scenario: &'a str,
+    /// Where it was written, if it was.
+    certificate: Option<&'a Path>,
+    certificate_sha256: String,
+    /// Whether the checker accepts it: what it does not accept is not printed.
+    accepted: bool,
+    /// Of the box, proved.
+    verified_share: Option<f64>,
+    /// Proved for that share; none where that is nothing.
+    smallest_gap_m: Option<f64>,
+    horizon_s: Option<f64>,
+    shares: &'a [Shares],
+    doubts: Doubts,
 }
 
 /// Writes a certificate, and beside it the file of the network that it names.

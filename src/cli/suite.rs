@@ -1,15 +1,13 @@
 //! `crumple suite`: tests after regulations.
 
-use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 
-use super::{Failure, choice, interrupt, output, progress, subject, suite_map};
+use super::{Failure, choice, interrupt, output, progress, subject, suite_folder, suite_map};
 use crumple_report::suite;
-use crumple_search::disk::{DiskError, Files};
 use crumple_search::shard::{MissingShards, Shard};
 use crumple_search::suite::{
     Failed, MergedSuite, NOT_SHIPPED, SHIPPED, STATEMENT, Suite, SuiteError, SuiteResult, SuiteShardError, TestVerdict,
@@ -53,6 +51,9 @@ A test passes if there is no contact before it ends, or none faster than it allo
 held; both sides of the boundary are simulated. Where a test failed it is said whether each reference driver, who sees the truth, \
 would have prevented it, and, of the first three points, whether anybody could have.
 
+The folder of --out holds `failures.sha256` besides, which lists what a run wrote (`sha256sum -c` checks it). The next run there replaces \
+that, and leaves alone what it does not list or somebody has edited.
+
 A suite may have 2000 points and a file of 3 MiB. After the document, on a point-mass model in one lane: this is no certification.
 
 Examples:
@@ -70,7 +71,7 @@ struct RunSuite {
     /// What the vehicle under test looks through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Write the scenario of every point that failed into this folder; of a shard, where it goes [default of a shard:
+    /// Write the scenario of every point that failed into this folder, in place of those of the run before; of a shard, where it goes [default of a shard:
     /// crumple-suite-shard-I-of-N]
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
@@ -236,9 +237,11 @@ impl RunSuite {
         if let Some(shard) = self.shard {
             return self.make(&suite, shard, quiet);
         }
+        // Known before the work is done.
+        self.out.as_deref().map_or(Ok(()), suite_folder::is_usable)?;
         let result = run(&suite, &self.controllers, self.estimator).map_err(Failure::input)?;
         if let Some(folder) = &self.out {
-            write(&result, folder)?;
+            suite_folder::write(&result, folder, quiet)?;
         }
         let text = rendered(&result, &self.controllers, self.out.as_deref(), self.format)?;
         let has_failed =
@@ -293,7 +296,7 @@ impl RunSuite {
 }
 
 /// Puts shards together and prints what one machine would, with the scenarios that failed in a folder.
-pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: Format) -> Result<(), Failure> {
+pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: Format, quiet: bool) -> Result<(), Failure> {
     let Some(result) = merged.result() else {
         let (missing_tests, shards) = (merged.missing(), merged.missing_shards());
         let missing = &missing_tests;
@@ -308,7 +311,7 @@ pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: Format) -> Resu
         };
         return Failure::gate_first(Err(Failure::Gate(gate)), printed);
     };
-    write(&result, folder)?;
+    suite_folder::write(&result, folder, quiet)?;
     output::print(&rendered(&result, &known(&result), Some(folder), format)?)
 }
 
@@ -346,20 +349,6 @@ fn rendered(
         Format::Html => suite::html(result, controllers, replay),
         Format::Text => suite::text(result, replay),
     })
-}
-
-/// Writes the scenario of every point that failed, once.
-fn write(result: &SuiteResult, folder: &Path) -> Result<(), Failure> {
-    std::fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
-    let tested = result.tests().flat_map(|(_, test)| &test.controllers);
-    let failed: BTreeMap<&str, &Failed> =
-        tested.flat_map(Tested::failures).map(|one| (one.scenario_name.as_str(), one)).collect();
-    let mut files = Files::default();
-    for (name, failed) in failed {
-        let text = file::to_toml(&failed.scenario).map_err(Failure::input)?;
-        files.stage(&output::place(&folder.join(format!("{name}.toml")))?, text)?;
-    }
-    Ok(files.commit()?)
 }
 
 /// The command that shows a failure.

@@ -44,7 +44,7 @@ pub(super) struct MapCommand {
     /// Cells across and up, 2 to 100 each
     #[arg(long, value_name = "AxB", default_value = "24x18", value_parser = cells)]
     cells: [usize; 2],
-    /// Write the map here; may be repeated
+    /// Write the map here; may be repeated; a file there is replaced
     #[arg(long, value_name = "F.svg|F.png|F.html|F.json", value_parser = Picture::of)]
     out: Vec<Picture>,
     /// How to print

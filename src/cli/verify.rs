@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
 use crumple_search::disk;
-use crumple_verify::{Certificate, Statement, check};
+use crumple_verify::{Certificate, Statement};
 use serde::Serialize;
 
 use super::checked::{self, Checked};
@@ -108,9 +108,9 @@ struct Rate {
     /// --rare 80, each with an estimate of about 20 000 runs]
     #[arg(long, value_name = "N", value_parser = exposed::resamples)]
     resamples: Option<u32>,
-    /// Runs made in each of them, without --rare: 50 to 100 000
-    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(50..=100_000))]
-    resample_runs: u32,
+    /// Runs made in each of them, without --rare: 50 to 100 000 [default: 500]
+    #[arg(long, value_name = "N", conflicts_with = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
+    resample_runs: Option<u32>,
     /// Seed of all draws
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -164,8 +164,9 @@ impl Shield {
         for (name, certificate) in &kernels {
             let path = self.out.join(format!("{name}.json"));
             disk::write_json(&path, certificate)?;
-            text += &judged(&path, certificate)?;
-            all.push(Checked::now(&path, certificate));
+            let checked = Checked::now(&path, certificate);
+            text += &checked.said()?;
+            all.push(checked);
         }
         match self.format {
             Format::Json => output::print(&checked::json(&all).map_err(Failure::input)?),
@@ -176,6 +177,7 @@ impl Shield {
 
 impl Rate {
     fn run(self, quiet: bool) -> Result<(), Failure> {
+        self.has_what_to_resample()?;
         let Some(runs) = self.runs else { return self.estimate(quiet) };
         // clap asks for nothing that conflicts with what is there, and `--rare` does with `--runs`.
         let of_rare = [
@@ -196,7 +198,7 @@ impl Rate {
             confidence: self.confidence,
         })
         .map_err(Failure::input)?
-        .with_resampling((self.resamples.unwrap_or(200), self.resample_runs));
+        .with_resampling((self.resamples.unwrap_or(200), self.resample_runs.unwrap_or(500)));
         output::note_beginning(self.resume, &out, quiet);
         let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
         let kept = format!("what is counted is kept in {}", out.display());
@@ -290,6 +292,25 @@ impl Rate {
         rare::estimate(&plan, resamples, &self.out_of(), self.resume, self.format, quiet)
     }
 
+    /// Whether there is something to resample, if that is asked for.
+    fn has_what_to_resample(&self) -> Result<(), Failure> {
+        // None at all is what comes of it in any case.
+        let asked = [
+            ("--resamples", self.resamples.is_some_and(|resamples| resamples > 0)),
+            ("--resample-runs", self.resample_runs.is_some()),
+        ];
+        let Some((option, _)) = asked.into_iter().find(|(_, is_asked)| *is_asked) else { return Ok(()) };
+        if self.space.1.spec().exposure.is_none() {
+            let problem = "was not fitted to episodes, so there are none to resample";
+            return Err(Failure::Input(format!("{option}: the space `{}` {problem}", self.space.0)));
+        }
+        if self.against.is_some() {
+            let problem = "is of the rate of one controller; with --against nothing is stated per hour";
+            return Err(Failure::Input(format!("{option}: {problem}")));
+        }
+        Ok(())
+    }
+
     /// Where it goes.
     fn out_of(&self) -> PathBuf {
         match (&self.out, self.shard) {
@@ -352,11 +373,7 @@ pub(super) fn counted(is_comparison: bool, tally: &Tally) -> String {
 
 /// What the checker says of a certificate that goes to `path`.
 pub(super) fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
-    let name = path.display();
-    match check(certificate) {
-        Ok(accepted) => Ok(format!("{name}: accepted: {accepted}\n")),
-        Err(rejection) => Err(Failure::Gate(format!("{name}: rejected: {rejection}"))),
-    }
+    Checked::now(path, certificate).said()
 }
 
 impl From<RateFolderError> for Failure {

@@ -3,11 +3,12 @@
 use std::fmt::Write;
 
 use clap::Args;
+use serde::Serialize;
 
 use super::finding::Finding;
 use super::{Failure, choice, subject};
 use crumple_search::disk::Files;
-use crumple_search::worst_case::{Aim, AttackMethod, AttackReport, Envelope, hunt};
+use crumple_search::worst_case::{Aim, AttackError, AttackMethod, AttackReport, Envelope, hunt};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::Terminal;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
@@ -18,7 +19,13 @@ use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptio
 Whatever the leader's script was, another takes its place: braking only, within --max-brake and --jerk. For the baseline \
 that sees the truth, without noise, the answer is exact on a grid of 0.1 s, by enumerating when its brake fires; through the \
 filter it is that, widened until it collides; for any other controller it is the local optimum of sequential convex programming along rollouts. The profile is simulated before it is reported, beside what the last program \
-predicted. A margin is the smallest gap or, after a contact at v m/s, minus v²/10. A scenario may have 500 000 vehicles times steps, \
+predicted.
+
+--budget ends the search between its rounds, of some 30 simulations each. Always made are: of the exact method, for the baseline, one for each \
+step of the scenario and one for each part of the enumeration (at most 1500); of the other method 36 plain brakings and, once one collides, some \
+60 that make it milder. More than the budget is said in the output.
+
+A margin is the smallest gap or, after a contact at v m/s, minus v²/10. A scenario may have 500 000 vehicles times steps, \
 and all simulations together 20 000 million: some minutes.
 
 Examples:
@@ -45,7 +52,7 @@ pub(super) struct WorstCase {
     /// Fastest change of the leader's acceleration in m/s³
     #[arg(long, value_name = "J", default_value_t = Envelope::JERK_MPS3, allow_negative_numbers = true)]
     jerk: f64,
-    /// Most simulations, roughly: 1 to 10 000 000
+    /// Simulations after which the search ends, 1 to 10 000 000, but for those that are always made (see below)
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     budget: u32,
     #[command(flatten)]
@@ -60,8 +67,15 @@ impl WorstCase {
             jerk_mps3: self.jerk,
         };
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
-        let result = hunt(&scenario, &options, self.aim, envelope, self.budget as usize)
-            .map_err(|error| Failure::Input(format!("{}: {error}", self.scenario)))?;
+        let result = hunt(&scenario, &options, self.aim, envelope, self.budget as usize).map_err(|error| {
+            let place = match error {
+                AttackError::Envelope { .. } if self.jerk > 0.0 => "--max-brake",
+                AttackError::Envelope { .. } => "--jerk",
+                AttackError::TooMany { .. } => "--budget",
+                _ => &self.scenario,
+            };
+            Failure::Input(format!("{place}: {error}"))
+        })?;
         self.controller.not_refused()?;
         let mut files = Files::default();
         match &result.found {
@@ -74,11 +88,35 @@ impl WorstCase {
         files.commit()?;
         let name = &scenario.spec().name;
         let report = AttackReport::new(name, &self.controller, self.estimator, self.aim, &result);
-        self.finding.print(&report, describe)
+        let is_over_budget = report.evaluations > self.budget as usize;
+        let over_budget_because = is_over_budget.then_some(ALWAYS_MADE);
+        self.finding.print(&Hunted { report, budget: self.budget, is_over_budget, over_budget_because }, describe)
     }
 }
 
-fn describe(report: &AttackReport) -> String {
+/// Why more simulations were made than the budget says.
+const ALWAYS_MADE: &str = "a round that has begun is ended, and what the method begins and ends with is always made";
+
+/// What was found, and whether that took more than it was to.
+#[derive(Serialize)]
+struct Hunted {
+    #[serde(flatten)]
+    report: AttackReport,
+    budget: u32,
+    is_over_budget: bool,
+    over_budget_because: Option<&'static str>,
+}
+
+fn describe(hunted: &Hunted) -> String {
+    let mut text = describe_report(&hunted.report);
+    if let Some(why) = hunted.over_budget_because {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "  more simulations than --budget {}: {why}", hunted.budget);
+    }
+    text
+}
+
+fn describe_report(report: &AttackReport) -> String {
     let AttackReport { scenario, controller, estimator, aim, .. } = report;
     let mut text = format!("{}: {}, estimator {estimator}, {aim}\n", Terminal(scenario), Terminal(controller));
     if report.nondeterministic {

@@ -5,7 +5,7 @@ use std::fmt;
 use std::future::{poll_fn, ready};
 use std::io;
 use std::net::{Ipv4Addr, TcpListener};
-use std::pin::Pin;
+use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
@@ -19,15 +19,16 @@ use hyper::service::service_fn;
 use hyper::{Method, Request, Response};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::runtime::Runtime;
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{sleep, timeout};
 
 use crate::answer::{Answer, Application};
 use crate::gate::Gate;
+use crate::idle::Idle;
 use crate::offer::{Offer, OfferError};
 use crate::refused::Refused;
 
-/// Most connections at once; more wait for their turn.
+/// Most connections at once. Beyond that those on which nothing is asked make room; if all are busy, who comes waits.
 const MOST_CONNECTIONS: usize = 256;
 /// Most bytes of what is asked: a scenario of some minutes of scripted motion.
 const MOST_BYTES: usize = 1 << 20;
@@ -38,6 +39,8 @@ const MOST_HEAD_BYTES: usize = 32 << 10;
 const MOST_HEADERS: usize = 64;
 /// Time in which a request arrives, head and body each, in seconds.
 const PATIENCE_S: u64 = 30;
+/// Time after which is tried again what could not be had.
+const A_MOMENT: Duration = Duration::from_millis(20);
 
 /// Sent with every answer. Nothing is loaded but from here, nothing is kept, and no other page can show this one.
 const HEADERS: [(&str, &str); 7] = [
@@ -156,27 +159,51 @@ impl Server {
 
 async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>) {
     let connections = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+    let idle = Arc::new(Idle::default());
     loop {
-        // Closed by nobody.
-        let Ok(permit) = Arc::clone(&connections).acquire_owned().await else { return };
         let Ok((stream, _)) = listener.accept().await else {
             // Out of file descriptors, as likely as not: some will be free soon.
-            sleep(Duration::from_millis(20)).await;
+            sleep(A_MOMENT).await;
             continue;
         };
-        let application = Arc::clone(&application);
+        // Closed by nobody.
+        let Some(permit) = room(&connections, &idle).await else { return };
+        let (application, idle) = (Arc::clone(&application), Arc::clone(&idle));
         tokio::spawn(async move {
-            let service = service_fn(|request| respond(Arc::clone(&application), request));
+            let place = idle.place();
+            let service = service_fn(|request| {
+                let application = Arc::clone(&application);
+                place.busy(respond(application, request))
+            });
             let connection = http1::Builder::new()
                 .timer(TokioTimer::new())
                 .header_read_timeout(Duration::from_secs(PATIENCE_S))
                 .max_buf_size(MOST_HEAD_BYTES)
                 .max_headers(MOST_HEADERS)
                 .serve_connection(TokioIo::new(stream), service);
-            // Whoever breaks off a connection hears no more of it.
-            let _ = connection.await;
+            // Whoever breaks off a connection, or leaves it idle while others wait, hears no more of it.
+            let (mut connection, mut given_up) = (pin!(connection), pin!(place.given_up()));
+            poll_fn(|context| match given_up.as_mut().poll(context) {
+                Poll::Ready(()) => Poll::Ready(()),
+                Poll::Pending => connection.as_mut().poll(context).map(drop),
+            })
+            .await;
             drop(permit);
         });
+    }
+}
+
+/// Room for a connection, made by one that is idle if there is none.
+async fn room(connections: &Arc<Semaphore>, idle: &Idle) -> Option<OwnedSemaphorePermit> {
+    loop {
+        if let Ok(permit) = Arc::clone(connections).try_acquire_owned() {
+            return Some(permit);
+        }
+        idle.give_up_oldest();
+        // Those that are busy may be idle soon.
+        if let Ok(permit) = timeout(A_MOMENT, Arc::clone(connections).acquire_owned()).await {
+            return permit.ok();
+        }
     }
 }
 

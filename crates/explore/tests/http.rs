@@ -5,7 +5,7 @@ use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::path::Path;
 use std::sync::OnceLock;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crumple_explore::{Offer, OfferedScenario, Server};
 use crumple_world::control::ControllerSpec;
@@ -179,6 +179,16 @@ fn fifty_clients_at_once_lose_nothing() {
         assert!(of_client.iter().all(|answer| answer == &of_client[0]), "client {client}");
         assert_eq!(of_client[0].0[0]["controller"], "baseline");
     }
+}
+
+/// More connections than there may be, on which nothing is asked: nobody waits for them.
+#[test]
+fn idle_connections_keep_nobody_out() {
+    let idle: Vec<_> = (0..400).map(|_| TcpStream::connect(("127.0.0.1", served().port)).unwrap()).collect();
+    let begun = Instant::now();
+    assert_eq!(post("open", br#"{"scenario": 0}"#).0, 200);
+    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+    drop(idle);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::Plan;
 use crate::cli::{Failure, output};
-use crumple_search::evidence::{RateConfig, RatePlan, runs_for};
+use crumple_search::evidence::{CannotPlan, RateConfig, RatePlan, runs_for};
 use crumple_search::falsify::campaign::Campaign;
 use crumple_search::shard::Shard;
 use crumple_world::measure::Specification;
@@ -53,7 +53,11 @@ impl Plan {
         let runs = match (self.runs, self.rate_below) {
             (Some(runs), _) => runs,
             (None, rate) => {
-                runs_for(rate.unwrap_or_default(), self.confidence, self.failures).map_err(Failure::input)?
+                let named = |error| match error {
+                    CannotPlan::Confidence { .. } => Failure::Input(format!("--{error}")),
+                    _ => Failure::Input(format!("--rate-below: {error}")),
+                };
+                runs_for(rate.unwrap_or_default(), self.confidence, self.failures).map_err(named)?
             }
         };
         let plan = self.count(self.seed, runs)?;

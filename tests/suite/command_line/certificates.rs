@@ -189,6 +189,31 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
     }
 }
 
+/// Whatever is wrong with one, of the others it is said what they prove.
+#[test]
+fn each_certificate_has_its_verdict_whatever_is_wrong_with_another() {
+    let folder = folder();
+    let good = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/certificates/reach-paper-1.json");
+    std::fs::write(folder.path().join("cut.json"), "{").unwrap();
+    let said = crumple(folder.path(), &["check", "cut.json", good, "nowhere.json"]);
+    assert_eq!(code(&said), 2);
+    assert!(stdout(&said).contains("reach-paper-1.json: accepted: reach"), "{}", stdout(&said));
+    assert!(stderr(&said).contains("cut.json: is not a certificate"), "{}", stderr(&said));
+    assert!(stderr(&said).contains("nowhere.json: "), "{}", stderr(&said));
+    let said = crumple(folder.path(), &["check", "cut.json", good, "--format", "json"]);
+    let told = super::objects(&said);
+    assert_eq!((code(&said), told.len()), (2, 2));
+    assert_eq!((&told[0]["accepted"], &told[1]["accepted"]), (&json!(true), &json!(false)));
+    assert!(told[1]["error"].as_str().unwrap().starts_with("cut.json: is not a certificate"), "{}", told[1]);
+    // A verdict comes before what has none.
+    let said = crumple(folder.path(), &["check", "cut.json", good, "--scenario", "paper-2"]);
+    assert_eq!(code(&said), 1);
+    assert!(stdout(&said).contains("reach-paper-1.json: is NOT about paper-2; "), "{}", stdout(&said));
+    assert!(!stdout(&said).contains(".json: accepted"), "{}", stdout(&said));
+    let gate = stderr(&said).lines().last().unwrap();
+    assert!(gate.starts_with("gate: not about the scenario asked for: "), "{gate}");
+}
+
 #[test]
 fn noise_that_is_not_assumed_is_noticed() {
     let folder = folder();

@@ -38,6 +38,25 @@ pub(crate) fn assert_same(one: &Path, other: &Path) {
     }
 }
 
+/// Some figures of a summary are of the method, some of all: in what is printed for programs each is also where it says which.
+#[test]
+fn a_summary_for_programs_says_which_figures_are_of_which_methods() {
+    let folder = folder();
+    let search = ["falsify", "--controller", "idm", "--budget", "20", "--out", "runs", "--format", "json"];
+    let found = objects(&crumple(folder.path(), &search)).remove(0);
+    let kept = fs::read_to_string(folder.path().join("runs/summary.json")).unwrap();
+    let kept: Value = serde_json::from_str(&kept).unwrap();
+    for (name, value) in kept.as_object().unwrap() {
+        assert_eq!(found[name], *value, "{name} is as it is kept");
+    }
+    let (of_one, of_all) = (&found["of_method_asked_for"], &found["of_all_methods"]);
+    assert_eq!((&of_one["method"], &of_one["evaluations"]), (&found["method"], &found["evaluations"]));
+    assert_eq!((&of_all["methods"], &of_all["evaluations"]), (&3.into(), &60.into()));
+    let failures: u64 = found["methods"].as_array().unwrap().iter().map(|one| one["failures"].as_u64().unwrap()).sum();
+    assert_eq!((&of_all["failures"], &of_all["falsified"]), (&failures.into(), &found["falsified"]));
+    assert_eq!(of_all["distinct_failures"], found["counterexamples"].as_array().unwrap().len());
+}
+
 /// A search is a gate where it is asked to be; one that found nothing says how hard it looked.
 #[test]
 fn a_search_may_be_expected_to_find_a_failure_or_nothing() {

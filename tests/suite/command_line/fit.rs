@@ -152,4 +152,11 @@ fn what_cannot_be_fitted_is_refused() {
         &crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", "--resamples", "5"]),
         "must be 0 or from 79 to 2000, found 5",
     );
+    // What nobody has fitted to episodes has none to resample.
+    for (option, value) in [("--resamples", "100"), ("--resample-runs", "60")] {
+        assert_refused(
+            &crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", option, value]),
+            &format!("{option}: the space `paper` was not fitted to episodes"),
+        );
+    }
 }

@@ -5,6 +5,33 @@ use std::path::Path;
 
 use super::{assert_refused, code, crumple, folder, names_in, stderr};
 
+/// The folder of a suite's failures holds those of the last run, and what nobody's run wrote.
+#[test]
+fn failures_of_an_earlier_suite_run_do_not_stay() {
+    let folder = folder();
+    let failures = folder.path().join("failures");
+    let suite = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/suites/lane-changes.toml");
+    let run = |controller: &str| {
+        crumple(folder.path(), &["suite", "run", suite, "--controller", controller, "--out", "failures"])
+    };
+    assert_eq!(code(&run("full-throttle")), 0);
+    let listed = names_in(&failures);
+    assert!(listed.len() > 3 && listed.contains(&"failures.sha256".to_owned()), "{listed:?}");
+    assert_eq!(code(&run("full-throttle")), 0);
+    assert_eq!(names_in(&failures), listed);
+    // One that was edited and one that is somebody's own stay, and are named.
+    let edited = listed.iter().find(|name| name.ends_with(".toml")).unwrap();
+    let text = fs::read_to_string(failures.join(edited)).unwrap();
+    fs::write(failures.join(edited), text + "# mine\n").unwrap();
+    fs::write(failures.join("own.toml"), "").unwrap();
+    let passed = run("acc-aeb");
+    assert_eq!(code(&passed), 0);
+    assert_eq!(names_in(&failures), [edited.as_str(), "own.toml"]);
+    assert!(stderr(&passed).contains(" and 1 more: not of this run, and left alone"), "{}", stderr(&passed));
+    fs::write(failures.join("failures.sha256"), "0  ../elsewhere\n").unwrap();
+    assert_refused(&run("acc-aeb"), "failures.sha256:1: is no SHA-256 and the name of a file beside it");
+}
+
 /// A link stays, and what it leads to is written; what is no file is left alone.
 #[cfg(unix)]
 #[test]

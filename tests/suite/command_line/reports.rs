@@ -94,6 +94,14 @@ fn gates_decide_and_evidence_is_kept() {
     };
     assert_eq!(read("one"), read("two"));
 
+    // Evidence is of its work, and whoever is damaged or none is named beside those who are neither.
+    fs::create_dir(folder.path().join("none")).unwrap();
+    let looked = crumple(folder.path(), &["fsck", "one", "none", "two"]);
+    assert_eq!((code(&looked), stdout(&looked).lines().count()), (2, 3), "{looked:?}");
+    fs::write(folder.path().join("one/assessment.md"), "").unwrap();
+    let looked = crumple(folder.path(), &["fsck", "one", "none", "two"]);
+    assert_eq!(stderr(&looked), "gate: damaged: one; could not be looked at: none\n");
+
     config("[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n");
     let failed = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
     assert_eq!(code(&failed), 1, "{failed:?}");

@@ -49,6 +49,49 @@ fn each_pair_of_classes_gets_a_certificate() {
     assert_eq!(certificate["statement"]["kernel"]["catching_up_squared"], "1/3");
 }
 
+/// What is verified of a box says whose it is and what the checker makes of it, and what is wrong with a box stands where its file says.
+#[test]
+fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
+    let folder = folder();
+    let write = |ranges: &str| {
+        let text = format!("version = 1\nscenario = \"paper-1\"\n[ranges]\n{ranges}\n");
+        std::fs::write(folder.path().join("box.toml"), text).unwrap();
+    };
+    let reach = |more: &[&str]| crumple(folder.path(), &[&["verify", "reach"], more].concat());
+    write("follower_brake_mps2 = 25");
+    let verified = reach(&["--box", "box.toml", "--depth", "0", "--certificate", "r.json", "--format", "json"]);
+    assert_eq!(code(&verified), 0, "{}", stderr(&verified));
+    let found = objects(&verified).remove(0);
+    let checked = objects(&crumple(folder.path(), &["check", "r.json", "--format", "json"])).remove(0);
+    for (ours, theirs) in [
+        ("certificate", "certificate"),
+        ("certificate_sha256", "sha256"),
+        ("accepted", "accepted"),
+        ("verified_share", "verified_share"),
+        ("smallest_gap_m", "smallest_gap_m"),
+        ("horizon_s", "horizon_s"),
+        ("scenario", "scenario"),
+    ] {
+        assert_eq!(found[ours], checked[theirs], "{ours}");
+    }
+    assert_eq!((&found["controller"], &found["box"]), (&"policy".into(), &"box.toml".into()));
+    assert!(found["smallest_gap_m"].as_f64() > Some(0.0) && found["shares"][0]["verified"] == 1.0, "{found}");
+    for (ranges, said) in [
+        ("\ngap_ahead_m = -3", "box.toml:5: ranges.gap_ahead_m: holds a negative number"),
+        ("onset_s = -1", "box.toml:4: ranges.onset_s: holds a negative number"),
+        (
+            "leader_speed_mps = 400",
+            "box.toml:4: ranges.leader_speed_mps: a start in it is no scenario: must be from 0 to 100",
+        ),
+        ("leader_brake_mps2 = 29", "box.toml:4: ranges.leader_brake_mps2: is harder than the leader can brake"),
+        ("gap_ahead_m = nan", "box.toml:4: ranges.gap_ahead_m: "),
+    ] {
+        write(ranges);
+        assert_refused(&reach(&["--box", "box.toml"]), said);
+    }
+    assert_refused(&reach(&["--box", "paper-3"]), "`paper-3` is neither a built-in box (paper-1, paper-2) nor a file");
+}
+
 #[test]
 fn a_rate_is_registered_counted_resumed_and_certified() {
     let folder = folder();

@@ -1,6 +1,6 @@
 //! `avoid`, `check` and `worst-case` as a user meets them.
 
-use super::{code, crumple, folder, objects, stdout};
+use super::{assert_refused, code, crumple, folder, objects, stdout};
 
 #[test]
 fn an_escape_is_written_replayed_and_checked() {
@@ -52,6 +52,40 @@ fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is(
     assert!(stdout(&checked).contains("whatever is done, some gap gets as small as 9.19"), "{}", stdout(&checked));
     let other = crumple(folder.path(), &["check", "bound.json", "--scenario", "paper-1"]);
     assert_eq!(code(&other), 1, "{other:?}");
+}
+
+#[test]
+fn a_range_that_is_none_is_refused_with_line_and_field() {
+    let folder = folder();
+    for (range, said) in [
+        ("field = \"vehicles[1].speed_mps\"\nlow = nan\nhigh = 3", "ranges.toml:8: ranges[1].low: "),
+        ("field = \"vehicles[1].speed_mps\"\nlow = 4\nhigh = 3", "ranges.toml:9: ranges[1].high: "),
+        ("field = \"vehicles[1].speed\"\nlow = 1\nhigh = 3", "ranges.toml:7: ranges[1].field: "),
+        ("field = \"vehicles[0].speed_mps\"\nlow = 1\nhigh = 3", "ranges.toml:7: ranges[1].field: "),
+        ("field = \"vehicles[1].speed_mps\"\nlow = 99\nhigh = 101", "ranges.toml:6: ranges[1]: "),
+    ] {
+        let first = "[[ranges]]\nfield = \"vehicles[0].speed_mps\"\nlow = 24\nhigh = 25\n";
+        let text = format!("version = 1\n{first}[[ranges]]\n{range}\n");
+        std::fs::write(folder.path().join("ranges.toml"), text).unwrap();
+        assert_refused(&crumple(folder.path(), &["avoid", "paper-1", "--box", "ranges.toml"]), said);
+    }
+}
+
+/// What is made whatever the budget is said to be more than it.
+#[test]
+fn more_simulations_than_the_budget_are_said() {
+    let folder = folder();
+    let attack = |more: &[&str]| {
+        let found = crumple(folder.path(), &[&["worst-case", "paper-1", "--controller", "idm"], more].concat());
+        assert_eq!(code(&found), 0);
+        found
+    };
+    let report = objects(&attack(&["--budget", "1", "--format", "json"])).remove(0);
+    assert!(report["evaluations"].as_u64() > Some(1), "{report}");
+    assert_eq!((&report["budget"], &report["is_over_budget"]), (&1.into(), &true.into()));
+    assert!(stdout(&attack(&["--budget", "1"])).contains("more simulations than --budget 1: "));
+    let report = objects(&attack(&["--format", "json"])).remove(0);
+    assert_eq!((&report["is_over_budget"], report["over_budget_because"].is_null()), (&false.into(), true), "{report}");
 }
 
 #[test]

@@ -178,7 +178,7 @@ impl Reach {
         }
         for dimension in Dimension::ALL {
             if self.ranges.get(dimension).low() < 0.0 {
-                return Err(Rejection::invalid(format!("ranges.{dimension:?}"), "holds a negative number"));
+                return Err(Rejection::invalid(format!("ranges.{}", dimension.field()), "holds a negative number"));
             }
         }
         let of_follower = self.follower_ttc_s.iter().map(|ttc_s| ("follower_ttc_s", ttc_s));

@@ -55,6 +55,21 @@ impl Dimension {
         Self::FollowerBrakeMps2,
         Self::OnsetSteps,
     ];
+
+    /// The field of [`Ranges`] that it is.
+    #[must_use]
+    pub const fn field(self) -> &'static str {
+        match self {
+            Self::GapAheadM => "gap_ahead_m",
+            Self::GapBehindM => "gap_behind_m",
+            Self::LeaderSpeedMps => "leader_speed_mps",
+            Self::EgoSpeedMps => "ego_speed_mps",
+            Self::FollowerSpeedMps => "follower_speed_mps",
+            Self::LeaderBrakeMps2 => "leader_brake_mps2",
+            Self::FollowerBrakeMps2 => "follower_brake_mps2",
+            Self::OnsetSteps => "onset_steps",
+        }
+    }
 }
 
 impl Ranges {

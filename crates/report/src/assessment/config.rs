@@ -43,8 +43,8 @@ pub struct AssessConfig {
     /// Draws of each of these spaces for each controller, and, 200 at most, of each resample of a space that was fitted. Default 1000.
     #[serde(default = "default_draws")]
     pub draws: u64,
-    /// Drives of each controller in everyday traffic, and as many where something threatens; none leaves usefulness out.
-    /// Default 200.
+    /// Drives of each controller in everyday traffic (the space `traffic`), and as many in `high-risk`, where something threatens;
+    /// none leaves usefulness out. Default 200.
     #[serde(default = "default_everyday_draws")]
     pub everyday_draws: u64,
     /// Seed of the draws. Default 0.

@@ -12,25 +12,33 @@ use super::{CountedBlock, RateError, RatePlan, Tally, binomial};
 #[non_exhaustive]
 pub enum CannotPlan {
     /// The rate.
-    #[error("rate: must be above 0 and below 1, found {found}")]
+    #[error("rate: must be above 0 and below 1, found {}", short(*found))]
     Rate {
         /// What was asked for.
         found: f64,
     },
     /// Confidence.
-    #[error("confidence: must be above 0.5 and below 1, found {found}")]
+    #[error("confidence: must be above 0.5 and below 1, found {}", short(*found))]
     Confidence {
         /// What was asked for.
         found: f64,
     },
     /// It would take too many.
-    #[error("a rate of {rate} with {failures} failures would take more than {MOST_RUNS} runs")]
+    #[error("a rate of {} with {failures} failures would take more than {MOST_RUNS} runs", short(*rate))]
     TooMany {
         /// The rate that was asked for.
         rate: f64,
         /// Failures that may happen.
         failures: u64,
     },
+}
+
+/// A number as it is read most easily: with an exponent where it would have many zeros.
+fn short(number: f64) -> String {
+    match number == 0.0 || (1e-4..1e7).contains(&number.abs()) {
+        true => number.to_string(),
+        false => format!("{number:e}"),
+    }
 }
 
 /// The smallest number of runs of which so many may fail and the certificate still says: at most `rate`.

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use crumple_verify::reach::{Actor, Cell, Dimension, Doubt, Ranges, Reach, Reached, Scene, file_name, reach};
-use crumple_verify::{Certificate, Interval, Statement};
+use crumple_verify::{Certificate, Interval, Rejection, Statement};
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -20,7 +20,7 @@ use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::file::{self, FileError};
-use crumple_world::scenario::{Brake, Driver, InvalidField, LeadProfile, Scenario, built_in};
+use crumple_world::scenario::{Brake, Driver, InvalidField, LeadProfile, Scenario, built_in, built_in_names};
 use crumple_world::sim::{ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// Covers what a simulator in double precision rounds, in metres, m/s and m/s².
@@ -69,12 +69,14 @@ pub struct RangesSpec {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidBox {
-    /// The scenario is not one that can be claimed about.
-    #[error("scenario: {0}")]
-    Scenario(String),
-    /// A range is not one that can be claimed about.
-    #[error("ranges.{0}")]
-    Ranges(String),
+    /// A field of the box, its scenario or a range, is not one that can be claimed about.
+    #[error("{field}: {problem}")]
+    Field {
+        /// Path of the field in the file, such as `ranges.onset_s`.
+        field: String,
+        /// What is wrong.
+        problem: String,
+    },
     /// Scenario or box cannot be written down.
     #[error("cannot be written as TOML: {0}")]
     Unwritable(#[from] toml::ser::Error),
@@ -84,8 +86,8 @@ pub enum InvalidBox {
     /// What a network sees cannot be followed.
     #[error("the controller cannot be followed: {0}")]
     Mapping(#[from] InvalidMapping),
-    /// A start of the box is no scenario.
-    #[error(transparent)]
+    /// A start of the box is no scenario: a field of that.
+    #[error("a start of the box is no scenario: {0}")]
     Start(#[from] InvalidField),
     /// A start of the box cannot be run.
     #[error(transparent)]
@@ -186,8 +188,13 @@ impl ReachPlan {
     /// what no vehicle can do.
     pub fn new(controller: impl Into<ControllerKind>, spec: &BoxSpec) -> Result<Self, InvalidBox> {
         let controller = controller.into();
-        let wrong = |why: &str| InvalidBox::Scenario(why.to_owned());
-        let scenario = built_in(&spec.scenario).ok_or_else(|| wrong("is no built-in one"))?;
+        let scenario = built_in(&spec.scenario).ok_or_else(|| {
+            let known: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
+            InvalidBox::field(
+                "scenario",
+                format!("must be a built-in one ({}), found `{}`", known.join(", "), spec.scenario),
+            )
+        })?;
         let starts = Starts::new(&scenario, spec)?;
         let bytes = checker_file(&controller)?
             .ok_or_else(|| InvalidBox::Controller("must be a policy of crumple's own or a network".to_owned()))?;
@@ -210,7 +217,7 @@ impl ReachPlan {
             falsified_share_at_least: 0.0,
             min_gap_m_at_least: 0.0,
         };
-        claim.scene(&actor).map_err(|rejection| InvalidBox::Ranges(rejection.to_string()))?;
+        claim.scene(&actor).map_err(of_rejected)?;
         let texts = [file::to_toml(&scenario)?, toml::to_string(spec)?];
         let plan = Self { scenario, texts, controller, bytes, actor, claim };
         // Whatever else is wrong with a start shows here.
@@ -236,7 +243,7 @@ impl ReachPlan {
     /// [`InvalidBox`] if a start of the box is no scenario.
     pub fn partition(&self, depth: u32, mut told: impl FnMut(&Shares)) -> Result<Partition, InvalidBox> {
         let begin = Instant::now();
-        let mut scene = self.claim.scene(&self.actor).map_err(|rejection| InvalidBox::Ranges(rejection.to_string()))?;
+        let mut scene = self.claim.scene(&self.actor).map_err(of_rejected)?;
         scene.stop_at_doubt = true;
         let mut nodes = vec![Node { ranges: self.claim.ranges, cell: Cell::Undecided, halves: None, reached: None }];
         let mut due = vec![0_usize];
@@ -348,7 +355,7 @@ impl ReachPlan {
     pub fn scenario_at(&self, point: &[f64; 8]) -> Result<Scenario, InvalidBox> {
         let [ahead_m, behind_m, leader_mps, ego_mps, follower_mps, brake_mps2, follower_brake_mps2, onset] = *point;
         let onset_s = onset * self.claim.step_s;
-        Ok(self.scenario.edited(|spec| {
+        let scenario = self.scenario.edited(|spec| {
             if let [leader, ego, rest @ ..] = spec.vehicles.as_mut_slice() {
                 (leader.speed_mps, ego.speed_mps) = (leader_mps, ego_mps);
                 leader.position_m = ego.position_m + ahead_m + leader.length_m();
@@ -358,7 +365,8 @@ impl ReachPlan {
                     (follower.speed_mps, follower.max_brake_mps2) = (follower_mps, Some(follower_brake_mps2));
                 }
             }
-        })?)
+        });
+        scenario.map_err(of_start)
     }
 
     /// Whether a start ends in contact in the simulator.
@@ -368,6 +376,43 @@ impl ReachPlan {
         let run = Run::new(&scenario, options)?;
         Ok(simulate(&run, RecordingLevel::Summary).outcome != Outcome::NoCollision)
     }
+}
+
+impl InvalidBox {
+    pub(super) fn field(field: &str, problem: impl Into<String>) -> Self {
+        Self::Field { field: field.to_owned(), problem: problem.into() }
+    }
+}
+
+/// What the checker says of a box, as its file names things: the instant at which the leader brakes is in seconds there.
+fn of_rejected(rejection: Rejection) -> InvalidBox {
+    match rejection {
+        Rejection::Invalid { field, problem } if field == "ranges.onset_steps" => {
+            InvalidBox::field("ranges.onset_s", problem)
+        }
+        Rejection::Invalid { field, problem } if field.starts_with("ranges.") || field == "observation_error" => {
+            InvalidBox::field(&field, problem)
+        }
+        // The rest is the scenario's.
+        other => InvalidBox::field("scenario", format!("its {other}")),
+    }
+}
+
+/// What is wrong with a start, at the range that it comes from.
+fn of_start(invalid: InvalidField) -> InvalidBox {
+    let range = match invalid.field.as_str() {
+        // Whoever overlaps is the one behind.
+        "vehicles[1].position_m" => "ranges.gap_ahead_m",
+        "vehicles[2].position_m" => "ranges.gap_behind_m",
+        "vehicles[0].speed_mps" => "ranges.leader_speed_mps",
+        "vehicles[1].speed_mps" => "ranges.ego_speed_mps",
+        "vehicles[2].speed_mps" => "ranges.follower_speed_mps",
+        "vehicles[2].max_brake_mps2" => "ranges.follower_brake_mps2",
+        "vehicles[0].driver.brake.onset_s" => "ranges.onset_s",
+        brake if brake.starts_with("vehicles[0].driver.brake") => "ranges.leader_brake_mps2",
+        _ => return InvalidBox::Start(invalid),
+    };
+    InvalidBox::field(range, format!("a start in it is no scenario: {}", invalid.problem))
 }
 
 /// Why a controller that may ask for more than the vehicle can do is refused; a network's file says at which field.

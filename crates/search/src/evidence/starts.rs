@@ -24,7 +24,7 @@ impl Starts {
     /// # Errors
     /// [`InvalidBox`] if the scenario has more to it than the checker knows of.
     pub(super) fn new(scenario: &Scenario, spec: &BoxSpec) -> Result<Self, InvalidBox> {
-        let wrong = |why: &str| InvalidBox::Scenario(why.to_owned());
+        let wrong = |why: &str| InvalidBox::field("scenario", why);
         let vehicles = scenario.vehicles();
         let [leader, ego, rest @ ..] = vehicles else { return Err(wrong("has too few vehicles")) };
         let Driver::Profile(LeadProfile::Brake(brake)) = &leader.driver else {
@@ -69,10 +69,10 @@ impl Starts {
                 rest.first().map_or(0.0, |_| scenario.usable_brake_mps2(2)),
             ),
             onset_steps: Interval::new(onset_s.low() / step_s, onset_s.high() / step_s)
-                .ok_or_else(|| InvalidBox::Ranges("onset_s: too large".to_owned()))?,
+                .ok_or_else(|| InvalidBox::field("ranges.onset_s", "is too large"))?,
         };
         if ranges.leader_brake_mps2.high() > scenario.usable_brake_mps2(0) {
-            return Err(InvalidBox::Ranges("leader_brake_mps2: harder than the leader can brake".to_owned()));
+            return Err(InvalidBox::field("ranges.leader_brake_mps2", "is harder than the leader can brake"));
         }
         let able_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
         Ok(Self { step_s, steps: scenario.steps() as u32, follower_ttc_s, ranges, able_mps2 })

@@ -74,6 +74,23 @@ pub enum FamilyError {
     Scenario(#[from] InvalidField),
 }
 
+impl FamilyError {
+    /// The path in a file of these ranges of what is wrong, such as `ranges[1].low`.
+    #[must_use]
+    pub fn place(&self, ranges: &Ranges) -> String {
+        let of = |field: &str| ranges.ranges.iter().position(|range| range.field == field);
+        let last_of = |field: &str| ranges.ranges.iter().rposition(|range| range.field == field);
+        let (index, key) = match self {
+            Self::Version(_) => return "version".to_owned(),
+            Self::Field { field } => (of(field), ".field"),
+            Self::Twice { field } => (last_of(field), ".field"),
+            Self::Range { field, low, .. } => (of(field), if low.is_finite() { ".high" } else { ".low" }),
+            Self::Scenario(invalid) => (of(&invalid.field), ""),
+        };
+        index.map_or_else(|| "ranges".to_owned(), |index| format!("ranges[{index}]{key}"))
+    }
+}
+
 impl Family {
     /// One scenario.
     #[must_use]

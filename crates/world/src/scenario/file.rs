@@ -117,7 +117,8 @@ pub const MOST_TOML_BYTES: u64 = 3 << 20;
 /// Reads a text file.
 ///
 /// # Errors
-/// [`FileError::Read`] for one that cannot be read, is not UTF-8 or holds more than [`MOST_BYTES`].
+/// [`FileError::Read`] for one that cannot be read or holds more than [`MOST_BYTES`], and [`FileError::Syntax`] with the line for one that
+/// is not UTF-8.
 pub fn read(path: &Path) -> Result<String, FileError> {
     read_at_most(path, MOST_BYTES)
 }
@@ -125,17 +126,20 @@ pub fn read(path: &Path) -> Result<String, FileError> {
 /// Reads a text file of at most so many bytes.
 ///
 /// # Errors
-/// [`FileError::Read`] for one that cannot be read, is not UTF-8 or holds more.
+/// [`FileError`], likewise.
 pub fn read_at_most(path: &Path, most: u64) -> Result<String, FileError> {
     let unreadable = |source| FileError::Read { path: path.to_owned(), source };
-    let mut text = String::new();
-    File::open(path)
-        .and_then(|file| file.take(most.saturating_add(1)).read_to_string(&mut text))
-        .map_err(unreadable)?;
-    if text.len() as u64 > most {
+    let mut bytes = Vec::new();
+    File::open(path).and_then(|file| file.take(most.saturating_add(1)).read_to_end(&mut bytes)).map_err(unreadable)?;
+    if bytes.len() as u64 > most {
         let problem = format!("holds more than {} MiB, too much for such a file", most >> 20);
         return Err(unreadable(io::Error::new(io::ErrorKind::InvalidData, problem)));
     }
+    let text = String::from_utf8(bytes).map_err(|error| {
+        let whole = error.utf8_error().valid_up_to();
+        let message = "is not UTF-8 text from here on: save it as UTF-8".to_owned();
+        FileError::Syntax { path: path.to_owned(), line: line_in(error.as_bytes(), whole), message }
+    })?;
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
 
@@ -225,6 +229,8 @@ fn plain(message: &str) -> std::borrow::Cow<'_, str> {
 
 /// The message behind the field it is about, where the parser knows the field.
 fn name_field(field: &str, message: &str) -> String {
+    // What the parser had not named when the text broke off is the last of the path.
+    let field = field.strip_suffix('?').map_or(field, |known| known.strip_suffix('.').unwrap_or(known));
     if field.is_empty() || field == "." { message.to_owned() } else { format!("{field}: {message}") }
 }
 
@@ -238,7 +244,11 @@ pub fn to_toml(scenario: &Scenario) -> Result<String, toml::ser::Error> {
 
 /// The line, from 1, of a byte offset.
 fn line_at(text: &str, offset: usize) -> usize {
-    1 + text.bytes().take(offset).filter(|&byte| byte == b'\n').count()
+    line_in(text.as_bytes(), offset)
+}
+
+fn line_in(bytes: &[u8], offset: usize) -> usize {
+    1 + bytes.iter().take(offset).filter(|&&byte| byte == b'\n').count()
 }
 
 /// The steps of a path such as `vehicles[1].driver.brake`.
@@ -361,6 +371,24 @@ driver = "under-test"
         let message = from_json(&bad, Path::new("bad.json")).expect_err("negative speed").to_string();
         let line = 1 + bad.lines().position(|l| l.contains("-25.0")).unwrap();
         assert!(message.starts_with(&format!("bad.json:{line}: vehicles[0].speed_mps: must be")), "{message}");
+    }
+
+    /// A text that breaks off names the line, and no field that nobody can look for; one that is not UTF-8 names the line as well.
+    #[test]
+    fn errors_name_the_line_of_what_is_no_text_or_breaks_off() {
+        let json = serde_json::to_string_pretty(built_in("paper-1").unwrap().spec()).unwrap();
+        for at in (1..json.len()).filter(|&at| json.is_char_boundary(at)) {
+            let cut = &json[..at];
+            let said = from_json(cut, Path::new("cut.json")).unwrap_err().to_string();
+            let line = said.strip_prefix("cut.json:").and_then(|rest| rest.split(':').next()).unwrap();
+            assert!(line.parse::<usize>().is_ok_and(|line| (1..=cut.lines().count() + 1).contains(&line)), "{said}");
+            assert!(!said.contains('?'), "{said}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("latin-1.toml");
+        fs::write(&path, b"version = 1\nname = \"two\"\n# f\xfcr\n").unwrap();
+        let said = load(&path).unwrap_err().to_string();
+        assert!(said.ends_with("latin-1.toml:3: is not UTF-8 text from here on: save it as UTF-8"), "{said}");
     }
 
     /// However deep or long a text is, it is refused in words, and no stack or memory runs out.
