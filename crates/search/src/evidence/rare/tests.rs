@@ -146,13 +146,12 @@ fn known_probabilities_are_found_by_weighted_draws() {
 /// Weighted draws are never taken for counted runs, however few levels the pilot needed.
 #[test]
 fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
-    let margins: [(fn(&State) -> f64, f64); 3] = [
-        (|state| 0.5 - state.normal.first().copied().unwrap_or(0.0), 0.5),
-        (|state| 1.3 - state.normal.first().copied().unwrap_or(0.0), 1.3),
-        (|state| 1.8 - state.normal.first().copied().unwrap_or(0.0), 1.8),
+    let problems = [
+        (Known { dimension: 2, margin: |state| 0.5 - state.normal.first().copied().unwrap_or(0.0) }, 0.5),
+        (Known { dimension: 2, margin: |state| 1.3 - state.normal.first().copied().unwrap_or(0.0) }, 1.3),
+        (Known { dimension: 2, margin: |state| 1.8 - state.normal.first().copied().unwrap_or(0.0) }, 1.8),
     ];
-    for (margin, at) in margins {
-        let problem = Known { dimension: 2, margin };
+    for (problem, at) in problems {
         let [weighed, split] = [RareMethod::Importance, RareMethod::Splitting].map(|by| estimate_by(by, &problem, 1));
         let spread = weighed.coefficient_of_variation.unwrap();
         let of_spread = splitting::interval(weighed.probability.unwrap(), spread, weighed.repetitions.len(), 0.95);
