@@ -60,7 +60,7 @@ fn what_makes_no_sense_is_named() {
         ("steps", Reach { steps: 9, ..claim() }),
         ("steps", Reach { steps: 305, ..claim() }),
         ("steps", Reach { steps: 100_010, ..claim() }),
-        ("ranges.EgoSpeedMps", Reach { ranges: Ranges { ego_speed_mps: backwards, ..claim().ranges }, ..claim() }),
+        ("ranges.ego_speed_mps", Reach { ranges: Ranges { ego_speed_mps: backwards, ..claim().ranges }, ..claim() }),
         ("follower_ttc_s", Reach { follower_ttc_s: Some(-0.1), ..claim() }),
         ("follower_ttc_s", Reach { follower_ttc_s: Some(f64::NAN), ..claim() }),
     ]
