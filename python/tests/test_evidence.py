@@ -85,8 +85,10 @@ def test_a_worst_case_is_that_of_the_command_line(tmp_path, told_by_command_line
     found = crumple.worst_case("paper-1", controller, aim=aim, budget=200)
     arguments = ("worst-case", "paper-1", "--controller", controller, "--aim", aim, "--budget", 200)
     told = told_by_command_line(*arguments, "--out", tmp_path / "worst.toml")
-    # What its --budget came to is said besides.
-    assert {name: told[name] for name in found.facts} == found.facts
+    # What its --budget came to is said besides, and nothing else.
+    assert (told.pop("budget"), told.pop("is_over_budget")) == (200, found.facts["evaluations"] > 200)
+    assert (told.pop("over_budget_because") is None) == (found.facts["evaluations"] <= 200)
+    assert told == found.facts
     assert found.found == (tmp_path / "worst.toml").exists()
     if found.scenario is not None:
         assert found.scenario == crumple.scenario(tmp_path / "worst.toml")
