@@ -23,7 +23,8 @@ class Policy:
         (length,) = struct.unpack("<Q", data[:8])
         header, body = json.loads(data[8 : 8 + length]), data[8 + length :]
         facts = json.loads(header.pop("__metadata__")["crumple_policy"])
-        self.observation, action = facts["observation"], facts["action"]
+        seen, action = facts["observation"], facts["action"]
+        self.offset, self.scale, self.limit = np.array(seen["offset"]), np.array(seen["scale"]), seen["limit"]
         self.low_mps2, self.high_mps2 = action["low_mps2"], action["high_mps2"]
         self.interval_s = facts["decision_interval_s"]
 
@@ -35,8 +36,7 @@ class Policy:
 
     def __call__(self, rows):
         """Accelerations for rows of observations."""
-        seen, limit = self.observation, self.observation["limit"]
-        x = ((rows - seen["offset"]) / seen["scale"]).clip(-limit, limit).astype(np.float32)
+        x = ((rows - self.offset) / self.scale).clip(-self.limit, self.limit).astype(np.float32)
         for index, (weight, bias) in enumerate(self.layers):
             x = x @ weight + bias
             x = np.tanh(x) if index + 1 == len(self.layers) else np.maximum(x, 0.0)

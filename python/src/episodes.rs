@@ -2,11 +2,11 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crumple_learn::rl::{Ending, EnvironmentConfig, Episode, ScenarioSource, TrainingConfig, bounds, unsuited};
+use crumple_learn::rl::{Ending, EnvironmentConfig, Episode, ScenarioSource, Terms, TrainingConfig, bounds, unsuited};
 use crumple_world::control::{ControllerSpec, NoSettings};
 use crumple_world::policy::STATE;
 use crumple_world::scenario::{Scenario, file};
-use crumple_world::sim::{Run, RunOptions};
+use crumple_world::sim::{ABREAST, Abreast, Place, Run, RunOptions};
 use numpy::{PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -16,9 +16,10 @@ use self_cell::self_cell;
 use crate::errors::{self, Class};
 use crate::scenario::Space;
 use crate::simulation::ESTIMATORS;
+use crate::threads;
 use crate::values::choice;
 
-/// Episodes that a thread takes at least: fewer are stepped faster than they are handed over.
+/// Episodes that a thread takes at least when they begin: fewer are begun faster than they are handed over.
 const LEAST_OF_A_THREAD: usize = 16;
 
 /// Most episodes at once.
@@ -60,7 +61,7 @@ enum Autoreset {
 struct Task {
     source: Arc<dyn ScenarioSource>,
     environment: EnvironmentConfig,
-    discount: f64,
+    terms: Arc<Terms>,
     autoreset: Autoreset,
 }
 
@@ -74,8 +75,8 @@ impl Task {
         let idle = ControllerSpec::MatchLeader(NoSettings::default());
         let options = RunOptions::new(idle).with_estimator(self.environment.estimator);
         let run = OwnedRun::try_new(scenario, |scenario| Run::new(scenario, options)).map_err(|e| e.to_string())?;
-        let environment = self.environment.of_episode(self.source.as_ref(), seed, index);
-        Ok(OwnedEpisode::new(run, |run| Episode::new(run.borrow_dependent(), &environment, self.discount)))
+        let terms = self.terms.of_episode(self.source.as_ref(), seed, index);
+        Ok(OwnedEpisode::new(run, |run| Episode::new(run.borrow_dependent(), &terms)))
     }
 }
 
@@ -88,7 +89,7 @@ struct Lane {
 }
 
 /// Where the results of a step of one lane go.
-struct Place<'a> {
+struct Results<'a> {
     state: &'a mut [f32],
     last_state: &'a mut [f32],
     reward: &'a mut f32,
@@ -106,8 +107,26 @@ impl Lane {
         Ok(())
     }
 
-    fn step(&mut self, task: &Task, action: f32, place: Place<'_>) -> Result<(), String> {
-        let Place { state, last_state, reward, terminated, truncated, ending } = place;
+    /// Whether the next step may be computed side by side with those of others.
+    fn suits(&self, abreast: &Abreast) -> bool {
+        let episode = self.episode.as_ref().filter(|_| !self.is_over);
+        episode.is_some_and(|episode| episode.with_dependent(|_, episode| episode.suits(abreast)))
+    }
+
+    /// Takes a place among the episodes that are computed side by side.
+    fn foresee(&mut self, action: f32, abreast: &mut Abreast) -> Option<Place> {
+        let episode = self.episode.as_mut().filter(|_| !action.is_nan())?;
+        episode.with_dependent_mut(|_, episode| episode.foresee(action.clamp(-1.0, 1.0), abreast))
+    }
+
+    fn step(
+        &mut self,
+        task: &Task,
+        action: f32,
+        foreseen: Option<(&mut Abreast, Place)>,
+        results: Results<'_>,
+    ) -> Result<(), String> {
+        let Results { state, last_state, reward, terminated, truncated, ending } = results;
         (*reward, *terminated, *truncated, *ending) = (0.0, false, false, 0);
         if self.is_over && task.autoreset == Autoreset::NextStep {
             return self.begin(task, state);
@@ -118,7 +137,11 @@ impl Lane {
         if action.is_nan() {
             return Err("an action is not a number".to_owned());
         }
-        let led_to = episode.with_dependent_mut(|_, episode| episode.decide(action.clamp(-1.0, 1.0)));
+        let action = action.clamp(-1.0, 1.0);
+        let led_to = episode.with_dependent_mut(|_, episode| match foreseen {
+            Some((abreast, place)) => episode.decide_as_foreseen(action, abreast, place),
+            None => episode.decide(action),
+        });
         self.is_over = led_to.ending != Ending::None;
         *reward = led_to.reward;
         *terminated = self.is_over && !led_to.continues;
@@ -128,6 +151,50 @@ impl Lane {
         if self.is_over && task.autoreset == Autoreset::SameStep {
             last_state.copy_from_slice(&led_to.next_state);
             self.begin(task, state)?;
+        }
+        Ok(())
+    }
+}
+
+/// Some lanes, their actions and where the results go, entry by entry.
+struct Group<'a> {
+    lanes: &'a mut [Lane],
+    actions: &'a [f32],
+    states: &'a mut [f32],
+    last_states: &'a mut [f32],
+    rewards: &'a mut [f32],
+    terminated: &'a mut [bool],
+    truncated: &'a mut [bool],
+    endings: &'a mut [u8],
+}
+
+impl Group<'_> {
+    /// One decision of every lane, side by side as far as they suit.
+    fn step(self, task: &Task, abreast: &mut Abreast) -> Result<(), String> {
+        let mut suit = [false; ABREAST];
+        for (suits, lane) in suit.iter_mut().zip(&*self.lanes) {
+            *suits = lane.suits(abreast);
+        }
+        abreast.clear();
+        let mut places = [None; ABREAST];
+        for ((place, suits), (lane, action)) in places.iter_mut().zip(suit).zip(self.lanes.iter_mut().zip(self.actions))
+        {
+            *place = if suits { lane.foresee(*action, abreast) } else { None };
+        }
+        abreast.run();
+        let states = self.states.chunks_exact_mut(STATE).zip(self.last_states.chunks_exact_mut(STATE));
+        let ends = self.terminated.iter_mut().zip(self.truncated).zip(self.endings);
+        let results = states.zip(self.rewards).zip(ends);
+        let results = results.map(|(((state, last_state), reward), ((terminated, truncated), ending))| Results {
+            state,
+            last_state,
+            reward,
+            terminated,
+            truncated,
+            ending,
+        });
+        for (((lane, action), place), results) in self.lanes.iter_mut().zip(self.actions).zip(places).zip(results) {
+            lane.step(task, *action, place.map(|place| (&mut *abreast, place)), results)?;
         }
         Ok(())
     }
@@ -167,6 +234,7 @@ impl Episodes {
                 "there must be 1 to {MOST_EPISODES} environments, found {count}"
             )));
         }
+        threads::start(py);
         let config = training(py, preset)?;
         let source: Arc<dyn ScenarioSource> = match space {
             Some(space) => Arc::new(space.0.clone()),
@@ -179,7 +247,8 @@ impl Episodes {
         let known =
             [("next-step", Autoreset::NextStep), ("same-step", Autoreset::SameStep), ("disabled", Autoreset::Disabled)];
         let autoreset = choice("autoreset", autoreset, &known)?;
-        let task = Task { source, environment, discount: config.learning.discount, autoreset };
+        let terms = Terms::new(environment.clone(), config.learning.discount);
+        let task = Task { source, environment, terms, autoreset };
         task.episode(0, 0).map_err(|error| errors::raised(py, Class::Training, &error))?;
         let lane = |seed| Lane { seed, next_index: 0, episode: None, is_over: false };
         Ok(Self { task, lanes: Mutex::new((0..count as u64).map(lane).collect()) })
@@ -252,21 +321,24 @@ impl Episodes {
             let widths = [actions.len(), states.len() / STATE, last_states.len() / STATE];
             fit(&widths, lanes.len())?;
             fit(&[rewards.len(), terminated.len(), truncated.len(), endings.len()], lanes.len())?;
-            let rows = (
-                lanes.par_iter_mut(),
-                actions,
-                states.par_chunks_exact_mut(STATE),
-                last_states.par_chunks_exact_mut(STATE),
-                rewards,
-                terminated,
-                truncated,
-                endings,
-            );
-            rows.into_par_iter().with_min_len(LEAST_OF_A_THREAD).try_for_each(
-                |(lane, action, state, last_state, reward, terminated, truncated, ending)| {
-                    lane.step(&self.task, *action, Place { state, last_state, reward, terminated, truncated, ending })
-                },
-            )
+            let states = states.chunks_mut(ABREAST * STATE).zip(last_states.chunks_mut(ABREAST * STATE));
+            let ends =
+                terminated.chunks_mut(ABREAST).zip(truncated.chunks_mut(ABREAST)).zip(endings.chunks_mut(ABREAST));
+            let driven = lanes.chunks_mut(ABREAST).zip(actions.chunks(ABREAST));
+            let groups =
+                driven.zip(states).zip(rewards.chunks_mut(ABREAST)).zip(ends).map(
+                    |((((lanes, actions), (states, last_states)), rewards), ((terminated, truncated), endings))| {
+                        Group { lanes, actions, states, last_states, rewards, terminated, truncated, endings }
+                    },
+                );
+            let side_by_side = || Abreast::new(self.task.environment.decision_steps as usize);
+            // To hand all of it to a single other thread, and to wait for that, would take a tenth of the time.
+            if rayon::current_num_threads() == 1 {
+                let mut abreast = side_by_side();
+                return groups.into_iter().try_for_each(|group| group.step(&self.task, &mut abreast));
+            }
+            let groups: Vec<_> = groups.collect();
+            groups.into_par_iter().try_for_each_init(side_by_side, |abreast, group| group.step(&self.task, abreast))
         })
         .map_err(|error| errors::raised(py, Class::Training, &error))
     }

@@ -14,6 +14,7 @@ mod rate;
 mod scenario;
 mod simulation;
 mod table;
+mod threads;
 mod values;
 mod watched;
 mod worst_case;

@@ -10,6 +10,8 @@ use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
+use crate::threads;
+
 /// How often the calling thread looks for signals.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
@@ -42,6 +44,7 @@ pub(crate) fn watched<T: Send>(
     if rayon::current_thread_index().is_some() {
         return Err(PyRuntimeError::new_err("a controller cannot begin simulations of its own while it drives"));
     }
+    threads::start(py);
     let (said, heard) = mpsc::channel::<Progress>();
     py.detach(move || {
         thread::scope(|scope| {

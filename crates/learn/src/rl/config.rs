@@ -87,7 +87,7 @@ pub struct EnvironmentConfig {
 impl EnvironmentConfig {
     /// What the agent lives in during episode `index` of a source, where costs may count more or less than elsewhere.
     #[must_use]
-    pub fn of_episode(&self, source: &dyn ScenarioSource, seed: u64, index: u64) -> Self {
+    pub(super) fn of_episode(&self, source: &dyn ScenarioSource, seed: u64, index: u64) -> Self {
         Self { costs: self.costs.times(source.costs_times(seed, index)), ..self.clone() }
     }
 }

@@ -2,13 +2,15 @@
 
 use std::cell::Cell;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::Earnings;
+use super::source::ScenarioSource;
 use crumple_world::observation::Observation;
 use crumple_world::policy::{ActionBounds, Held, ObservationScaling, STATE};
 use crumple_world::scenario::PAPER_STEP_S;
-use crumple_world::sim::{Motion, Run, Stepper};
+use crumple_world::sim::{Abreast, Moment, Motion, Place, Run, Stepper};
 
 /// Index of the vehicle the agent drives.
 pub(super) const EGO: usize = 1;
@@ -45,14 +47,37 @@ pub struct Consequence {
     pub continues: bool,
 }
 
-/// One episode under way.
-pub struct Episode<'r, 's> {
-    stepper: Stepper<'r, 's>,
+/// What all episodes of a configuration have in common: a thousand of them step in turn, and then fetch it from memory once.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Terms {
     config: EnvironmentConfig,
     discount: f64,
     scaling: ObservationScaling,
-    earnings: Earnings,
     bounds: ActionBounds,
+}
+
+impl Terms {
+    /// The terms of a configuration. `discount` is that of one decision.
+    #[must_use]
+    pub fn new(config: EnvironmentConfig, discount: f64) -> Arc<Self> {
+        Arc::new(Self { discount, scaling: config.observation.scaling(), bounds: bounds(&config), config })
+    }
+
+    /// The terms of episode `index` of a source, where costs may count more or less than elsewhere.
+    #[must_use]
+    pub fn of_episode(self: &Arc<Self>, source: &dyn ScenarioSource, seed: u64, index: u64) -> Arc<Self> {
+        match source.costs_times(seed, index) {
+            1.0 => Arc::clone(self),
+            _ => Self::new(self.config.of_episode(source, seed, index), self.discount),
+        }
+    }
+}
+
+/// One episode under way.
+pub struct Episode<'r, 's> {
+    stepper: Stepper<'r, 's>,
+    terms: Arc<Terms>,
+    earnings: Earnings,
     held: Held,
     steps: usize,
     settled_steps: usize,
@@ -61,17 +86,14 @@ pub struct Episode<'r, 's> {
 }
 
 impl<'r, 's> Episode<'r, 's> {
-    /// An episode on a run with one vehicle under test behind the leader. `discount` is that of one decision.
+    /// An episode on a run with one vehicle under test behind the leader.
     #[must_use]
-    pub fn new(run: &'r Run<'s>, config: &EnvironmentConfig, discount: f64) -> Self {
+    pub fn new(run: &'r Run<'s>, terms: &Arc<Terms>) -> Self {
         let stepper = Stepper::without_summaries(run);
         Self {
-            earnings: Earnings::new(&stepper, run.scenario().spec().step_s, &config.costs),
+            earnings: Earnings::new(&stepper, run.scenario().spec().step_s, &terms.config.costs),
             stepper,
-            config: config.clone(),
-            discount,
-            scaling: config.observation.scaling(),
-            bounds: bounds(config),
+            terms: Arc::clone(terms),
             held: Held::default(),
             steps: run.scenario().steps(),
             settled_steps: (SETTLED_S / run.scenario().spec().step_s).round() as usize,
@@ -82,13 +104,39 @@ impl<'r, 's> Episode<'r, 's> {
 
     /// The state now.
     pub fn state(&mut self) -> [f32; STATE] {
-        self.stepper.observe(EGO).map_or([0.0; STATE], |seen| self.scaling.state(&seen))
+        self.stepper.observe(EGO).map_or([0.0; STATE], |seen| self.terms.scaling.state(&seen))
+    }
+
+    /// Whether the next decision may be made side by side with others.
+    #[must_use]
+    pub fn suits(&self, abreast: &Abreast) -> bool {
+        self.stepper.suits_abreast(EGO, abreast.steps())
+    }
+
+    /// Takes a place among episodes side by side, in which an action is held until the next decision, if it can be made there.
+    pub fn foresee(&mut self, action: f32, abreast: &mut Abreast) -> Option<Place> {
+        // Who comes to rest for good ends inside a decision.
+        let steps = self.terms.config.decision_steps as usize;
+        let is_whole = abreast.steps() == steps && self.standing_steps + steps < self.settled_steps;
+        self.held.turn_to(action);
+        let command_mps2 = self.held.throughout_mps2(&self.terms.bounds).filter(|_| is_whole)?;
+        abreast.admit(&self.stepper, EGO, command_mps2)
+    }
+
+    /// As [`decide`](Self::decide), with what was computed side by side with other episodes as far as it is of use.
+    pub fn decide_as_foreseen(&mut self, action: f32, abreast: &mut Abreast, place: Place) -> Consequence {
+        self.decide_with(action, Some((abreast, place)))
     }
 
     /// Holds an action, between -1 and 1, until the next decision.
     pub fn decide(&mut self, action: f32) -> Consequence {
+        self.decide_with(action, None)
+    }
+
+    fn decide_with(&mut self, action: f32, foreseen: Option<(&mut Abreast, Place)>) -> Consequence {
         self.held.turn_to(action);
-        let Self { stepper, config, earnings, bounds, held, standing_steps, .. } = self;
+        let Self { stepper, terms, earnings, held, standing_steps, .. } = self;
+        let Terms { config, bounds, .. } = &**terms;
         let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, Ending::None);
         let departure = Cell::new(0.0);
         let mut acceleration_mps2 = None;
@@ -100,7 +148,7 @@ impl<'r, 's> Episode<'r, 's> {
                 *acceleration_mps2.insert(wanted_mps2)
             }
         };
-        stepper.drive(EGO, config.decision_steps as usize, command, |now| {
+        let mut after = |now: &Moment<'_>| {
             of_last_step = earnings.of_step(now, config, departure.get());
             reward += of_last_step;
             let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
@@ -115,19 +163,27 @@ impl<'r, 's> Episode<'r, 's> {
                 Ending::None
             };
             if ending == Ending::None { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        };
+        let was_foreseen = foreseen.is_some_and(|(abreast, place)| {
+            stepper.drive_abreast(abreast, place, EGO, |now| {
+                let _ = after(now);
+            })
         });
+        if !was_foreseen {
+            stepper.drive(EGO, config.decision_steps as usize, command, after);
+        }
         self.undiscounted += reward;
         let mut to_learn = reward;
         if ending == Ending::AtRest {
             let steps_left = (self.steps - self.stepper.steps_made()) as f64;
             self.undiscounted += steps_left * of_last_step;
-            let decisions_left = steps_left / f64::from(self.config.decision_steps);
-            to_learn += self.discount * self.value_of_standing(of_last_step, decisions_left);
+            let decisions_left = steps_left / f64::from(self.terms.config.decision_steps);
+            to_learn += self.terms.discount * self.value_of_standing(of_last_step, decisions_left);
         }
         let over = matches!(ending, Ending::Contact | Ending::AtRest)
-            || (ending == Ending::TimeOver && self.config.time_limit == TimeLimit::End);
+            || (ending == Ending::TimeOver && self.terms.config.time_limit == TimeLimit::End);
         Consequence {
-            reward: (to_learn * self.config.reward_scale) as f32,
+            reward: (to_learn * self.terms.config.reward_scale) as f32,
             next_state: self.state(),
             ending,
             continues: !over,
@@ -137,11 +193,11 @@ impl<'r, 's> Episode<'r, 's> {
     /// Discounted reward of standing still for the decisions that are left, or for ever if the time limit is no end, where each
     /// step earns the same.
     fn value_of_standing(&self, step_reward: f64, decisions_left: f64) -> f64 {
-        let each = step_reward * f64::from(self.config.decision_steps);
-        let for_ever = each / (1.0 - self.discount);
-        match self.config.time_limit {
+        let each = step_reward * f64::from(self.terms.config.decision_steps);
+        let for_ever = each / (1.0 - self.terms.discount);
+        match self.terms.config.time_limit {
             TimeLimit::Truncation => for_ever,
-            TimeLimit::End => for_ever * (1.0 - self.discount.powf(decisions_left)),
+            TimeLimit::End => for_ever * (1.0 - self.terms.discount.powf(decisions_left)),
         }
     }
 
@@ -179,14 +235,16 @@ mod tests {
     use super::*;
     use crate::rl::TrainingConfig;
     use crumple_world::control::ControllerSpec;
+    use crumple_world::observation::EstimatorKind;
+    use crumple_world::scenario::space::built_in_space;
     use crumple_world::scenario::{Driver, LeadProfile, built_in};
-    use crumple_world::sim::RunOptions;
+    use crumple_world::sim::{ABREAST, RunOptions};
 
     /// Drives paper-2 with one action throughout; also returns what was learned from each decision.
     fn drive(config: &EnvironmentConfig, action: f32) -> (f64, Vec<Consequence>) {
         let scenario = built_in("paper-2").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
-        let mut episode = Episode::new(&run, config, 0.99);
+        let mut episode = Episode::new(&run, &Terms::new(config.clone(), 0.99));
         let mut all = vec![episode.decide(action)];
         while all.last().unwrap().ending == Ending::None {
             all.push(episode.decide(action));
@@ -213,6 +271,50 @@ mod tests {
         assert!((credit - (1.0 - 0.99_f64.powf(left + 1.0)) / 0.01).abs() < 1.0, "{credit}");
     }
 
+    /// What many episodes earn and see side by side is what each does alone: for nothing but contacts, and where driving costs.
+    #[test]
+    fn episodes_side_by_side_are_episodes_alone() {
+        let space = built_in_space("paper").unwrap();
+        let scenarios: Vec<_> = (0..20).map(|index| space.draw(4, index).unwrap()).collect();
+        let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()));
+        let options = options.with_estimator(EstimatorKind::Truth);
+        let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
+        let costs = TrainingConfig::preset("road").unwrap().environment.costs;
+        assert!(!costs.is_free());
+        for (config, is_foreseen) in [
+            (config(), true),
+            (EnvironmentConfig { costs, ..config() }, true),
+            (TrainingConfig::preset("road").unwrap().environment, false),
+        ] {
+            let terms = Terms::new(config.clone(), 0.99);
+            let begin = || runs.iter().map(|run| Episode::new(run, &terms)).collect::<Vec<_>>();
+            let (mut alone, mut beside) = (begin(), begin());
+            let mut abreast = Abreast::new(config.decision_steps as usize);
+            let (mut foreseen, mut over) = (0, vec![false; runs.len()]);
+            for decision in 0..150 {
+                let action = |run: usize| ((run * 31 + decision / 4 * 17) % 41) as f32 / 20.0 - 1.0;
+                for from in (0..runs.len()).step_by(ABREAST) {
+                    let group: Vec<_> = (from..runs.len().min(from + ABREAST)).filter(|&run| !over[run]).collect();
+                    abreast.clear();
+                    let places: Vec<_> =
+                        group.iter().map(|&run| beside[run].foresee(action(run), &mut abreast)).collect();
+                    abreast.run();
+                    for (run, place) in group.into_iter().zip(places) {
+                        let led_to = match place {
+                            Some(place) => beside[run].decide_as_foreseen(action(run), &mut abreast, place),
+                            None => beside[run].decide(action(run)),
+                        };
+                        foreseen += usize::from(place.is_some());
+                        assert_eq!(led_to, alone[run].decide(action(run)));
+                        over[run] = led_to.ending != Ending::None;
+                    }
+                }
+            }
+            assert!(over.iter().all(|over| *over));
+            assert_eq!(foreseen > 0, is_foreseen);
+        }
+    }
+
     #[test]
     fn a_contact_costs_3000_and_ends_everything() {
         let (total, all) = drive(&config(), 1.0);
@@ -231,7 +333,7 @@ mod tests {
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         for (time_limit, continues) in [(TimeLimit::Truncation, true), (TimeLimit::End, false)] {
             let config = EnvironmentConfig { time_limit, ..config() };
-            let mut episode = Episode::new(&run, &config, 0.99);
+            let mut episode = Episode::new(&run, &Terms::new(config.clone(), 0.99));
             let last = (0..150).map(|_| episode.decide((2.25 / 5.25) as f32)).last().unwrap();
             assert_eq!((last.ending, last.continues), (Ending::TimeOver, continues));
         }

@@ -36,7 +36,7 @@ pub use config::{
     ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig, json_schema,
 };
 pub use curve::{CurvePoint, LearningCurve, PERFECT, episode_of};
-pub use environment::{Consequence, Ending, Episode, bounds};
+pub use environment::{Consequence, Ending, Episode, Terms, bounds};
 pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
 pub use folder::{SeedResult, TrainingFolder, finished_trainings, seed_folder};
 pub use learner::{Learner, Losses, Trained};

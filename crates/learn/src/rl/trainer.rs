@@ -7,7 +7,7 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
 use super::config::{ConfigError, TimeLimit, TrainingConfig};
-use super::environment::{Ending, Episode, bounds};
+use super::environment::{Ending, Episode, Terms, bounds};
 use super::evaluation::{Evaluation, HeldOut};
 use super::learner::{Learner, Losses};
 use super::replay::{Batch, Replay, Transition};
@@ -218,8 +218,8 @@ impl Trainer {
         let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
             .with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;
-        let environment = self.config.environment.of_episode(self.source.as_ref(), draws_seed, index);
-        let mut episode = Episode::new(&run, &environment, self.config.learning.discount);
+        let terms = Terms::new(self.config.environment.clone(), self.config.learning.discount);
+        let mut episode = Episode::new(&run, &terms.of_episode(self.source.as_ref(), draws_seed, index));
         let mut trials = random::stream(self.seed, Purpose::Exploration, index);
         let mut draws = random::stream(self.seed, Purpose::ReplayDraw, index);
         let mut target_noise = random::stream(self.seed, Purpose::TargetNoise, index);

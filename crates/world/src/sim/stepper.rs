@@ -1,9 +1,11 @@
 //! One run whose steps are made one at a time, with room for somebody else to decide for a vehicle.
 
+mod abreast;
 mod short_line;
 
 use std::ops::ControlFlow;
 
+pub use self::abreast::{ABREAST, Abreast, Place};
 use self::short_line::Pause;
 use super::actuator::{Actuator, Disturbance, unless_at_rest};
 use super::platoon::Platoon;

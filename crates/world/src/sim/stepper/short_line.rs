@@ -1,11 +1,12 @@
 //! Many steps of a line that fits into registers.
 //!
-//! A learner drives a thousand runs for ten steps each in turn. Nearly always nobody enters or leaves the lane, touches or is closest inside
-//! a step: then all motions are at hand from the first step to the last, and are fetched and written back once.
+//! A learner drives a thousand runs for ten steps each in turn. Nearly always nobody enters or leaves the lane or can touch: then
+//! all motions are at hand from the first step to the last, and are fetched and written back once. Smallest gaps are not noted,
+//! since they belong to the summaries that nobody wants here.
 
 use std::ops::ControlFlow;
 
-use super::super::platoon::gap_after_m;
+use super::super::motion::may_touch;
 use super::super::run::ActiveDriver;
 use super::super::{FailedController, Motion};
 use super::{Moment, Stepper, VehicleLoop};
@@ -27,7 +28,6 @@ pub(super) enum Pause {
 struct ShortLine<const N: usize> {
     motion: [Motion; N],
     length_m: [f64; N],
-    least_gap_m: [f64; N],
 }
 
 impl<const N: usize> ShortLine<N> {
@@ -56,7 +56,7 @@ impl<const N: usize> ShortLine<N> {
         }
     }
 
-    /// Moves everybody by `dt_s`, unless that needs care.
+    /// Moves everybody by `dt_s`, unless they may touch.
     #[inline]
     fn glide(&mut self, decided_mps2: [f64; N], dt_s: f64) -> bool {
         let mut now = self.motion;
@@ -67,19 +67,13 @@ impl<const N: usize> ShortLine<N> {
         for motion in &mut end {
             *motion = motion.after(dt_s);
         }
-        let mut gaps_m = [f64::INFINITY; N];
         for rear in 1..N {
-            let front = rear - 1;
-            let gap_m = gap_after_m([&now[front], &now[rear]], [&end[front], &end[rear]], self.length_m[front], dt_s);
-            let Some(gap_m) = gap_m else { return false };
-            gaps_m[rear] = gap_m;
-        }
-        self.motion = end;
-        for (least_m, gap_m) in self.least_gap_m.iter_mut().zip(gaps_m) {
-            if gap_m < *least_m {
-                *least_m = gap_m;
+            let gap_m = now[rear - 1].position_m - self.length_m[rear - 1] - now[rear].position_m;
+            if may_touch(gap_m, [now[rear].speed_mps, end[rear].speed_mps], dt_s) {
+                return false;
             }
         }
+        self.motion = end;
         true
     }
 }
@@ -148,7 +142,6 @@ impl<'s> Stepper<'_, 's> {
             }
         };
         self.platoon.motion.copy_from_slice(&line.motion);
-        self.platoon.min_gap_m.copy_from_slice(&line.least_gap_m);
         pause
     }
 
@@ -156,7 +149,6 @@ impl<'s> Stepper<'_, 's> {
         Some(ShortLine {
             motion: self.platoon.motion.as_slice().try_into().ok()?,
             length_m: self.platoon.length_m.as_slice().try_into().ok()?,
-            least_gap_m: self.platoon.min_gap_m.as_slice().try_into().ok()?,
         })
     }
 }
