@@ -22,6 +22,8 @@ use crate::values::choice;
 /// Episodes that a thread takes at least when they begin: fewer are begun faster than they are handed over.
 const LEAST_OF_A_THREAD: usize = 16;
 
+const MUST_BE_RESET: &str = "an episode that is over, or has not begun, must be reset before it is stepped";
+
 /// Most episodes at once.
 const MOST_EPISODES: usize = 1 << 20;
 
@@ -107,6 +109,17 @@ impl Lane {
         Ok(())
     }
 
+    /// Why the next step cannot be made, if so.
+    fn refusal(&self, task: &Task, action: f32) -> Option<&'static str> {
+        if self.is_over && task.autoreset == Autoreset::NextStep {
+            return None;
+        }
+        match &self.episode {
+            Some(_) if !self.is_over => action.is_nan().then_some("its action is not a number"),
+            _ => Some(MUST_BE_RESET),
+        }
+    }
+
     /// Whether the next step may be computed side by side with those of others.
     fn suits(&self, abreast: &Abreast) -> bool {
         let episode = self.episode.as_ref().filter(|_| !self.is_over);
@@ -132,11 +145,8 @@ impl Lane {
             return self.begin(task, state);
         }
         let Some(episode) = self.episode.as_mut().filter(|_| !self.is_over) else {
-            return Err("an episode that is over, or has not begun, must be reset before it is stepped".to_owned());
+            return Err(MUST_BE_RESET.to_owned());
         };
-        if action.is_nan() {
-            return Err("an action is not a number".to_owned());
-        }
         let action = action.clamp(-1.0, 1.0);
         let led_to = episode.with_dependent_mut(|_, episode| match foreseen {
             Some((abreast, place)) => episode.decide_as_foreseen(action, abreast, place),
@@ -234,7 +244,6 @@ impl Episodes {
                 "there must be 1 to {MOST_EPISODES} environments, found {count}"
             )));
         }
-        threads::start(py);
         let config = training(py, preset)?;
         let source: Arc<dyn ScenarioSource> = match space {
             Some(space) => Arc::new(space.0.clone()),
@@ -281,13 +290,12 @@ impl Episodes {
         mask: PyReadonlyArray1<'_, bool>,
         mut states: PyReadwriteArray2<'_, f32>,
     ) -> PyResult<()> {
-        let (mask, states) = (mask.as_slice()?, states.as_slice_mut()?);
+        let (mask, states, pool) = (mask.as_slice()?, states.as_slice_mut()?, threads::pool()?);
         py.detach(|| {
             let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
             let count = lanes.len();
             fit(&[mask.len(), states.len() / STATE, seeds.as_ref().map_or(count, Vec::len)], count)?;
-            let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(STATE)).zip(mask).enumerate();
-            rows.with_min_len(LEAST_OF_A_THREAD).try_for_each(|(index, ((lane, state), chosen))| {
+            let begin = |(index, ((lane, state), chosen)): (usize, ((&mut Lane, &mut [f32]), &bool))| {
                 if !chosen {
                     return Ok(());
                 }
@@ -295,7 +303,12 @@ impl Episodes {
                     (lane.seed, lane.next_index) = (*seed, 0);
                 }
                 lane.begin(&self.task, state)
-            })
+            };
+            if pool.current_num_threads() == 1 {
+                return lanes.iter_mut().zip(states.chunks_exact_mut(STATE)).zip(mask).enumerate().try_for_each(begin);
+            }
+            let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(STATE)).zip(mask).enumerate();
+            pool.install(|| rows.with_min_len(LEAST_OF_A_THREAD).try_for_each(begin))
         })
         .map_err(|error| errors::raised(py, Class::Training, &error))
     }
@@ -314,13 +327,20 @@ impl Episodes {
         mut endings: PyReadwriteArray1<'_, u8>,
     ) -> PyResult<()> {
         let (actions, states, last_states) = (actions.as_slice()?, states.as_slice_mut()?, last_states.as_slice_mut()?);
-        let (rewards, terminated) = (rewards.as_slice_mut()?, terminated.as_slice_mut()?);
+        let (rewards, terminated, pool) = (rewards.as_slice_mut()?, terminated.as_slice_mut()?, threads::pool()?);
         let (truncated, endings) = (truncated.as_slice_mut()?, endings.as_slice_mut()?);
         py.detach(|| {
             let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
             let widths = [actions.len(), states.len() / STATE, last_states.len() / STATE];
             fit(&widths, lanes.len())?;
             fit(&[rewards.len(), terminated.len(), truncated.len(), endings.len()], lanes.len())?;
+            // Before anybody moves: what is raised half-way would leave some of them a step ahead of the others.
+            let refused = lanes.iter().zip(actions).enumerate();
+            let mut refused =
+                refused.filter_map(|(index, (lane, action))| Some((index, lane.refusal(&self.task, *action)?)));
+            if let Some((index, why)) = refused.next() {
+                return Err(format!("environment {index}: {why}"));
+            }
             let states = states.chunks_mut(ABREAST * STATE).zip(last_states.chunks_mut(ABREAST * STATE));
             let ends =
                 terminated.chunks_mut(ABREAST).zip(truncated.chunks_mut(ABREAST)).zip(endings.chunks_mut(ABREAST));
@@ -333,12 +353,14 @@ impl Episodes {
                 );
             let side_by_side = || Abreast::new(self.task.environment.decision_steps as usize);
             // To hand all of it to a single other thread, and to wait for that, would take a tenth of the time.
-            if rayon::current_num_threads() == 1 {
+            if pool.current_num_threads() == 1 {
                 let mut abreast = side_by_side();
                 return groups.into_iter().try_for_each(|group| group.step(&self.task, &mut abreast));
             }
             let groups: Vec<_> = groups.collect();
-            groups.into_par_iter().try_for_each_init(side_by_side, |abreast, group| group.step(&self.task, abreast))
+            pool.install(|| {
+                groups.into_par_iter().try_for_each_init(side_by_side, |abreast, group| group.step(&self.task, abreast))
+            })
         })
         .map_err(|error| errors::raised(py, Class::Training, &error))
     }

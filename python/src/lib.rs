@@ -52,6 +52,8 @@ mod _crumple {
     /// Half-done work is gone on with by the same build alone: that of this file, not of the interpreter.
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        let leave = wrap_pyfunction!(crate::watched::leave, module)?;
+        module.py().import("atexit")?.call_method1("register", (leave,))?;
         crumple_search::program::loaded_from(module.filename()?.extract::<PathBuf>()?);
         Ok(())
     }

@@ -1,25 +1,35 @@
 //! The threads that simulate.
 
-use std::sync::Once;
-use std::thread;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::{process, thread};
 
+use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use rayon::ThreadPoolBuilder;
+use rayon::{ThreadBuilder, ThreadPool, ThreadPoolBuilder};
 
-/// Starts the threads that simulate, unless they run already: not when the package is imported, since a process that forks would lose them.
+/// The threads that simulate in this process, started when they are first asked for: as many as `RAYON_NUM_THREADS` says. Work is to
+/// be handed to them without the interpreter's lock.
 ///
-/// Each is known to the interpreter as long as it lives, though it seldom holds its lock. To introduce itself for every call of a controller
-/// in Python would take longer than a small one does.
-pub(crate) fn start(py: Python<'_>) {
-    static STARTED: Once = Once::new();
-    let run = |thread: rayon::ThreadBuilder| Python::attach(|py| py.detach(|| thread.run()));
-    // Without the lock, for which each waits first.
-    py.detach(|| {
-        STARTED.call_once(|| {
-            let pool = ThreadPoolBuilder::new()
-                .spawn_handler(|thread| thread::Builder::new().spawn(move || run(thread)).map(drop));
-            // Where they run already, or none can be had, the work itself finds what there is.
-            let _ = pool.build_global();
-        });
-    });
+/// A process that was forked has none of its parent's threads, and gets its own. Each is known to the interpreter as long as it lives,
+/// though it seldom holds its lock: to introduce itself for every call of a controller in Python would take longer than a small one does.
+///
+/// # Errors
+/// `RuntimeError` if the system has no threads left.
+pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
+    static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
+    let run = |thread: ThreadBuilder| Python::attach(|py| py.detach(|| thread.run()));
+    let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((process, threads)) = &*pool
+        && *process == process::id()
+    {
+        return Ok(Arc::clone(threads));
+    }
+    let builder = ThreadPoolBuilder::new();
+    let builder = builder.spawn_handler(|thread| thread::Builder::new().spawn(move || run(thread)).map(drop));
+    let started =
+        builder.build().map_err(|error| PyRuntimeError::new_err(format!("no threads to simulate: {error}")))?;
+    let started = Arc::new(started);
+    // What is left of a parent's has no threads that could be told to end.
+    std::mem::forget(pool.replace((process::id(), Arc::clone(&started))));
+    Ok(started)
 }

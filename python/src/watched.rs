@@ -1,8 +1,8 @@
 //! Long work on a thread of its own, while the calling thread passes on progress and looks for signals.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
@@ -14,6 +14,9 @@ use crate::threads;
 
 /// How often the calling thread looks for signals.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// How long the end of the interpreter waits for work to end.
+const LEAVE_WITHIN: Duration = Duration::from_secs(5);
 
 /// Whether work is to end early. Clones are one and the same.
 #[derive(Debug, Clone, Default)]
@@ -32,7 +35,41 @@ impl Stop {
 /// How far work is: what is done, of how much, and how much of it failed.
 pub(crate) type Progress = (u64, u64, u64);
 
-/// Does `work` without the interpreter's lock. It says how far it is by the function that it is given, and ends soon
+/// What is under way, and who waits for its end.
+static UNDER_WAY: (Mutex<Vec<Stop>>, Condvar) = (Mutex::new(Vec::new()), Condvar::new());
+
+/// Work under way, until it is dropped.
+struct UnderWay(Stop);
+
+impl UnderWay {
+    fn begin(stop: &Stop) -> Self {
+        UNDER_WAY.0.lock().unwrap_or_else(PoisonError::into_inner).push(stop.clone());
+        Self(stop.clone())
+    }
+}
+
+impl Drop for UnderWay {
+    fn drop(&mut self) {
+        let (all, ended) = &UNDER_WAY;
+        all.lock().unwrap_or_else(PoisonError::into_inner).retain(|stop| !Arc::ptr_eq(&stop.0, &self.0.0));
+        ended.notify_all();
+    }
+}
+
+/// Ends all work that is under way when the interpreter is about to: in threads that it does not wait for. A thread of ours that
+/// called a controller in Python afterwards would be torn down in the middle, and the process with it.
+#[pyfunction]
+pub(crate) fn leave(py: Python<'_>) {
+    py.detach(|| {
+        let (all, ended) = &UNDER_WAY;
+        let all = all.lock().unwrap_or_else(PoisonError::into_inner);
+        all.iter().for_each(Stop::ask);
+        // A callable may take its time, but not for ever.
+        drop(ended.wait_timeout_while(all, LEAVE_WITHIN, |all| !all.is_empty()));
+    });
+}
+
+/// Does `work` on the threads that simulate, without the interpreter's lock. It says how far it is by the function that it is given, and ends soon
 /// once `stop` is asked for: at a signal (Ctrl-C), and at an exception of `progress`.
 pub(crate) fn watched<T: Send>(
     py: Python<'_>,
@@ -40,18 +77,21 @@ pub(crate) fn watched<T: Send>(
     progress: Option<&Py<PyAny>>,
     work: impl FnOnce(&dyn Fn(Progress)) -> T + Send,
 ) -> PyResult<T> {
-    // It would wait for the threads that wait for it.
+    // It would wait for the threads that wait for it. Whether it would do so by chance must not decide: all work is done on them.
     if rayon::current_thread_index().is_some() {
         return Err(PyRuntimeError::new_err("a controller cannot begin simulations of its own while it drives"));
     }
-    threads::start(py);
+    let pool = threads::pool()?;
+    let _under_way = UnderWay::begin(stop);
     let (said, heard) = mpsc::channel::<Progress>();
     py.detach(move || {
         thread::scope(|scope| {
             let worker = scope.spawn(move || {
-                work(&|state| {
-                    // Nobody listens any more once an exception was raised.
-                    let _ = said.send(state);
+                pool.install(move || {
+                    work(&|state| {
+                        // Nobody listens any more once an exception was raised.
+                        let _ = said.send(state);
+                    })
                 })
             });
             let mut raised = None;

@@ -1,6 +1,8 @@
 """The Gymnasium environments."""
 
+import os
 import resource
+import subprocess
 import sys
 
 import gymnasium
@@ -48,6 +50,92 @@ def test_the_vector_steps_to_the_bit_as_its_environments_alone(mode, estimator):
             options = {"reset_mask": ended}
             assert np.array_equal(several.reset(options=dict(options))[0], together.reset(options=options)[0])
     assert {0, 1} <= endings, "no episode ended in contact"
+
+
+def test_what_cannot_be_done_is_refused_before_anybody_moves():
+    env = PlatoonVectorEnv(40, "high-risk")
+    before, _ = env.reset(seed=3)
+    actions = np.zeros((40, 1), np.float32)
+    actions[20] = np.nan
+    with pytest.raises(crumple.TrainingError, match="environment 20: its action is not a number"):
+        env.step(actions)
+    moved, *_ = env.step(np.zeros((40, 1)))
+    fresh = PlatoonVectorEnv(40, "high-risk")
+    assert np.array_equal(fresh.reset(seed=3)[0], before)
+    assert np.array_equal(fresh.step(np.zeros((40, 1)))[0], moved)
+    wrong_actions = [np.zeros((1, 40)), np.zeros((20, 2)), np.zeros((40, 1), complex), ["0"] * 40, np.zeros(39)]
+    for wrong in wrong_actions:
+        with pytest.raises(crumple.TrainingError, match=r"actions are 40 numbers, in an array of shape \(40, 1\), found"):
+            env.step(wrong)
+    for seed in (-1, 1.5, 2**64 - 20, [1, 2], [None] * 40, np.array([-1] * 40)):
+        with pytest.raises(crumple.TrainingError, match="seed"):
+            env.reset(seed=seed)
+    for mask in (np.ones(39, bool), np.ones((40, 1), bool), [0, 2] * 20):
+        with pytest.raises(crumple.TrainingError, match="reset_mask"):
+            env.reset(options={"reset_mask": mask})
+    assert np.array_equal(env.step(np.zeros((40, 1)))[0], fresh.step(np.zeros((40, 1)))[0])
+    never = PlatoonVectorEnv(2)
+    with pytest.raises(crumple.TrainingError, match="environment 0: an episode that is over, or has not begun"):
+        never.step(np.zeros((2, 1)))
+    with pytest.raises(crumple.TrainingError):
+        never.reset(seed=[1, 2, 3])
+    assert not np.array_equal(never.reset()[0], PlatoonVectorEnv(2).reset(seed=0)[0]), "a seed that was refused is no seed"
+
+
+def test_what_was_given_may_be_given_back():
+    env, other = (PlatoonVectorEnv(3, copy=copies) for copies in (False, True))
+    env.reset(seed=1), other.reset(seed=1)
+    for _ in range(5):
+        rewards = env.step(np.zeros((3, 1)))[1]
+        wanted = other.step(np.zeros((3, 1)))[1].copy()
+        assert np.array_equal(env.step(rewards)[0], other.step(wanted)[0])
+
+
+FORKED = """
+import faulthandler, multiprocessing, numpy, crumple
+from crumple.env import PlatoonVectorEnv
+env = PlatoonVectorEnv(64)
+env.reset(seed=0)
+def child():
+    faulthandler.dump_traceback_later(60, exit=True)
+    wanted = env.step(numpy.zeros((64, 1)))[0]
+    other = PlatoonVectorEnv(64)
+    other.reset(seed=0)
+    assert numpy.array_equal(other.step(numpy.zeros((64, 1)))[0], wanted)
+    assert len(crumple.simulate(["paper-1"] * 50, lambda seen: -1.0)) == 50
+process = multiprocessing.get_context("fork").Process(target=child)
+process.start()
+process.join()
+assert process.exitcode == 0
+"""
+
+LEFT = """
+import threading, time, crumple
+def slowly(seen):
+    time.sleep(0.0005)
+    return -1.0
+threading.Thread(target=lambda: crumple.falsify(slowly, "high-risk", budget=100_000), daemon=True).start()
+time.sleep(1.0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux")
+@pytest.mark.parametrize("script", [FORKED, LEFT], ids=["forked", "left"])
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_processes_may_be_forked_and_left(script, threads):
+    environment = os.environ | {"RAYON_NUM_THREADS": threads}
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_controller_that_simulates_is_refused_however_many_runs_there_are():
+    def controller(seen):
+        crumple.simulate("paper-1", "idm", trace=False)
+        return 0.0
+
+    for runs in (1, 3, 40):
+        for run in crumple.simulate(["paper-1"] * runs, controller):
+            assert "a controller cannot begin simulations of its own" in run.failure
 
 
 def test_one_seed_decides_everything_on_any_number_of_threads():

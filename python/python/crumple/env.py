@@ -8,6 +8,8 @@ of standing still from then on.
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Sequence
 from typing import Any, ClassVar, TypeAlias
 
 import gymnasium
@@ -54,8 +56,21 @@ class _Buffers:
         self.endings = np.zeros(count, np.uint8)
 
     def step(self, episodes: Episodes, actions: Any) -> None:
-        flat = np.ascontiguousarray(actions, np.float32).reshape(-1)
-        episodes.step(flat, self.states, self.last_states, self.rewards, self.terminated, self.truncated, self.endings)
+        count = len(self.rewards)
+        given = np.asarray(actions)
+        if given.size != count or given.shape not in ((), (count,), (count, 1)) or given.dtype.kind not in "fiu":
+            wanted = f"{count} numbers, in an array of shape ({count}, 1)"
+            raise TrainingError(f"actions are {wanted}, found {given.dtype} of shape {given.shape}")
+        # A copy: they may lie in an array that this step writes into.
+        episodes.step(
+            given.astype(np.float32).reshape(-1),
+            self.states,
+            self.last_states,
+            self.rewards,
+            self.terminated,
+            self.truncated,
+            self.endings,
+        )
 
 
 class PlatoonEnv(gymnasium.Env[State, NDArray[np.float32]]):
@@ -92,8 +107,9 @@ class PlatoonEnv(gymnasium.Env[State, NDArray[np.float32]]):
         super().reset(seed=seed)
         if seed is None and not self._is_seeded:
             seed = int(self.np_random.integers(2**63))
+        seeds = None if seed is None else [_seed(seed)]
+        self._episodes.reset(seeds, np.ones(1, np.bool_), self._buffers.states)
         self._is_seeded = True
-        self._episodes.reset(None if seed is None else [seed], np.ones(1, np.bool_), self._buffers.states)
         if self._film is not None:
             self._film.begin()
             self._look(self._film)
@@ -156,24 +172,29 @@ class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
         self.acceleration_range_mps2 = self._episodes.acceleration_range_mps2
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | list[int | None] | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[State, dict[str, Any]]:
         """Begin episodes: of every environment, or of those in ``options["reset_mask"]``.
 
-        With a number as ``seed``, environment i gets that number plus i.
+        With a number as ``seed``, environment i gets that number plus i; in a list there is one for each.
         """
         mask = np.ones(self.num_envs, np.bool_)
         if options is not None and "reset_mask" in options:
-            mask = np.ascontiguousarray(options["reset_mask"], np.bool_)
+            mask = np.ascontiguousarray(options["reset_mask"])
+            if mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+                wanted = f"an array of bool of shape ({self.num_envs},)"
+                raise TrainingError(f"reset_mask is {wanted}, found {mask.dtype} of shape {mask.shape}")
         if seed is None and not self._is_seeded:
             seed = int(self.np_random.integers(2**62))
-        if isinstance(seed, int | np.integer):
-            seed = [int(seed) + index for index in range(self.num_envs)]
-        numbers = None if seed is None else [one for one in seed if one is not None]
-        if numbers != seed:
-            raise TrainingError("seeds are a number, a list of numbers, or None")
+        seeds: list[int] | None = None
+        if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes):
+            seeds = [_seed(one) for one in seed]
+            if len(seeds) != self.num_envs:
+                raise TrainingError(f"there are {self.num_envs} environments, and {len(seeds)} seeds")
+        elif seed is not None:
+            seeds = [_seed(seed, index) for index in range(self.num_envs)]
+        self._episodes.reset(seeds, mask, self._buffers.states)
         self._is_seeded = True
-        self._episodes.reset(numbers, mask, self._buffers.states)
         return self._given(self._buffers.states), {}
 
     def step(
@@ -197,6 +218,17 @@ class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
 
     def _given(self, array: NDArray[Any]) -> NDArray[Any]:
         return array.copy() if self._copies else array
+
+
+def _seed(seed: object, plus: int = 0) -> int:
+    """A number that an environment can be seeded with."""
+    try:
+        number = operator.index(seed) + plus  # type: ignore[arg-type]
+    except TypeError:
+        number = -1
+    if not 0 <= number < 2**64:
+        raise TrainingError(f"a seed is a whole number from 0 to 2**64 - 1, found {seed!r}")
+    return number
 
 
 def _episodes(count: int, what: SpaceLike | None, preset: str, estimator: str | None, autoreset: str) -> Episodes:
