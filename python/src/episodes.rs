@@ -24,6 +24,9 @@ const LEAST_OF_A_THREAD: usize = 16;
 
 const MUST_BE_RESET: &str = "an episode that is over, or has not begun, must be reset before it is stepped";
 
+/// Episodes that are computed side by side at least: what is computed is always as wide, and fewer are faster one by one.
+const LEAST_SIDE_BY_SIDE: usize = 4;
+
 /// Most episodes at once.
 const MOST_EPISODES: usize = 1 << 20;
 
@@ -180,18 +183,21 @@ struct Group<'a> {
 
 impl Group<'_> {
     /// One decision of every lane, side by side as far as they suit.
-    fn step(self, task: &Task, abreast: &mut Abreast) -> Result<(), String> {
-        let mut suit = [false; ABREAST];
-        for (suits, lane) in suit.iter_mut().zip(&*self.lanes) {
-            *suits = lane.suits(abreast);
-        }
-        abreast.clear();
+    fn step(self, task: &Task, abreast: &mut Option<Abreast>) -> Result<(), String> {
         let mut places = [None; ABREAST];
-        for ((place, suits), (lane, action)) in places.iter_mut().zip(suit).zip(self.lanes.iter_mut().zip(self.actions))
-        {
-            *place = if suits { lane.foresee(*action, abreast) } else { None };
+        if self.lanes.len() >= LEAST_SIDE_BY_SIDE {
+            let abreast = abreast.get_or_insert_with(|| Abreast::new(task.environment.decision_steps as usize));
+            let mut suit = [false; ABREAST];
+            for (suits, lane) in suit.iter_mut().zip(&*self.lanes) {
+                *suits = lane.suits(abreast);
+            }
+            abreast.clear();
+            let driven = self.lanes.iter_mut().zip(self.actions);
+            for ((place, suits), (lane, action)) in places.iter_mut().zip(suit).zip(driven) {
+                *place = if suits { lane.foresee(*action, abreast) } else { None };
+            }
+            abreast.run();
         }
-        abreast.run();
         let states = self.states.chunks_exact_mut(STATE).zip(self.last_states.chunks_exact_mut(STATE));
         let ends = self.terminated.iter_mut().zip(self.truncated).zip(self.endings);
         let results = states.zip(self.rewards).zip(ends);
@@ -204,7 +210,7 @@ impl Group<'_> {
             ending,
         });
         for (((lane, action), place), results) in self.lanes.iter_mut().zip(self.actions).zip(places).zip(results) {
-            lane.step(task, *action, place.map(|place| (&mut *abreast, place)), results)?;
+            lane.step(task, *action, abreast.as_mut().zip(place), results)?;
         }
         Ok(())
     }
@@ -351,15 +357,14 @@ impl Episodes {
                         Group { lanes, actions, states, last_states, rewards, terminated, truncated, endings }
                     },
                 );
-            let side_by_side = || Abreast::new(self.task.environment.decision_steps as usize);
             // To hand all of it to a single other thread, and to wait for that, would take a tenth of the time.
             if pool.current_num_threads() == 1 {
-                let mut abreast = side_by_side();
+                let mut abreast = None;
                 return groups.into_iter().try_for_each(|group| group.step(&self.task, &mut abreast));
             }
             let groups: Vec<_> = groups.collect();
             pool.install(|| {
-                groups.into_par_iter().try_for_each_init(side_by_side, |abreast, group| group.step(&self.task, abreast))
+                groups.into_par_iter().try_for_each_init(|| None, |abreast, group| group.step(&self.task, abreast))
             })
         })
         .map_err(|error| errors::raised(py, Class::Training, &error))
