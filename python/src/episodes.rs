@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crumple_learn::rl::{Ending, EnvironmentConfig, Episode, ScenarioSource, Terms, TrainingConfig, bounds, unsuited};
+use crumple_learn::rl::{Ending, Episode, ScenarioSource, Terms, TrainingConfig, bounds, unsuited};
 use crumple_world::control::{ControllerSpec, NoSettings};
 use crumple_world::policy::STATE;
 use crumple_world::scenario::{Scenario, file};
@@ -65,7 +65,6 @@ enum Autoreset {
 /// Where episodes come from and how they are driven.
 struct Task {
     source: Arc<dyn ScenarioSource>,
-    environment: EnvironmentConfig,
     terms: Arc<Terms>,
     autoreset: Autoreset,
 }
@@ -78,7 +77,7 @@ impl Task {
         }
         // Whoever is under test is driven by the actions; the controller is never asked.
         let idle = ControllerSpec::MatchLeader(NoSettings::default());
-        let options = RunOptions::new(idle).with_estimator(self.environment.estimator);
+        let options = RunOptions::new(idle).with_estimator(self.terms.config().estimator);
         let run = OwnedRun::try_new(scenario, |scenario| Run::new(scenario, options)).map_err(|e| e.to_string())?;
         let terms = self.terms.of_episode(self.source.as_ref(), seed, index);
         Ok(OwnedEpisode::new(run, |run| Episode::new(run.borrow_dependent(), &terms)))
@@ -131,7 +130,7 @@ impl Lane {
 
     /// Takes a place among the episodes that are computed side by side.
     fn foresee(&mut self, action: f32, abreast: &mut Abreast) -> Option<Place> {
-        let episode = self.episode.as_mut().filter(|_| !action.is_nan())?;
+        let episode = self.episode.as_mut()?;
         episode.with_dependent_mut(|_, episode| episode.foresee(action.clamp(-1.0, 1.0), abreast))
     }
 
@@ -152,7 +151,7 @@ impl Lane {
         };
         let action = action.clamp(-1.0, 1.0);
         let led_to = episode.with_dependent_mut(|_, episode| match foreseen {
-            Some((abreast, place)) => episode.decide_as_foreseen(action, abreast, place),
+            Some((abreast, place)) => episode.decide_as_foreseen(abreast, place),
             None => episode.decide(action),
         });
         self.is_over = led_to.ending != Ending::None;
@@ -186,7 +185,7 @@ impl Group<'_> {
     fn step(self, task: &Task, abreast: &mut Option<Abreast>) -> Result<(), String> {
         let mut places = [None; ABREAST];
         if self.lanes.len() >= LEAST_SIDE_BY_SIDE {
-            let abreast = abreast.get_or_insert_with(|| Abreast::new(task.environment.decision_steps as usize));
+            let abreast = abreast.get_or_insert_with(|| Abreast::new(task.terms.config().decision_steps as usize));
             let mut suit = [false; ABREAST];
             for (suits, lane) in suit.iter_mut().zip(&*self.lanes) {
                 *suits = lane.suits(abreast);
@@ -262,8 +261,8 @@ impl Episodes {
         let known =
             [("next-step", Autoreset::NextStep), ("same-step", Autoreset::SameStep), ("disabled", Autoreset::Disabled)];
         let autoreset = choice("autoreset", autoreset, &known)?;
-        let terms = Terms::new(environment.clone(), config.learning.discount);
-        let task = Task { source, environment, terms, autoreset };
+        let terms = Terms::new(environment, config.learning.discount);
+        let task = Task { source, terms, autoreset };
         task.episode(0, 0).map_err(|error| errors::raised(py, Class::Training, &error))?;
         let lane = |seed| Lane { seed, next_index: 0, episode: None, is_over: false };
         Ok(Self { task, lanes: Mutex::new((0..count as u64).map(lane).collect()) })
@@ -272,19 +271,19 @@ impl Episodes {
     /// Numbers of a state are cut to plus and minus this.
     #[getter]
     fn state_limit(&self) -> f64 {
-        self.task.environment.observation.limit
+        self.task.terms.config().observation.limit
     }
 
     /// Simulated time between two decisions, in seconds.
     #[getter]
     fn decision_s(&self) -> f64 {
-        f64::from(self.task.environment.decision_steps) * crumple_world::scenario::PAPER_STEP_S
+        f64::from(self.task.terms.config().decision_steps) * crumple_world::scenario::PAPER_STEP_S
     }
 
     /// Accelerations that the actions -1 and 1 stand for, in m/s².
     #[getter]
     fn acceleration_range_mps2(&self) -> (f64, f64) {
-        let bounds = bounds(&self.task.environment);
+        let bounds = bounds(self.task.terms.config());
         (bounds.low_mps2, bounds.high_mps2)
     }
 

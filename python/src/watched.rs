@@ -69,8 +69,8 @@ pub(crate) fn leave(py: Python<'_>) {
     });
 }
 
-/// Does `work` on the threads that simulate, without the interpreter's lock. It says how far it is by the function that it is given, and ends soon
-/// once `stop` is asked for: at a signal (Ctrl-C), and at an exception of `progress`.
+/// Does `work` on the threads that simulate, without the interpreter's lock. It says how far it is by the function that it is
+/// given, and ends soon once `stop` is asked for: at a signal (Ctrl-C), and at an exception of `progress`.
 pub(crate) fn watched<T: Send>(
     py: Python<'_>,
     stop: &Stop,

@@ -145,7 +145,7 @@ pub(super) fn source(shares: &[SpaceShare]) -> Result<Arc<dyn ScenarioSource>, C
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::TrainingConfig;
+    use crate::rl::{Terms, TrainingConfig};
 
     fn share(space: &str, weight: f64) -> SpaceShare {
         SpaceShare { space: space.to_owned(), weight, costs_times: 1.0 }
@@ -190,13 +190,14 @@ mod tests {
         let blend = WeightedSpaces::new(&[ten, share("paper", 1.0)]).unwrap();
         let config = TrainingConfig::preset("road").unwrap().environment;
         let weight = config.costs.jerk;
+        let terms = Terms::new(config, 0.99);
         assert!(weight > 0.0);
         let mut counts = [0; 2];
         for index in 0..100 {
             let is_traffic = blend.spaces().position(|space| space.draw(3, index) == blend.draw(3, index)) == Some(0);
             counts[usize::from(is_traffic)] += 1;
             let times = if is_traffic { 10.0 } else { 1.0 };
-            assert_eq!(config.of_episode(&blend, 3, index).costs.jerk, times * weight);
+            assert_eq!(terms.of_episode(&blend, 3, index).config().costs.jerk, times * weight);
         }
         assert!(counts.iter().all(|count| *count > 20), "{counts:?}");
         let identity = blend.identity().unwrap().unwrap();

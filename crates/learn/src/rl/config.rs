@@ -84,14 +84,6 @@ pub struct EnvironmentConfig {
     pub observation: ObservationConfig,
 }
 
-impl EnvironmentConfig {
-    /// What the agent lives in during episode `index` of a source, where costs may count more or less than elsewhere.
-    #[must_use]
-    pub(super) fn of_episode(&self, source: &dyn ScenarioSource, seed: u64, index: u64) -> Self {
-        Self { costs: self.costs.times(source.costs_times(seed, index)), ..self.clone() }
-    }
-}
-
 /// What the end of an episode's time means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]

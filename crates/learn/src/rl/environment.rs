@@ -68,8 +68,17 @@ impl Terms {
     pub fn of_episode(self: &Arc<Self>, source: &dyn ScenarioSource, seed: u64, index: u64) -> Arc<Self> {
         match source.costs_times(seed, index) {
             1.0 => Arc::clone(self),
-            _ => Self::new(self.config.of_episode(source, seed, index), self.discount),
+            times => {
+                let costs = self.config.costs.times(times);
+                Self::new(EnvironmentConfig { costs, ..self.config.clone() }, self.discount)
+            }
         }
+    }
+
+    /// What they are of.
+    #[must_use]
+    pub fn config(&self) -> &EnvironmentConfig {
+        &self.config
     }
 }
 
@@ -123,18 +132,19 @@ impl<'r, 's> Episode<'r, 's> {
         abreast.admit(&self.stepper, EGO, command_mps2)
     }
 
-    /// As [`decide`](Self::decide), with what was computed side by side with other episodes as far as it is of use.
-    pub fn decide_as_foreseen(&mut self, action: f32, abreast: &mut Abreast, place: Place) -> Consequence {
-        self.decide_with(action, Some((abreast, place)))
+    /// As [`decide`](Self::decide) with the action that was [foreseen](Self::foresee) last, from what was computed side by side with other
+    /// episodes as far as it is of use.
+    pub fn decide_as_foreseen(&mut self, abreast: &mut Abreast, place: Place) -> Consequence {
+        self.hold(Some((abreast, place)))
     }
 
     /// Holds an action, between -1 and 1, until the next decision.
     pub fn decide(&mut self, action: f32) -> Consequence {
-        self.decide_with(action, None)
+        self.held.turn_to(action);
+        self.hold(None)
     }
 
-    fn decide_with(&mut self, action: f32, foreseen: Option<(&mut Abreast, Place)>) -> Consequence {
-        self.held.turn_to(action);
+    fn hold(&mut self, foreseen: Option<(&mut Abreast, Place)>) -> Consequence {
         let Self { stepper, terms, earnings, held, standing_steps, .. } = self;
         let Terms { config, bounds, .. } = &**terms;
         let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, Ending::None);
@@ -165,7 +175,7 @@ impl<'r, 's> Episode<'r, 's> {
             if ending == Ending::None { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
         let was_foreseen = foreseen.is_some_and(|(abreast, place)| {
-            stepper.drive_abreast(abreast, place, EGO, |now| {
+            stepper.drive_abreast(abreast, place, |now| {
                 let _ = after(now);
             })
         });
@@ -301,7 +311,7 @@ mod tests {
                     abreast.run();
                     for (run, place) in group.into_iter().zip(places) {
                         let led_to = match place {
-                            Some(place) => beside[run].decide_as_foreseen(action(run), &mut abreast, place),
+                            Some(place) => beside[run].decide_as_foreseen(&mut abreast, place),
                             None => beside[run].decide(action(run)),
                         };
                         foreseen += usize::from(place.is_some());

@@ -281,7 +281,7 @@ impl Platoon {
 
 /// The gap between two vehicles, front and rear, at the end of `dt_s` seconds, in metres; none where they could touch or come closer inside.
 #[inline]
-pub(super) fn gap_after_m(now: [&Motion; 2], end: [&Motion; 2], length_m: f64, dt_s: f64) -> Option<f64> {
+fn gap_after_m(now: [&Motion; 2], end: [&Motion; 2], length_m: f64, dt_s: f64) -> Option<f64> {
     let gap_m = |[front, rear]: [&Motion; 2]| front.position_m - length_m - rear.position_m;
     let closing_mps = [now, end].map(|[front, rear]| rear.speed_mps - front.speed_mps);
     let rear_mps = [now[1].speed_mps, end[1].speed_mps];

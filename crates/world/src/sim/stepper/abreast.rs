@@ -57,7 +57,11 @@ pub struct Abreast {
 
 /// The place of a run among those side by side.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Place(usize);
+pub struct Place {
+    run: usize,
+    /// Who is driven from outside.
+    vehicle: usize,
+}
 
 /// Who drives a vehicle position.
 enum Drivers {
@@ -141,7 +145,7 @@ impl Abreast {
         self.made[place] = *step as f64;
         self.unknown[place] = true;
         self.taken += 1;
-        Some(Place(place))
+        Some(Place { run: place, vehicle: index })
     }
 
     /// Computes what becomes of all runs. Nobody is admitted from then on, until all are forgotten.
@@ -292,9 +296,9 @@ impl Driver {
 }
 
 impl Stepper<'_, '_> {
-    /// Whether the next `steps` steps can be made side by side with those of other runs while vehicle `index` is driven from outside: that at
-    /// most four vehicles are in it, who stay in their lane and see the truth, answer without delay, brake by script or drive by a simple rule,
-    /// and have not touched, and that nothing of it is kept but where it gets to.
+    /// Whether the next `steps` steps can be made side by side with those of other runs while vehicle `index` is driven from
+    /// outside: that at most four vehicles are in it, who stay in their lane and see the truth, answer without delay, brake by script
+    /// or drive by a simple rule, and have not touched, and that nothing of it is kept but where it gets to.
     ///
     /// To ask all runs first is faster than to ask each before it is admitted: this looks at all that is read then, and the machine
     /// fetches what belongs to one run while it waits for another's.
@@ -317,19 +321,13 @@ impl Stepper<'_, '_> {
             && platoon.motion.iter().zip(&platoon.length_m).all(|(at, length_m)| (at.position_m - length_m).is_finite())
     }
 
-    /// Takes over what was computed of this run side by side with others, in which vehicle `index` was driven, and hands each step's moment to
-    /// `after`. To the last bit what [`drive`](Self::drive) does with the same command.
+    /// Takes over what was computed of this run side by side with others, and hands each step's moment to `after`. To the last
+    /// bit what [`drive`](Self::drive) does with the same command.
     ///
     /// Does nothing and returns false where vehicles may have touched, or the run is not where it was.
     #[inline]
-    pub fn drive_abreast(
-        &mut self,
-        abreast: &mut Abreast,
-        place: Place,
-        index: usize,
-        mut after: impl FnMut(&Moment<'_>),
-    ) -> bool {
-        let (Place(place), vehicles) = (place, self.loops.len());
+    pub fn drive_abreast(&mut self, abreast: &mut Abreast, place: Place, mut after: impl FnMut(&Moment<'_>)) -> bool {
+        let (Place { run: place, vehicle: index }, vehicles) = (place, self.loops.len());
         let is_known = place < abreast.taken.min(ABREAST) && !abreast.unknown[place] && vehicles == abreast.vehicles;
         let [start, steps @ ..] = abreast.track.as_slice() else { return false };
         if !is_known || vehicles > MOST_VEHICLES || abreast.made[place] != self.step as f64 {
@@ -424,10 +422,10 @@ mod tests {
                     // Learners look at the state between decisions, which counts as having looked.
                     stepper.observe(1);
                     if let Some(place) = place
-                        && stepper.drive_abreast(&mut abreast, place, 1, |now| moments.push(told(now)))
+                        && stepper.drive_abreast(&mut abreast, place, |now| moments.push(told(now)))
                     {
                         foreseen += 1;
-                        assert!(!stepper.drive_abreast(&mut abreast, place, 1, |_| {}), "only once");
+                        assert!(!stepper.drive_abreast(&mut abreast, place, |_| {}), "only once");
                         continue;
                     }
                     stepper.drive(
@@ -490,15 +488,15 @@ mod tests {
         let [mut own, mut other] = [0, 1].map(|run| Stepper::without_summaries(&runs[run]));
         let mut abreast = Abreast::new(STEPS);
         let place = abreast.admit(&own, 1, 0.0).unwrap();
-        assert!(!own.drive_abreast(&mut Abreast::new(STEPS), place, 1, |_| {}));
-        assert!(!own.drive_abreast(&mut abreast, place, 1, |_| {}), "nothing is computed yet");
+        assert!(!own.drive_abreast(&mut Abreast::new(STEPS), place, |_| {}));
+        assert!(!own.drive_abreast(&mut abreast, place, |_| {}), "nothing is computed yet");
         abreast.run();
         assert_eq!(abreast.admit(&own, 1, 0.0), None, "everything is computed");
-        assert!(!other.drive_abreast(&mut abreast, place, 1, |_| {}));
+        assert!(!other.drive_abreast(&mut abreast, place, |_| {}));
         own.step();
-        assert!(!own.drive_abreast(&mut abreast, place, 1, |_| {}));
+        assert!(!own.drive_abreast(&mut abreast, place, |_| {}));
         assert_eq!(own.steps_made(), 1);
         abreast.clear();
-        assert!(!other.drive_abreast(&mut abreast, place, 1, |_| {}), "nobody is there any more");
+        assert!(!other.drive_abreast(&mut abreast, place, |_| {}), "nobody is there any more");
     }
 }
