@@ -15,7 +15,8 @@
 //! What is done to the one answer behind the last product is done to that form.
 //!
 //! # Rounding of the network
-//! With u = 2⁻²⁴, a sum of n products and a bias in single precision, in any order, is off by at most γ (Σ|w||h| + |b|), where γ
+//! With u = 2⁻²⁴, a sum of n products and a bias in single precision, in any order, fused or not (a fused
+//! multiply-add rounds once where the other two do twice), is off by at most γ (Σ|w||h| + |b|), where γ
 //! = (n + 2) u / (1 - (n + 2) u), and by less than (n + 1) 10⁻⁴⁴ in all if products underflow. Maxima do not round. An
 //! input is off by u (1 + 10⁻⁶) of itself, and a difference of two observed numbers by 2⁻⁵³ of itself before anything is subtracted from it.
 //! The tanh of a single-precision number is assumed to be within 2⁻²² of the true one; libm's is within 2⁻²³ in tests. Each is added to ρ.
