@@ -5,6 +5,7 @@ use crumple_world::scenario::Driver;
 use crumple_world::sim::{Outcome, RecordingLevel, simulate_batch};
 
 use crate::clock::{least_s, least_wall_s, now_s};
+use crate::limits::normals;
 use crate::table::Figure;
 use crate::work::rollouts::{built_in, runs, scenarios, vehicle_steps};
 
@@ -22,6 +23,9 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
     let [truth_s, kalman_s] = least_s(40, [&mut all(&truth), &mut all(&kalman)]);
     let ns = |seconds: f64, runs| 1e9 * seconds / vehicle_steps(runs) as f64;
     say(Figure::at_most(5.0, "ns", "vehicle-step, baseline, true state", ns(truth_s, &truth)));
+    // The noise of two vehicles of three.
+    let share = 100.0 * (2.0 / 3.0) / normals() / (1e-9 * ns(truth_s, &truth));
+    say(Figure::at_least(25.0, "%", "the same, share of its time that its normal numbers alone would take", share));
     say(Figure::at_most(25.0, "ns", "vehicle-step, baseline, Kalman filter", ns(kalman_s, &kalman)));
     let [one, two] = [1, 2].map(|count| rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("threads"));
     let [one_s, two_s] = least_wall_s(40, [&mut || one.install(all(&kalman)), &mut || two.install(all(&kalman))]);

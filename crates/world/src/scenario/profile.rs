@@ -122,6 +122,24 @@ impl LeadProfile {
         }
     }
 
+    /// The acceleration to hold over every step that begins at `from_s` or later and ends at the second number or before,
+    /// whatever the speed: so the script need not be asked at each. Nothing where it depends on the speed.
+    #[must_use]
+    pub(crate) fn held_mps2(&self, from_s: f64) -> Option<[f64; 2]> {
+        match self {
+            Self::ConstantSpeed => Some([0.0, f64::INFINITY]),
+            Self::Brake(brake) => {
+                let until_s = if brake.onset_s <= from_s { f64::INFINITY } else { brake.onset_s };
+                Some([brake.acceleration_mps2(from_s, from_s), until_s])
+            }
+            Self::Pieces(pieces) => {
+                let next = pieces.from_s.partition_point(|&start| start <= from_s);
+                Some([pieces.before_mps2(next), pieces.from_s.get(next).copied().unwrap_or(f64::INFINITY)])
+            }
+            Self::RampBrake(_) | Self::BrakeToSpeed(_) | Self::Recorded(_) => None,
+        }
+    }
+
     /// Kept apart, so that the usual profile is small enough to be part of a loop.
     fn other_acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
         match self {
@@ -208,7 +226,7 @@ impl RampBrake {
 impl Pieces {
     fn mean_mps2(&self, from_s: f64, to_s: f64) -> f64 {
         let current = self.from_s.partition_point(|&start| start <= from_s);
-        let mut piece = current.checked_sub(1).and_then(|i| self.accel_mps2.get(i)).copied().unwrap_or(0.0);
+        let mut piece = self.before_mps2(current);
         let mut mean = piece;
         for (&start, &next) in self.from_s.iter().zip(&self.accel_mps2).skip(current) {
             if start >= to_s {
@@ -218,6 +236,11 @@ impl Pieces {
             piece = next;
         }
         mean
+    }
+
+    /// Acceleration over the piece before the one that is `next`, in m/s².
+    fn before_mps2(&self, next: usize) -> f64 {
+        next.checked_sub(1).and_then(|current| self.accel_mps2.get(current)).copied().unwrap_or(0.0)
     }
 }
 
@@ -248,6 +271,36 @@ mod tests {
             speeds.push(speed_mps);
         }
         speeds
+    }
+
+    #[test]
+    fn what_is_held_is_what_the_script_says_at_each_step() {
+        let profiles = [
+            LeadProfile::ConstantSpeed,
+            LeadProfile::Brake(Brake { onset_s: 1.004, rate_mps2: 3.0 }),
+            LeadProfile::Brake(Brake { onset_s: 0.0, rate_mps2: 3.0 }),
+            LeadProfile::Pieces(Pieces { from_s: vec![0.5, 1.0, 1.003, 2.0], accel_mps2: vec![-1.0, 0.5, -0.0, -3.0] }),
+            LeadProfile::Pieces(Pieces { from_s: vec![], accel_mps2: vec![] }),
+        ];
+        for profile in profiles {
+            let mut steps_held = 0;
+            for from in 0..300 {
+                let [held_mps2, until_s] = profile.held_mps2(f64::from(from) * 0.01).unwrap();
+                // Every later step that ends in time, not only the next.
+                for step in from..300 {
+                    let [from_s, to_s] = [step, step + 1].map(|step| f64::from(step) * 0.01);
+                    if to_s <= until_s {
+                        assert_eq!(
+                            held_mps2.to_bits(),
+                            profile.acceleration_mps2(from_s, to_s, 20.0).to_bits(),
+                            "{profile:?}"
+                        );
+                        steps_held += 1;
+                    }
+                }
+            }
+            assert!(steps_held > 10_000, "{profile:?}: {steps_held}");
+        }
     }
 
     #[test]

@@ -11,7 +11,34 @@ use crate::scenario::LeadProfile;
 pub(super) enum Leaders<'s> {
     /// Everybody brakes at a constant rate from some time on, as leaders nearly always do: `[onset, rate]`.
     Brake([PerRun; 2]),
-    Any(Vec<&'s LeadProfile>),
+    Any(Vec<Script<'s>>),
+}
+
+/// A script with what it says until it changes, so that it is looked up as often as it changes and not at each step.
+pub(super) struct Script<'s> {
+    profile: &'s LeadProfile,
+    held_mps2: f64,
+    /// Nothing is held any longer by a step that ends after that.
+    until_s: f64,
+}
+
+impl<'s> Script<'s> {
+    fn new(profile: &'s LeadProfile) -> Self {
+        Self { profile, held_mps2: 0.0, until_s: f64::NEG_INFINITY }
+    }
+
+    #[inline(always)]
+    fn acceleration_mps2(&mut self, span_s: [f64; 2], speed_mps: f64) -> f64 {
+        if span_s[1] <= self.until_s { self.held_mps2 } else { self.looked_up_mps2(span_s, speed_mps) }
+    }
+
+    #[inline(never)]
+    fn looked_up_mps2(&mut self, [from_s, to_s]: [f64; 2], speed_mps: f64) -> f64 {
+        if let Some(held) = self.profile.held_mps2(from_s) {
+            [self.held_mps2, self.until_s] = held;
+        }
+        if to_s <= self.until_s { self.held_mps2 } else { self.profile.acceleration_mps2(from_s, to_s, speed_mps) }
+    }
 }
 
 impl<'s> Leaders<'s> {
@@ -25,12 +52,12 @@ impl<'s> Leaders<'s> {
             .collect();
         match brakes {
             Some(brakes) => Self::Brake([0, 1].map(|which| PerRun::of(brakes.iter().map(|brake| brake[which])))),
-            None => Self::Any(profiles),
+            None => Self::Any(profiles.into_iter().map(Script::new).collect()),
         }
     }
 
     /// Accelerations to hold over a step.
-    pub(super) fn lead(&self, arch: Arch, [from_s, to_s]: [f64; 2], speeds_mps: &[f64], decided_mps2: &mut [f64]) {
+    pub(super) fn lead(&mut self, arch: Arch, [from_s, to_s]: [f64; 2], speeds_mps: &[f64], decided_mps2: &mut [f64]) {
         match self {
             Self::Brake(brakes) => {
                 let [onset_s, rate_mps2] = brakes.each_ref().map(PerRun::filled);
@@ -39,9 +66,9 @@ impl<'s> Leaders<'s> {
                     || loops::brake([from_s, to_s], onset_s, rate_mps2, decided_mps2),
                 ));
             }
-            Self::Any(profiles) => {
-                for ((decided_mps2, profile), &speed_mps) in decided_mps2.iter_mut().zip(profiles).zip(speeds_mps) {
-                    *decided_mps2 = profile.acceleration_mps2(from_s, to_s, speed_mps);
+            Self::Any(scripts) => {
+                for ((decided_mps2, script), &speed_mps) in decided_mps2.iter_mut().zip(scripts).zip(speeds_mps) {
+                    *decided_mps2 = script.acceleration_mps2([from_s, to_s], speed_mps);
                 }
             }
         }
@@ -54,7 +81,7 @@ impl<'s> Leaders<'s> {
                 onset_s.swap_remove(run);
                 rate_mps2.swap_remove(run);
             }
-            Self::Any(profiles) => drop(profiles.swap_remove(run)),
+            Self::Any(scripts) => drop(scripts.swap_remove(run)),
         }
     }
 }
