@@ -10,14 +10,18 @@ use crumple_world::random::{Purpose, stream};
 use crumple_world::sim::{RecordingLevel, simulate_batch};
 
 use crate::clock::{least_s, least_wall_s, now_s};
+use crate::limits::register_peak;
 use crate::table::Figure;
 use crate::work::networks::{self, LARGE, acting, batch, config, large, learner, operations, policy, products, td3};
 use crate::work::rollouts::{runs, scenarios, steps};
 
 pub fn figures(say: &mut dyn FnMut(Figure)) {
-    beside_the_peak(say);
+    let registers = register_peak();
+    beside_the_peak(registers, say);
     let [td3_s] = least_s(60, [&mut updates(&td3(64, 128), 128, 1)]);
     say(Figure::at_most(0.38, "ms", "TD3 step, 3 x 64, batch 128, two critics", 1e3 * td3_s));
+    let peak_share = 100.0 * operations(&products(64, 128, 2)) as f64 / td3_s / registers;
+    say(Figure::at_least(35.0, "%", "the same, share of fused multiply-adds in registers", peak_share));
     let [one, two] = [1, 2].map(|count| rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("threads"));
     let [mut alone, mut together] = [0; 2].map(|_| updates(&config(256, 512), 512, 8));
     let [one_s, two_s] = least_wall_s(8, [&mut || one.install(&mut alone), &mut || two.install(&mut together)]);
@@ -36,8 +40,8 @@ fn updates(config: &TrainingConfig, count: usize, each: usize) -> impl FnMut() +
     }
 }
 
-/// Rollouts and updates as shares of the fastest large product of the same run.
-fn beside_the_peak(say: &mut dyn FnMut(Figure)) {
+/// Rollouts and updates as shares of the fastest large product of the same run, and of `registers`, what [`register_peak`] says.
+fn beside_the_peak(registers: f64, say: &mut dyn FnMut(Figure)) {
     let (mut large, states, by_hand) = large();
     let random = || Tensor::rand(-1.0_f32, 1.0, (LARGE, LARGE), &Device::Cpu).expect("a tensor");
     let (left, right) = (random(), random());
@@ -56,14 +60,19 @@ fn beside_the_peak(say: &mut dyn FnMut(Figure)) {
     );
     let speed = |operations: usize, seconds: f64| operations as f64 / seconds;
     let peak = speed(by_hand, hand_s).max(speed(operations(&[[LARGE; 3]]), candle_s));
-    let share = |operations, seconds| 100.0 * speed(operations, seconds) / peak;
+    let share_of = |limit, operations, seconds| 100.0 * speed(operations, seconds) / limit;
     let name = format!(
         "lockstep rollouts, 3 x 256 actor, share of a large product ({:.0} billion operations a second)",
         peak / 1e9
     );
-    say(Figure::at_least(70.0, "%", name, share(acts * acting(256), rollouts_s)));
+    say(Figure::at_least(70.0, "%", name, share_of(peak, acts * acting(256), rollouts_s)));
     let name = format!("DDPG update, 3 x 256, batch 512 ({:.2} ms), share of the large product", 1e3 * update_s);
-    say(Figure::at_least(80.0, "%", name, share(operations(&products(256, 512, 1)), update_s)));
+    let updating = operations(&products(256, 512, 1));
+    say(Figure::at_least(80.0, "%", name, share_of(peak, updating, update_s)));
+    let name = "lockstep rollouts, 3 x 256 actor, share of fused multiply-adds in registers";
+    say(Figure::at_least(60.0, "%", name, share_of(registers, acts * acting(256), rollouts_s)));
+    let name = "DDPG update, 3 x 256, batch 512, share of fused multiply-adds in registers";
+    say(Figure::at_least(60.0, "%", name, share_of(registers, updating, update_s)));
 }
 
 /// Median over seeds of the processor time until an evaluation finds every held-out scenario safe, in seconds.

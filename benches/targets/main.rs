@@ -4,6 +4,7 @@
 //! cargo bench --bench targets                       # the table; a minute or two
 //! cargo bench --bench targets -- all                # with ten trainings and an assessment: some minutes
 //! cargo bench --bench targets -- rollouts           # a part: learning, rollouts, monitors, proofs, programs, long
+//! cargo bench --bench targets -- limits             # what the machine can do at all, which shares refer to
 //! cargo bench --bench targets -- scaling FILE.svg   # how cost grows, as a list and a plot
 //! cargo bench --bench targets -- compare            # what benches/compare.py sets beside SUMO and Stable-Baselines3
 //! ```
@@ -16,6 +17,7 @@
 
 mod clock;
 mod learning;
+mod limits;
 mod monitors;
 mod programs;
 mod proofs;
@@ -39,13 +41,14 @@ fn main() {
     // Everything on a single thread of a pool, so that what is parallel stays on it and its processor time can be read.
     let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     alone.install(|| match words[..] {
-        [] => table(&PARTS[..PARTS.len() - 1]),
-        ["all"] => table(&PARTS),
+        [] => with_limits(&PARTS[..PARTS.len() - 1]),
+        ["all"] => with_limits(&PARTS),
+        ["limits"] => limits(),
         ["scaling", file] => scaling(file),
         ["compare"] => compare(),
         _ => match PARTS.iter().find(|part| words[..] == [part.0]) {
             Some(part) => table(std::slice::from_ref(part)),
-            None => eprintln!("nothing, `all`, a part of the table, `scaling FILE.svg` or `compare`"),
+            None => eprintln!("nothing, `all`, `limits`, a part of the table, `scaling FILE.svg` or `compare`"),
         },
     });
 }
@@ -65,6 +68,17 @@ const PARTS: [Part; 6] = [
         programs::campaign_memory(say);
     }),
 ];
+
+fn limits() {
+    println!("{}\n\n{}", limits::processor(), table::LIMITS_HEADER);
+    limits::limits(&mut |limit| println!("{}", limit.line()));
+    println!();
+}
+
+fn with_limits(parts: &[Part]) {
+    limits();
+    table(parts);
+}
 
 fn table(parts: &[Part]) {
     println!("{}", table::HEADER);

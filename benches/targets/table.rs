@@ -39,6 +39,22 @@ impl Figure {
 
 pub const HEADER: &str = "| figure | target | measured | ratio | |\n|---|---|---|---|---|";
 
+/// What the machine can do, without a target.
+pub struct Limit {
+    pub name: String,
+    pub value: String,
+    pub unit: &'static str,
+}
+
+impl Limit {
+    /// The line of a Markdown table.
+    pub fn line(&self) -> String {
+        format!("| {} | {} {} |", self.name, self.value, self.unit)
+    }
+}
+
+pub const LIMITS_HEADER: &str = "| limit of this machine | measured |\n|---|---|";
+
 /// Three digits.
 pub fn digits(value: f64) -> String {
     let before = value.abs().max(1e-9).log10().floor() as i32;

@@ -1,0 +1,101 @@
+//! What this machine can do, measured beside what the loops do with it: limits that shares refer to on any processor.
+
+use std::hint::black_box;
+
+use crumple_world::random::{Normals, Purpose, stream};
+use pulp::{Arch, Simd, WithSimd};
+
+use crate::clock::least_s;
+use crate::table::{Limit, digits};
+
+/// Fused multiply-adds in single precision a second, on registers alone, each counted as two operations.
+///
+/// Twelve sums: each waits some four cycles for its last term while two multiply-adds are begun a cycle, so eight is the least that keeps
+/// the units busy, and twelve fit in sixteen registers with their factors.
+pub fn register_peak() -> f64 {
+    const ROUNDS: usize = 20_000;
+    const SUMS: usize = 12;
+    struct Peak;
+    impl WithSimd for Peak {
+        type Output = usize;
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> usize {
+            let [left, right] = black_box([0.999_f32, 1e-3]).map(|factor| simd.splat_f32s(factor));
+            let mut sums = [right; SUMS];
+            for _ in 0..ROUNDS {
+                for sum in &mut sums {
+                    *sum = simd.mul_add_f32s(*sum, left, right);
+                }
+            }
+            black_box(sums);
+            2 * ROUNDS * SUMS * S::F32_LANES
+        }
+    }
+    let operations = Arch::new().dispatch(Peak);
+    let [seconds] = least_s(100, [&mut || _ = Arch::new().dispatch(Peak)]);
+    operations as f64 / seconds
+}
+
+/// Normal numbers a second from one stream.
+pub fn normals() -> f64 {
+    const COUNT: usize = 100_000;
+    let (normals, mut stream) = (Normals::new(), stream(1, Purpose::ReplayDraw, 0));
+    let [seconds] = least_s(40, [&mut || _ = black_box((0..COUNT).map(|_| normals.next(&mut stream)).sum::<f64>())]);
+    COUNT as f64 / seconds
+}
+
+/// Bytes read a second from an array of `bytes`, by eight sums that do not wait for one another.
+fn bandwidth(bytes: usize) -> f64 {
+    struct Sum<'a>(&'a [f32]);
+    impl WithSimd for Sum<'_> {
+        type Output = f32;
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> f32 {
+            let (vectors, _) = S::as_simd_f32s(self.0);
+            let mut sums = [simd.splat_f32s(0.0); 8];
+            for eight in vectors.chunks_exact(8) {
+                for (sum, &vector) in sums.iter_mut().zip(eight) {
+                    *sum = simd.add_f32s(*sum, vector);
+                }
+            }
+            sums.iter().map(|&sum| simd.reduce_sum_f32s(sum)).sum()
+        }
+    }
+    let array = vec![1.0_f32; bytes / 4];
+    // As many passes as read 32 MiB, so that the clock's own time does not count.
+    let passes = (1_usize << 25).div_ceil(bytes);
+    let mut read = || {
+        for _ in 0..passes {
+            black_box(Arch::new().dispatch(Sum(black_box(&array))));
+        }
+    };
+    let [seconds] = least_s(20, [&mut read]);
+    (passes * bytes) as f64 / seconds
+}
+
+/// The processor's model, as the system tells it, which only Linux does.
+pub fn processor() -> String {
+    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let of = |field: &str| {
+        let line = text.lines().find(|line| line.split(':').next().is_some_and(|name| name.trim() == field));
+        line.and_then(|line| line.split(':').nth(1)).map_or("?", str::trim)
+    };
+    let (name, family, model) = (of("model name"), of("cpu family"), of("model"));
+    let lanes = crumple_world::policy::doubles_at_once();
+    format!("{name}, family {family}, model {model}, registers of {lanes} doubles")
+}
+
+pub fn limits(say: &mut dyn FnMut(Limit)) {
+    let mut limit = |name: &str, value: f64, unit| say(Limit { name: name.to_owned(), value: digits(value), unit });
+    limit("fused multiply-adds in registers, single precision", register_peak() / 1e9, "billion operations a second");
+    limit("normal numbers from one stream", 1e9 / normals(), "ns each");
+    for (name, bytes) in [
+        ("read from the first-level cache (16 KiB)", 1 << 14),
+        ("read from the second-level cache (256 KiB)", 1 << 18),
+        ("read from main memory (256 MiB)", 1 << 28),
+    ] {
+        limit(name, bandwidth(bytes) / 1e9, "GB/s");
+    }
+}
