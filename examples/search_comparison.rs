@@ -1,0 +1,119 @@
+//! What `auto` finds beside the searches it is made of: in all built-in spaces, over some seeds, with a test of chance.
+//!
+//! ```sh
+//! cargo run --release --example search_comparison -- 1000 5        # evaluations of each method, seeds
+//! ```
+//! Each space is searched under a controller that fails in it, but seldom. Methods are compared by the evaluations to the first
+//! failure, by the smallest robustness, and by the kinds of failures (who hits whom, and how); `p` is the exact permutation test of the
+//! means: how often chance alone would leave `auto` as far behind the best of the others as it is, or farther. Where it is not
+//! behind there is nothing to test.
+
+use std::error::Error;
+use std::path::Path;
+
+use crumple::search::falsify::Method;
+use crumple::search::falsify::campaign::{Aim, Summary};
+use crumple::world::observation::EstimatorKind;
+use crumple::world::scenario::space::built_in_space;
+use crumple::world::sim::NamedController;
+use crumple::{Campaign, Specification};
+
+/// Every built-in space, and who seldom fails in it.
+const PROBLEMS: [(&str, &str); 8] = [
+    ("paper", "match-leader"),
+    ("high-risk", "retrained"),
+    ("traffic", "baseline"),
+    ("standing", "idm"),
+    ("slower", "idm"),
+    ("alone", "policy"),
+    ("assisted", "retrained"),
+    ("steady", "policy"),
+];
+
+const METHODS: [Method; 4] = [Method::Auto, Method::CmaEs, Method::Uniform, Method::Halton];
+
+/// What is compared: its name, and whether more of it is better.
+const MEASURES: [(&str, bool); 3] =
+    [("evaluations to the first failure", false), ("smallest robustness", false), ("kinds of failures", true)];
+
+/// What a method reached by one seed, in the order of [`MEASURES`].
+fn reached(summary: &Summary, method: Method, budget: u64) -> Option<[f64; 3]> {
+    let name = method.name();
+    let of_method = summary.methods.iter().find(|one| one.method == name)?;
+    let kinds = summary.failures.iter().filter(|kind| kind.by_method.iter().any(|by| by.method == name)).count();
+    // None within the budget counts as one more than it.
+    let first = of_method.first_falsification.unwrap_or(budget + 1);
+    Some([first as f64, of_method.best_robustness?, kinds as f64])
+}
+
+/// The share of all ways to deal the values out to both sides that leave the first at least as far above the second.
+fn chance_of(above: &[f64], below: &[f64]) -> f64 {
+    let all = [above, below].concat();
+    let total: f64 = all.iter().sum();
+    let observed: f64 = above.iter().sum();
+    let (mut deals, mut as_far) = (0_u32, 0_u32);
+    for chosen in (0..1_u32 << all.len()).filter(|chosen| chosen.count_ones() as usize == above.len()) {
+        let sum: f64 = (0..all.len()).filter(|i| chosen >> i & 1 == 1).map(|i| all[i]).sum();
+        deals += 1;
+        as_far += u32::from(sum >= observed - 1e-12 * total.abs());
+    }
+    f64::from(as_far) / f64::from(deals)
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let budget: u64 = arguments.next().ok_or("how many evaluations?")?.parse()?;
+    let seeds: u64 = arguments.next().ok_or("how many seeds?")?.parse()?;
+    if !(1..=10).contains(&seeds) {
+        return Err("1 to 10 seeds: the test of chance deals them out in all ways".into());
+    }
+    let names = METHODS.map(Method::name).join(" | ");
+    println!("| space | controller | measure (mean of {seeds} seeds) | {names} | p |");
+    println!("|---|---|---|{}---|", "---|".repeat(METHODS.len()));
+    for (space, controller) in PROBLEMS {
+        let mut found: [[Vec<f64>; 3]; METHODS.len()] = Default::default();
+        for seed in 0..seeds {
+            // Both campaigns bring `uniform` and `halton` along, as reference searches.
+            let [with_auto, with_cma_es] =
+                [Method::Auto, Method::CmaEs].map(|method| search(space, controller, method, budget, seed));
+            let (with_auto, with_cma_es) = (with_auto?, with_cma_es?);
+            for (method, found) in METHODS.into_iter().zip(&mut found) {
+                let summary = if method == Method::CmaEs { &with_cma_es } else { &with_auto };
+                let reached = reached(summary, method, budget).ok_or("a method that was not run")?;
+                found.iter_mut().zip(reached).for_each(|(all, one)| all.push(one));
+            }
+        }
+        for (measure, (name, more_is_better)) in MEASURES.into_iter().enumerate() {
+            // So that less is better in all of them.
+            let sign = if more_is_better { -1.0 } else { 1.0 };
+            let signed: Vec<Vec<f64>> =
+                found.iter().map(|of| of[measure].iter().map(|value| sign * value).collect()).collect();
+            let best = signed[1..].iter().min_by(|a, b| mean(a).total_cmp(&mean(b))).ok_or("no other method")?;
+            let behind = mean(&signed[0]) > mean(best);
+            let p = if behind { format!("{:.3}", chance_of(&signed[0], best)) } else { String::new() };
+            let means: Vec<String> = found.iter().map(|of| format!("{:.1}", mean(&of[measure]))).collect();
+            println!("| {space} | {controller} | {name} | {} | {p} |", means.join(" | "));
+        }
+    }
+    Ok(())
+}
+
+fn search(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<Summary, Box<dyn Error>> {
+    let campaign = Campaign {
+        controller: NamedController::find(controller, Path::new("."))?,
+        estimator: EstimatorKind::Kalman,
+        space: built_in_space(space).ok_or("not built in")?,
+        specification: Specification::NoContact,
+        contrast: None,
+        method,
+        aim: Aim::Severest,
+        budget,
+        seed,
+    };
+    let folder = tempfile::tempdir()?;
+    Ok(campaign.run(folder.path(), false, &mut |_| {})?)
+}
