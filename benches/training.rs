@@ -12,7 +12,7 @@ use std::sync::Arc;
 use candle_core::{Device, Tensor};
 use crumple_learn::rl::oracle::Oracle;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Workspace;
+use crumple_world::policy::{Past, Workspace};
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::{PAPER_STEP_S, PaperDistribution};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, Simulated, simulate_batch};
@@ -160,7 +160,9 @@ fn multiply_adds_in_registers(bencher: Bencher<'_, '_>) {
 #[divan::bench(args = [64, 256])]
 fn act_on_one_state(bencher: Bencher<'_, '_>, width: usize) {
     let (policy, seen, mut space) = (policy(width), seen(1), Workspace::default());
-    bencher.counter(ItemsCount::new(acting(width))).bench_local(|| policy.choose(&seen[0], &mut space));
+    let mut past = Past::default();
+    let bencher = bencher.counter(ItemsCount::new(acting(width)));
+    bencher.bench_local(|| policy.choose(policy.look(&seen[0], &mut past), &mut space));
 }
 
 #[divan::bench(args = [64, 256])]
@@ -168,7 +170,10 @@ fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
     let (policy, seen, mut space) = (policy(width), seen(512), Workspace::default());
     let mut actions = vec![0.0; seen.len()];
     let counter = ItemsCount::new(seen.len() * acting(width));
-    bencher.counter(counter).bench_local(|| policy.choose_all(&seen, &mut space, &mut actions));
+    bencher.counter(counter).bench_local(|| {
+        let rows: Vec<f32> = seen.iter().flat_map(|seen| policy.look(seen, &mut Past::default()).to_vec()).collect();
+        policy.choose_all(&rows, &mut space, &mut actions);
+    });
 }
 
 /// 512 runs of the paper's distribution in lockstep, a decision every step, everything included but the draw of the scenarios.

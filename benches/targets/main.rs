@@ -15,6 +15,7 @@
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 #![allow(missing_docs, unreachable_pub, reason = "nobody uses a bench as a library")]
 
+mod campaigns;
 mod clock;
 mod learning;
 mod limits;
@@ -66,6 +67,7 @@ const PARTS: [Part; 6] = [
         learning::first_safe(10, say);
         programs::assessment(say);
         programs::campaign_memory(say);
+        campaigns::end_to_end(say);
     }),
 ];
 

@@ -25,17 +25,16 @@ pub fn td3(width: usize, batch: usize) -> TrainingConfig {
 }
 
 pub fn learner(config: &TrainingConfig) -> Learner {
-    Learner::new(&config.network, &config.learning, &config.td3, 1)
+    Learner::new(config, 1)
 }
 
 pub fn batch(count: usize) -> Batch {
     let mut stream = stream(1, Purpose::ReplayDraw, 0);
     let mut batch = Batch::default();
     for _ in 0..count {
-        let mut state = || std::array::from_fn(|_| stream.random_range(-1.0..1.0));
-        let (state, next_state) = (state(), state());
+        let seen: [f32; 2 * STATE] = std::array::from_fn(|_| stream.random_range(-1.0..1.0));
         let (action, reward) = (stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0));
-        batch.push(&Transition { state, action, reward, next_state, continues: true, contact: false });
+        batch.push(&Transition { seen: &seen, action, reward, continues: true, contact: false });
     }
     batch
 }

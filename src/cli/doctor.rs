@@ -26,6 +26,8 @@ struct Report {
     processor: &'static str,
     /// Width of the widest vector registers that both the program and the processor have. It changes times, and no bit of a result.
     register_bits: usize,
+    /// Whether the processor multiplies and adds in one operation. Without it networks are slow, and no bit of a result is another.
+    fused_multiply_add: bool,
     threads: usize,
     /// SHA-256 of the program: interrupted work is gone on with by the same one alone.
     program_sha256: Option<&'static str>,
@@ -51,6 +53,7 @@ impl Doctor {
             system: std::env::consts::OS,
             processor: std::env::consts::ARCH,
             register_bits: 64 * crumple_world::policy::doubles_at_once(),
+            fused_multiply_add: crumple_world::policy::fuses_multiply_add(),
             threads: rayon::current_num_threads(),
             program_sha256: crumple_search::program::identity().ok(),
             needs: needs(),
@@ -65,7 +68,7 @@ impl Doctor {
 
 impl Report {
     fn text(&self) -> String {
-        let Self { version, system, processor, register_bits, threads, .. } = self;
+        let Self { version, system, processor, register_bits, fused_multiply_add, threads, .. } = self;
         let mut text = format!(
             "crumple {version} on {system}, {processor}, vector registers of {register_bits} bits, {threads} threads\n"
         );
@@ -73,6 +76,10 @@ impl Report {
         match &self.program_sha256 {
             Some(identity) => drop(writeln!(text, "  this program is {identity}")),
             None => drop(writeln!(text, "  this program cannot be read: nothing that is kept can be gone on with")),
+        }
+        if !fused_multiply_add {
+            text +=
+                "  multiplying and adding in one operation is missing here: networks are slow, with the same results\n";
         }
         text += "  all that crumple does works by itself; with it work\n";
         for Need { name, found, used_for, install } in &self.needs {

@@ -53,6 +53,7 @@ fn a_doctor_says_what_is_missing() {
     let report = &objects(&told)[0];
     // The first is crumple's own, for FMUs, and lies beside it.
     assert!(report["needs"].as_array().unwrap().iter().skip(1).all(|need| need["found"].is_null()));
+    assert!(report["fused_multiply_add"].is_boolean());
     assert!(report["register_bits"].as_u64().unwrap() >= 64 && report["threads"].as_u64().unwrap() >= 1);
     let text = crumple(folder.path(), &["doctor"]);
     assert!(stdout(&text).contains("hyperqueue") && stdout(&text).starts_with("crumple 0."), "{}", stdout(&text));

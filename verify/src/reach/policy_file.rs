@@ -43,6 +43,7 @@ struct Scaling {
     scale: [f64; OBSERVED],
     limit: f64,
     empty_gap_m: f64,
+    history: Option<usize>,
 }
 
 #[derive(Deserialize)]
@@ -67,11 +68,15 @@ impl Header {
         if hidden.len() > MOST_LAYERS || numbers > MOST_NUMBERS || is_too_wide {
             return Err("describes too large a network".to_owned());
         }
-        let Scaling { offset, scale, limit, empty_gap_m } = observation;
+        let Scaling { offset, scale, limit, empty_gap_m, history } = observation;
         let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
         let positive = scale.iter().chain([limit, empty_gap_m, decision_interval_s]).all(is_positive);
         if !positive || !offset.iter().all(|value| value.is_finite()) {
             return Err("has a scaling that makes no sense".to_owned());
+        }
+        if history.is_some_and(|history| history != 1) {
+            let is_not = "only a network that sees nothing but the present can be followed";
+            return Err(format!("{KEY}: observation: history: {is_not}"));
         }
         let Bounds { low_mps2: low, high_mps2: high, departs_from } = action;
         if departs_from.is_some() {
@@ -98,7 +103,7 @@ pub(super) fn read(text: &str, file: &mut Container<'_>) -> Result<Actor, String
         Ok(Layer { inputs, outputs, weights, biases })
     });
     let layers = layers.collect::<Result<Vec<_>, String>>()?;
-    let Scaling { offset, scale, limit, empty_gap_m } = header.observation;
+    let Scaling { offset, scale, limit, empty_gap_m, history: _ } = header.observation;
     let action_mps2 = [header.action.low_mps2, header.action.high_mps2];
     let decision_interval_s = header.decision_interval_s;
     Ok(Own { layers, offset, scale, limit, empty_gap_m, action_mps2, decision_interval_s }.into())

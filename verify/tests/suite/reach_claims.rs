@@ -139,7 +139,7 @@ fn what_the_simulator_does_not_drive_with_is_refused() {
         assert!(text.contains(from), "{from} in {text}");
         *text = text.replacen(from, to, 1);
     }
-    let changes: [(&str, Change); 13] = [
+    let changes: [(&str, Change); 14] = [
         ("version 2 is not known", |text, _| replace(text, "\"version\":1", "\"version\":2")),
         ("missing field `version`", |text, _| replace(text, "\"version\":1,", "")),
         ("unknown field `colour`", |text, _| replace(text, "\"version\":1", "\"version\":1,\"colour\":3")),
@@ -147,6 +147,7 @@ fn what_the_simulator_does_not_drive_with_is_refused() {
         ("duplicate key", |text, _| replace(text, "\"training\":{", "\"training\":{\"a\":1,\"a\":2,")),
         ("estimator: \"lidar\" is not known", |text, _| replace(text, "\"kalman\"", "\"lidar\"")),
         ("finite and in order", |text, _| replace(text, "\"low_mps2\":-7.5", "\"low_mps2\":7.5")),
+        ("sees nothing but the present", |text, _| replace(text, "\"limit\":", "\"history\":2,\"limit\":")),
         ("departs from a law of driving", |text, _| {
             replace(
                 text,

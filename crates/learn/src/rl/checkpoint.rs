@@ -102,6 +102,9 @@ impl Trainer {
                 arrays.push((format!("{name}.{what}"), values));
             }
         }
+        if let Some(mean) = &self.mean {
+            arrays.push(("mean".to_owned(), mean.parameters()));
+        }
         if let Some(best) = &self.best {
             arrays.push(("best".to_owned(), best.network.parameters()));
         }
@@ -179,11 +182,19 @@ impl Trainer {
             part.adam.steps = adam_steps.next().ok_or_else(|| broken("an optimiser is missing"))?;
         }
         let replay = numbers(&arrays, "replay")?;
-        trainer.replay = Replay::from_numbers(config.replay.capacity, header.stored, &replay)
+        let history = config.environment.observation.history as usize;
+        trainer.replay = Replay::from_numbers(config.replay.capacity, history, header.stored, &replay)
             .ok_or_else(|| broken("the replay memory has another size than the header says"))?;
+        let sizes = trainer.learner.actor.network.sizes().to_vec();
+        let actor_of = |name| {
+            let mut network = Network::zeros(&sizes);
+            read(&arrays, name, network.parameters_mut()).map(|()| network)
+        };
+        if config.evaluation.mean_over_updates > 0 && header.updates > 0 {
+            trainer.mean = Some(actor_of("mean")?);
+        }
         if let Some((episode, evaluation)) = header.best {
-            let mut network = Network::zeros(trainer.learner.actor.network.sizes());
-            read(&arrays, "best", network.parameters_mut())?;
+            let network = actor_of("best")?;
             trainer.best = Some(Best { episode, evaluation, network });
         }
         (trainer.episode, trainer.decisions) = (header.episode, header.decisions);

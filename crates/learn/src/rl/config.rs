@@ -185,6 +185,10 @@ pub struct EvaluationConfig {
     pub useful_draws: u64,
     /// Training ends once a policy survives all of these too and keeps this distance everywhere, in metres; 0 never ends it.
     pub master_gap_m: f64,
+    /// Updates over which the policy that is judged and kept is the mean of the actor's weights, the last ones counting most (Polyak
+    /// and Juditsky 1992); 0 for the actor as it is. What it tries out and learns from is the actor as it is in any case.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub mean_over_updates: u64,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
@@ -320,6 +324,7 @@ impl TrainingConfig {
         within("evaluation.ranking_draws", self.evaluation.ranking_draws as f64, [0.0, 1e6])?;
         within("evaluation.useful_draws", self.evaluation.useful_draws as f64, [0.0, 1e4])?;
         within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
+        within("evaluation.mean_over_updates", self.evaluation.mean_over_updates as f64, [0.0, 1e9])?;
         super::memory::check(self)
     }
 }

@@ -9,9 +9,9 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::adam::Adam;
 use super::backprop::Tape;
-use super::config::{LearningConfig, NetworkConfig, Td3Config};
+use super::config::{LearningConfig, Td3Config, TrainingConfig};
 use super::replay::Batch;
-use crumple_world::policy::{Network, STATE, with_hands_ready};
+use crumple_world::policy::{Network, with_hands_ready};
 use crumple_world::random::{self, Purpose, Stream};
 
 /// A network, the target that follows it, and its optimiser.
@@ -40,6 +40,8 @@ pub struct Learner {
     pub critics: Vec<Trained>,
     /// Updates made.
     pub updates: u64,
+    /// Numbers that the actor sees.
+    inputs: usize,
     learning: LearningConfig,
     td3: Td3Config,
     space: Space,
@@ -75,7 +77,9 @@ impl Learner {
 
     /// First weights from `seed`.
     #[must_use]
-    pub fn new(network: &NetworkConfig, learning: &LearningConfig, td3: &Td3Config, seed: u64) -> Self {
+    pub fn new(config: &TrainingConfig, seed: u64) -> Self {
+        let TrainingConfig { network, learning, td3, .. } = config;
+        let inputs = config.environment.observation.width();
         let sizes = |inputs| [&[inputs], network.hidden.as_slice(), &[1]].concat();
         let fresh = |index, inputs| {
             let mut stream = random::stream(seed, Purpose::FirstWeights, index);
@@ -83,9 +87,10 @@ impl Learner {
         };
         let critics = if td3.twin_critic { 2 } else { 1 };
         Self {
-            actor: fresh(0, STATE),
-            critics: (1..=critics).map(|index| fresh(index, STATE + 1)).collect(),
+            actor: fresh(0, inputs),
+            critics: (1..=critics).map(|index| fresh(index, inputs + 1)).collect(),
             updates: 0,
+            inputs,
             learning: learning.clone(),
             td3: td3.clone(),
             space: Space::default(),
@@ -95,7 +100,7 @@ impl Learner {
     /// The actor's answers, between -1 and 1, to states row after row.
     pub fn act(&mut self, states: &[f32]) -> &[f32] {
         let Space { actor, actions, .. } = &mut self.space;
-        let batch = states.len() / STATE;
+        let batch = states.len() / self.inputs;
         let raw = actor.forward(&self.actor.network, batch, |input| input.extend_from_slice(states));
         actions.clear();
         actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
@@ -219,7 +224,8 @@ impl Learner {
 
 /// Rows of states with the action as last number.
 fn beside(states: &[f32], actions: &[f32], input: &mut Vec<f32>) {
-    for (state, &action) in states.chunks_exact(STATE).zip(actions) {
+    let width = states.len() / actions.len().max(1);
+    for (state, &action) in states.chunks_exact(width.max(1)).zip(actions) {
         input.extend_from_slice(state);
         input.push(action);
     }

@@ -1,8 +1,7 @@
 //! What a training will take of memory, before it takes any.
 
 use super::config::{ConfigError, TrainingConfig};
-use super::replay::Transition;
-use crumple_world::policy::STATE;
+use super::replay::numbers;
 
 /// Most memory of a training with one seed: several seeds at once take that much each.
 const MOST_BYTES: u64 = 4 << 30;
@@ -23,12 +22,14 @@ fn bytes(config: &TrainingConfig) -> u64 {
         })
     };
     let critics = if config.td3.twin_critic { 2 } else { 1 };
-    let networks = parameters(STATE).saturating_add(parameters(STATE + 1).saturating_mul(critics));
+    let seen = config.environment.observation.width();
+    let networks = parameters(seen).saturating_add(parameters(seen + 1).saturating_mul(critics));
     let widths = config.network.hidden.iter().fold(0, |sum: u64, &width| sum.saturating_add(width as u64));
     let space = widths.saturating_mul(config.learning.batch as u64).saturating_mul(TAPES);
     let floats = networks.saturating_mul(COPIES).saturating_add(space);
-    let remembered = (config.replay.capacity as u64).saturating_mul(size_of::<Transition>() as u64);
-    floats.saturating_mul(size_of::<f32>() as u64).saturating_add(remembered)
+    let remembered = numbers(config.environment.observation.history as usize) as u64;
+    let remembered = remembered.saturating_mul(config.replay.capacity as u64);
+    floats.saturating_add(remembered).saturating_mul(size_of::<f32>() as u64)
 }
 
 /// Whether a training takes no more than [`MOST_BYTES`].

@@ -18,8 +18,21 @@ pub struct ObservationConfig {
     pub limit: f64,
     /// Gap to the vehicle that stands in for one that is not there, in metres; it drives as fast as the ego.
     pub empty_gap_m: f64,
+    /// Decisions whose numbers the networks see, the present one included: with 4, those of the present and of three decisions before.
+    /// Before the first decision the world is taken to have been as it was then.
+    #[serde(default = "present_alone", skip_serializing_if = "is_present_alone")]
+    pub history: u32,
     /// What is seen.
     pub inputs: Inputs,
+}
+
+fn present_alone() -> u32 {
+    1
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_present_alone(history: &u32) -> bool {
+    *history == 1
 }
 
 /// What is seen, and how each number is scaled; none for what is not.
@@ -96,7 +109,7 @@ impl Inputs {
 
 impl Default for ObservationConfig {
     fn default() -> Self {
-        let ObservationScaling { offset, scale, limit, empty_gap_m } = ObservationScaling::default();
+        let ObservationScaling { offset, scale, limit, empty_gap_m, history: _ } = ObservationScaling::default();
         let mut all = offset.into_iter().zip(scale).map(|(offset, scale)| Scale { offset, scale });
         let inputs = Inputs {
             gap_ahead_m: all.next(),
@@ -108,7 +121,7 @@ impl Default for ObservationConfig {
             acceleration_mps2: all.next(),
             acceleration_behind_mps2: all.next(),
         };
-        Self { limit, empty_gap_m, inputs }
+        Self { limit, empty_gap_m, history: present_alone(), inputs }
     }
 }
 
@@ -116,6 +129,11 @@ impl ObservationConfig {
     /// Whether it is the one that every policy had before it could be configured.
     pub(super) fn is_default(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// Numbers that an actor sees.
+    pub(super) fn width(&self) -> usize {
+        STATE * self.history as usize
     }
 
     /// What a policy file carries of it.
@@ -127,6 +145,7 @@ impl ObservationConfig {
             scale: all.map(|input| input.scale),
             limit: self.limit,
             empty_gap_m: self.empty_gap_m,
+            history: self.history as usize,
         }
     }
 
@@ -138,6 +157,7 @@ impl ObservationConfig {
         let whole = [
             ("environment.observation.limit", self.limit, [0.1, 1000.0]),
             ("environment.observation.empty_gap_m", self.empty_gap_m, [1.0, 1e4]),
+            ("environment.observation.history", f64::from(self.history), [1.0, 64.0]),
         ];
         whole.into_iter().chain(inputs)
     }

@@ -11,7 +11,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::config::{LearningConfig, Td3Config};
 use super::learner::{Learner, Losses, Trained};
 use super::replay::Batch;
-use crumple_world::policy::{Network, STATE};
+use crumple_world::policy::Network;
 use crumple_world::random::Stream;
 
 /// Actor, critics and targets as candle sees them.
@@ -106,10 +106,10 @@ impl Rows {
         let n = batch.len();
         let rows = |values: &[f32], width: usize| Tensor::from_slice(values, (n, width), &Device::Cpu);
         Ok(Self {
-            states: rows(&batch.states, STATE)?,
+            states: rows(&batch.states, batch.states.len() / batch.len().max(1))?,
             actions: rows(&batch.actions, 1)?,
             rewards: rows(&batch.rewards, 1)?,
-            next_states: rows(&batch.next_states, STATE)?,
+            next_states: rows(&batch.next_states, batch.next_states.len() / batch.len().max(1))?,
             continues: rows(&batch.continues, 1)?,
         })
     }

@@ -9,28 +9,49 @@ use crumple_world::random::Stream;
 
 /// One decision and what came of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Transition {
-    /// What was seen.
-    pub state: [f32; STATE],
+pub struct Transition<'a> {
+    /// What was seen at the decision and those before that the networks look back on, oldest first, and then what was seen next.
+    pub seen: &'a [f32],
     /// What was done, between -1 and 1.
     pub action: f32,
     /// Scaled reward.
     pub reward: f32,
-    /// What was seen next.
-    pub next_state: [f32; STATE],
     /// Whether the value of the next state counts.
     pub continues: bool,
     /// Whether it ended in contact.
     pub contact: bool,
 }
 
+/// Numbers of a transition beside what is seen: action, reward, whether it continues, whether it is a contact.
+const BESIDE: usize = 4;
+
+/// Numbers that are remembered of a transition whose networks look back on `history` decisions.
+pub(super) fn numbers(history: usize) -> usize {
+    (history + 1) * STATE + BESIDE
+}
+
+impl<'a> Transition<'a> {
+    fn to_numbers(self) -> [f32; BESIDE] {
+        let flag = |is: bool| f32::from(u8::from(is));
+        [self.action, self.reward, flag(self.continues), flag(self.contact)]
+    }
+
+    fn from_numbers(numbers: &'a [f32]) -> Option<Self> {
+        let (seen, &[action, reward, continues, contact]) = numbers.split_last_chunk()?;
+        Some(Self { seen, action, reward, continues: continues != 0.0, contact: contact != 0.0 })
+    }
+}
+
 /// The memory of a training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Replay {
     capacity: usize,
+    /// Numbers of a transition.
+    width: usize,
     /// Transitions ever stored.
     stored: u64,
-    data: Vec<Transition>,
+    /// Transitions in order of place.
+    data: Vec<f32>,
     /// Places of transitions that ended in contact, oldest first.
     contacts: VecDeque<u32>,
 }
@@ -72,29 +93,28 @@ impl Batch {
     }
 
     /// Adds a transition.
-    pub fn push(&mut self, transition: &Transition) {
-        self.states.extend_from_slice(&transition.state);
+    pub fn push(&mut self, transition: &Transition<'_>) {
+        let seen = transition.seen;
+        self.states.extend_from_slice(&seen[..seen.len().saturating_sub(STATE)]);
         self.actions.push(transition.action);
         self.rewards.push(transition.reward);
-        self.next_states.extend_from_slice(&transition.next_state);
+        self.next_states.extend_from_slice(seen.get(STATE..).unwrap_or_default());
         self.continues.push(f32::from(u8::from(transition.continues)));
     }
 }
 
-/// Numbers of one transition in [`Replay::to_numbers`].
-const NUMBERS: usize = 2 * STATE + 4;
-
 impl Replay {
-    /// An empty memory for `capacity` transitions.
+    /// An empty memory for `capacity` transitions of networks that look back on `history` decisions, the present one included.
     #[must_use]
-    pub fn new(capacity: usize) -> Self {
-        Self { capacity: capacity.max(1), stored: 0, data: Vec::new(), contacts: VecDeque::new() }
+    pub fn new(capacity: usize, history: usize) -> Self {
+        let width = numbers(history);
+        Self { capacity: capacity.max(1), width, stored: 0, data: Vec::new(), contacts: VecDeque::new() }
     }
 
     /// Number of transitions in memory.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.data.len()
+        self.data.len() / self.width
     }
 
     /// Whether nothing was stored yet.
@@ -104,16 +124,18 @@ impl Replay {
     }
 
     /// Remembers a transition, in place of the oldest one if the memory is full.
-    pub fn push(&mut self, transition: Transition) {
+    pub fn push(&mut self, transition: &Transition<'_>) {
+        debug_assert_eq!(transition.seen.len() + BESIDE, self.width, "as wide as the memory");
         let place = (self.stored % self.capacity as u64) as usize;
-        match self.data.get_mut(place) {
+        let numbers = transition.seen.iter().copied().chain(transition.to_numbers()).take(self.width);
+        match self.data.chunks_exact_mut(self.width).nth(place) {
             Some(oldest) => {
-                if oldest.contact {
+                if self.contacts.front() == Some(&(place as u32)) {
                     self.contacts.pop_front();
                 }
-                *oldest = transition;
+                oldest.iter_mut().zip(numbers).for_each(|(of_oldest, number)| *of_oldest = number);
             }
-            None => self.data.push(transition),
+            None => self.data.extend(numbers),
         }
         if transition.contact {
             self.contacts.push_back(place as u32);
@@ -133,47 +155,33 @@ impl Replay {
             let place = if index < of_contacts {
                 self.contacts[stream.random_range(0..self.contacts.len())] as usize
             } else {
-                stream.random_range(0..self.data.len())
+                stream.random_range(0..self.len())
             };
-            batch.push(&self.data[place]);
+            let row = &self.data[place * self.width..(place + 1) * self.width];
+            if let Some(transition) = Transition::from_numbers(row) {
+                batch.push(&transition);
+            }
         }
     }
 
     /// Everything as numbers, for a checkpoint: transitions ever stored, and the memory in order of place.
     #[must_use]
     pub fn to_numbers(&self) -> (u64, Vec<f32>) {
-        let flag = |is: bool| f32::from(u8::from(is));
-        let numbers = self.data.iter().flat_map(|t| {
-            let tail = [t.action, t.reward, flag(t.continues), flag(t.contact)];
-            t.state.into_iter().chain(t.next_state).chain(tail)
-        });
-        (self.stored, numbers.collect())
+        (self.stored, self.data.clone())
     }
 
     /// The memory that [`Replay::to_numbers`] wrote; none if the numbers do not fit each other.
     #[must_use]
-    pub fn from_numbers(capacity: usize, stored: u64, numbers: &[f32]) -> Option<Self> {
-        let (rows, rest) = numbers.as_chunks::<NUMBERS>();
-        if !rest.is_empty() || rows.len() as u64 != stored.min(capacity as u64) {
+    pub fn from_numbers(capacity: usize, history: usize, stored: u64, numbers: &[f32]) -> Option<Self> {
+        let mut replay = Self { stored, data: numbers.to_vec(), ..Self::new(capacity, history) };
+        if !numbers.len().is_multiple_of(replay.width) || replay.len() as u64 != stored.min(capacity as u64) {
             return None;
         }
-        let mut replay = Self::new(capacity);
-        for row in rows {
-            let mut numbers = row.iter().copied();
-            let mut next = || numbers.next().unwrap_or_default();
-            replay.data.push(Transition {
-                state: std::array::from_fn(|_| next()),
-                next_state: std::array::from_fn(|_| next()),
-                action: next(),
-                reward: next(),
-                continues: next() != 0.0,
-                contact: next() != 0.0,
-            });
-        }
-        replay.stored = stored;
-        let oldest = if rows.len() < capacity { 0 } else { (stored % capacity as u64) as usize };
-        let places = (oldest..rows.len()).chain(0..oldest);
-        replay.contacts = places.filter(|&place| replay.data[place].contact).map(|place| place as u32).collect();
+        let is_contact = |row| Transition::from_numbers(row).is_some_and(|transition| transition.contact);
+        let is_contact: Vec<bool> = numbers.chunks_exact(replay.width).map(is_contact).collect();
+        let oldest = if replay.len() < capacity { 0 } else { (stored % capacity as u64) as usize };
+        let places = (oldest..replay.len()).chain(0..oldest);
+        replay.contacts = places.filter(|&place| is_contact[place]).map(|place| place as u32).collect();
         Some(replay)
     }
 }
@@ -184,12 +192,15 @@ mod tests {
     use crumple_world::random::{Purpose, stream};
     use proptest::prelude::*;
 
-    fn numbered(number: usize) -> Transition {
+    /// Of networks that look back on three decisions.
+    const HISTORY: usize = 3;
+    const SEEN: [f32; (HISTORY + 1) * STATE] = [0.25; (HISTORY + 1) * STATE];
+
+    fn numbered(number: usize) -> Transition<'static> {
         Transition {
-            state: [number as f32; STATE],
+            seen: &SEEN,
             action: 0.5,
             reward: number as f32,
-            next_state: [0.0; STATE],
             continues: !number.is_multiple_of(7),
             contact: number.is_multiple_of(7),
         }
@@ -199,23 +210,24 @@ mod tests {
         /// The memory is always the last `capacity` transitions; contacts among them are known; it survives a checkpoint.
         #[test]
         fn holds_the_last_ones(capacity in 1..30_usize, count in 1..100_usize) {
-            let mut replay = Replay::new(capacity);
-            (0..count).for_each(|number| replay.push(numbered(number)));
+            let mut replay = Replay::new(capacity, HISTORY);
+            (0..count).for_each(|number| replay.push(&numbered(number)));
             let kept = count.saturating_sub(capacity)..count;
-            let mut rewards: Vec<usize> = replay.data.iter().map(|t| t.reward as usize).collect();
+            let reward = |place: usize| replay.data[place * replay.width + SEEN.len() + 1] as usize;
+            let mut rewards: Vec<usize> = (0..replay.len()).map(reward).collect();
             rewards.sort_unstable();
             prop_assert_eq!(rewards, kept.clone().collect::<Vec<_>>());
-            let contacts: Vec<usize> = replay.contacts.iter().map(|&p| replay.data[p as usize].reward as usize).collect();
+            let contacts: Vec<usize> = replay.contacts.iter().map(|&p| reward(p as usize)).collect();
             prop_assert_eq!(contacts, kept.filter(|number| number % 7 == 0).collect::<Vec<_>>());
             let (stored, numbers) = replay.to_numbers();
-            prop_assert_eq!(Replay::from_numbers(capacity, stored, &numbers), Some(replay));
+            prop_assert_eq!(Replay::from_numbers(capacity, HISTORY, stored, &numbers), Some(replay));
         }
     }
 
     #[test]
     fn draws_are_uniform_and_contacts_get_their_share() {
-        let mut replay = Replay::new(70);
-        (0..70).for_each(|number| replay.push(numbered(number)));
+        let mut replay = Replay::new(70, HISTORY);
+        (0..70).for_each(|number| replay.push(&numbered(number)));
         let mut batch = Batch::default();
         let mut counts = [0_u32; 70];
         replay.sample(&mut stream(1, Purpose::ReplayDraw, 0), 70_000, 0.0, &mut batch);

@@ -15,7 +15,7 @@ use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_search::disk::DiskError;
 use crumple_search::work::WorkError;
 use crumple_world::control::ControllerSpec;
-use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
+use crumple_world::policy::{Network, POLICY_VERSION, Past, Policy, PolicyError, PolicyHeader, STATE};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::{InvalidField, PAPER_STEP_S};
 use crumple_world::sim::{Run, RunError, RunOptions};
@@ -123,6 +123,8 @@ pub struct Trainer {
     pub(super) decisions: u64,
     pub(super) best: Option<Best>,
     pub(super) mastered: bool,
+    /// Mean of the actor's weights over updates, if that is what is judged; none before the first update.
+    pub(super) mean: Option<Network>,
     pub(super) source: Arc<dyn ScenarioSource>,
     batch: Batch,
 }
@@ -138,14 +140,15 @@ impl Trainer {
     #[must_use]
     pub fn with_source(config: &TrainingConfig, seed: u64, source: Arc<dyn ScenarioSource>) -> Self {
         Self {
-            learner: Learner::new(&config.network, &config.learning, &config.td3, seed),
-            replay: Replay::new(config.replay.capacity),
+            learner: Learner::new(config, seed),
+            replay: Replay::new(config.replay.capacity, config.environment.observation.history as usize),
             config: config.clone(),
             seed,
             episode: 0,
             decisions: 0,
             best: None,
             mastered: false,
+            mean: None,
             source,
             batch: Batch::default(),
         }
@@ -232,7 +235,9 @@ impl Trainer {
         let decisions_held =
             u64::from(self.config.exploration.random_hold_steps / self.config.environment.decision_steps).max(1);
         let (decisions_before, mut held) = (self.decisions, 0.0);
-        let mut state = episode.state();
+        let history = self.config.environment.observation.history as usize;
+        let (mut past, mut seen) = (Past::default(), Vec::new());
+        seen.extend_from_slice(past.look_back(history, &episode.state()));
         let ending = loop {
             let action = match noise {
                 None => {
@@ -243,20 +248,20 @@ impl Trainer {
                 }
                 Some(noise) => {
                     let normal: f32 = StandardNormal.sample(&mut trials);
-                    let chosen = self.learner.act(&state).first().copied().unwrap_or_default();
+                    let chosen = self.learner.act(&seen).first().copied().unwrap_or_default();
                     (chosen + noise * normal).clamp(-1.0, 1.0)
                 }
             };
             let after = episode.decide(action);
-            self.replay.push(Transition {
-                state,
+            seen.extend_from_slice(&after.next_state);
+            self.replay.push(&Transition {
+                seen: &seen,
                 action,
                 reward: after.reward,
-                next_state: after.next_state,
                 continues: after.continues,
                 contact: after.ending == Ending::Contact,
             });
-            state = after.next_state;
+            seen.drain(..STATE);
             self.decisions += 1;
             let learning = &self.config.learning;
             let is_due = self.decisions.is_multiple_of(u64::from(learning.decisions_per_update));
@@ -267,6 +272,7 @@ impl Trainer {
                 sums.critic += losses.critic;
                 sums.mean_value += losses.mean_value;
                 updates += 1;
+                self.take_into_mean();
             }
             if after.ending != Ending::None {
                 break after.ending;
@@ -315,7 +321,7 @@ impl Trainer {
     /// # Errors
     /// [`TrainingError::Run`] and [`TrainingError::Policy`], for a configuration that does not fit the scenarios.
     pub fn evaluate(&mut self, held_out: &HeldOut) -> Result<Evaluation, TrainingError> {
-        let network = self.learner.actor.network.clone();
+        let network = self.judged().clone();
         let policy = Arc::new(self.policy_of(network.clone(), self.episode)?);
         let evaluation = held_out.evaluate(&policy)?;
         let better = self.best.as_ref().is_none_or(|best| evaluation.score() > best.evaluation.score());
@@ -334,7 +340,26 @@ impl Trainer {
     pub fn policy(&self) -> Result<Policy, TrainingError> {
         match &self.best {
             Some(best) => self.policy_of(best.network.clone(), best.episode),
-            None => self.policy_of(self.learner.actor.network.clone(), self.episode),
+            None => self.policy_of(self.judged().clone(), self.episode),
+        }
+    }
+
+    /// The actor that drives where nothing is tried out.
+    fn judged(&self) -> &Network {
+        self.mean.as_ref().unwrap_or(&self.learner.actor.network)
+    }
+
+    /// The actor's weights after an update become part of their mean: a plain one over the first updates, one that forgets after that.
+    fn take_into_mean(&mut self) {
+        let over = self.config.evaluation.mean_over_updates;
+        if over == 0 {
+            return;
+        }
+        let actor = &self.learner.actor.network;
+        let mean = self.mean.get_or_insert_with(|| actor.clone());
+        let share = 1.0 / self.learner.updates.clamp(1, over) as f32;
+        for (mean, &weight) in mean.parameters_mut().iter_mut().zip(actor.parameters()) {
+            *mean += share * (weight - *mean);
         }
     }
 

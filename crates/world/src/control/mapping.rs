@@ -156,7 +156,7 @@ impl Mapping {
     #[must_use]
     pub fn own() -> Self {
         use Quantity as Q;
-        let ObservationScaling { offset, scale, limit, empty_gap_m } = ObservationScaling::default();
+        let ObservationScaling { offset, scale, limit, empty_gap_m, history } = ObservationScaling::default();
         let ActionBounds { low_mps2, high_mps2, .. } = ActionBounds::default();
         let order = [
             Q::GapAheadM,
@@ -180,7 +180,7 @@ impl Mapping {
         };
         Self {
             decision_interval_s: Some(OWN_INTERVAL_S),
-            history: 1,
+            history,
             history_padding: HistoryPadding::First,
             newest_first: false,
             inputs: order.into_iter().zip(offset.into_iter().zip(scale)).map(input).collect(),

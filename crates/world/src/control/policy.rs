@@ -5,12 +5,13 @@ use std::sync::Arc;
 use super::interval::Interval;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings, Role};
 use crate::observation::Observation;
-use crate::policy::{Held, Policy, Workspace};
+use crate::policy::{Held, Past, Policy, Workspace};
 
 /// Asks a policy once every decision interval and holds its action in between.
 pub struct PolicyDriver {
     policy: Arc<Policy>,
     interval: Interval,
+    past: Past,
     held: Held,
     step_s: f64,
     space: Workspace,
@@ -21,14 +22,16 @@ impl PolicyDriver {
     #[must_use]
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
         let interval = Interval::new(Some(policy.header().decision_interval_s), ego.step_s);
-        Self { policy, interval, held: Held::default(), step_s: ego.step_s, space: Workspace::default() }
+        let (past, held, space) = Default::default();
+        Self { policy, interval, past, held, step_s: ego.step_s, space }
     }
 }
 
 impl Controller for PolicyDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         if self.interval.is_due() {
-            self.held.turn_to(self.policy.choose(seen, &mut self.space));
+            let row = self.policy.look(seen, &mut self.past);
+            self.held.turn_to(self.policy.choose(row, &mut self.space));
         }
         Ok(self.held.acceleration_mps2(&self.policy.header().action, seen, self.step_s))
     }
@@ -41,21 +44,23 @@ impl Controller for PolicyDriver {
         _failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
         let all_seen: Vec<Observation> = (0..all.len()).map(&mut see).collect();
-        let (mut due, mut seen) = (Vec::new(), Vec::new());
+        let (mut due, mut rows) = (Vec::new(), Vec::new());
         for (index, (driver, observation)) in all.iter_mut().zip(&all_seen).enumerate() {
             if driver.interval.is_due() {
-                due.push((index, Arc::clone(&driver.policy)));
-                seen.push(*observation);
+                let row = driver.policy.look(observation, &mut driver.past);
+                rows.extend_from_slice(row);
+                due.push((index, row.len(), Arc::clone(&driver.policy)));
             }
         }
-        let mut seen = seen.as_slice();
+        let mut rows = rows.as_slice();
         let mut space = Workspace::default();
-        for alike in due.chunk_by(|(_, a), (_, b)| Arc::ptr_eq(a, b)) {
-            let (now, later) = seen.split_at(alike.len());
-            seen = later;
-            let mut actions = vec![0.0; now.len()];
-            alike[0].1.choose_all(now, &mut space, &mut actions);
-            for ((index, _), action) in alike.iter().zip(actions) {
+        for alike in due.chunk_by(|(_, _, a), (_, _, b)| Arc::ptr_eq(a, b)) {
+            let (_, width, policy) = &alike[0];
+            let (now, later) = rows.split_at(alike.len() * width);
+            rows = later;
+            let mut actions = vec![0.0; alike.len()];
+            policy.choose_all(now, &mut space, &mut actions);
+            for ((index, ..), action) in alike.iter().zip(actions) {
                 all[*index].held.turn_to(action);
             }
         }

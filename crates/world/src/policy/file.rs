@@ -19,6 +19,8 @@ const MOST_BYTES: u64 = 256 << 20;
 /// Deepest and widest network that is accepted.
 const MOST_LAYERS: usize = 16;
 const WIDEST_LAYER: usize = 4096;
+/// Longest history that a network may see, in decisions.
+const LONGEST_HISTORY: usize = 64;
 
 /// Why a policy cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -101,7 +103,7 @@ impl Policy {
         let header: PolicyHeader = serde_json::from_str(text).map_err(|e| PolicyError::Header(e.to_string()))?;
         check(&header)?;
         let tensors = SafeTensors::deserialize(bytes)?;
-        let sizes = sizes(&header.hidden);
+        let sizes = sizes(&header);
         // Checked before anything is allocated: a small file cannot ask for a large network.
         let described: usize = sizes.windows(2).map(|pair| pair.iter().product::<usize>() + pair[1]).sum();
         if described.saturating_mul(4) > bytes.len() {
@@ -157,9 +159,9 @@ fn tensor_names(layers: usize) -> impl Iterator<Item = String> {
     (0..layers).flat_map(|layer| [weight_name(layer), bias_name(layer)])
 }
 
-/// Layer sizes of an actor with given hidden layers.
-pub(super) fn sizes(hidden: &[usize]) -> Vec<usize> {
-    [&[STATE], hidden, &[1]].concat()
+/// Layer sizes of the actor that a header describes.
+pub(super) fn sizes(header: &PolicyHeader) -> Vec<usize> {
+    [&[STATE * header.observation.history], header.hidden.as_slice(), &[1]].concat()
 }
 
 fn wrong(tensor: &str, problem: String) -> PolicyError {
@@ -208,6 +210,10 @@ pub(super) fn check(header: &PolicyHeader) -> Result<(), PolicyError> {
     }
     if !observation.scale.iter().all(|scale| scale.is_finite() && *scale > 0.0) {
         return wrong("observation.scale", "must be positive".to_owned());
+    }
+    if !(1..=LONGEST_HISTORY).contains(&observation.history) {
+        let problem = format!("must be 1 to {LONGEST_HISTORY} decisions, found {}", observation.history);
+        return wrong("observation.history", problem);
     }
     for (field, value) in [
         ("observation.limit", observation.limit),

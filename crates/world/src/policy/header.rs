@@ -8,7 +8,7 @@ use crate::observation::{EstimatorKind, Neighbour, Observation};
 /// Version of the policy file format this release reads and writes.
 pub const POLICY_VERSION: u32 = 1;
 
-/// Numbers a policy sees: the paper's eight.
+/// Numbers a policy sees at a decision: the paper's eight.
 pub const STATE: usize = 8;
 
 /// The header of a policy file.
@@ -51,6 +51,18 @@ pub struct ObservationScaling {
     pub limit: f64,
     /// Gap to the vehicle that stands in for one that is not there, in metres; it drives as fast as the ego.
     pub empty_gap_m: f64,
+    /// Decisions whose numbers the network sees, the present one included; 1 for one that sees the present alone.
+    #[serde(default = "present_alone", skip_serializing_if = "is_present_alone")]
+    pub history: usize,
+}
+
+fn present_alone() -> usize {
+    1
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_present_alone(history: &usize) -> bool {
+    *history == 1
 }
 
 impl Default for ObservationScaling {
@@ -60,12 +72,13 @@ impl Default for ObservationScaling {
             scale: [16.0, 16.0, 12.5, 12.5, 12.5, 5.0, 5.0, 5.0],
             limit: 4.0,
             empty_gap_m: 80.0,
+            history: present_alone(),
         }
     }
 }
 
 impl ObservationScaling {
-    /// What the network sees of an observation. A number that is not finite counts as the limit or as 0.
+    /// What the network sees of the present. A number that is not finite counts as the limit or as 0.
     #[must_use]
     #[inline]
     pub fn state(&self, seen: &Observation) -> [f32; STATE] {

@@ -8,6 +8,7 @@ mod elementwise;
 mod file;
 mod header;
 mod network;
+mod past;
 mod product;
 mod simd;
 
@@ -19,10 +20,11 @@ pub use file::PolicyError;
 pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE};
 pub(crate) use network::Acting;
 pub use network::{Network, Workspace};
+pub use past::Past;
 pub use product::{Left, Panels, Right, multiply_vector, with_hands_ready};
 #[cfg(test)]
 pub(crate) use simd::every_path;
-pub use simd::{InSimd, doubles_at_once};
+pub use simd::{InSimd, doubles_at_once, fuses_multiply_add};
 
 use crate::observation::Observation;
 
@@ -60,7 +62,7 @@ impl Policy {
     /// [`PolicyError`] if the header is not usable, or describes another network.
     pub fn new(header: PolicyHeader, network: Network) -> Result<Self, PolicyError> {
         file::check(&header)?;
-        let sizes = file::sizes(&header.hidden);
+        let sizes = file::sizes(&header);
         if network.sizes() != sizes {
             let problem = format!("describes layers of {sizes:?}, the network has {:?}", network.sizes());
             return Err(PolicyError::Header(problem));
@@ -124,20 +126,24 @@ impl Policy {
         self.digest.clone()
     }
 
-    /// The action chosen for one observation, between -1 and 1.
+    /// What the network sees at a decision: a row of numbers, [`STATE`] for each decision that it looks back on.
+    pub fn look<'p>(&self, seen: &Observation, past: &'p mut Past) -> &'p [f32] {
+        let scaling = &self.header.observation;
+        past.look_back(scaling.history, &scaling.state(seen))
+    }
+
+    /// The action chosen at one decision, between -1 and 1, for what the network [sees](Policy::look).
     #[must_use]
-    pub fn choose(&self, seen: &Observation, space: &mut Workspace) -> f32 {
-        let state = self.header.observation.state(seen);
-        match *self.acting.forward(&state, 1, space) {
+    pub fn choose(&self, row: &[f32], space: &mut Workspace) -> f32 {
+        match *self.acting.forward(row, 1, space) {
             [raw] => ActionBounds::action(raw),
             _ => -1.0,
         }
     }
 
-    /// What [`Policy::choose`] answers for each of many observations, as one matrix product a layer.
-    pub fn choose_all(&self, seen: &[Observation], space: &mut Workspace, actions: &mut [f32]) {
-        let states: Vec<f32> = seen.iter().flat_map(|seen| self.header.observation.state(seen)).collect();
-        let answers = self.acting.forward(&states, seen.len(), space);
+    /// What [`Policy::choose`] answers for each of many rows, one after the other, as one matrix product a layer.
+    pub fn choose_all(&self, rows: &[f32], space: &mut Workspace, actions: &mut [f32]) {
+        let answers = self.acting.forward(rows, actions.len(), space);
         for (action, &raw) in actions.iter_mut().zip(answers) {
             *action = ActionBounds::action(raw);
         }

@@ -31,6 +31,14 @@ pub fn doubles_at_once() -> usize {
     pulp::Arch::new().dispatch(Width)
 }
 
+/// Whether this machine multiplies and adds in one operation, rounding once. Without it the same is computed in software: equal to the bit,
+/// and networks act and learn many times as slowly.
+#[must_use]
+pub fn fuses_multiply_add() -> bool {
+    // The loops' wide registers of x86-64 come with the operation; every 64-bit ARM has it.
+    cfg!(target_arch = "aarch64") || doubles_at_once() > 1
+}
+
 /// All widths of registers that this machine has, the narrowest first.
 #[cfg(test)]
 pub(crate) fn every_path() -> Vec<pulp::Arch> {

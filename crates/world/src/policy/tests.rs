@@ -8,16 +8,17 @@ use crate::observation::{EstimatorKind, Neighbour};
 
 /// A policy with random weights.
 pub(crate) fn policy(hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
+    looking_back(1, hidden, decision_interval_s, seed)
+}
+
+/// A policy with random weights that sees some of its past.
+fn looking_back(history: usize, hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
     let mut stream = crate::random::Stream::seed_from_u64(seed);
-    let mut network = Network::zeros(&file::sizes(hidden));
-    for parameter in network.parameters_mut() {
-        *parameter = stream.random_range(-0.3..0.3);
-    }
     let header = PolicyHeader {
         version: POLICY_VERSION,
         crumple: "test".to_owned(),
         hidden: hidden.to_vec(),
-        observation: ObservationScaling::default(),
+        observation: ObservationScaling { history, ..ObservationScaling::default() },
         action: ActionBounds::default(),
         decision_interval_s,
         estimator: EstimatorKind::Kalman,
@@ -25,6 +26,10 @@ pub(crate) fn policy(hidden: &[usize], decision_interval_s: f64, seed: u64) -> P
         episode: 3,
         training: serde_json::json!({ "preset": "none", "rate": 0.1 }),
     };
+    let mut network = Network::zeros(&file::sizes(&header));
+    for parameter in network.parameters_mut() {
+        *parameter = stream.random_range(-0.3..0.3);
+    }
     Policy::new(header, network).expect("valid")
 }
 
@@ -42,7 +47,7 @@ fn any_observation() -> impl Strategy<Value = Observation> {
 /// The acceleration that a policy chooses at once, in m/s².
 fn driven_mps2(policy: &Policy, seen: &Observation) -> f64 {
     let mut held = Held::default();
-    held.turn_to(policy.choose(seen, &mut Workspace::default()));
+    held.turn_to(policy.choose(policy.look(seen, &mut Past::default()), &mut Workspace::default()));
     held.acceleration_mps2(&policy.header().action, seen, 0.01)
 }
 
@@ -50,13 +55,17 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn one_state_and_many_get_the_same_bits(seen in proptest::collection::vec(any_observation(), 1..40), seed: u64) {
-        let policy = policy(&[33, 16], 0.1, seed);
+    fn one_state_and_many_get_the_same_bits(
+        seen in proptest::collection::vec(any_observation(), 1..40), history in 1..5_usize, seed: u64,
+    ) {
+        let policy = looking_back(history, &[33, 16], 0.1, seed);
         let mut space = Workspace::default();
+        let mut past = Past::default();
+        let rows: Vec<_> = seen.iter().map(|seen| policy.look(seen, &mut past).to_vec()).collect();
         let mut together = vec![0.0; seen.len()];
-        policy.choose_all(&seen, &mut space, &mut together);
-        for (seen, together) in seen.iter().zip(together) {
-            prop_assert_eq!(policy.choose(seen, &mut space).to_bits(), together.to_bits());
+        policy.choose_all(&rows.concat(), &mut space, &mut together);
+        for ((seen, row), together) in seen.iter().zip(&rows).zip(together) {
+            prop_assert_eq!(policy.choose(row, &mut space).to_bits(), together.to_bits());
             prop_assert!((-7.5..=3.0).contains(&driven_mps2(&policy, seen)));
         }
     }

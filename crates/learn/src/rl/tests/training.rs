@@ -37,7 +37,10 @@ impl Observer<TrainingError> for Diary {
 
 #[test]
 fn a_resumed_training_equals_one_that_was_never_interrupted() {
-    let config = small();
+    let mut config = small();
+    // What a training holds besides: its policy looks back, and is a mean of weights.
+    config.environment.observation.history = 3;
+    config.evaluation.mean_over_updates = 40;
     let held_out = HeldOut::new(&config.evaluation, &config.environment);
     let mut through = Trainer::new(&config, 8);
     let mut diary = Diary::default();

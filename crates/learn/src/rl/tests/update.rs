@@ -8,29 +8,31 @@ use crate::rl::*;
 use crumple_world::policy::{Network, STATE};
 use crumple_world::random::{Purpose, Stream, stream};
 
+/// Numbers that the networks see: those of two decisions.
+const SEEN: usize = 2 * STATE;
+
 fn config(hidden: &[usize]) -> TrainingConfig {
     let mut config = TrainingConfig::preset("fast").unwrap();
     config.network.hidden = hidden.to_vec();
     // Large output weights: every gradient is well above rounding.
     config.network.final_layer_bound = 1.0;
+    config.environment.observation.history = 2;
     config
 }
 
 fn learner(config: &TrainingConfig, seed: u64) -> Learner {
-    Learner::new(&config.network, &config.learning, &config.td3, seed)
+    Learner::new(config, seed)
 }
 
 fn batch(seed: u64, count: usize) -> Batch {
     let mut stream = Stream::seed_from_u64(seed);
     let mut batch = Batch::default();
     for _ in 0..count {
-        let mut state = || std::array::from_fn(|_| stream.random_range(-1.5..1.5));
-        let (state, next_state): ([f32; STATE], [f32; STATE]) = (state(), state());
+        let seen: [f32; SEEN + STATE] = std::array::from_fn(|_| stream.random_range(-1.5..1.5));
         batch.push(&Transition {
-            state,
+            seen: &seen,
             action: stream.random_range(-1.0..1.0),
             reward: stream.random_range(-2.0..1.0),
-            next_state,
             continues: stream.random_bool(0.8),
             contact: false,
         });
@@ -60,7 +62,7 @@ fn double(values: &[f32]) -> Vec<f64> {
 }
 
 fn rows(values: &[f32]) -> impl Iterator<Item = Vec<f64>> {
-    values.chunks_exact(STATE).map(double)
+    values.chunks_exact(SEEN).map(double)
 }
 
 /// Central differences of a loss at every parameter.
@@ -184,6 +186,7 @@ fn the_optimum_of_a_two_state_problem_is_found() {
     for td3 in [false, true] {
         let mut config = config(&[32, 32]);
         config.network.final_layer_bound = 3e-3;
+        config.environment.observation.history = 1;
         (config.learning.discount, config.learning.soft_update) = (0.8, 0.02);
         (config.learning.actor_rate, config.learning.critic_rate) = (1e-3, 3e-3);
         if td3 {
@@ -192,7 +195,7 @@ fn the_optimum_of_a_two_state_problem_is_found() {
         let mut learner = learner(&config, 4);
         let mut test_cases = Stream::seed_from_u64(5);
         let mut noise = stream(4, Purpose::TargetNoise, 0);
-        let state = |sign: f32| std::array::from_fn(|i| if i == 0 { sign } else { 0.0 });
+        let state = |sign: f32| -> [f32; STATE] { std::array::from_fn(|i| if i == 0 { sign } else { 0.0 }) };
         let mut batch = Batch::default();
         for _ in 0..3000 {
             batch = Batch::default();
@@ -200,8 +203,8 @@ fn the_optimum_of_a_two_state_problem_is_found() {
                 let sign = if test_cases.random::<bool>() { 1.0_f32 } else { -1.0 };
                 let action: f32 = test_cases.random_range(-1.0..1.0);
                 let reward = 1.0 - (action - 0.5 * sign).powi(2);
-                let (state, next_state) = (state(sign), state(-sign));
-                batch.push(&Transition { state, action, reward, next_state, continues: true, contact: false });
+                let seen = [state(sign), state(-sign)].concat();
+                batch.push(&Transition { seen: &seen, action, reward, continues: true, contact: false });
             }
             learner.update(&batch, &mut noise);
         }

@@ -1,0 +1,60 @@
+//! What a campaign takes besides its simulations.
+
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{Aim, Campaign, Look};
+use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::built_in_space;
+use crumple_world::sim::{RecordingLevel, simulate_batch};
+
+use crate::clock::wall_s;
+use crate::table::Figure;
+use crate::work::rollouts::{built_in, runs};
+
+/// Evaluations of each of the two methods that run.
+const BUDGET: u64 = 500_000;
+/// Evaluations that are simulated again, all of them drawn alike.
+const AGAIN: usize = 50_000;
+/// Evaluations that are simulated at once, as campaigns do.
+const BLOCK: usize = 256;
+
+/// A million scenarios drawn, simulated, measured, searched for failures and written, every one as a row: the share of the time that
+/// their simulation alone takes.
+pub fn end_to_end(say: &mut dyn FnMut(Figure)) {
+    for (space, controller) in [("paper", "baseline"), ("traffic", "idm")] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = folder.path().join("campaign");
+        let campaign = Campaign {
+            controller: ControllerSpec::named(controller).expect("built in").into(),
+            estimator: EstimatorKind::Truth,
+            space: built_in_space(space).expect("built in"),
+            specification: Specification::NoContact,
+            contrast: None,
+            method: Method::Uniform,
+            aim: Aim::Severest,
+            budget: BUDGET,
+            seed: 0,
+        };
+        let start_s = wall_s();
+        campaign.run(&at, false, &mut |_| {}).expect("runs");
+        let each_s = (wall_s() - start_s) / (2 * BUDGET) as f64;
+        let mut look = Look::at(&at).expect("is there");
+        while look.evaluations().len() < AGAIN && look.go_on(AGAIN).expect("is whole") {}
+        let scenario = |values: &[f64]| look.scenario(values).expect("was run");
+        let scenarios: Vec<Scenario> =
+            look.evaluations()[..AGAIN].iter().map(|(_, evaluated)| scenario(&evaluated.values)).collect();
+        let simulated_s: f64 = scenarios.chunks(BLOCK).map(|block| alone_s(block, controller)).sum();
+        let name =
+            format!("{} scenarios of `{space}` under {controller} end to end, share of their simulation", 2 * BUDGET);
+        say(Figure::at_least(70.0, "%", name, 100.0 * simulated_s / AGAIN as f64 / each_s));
+    }
+}
+
+fn alone_s(scenarios: &[Scenario], controller: &str) -> f64 {
+    let runs = runs(scenarios, built_in(controller), EstimatorKind::Truth);
+    let start_s = wall_s();
+    std::hint::black_box(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));
+    wall_s() - start_s
+}

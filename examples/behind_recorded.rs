@@ -1,0 +1,215 @@
+//! What controllers do behind recorded leaders, whoever they are: contacts, distance driven, false brakes, what they impose on the
+//! vehicle behind.
+//!
+//! ```sh
+//! cargo run --release --example behind_recorded -- recordings/*.csv idm acc-aeb corpora/policy/road.safetensors
+//! ```
+//! Arguments that end in `.csv` are recordings that `crumple import` reads, the others controllers. Every recorded vehicle leads: its
+//! unbroken motion is cut into pieces of half a minute, and the last one, if it is longer than ten seconds. The ego starts at the recorded
+//! speed and gap of the vehicle behind it, or where that is not known, at the leader's speed with a time gap of 1.5 s; behind it `acc-aeb`
+//! follows at the ego's speed with 2 m and 1.2 s.
+
+use std::error::Error;
+use std::path::Path;
+
+use crumple::world::control::ControllerSpec;
+use crumple::world::measure::Usefulness;
+use crumple::world::observation::EstimatorKind;
+use crumple::world::recording::{CAR_LENGTH_M, Platoon, load};
+use crumple::world::scenario::{
+    Driver, Environment, LeadProfile, Recorded, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
+    VehicleSpec,
+};
+use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, Trace, simulate_batch};
+
+const STEP_S: f64 = 0.01;
+const PIECE_S: f64 = 30.0;
+const SHORTEST_S: f64 = 10.0;
+/// A longer hole between two samples breaks a motion.
+const LONGEST_HOLE_S: f64 = 0.5;
+
+#[derive(Default)]
+struct Sums {
+    runs: u64,
+    into_the_leader: u64,
+    from_behind: u64,
+    driven_m: f64,
+    led_m: f64,
+    false_brakes: u64,
+    driven_s: f64,
+    imposed_mps2: Vec<f64>,
+    squares: [f64; 2],
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let (recordings, controllers): (Vec<String>, Vec<String>) =
+        std::env::args().skip(1).partition(|argument| argument.ends_with(".csv"));
+    let mut scenarios = Vec::new();
+    for path in &recordings {
+        let recording = load(Path::new(path), None)?;
+        for platoon in &recording.platoons {
+            for leader in 0..platoon.vehicles().len() {
+                scenarios.extend(behind(platoon, leader));
+            }
+        }
+    }
+    println!("{} pieces of recorded leaders\n", scenarios.len());
+    println!(
+        "| controller | into the leader | from behind | distance, relative to the leader's | false brakes a minute | mean of the hardest braking imposed, m/s² | rms a | rms jerk |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    for name in &controllers {
+        let sums = driven(&scenarios, name)?;
+        let n = sums.runs.max(1) as f64;
+        println!(
+            "| {name} | {} | {} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} |",
+            sums.into_the_leader,
+            sums.from_behind,
+            sums.driven_m / sums.led_m,
+            60.0 * sums.false_brakes as f64 / sums.driven_s,
+            sums.imposed_mps2.iter().sum::<f64>() / sums.imposed_mps2.len().max(1) as f64,
+            (sums.squares[0] / n).sqrt(),
+            (sums.squares[1] / n).sqrt(),
+        );
+    }
+    Ok(())
+}
+
+/// Scenarios behind one recorded vehicle.
+fn behind(platoon: &Platoon, leader: usize) -> Vec<Scenario> {
+    let speeds = platoon.vehicles()[leader].speed_mps();
+    let follower = (leader + 1 < platoon.vehicles().len()).then_some(leader + 1);
+    let known: Vec<usize> = (0..speeds.len()).filter(|&sample| speeds[sample].is_some()).collect();
+    let time_s = platoon.time_s();
+    let mut pieces: Vec<Vec<usize>> = Vec::new();
+    for sample in known {
+        match pieces.last_mut() {
+            Some(piece)
+                if time_s[sample] - time_s[piece[piece.len() - 1]] <= LONGEST_HOLE_S
+                    && time_s[sample] - time_s[piece[0]] <= PIECE_S =>
+            {
+                piece.push(sample);
+            }
+            _ => pieces.push(vec![sample]),
+        }
+    }
+    pieces.iter().filter_map(|piece| scenario(platoon, leader, follower, piece)).collect()
+}
+
+/// None for a piece that is too short, or whose start is none that a scenario may have.
+fn scenario(platoon: &Platoon, leader: usize, follower: Option<usize>, piece: &[usize]) -> Option<Scenario> {
+    let (&first, &last) = (piece.first()?, piece.last()?);
+    let start_s = platoon.time_s()[first];
+    let duration_s = platoon.time_s()[last] - start_s;
+    if duration_s < SHORTEST_S {
+        return None;
+    }
+    let milli = |value: f64| (1000.0 * value).round() / 1000.0;
+    let recorded = |sample: usize| platoon.vehicles()[leader].speed_mps()[sample];
+    let speed_mps: Vec<f64> = piece.iter().filter_map(|&sample| recorded(sample)).map(milli).collect();
+    let time_s: Vec<f64> = piece.iter().map(|&sample| milli(platoon.time_s()[sample] - start_s)).collect();
+    let hardest_mps2 =
+        time_s.windows(2).zip(speed_mps.windows(2)).fold([0.0_f64; 2], |[brake, accel], (time, speed)| {
+            let slope = (speed[1] - speed[0]) / (time[1] - time[0]);
+            [brake.max(-slope), accel.max(slope)]
+        });
+    let behind = follower.and_then(|follower| {
+        Some([platoon.vehicles()[follower].speed_mps()[first]?, platoon.gap_ahead_m(follower)[first]?])
+    });
+    let [ego_mps, gap_m] = behind.unwrap_or([speed_mps[0], 2.0 + 1.5 * speed_mps[0]]).map(milli);
+    let ego_m = milli(CAR_LENGTH_M + 2.0 + 1.2 * ego_mps);
+    let leader_m = milli(ego_m + CAR_LENGTH_M + gap_m);
+    let leads = LeadProfile::Recorded(Recorded { time_s, speed_mps: speed_mps.clone() });
+    let acc_aeb = Driver::Controller(ControllerSpec::named("acc-aeb")?);
+    let vehicle = |position_m, speed_mps, driver| VehicleSpec {
+        length_m: Some(CAR_LENGTH_M),
+        ..VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, driver)
+    };
+    let mut vehicles = vec![
+        vehicle(leader_m, speed_mps[0], Driver::Profile(leads)),
+        vehicle(ego_m, ego_mps, Driver::UnderTest),
+        vehicle(0.0, ego_mps, acc_aeb),
+    ];
+    // Recorded speeds jump by what a receiver's noise is; the leader must be able to drive them.
+    let [brake_mps2, accel_mps2] = hardest_mps2.map(|mps2| (10.0 * mps2).ceil() / 10.0 + 0.1);
+    vehicles[0].max_brake_mps2 = Some(brake_mps2.max(vehicles[0].max_brake_mps2()));
+    vehicles[0].max_accel_mps2 = Some(accel_mps2.max(vehicles[0].max_accel_mps2()));
+    let spec = ScenarioSpec {
+        version: SCENARIO_VERSION,
+        name: format!("recorded-{leader}-{first}"),
+        about: String::new(),
+        duration_s: (duration_s / STEP_S).floor() * STEP_S,
+        step_s: STEP_S,
+        seed: first as u64,
+        environment: Environment::default(),
+        sensors: Sensors::default(),
+        vehicles,
+    };
+    Scenario::new(spec).inspect_err(|error| eprintln!("left out: vehicle {leader}, sample {first}: {error}")).ok()
+}
+
+fn driven(scenarios: &[Scenario], name: &str) -> Result<Sums, Box<dyn Error>> {
+    let controller = NamedController::find(name, Path::new(""))?;
+    let options = RunOptions::new(controller.kind).with_estimator(EstimatorKind::Kalman);
+    let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
+    let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
+        let trace = result.trace.as_ref();
+        let useful = trace.and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
+        (result.outcome.contact().copied(), useful, trace.map(Ridden::of))
+    });
+    let mut sums = Sums::default();
+    for (contact, useful, ridden) in results {
+        sums.runs += 1;
+        let into_the_leader = contact.is_some_and(|contact| contact.front_vehicle == 0);
+        sums.into_the_leader += u64::from(into_the_leader);
+        sums.from_behind += u64::from(contact.is_some() && !into_the_leader);
+        let Some(Ridden { driven_m, led_m, false_brakes, driven_s }) = ridden else { continue };
+        sums.driven_m += driven_m;
+        sums.led_m += led_m;
+        sums.false_brakes += false_brakes;
+        sums.driven_s += driven_s;
+        let Some(useful) = useful else { continue };
+        sums.squares[0] += useful.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
+        sums.squares[1] += useful.rms_jerk_mps3.unwrap_or(0.0).powi(2);
+        sums.imposed_mps2.extend(useful.imposed.and_then(|imposed| imposed.peak_brake_mps2));
+    }
+    Ok(sums)
+}
+
+/// What a trace comes to.
+struct Ridden {
+    driven_m: f64,
+    led_m: f64,
+    false_brakes: u64,
+    driven_s: f64,
+}
+
+impl Ridden {
+    /// A false brake is harder than 2 m/s² while the time to collision exceeds 4 s, the time gap 0.8 s, and the leader brakes with
+    /// less than 1 m/s²; what goes on counts once.
+    fn of(trace: &Trace) -> Self {
+        let (leader, ego) = (&trace.vehicles[0], &trace.vehicles[1]);
+        let travelled = |positions: &[f64]| positions.last().unwrap_or(&0.0) - positions.first().unwrap_or(&0.0);
+        let is_false = |sample: usize| {
+            let gap_m = leader.position_m[sample] - leader.length_m - ego.position_m[sample];
+            let closing_mps = ego.speed_mps[sample] - leader.speed_mps[sample];
+            ego.acceleration_mps2[sample] < -2.0
+                && leader.acceleration_mps2[sample] > -1.0
+                && gap_m > 4.0 * closing_mps
+                && gap_m > 0.8 * ego.speed_mps[sample]
+        };
+        let mut was_false = false;
+        let mut false_brakes = 0;
+        for sample in 0..trace.time_s.len() {
+            let now = is_false(sample);
+            false_brakes += u64::from(now && !was_false);
+            was_false = now;
+        }
+        Self {
+            driven_m: travelled(&ego.position_m),
+            led_m: travelled(&leader.position_m),
+            false_brakes,
+            driven_s: trace.time_s.last().copied().unwrap_or(0.0),
+        }
+    }
+}
