@@ -37,18 +37,18 @@ run simulate counterexamples/paper/acc-aeb/02-2-hits-1.toml --controller acc-aeb
 run simulate counterexamples/paper/acc-aeb/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/acc-aeb/03-2-hits-1.toml --controller acc-aeb --expect collision
 run simulate counterexamples/paper/acc-aeb/03-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/policy/01-2-hits-1.toml --controller policy --expect collision
-run simulate counterexamples/paper/policy/01-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/policy/02-2-hits-1.toml --controller policy --expect collision
-run simulate counterexamples/paper/policy/02-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/policy/03-2-hits-1.toml --controller policy --expect collision
-run simulate counterexamples/paper/policy/03-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/policy/04-2-hits-1.toml --controller policy --expect collision
-run simulate counterexamples/paper/policy/04-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/paper/policy/01-1-hits-0.toml --controller policy --expect collision
+run simulate counterexamples/paper/policy/01-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/paper/policy/02-1-hits-0.toml --controller policy --expect collision
+run simulate counterexamples/paper/policy/02-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/paper/policy/03-1-hits-0.toml --controller policy --expect collision
+run simulate counterexamples/paper/policy/03-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/paper/policy/04-1-hits-0.toml --controller policy --expect collision
+run simulate counterexamples/paper/policy/04-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/paper/policy/05-1-hits-0.toml --controller policy --expect collision
+run simulate counterexamples/paper/policy/05-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/paper/shield-policy/01-2-hits-1.toml --controller shield:policy --expect collision
 run simulate counterexamples/paper/shield-policy/01-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/shield-policy/02-2-hits-1.toml --controller shield:policy --expect collision
-run simulate counterexamples/paper/shield-policy/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline/01-2-hits-1.toml --controller baseline --expect collision
 run simulate counterexamples/high-risk/baseline/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline/02-2-hits-1.toml --controller baseline --expect collision
@@ -136,18 +136,17 @@ run simulate counterexamples/high-risk/acc-aeb/06-2-hits-1.toml --controller acc
 run simulate counterexamples/high-risk/acc-aeb/06-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/01-1-hits-0.toml --controller policy --expect collision
 run simulate counterexamples/high-risk/policy/01-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/policy/02-1-hits-0.toml --controller policy --expect collision
-run simulate counterexamples/high-risk/policy/02-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/policy/02-2-hits-1.toml --controller policy --expect collision
 run simulate counterexamples/high-risk/policy/03-2-hits-1.toml --controller policy --expect collision
 run simulate counterexamples/high-risk/policy/03-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/policy/04-2-hits-1.toml --controller policy --expect collision
-run simulate counterexamples/high-risk/policy/04-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/policy/04-1-hits-0.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/04-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/05-2-hits-1.toml --controller policy --expect collision
 run simulate counterexamples/high-risk/policy/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/06-2-hits-1.toml --controller policy --expect collision
 run simulate counterexamples/high-risk/policy/06-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/policy/07-2-hits-1.toml --controller policy --expect collision
-run simulate counterexamples/high-risk/policy/07-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/policy/07-1-hits-0.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/07-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/08-2-hits-1.toml --controller policy --expect collision
 run simulate counterexamples/high-risk/policy/08-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/09-2-hits-1.toml --controller policy --expect collision
@@ -156,11 +155,14 @@ run simulate counterexamples/high-risk/policy/10-2-hits-1.toml --controller poli
 run simulate counterexamples/high-risk/policy/10-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/11-2-hits-1.toml --controller policy --expect collision
 run simulate counterexamples/high-risk/policy/11-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/policy/12-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/12-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/policy/13-2-hits-1.toml --controller policy --expect collision
+run simulate counterexamples/high-risk/policy/13-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/01-2-hits-1.toml --controller shield:policy --expect collision
 run simulate counterexamples/high-risk/shield-policy/02-2-hits-1.toml --controller shield:policy --expect collision
 run simulate counterexamples/high-risk/shield-policy/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/03-2-hits-1.toml --controller shield:policy --expect collision
-run simulate counterexamples/high-risk/shield-policy/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/04-2-hits-1.toml --controller shield:policy --expect collision
 run simulate counterexamples/high-risk/shield-policy/04-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/05-2-hits-1.toml --controller shield:policy --expect collision
@@ -169,26 +171,22 @@ run simulate counterexamples/high-risk/shield-policy/06-2-hits-1.toml --controll
 run simulate counterexamples/high-risk/shield-policy/06-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/shield-policy/07-2-hits-1.toml --controller shield:policy --expect collision
 run simulate counterexamples/high-risk/shield-policy/07-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/shield-policy/08-1-hits-0.toml --controller shield:policy --expect collision
-run simulate counterexamples/high-risk/shield-policy/09-2-hits-1.toml --controller shield:policy --expect collision
-run simulate counterexamples/high-risk/shield-policy/09-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/retrained/01-2-hits-1.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/02-1-hits-0.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/02-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/retrained/03-1-hits-0.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/03-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/retrained/04-1-hits-0.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/04-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/shield-policy/08-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/high-risk/shield-policy/08-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/shield-policy/09-1-hits-0.toml --controller shield:policy --expect collision
+run simulate counterexamples/high-risk/shield-policy/10-2-hits-1.toml --controller shield:policy --expect collision
+run simulate counterexamples/high-risk/shield-policy/10-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/retrained/01-1-hits-0.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/01-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/retrained/02-2-hits-1.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/03-2-hits-1.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/04-2-hits-1.toml --controller retrained --expect collision
+run simulate counterexamples/high-risk/retrained/04-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/05-2-hits-1.toml --controller retrained --expect collision
 run simulate counterexamples/high-risk/retrained/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/06-2-hits-1.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/06-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/retrained/07-2-hits-1.toml --controller retrained --expect collision
 run simulate counterexamples/high-risk/retrained/07-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/retrained/08-2-hits-1.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/08-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/retrained/09-2-hits-1.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/09-2-hits-1-escape.toml --expect safe
 run worst-case paper-1 --controller baseline
 run worst-case paper-1 --controller baseline-unlatched
 run worst-case paper-1 --controller match-leader
