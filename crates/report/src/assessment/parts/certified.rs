@@ -231,12 +231,14 @@ fn shown(accepted: &Accepted) -> String {
             };
             format!("nothing was verified of any part of the box, and so no gap is bounded{falsified}")
         }
-        Accepted::Reach { verified_share, smallest_gap_m, horizon_s, leader_brakes_at_most_mps2: limit, .. } => format!(
-            "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s{}",
-            down(100.0 * verified_share),
-            down(*smallest_gap_m),
-            limit.map_or_else(String::new, |limit| format!(", however the leader brakes at up to {limit} m/s²"))
-        ),
+        Accepted::Reach { verified_share, smallest_gap_m, horizon_s, leader_brakes_at_most_mps2: limit, .. } => {
+            format!(
+                "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s{}",
+                down(100.0 * verified_share),
+                down(*smallest_gap_m),
+                limit.map_or_else(String::new, |limit| format!(", however the leader brakes at up to {limit} m/s²"))
+            )
+        }
         Accepted::GapBound { gap_m, horizon_s } => format!(
             "whatever is done, some gap gets as small as {:.2} m within {horizon_s} s",
             (100.0 * gap_m).ceil() / 100.0
@@ -337,7 +339,8 @@ fn ranges(reach: &Reach) -> Vec<String> {
     ];
     let led = reach.leader_brakes_at_most_mps2;
     // Rate and onset say nothing of a leader that brakes as it likes.
-    let has_meaning = |(name, ..): &(&str, &str, (f64, f64))| led.is_none() || !["leader brakes at", "from"].contains(name);
+    let has_meaning =
+        |(name, ..): &(&str, &str, (f64, f64))| led.is_none() || !["leader brakes at", "from"].contains(name);
     let words = all.into_iter().filter(has_meaning).map(|(name, unit, (low, high))| match low == high {
         true => format!("{name} {low} {unit}"),
         false => format!("{name} {low} to {high} {unit}"),
