@@ -223,6 +223,7 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         let mut forged = genuine.clone();
         let Statement::Reach(claim) = &mut forged.statement else { panic!("reach") };
         claim.leader_brakes_at_most_mps2 = limit;
+        claim.min_gap_m_at_least = 0.0;
         forged.assumptions = forged.statement.assumptions();
         write(folder.path(), "forged.json", &forged);
         let said = crumple(folder.path(), &["check", "forged.json"]);
