@@ -34,7 +34,7 @@ impl Habit {
                 numbers.unit();
                 numbers.unit()
             }
-            Self::Pulses(steps) => yes(k / steps % 2 == 0),
+            Self::Pulses(steps) => yes((k / steps).is_multiple_of(2)),
             Self::Observed { every, is_shown } => yes((k % every == every - 1) == *is_shown),
         }
     }
