@@ -28,7 +28,8 @@ differences of what is observed now, each with offset, scale and limits: no time
 A box is a file in TOML: `version = 1`, `scenario` (paper-1, or another built-in one with a leader that brakes, one vehicle under test \
 and at most one behind it), and under `[ranges]` what differs from it, each a number or `{ low = A, high = B }`: gap_ahead_m, gap_behind_m, \
 leader_speed_mps, ego_speed_mps, follower_speed_mps, leader_brake_mps2, follower_brake_mps2, onset_s. `observation_error` may say how far each \
-of the eight numbers that a policy sees may be from the truth (docs/controllers.md). Exit code 1 if no part of the box is verified.
+of the eight numbers that a policy sees may be from the truth (docs/controllers.md); `leader_brakes_at_most_mps2 = B` lets the leader brake \
+as it likes, at 0 to B over each step, in place of a script. Exit code 1 if no part of the box is verified.
 
 Examples:
   crumple verify reach --controller policy --box paper-1 --depth 6 --certificate reach/paper-1.json

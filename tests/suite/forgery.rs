@@ -107,8 +107,15 @@ fn is_implied(original: &Certificate, shown: &Accepted, claimed: &Certificate) -
                 Statement::Reach(other),
                 Accepted::Reach { verified_share, falsified_share, smallest_gap_m, .. },
             ) => {
-                (one.ranges, one.steps, one.step_s, one.follower_ttc_s)
-                    == (other.ranges, other.steps, other.step_s, other.follower_ttc_s)
+                // A leader within a limit is one within any larger one.
+                let leads = match (one.leader_brakes_at_most_mps2, other.leader_brakes_at_most_mps2) {
+                    (None, None) => true,
+                    (Some(one), Some(other)) => other <= one,
+                    _ => false,
+                };
+                leads
+                    && (one.ranges, one.steps, one.step_s, one.follower_ttc_s)
+                        == (other.ranges, other.steps, other.step_s, other.follower_ttc_s)
                     && one.policy_sha256 == other.policy_sha256
                     && one.observation_error.iter().zip(&other.observation_error).all(|(one, other)| one >= other)
                     && other.verified_share_at_least <= *verified_share + 1e-9
@@ -162,9 +169,12 @@ fn counted(controller: &str, against: Option<&str>, runs: u64) -> Genuine {
     Genuine { certificate: plan.certificate(&tally), policy: None, scenario: None }
 }
 
-fn reach(controller: impl Into<ControllerKind>) -> Genuine {
-    let text = "version = 1\nscenario = \"paper-2\"\n[ranges]\ngap_ahead_m = { low = 15.9, high = 16.1 }";
-    let plan = ReachPlan::new(controller, &BoxSpec::from_toml(text, Path::new("box")).expect("a box")).expect("a plan");
+fn reach(controller: impl Into<ControllerKind>, of_leader: &str) -> Genuine {
+    let text = format!(
+        "version = 1\nscenario = \"paper-2\"\n{of_leader}[ranges]\ngap_ahead_m = {{ low = 15.9, high = 16.1 }}"
+    );
+    let spec = BoxSpec::from_toml(&text, Path::new("box")).expect("a box");
+    let plan = ReachPlan::new(controller, &spec).expect("a plan");
     let certificate = plan.partition(1, |_| ()).expect("cut").certificate;
     Genuine { certificate, policy: Some(plan.policy_bytes().to_vec()), scenario: built_in("paper-2") }
 }
@@ -187,8 +197,10 @@ fn genuine() -> Vec<Genuine> {
     let mut all = vec![of_scene(&paper), of_scene(&close), of_scene(&noisy)];
     all.extend([bounded(&paper), bounded(&built_in("paper-2").expect("built in"))]);
     all.extend([counted("idm", None, 200), counted("idm", Some("baseline"), 150)]);
-    all.extend([reach(Policy::reference()), reach(Policy::retrained())]);
-    all.push(reach(NamedController::find("leaky-40-clip.onnx", &network("")).expect("there").kind));
+    all.extend([reach(Policy::reference(), ""), reach(Policy::retrained(), "")]);
+    all.push(reach(NamedController::find("leaky-40-clip.onnx", &network("")).expect("there").kind, ""));
+    // One that is verified, and one that a leader within the limit falsifies.
+    all.extend([0.02, 7.5].map(|limit| reach(Policy::reference(), &format!("leader_brakes_at_most_mps2 = {limit}\n"))));
     all.extend([cruise(1), cruise(2)]);
     let kernel = |(_, certificate)| Genuine { certificate, policy: None, scenario: None };
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));

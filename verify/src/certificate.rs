@@ -192,7 +192,11 @@ impl Statement {
                 ];
             }
             Self::Reach(claim) => {
-                let needed = [Assumption::ExactMotion, Assumption::ScriptedLeader, Assumption::PolicyDrives];
+                let about_leader = match claim.leader_brakes_at_most_mps2 {
+                    Some(_) => Assumption::LeaderWithinLimit,
+                    None => Assumption::ScriptedLeader,
+                };
+                let needed = [Assumption::ExactMotion, about_leader, Assumption::PolicyDrives];
                 let needed = needed.into_iter().chain([Assumption::ObservedWithin, Assumption::TanhWithin]);
                 let of_source = [Assumption::ExpWithin, Assumption::NetworkAsRead];
                 let needed = needed.chain(of_source.into_iter().filter(|_| claim.source.is_some()));

@@ -21,7 +21,8 @@
 //! - *Avoidable*: if the egos follow the stated profile, which is within their limits, nobody touches.
 //! - *Unavoidable*: for no accelerations of the egos within their limits, however they are decided, does nobody touch.
 //! - *Gap bound*: for no such accelerations does every gap stay larger than stated.
-//! - *Reach*: driven by the stated network, nobody touches from any start in the parts of the box marked so.
+//! - *Reach*: driven by the stated network, nobody touches from any start in the parts of the box marked so; instead of a script, the
+//!   leader may brake anyhow within a limit there.
 //! - *Adaptive cruise*: in a public benchmark the stated network keeps its distance.
 //! - *Kernel*, *rate*, *fails less often*: about no one scene; said where they are checked.
 //!
@@ -142,6 +143,8 @@ pub enum Accepted {
         horizon_s: f64,
         /// Whether somebody drives behind.
         has_follower: bool,
+        /// The limit within which the leader brakes as it likes, in m/s²; none if it brakes as scripted.
+        leader_brakes_at_most_mps2: Option<f64>,
     },
     /// From every start of the benchmark of adaptive cruise control the distance is kept.
     Cruise {
@@ -221,11 +224,19 @@ impl std::fmt::Display for Accepted {
                 "reach: nothing is shown of any part of the box; {:.2} % of its volume is in cells with a start that ends in contact",
                 (1e4 * falsified_share).floor() / 1e2
             ),
-            Self::Reach { verified_share, falsified_share, smallest_gap_m, horizon_s, has_follower } => write!(
+            Self::Reach {
+                verified_share,
+                falsified_share,
+                smallest_gap_m,
+                horizon_s,
+                has_follower,
+                leader_brakes_at_most_mps2: limit,
+            } => write!(
                 formatter,
-                "reach: in {:.2} % of the box's volume no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s, {}; \
+                "reach: in {:.2} % of the box's volume no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s, {}{}; \
                  {:.2} % of it is in cells with a start that ends in contact",
                 (1e4 * verified_share).floor() / 1e2,
+                limit.map_or_else(String::new, |limit| format!("however the leader brakes at up to {limit} m/s², ")),
                 if *has_follower { "with a vehicle behind" } else { "with nobody behind" },
                 (1e4 * falsified_share).floor() / 1e2
             ),

@@ -173,13 +173,16 @@ fn of_reach(claim: &Reach) -> Scope {
         Some(onset_s) => range(onset_s),
         None => "no time".to_owned(),
     };
+    let leader_brakes = match claim.leader_brakes_at_most_mps2 {
+        Some(limit_mps2) => {
+            format!(
+                "never speeds up, and brakes as it likes: over each step at another rate from 0 to {limit_mps2} m/s²"
+            )
+        }
+        None => format!("brakes at {} m/s² from {onset_s} s on", of(Dimension::LeaderBrakeMps2)),
+    };
     let mut vehicles = vec![
-        format!(
-            "leader: {} m ahead, {} m/s, brakes at {} m/s² from {onset_s} s on",
-            of(Dimension::GapAheadM),
-            of(Dimension::LeaderSpeedMps),
-            of(Dimension::LeaderBrakeMps2)
-        ),
+        format!("leader: {} m ahead, {} m/s, {leader_brakes}", of(Dimension::GapAheadM), of(Dimension::LeaderSpeedMps)),
         format!(
             "under test: {} m/s, driven by the {}",
             of(Dimension::EgoSpeedMps),

@@ -189,6 +189,95 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
     }
 }
 
+/// A leader that brakes as it likes: what is claimed is printed, bound to the box file, and about the scripts within the limit alone.
+#[test]
+fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
+    let folder = folder();
+    let of_box =
+        |field: &str, ranges: &str| format!("version = 1\nscenario = \"paper-1\"\n{field}\n[ranges]\n{ranges}\n");
+    let gap = "gap_ahead_m = { low = 15.9, high = 16.1 }";
+    let made = |limit: &str, name: &str, depth: &str| {
+        let text = of_box(&format!("leader_brakes_at_most_mps2 = {limit}"), gap);
+        std::fs::write(folder.path().join("box.toml"), text).unwrap();
+        crumple(folder.path(), &["verify", "reach", "--box", "box.toml", "--depth", depth, "--certificate", name])
+    };
+    let said = made("0.03", "led.json", "4");
+    assert_eq!(code(&said), 0, "{}", stderr(&said));
+    let checked = crumple(folder.path(), &["check", "led.json"]);
+    assert_eq!(code(&checked), 0, "{}", stdout(&checked));
+    for words in [
+        "however the leader brakes at up to 0.03 m/s²",
+        "never speeds up, and brakes as it likes: over each step at another rate from 0 to 0.03 m/s²",
+        "the vehicle ahead never brakes harder than stated",
+    ] {
+        assert!(stdout(&checked).contains(words), "{words}: {}", stdout(&checked));
+    }
+    assert!(!stdout(&checked).contains("the leader moves as scripted"), "{}", stdout(&checked));
+    // The script of paper-1 brakes at 3 m/s².
+    let about = crumple(folder.path(), &["check", "led.json", "--scenario", "paper-1"]);
+    assert!(code(&about) == 1 && stdout(&about).contains("is NOT about paper-1"), "{}", stdout(&about));
+
+    // Another limit, or none, than that of the box: smaller ones follow, and are yet not what the box says.
+    let genuine = read(folder.path(), "led.json");
+    for limit in [None, Some(0.0), Some(0.02), Some(0.031)] {
+        let mut forged = genuine.clone();
+        let Statement::Reach(claim) = &mut forged.statement else { panic!("reach") };
+        claim.leader_brakes_at_most_mps2 = limit;
+        claim.min_gap_m_at_least = 0.0;
+        forged.assumptions = forged.statement.assumptions();
+        write(folder.path(), "forged.json", &forged);
+        let said = crumple(folder.path(), &["check", "forged.json"]);
+        assert!(
+            code(&said) == 1 && stdout(&said).contains("is not about the scenario, or box around it"),
+            "{}",
+            stdout(&said)
+        );
+    }
+    let mut forged = genuine;
+    forged.assumptions.retain(|assumption| *assumption != crumple_verify::Assumption::LeaderWithinLimit);
+    write(folder.path(), "forged.json", &forged);
+    let said = crumple(folder.path(), &["check", "forged.json"]);
+    assert!(code(&said) == 1 && stdout(&said).contains("`assumptions` must be"), "{}", stdout(&said));
+
+    // A leader that brakes as hard as it can: false, with a start and a braking that show it; and about paper-1, whose script is within it.
+    let refuted = made("7.5", "refuted.json", "1");
+    assert_eq!(code(&refuted), 1, "{}", stdout(&refuted));
+    assert!(stdout(&refuted).contains("falsified"), "{}", stdout(&refuted));
+    let about = crumple(folder.path(), &["check", "refuted.json", "--scenario", "paper-1"]);
+    assert!(stdout(&about).contains("is about paper-1"), "{}", stdout(&about));
+
+    // What is wrong is one line with file, line and field.
+    for (field, ranges, line, problem) in [
+        (
+            "leader_brakes_at_most_mps2 = -0.1",
+            gap,
+            3,
+            "leader_brakes_at_most_mps2: must be a number from 0 on, found -0.1",
+        ),
+        (
+            "leader_brakes_at_most_mps2 = nan",
+            gap,
+            3,
+            "leader_brakes_at_most_mps2: must be a number from 0 on, found NaN",
+        ),
+        ("leader_brakes_at_most_mps2 = 30", gap, 3, "leader_brakes_at_most_mps2: is harder than the leader can brake"),
+        ("leader_brakes_at_most_mps2 = 1", "onset_s = 1.0", 5, "ranges.onset_s: has no meaning where"),
+        (
+            "leader_brakes_at_most_mps2 = 1",
+            "leader_brake_mps2 = 1.0",
+            5,
+            "ranges.leader_brake_mps2: has no meaning where",
+        ),
+        ("leader_brakes_at_most_mps2 = \"1\"", gap, 3, "leader_brakes_at_most_mps2"),
+    ] {
+        std::fs::write(folder.path().join("bad.toml"), of_box(field, ranges)).unwrap();
+        let said = crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
+        let place = format!("bad.toml:{line}");
+        let error = stderr(&said);
+        assert!(code(&said) == 2 && error.contains(&place) && error.contains(problem), "{field}: {error}");
+    }
+}
+
 /// Whatever is wrong with one, of the others it is said what they prove.
 #[test]
 fn each_certificate_has_its_verdict_whatever_is_wrong_with_another() {

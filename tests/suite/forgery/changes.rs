@@ -82,10 +82,17 @@ pub(super) fn forged(genuine: &Genuine, others: &[Genuine], random: &mut Xoshiro
         10 => change_policy(&mut value, &mut policy, others, random),
         _ => {
             let added =
-                ["noise-of-seed", "registered-draws", "ego-can-brake"].choose(random).copied().unwrap_or_default();
+                ["noise-of-seed", "registered-draws", "ego-can-brake", "scripted-leader", "leader-within-limit"]
+                    .choose(random)
+                    .copied()
+                    .unwrap_or_default();
             if let Some(list) = value["assumptions"].as_array_mut() {
-                match random.random_range(0..3_u32) {
+                match random.random_range(0..4_u32) {
                     0 => drop(list.pop()),
+                    3 if !list.is_empty() => {
+                        let at = random.random_range(0..list.len());
+                        list[at] = json!(added);
+                    }
                     1 => list.reverse(),
                     _ => list.push(json!(added)),
                 }

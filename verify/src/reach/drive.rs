@@ -1,7 +1,7 @@
 //! Where everybody can be: the vehicles of a box, driven by an actor, step by step.
 //!
-//! Leader and follower brake to standstill at some time: see [`braking`](super::braking). What the ego does from one decision to the
-//! next: see [`members`](super::members).
+//! Leader and follower brake to standstill at some time: see [`braking`](super::braking); or the leader brakes as it likes: see
+//! [`led`](super::led). What the ego does from one decision to the next: see [`members`](super::members).
 //!
 //! # Sets
 //! There is a set for each kind of ego: those that move, those that stand, those that have started again. Sets of a kind are joined
@@ -26,6 +26,7 @@
 use super::actor::{Actor, OBSERVED};
 use super::braking::{Braking, Seen};
 use super::form::Form;
+use super::led::Leader;
 use super::members::{ByKind, Kind, Members, SHARED_SYMBOLS};
 use super::window::{Window, merged};
 use super::{Dimension, Doubt, Ranges, Reached};
@@ -35,8 +36,9 @@ use crate::work::{Work, WorkLimit};
 /// Most windows in which the follower's brake may fire, and most decision intervals of which they are made.
 const MOST_WINDOWS: usize = 300;
 const MOST_INTERVALS: usize = 1000;
-/// Operations for all of a decision but the network, and for looking at one step.
+/// Operations for all of a decision but the network, for each symbol of the leader there, and for looking at one step.
 const BESIDES: u64 = 50_000;
+const A_SYMBOL: u64 = 1_000;
 const A_STEP: u64 = 10_000;
 /// Bounds wider than this are given up, in m/s.
 const WIDEST_MPS: f64 = 40.0;
@@ -50,6 +52,9 @@ pub struct Scene<'a> {
     pub ranges: Ranges,
     /// θ of the follower in seconds; none if nobody is behind.
     pub follower_ttc_s: Option<f64>,
+    /// b of a leader that accelerates at any rate from -b to 0, another one over each step, until it stands, in m/s²; its range of rates and
+    /// its onset then have no meaning. None for one that brakes as these say.
+    pub leader_brakes_at_most_mps2: Option<f64>,
     /// Largest error of each observed number.
     pub observation_error: [f64; OBSERVED],
     /// h, in seconds.
@@ -75,7 +80,7 @@ struct Drive<'a> {
     scene: &'a Scene<'a>,
     work: &'a Work,
     step: Interval,
-    leader: Braking,
+    leader: Leader,
     gaps: [Form; 2],
     reached: Reached,
     windows: usize,
@@ -107,20 +112,19 @@ pub fn reach_with_tube(scene: &Scene<'_>) -> (Reached, Option<Tube>) {
 fn driven(scene: &Scene<'_>, work: &Work, tube: Option<Tube>) -> (Reached, Option<Tube>) {
     let step = Interval::point(scene.step_s);
     let symbol = |dimension: Dimension| Form::symbol(dimension as usize, scene.ranges.get(dimension));
-    let onset_range = scene.ranges.onset_steps;
     let leader = [Dimension::LeaderSpeedMps, Dimension::LeaderBrakeMps2, Dimension::OnsetSteps].map(symbol);
-    let [speed, rate, onset] = leader;
     let mut drive = Drive {
         scene,
         work,
         step,
-        leader: Braking::new(speed, rate, onset, onset_range, step),
+        leader: Leader::new(scene, leader, step),
         gaps: [Dimension::GapAheadM, Dimension::GapBehindM].map(symbol),
         reached: Reached::NOTHING_YET,
         windows: 0,
         tube,
     };
-    let members = Members::starting(symbol(Dimension::EgoSpeedMps));
+    let shared = SHARED_SYMBOLS + drive.leader.symbols();
+    let members = Members::starting(symbol(Dimension::EgoSpeedMps), shared);
     let mut starts = ByKind::default();
     let kind = members.kind as usize;
     starts[kind] = Some(members);
@@ -226,7 +230,8 @@ impl Drive<'_> {
 
     /// What a set wants, in m/s²; none where it is given up.
     fn decide(&mut self, k: u32, Set { members, seen, .. }: &Set) -> Option<Form> {
-        self.work.may_do(BESIDES + A_STEP * u64::from(self.scene.decision_steps));
+        let of_leader = A_SYMBOL * self.leader.symbols() as u64;
+        self.work.may_do(BESIDES + of_leader + A_STEP * u64::from(self.scene.decision_steps));
         let Scene { actor, observation_error, follower_ttc_s, .. } = self.scene;
         let wanted = actor.decide_within(seen, observation_error, follower_ttc_s.is_some(), self.work);
         let wanted = wanted.settled(members.symbols);

@@ -25,7 +25,8 @@ use super::ranges::Dimension;
 use super::relax::{rectified, rectified_above};
 use crate::interval::Interval;
 
-/// Symbols of the ranges, and of the instant at which the follower's brake fires. Those from here on are the ego's own.
+/// Symbols of the ranges, and of the instant at which the follower's brake fires. Those from here on are the leader's, if it brakes as it
+/// likes, and then the ego's own.
 pub(super) const SHARED_SYMBOLS: usize = Dimension::ALL.len() + 1;
 /// Most symbols that are the ego's own, and how many of them are left if they become more.
 const MOST_SYMBOLS: usize = 160;
@@ -54,16 +55,18 @@ pub(super) type ByKind<T> = [Option<T>; 3];
 pub(super) struct Members {
     pub(super) kind: Kind,
     pub(super) ego: Seen,
+    /// The first symbol that is the ego's own.
+    shared: usize,
     /// The first symbol that is not in use.
     pub(super) symbols: usize,
 }
 
 impl Members {
-    /// Egos that drive at some speed.
-    pub(super) fn starting(speed: Form) -> Self {
+    /// Egos that drive at some speed, where so many symbols are shared with others.
+    pub(super) fn starting(speed: Form, shared: usize) -> Self {
         let kind = if speed.is_zero() { Kind::Standing } else { Kind::Moving };
         let ego = Seen { distance: Form::default(), speed, acceleration: Form::default() };
-        Self { kind, ego, symbols: SHARED_SYMBOLS }
+        Self { kind, ego, shared, symbols: shared }
     }
 
     /// All egos `steps` steps into a decision interval; what they accelerate at is left open.
@@ -139,8 +142,8 @@ impl Members {
     }
 
     fn next(&self, kind: Kind, distance: Form, speed: Form, acceleration: Form) -> Self {
-        let next = Self { kind, ego: Seen { distance, speed, acceleration }, symbols: self.symbols }.settled();
-        if next.symbols > SHARED_SYMBOLS + MOST_SYMBOLS { next.merged().settled() } else { next }
+        let next = Self { kind, ego: Seen { distance, speed, acceleration }, ..*self }.settled();
+        if next.symbols > self.shared + MOST_SYMBOLS { next.merged().settled() } else { next }
     }
 
     /// The same set with what is uncertain about distance and speed as symbols.
@@ -154,13 +157,13 @@ impl Members {
             settled
         };
         let ego = Seen { distance: settle(distance), speed: settle(speed), acceleration };
-        Self { kind: self.kind, ego, symbols }
+        Self { kind: self.kind, ego, shared: self.shared, symbols }
     }
 
     /// The same set with fewer symbols: the pairs that cost least become one each.
     fn merged(mut self) -> Self {
         let Seen { distance, speed, acceleration } = &mut self.ego;
-        let mut vectors: Vec<Vector> = (SHARED_SYMBOLS..self.symbols)
+        let mut vectors: Vec<Vector> = (self.shared..self.symbols)
             .map(|symbol| {
                 [&*distance, speed, acceleration].map(|form| form.terms().get(symbol).copied().unwrap_or(0.0))
             })
@@ -179,9 +182,9 @@ impl Members {
         }
         vectors.retain(|vector| *vector != Vector::default());
         for (i, form) in [distance, speed, acceleration].into_iter().enumerate() {
-            form.replace(SHARED_SYMBOLS, vectors.iter().map(|vector| vector[i]), beyond[i]);
+            form.replace(self.shared, vectors.iter().map(|vector| vector[i]), beyond[i]);
         }
-        self.symbols = SHARED_SYMBOLS + vectors.len();
+        self.symbols = self.shared + vectors.len();
         self
     }
 }
@@ -266,7 +269,7 @@ mod tests {
                 .collect();
             let [distance, speed, acceleration] = forms.try_into().unwrap();
             let symbols = SHARED_SYMBOLS + MOST_SYMBOLS + 10;
-            let all = Members { kind: Kind::Moving, ego: Seen { distance, speed, acceleration }, symbols };
+            let all = Members { kind: Kind::Moving, ego: Seen { distance, speed, acceleration }, shared: SHARED_SYMBOLS, symbols };
             let fewer = all.clone().merged();
             prop_assert!(fewer.symbols <= SHARED_SYMBOLS + FEWER_SYMBOLS);
             prop_assert_eq!(fewer.ego.speed.centre(), all.ego.speed.centre());

@@ -4,7 +4,7 @@
 //! emergency brake. A *reach* statement cuts a box of starts in halves again and again; of some of the boxes it ends with it
 //! claims that no member ever touches anybody, of others that they hold a point that does. Both are derived here again, from the
 //! file of the network and the cuts alone: [`form`] are the numbers, [`relax`] the functions, [`actor`] bounds the network, [`activation`]
-//! what is between its layers, [`braking`] and [`drive`] the vehicles. What is uncertain is always enlarged, never dropped:
+//! what is between its layers, [`braking`], [`led`] and [`drive`] the vehicles. What is uncertain is always enlarged, never dropped:
 //!
 //! | what | how it is enclosed | lost |
 //! |---|---|---|
@@ -14,6 +14,7 @@
 //! | tanh of the answer | chord and its largest distance on either side | second order in the width |
 //! | cut of inputs and of the acceleration at their limits | two rectifiers | nothing while no member is cut |
 //! | single and double precision | bounds of each sum, from the weights | about 10⁻⁵ m/s² |
+//! | leader that brakes as it likes | two symbols for the time between two decisions | what it did within the last step, at each decision anew |
 //! | products (braking rate and time) | product of the radii | second order |
 //! | standing or not | a set for those who move and one for those who stand, joined at each decision | some centimetres |
 //! | which instant the follower fires at | a run for each decision interval in which it may, the instant a symbol | little |
@@ -35,6 +36,7 @@ pub mod braking;
 mod container;
 pub mod drive;
 pub mod form;
+pub mod led;
 pub mod members;
 pub mod network_file;
 pub mod policy_file;
@@ -48,6 +50,7 @@ use serde::{Deserialize, Serialize};
 use crate::bounded;
 use crate::canonical::sha256;
 use crate::claim::seconds;
+use crate::interval::Interval;
 use crate::work::Work;
 use crate::{Accepted, Rejection};
 pub use activation::Each;
@@ -63,6 +66,8 @@ const MOST_CELLS: usize = 2_000_000;
 const MOST_CUTS: usize = 48;
 /// Most steps of a run.
 const MOST_STEPS: u32 = 100_000;
+
+const LEADER_LIMIT: &str = "leader_brakes_at_most_mps2";
 
 /// What becomes of a box under a policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -81,6 +86,10 @@ pub struct Reach {
     pub steps: u32,
     /// θ of the follower, in seconds; null if nobody is behind.
     pub follower_ttc_s: Option<f64>,
+    /// b of a leader that brakes as it likes: over each step it accelerates at any rate from -b to 0, in m/s², until it stands.
+    /// `leader_brake_mps2` and `onset_steps` of the box are 0 then. Absent if it brakes as these say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub leader_brakes_at_most_mps2: Option<f64>,
     /// By how much each observed number may differ from the truth at a decision: gaps ahead and behind in metres, speeds ahead,
     /// own and behind in m/s, accelerations ahead, own and behind in m/s².
     pub observation_error: [f64; OBSERVED],
@@ -105,7 +114,7 @@ pub enum Cell {
     Cut(Dimension),
     /// No member ever touches.
     Verified,
-    /// This member does, in the order of the ranges.
+    /// This member does, in the order of the ranges; if the leader brakes as it likes, one that brakes at this rate from this instant on.
     Falsified([f64; 8]),
     /// Nothing is claimed.
     Undecided,
@@ -182,16 +191,31 @@ impl Reach {
             }
         }
         let of_follower = self.follower_ttc_s.iter().map(|ttc_s| ("follower_ttc_s", ttc_s));
+        let of_leader = self.leader_brakes_at_most_mps2.iter().map(|limit| (LEADER_LIMIT, limit));
         let errors = self.observation_error.iter().map(|error| ("observation_error", error));
-        for (field, value) in of_follower.chain(errors) {
+        for (field, value) in of_follower.chain(of_leader).chain(errors) {
             if !(*value >= 0.0 && value.is_finite()) {
                 return Err(Rejection::invalid(field, "is negative or infinite"));
             }
         }
-        let (follower_ttc_s, observation_error) = (self.follower_ttc_s, self.observation_error);
-        let (ranges, step_s, steps) = (self.ranges, self.step_s, self.steps);
-        let stop_at_doubt = true;
-        Ok(Scene { actor, ranges, follower_ttc_s, observation_error, step_s, steps, decision_steps, stop_at_doubt })
+        // One rate and one onset say nothing of a leader that brakes as it likes: they must not look as if they did.
+        let unused = [Dimension::LeaderBrakeMps2, Dimension::OnsetSteps].into_iter();
+        let mut unused = unused.filter(|_| self.leader_brakes_at_most_mps2.is_some());
+        if let Some(dimension) = unused.find(|&dimension| self.ranges.get(dimension) != Interval::ZERO) {
+            let field = format!("ranges.{}", dimension.field());
+            return Err(Rejection::invalid(field, "must be 0 where the leader brakes as it likes"));
+        }
+        Ok(Scene {
+            actor,
+            ranges: self.ranges,
+            follower_ttc_s: self.follower_ttc_s,
+            leader_brakes_at_most_mps2: self.leader_brakes_at_most_mps2,
+            observation_error: self.observation_error,
+            step_s: self.step_s,
+            steps: self.steps,
+            decision_steps,
+            stop_at_doubt: true,
+        })
     }
 
     /// N h, to the nanosecond: the claim is about no later time.
@@ -262,6 +286,7 @@ pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>, is_old: bool, work: &W
         smallest_gap_m,
         horizon_s: claim.horizon_s(),
         has_follower: claim.follower_ttc_s.is_some(),
+        leader_brakes_at_most_mps2: claim.leader_brakes_at_most_mps2,
     })
 }
 
@@ -305,8 +330,8 @@ fn judge(scene: &Scene<'_>, cell: &Cell, ranges: &Ranges, work: &Work) -> Result
             reached.doubt.map_or(Ok(gap_m), |doubt| Err(doubt.to_string()))
         }
         Cell::Falsified(point) => {
-            let ranges = ranges.at(point).ok_or("the point is not in it")?;
-            let reached = reach_within(&Scene { ranges, stop_at_doubt: false, ..scene.clone() }, work);
+            let cell = Scene { ranges: *ranges, ..scene.clone() };
+            let reached = reach_within(&cell.at(point).ok_or("the point is not in it")?, work);
             if reached.touches { Ok(f64::INFINITY) } else { Err("the point is not shown to touch".to_owned()) }
         }
         Cell::Undecided | Cell::Cut(_) => Ok(f64::INFINITY),

@@ -15,6 +15,7 @@ mod form;
 mod format;
 mod interval;
 mod kernel;
+mod led;
 mod motion;
 mod network;
 mod network_files;

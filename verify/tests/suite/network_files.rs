@@ -73,6 +73,7 @@ fn claim(file: &[u8]) -> Reach {
         step_s: 0.01,
         steps: 100,
         follower_ttc_s: None,
+        leader_brakes_at_most_mps2: None,
         observation_error: [1e-9; 8],
         ranges: Ranges {
             gap_ahead_m: at(100.0),

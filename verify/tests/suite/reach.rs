@@ -10,7 +10,7 @@ use crate::support::closed_loop::{Numbers, Start, answers, simulate};
 use crate::support::mutants::mutants;
 use crate::support::networks::{any_network, network};
 
-fn reference() -> Vec<u8> {
+pub fn reference() -> Vec<u8> {
     std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap()
 }
 
@@ -19,7 +19,7 @@ fn between(low: f64, high: f64) -> Interval {
 }
 
 /// The paper's scenario 1 with ranges.
-fn paper(gap_m: f64, brake_mps2: f64) -> Ranges {
+pub fn paper(gap_m: f64, brake_mps2: f64) -> Ranges {
     let at = Interval::point;
     Ranges {
         gap_ahead_m: between(16.0 - gap_m, 16.0 + gap_m),
@@ -33,11 +33,12 @@ fn paper(gap_m: f64, brake_mps2: f64) -> Ranges {
     }
 }
 
-fn scene<'a>(actor: &'a Actor, ranges: Ranges) -> Scene<'a> {
+pub fn scene<'a>(actor: &'a Actor, ranges: Ranges) -> Scene<'a> {
     Scene {
         actor,
         ranges,
         follower_ttc_s: Some(1.4),
+        leader_brakes_at_most_mps2: None,
         observation_error: [1e-9; 8],
         step_s: 0.01,
         steps: 1500,
@@ -46,7 +47,7 @@ fn scene<'a>(actor: &'a Actor, ranges: Ranges) -> Scene<'a> {
     }
 }
 
-fn member(ranges: &Ranges, place: [f64; 8]) -> Start {
+pub fn member(ranges: &Ranges, place: [f64; 8]) -> Start {
     std::array::from_fn(|i| {
         let range = ranges.get(Dimension::ALL[i]);
         (range.low() + place[i] * (range.high() - range.low())).clamp(range.low(), range.high())
@@ -70,13 +71,13 @@ fn widened(actor: &Actor, copies: usize) -> Actor {
     Actor { steps: actor.steps.iter().enumerate().map(widen).collect(), ..actor.clone() }
 }
 
-fn any_unit() -> impl Strategy<Value = [f64; 8]> {
+pub fn any_unit() -> impl Strategy<Value = [f64; 8]> {
     prop::array::uniform8(0.0..=1.0_f64)
 }
 
 prop_compose! {
     /// A box somewhere, in some dimensions a single number.
-    fn any_ranges()(
+    pub fn any_ranges()(
         low in prop::array::uniform8(0.0..1.0_f64), width in prop::array::uniform8(-0.5..1.0_f64), size in 0.001..0.1_f64,
     ) -> Ranges {
         let scales = [30.0, 30.0, 30.0, 30.0, 30.0, 6.0, 7.0, 150.0];
@@ -230,7 +231,7 @@ fn verified_boxes_survive_search() {
 }
 
 /// A statement about a leader that brakes at up to 30 m/s², much too hard for half of the box.
-fn claim() -> Reach {
+pub fn claim() -> Reach {
     let mut ranges = paper(0.05, 0.0);
     (ranges.gap_behind_m, ranges.leader_brake_mps2) = (between(16.0, 16.0), between(2.95, 29.95));
     let cuts = [Cell::Cut(Dimension::LeaderBrakeMps2); 6];
@@ -244,6 +245,7 @@ fn claim() -> Reach {
         step_s: 0.01,
         steps: 300,
         follower_ttc_s: Some(1.4),
+        leader_brakes_at_most_mps2: None,
         observation_error: [1e-9; 8],
         ranges,
         partition: [&cuts[..], &rest, &[Cell::Falsified(point)]].concat(),
@@ -258,7 +260,7 @@ fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-fn certificate(claim: Reach) -> Certificate {
+pub fn certificate(claim: Reach) -> Certificate {
     let statement = Statement::Reach(claim);
     let nobody = Provenance::default();
     Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement }

@@ -86,13 +86,15 @@ pub fn bound(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), Unb
 }
 
 /// Whether a scenario is one of those that a claim is about. For a claim about a box of starts, its own start has to be in the box
-/// and all else the same.
+/// and all else the same, but for the braking of a leader that the claim lets brake as it likes: that has to be within the limit.
 #[must_use]
 pub fn lies_within(certificate: &Certificate, scenario: &Scenario, policy: Option<&[u8]>) -> bool {
     let Statement::Reach(claim) = &certificate.statement else { return is_about(certificate, scenario) };
     Starts::of(scenario).is_ok_and(|starts| {
+        // A leader that brakes as scripted is one of those that brake as they like, if the limit is not less.
+        let all = claim.scripts();
         let contains = |dimension| {
-            let (outer, inner) = (claim.ranges.get(dimension), starts.ranges.get(dimension));
+            let (outer, inner) = (all.get(dimension), starts.ranges.get(dimension));
             outer.contains(inner.low()) && outer.contains(inner.high())
         };
         is_same_run(claim, &starts)
@@ -143,6 +145,7 @@ fn is_of_box(certificate: &Certificate, claim: &Reach, policy: Option<&[u8]>) ->
     if !is_same_run(claim, &starts)
         || claim.ranges != starts.ranges
         || claim.observation_error != spec.observation_error
+        || claim.leader_brakes_at_most_mps2 != starts.leader_brakes_at_most_mps2
     {
         return Err(other_scene());
     }

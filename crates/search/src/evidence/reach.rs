@@ -42,6 +42,10 @@ pub struct BoxSpec {
     /// Largest error of each of the eight numbers that are observed, in metres, m/s and m/s². Default: none to speak of.
     #[serde(default = "exact")]
     pub observation_error: [f64; 8],
+    /// If given, the leader does not brake as the scenario's: over each step it accelerates at any rate from minus this to 0, in m/s², at
+    /// another one at each, until it stands. It never speeds up. `ranges` then says nothing of its braking.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub leader_brakes_at_most_mps2: Option<f64>,
     /// What varies. Behind the numbers, as tables are in TOML.
     pub ranges: RangesSpec,
 }
@@ -160,7 +164,7 @@ impl BoxSpec {
     #[must_use]
     pub fn around(scenario: &str, ranges: RangesSpec) -> Self {
         let (about, scenario) = (String::new(), scenario.to_owned());
-        Self { version: 1, about, scenario, observation_error: exact(), ranges }
+        Self { version: 1, about, scenario, observation_error: exact(), leader_brakes_at_most_mps2: None, ranges }
     }
 
     /// Reads a box from TOML text; `path` only names it in errors.
@@ -210,6 +214,7 @@ impl ReachPlan {
             step_s: starts.step_s,
             steps: starts.steps,
             follower_ttc_s: starts.follower_ttc_s,
+            leader_brakes_at_most_mps2: starts.leader_brakes_at_most_mps2,
             observation_error: spec.observation_error,
             ranges: starts.ranges,
             partition: Vec::new(),
@@ -291,10 +296,14 @@ impl ReachPlan {
             let mut stream = random::stream(0, Purpose::ScenarioDraw, node as u64);
             let ranges = &nodes[node].ranges;
             for start in 0..=STARTS {
-                let place: [f64; 8] = std::array::from_fn(|_| if start == 0 { 0.5 } else { stream.random() });
-                let point = within(ranges, &place);
-                let one = || ranges.at(&point).map(|ranges| Scene { ranges, stop_at_doubt: false, ..scene.clone() });
-                if self.contact(&point)? && one().is_some_and(|scene| reach(&scene).touches) {
+                let mut place: [f64; 8] = std::array::from_fn(|_| if start == 0 { 0.5 } else { stream.random() });
+                if scene.leader_brakes_at_most_mps2.is_some() {
+                    // Of leaders that brake as they like, one at the limit.
+                    place[Dimension::LeaderBrakeMps2 as usize] = 1.0;
+                }
+                let cell = Scene { ranges: *ranges, ..scene.clone() };
+                let point = within(&cell.scripts(), &place);
+                if self.contact(&point)? && cell.at(&point).is_some_and(|scene| reach(&scene).touches) {
                     return Ok(Some(point));
                 }
             }

@@ -7,12 +7,17 @@ use super::reach::{BoxSpec, InvalidBox, RangesSpec};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
 
+/// The field of a box that lets the leader brake as it likes.
+const LEADER_LIMIT: &str = "leader_brakes_at_most_mps2";
+
 /// A scenario with ranges in place of some of its numbers, as the checker knows it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Starts {
     pub(super) step_s: f64,
     pub(super) steps: u32,
     pub(super) follower_ttc_s: Option<f64>,
+    /// Within which limit the leader brakes as it likes; then the ranges say 0 of its rate and onset.
+    pub(super) leader_brakes_at_most_mps2: Option<f64>,
     pub(super) ranges: Ranges,
     /// What the vehicle under test can do: hardest braking, negative, and acceleration, in m/s².
     able_mps2: [f64; 2],
@@ -56,14 +61,19 @@ impl Starts {
         let or = |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
         let of_follower = |range, value: fn(&VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
         let given = &spec.ranges;
-        let onset_s = or(given.onset_s, brake.onset_s);
+        let led = spec.leader_brakes_at_most_mps2;
+        if let Some(limit_mps2) = led {
+            within_limit(limit_mps2, scenario.usable_brake_mps2(0), given)?;
+        }
+        let of_script = |range, value: f64| if led.is_some() { Interval::ZERO } else { or(range, value) };
+        let onset_s = of_script(given.onset_s, brake.onset_s);
         let ranges = Ranges {
             gap_ahead_m: or(given.gap_ahead_m, scenario.initial_gap_m(1).unwrap_or(0.0)),
             gap_behind_m: or(given.gap_behind_m, scenario.initial_gap_m(2).unwrap_or(0.0)),
             leader_speed_mps: or(given.leader_speed_mps, leader.speed_mps),
             ego_speed_mps: or(given.ego_speed_mps, ego.speed_mps),
             follower_speed_mps: of_follower(given.follower_speed_mps, |v| v.speed_mps),
-            leader_brake_mps2: or(given.leader_brake_mps2, brake.rate_mps2),
+            leader_brake_mps2: of_script(given.leader_brake_mps2, brake.rate_mps2),
             follower_brake_mps2: or(
                 given.follower_brake_mps2,
                 rest.first().map_or(0.0, |_| scenario.usable_brake_mps2(2)),
@@ -75,7 +85,14 @@ impl Starts {
             return Err(InvalidBox::field("ranges.leader_brake_mps2", "is harder than the leader can brake"));
         }
         let able_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
-        Ok(Self { step_s, steps: scenario.steps() as u32, follower_ttc_s, ranges, able_mps2 })
+        Ok(Self {
+            step_s,
+            steps: scenario.steps() as u32,
+            follower_ttc_s,
+            leader_brakes_at_most_mps2: led,
+            ranges,
+            able_mps2,
+        })
     }
 
     /// The one start of a scenario.
@@ -94,5 +111,24 @@ impl Starts {
     /// Whether the vehicle under test can do whatever a policy with these bounds asks for.
     pub(super) fn allows(&self, [low_mps2, high_mps2]: [f64; 2]) -> bool {
         low_mps2 >= self.able_mps2[0] && high_mps2 <= self.able_mps2[1]
+    }
+}
+
+/// Whether a leader can brake as it likes within a limit, and nothing is said of one script besides.
+fn within_limit(limit_mps2: f64, able_mps2: f64, given: &RangesSpec) -> Result<(), InvalidBox> {
+    if !(limit_mps2 >= 0.0 && limit_mps2.is_finite()) {
+        return Err(InvalidBox::field(LEADER_LIMIT, format!("must be a number from 0 on, found {limit_mps2}")));
+    }
+    if limit_mps2 > able_mps2 {
+        let problem = format!("is harder than the leader can brake: {able_mps2} m/s² at most, found {limit_mps2}");
+        return Err(InvalidBox::field(LEADER_LIMIT, problem));
+    }
+    let of_script = [("leader_brake_mps2", given.leader_brake_mps2), ("onset_s", given.onset_s)];
+    match of_script.into_iter().find(|(_, range)| range.is_some()) {
+        Some((name, _)) => {
+            let problem = format!("has no meaning where `{LEADER_LIMIT}` is given: the leader brakes as it likes");
+            Err(InvalidBox::field(&format!("ranges.{name}"), problem))
+        }
+        None => Ok(()),
     }
 }

@@ -54,8 +54,14 @@ fn step(v: f64, a: f64, h: f64) -> (f64, f64) {
 
 /// Everything observed at each decision, the last instant included, and the smallest gaps at any step. Nobody minds contact.
 pub fn simulate(scene: &Scene<'_>, start: Start) -> (Vec<[f64; 8]>, [f64; 2]) {
+    let [.., brake, _, onset] = start;
+    simulate_led(scene, start, |k| brake * (f64::from(k) + 1.0 - onset.max(f64::from(k))).max(0.0))
+}
+
+/// The same with a leader that brakes at a rate of its own over each step.
+pub fn simulate_led(scene: &Scene<'_>, start: Start, brake_l: impl Fn(u32) -> f64) -> (Vec<[f64; 8]>, [f64; 2]) {
     let Scene { actor, follower_ttc_s: ttc_s, steps, decision_steps: every, step_s: h, .. } = *scene;
-    let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] = start;
+    let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, _, brake_r, _] = start;
     let (mut a_l, mut a_e, mut a_r, mut wanted, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
     let (mut trace, mut least) = (Vec::new(), [ahead, behind]);
     for k in 0..=steps {
@@ -68,9 +74,8 @@ pub fn simulate(scene: &Scene<'_>, start: Start) -> (Vec<[f64; 8]>, [f64; 2]) {
             wanted = act(actor, seen, ttc_s.is_some());
         }
         fired |= ttc_s.is_some_and(|ttc_s| behind - ttc_s * (v_r - v_e) < 0.0);
-        let share = (f64::from(k) + 1.0 - onset.max(f64::from(k))).max(0.0);
         let held = |v: f64, a: f64| if v == 0.0 && a <= 0.0 { 0.0 } else { a };
-        a_l = held(v_l, -brake_l * share);
+        a_l = held(v_l, -brake_l(k));
         a_e = held(v_e, wanted);
         a_r = held(v_r, if fired { -brake_r } else { 0.0 });
         let (moved_l, moved_e, moved_r);

@@ -231,11 +231,14 @@ fn shown(accepted: &Accepted) -> String {
             };
             format!("nothing was verified of any part of the box, and so no gap is bounded{falsified}")
         }
-        Accepted::Reach { verified_share, smallest_gap_m, horizon_s, .. } => format!(
-            "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s",
-            down(100.0 * verified_share),
-            down(*smallest_gap_m)
-        ),
+        Accepted::Reach { verified_share, smallest_gap_m, horizon_s, leader_brakes_at_most_mps2: limit, .. } => {
+            format!(
+                "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s{}",
+                down(100.0 * verified_share),
+                down(*smallest_gap_m),
+                limit.map_or_else(String::new, |limit| format!(", however the leader brakes at up to {limit} m/s²"))
+            )
+        }
         Accepted::GapBound { gap_m, horizon_s } => format!(
             "whatever is done, some gap gets as small as {:.2} m within {horizon_s} s",
             (100.0 * gap_m).ceil() / 100.0
@@ -334,11 +337,15 @@ fn ranges(reach: &Reach) -> Vec<String> {
         ("from", "s", (in_seconds(onset_steps.low()), in_seconds(onset_steps.high()))),
         ("follower brakes at", "m/s²", (follower_brake_mps2.low(), follower_brake_mps2.high())),
     ];
-    let words = all.map(|(name, unit, (low, high))| match low == high {
+    let led = reach.leader_brakes_at_most_mps2;
+    // Rate and onset say nothing of a leader that brakes as it likes.
+    let has_meaning =
+        |(name, ..): &(&str, &str, (f64, f64))| led.is_none() || !["leader brakes at", "from"].contains(name);
+    let words = all.into_iter().filter(has_meaning).map(|(name, unit, (low, high))| match low == high {
         true => format!("{name} {low} {unit}"),
         false => format!("{name} {low} to {high} {unit}"),
     });
-    words.into()
+    words.chain(led.map(|limit_mps2| format!("leader brakes as it likes, at up to {limit_mps2} m/s²"))).collect()
 }
 
 fn speaks_of(plan: &AssessmentPlan, certificate: &Certificate) -> SpeaksOf {
@@ -366,10 +373,13 @@ fn speaks_of(plan: &AssessmentPlan, certificate: &Certificate) -> SpeaksOf {
 
 /// The box, the follower, and the bounds on what is seen: all of the statement but the policy and what is shown.
 fn around(reach: &Reach) -> Known {
-    let content = format!(
+    let mut content = format!(
         "{:?} {:?} {:?} {:?} {:?}",
         reach.step_s, reach.steps, reach.follower_ttc_s, reach.observation_error, reach.ranges
     );
+    if let Some(limit_mps2) = reach.leader_brakes_at_most_mps2 {
+        content += &format!(" leader within {limit_mps2:?}");
+    }
     let horizon_s = reach.step_s * f64::from(reach.steps);
     // What a certificate calls its scenario is nobody's word but its own.
     let digest = sha256(&content);
@@ -490,6 +500,7 @@ mod tests {
                 smallest_gap_m,
                 horizon_s: 15.0,
                 has_follower: true,
+                leader_brakes_at_most_mps2: None,
             })
         };
         let nothing = "nothing was verified of any part of the box, and so no gap is bounded";

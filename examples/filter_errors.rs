@@ -1,0 +1,32 @@
+//! Prints the `observation_error` of a box: six standard deviations of each number that the Kalman filter gives in a built-in scenario,
+//! times a factor (1 unless it is said), so that `crumple verify reach --box` can be asked what it proves within such errors:
+//!
+//! ```text
+//! cargo run --release --example filter_errors -- paper-1 0.03
+//! ```
+//!
+//! Noise alone, in steady state before a measurement: what another vehicle's braking adds while the filter follows is left out. Speeds and
+//! accelerations of others are the own one's and what the filter of the gap says; the noise of the two is independent.
+
+use std::error::Error;
+
+use crumple_world::estimate::EgoTuning;
+use crumple_world::scenario::built_in;
+
+/// As for the shield.
+const DEVIATIONS: f64 = 6.0;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let name = arguments.next().ok_or("name a built-in scenario, and perhaps a factor")?;
+    let factor: f64 = arguments.next().map_or(Ok(1.0), |text| text.parse())?;
+    let scenario = built_in(&name).ok_or_else(|| format!("{name}: no built-in scenario"))?;
+    let tuning = EgoTuning::new(scenario.spec().step_s, &scenario.spec().sensors);
+    let [_, own_mps, own_mps2] = tuning.position().steady_deviations();
+    let [gap_m, rate_mps, rate_mps2] = tuning.gap().steady_deviations();
+    let (other_mps, other_mps2) = (own_mps.hypot(rate_mps), own_mps2.hypot(rate_mps2));
+    let deviations = [gap_m, gap_m, other_mps, own_mps, other_mps, other_mps2, own_mps2, other_mps2];
+    let errors: Vec<String> = deviations.iter().map(|one| format!("{:.4e}", factor * DEVIATIONS * one)).collect();
+    println!("observation_error = [{}]", errors.join(", "));
+    Ok(())
+}
