@@ -5,8 +5,8 @@
 //! barely triggered, late or half-way; and since robustness jumps there, the slope outside seldom leads to it. Halving the
 //! segment from a point on a plateau to a near one outside finds the edge in a few evaluations.
 
-use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::collections::{HashMap, HashSet};
 
 use rand::RngExt;
 
@@ -30,6 +30,9 @@ pub(super) struct Plateaus {
     /// Points that share their value with others, and all others: indices, increasing.
     flat: Vec<usize>,
     rest: Vec<usize>,
+    /// Segments there have been, from a point of `flat` to one of `rest`. While points are few, the nearest one outside is mostly the
+    /// same, and halving the same segment again finds the same edge.
+    halved: HashSet<(usize, usize)>,
 }
 
 /// The search along one segment.
@@ -64,17 +67,20 @@ impl Plateaus {
         }
     }
 
-    /// A segment from a plateau to a near point outside, if there are both.
-    pub(super) fn segment(&self, cube: &Cube, random: &mut Stream) -> Option<Segment> {
+    /// A segment from a plateau to a near point outside that there has not been yet, if there are both.
+    pub(super) fn segment(&mut self, cube: &Cube, random: &mut Stream) -> Option<Segment> {
         if self.flat.is_empty() || self.rest.is_empty() {
             return None;
         }
-        let (inside, plateau) = self.points.get(*self.flat.get(random.random_range(0..self.flat.len()))?)?;
-        let near = (0..NEAREST_OF)
-            .filter_map(|_| self.points.get(*self.rest.get(random.random_range(0..self.rest.len()))?))
-            .map(|(point, _)| (cube.distance(inside, point), point))
+        let from = *self.flat.get(random.random_range(0..self.flat.len()))?;
+        let (inside, plateau) = self.points.get(from)?;
+        let (_, to, outside) = (0..NEAREST_OF)
+            .filter_map(|_| self.rest.get(random.random_range(0..self.rest.len())).copied())
+            .filter(|to| !self.halved.contains(&(from, *to)))
+            .filter_map(|to| self.points.get(to).map(|(point, _)| (cube.distance(inside, point), to, point)))
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some(Segment { plateau: *plateau, inside: inside.clone(), outside: near.1.clone(), halvings: 0 })
+        self.halved.insert((from, to));
+        Some(Segment { plateau: *plateau, inside: inside.clone(), outside: outside.clone(), halvings: 0 })
     }
 }
 
@@ -94,5 +100,33 @@ impl Segment {
         }
         self.halvings += 1;
         (self.halvings < HALVINGS).then_some(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::random::{Purpose, stream};
+
+    #[test]
+    fn no_segment_is_halved_twice() {
+        let cube = Cube::new([1, 1]).unwrap();
+        let mut plateaus = Plateaus::default();
+        // Three points on a plateau, two outside: six segments.
+        let points = [([0.1, 0.1], 1.0), ([0.2, 0.9], 1.0), ([0.9, 0.2], 1.0), ([0.5, 0.5], 0.5), ([0.6, 0.8], 0.3)];
+        for (point, value) in points {
+            plateaus.add(point.to_vec(), value);
+        }
+        let mut random = stream(3, Purpose::Search, 0);
+        let segments: Vec<Segment> = (0..200).filter_map(|_| plateaus.segment(&cube, &mut random)).collect();
+        assert_eq!(segments.len(), 6);
+        for (place, one) in segments.iter().enumerate() {
+            assert!(
+                segments
+                    .iter()
+                    .skip(place + 1)
+                    .all(|other| (&one.inside, &one.outside) != (&other.inside, &other.outside))
+            );
+        }
     }
 }
