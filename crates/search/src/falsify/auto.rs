@@ -324,7 +324,7 @@ impl Search for Auto {
                     self.remember(&point, value);
                     generation.push(value);
                 }
-                Asked::PlateauBisection(segment) => self.segments.extend(segment.halved(value)),
+                Asked::PlateauBisection(segment) => self.segments.extend(self.plateaus.halved(segment, value)),
                 Asked::Climb(proposal) => self.climbs.tell(proposal, value),
                 Asked::Lead(point) => {
                     of_lead.push(value);

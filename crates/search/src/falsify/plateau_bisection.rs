@@ -5,8 +5,8 @@
 //! barely triggered, late or half-way; and since robustness jumps there, the slope outside seldom leads to it. Halving the
 //! segment from a point on a plateau to a near one outside finds the edge in a few evaluations.
 
-use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::collections::{HashMap, HashSet};
 
 use rand::RngExt;
 
@@ -15,6 +15,8 @@ use crumple_world::random::Stream;
 
 /// Halvings of a segment: to half a hundredth of the way.
 const HALVINGS: u32 = 8;
+/// After so many of them a segment is judged by the value beyond the edge: half of the work is left to be saved.
+const JUDGED_AFTER: u32 = 4;
 /// Points outside among which the nearest one is taken.
 const NEAREST_OF: usize = 60;
 
@@ -30,6 +32,11 @@ pub(super) struct Plateaus {
     /// Points that share their value with others, and all others: indices, increasing.
     flat: Vec<usize>,
     rest: Vec<usize>,
+    /// Segments there have been, from a point of `flat` to one of `rest`. While points are few, the nearest one outside is mostly the
+    /// same, and halving the same segment again finds the same edge.
+    halved: HashSet<(usize, usize)>,
+    /// The values beyond the edge of all segments that were judged, increasing.
+    judged: Vec<f64>,
 }
 
 /// The search along one segment.
@@ -38,6 +45,7 @@ pub(super) struct Segment {
     plateau: f64,
     inside: Vec<f64>,
     outside: Vec<f64>,
+    outside_value: f64,
     halvings: u32,
 }
 
@@ -64,17 +72,37 @@ impl Plateaus {
         }
     }
 
-    /// A segment from a plateau to a near point outside, if there are both.
-    pub(super) fn segment(&self, cube: &Cube, random: &mut Stream) -> Option<Segment> {
+    /// A segment from a plateau to a near point outside that there has not been yet, if there are both.
+    pub(super) fn segment(&mut self, cube: &Cube, random: &mut Stream) -> Option<Segment> {
         if self.flat.is_empty() || self.rest.is_empty() {
             return None;
         }
-        let (inside, plateau) = self.points.get(*self.flat.get(random.random_range(0..self.flat.len()))?)?;
-        let near = (0..NEAREST_OF)
-            .filter_map(|_| self.points.get(*self.rest.get(random.random_range(0..self.rest.len()))?))
-            .map(|(point, _)| (cube.distance(inside, point), point))
+        let from = *self.flat.get(random.random_range(0..self.flat.len()))?;
+        let (inside, plateau) = self.points.get(from)?;
+        let (_, to, outside, outside_value) = (0..NEAREST_OF)
+            .filter_map(|_| self.rest.get(random.random_range(0..self.rest.len())).copied())
+            .filter(|to| !self.halved.contains(&(from, *to)))
+            .filter_map(|to| {
+                self.points.get(to).map(|(point, value)| (cube.distance(inside, point), to, point, *value))
+            })
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some(Segment { plateau: *plateau, inside: inside.clone(), outside: near.1.clone(), halvings: 0 })
+        self.halved.insert((from, to));
+        let (inside, outside) = (inside.clone(), outside.clone());
+        Some(Segment { plateau: *plateau, inside, outside, outside_value, halvings: 0 })
+    }
+
+    /// The half of a segment that holds the edge, given the value half-way. None if it is short enough, or if the value beyond
+    /// the edge is worse than that of half of the segments so far: another edge is the better bet then.
+    pub(super) fn halved(&mut self, segment: Segment, value: f64) -> Option<Segment> {
+        let half = segment.halved(value)?;
+        if half.halvings == JUDGED_AFTER {
+            let better = self.judged.partition_point(|known| *known < half.outside_value);
+            self.judged.insert(better, half.outside_value);
+            if 2 * better > self.judged.len() {
+                return None;
+            }
+        }
+        Some(half)
     }
 }
 
@@ -85,14 +113,60 @@ impl Segment {
     }
 
     /// The half that holds the edge, unless it is short enough.
-    pub(super) fn halved(mut self, value: f64) -> Option<Self> {
+    fn halved(mut self, value: f64) -> Option<Self> {
         let middle = self.middle();
         if value == self.plateau {
             self.inside = middle;
         } else {
-            self.outside = middle;
+            (self.outside, self.outside_value) = (middle, value);
         }
         self.halvings += 1;
         (self.halvings < HALVINGS).then_some(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::random::{Purpose, stream};
+
+    #[test]
+    fn no_segment_is_halved_twice() {
+        let cube = Cube::new([1, 1]).unwrap();
+        let mut plateaus = Plateaus::default();
+        // Three points on a plateau, two outside: six segments.
+        let points = [([0.1, 0.1], 1.0), ([0.2, 0.9], 1.0), ([0.9, 0.2], 1.0), ([0.5, 0.5], 0.5), ([0.6, 0.8], 0.3)];
+        for (point, value) in points {
+            plateaus.add(point.to_vec(), value);
+        }
+        let mut random = stream(3, Purpose::Search, 0);
+        let segments: Vec<Segment> = (0..200).filter_map(|_| plateaus.segment(&cube, &mut random)).collect();
+        assert_eq!(segments.len(), 6);
+        for (place, one) in segments.iter().enumerate() {
+            assert!(
+                segments
+                    .iter()
+                    .skip(place + 1)
+                    .all(|other| (&one.inside, &one.outside) != (&other.inside, &other.outside))
+            );
+        }
+    }
+
+    #[test]
+    fn a_segment_with_a_poor_value_beyond_the_edge_is_given_up() {
+        let mut plateaus = Plateaus::default();
+        let mut halvings = |beyond: f64| {
+            let (inside, outside) = (vec![0.0], vec![1.0]);
+            let mut segment = Some(Segment { plateau: 1.0, inside, outside, outside_value: beyond, halvings: 0 });
+            let mut halvings = 0;
+            while let Some(one) = segment {
+                let value = if one.middle() < vec![0.3] { 1.0 } else { beyond };
+                segment = plateaus.halved(one, value);
+                halvings += 1;
+            }
+            halvings
+        };
+        // The first one has nothing to be judged by.
+        assert_eq!([0.5, 0.1, 0.9, 0.3, 0.9].map(&mut halvings), [8, 8, 4, 8, 4]);
     }
 }
