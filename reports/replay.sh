@@ -51,10 +51,10 @@ run simulate counterexamples/paper/shield-policy/01-2-hits-1.toml --controller s
 run simulate counterexamples/paper/shield-policy/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline/01-2-hits-1.toml --controller baseline --expect collision
 run simulate counterexamples/high-risk/baseline/01-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/baseline/02-2-hits-1.toml --controller baseline --expect collision
-run simulate counterexamples/high-risk/baseline/02-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/baseline/03-1-hits-0.toml --controller baseline --expect collision
-run simulate counterexamples/high-risk/baseline/03-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/baseline/02-1-hits-0.toml --controller baseline --expect collision
+run simulate counterexamples/high-risk/baseline/02-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/baseline/03-2-hits-1.toml --controller baseline --expect collision
+run simulate counterexamples/high-risk/baseline/03-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline-unlatched/01-1-hits-0.toml --controller baseline-unlatched --expect collision
 run simulate counterexamples/high-risk/baseline-unlatched/01-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline-unlatched/02-2-hits-1.toml --controller baseline-unlatched --expect collision
