@@ -210,7 +210,7 @@ fn without_the_shield_they_do() {
         let hits = scenarios.iter().filter(|s| with_truth(s, driver.clone()).outcome != Outcome::NoCollision);
         hits.count()
     });
-    assert!(contacts[0] > 150 && contacts[1] > 50 && contacts[2] > 20, "{contacts:?} of 200");
+    assert!(contacts[0] > 150 && contacts[1] > 50 && contacts[2] > 5, "{contacts:?} of 200");
 }
 
 /// A million scenarios a driver: `SHIELD_RUNS=1000000 cargo test --release --test suite -- --ignored a_campaign --nocapture`.

@@ -170,7 +170,7 @@ fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
     let braking = &report["braking_without_cause"][0];
     let hardest = |field: &str| braking["hardest"][field].as_f64().expect("a number");
     assert!(braking["count"].as_u64() > Some(0) && hardest("brake_mps2") > hardest("caused_mps2") + 2.0, "{report}");
-    let left = crumple(folder.path(), &["simulate", "quiet.toml", "--controller", "retrained", "--expect", "useful"]);
+    let left = crumple(folder.path(), &["simulate", "quiet.toml", "--controller", "policy", "--expect", "useful"]);
     assert_eq!(code(&left), 1);
     assert!(stdout(&left).contains("vehicle 1 is left behind by the one ahead"), "{}", stdout(&left));
     let contact = crumple(folder.path(), &["simulate", "paper-1", "--expect", "useful"]);

@@ -217,8 +217,8 @@ fn verified_boxes_survive_search() {
     light.follower_brake_mps2 = between(7.3, 7.7);
     let mut other = paper(0.1, 0.05);
     (other.gap_ahead_m, other.gap_behind_m) = (between(18.0, 18.3), between(17.0, 17.2));
-    (other.follower_speed_mps, other.onset_steps) = (between(24.0, 24.1), between(120.0, 123.5));
-    for (ranges, least_m) in [(paper(0.5, 0.1), 1.8), (light, 2.7), (other, 1.75)] {
+    (other.follower_speed_mps, other.onset_steps) = (between(25.0, 25.1), between(120.0, 123.5));
+    for (ranges, least_m) in [(paper(0.5, 0.1), 1.8), (light, 2.7), (other, 1.2)] {
         let scene = scene(&actor, ranges);
         let reached = reach(&scene);
         assert_eq!(reached.doubt, None);
