@@ -19,7 +19,7 @@
 //! instant only: the forms that go on are those above, in which nothing is added up that cutting has made wider.
 //!
 //! A symbol is for a block of decisions. A block is one decision, or, where these are too many, so many that there are at most
-//! [`MOST_BLOCKS`]; between its ends u is any number from -b to 0, without a connection to the rest. The same is true of the
+//! `MOST_BLOCKS`; between its ends u is any number from -b to 0, without a connection to the rest. The same is true of the
 //! acceleration that is observed, that of the step before.
 
 use super::braking::{Braking, Seen};
