@@ -18,7 +18,7 @@ Definition u : R := / 2 * bpow radix2 (- 53 + 1).
 #[global] Instance fifty_three : Prec_gt_0 53.
 Proof. reflexivity. Qed.
 
-Theorem numbers_of_f64_are_these x : bpow radix2 (-1022) <= Rabs x -> round radix2 (FLT_exp (-1074) 53) ZnearestE x = fl x.
+Theorem numbers_of_double_precision_are_these x : bpow radix2 (-1022) <= Rabs x -> round radix2 (FLT_exp (-1074) 53) ZnearestE x = fl x.
 Proof. intros H. unfold fl. apply round_FLT_FLX. exact H. Qed.
 
 Lemma u_small : 0 < u <= / 1000000.
@@ -508,4 +508,401 @@ Proof.
   assert (z' / b * (e + 0) <= Z / b * e) by (rewrite Rplus_0_r; apply Rmult_le_compat_r; lra).
   assert (u * (3.1 * (Z / b) * (tau + h) * P) = Z / b * e) as -> by (unfold e; lra).
   unfold spare. lra.
+Qed.
+(** * Braking on *)
+
+Record state := State { front : R; rear : R; own : R; ahead : R; response_now : R; time_left : R }.
+
+Record bounds := Bounds {
+  positions : R; speeds : R; accelerations : R; responses : R; replaced : R; (* X, V, A, P, Z *)
+  step : R; part : R; part_computed : R; (* h; t = h/k, and as a number of f64 *)
+  share_of : R; full : R; noise_of : R; own_brake : R; ahead_brake : R; (* the actuator's share, B, n, b = B - n, c *)
+  length_ahead : R }.
+
+Definition lag p := step p * (1 - share_of p) / share_of p.
+Definition stop_time p := replaced p / own_brake p.
+
+Definition bounds_hold p : Prop :=
+  step_within (positions p) (speeds p) (accelerations p) (part p) (part_computed p) /\ part p <= step p /\
+  0 < share_of p <= 1 /\ 0 <= noise_of p <= full p /\ full p <= accelerations p /\ 0 <= responses p <= accelerations p /\
+  own_brake p = fl (full p - noise_of p) /\ 0 < own_brake p /\ 0 < ahead_brake p <= accelerations p /\ 0 <= replaced p.
+
+Definition state_within p s : Prop :=
+  - positions p <= front s <= positions p /\ - positions p <= rear s <= positions p /\
+  0 <= own s <= speeds p /\ 0 <= ahead s <= speeds p /\ left_to_lose (full p) (time_left s) (own s) (response_now s) <= replaced p.
+
+(** A new response at the end of a step; the one there is within it. *)
+Definition responds p s s' : Prop :=
+  s' = s \/
+  (time_left s = lag p /\ - (2 * full p) <= response_now s /\ - responses p <= - full p - response_now s <= responses p /\
+   - responses p <= response (full p) (share_of p) (response_now s) <= responses p /\
+   s' = State (front s) (rear s) (own s) (ahead s) (responded (share_of p) (response_now s) (- full p)) (lag p + step p)).
+
+Definition moves p s s' : Prop := exists a af,
+  part p <= time_left s /\ drives (full p) (noise_of p) (accelerations p) (own s) (response_now s) a /\
+  - ahead_brake p <= af <= accelerations p /\
+  s' = State (advanced (front s) (ahead s) af (part_computed p)) (advanced (rear s) (own s) a (part_computed p))
+    (advanced_speed (own s) a (part_computed p)) (advanced_speed (ahead s) af (part_computed p)) (response_now s) (time_left s - part p).
+
+Definition braking_step p s s'' : Prop := exists s',
+  state_within p s /\ responds p s s' /\ state_within p s' /\ moves p s' s'' /\ state_within p s''.
+
+Definition spare_of p s : R :=
+  spare (own_brake p) (ahead_brake p) (length_ahead p) (front s) (rear s)
+    (left_to_lose (full p) (time_left s) (own s) (response_now s)) (ahead s).
+
+(** `step_m` in `Travel::margin_m`. *)
+Definition step_loss p : R :=
+  u * (8 * positions p + 2 * stop_time p * (speeds p + 6 * accelerations p * step p) + 4 * lag p * stop_time p * responses p).
+
+Theorem a_step_of_full_braking_takes_at_most p s s' : bounds_hold p -> braking_step p s s' -> spare_of p s - step_loss p <= spare_of p s'.
+Proof.
+  intros [H [Hth [Hs [Hn [HB [HP [Eb [Hb [Hc HZ]]]]]]]]] [s1 [_ [R [[W1 [W2 [W3 [W4 W5]]]] [[a [af [Ht [Hd [Haf ->]]]]] [_ [_ [_ [_ W']]]]]]]]].
+  assert (own_brake p <= full p - noise_of p + u * accelerations p) as HbB
+    by (rewrite Eb; apply a_brake_less_noise_is_rounded; lra).
+  pose proof (motion_takes_at_most _ _ _ _ _ (front s1) (rear s1) (own s1) (ahead s1) (response_now s1) a af (own_brake p) (ahead_brake p)
+    (full p) (noise_of p) (time_left s1) (length_ahead p) (replaced p) H W1 W2 W3 W4 Hb ltac:(lra) ltac:(lra) ltac:(lra) HbB Ht Haf Hd W') as M.
+  facts. unfold spare_of at 2. simpl in *. fold (stop_time p) in M.
+  assert (0 < step p) as Hstep by lra.
+  assert (0 <= stop_time p) as HT by (apply Rmult_le_pos; [lra | left; apply Rinv_0_lt_compat; lra]).
+  assert (0 <= lag p) as Hl by (unfold lag, Rdiv; repeat apply Rmult_le_pos; [lra | lra | left; apply Rinv_0_lt_compat; lra]).
+  assert (0 <= stop_time p * responses p) by (apply Rmult_le_pos; lra).
+  assert (0 <= lag p * (stop_time p * responses p)) by (apply Rmult_le_pos; lra).
+  assert (accelerations p * part p <= accelerations p * step p) as L1 by (apply Rmult_le_compat_l; lra).
+  assert (responses p * step p <= accelerations p * step p) as L2 by (apply Rmult_le_compat_r; lra).
+  assert (stop_time p * (accelerations p * part p) <= stop_time p * (accelerations p * step p)) by (apply Rmult_le_compat_l; lra).
+  assert (stop_time p * (responses p * step p) <= stop_time p * (accelerations p * step p)) by (apply Rmult_le_compat_l; lra).
+  assert (0 <= stop_time p * (responses p * step p)) by (apply Rmult_le_pos; [exact HT | apply Rmult_le_pos; lra]).
+  set (motion := 8 * positions p + stop_time p * (2 * speeds p + 8.4 * accelerations p * part p)) in *.
+  set (answer := 3.1 * stop_time p * (lag p + step p) * responses p).
+  assert (u * (motion + answer) <= step_loss p) as Sum.
+  { unfold step_loss. apply Rmult_le_compat_l; [lra |]. unfold motion, answer. lra. }
+  assert (0 <= u * answer) by (apply Rmult_le_pos; [lra |]; unfold answer; lra).
+  assert (spare_of p s - u * answer <= spare_of p s1) as Resp; [| unfold spare_of at 2 in Resp; lra].
+  destruct R as [-> | [El [Hr2 [Hd1 [Hr1 ->]]]]]; [lra |]. simpl in *.
+  pose proof (the_response_takes_at_most (share_of p) (step p) (own s) (response_now s) (full p) (responses p) (ahead s)
+    (own_brake p) (ahead_brake p) (front s) (length_ahead p) (rear s) (replaced p) Hs ltac:(lra) ltac:(lra) ltac:(lra) Hb ltac:(lra)
+    ltac:(lra) Hr2 Hd1 Hr1) as Q. simpl in Q. fold (lag p) in Q. specialize (Q W5). fold (stop_time p) in Q.
+  unfold spare_of. simpl. rewrite El. unfold answer. exact Q.
+Qed.
+
+Theorem braking_on_takes_at_most p (s : nat -> state) n : bounds_hold p -> (forall i, (i < n)%nat -> braking_step p (s i) (s (S i))) ->
+  spare_of p (s 0%nat) - INR n * step_loss p <= spare_of p (s n).
+Proof.
+  intros H. induction n as [| n IH]; intros Hs; [simpl; lra |].
+  specialize (IH ltac:(intros i Hi; apply Hs; lia)). pose proof (a_step_of_full_braking_takes_at_most p _ _ H (Hs n ltac:(lia))).
+  rewrite S_INR. lra.
+Qed.
+
+(** * The gap as it is seen, and what is demanded of it *)
+
+(** `Platoon::gap_between_m`. *)
+Definition seen_gap (xf len x : R) : R := fl (fl (xf - len) - x).
+
+Theorem the_gap_is_seen_rounded X xf len x : - X <= xf <= X -> - X <= xf - len <= X -> - X <= x <= X ->
+  - (3.1 * (u * X)) <= seen_gap xf len x - (xf - len - x) <= 3.1 * (u * X).
+Proof.
+  intros. pose proof u_small. assert (0 <= X) by lra. assert (0 <= u * X) by (apply Rmult_le_pos; lra).
+  assert (u * X <= / 1000000 * X) by (apply Rmult_le_compat_r; lra). unfold seen_gap.
+  assert (Rabs (xf - len) <= X) as B1 by (apply abs_le; lra). pose proof (fl_within _ _ B1).
+  assert (Rabs (fl (xf - len) - x) <= 2.01 * X) as B2 by (apply abs_le; lra). pose proof (fl_within _ _ B2). lra.
+Qed.
+
+(** `Kernel::demanded_gap_m`, operation by operation. *)
+Definition stops_computed (b c v w : R) : R := Rmax (fl (fl (fl (v * v) / fl (2 * b)) - fl (fl (w * w) / fl (2 * c)))) 0.
+Definition catching_up_computed (b c v w : R) : R :=
+  fl (fl (Rmax (fl (v - w)) 0 * Rmax (fl (v - w)) 0) / fl (2 * fl (b - c))).
+Definition demanded_computed (b c v w : R) : R :=
+  if Rle_dec b c then stops_computed b c v w
+  else if Rle_dec (fl (w * b)) (fl (v * c)) then stops_computed b c v w
+  else catching_up_computed b c v w.
+
+Lemma Rmax_near x y e : 0 <= e -> - e <= x - y <= e -> - e <= Rmax x 0 - Rmax y 0 <= e.
+Proof. intros. unfold Rmax. repeat destruct Rle_dec; lra. Qed.
+
+Lemma stops_near b c v w S : 0 < b -> 0 < c -> v * v / (2 * b) <= S ->
+  - (7.8 * (u * S)) <= stops_computed b c v w - Rmax (v * v / (2 * b) - w * w / (2 * c)) 0 <= 7.8 * (u * S).
+Proof.
+  intros Hb Hc HS. pose proof u_small.
+  assert (forall y r, 0 < r -> rel 3.3 (fl (fl (y * y) / fl (2 * r))) (y * y / (2 * r)) /\ 0 <= y * y / (2 * r)) as Q.
+  { intros y r Hr. split.
+    - apply (rel_weaken (1.1 + 1.1 + / 100 + 1 + / 1000)); [lra |]. apply rel_fl; [lra |].
+      apply rel_div; try lra; (apply (rel_weaken (0 + 1 + / 1000)); [lra |]; apply rel_fl; [lra | apply rel_refl]).
+    - apply Rmult_le_pos; [nra | left; apply Rinv_0_lt_compat; lra]. }
+  destruct (Q v b Hb) as [[d [Hd E1]] N1]. destruct (Q w c Hc) as [[d' [Hd' E2]] N2]. apply of_abs in Hd, Hd'.
+  unfold stops_computed. rewrite E1, E2. set (S1 := v * v / (2 * b)) in *. set (S2 := w * w / (2 * c)) in *.
+  assert (0 <= u * S) by (apply Rmult_le_pos; lra). assert (u * S <= / 1000000 * S) by (apply Rmult_le_compat_r; lra).
+  assert (- (3.3 * (u * S)) <= S1 * d <= 3.3 * (u * S)).
+  { apply of_abs. rewrite Rabs_mult, (Rabs_right S1) by lra. replace (3.3 * (u * S)) with (S * (3.3 * u)) by ring.
+    apply Rmult_le_compat; try lra; [apply Rabs_pos | apply abs_le; lra]. }
+  destruct (Rle_lt_dec S2 (1.001 * S1)) as [L | L].
+  - assert (- (3.31 * (u * S)) <= S2 * d' <= 3.31 * (u * S)).
+    { apply of_abs. rewrite Rabs_mult, (Rabs_right S2) by lra.
+      apply Rle_trans with ((1.001 * S) * (3.3 * u)); [| lra]. apply Rmult_le_compat; try lra; [apply Rabs_pos | apply abs_le; lra]. }
+    apply Rmax_near; [lra |].
+    assert (Rabs (S1 * (1 + d) - S2 * (1 + d')) <= 1.01 * S) as B by (apply abs_le; lra). pose proof (fl_within _ _ B). lra.
+  - assert (S2 * d' >= - / 10000 * S2). { assert (0 <= S2 * (/ 10000 + d')) by (apply Rmult_le_pos; lra). lra. }
+    assert (S1 * d <= / 10000 * S1). { assert (0 <= S1 * (/ 10000 - d)) by (apply Rmult_le_pos; lra). lra. }
+    pose proof (fl_negative (S1 * (1 + d) - S2 * (1 + d')) ltac:(lra)). rewrite !Rmax_right by lra. lra.
+Qed.
+
+Lemma catching_up_is_less b c v w : 0 < c < b -> 0 <= w <= v -> v * c <= w * b -> (v - w) * (v - w) / (2 * (b - c)) <= v * v / (2 * b).
+Proof.
+  intros Hc Hw H. apply (Rmult_le_reg_r (2 * b * (b - c))); [apply Rmult_lt_0_compat; lra |].
+  replace ((v - w) * (v - w) / (2 * (b - c)) * (2 * b * (b - c))) with (b * (v - w) * (v - w)) by (field; lra).
+  replace (v * v / (2 * b) * (2 * b * (b - c))) with (v * (v * (b - c))) by (field; lra).
+  assert (0 <= v * (b - c) - b * (v - w)) by lra.
+  assert (b * (v - w) * (v - w) <= v * (b - c) * (v - w)) by (apply Rmult_le_compat_r; lra).
+  assert (v * (b - c) * (v - w) <= v * (b - c) * v) by (apply Rmult_le_compat_l; [apply Rmult_le_pos; lra | lra]). lra.
+Qed.
+
+(** Two limits that are not the same number are apart by a share u. *)
+Theorem limits_are_the_same_or_apart b c : generic_format radix2 (FLX_exp 53) b -> generic_format radix2 (FLX_exp 53) c -> 0 < c < b -> u * c <= b - c.
+Proof.
+  intros Fb Fc H. pose proof (succ_le_lt radix2 (FLX_exp 53) c b Fc Fb ltac:(lra)) as S. rewrite succ_eq_pos in S by lra.
+  pose proof (ulp_FLX_ge radix2 53 c) as G. rewrite Rabs_right in G by lra.
+  assert (u = bpow radix2 (- 53)) as E. { Transparent u. unfold u. simpl. lra. }
+  assert (u * c <= ulp radix2 (FLX_exp 53) c) by (rewrite E, Rmult_comm; exact G). lra.
+Qed.
+Opaque u.
+
+(** Up to what stopping takes at most, S. *)
+Theorem the_demand_is_rounded b c v w S : 0 < b -> 0 < c -> (b <= c \/ u * c <= b - c) -> 0 <= v -> 0 <= w -> v * v / (2 * b) <= S ->
+  - (12 * (u * S)) <= demanded_computed b c v w - D b c v w <= 12 * (u * S).
+Proof.
+  intros Hb Hc Hapart Hv Hw HS. pose proof u_small.
+  assert (0 <= v * v / (2 * b)) by (apply Rmult_le_pos; [nra | left; apply Rinv_0_lt_compat; lra]).
+  assert (0 <= u * S) by (apply Rmult_le_pos; lra).
+  pose proof (stops_near b c v w S Hb Hc HS) as St. unfold demanded_computed, D.
+  destruct (Rle_dec b c) as [N | N]; [lra |]. apply Rnot_le_lt in N. destruct Hapart as [L | Hap]; [lra |].
+  destruct (Rle_dec (w * b) (v * c)) as [M | M].
+  - destruct (Rle_dec (fl (w * b)) (fl (v * c))) as [F | F]; [lra |]. destruct F. apply fl_monotone, M.
+  - apply Rnot_le_lt in M. destruct (Rle_dec (fl (w * b)) (fl (v * c))) as [F | F].
+    + (* decided wrongly: nearly the same *)
+      destruct (Rle_lt_dec v w) as [L | L].
+      * rewrite (Rmax_right (v - w) 0) by lra. rewrite Rmult_0_l. unfold Rdiv at 1. rewrite Rmult_0_l.
+        assert (v * v / (2 * b) <= w * w / (2 * c)) as LL.
+        { apply Rle_trans with (w * w / (2 * b)); [apply Rmult_le_compat_r; [left; apply Rinv_0_lt_compat; lra | nra] |].
+          apply Rmult_le_compat_l; [nra |]. apply Rinv_le_contravar; lra. }
+        rewrite (Rmax_right (v * v / (2 * b) - w * w / (2 * c)) 0) in St by lra. lra.
+      * rewrite (Rmax_left (v - w) 0) by lra.
+        set (q := w * b - v * c). assert (0 <= v * c) by (apply Rmult_le_pos; lra).
+        assert (0 < q <= 2.01 * (u * (v * c))) as Hq.
+        { destruct (fl_is (w * b)) as [d [Hd E1]]. destruct (fl_is (v * c)) as [d' [Hd' E2]]. rewrite E1, E2 in F. apply of_abs in Hd, Hd'.
+          assert (w * b * (1 - u) <= w * b * (1 + d)) by (apply Rmult_le_compat_l; [apply Rmult_le_pos |]; lra).
+          assert (v * c * (1 + d') <= v * c * (1 + u)) by (apply Rmult_le_compat_l; lra).
+          assert ((w * b - v * c) * (1 - u) <= 2 * (u * (v * c))) by lra.
+          assert (0 <= u * (v * c)) by (apply Rmult_le_pos; lra).
+          split; [unfold q; lra |]. unfold q.
+          apply (Rmult_le_reg_r (1 - u)); [lra |].
+          assert (2.01 * (u * (v * c)) * u <= 2.01 * (u * (v * c)) * / 1000000) by (apply Rmult_le_compat_l; lra). lra. }
+        assert (v * v / (2 * b) - w * w / (2 * c) = (v - w) * (v - w) / (2 * (b - c)) - q * q / (2 * b * c * (b - c))) as E
+          by (unfold q; field; lra).
+        assert (0 <= q * q / (2 * b * c * (b - c)) <= 4.1 * (u * S)) as Hex.
+        { assert (0 < 2 * b * c * (b - c)) by (repeat apply Rmult_lt_0_compat; lra).
+          split; [apply Rmult_le_pos; [nra | left; apply Rinv_0_lt_compat; lra] |].
+          apply Rle_trans with (4.1 * (u * (v * v / (2 * b)))); [| assert (u * (v * v / (2 * b)) <= u * S) by (apply Rmult_le_compat_l; lra); lra].
+          apply (Rmult_le_reg_r (2 * b * c * (b - c))); [assumption |].
+          replace (q * q / (2 * b * c * (b - c)) * (2 * b * c * (b - c))) with (q * q) by (field; lra).
+          replace (4.1 * (u * (v * v / (2 * b))) * (2 * b * c * (b - c))) with (4.1 * u * (v * v * c) * (b - c)) by (field; lra).
+          assert (q * q <= (2.01 * (u * (v * c))) * (2.01 * (u * (v * c)))) by (apply Rmult_le_compat; lra).
+          assert (0 <= v * v * c) by (apply Rmult_le_pos; [apply Rmult_le_pos |]; lra).
+          assert (0 <= 4.1 * u * (v * v * c)) by (apply Rmult_le_pos; [lra | assumption]).
+          assert (4.1 * u * (v * v * c) * (u * c) <= 4.1 * u * (v * v * c) * (b - c)) by (apply Rmult_le_compat_l; lra).
+          assert (0 <= (u * (v * c)) * (u * (v * c))) by (apply Rmult_le_pos; apply Rmult_le_pos; lra). lra. }
+        assert (0 <= (v - w) * (v - w) / (2 * (b - c))) by (apply Rmult_le_pos; [nra | left; apply Rinv_0_lt_compat; lra]).
+        pose proof (Rmax_near (v * v / (2 * b) - w * w / (2 * c)) ((v - w) * (v - w) / (2 * (b - c))) (4.1 * (u * S)) ltac:(lra) ltac:(lra)) as Mx.
+        rewrite (Rmax_left ((v - w) * (v - w) / (2 * (b - c))) 0) in Mx by lra. lra.
+    + (* catching up *)
+      unfold catching_up_computed. destruct (Rle_lt_dec v w) as [L | L].
+      * assert (fl (v - w) <= 0) by (rewrite <- fl_0; apply fl_monotone; lra).
+        rewrite !(Rmax_right _ 0) by lra. rewrite Rmult_0_l, fl_0. unfold Rdiv. rewrite !Rmult_0_l, fl_0. lra.
+      * assert (0 <= fl (v - w)) by (rewrite <- fl_0; apply fl_monotone; lra).
+        rewrite !(Rmax_left _ 0) by lra.
+        pose proof (catching_up_is_less b c v w ltac:(lra) ltac:(lra) ltac:(lra)) as Less.
+        assert (0 <= (v - w) * (v - w) / (2 * (b - c))) by (apply Rmult_le_pos; [nra | left; apply Rinv_0_lt_compat; lra]).
+        assert (forall y, rel 1.1 (fl y) y) as R1 by (intros; apply (rel_weaken (0 + 1 + / 1000)); [lra |]; apply rel_fl; [lra | apply rel_refl]).
+        assert (rel 7 (fl (fl (fl (v - w) * fl (v - w)) / fl (2 * fl (b - c)))) ((v - w) * (v - w) / (2 * (b - c)))) as R7.
+        { apply (rel_weaken (3.3 + 2.2 + / 100 + 1 + / 1000)); [lra |]. apply rel_fl; [lra |]. apply rel_div; try lra.
+          - apply (rel_weaken (1.1 + 1.1 + / 1000 + 1 + / 1000)); [lra |]. apply rel_fl; [lra |]. apply rel_mul; auto; lra.
+          - apply (rel_weaken (0 + 1.1 + / 1000 + 1 + / 1000)); [lra |]. apply rel_fl; [lra |]. apply rel_mul; auto using rel_refl; lra. }
+        assert (Rabs ((v - w) * (v - w) / (2 * (b - c))) <= S) as B by (apply abs_le; lra).
+        pose proof (rel_bounds 7 _ _ _ ltac:(lra) R7 B). lra.
+Qed.
+(** * The test *)
+
+(** `Frame::lag_s` and `Frame::speed_to_lose_mps`, operation by operation. *)
+Definition lag_computed (h share : R) : R := fl (fl (h * fl (1 - share)) / share).
+Definition to_lose_computed (B h share v r : R) : R :=
+  let moving := fl (v + fl (lag_computed h share * fl (r + B))) in
+  if Rle_dec v 0 then if Rle_dec r 0 then 0 else moving else moving.
+
+(** A response may have been rounded to a little less than -B. *)
+Theorem the_speed_to_lose_is_rounded B h share v r P Z : 0 < share <= 1 -> 0 < h -> 0 <= v -> - (3.1 * (u * P)) <= r + B <= P ->
+  let tau := h * (1 - share) / share in
+  left_to_lose B tau v r <= Z ->
+  - (7 * (u * Z) + 4 * (u * (tau * P))) <= to_lose_computed B h share v r - left_to_lose B tau v r <= 7 * (u * Z) + 4 * (u * (tau * P)).
+Proof.
+  intros Hs Hh Hv Hr tau HZ. pose proof u_small.
+  assert (0 <= tau) as Ht. { unfold tau, Rdiv. apply Rmult_le_pos; [apply Rmult_le_pos; lra | left; apply Rinv_0_lt_compat; lra]. }
+  assert (0 <= P). { apply Rnot_lt_le. intros N. assert (0 < u * - P <= / 1000000 * - P) by (split; [apply Rmult_lt_0_compat | apply Rmult_le_compat_r]; lra). lra. }
+  assert (0 <= tau * P) by (apply Rmult_le_pos; lra). assert (0 <= u * (tau * P)) by (apply Rmult_le_pos; lra).
+  assert (u * (u * (tau * P)) <= / 1000000 * (u * (tau * P))) by (apply Rmult_le_compat_r; lra).
+  pose proof (left_to_lose_nonneg B tau v r Ht Hv) as Hz. assert (0 <= u * Z) by (apply Rmult_le_pos; lra).
+  assert (forall y, rel 1.1 (fl y) y) as R1 by (intros; apply (rel_weaken (0 + 1 + / 1000)); [lra |]; apply rel_fl; [lra | apply rel_refl]).
+  assert (rel 3.3 (lag_computed h share) tau) as R3.
+  { unfold lag_computed, tau. apply (rel_weaken (2.2 + 0 + / 100 + 1 + / 1000)); [lra |]. apply rel_fl; [lra |].
+    apply rel_div; try lra; [| apply rel_refl]. apply (rel_weaken (0 + 1.1 + / 1000 + 1 + / 1000)); [lra |]. apply rel_fl; [lra |].
+    apply rel_mul; auto using rel_refl; lra. }
+  assert (rel 5.5 (fl (lag_computed h share * fl (r + B))) (tau * (r + B))) as R5.
+  { apply (rel_weaken (3.3 + 1.1 + / 1000 + 1 + / 1000)); [lra |]. apply rel_fl; [lra |]. apply rel_mul; auto; lra. }
+  destruct R5 as [d [Hd E]]. apply of_abs in Hd.
+  assert (left_to_lose B tau v r = v + tau * Rmax (r + B) 0 ->
+    - (7 * (u * Z) + 4 * (u * (tau * P))) <= fl (v + fl (lag_computed h share * fl (r + B))) - (v + tau * Rmax (r + B) 0)
+      <= 7 * (u * Z) + 4 * (u * (tau * P))) as Moving.
+  { intros Ez. rewrite E. rewrite Ez in HZ. destruct (Rle_lt_dec 0 (r + B)) as [G | G].
+    - rewrite (Rmax_left (r + B) 0) in * by lra. assert (0 <= tau * (r + B)) by (apply Rmult_le_pos; lra).
+      assert (- (5.5 * (u * Z)) <= tau * (r + B) * d <= 5.5 * (u * Z)).
+      { apply of_abs. rewrite Rabs_mult, (Rabs_right (tau * (r + B))) by lra.
+        apply Rle_trans with (Z * (5.5 * u)); [| lra]. apply Rmult_le_compat; try lra; [apply Rabs_pos | apply abs_le; lra]. }
+      assert (u * Z <= / 1000000 * Z) by (apply Rmult_le_compat_r; lra).
+      assert (Rabs (v + tau * (r + B) * (1 + d)) <= 1.001 * Z) as Bd by (apply abs_le; lra). pose proof (fl_within _ _ Bd). lra.
+    - rewrite (Rmax_right (r + B) 0) in * by lra.
+      assert (tau * - (r + B) <= tau * (3.1 * (u * P))) by (apply Rmult_le_compat_l; lra).
+      assert (0 <= tau * - (r + B)) by (apply Rmult_le_pos; lra).
+      assert (- / 10000 * (tau * - (r + B)) <= tau * - (r + B) * d <= / 10000 * (tau * - (r + B))).
+      { assert (0 <= tau * - (r + B) * (/ 10000 - d)) by (apply Rmult_le_pos; lra).
+        assert (0 <= tau * - (r + B) * (/ 10000 + d)) by (apply Rmult_le_pos; lra). lra. }
+      assert (Rabs (v + tau * (r + B) * (1 + d)) <= Z + 3.2 * (u * (tau * P))) as Bd by (apply abs_le; lra).
+      pose proof (fl_within _ _ Bd). lra. }
+  unfold to_lose_computed, left_to_lose in *. destruct (Rle_dec v 0); [destruct (Rle_dec r 0); [lra |] |]; auto.
+Qed.
+
+(** `Frame::spare_m` of what is held, as computed. *)
+Definition spare_computed (b c B h share len xf x v r w : R) : R :=
+  fl (seen_gap xf len x - demanded_computed b c (to_lose_computed B h share v r) w).
+
+Theorem the_spare_gap_is_rounded X b c B h share len xf x v r w P Z :
+  - X <= xf <= X -> - X <= xf - len <= X -> - X <= x <= X -> 0 < b -> 0 < c -> (b <= c \/ u * c <= b - c) -> 0 <= v -> 0 <= w ->
+  0 < share <= 1 -> 0 < h -> - (3.1 * (u * P)) <= r + B <= P -> 0 <= to_lose_computed B h share v r ->
+  let tau := h * (1 - share) / share in
+  tau * P <= Z -> left_to_lose B tau v r <= Z ->
+  let eta := u * (6 * X + 28 * (Z * Z / (2 * b)) + 4.1 * tau * (Z / b) * P) in
+  - eta <= spare_computed b c B h share len xf x v r w - spare b c len xf x (left_to_lose B tau v r) w <= eta.
+Proof.
+  intros Hxf Hxl Hx Hb Hc Hap Hv Hw Hs Hh Hr Hzc tau HtP HZ eta. pose proof u_small.
+  pose proof (the_speed_to_lose_is_rounded B h share v r P Z Hs Hh Hv Hr HZ) as E. fold tau in E.
+  pose proof (the_gap_is_seen_rounded X xf len x Hxf Hxl Hx) as G.
+  assert (0 <= tau) as Ht. { unfold tau, Rdiv. apply Rmult_le_pos; [apply Rmult_le_pos; lra | left; apply Rinv_0_lt_compat; lra]. }
+  assert (0 <= P). { apply Rnot_lt_le. intros N. assert (0 < u * - P <= / 1000000 * - P) by (split; [apply Rmult_lt_0_compat | apply Rmult_le_compat_r]; lra). lra. }
+  assert (0 <= tau * P) by (apply Rmult_le_pos; lra).
+  pose proof (left_to_lose_nonneg B tau v r Ht Hv) as Hz. set (z := left_to_lose B tau v r) in *.
+  set (zc := to_lose_computed B h share v r) in *. unfold spare_computed, spare. fold zc.
+  assert (0 <= Z) by lra. assert (0 <= u * Z) by (apply Rmult_le_pos; lra). assert (u * Z <= / 1000000 * Z) by (apply Rmult_le_compat_r; lra).
+  assert (0 <= u * (tau * P) <= u * Z) by (split; [apply Rmult_le_pos | apply Rmult_le_compat_l]; lra).
+  assert (0 < / b) as Hib by (apply Rinv_0_lt_compat; lra).
+  set (S := Z * Z / (2 * b)) in *. set (T := Z / b) in *.
+  assert (T * (u * Z) = 2 * (u * S)) as ETS by (unfold T, S; field; lra).
+  assert (0 <= T) by (unfold T; apply Rmult_le_pos; lra).
+  assert (0 <= S) by (unfold S; apply Rmult_le_pos; [nra | left; apply Rinv_0_lt_compat; lra]).
+  assert (0 <= u * S) by (apply Rmult_le_pos; lra). assert (u * S <= / 1000000 * S) by (apply Rmult_le_compat_r; lra).
+  assert (0 <= X) by lra. assert (0 <= u * X) by (apply Rmult_le_pos; lra). assert (u * X <= / 1000000 * X) by (apply Rmult_le_compat_r; lra).
+  assert (0 <= T * (u * (tau * P)) <= T * (u * Z)) by (split; [apply Rmult_le_pos | apply Rmult_le_compat_l]; lra).
+  set (e := 7 * (u * Z) + 4 * (u * (tau * P))) in *. assert (0 <= e) by (unfold e; lra).
+  assert (zc <= 1.001 * Z) as Hzc' by (unfold e in E; lra).
+  assert (forall z1 z2, 0 <= z1 <= 1.001 * Z -> 0 <= z2 -> z1 <= z2 + e -> D b c z1 w <= D b c z2 w + 1.001 * T * e) as Lip.
+  { intros z1 z2 G1 G2 G12.
+    pose proof (the_demand_rises_with_errors_of_speeds b c z2 w z1 w e Hb Hc G2 Hw ltac:(lra) Hw 0 ltac:(lra) ltac:(lra) G12 ltac:(lra)) as M.
+    assert (z1 / b <= 1.001 * Z / b) as Q by (apply Rmult_le_compat_r; lra).
+    assert (z1 / b * (e + 0) <= 1.001 * Z / b * e) by (rewrite Rplus_0_r; apply Rmult_le_compat_r; lra).
+    assert (1.001 * Z / b * e = 1.001 * T * e) by (unfold T; field; lra). lra. }
+  pose proof (Lip zc z ltac:(lra) Hz ltac:(lra)) as L1. pose proof (Lip z zc ltac:(lra) Hzc ltac:(lra)) as L2.
+  assert (1.001 * T * e <= 14.1 * (u * S) + 4.01 * (T * (u * (tau * P)))) as Le by (unfold e; lra).
+  assert (zc * zc / (2 * b) <= 1.003 * S) as HS.
+  { apply Rle_trans with ((1.001 * Z) * (1.001 * Z) / (2 * b)).
+    - apply Rmult_le_compat_r; [left; apply Rinv_0_lt_compat; lra |]. apply Rmult_le_compat; lra.
+    - unfold S, Rdiv in *. lra. }
+  pose proof (the_demand_is_rounded b c zc w (1.003 * S) Hb Hc Hap Hzc Hw HS) as Dr.
+  assert (0 <= D b c zc w <= 1.003 * S) as HD.
+  { split.
+    - pose proof (demanded_is_enough b c zc w 0 Hb Hc Hzc Hw ltac:(lra)) as N. unfold closing in N. rewrite !covered_nothing in N by lra. lra.
+    - destruct (demanded_is_needed b c zc w Hb Hc Hzc Hw) as [i [Hi <-]]. unfold closing.
+      pose proof (covered_at_most zc b i Hb). pose proof (covered_at_least w c 0 i Hc ltac:(lra)). lra. }
+  set (dc := demanded_computed b c zc w) in *. set (g := seen_gap xf len x) in *.
+  assert (Rabs (g - dc) <= 2.01 * X + 1.01 * S) as Bd by (apply abs_le; lra). pose proof (fl_within _ _ Bd).
+  assert (eta = 6 * (u * X) + 28 * (u * S) + 4.1 * (T * (u * (tau * P)))) as -> by (unfold eta; lra). lra.
+Qed.
+
+(** * The margin *)
+
+(** What half a margin has to pay for: n steps of full braking, and that what is left is computed twice, in the test and when it is
+    asked whether a state is out of the kernel. *)
+Theorem half_a_margin_pays p (s : nat -> state) m eta n : bounds_hold p ->
+  (forall i, (i < n)%nat -> braking_step p (s i) (s (S i))) ->
+  INR n * step_loss p + 2 * eta <= m / 2 -> m - eta <= spare_of p (s 0%nat) ->
+  forall i, (i <= n)%nat -> m / 2 + eta <= spare_of p (s i).
+Proof.
+  intros H Hs Hm H0 i Hi. pose proof (braking_on_takes_at_most p s i H ltac:(intros j Hj; apply Hs; lia)) as B.
+  assert (0 <= step_loss p) as Hl.
+  { destruct H as [H [Hth [Hsh [_ [_ [HP [_ [Hb [_ HZ]]]]]]]]]. facts. unfold step_loss.
+    assert (0 <= stop_time p) by (apply Rmult_le_pos; [lra | left; apply Rinv_0_lt_compat; lra]).
+    assert (0 <= lag p) by (unfold lag, Rdiv; apply Rmult_le_pos; [apply Rmult_le_pos; lra | left; apply Rinv_0_lt_compat; lra]).
+    assert (0 <= accelerations p * step p) by (apply Rmult_le_pos; lra).
+    assert (0 <= stop_time p * (speeds p + 6 * accelerations p * step p)) by (apply Rmult_le_pos; lra).
+    assert (0 <= lag p * stop_time p * responses p) by (apply Rmult_le_pos; [apply Rmult_le_pos |]; lra).
+    apply Rmult_le_pos; lra. }
+  assert (INR i * step_loss p <= INR n * step_loss p) by (apply Rmult_le_compat_r; [lra | apply le_INR; lia]). lra.
+Qed.
+(** * Inside a step *)
+
+Lemma moved_at_least w a c t : 0 < c -> 0 <= w -> - c <= a -> 0 <= t -> covered w c t <= moved w a t.
+Proof.
+  intros Hc Hw Ha Ht. unfold moved. destruct (Rle_dec 0 (w + a * t)) as [M | M].
+  - destruct (covered_is w c t Hc Hw Ht) as [s [Hs [Hcs ->]]].
+    assert (- c * (s * s) <= a * (s * s)) by (apply Rmult_le_compat_r; nra).
+    assert (0 <= (t - s) * (w + a * t + (w - c * s))) by (apply Rmult_le_pos; lra).
+    assert (0 <= (t - s) * (s * (a + c))) by (repeat apply Rmult_le_pos; lra). lra.
+  - assert (a < 0). { apply Rnot_le_lt. intros N. apply M. assert (0 <= a * t) by (apply Rmult_le_pos; lra). lra. }
+    apply Rle_trans with (1 := covered_at_most w c t Hc). apply (Rmult_le_compat_l (w * w)); [nra |]. apply Rinv_le_contravar; lra.
+Qed.
+
+(** At every instant of a step from the numbers that are held, by the real numbers. *)
+Theorem inside_a_step_nobody_touches p s a af t : bounds_hold p -> state_within p s -> 0 <= t <= part p -> part p <= time_left s ->
+  drives (full p) (noise_of p) (accelerations p) (own s) (response_now s) a -> - ahead_brake p <= af <= accelerations p ->
+  spare_of p s - u * positions p <=
+  (front s + moved (ahead s) af t) - length_ahead p - (rear s + moved (own s) a t).
+Proof.
+  intros [H [Hth [_ [Hn [HB [_ [Eb [Hb [Hc _]]]]]]]]] [_ [_ [W3 [W4 _]]]] Ht Hleft [Ha [Hab Hheld]] Haf.
+  assert (own_brake p <= full p - noise_of p + u * accelerations p) as HbB
+    by (rewrite Eb; apply a_brake_less_noise_is_rounded; lra).
+  facts. pose proof (moved_at_least (ahead s) af (ahead_brake p) t ltac:(lra) ltac:(lra) ltac:(lra) ltac:(lra)) as F.
+  pose proof (left_to_lose_nonneg (full p) (time_left s) (own s) (response_now s) ltac:(lra) ltac:(lra)) as Hz.
+  set (z := left_to_lose (full p) (time_left s) (own s) (response_now s)) in *.
+  pose proof (demanded_is_enough (own_brake p) (ahead_brake p) z (ahead s) t Hb ltac:(lra) Hz ltac:(lra) ltac:(lra)) as En.
+  unfold closing in En.
+  assert (0 <= covered z (own_brake p) t) as Hcov.
+  { pose proof (covered_at_least z (own_brake p) 0 t Hb ltac:(lra)). lra. }
+  assert (t * t <= part p * part p) as Htt by (apply Rmult_le_compat; lra).
+  assert (accelerations p * (t * t) <= accelerations p * (part p * part p)) as HA by (apply Rmult_le_compat_l; lra).
+  assert (u * (accelerations p * (t * t)) <= u * (accelerations p * (part p * part p))) by (apply Rmult_le_compat_l; lra).
+  assert (moved (own s) a t <= covered z (own_brake p) t + u * positions p) as O; [| unfold spare_of, spare; fold z; lra].
+  destruct (Rle_dec (own s) 0) as [S | S]; [destruct (Rle_dec (response_now s) 0) as [S' | S'] |].
+  { specialize (Hheld S S'). assert (own s = 0) as E0 by lra. rewrite E0. unfold moved. destruct Rle_dec as [M | M].
+    - assert (a * (t * t) <= 0) by nra. lra.
+    - replace (0 * 0 / (-2 * a)) with 0; [lra |]. unfold Rdiv. ring. }
+  all: assert (~ (own s <= 0 /\ response_now s <= 0)) as N by tauto.
+  all: pose proof (fun i Hi => own_way (full p) (noise_of p) (accelerations p) (time_left s) (own s) (response_now s) a (own_brake p) i Hb
+    ltac:(lra) HbB Hi ltac:(lra) Hab N) as W; fold z in W.
+  all: unfold moved; destruct (Rle_dec 0 (own s + a * t)) as [M | M]; [specialize (W t ltac:(lra)); lra |].
+  all: assert (a < 0) by (apply Rnot_le_lt; intros G; apply M; assert (0 <= a * t) by (apply Rmult_le_pos; lra); lra).
+  all: destruct (half_square (own s) (- a) ltac:(lra)) as [i [Ei Ew]];
+    replace (own s * own s / (-2 * a)) with (own s * own s / (2 * - a)) by (field; lra); rewrite Ew.
+  all: assert (0 <= i <= t) as Hi by (split; apply Rnot_lt_le; intros G; [assert (0 < - a * - i) by (apply Rmult_lt_0_compat; lra); lra
+    | apply M; assert (0 < - a * (i - t)) by (apply Rmult_lt_0_compat; lra); lra]).
+  all: specialize (W i ltac:(lra)); assert (own s * i = - a * i * i) as Ei2 by (rewrite Ei at 1; ring).
+  all: pose proof (covered_rises z (own_brake p) i t Hb Hz Hi).
+  all: assert (i * i <= part p * part p) by (apply Rmult_le_compat; lra).
+  all: assert (accelerations p * (i * i) <= accelerations p * (part p * part p)) by (apply Rmult_le_compat_l; lra).
+  all: assert (u * (accelerations p * (i * i)) <= u * (accelerations p * (part p * part p))) by (apply Rmult_le_compat_l; lra).
+  all: lra.
 Qed.
