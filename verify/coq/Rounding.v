@@ -531,9 +531,10 @@ Definition state_within p s : Prop :=
   - positions p <= front s <= positions p /\ - positions p <= rear s <= positions p /\
   0 <= own s <= speeds p /\ 0 <= ahead s <= speeds p /\ left_to_lose (full p) (time_left s) (own s) (response_now s) <= replaced p.
 
-(** A new response at the end of a step; the one there is within it. *)
+(** A new response at the end of a step, with lag or delay or without; the one there is within it. *)
 Definition responds p s s' : Prop :=
   s' = s \/
+  (time_left s = lag p /\ share_of p = 1 /\ s' = State (front s) (rear s) (own s) (ahead s) (- full p) (lag p + step p)) \/
   (time_left s = lag p /\ - (2 * full p) <= response_now s /\ - responses p <= - full p - response_now s <= responses p /\
    - responses p <= response (full p) (share_of p) (response_now s) <= responses p /\
    s' = State (front s) (rear s) (own s) (ahead s) (responded (share_of p) (response_now s) (- full p)) (lag p + step p)).
@@ -551,7 +552,7 @@ Definition spare_of p s : R :=
   spare (own_brake p) (ahead_brake p) (length_ahead p) (front s) (rear s)
     (left_to_lose (full p) (time_left s) (own s) (response_now s)) (ahead s).
 
-(** `step_m` in `Travel::margin_m`. *)
+(** No more than `step_m` in `Travel::margin_m`. *)
 Definition step_loss p : R :=
   u * (8 * positions p + 2 * stop_time p * (speeds p + 6 * accelerations p * step p) + 4 * lag p * stop_time p * responses p).
 
@@ -579,7 +580,11 @@ Proof.
   { unfold step_loss. apply Rmult_le_compat_l; [lra |]. unfold motion, answer. lra. }
   assert (0 <= u * answer) by (apply Rmult_le_pos; [lra |]; unfold answer; lra).
   assert (spare_of p s - u * answer <= spare_of p s1) as Resp; [| unfold spare_of at 2 in Resp; lra].
-  destruct R as [-> | [El [Hr2 [Hd1 [Hr1 ->]]]]]; [lra |]. simpl in *.
+  destruct R as [-> | [[El [E1 ->]] | [El [Hr2 [Hd1 [Hr1 ->]]]]]]; [lra | |]; simpl in *.
+  { assert (lag p = 0) as E0 by (unfold lag; rewrite E1; field).
+    assert (left_to_lose (full p) (lag p + step p) (own s) (- full p) = left_to_lose (full p) (time_left s) (own s) (response_now s)) as E.
+    { unfold left_to_lose. rewrite El, E0, Rplus_opp_l, (Rmax_left 0 0), Rmult_0_r, Rmult_0_l by lra. repeat destruct Rle_dec; lra. }
+    unfold spare_of. simpl. rewrite E. lra. }
   pose proof (the_response_takes_at_most (share_of p) (step p) (own s) (response_now s) (full p) (responses p) (ahead s)
     (own_brake p) (ahead_brake p) (front s) (length_ahead p) (rear s) (replaced p) Hs ltac:(lra) ltac:(lra) ltac:(lra) Hb ltac:(lra)
     ltac:(lra) Hr2 Hd1 Hr1) as Q. simpl in Q. fold (lag p) in Q. specialize (Q W5). fold (stop_time p) in Q.
@@ -657,7 +662,8 @@ Proof.
 Qed.
 
 (** Two limits that are not the same number are apart by a share u. *)
-Theorem limits_are_the_same_or_apart b c : generic_format radix2 (FLX_exp 53) b -> generic_format radix2 (FLX_exp 53) c -> 0 < c < b -> u * c <= b - c.
+Theorem limits_are_the_same_or_apart b c : generic_format radix2 (FLX_exp 53) b -> generic_format radix2 (FLX_exp 53) c -> 0 < c < b ->
+  u * c <= b - c.
 Proof.
   intros Fb Fc H. pose proof (succ_le_lt radix2 (FLX_exp 53) c b Fc Fb ltac:(lra)) as S. rewrite succ_eq_pos in S by lra.
   pose proof (ulp_FLX_ge radix2 53 c) as G. rewrite Rabs_right in G by lra.
@@ -745,7 +751,9 @@ Theorem the_speed_to_lose_is_rounded B h share v r P Z : 0 < share <= 1 -> 0 < h
 Proof.
   intros Hs Hh Hv Hr tau HZ. pose proof u_small.
   assert (0 <= tau) as Ht. { unfold tau, Rdiv. apply Rmult_le_pos; [apply Rmult_le_pos; lra | left; apply Rinv_0_lt_compat; lra]. }
-  assert (0 <= P). { apply Rnot_lt_le. intros N. assert (0 < u * - P <= / 1000000 * - P) by (split; [apply Rmult_lt_0_compat | apply Rmult_le_compat_r]; lra). lra. }
+  assert (0 <= P).
+  { apply Rnot_lt_le. intros N.
+    assert (0 < u * - P <= / 1000000 * - P) by (split; [apply Rmult_lt_0_compat | apply Rmult_le_compat_r]; lra). lra. }
   assert (0 <= tau * P) by (apply Rmult_le_pos; lra). assert (0 <= u * (tau * P)) by (apply Rmult_le_pos; lra).
   assert (u * (u * (tau * P)) <= / 1000000 * (u * (tau * P))) by (apply Rmult_le_compat_r; lra).
   pose proof (left_to_lose_nonneg B tau v r Ht Hv) as Hz. assert (0 <= u * Z) by (apply Rmult_le_pos; lra).
@@ -794,7 +802,9 @@ Proof.
   pose proof (the_speed_to_lose_is_rounded B h share v r P Z Hs Hh Hv Hr HZ) as E. fold tau in E.
   pose proof (the_gap_is_seen_rounded X xf len x Hxf Hxl Hx) as G.
   assert (0 <= tau) as Ht. { unfold tau, Rdiv. apply Rmult_le_pos; [apply Rmult_le_pos; lra | left; apply Rinv_0_lt_compat; lra]. }
-  assert (0 <= P). { apply Rnot_lt_le. intros N. assert (0 < u * - P <= / 1000000 * - P) by (split; [apply Rmult_lt_0_compat | apply Rmult_le_compat_r]; lra). lra. }
+  assert (0 <= P).
+  { apply Rnot_lt_le. intros N.
+    assert (0 < u * - P <= / 1000000 * - P) by (split; [apply Rmult_lt_0_compat | apply Rmult_le_compat_r]; lra). lra. }
   assert (0 <= tau * P) by (apply Rmult_le_pos; lra).
   pose proof (left_to_lose_nonneg B tau v r Ht Hv) as Hz. set (z := left_to_lose B tau v r) in *.
   set (zc := to_lose_computed B h share v r) in *. unfold spare_computed, spare. fold zc.
