@@ -790,33 +790,32 @@ Qed.
 Definition spare_computed (b c B h share len xf x v r w : R) : R :=
   fl (seen_gap xf len x - demanded_computed b c (to_lose_computed B h share v r) w).
 
-Theorem the_spare_gap_is_rounded X b c B h share len xf x v r w P Z :
-  - X <= xf <= X -> - X <= xf - len <= X -> - X <= x <= X -> 0 < b -> 0 < c -> (b <= c \/ u * c <= b - c) -> 0 <= v -> 0 <= w ->
+Theorem what_is_demanded_is_rounded b c B h share v r w P Z : 0 < b -> 0 < c -> (b <= c \/ u * c <= b - c) -> 0 <= v -> 0 <= w ->
   0 < share <= 1 -> 0 < h -> - (3.1 * (u * P)) <= r + B <= P -> 0 <= to_lose_computed B h share v r ->
   let tau := h * (1 - share) / share in
+  let S := Z * Z / (2 * b) in
+  let demanded := demanded_computed b c (to_lose_computed B h share v r) w in
+  let e := u * (26.9 * S + 4.01 * tau * (Z / b) * P) in
   tau * P <= Z -> left_to_lose B tau v r <= Z ->
-  let eta := u * (6 * X + 28 * (Z * Z / (2 * b)) + 4.1 * tau * (Z / b) * P) in
-  - eta <= spare_computed b c B h share len xf x v r w - spare b c len xf x (left_to_lose B tau v r) w <= eta.
+  - e <= demanded - D b c (left_to_lose B tau v r) w <= e /\ Rabs demanded <= 1.01 * S.
 Proof.
-  intros Hxf Hxl Hx Hb Hc Hap Hv Hw Hs Hh Hr Hzc tau HtP HZ eta. pose proof u_small.
+  intros Hb Hc Hap Hv Hw Hs Hh Hr Hzc tau S demanded e' HtP HZ. pose proof u_small.
   pose proof (the_speed_to_lose_is_rounded B h share v r P Z Hs Hh Hv Hr HZ) as E. fold tau in E.
-  pose proof (the_gap_is_seen_rounded X xf len x Hxf Hxl Hx) as G.
   assert (0 <= tau) as Ht. { unfold tau, Rdiv. apply Rmult_le_pos; [apply Rmult_le_pos; lra | left; apply Rinv_0_lt_compat; lra]. }
   assert (0 <= P).
   { apply Rnot_lt_le. intros N.
     assert (0 < u * - P <= / 1000000 * - P) by (split; [apply Rmult_lt_0_compat | apply Rmult_le_compat_r]; lra). lra. }
   assert (0 <= tau * P) by (apply Rmult_le_pos; lra).
   pose proof (left_to_lose_nonneg B tau v r Ht Hv) as Hz. set (z := left_to_lose B tau v r) in *.
-  set (zc := to_lose_computed B h share v r) in *. unfold spare_computed, spare. fold zc.
+  unfold demanded in *. clear demanded. set (zc := to_lose_computed B h share v r) in *.
   assert (0 <= Z) by lra. assert (0 <= u * Z) by (apply Rmult_le_pos; lra). assert (u * Z <= / 1000000 * Z) by (apply Rmult_le_compat_r; lra).
   assert (0 <= u * (tau * P) <= u * Z) by (split; [apply Rmult_le_pos | apply Rmult_le_compat_l]; lra).
   assert (0 < / b) as Hib by (apply Rinv_0_lt_compat; lra).
-  set (S := Z * Z / (2 * b)) in *. set (T := Z / b) in *.
+  set (T := Z / b) in *.
   assert (T * (u * Z) = 2 * (u * S)) as ETS by (unfold T, S; field; lra).
   assert (0 <= T) by (unfold T; apply Rmult_le_pos; lra).
   assert (0 <= S) by (unfold S; apply Rmult_le_pos; [nra | left; apply Rinv_0_lt_compat; lra]).
   assert (0 <= u * S) by (apply Rmult_le_pos; lra). assert (u * S <= / 1000000 * S) by (apply Rmult_le_compat_r; lra).
-  assert (0 <= X) by lra. assert (0 <= u * X) by (apply Rmult_le_pos; lra). assert (u * X <= / 1000000 * X) by (apply Rmult_le_compat_r; lra).
   assert (0 <= T * (u * (tau * P)) <= T * (u * Z)) by (split; [apply Rmult_le_pos | apply Rmult_le_compat_l]; lra).
   set (e := 7 * (u * Z) + 4 * (u * (tau * P))) in *. assert (0 <= e) by (unfold e; lra).
   assert (zc <= 1.001 * Z) as Hzc' by (unfold e in E; lra).
@@ -838,31 +837,63 @@ Proof.
     - pose proof (demanded_is_enough b c zc w 0 Hb Hc Hzc Hw ltac:(lra)) as N. unfold closing in N. rewrite !covered_nothing in N by lra. lra.
     - destruct (demanded_is_needed b c zc w Hb Hc Hzc Hw) as [i [Hi <-]]. unfold closing.
       pose proof (covered_at_most zc b i Hb). pose proof (covered_at_least w c 0 i Hc ltac:(lra)). lra. }
-  set (dc := demanded_computed b c zc w) in *. set (g := seen_gap xf len x) in *.
-  assert (Rabs (g - dc) <= 2.01 * X + 1.01 * S) as Bd by (apply abs_le; lra). pose proof (fl_within _ _ Bd).
-  assert (eta = 6 * (u * X) + 28 * (u * S) + 4.1 * (T * (u * (tau * P)))) as -> by (unfold eta; lra). lra.
+  set (dc := demanded_computed b c zc w) in *.
+  assert (e' = 26.9 * (u * S) + 4.01 * (T * (u * (tau * P)))) as -> by (unfold e'; lra).
+  split; [lra |]. apply abs_le. lra.
 Qed.
 
-(** * The margin *)
-
-(** What half a margin has to pay for: n steps of full braking, and that what is left is computed twice, in the test and when it is
-    asked whether a state is out of the kernel. *)
-Theorem half_a_margin_pays p (s : nat -> state) m eta n : bounds_hold p ->
-  (forall i, (i < n)%nat -> braking_step p (s i) (s (S i))) ->
-  INR n * step_loss p + 2 * eta <= m / 2 -> m - eta <= spare_of p (s 0%nat) ->
-  forall i, (i <= n)%nat -> m / 2 + eta <= spare_of p (s i).
+Lemma spare_terms tau Z b P u' : 0 <= tau -> 0 < b -> - (3.1 * (u' * P)) <= P -> 0 < u' <= / 1000000 -> tau * P <= Z -> 0 <= Z -> 0 <= tau * (Z / b) * P.
 Proof.
-  intros H Hs Hm H0 i Hi. pose proof (braking_on_takes_at_most p s i H ltac:(intros j Hj; apply Hs; lia)) as B.
-  assert (0 <= step_loss p) as Hl.
-  { destruct H as [H [Hth [Hsh [_ [_ [HP [_ [Hb [_ HZ]]]]]]]]]. facts. unfold step_loss.
-    assert (0 <= stop_time p) by (apply Rmult_le_pos; [lra | left; apply Rinv_0_lt_compat; lra]).
-    assert (0 <= lag p) by (unfold lag, Rdiv; apply Rmult_le_pos; [apply Rmult_le_pos; lra | left; apply Rinv_0_lt_compat; lra]).
-    assert (0 <= accelerations p * step p) by (apply Rmult_le_pos; lra).
-    assert (0 <= stop_time p * (speeds p + 6 * accelerations p * step p)) by (apply Rmult_le_pos; lra).
-    assert (0 <= lag p * stop_time p * responses p) by (apply Rmult_le_pos; [apply Rmult_le_pos |]; lra).
-    apply Rmult_le_pos; lra. }
-  assert (INR i * step_loss p <= INR n * step_loss p) by (apply Rmult_le_compat_r; [lra | apply le_INR; lia]). lra.
+  intros. assert (0 <= P). { apply Rnot_lt_le. intros N. assert (0 <= u' * - P) by (apply Rmult_le_pos; lra). lra. }
+  assert (0 <= Z / b) by (apply Rmult_le_pos; [lra | left; apply Rinv_0_lt_compat; lra]). apply Rmult_le_pos; [apply Rmult_le_pos |]; lra.
 Qed.
+
+Theorem the_spare_gap_is_rounded X b c B h share len xf x v r w P Z :
+  - X <= xf <= X -> - X <= xf - len <= X -> - X <= x <= X -> 0 < b -> 0 < c -> (b <= c \/ u * c <= b - c) -> 0 <= v -> 0 <= w ->
+  0 < share <= 1 -> 0 < h -> - (3.1 * (u * P)) <= r + B <= P -> 0 <= to_lose_computed B h share v r ->
+  let tau := h * (1 - share) / share in
+  tau * P <= Z -> left_to_lose B tau v r <= Z ->
+  let eta := u * (6 * X + 28 * (Z * Z / (2 * b)) + 4.1 * tau * (Z / b) * P) in
+  - eta <= spare_computed b c B h share len xf x v r w - spare b c len xf x (left_to_lose B tau v r) w <= eta.
+Proof.
+  intros Hxf Hxl Hx Hb Hc Hap Hv Hw Hs Hh Hr Hzc tau HtP HZ eta. pose proof u_small.
+  destruct (what_is_demanded_is_rounded b c B h share v r w P Z Hb Hc Hap Hv Hw Hs Hh Hr Hzc HtP HZ) as [E Bd]. fold tau in E.
+  pose proof (the_gap_is_seen_rounded X xf len x Hxf Hxl Hx) as G. unfold spare_computed, spare.
+  set (dc := demanded_computed b c (to_lose_computed B h share v r) w) in *. set (g := seen_gap xf len x) in *.
+  assert (0 <= X) by lra. assert (0 <= u * X) by (apply Rmult_le_pos; lra). assert (u * X <= / 1000000 * X) by (apply Rmult_le_compat_r; lra).
+  assert (0 <= tau) as Ht. { unfold tau, Rdiv. apply Rmult_le_pos; [apply Rmult_le_pos; lra | left; apply Rinv_0_lt_compat; lra]. }
+  pose proof (left_to_lose_nonneg B tau v r Ht Hv). apply of_abs in Bd. set (S := Z * Z / (2 * b)) in *.
+  assert (Rabs (g - dc) <= 2.01 * X + 1.01 * S) as Bg by (apply abs_le; lra). pose proof (fl_within _ _ Bg).
+  assert (0 <= u * (tau * (Z / b) * P)).
+  { apply Rmult_le_pos; [lra |]. apply (spare_terms tau Z b P u); lra. }
+  unfold eta. lra.
+Qed.
+
+(** The test of an action, after the predicted steps: of a gap that is at most e better than what comes, and speeds that are no better. *)
+Theorem what_passes_the_test_is_spare X b c B h share gap xf len x v v' r w w' m e P Z :
+  - (3 * X) <= gap <= 3 * X -> 0 < b -> 0 < c -> (b <= c \/ u * c <= b - c) -> 0 <= v <= v' -> 0 <= w' <= w ->
+  0 < share <= 1 -> 0 < h -> - (3.1 * (u * P)) <= r + B <= P -> 0 <= to_lose_computed B h share v' r ->
+  let tau := h * (1 - share) / share in
+  tau * P <= Z -> left_to_lose B tau v' r <= Z -> gap <= xf - len - x + e ->
+  m <= fl (gap - demanded_computed b c (to_lose_computed B h share v' r) w') ->
+  m - e - u * (3 * X + 28 * (Z * Z / (2 * b)) + 4.1 * tau * (Z / b) * P) <= spare b c len xf x (left_to_lose B tau v r) w.
+Proof.
+  intros Hg Hb Hc Hap Hv Hw Hs Hh Hr Hzc tau HtP HZ He Hm. pose proof u_small.
+  destruct (what_is_demanded_is_rounded b c B h share v' r w' P Z Hb Hc Hap ltac:(lra) ltac:(lra) Hs Hh Hr Hzc HtP HZ) as [E Bd]. fold tau in E.
+  unfold spare. set (dc := demanded_computed b c (to_lose_computed B h share v' r) w') in *.
+  assert (0 <= X) by lra. apply of_abs in Bd. set (S := Z * Z / (2 * b)) in *.
+  assert (Rabs (gap - dc) <= 3 * X + 1.01 * S) as Bg by (apply abs_le; lra). pose proof (fl_within _ _ Bg).
+  assert (0 <= tau) as Ht. { unfold tau, Rdiv. apply Rmult_le_pos; [apply Rmult_le_pos; lra | left; apply Rinv_0_lt_compat; lra]. }
+  pose proof (left_to_lose_nonneg B tau v r Ht ltac:(lra)) as Hz. pose proof (left_to_lose_nonneg B tau v' r Ht ltac:(lra)) as Hz'.
+  assert (0 <= u * (tau * (Z / b) * P)).
+  { apply Rmult_le_pos; [lra |]. apply (spare_terms tau Z b P u); lra. }
+  assert (left_to_lose B tau v r <= left_to_lose B tau v' r) as L.
+  { unfold left_to_lose. assert (0 <= tau * Rmax (r + B) 0) by (apply Rmult_le_pos; [lra | apply Rmax_r]).
+    destruct (Rle_dec v 0); destruct (Rle_dec v' 0); destruct (Rle_dec r 0); lra. }
+  pose proof (demand_rises_with_the_own_speed b c _ _ w Hb Hc (conj Hz L) ltac:(lra)).
+  pose proof (demand_falls_with_the_speed_ahead b c (left_to_lose B tau v' r) w' w Hb Hc ltac:(lra) ltac:(lra)). lra.
+Qed.
+
 (** * Inside a step *)
 
 Lemma moved_at_least w a c t : 0 < c -> 0 <= w -> - c <= a -> 0 <= t -> covered w c t <= moved w a t.
@@ -915,4 +946,167 @@ Proof.
   all: assert (accelerations p * (i * i) <= accelerations p * (part p * part p)) by (apply Rmult_le_compat_l; lra).
   all: assert (u * (accelerations p * (i * i)) <= u * (accelerations p * (part p * part p))) by (apply Rmult_le_compat_l; lra).
   all: lra.
+Qed.
+
+(** * Predicted steps *)
+
+Lemma moved_is v a t : 0 <= v -> 0 <= t -> exists s, 0 <= s <= t /\ moved v a t = v * s + a * s * s / 2.
+Proof.
+  intros Hv Ht. unfold moved. destruct (Rle_dec 0 (v + a * t)) as [M | M]; [exists t; lra |].
+  assert (a < 0). { apply Rnot_le_lt. intros N. apply M. assert (0 <= a * t) by (apply Rmult_le_pos; lra). lra. }
+  destruct (half_square v (- a) ltac:(lra)) as [s [Es Ew]]. exists s. split.
+  - split; apply Rnot_lt_le; intros N; [assert (0 < - a * - s) by (apply Rmult_lt_0_compat; lra); lra |].
+    apply M. assert (0 < - a * (s - t)) by (apply Rmult_lt_0_compat; lra). lra.
+  - replace (v * v / (-2 * a)) with (v * v / (2 * - a)) by (field; lra). rewrite Ew. rewrite Es at 1. field.
+Qed.
+
+Lemma moved_reaches v a s t : 0 <= v -> 0 <= s <= t -> v * s + a * s * s / 2 <= moved v a t.
+Proof.
+  intros Hv Hs. unfold moved. destruct (Rle_dec 0 (v + a * t)) as [M | M].
+  - assert (0 <= v + a * ((t + s) / 2)).
+    { destruct (Rle_lt_dec 0 a) as [G | G]; [assert (0 <= a * ((t + s) / 2)) by (apply Rmult_le_pos; lra); lra |].
+      assert (0 <= - a * (t - (t + s) / 2)) by (apply Rmult_le_pos; lra). lra. }
+    assert (0 <= (t - s) * (v + a * ((t + s) / 2))) by (apply Rmult_le_pos; lra). lra.
+  - assert (a < 0). { apply Rnot_le_lt. intros N. apply M. assert (0 <= a * t) by (apply Rmult_le_pos; lra). lra. }
+    pose proof (peak v (- a) s ltac:(lra)). replace (v * v / (-2 * a)) with (v * v / (2 * - a)) by (field; lra). lra.
+Qed.
+
+Lemma moved_increases v v' a a' t : 0 <= v <= v' -> a <= a' -> 0 <= t -> moved v a t <= moved v' a' t.
+Proof.
+  intros Hv Ha Ht. destruct (moved_is v a t) as [s [Hs ->]]; try lra.
+  apply Rle_trans with (v' * s + a' * s * s / 2); [| apply moved_reaches; lra].
+  assert (v * s <= v' * s) by (apply Rmult_le_compat_r; lra). assert (a * (s * s) <= a' * (s * s)) by (apply Rmult_le_compat_r; nra). lra.
+Qed.
+
+(** A position after a step, whichever branch is taken. *)
+Theorem a_position_is_rounded X V A t dt x v a : step_within X V A t dt -> - X <= x <= X -> 0 <= v <= V -> - A <= a <= A ->
+  - (4 * (u * X)) <= advanced x v a dt - (x + moved v a t) <= 4 * (u * X).
+Proof.
+  intros H Hx Hv Ha. unfold advanced. destruct (Rlt_dec (end_speed v a dt) 0) as [S | S].
+  - destruct (stopping _ _ _ _ _ x _ _ H Hx Hv Ha S) as [Hn [Hs E]]. facts.
+    assert (moved v a t <= v * v / (-2 * a)).
+    { destruct (moved_is v a t) as [s [Hs' ->]]; try lra. pose proof (peak v (- a) s ltac:(lra)).
+      replace (v * v / (-2 * a)) with (v * v / (2 * - a)) by (field; lra). lra. }
+    assert (v * v / (-2 * a) <= moved v a t + 2 * (u * (A * t * t))); [| lra].
+    apply (stopped_way A v a t (fun s => moved v a s)); try lra.
+
+    + intros s Hs'. pose proof (moved_reaches v a s s ltac:(lra) ltac:(lra)).
+      assert (0 <= u * (A * s * s)) by (apply Rmult_le_pos; [lra |]; apply Rmult_le_pos; [apply Rmult_le_pos |]; lra). lra.
+    + intros s Hs'. destruct (moved_is v a s) as [i [Hi ->]]; try lra. apply moved_reaches; lra.
+  - pose proof (way_near _ _ _ _ _ x _ _ H Hx Hv Ha) as E. destruct (gain_near _ _ _ _ _ a H Ha) as [_ [d [Hd Eg]]]. facts.
+    pose proof (moved_reaches v a t t ltac:(lra) ltac:(lra)).
+    assert (moved v a t <= v * t + a * t * t / 2 + / 4 * (u * (A * t * t))); [| lra].
+    unfold moved. destruct (Rle_dec 0 (v + a * t)) as [M | M]; [lra |].
+    assert (a < 0) as Hneg. { apply Rnot_le_lt. intros N. apply M. assert (0 <= a * t) by (apply Rmult_le_pos; lra). lra. }
+    assert (0 <= v + fl (a * dt)) as P. { apply Rnot_lt_le. intros N. apply S. unfold end_speed. apply fl_negative, N. }
+    rewrite Eg in P. apply of_abs in Hd.
+    destruct (half_square v (- a) ltac:(lra)) as [s [Es Ew]].
+    replace (v * v / (-2 * a)) with (v * v / (2 * - a)) by (field; lra). rewrite Ew.
+    assert (- a * s * s / 2 - (v * t + a * t * t / 2) = - a * ((t - s) * (t - s)) / 2) as Ed by (rewrite Es; field).
+    assert (s <= t). { apply Rnot_lt_le. intros N. apply M. assert (0 < - a * (s - t)) by (apply Rmult_lt_0_compat; lra). lra. }
+    assert (t - s <= 2.1 * u * t) as Hts.
+    { apply (Rmult_le_reg_l (- a)); [lra |]. assert (- a * t * (- d) <= - a * t * (2.1 * u)); [| lra].
+      apply Rmult_le_compat_l; [| lra]. assert (0 <= - a * t) by (apply Rmult_le_pos; lra). lra. }
+    assert ((t - s) * (t - s) <= (2.1 * u * t) * (2.1 * u * t)) by (apply Rmult_le_compat; lra).
+    assert (- a * ((t - s) * (t - s)) <= A * ((2.1 * u * t) * (2.1 * u * t))) by (apply Rmult_le_compat; nra).
+    assert (A * ((2.1 * u * t) * (2.1 * u * t)) = 4.41 * u * (u * (A * t * t))) as E2 by lra.
+    assert (4.41 * u * (u * (A * t * t)) <= / 1000 * (u * (A * t * t))) by (apply Rmult_le_compat_r; lra). lra.
+Qed.
+
+(** `moved` in crates/world/src/control/shield/kernel.rs is `motion::advance` from 0; `Frame::after` makes of it the gap a step later. *)
+Definition predicted_gap (gap w c v a h : R) : R := fl (fl (gap + advanced 0 w (- c) h) - advanced 0 v a h).
+
+Definition moved_computed (v a dt : R) : R :=
+  if Rlt_dec (end_speed v a dt) 0 then fl (fl (v * v) / fl (-2 * a)) else fl (fl (v * dt) + fl (fl (fl (/ 2 * a) * dt) * dt)).
+
+Theorem moved_is_an_advance_from_nothing v a dt : moved_computed v a dt = advanced 0 v a dt.
+Proof.
+  assert (forall y, fl (fl y) = fl y) as I.
+  { intros y. Transparent fl. unfold fl. apply round_generic; [typeclasses eauto |]. apply generic_format_round; typeclasses eauto. }
+  unfold moved_computed, advanced. rewrite !Rplus_0_l, !I. reflexivity.
+Qed.
+Opaque fl.
+
+Lemma advanced_speed_increases v v' a a' dt : 0 <= dt -> v <= v' -> a <= a' -> advanced_speed v a dt <= advanced_speed v' a' dt.
+Proof.
+  intros Hd Hv Ha. assert (end_speed v a dt <= end_speed v' a' dt).
+  { unfold end_speed. apply fl_monotone. assert (fl (a * dt) <= fl (a' * dt)) by (apply fl_monotone, Rmult_le_compat_r; lra). lra. }
+  unfold advanced_speed. repeat destruct Rlt_dec; lra.
+Qed.
+
+(** Motion that is not cut into parts: what is predicted, of the own vehicle with at least the acceleration that it has or with it held, and of one ahead
+    that brakes fully, is computed to be no better than what comes: to the bit for speeds, but for rounding for the gap. *)
+Theorem a_predicted_step_is_no_better X V A h xf x v w v' w' a a' af c len gap e : step_within X V A h h ->
+  - X <= xf <= X -> - X <= x <= X -> 0 <= v <= v' -> v' <= V -> 0 <= w' <= w -> w <= V -> 0 < c <= A ->
+  - A <= a <= A -> - A <= a' <= A -> a <= a' \/ v = 0 /\ a = 0 -> - c <= af <= A -> - (3 * X) <= gap <= 3 * X ->
+  gap <= xf - len - x + e ->
+  advanced_speed v a h <= advanced_speed v' a' h /\ advanced_speed w' (- c) h <= advanced_speed w af h /\
+  predicted_gap gap w' c v' a' h <= advanced xf w af h - len - advanced x v a h + e + 24 * (u * X).
+Proof.
+  intros H Hxf Hx Hv HvV Hw HwV Hc Ha Ha' Hless Haf Hg He.
+  pose proof (a_position_is_rounded _ _ _ _ _ xf w af H Hxf ltac:(lra) ltac:(lra)) as E1.
+  pose proof (a_position_is_rounded _ _ _ _ _ x v a H Hx ltac:(lra) ltac:(lra)) as E2.
+  pose proof (a_position_is_rounded _ _ _ _ _ 0 w' (- c) H ltac:(destruct H as [? [? [? [_ ?]]]]; nra) ltac:(lra) ltac:(lra)) as E3.
+  pose proof (a_position_is_rounded _ _ _ _ _ 0 v' a' H ltac:(destruct H as [? [? [? [_ ?]]]]; nra) ltac:(lra) ltac:(lra)) as E4.
+  facts. pose proof (moved_increases w' w (- c) af h ltac:(lra) ltac:(lra) ltac:(lra)) as M1.
+  assert (moved v a h <= moved v' a' h) as M2.
+  { destruct Hless as [L | [-> ->]]; [apply moved_increases; lra |].
+    pose proof (moved_reaches v' a' 0 h ltac:(lra) ltac:(lra)). unfold moved at 1. destruct Rle_dec; lra. }
+  assert (0 <= advanced_speed v' a' h) as N by (unfold advanced_speed; destruct Rlt_dec; lra).
+  split; [| split; [apply advanced_speed_increases; lra |]].
+  { destruct Hless as [L | [-> ->]]; [apply advanced_speed_increases; lra |].
+    assert (advanced_speed 0 0 h = 0) as ->; [| exact N]. unfold advanced_speed, end_speed. rewrite Rmult_0_l, fl_0, Rplus_0_l, fl_0.
+    destruct Rlt_dec; reflexivity. }
+  assert (forall y i, 0 <= y <= V -> - A <= i <= A -> 0 <= moved y i h <= / 2 * X) as Way.
+  { intros y i Hy Hi. split; [pose proof (moved_reaches y i 0 h ltac:(lra) ltac:(lra)); lra |].
+    destruct (moved_is y i h) as [s [Hs ->]]; try lra.
+    assert (y * s <= V * h) by (apply Rmult_le_compat; lra).
+    assert (i * (s * s) <= A * (s * s)) by (apply Rmult_le_compat_r; nra).
+    assert (s * s <= h * h) by (apply Rmult_le_compat; lra).
+    assert (A * (s * s) <= A * (h * h)) by (apply Rmult_le_compat_l; lra). lra. }
+  pose proof (Way w' (- c) ltac:(lra) ltac:(lra)). pose proof (Way v' a' ltac:(lra) ltac:(lra)).
+  unfold predicted_gap. set (f := advanced 0 w' (- c) h) in *. set (o := advanced 0 v' a' h) in *.
+  assert (Rabs (gap + f) <= 3.6 * X) as B1 by (apply abs_le; lra). pose proof (fl_within _ _ B1).
+  assert (Rabs (fl (gap + f) - o) <= 4.2 * X) as B2 by (apply abs_le; lra). pose proof (fl_within _ _ B2). lra.
+Qed.
+
+(** What a test predicts, and what comes meanwhile, over n steps. *)
+Theorem predicted_steps_are_no_better X V A h c len (gap v' w' a' xf x v w a af : nat -> R) e n : step_within X V A h h -> 0 < c <= A ->
+  (forall i, (i < n)%nat ->
+    - X <= xf i <= X /\ - X <= x i <= X /\ - (3 * X) <= gap i <= 3 * X /\ 0 <= v i <= V /\ 0 <= v' i <= V /\ 0 <= w i <= V /\ 0 <= w' i <= V /\
+    - A <= a i <= A /\ - A <= a' i <= A /\ (a i <= a' i \/ v i = 0 /\ a i = 0) /\ - c <= af i <= A /\
+    gap (S i) = predicted_gap (gap i) (w' i) c (v' i) (a' i) h /\
+    v' (S i) = advanced_speed (v' i) (a' i) h /\ w' (S i) = advanced_speed (w' i) (- c) h /\
+    xf (S i) = advanced (xf i) (w i) (af i) h /\ x (S i) = advanced (x i) (v i) (a i) h /\
+    v (S i) = advanced_speed (v i) (a i) h /\ w (S i) = advanced_speed (w i) (af i) h) ->
+  v 0%nat <= v' 0%nat -> w' 0%nat <= w 0%nat -> gap 0%nat <= xf 0%nat - len - x 0%nat + e ->
+  v n <= v' n /\ w' n <= w n /\ gap n <= xf n - len - x n + e + INR n * (24 * (u * X)).
+Proof.
+  intros H Hc. induction n as [| n IH]; intros Hs Hv Hw Hg; [simpl; lra |].
+  destruct (IH ltac:(intros i Hi; apply Hs; lia) Hv Hw Hg) as [IHv [IHw IHg]].
+  destruct (Hs n ltac:(lia)) as [H1 [H2 [H3 [H4 [H5 [H6 [H7 [H8 [H9 [H10 [H11 [-> [-> [-> [-> [-> [-> ->]]]]]]]]]]]]]]]]].
+  destruct (a_predicted_step_is_no_better X V A h (xf n) (x n) (v n) (w n) (v' n) (w' n) (a n) (a' n) (af n) c len (gap n)
+    (e + INR n * (24 * (u * X)))) as [R1 [R2 R3]]; try assumption; try lra.
+  rewrite S_INR. lra.
+Qed.
+
+(** * The margin *)
+
+(** What half a margin has to pay for: n steps of full braking, and that what is left is computed twice, in the test and when it is
+    asked whether a state is out of the kernel. *)
+Theorem half_a_margin_pays p (s : nat -> state) m eta n : bounds_hold p ->
+  (forall i, (i < n)%nat -> braking_step p (s i) (s (S i))) ->
+  INR n * step_loss p + 2 * eta <= m / 2 -> m - eta <= spare_of p (s 0%nat) ->
+  forall i, (i <= n)%nat -> m / 2 + eta <= spare_of p (s i).
+Proof.
+  intros H Hs Hm H0 i Hi. pose proof (braking_on_takes_at_most p s i H ltac:(intros j Hj; apply Hs; lia)) as B.
+  assert (0 <= step_loss p) as Hl.
+  { destruct H as [H [Hth [Hsh [_ [_ [HP [_ [Hb [_ HZ]]]]]]]]]. facts. unfold step_loss.
+    assert (0 <= stop_time p) by (apply Rmult_le_pos; [lra | left; apply Rinv_0_lt_compat; lra]).
+    assert (0 <= lag p) by (unfold lag, Rdiv; apply Rmult_le_pos; [apply Rmult_le_pos; lra | left; apply Rinv_0_lt_compat; lra]).
+    assert (0 <= accelerations p * step p) by (apply Rmult_le_pos; lra).
+    assert (0 <= stop_time p * (speeds p + 6 * accelerations p * step p)) by (apply Rmult_le_pos; lra).
+    assert (0 <= lag p * stop_time p * responses p) by (apply Rmult_le_pos; [apply Rmult_le_pos |]; lra).
+    apply Rmult_le_pos; lra. }
+  assert (INR i * step_loss p <= INR n * step_loss p) by (apply Rmult_le_compat_r; [lra | apply le_INR; lia]). lra.
 Qed.
