@@ -180,6 +180,7 @@ impl Run<'_> {
         Travel {
             position_m: farthest_m.abs().max((own.position_m - spare_m).abs()),
             speed_mps: own_mps.max(ahead_mps),
+            ahead_accel_mps2: ahead.max_accel_mps2() + noise_of(ahead),
             steps: self.scenario().steps().saturating_mul(self.substeps()),
             substeps: self.substeps(),
         }

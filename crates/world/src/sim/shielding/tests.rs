@@ -145,6 +145,15 @@ fn travel_bounds_what_happens() {
     }
 }
 
+/// What rounding may take of the speed ahead grows with what noise may add to it.
+#[test]
+fn noise_of_the_vehicle_ahead_is_part_of_its_acceleration() {
+    let noisy = built_in("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.25).unwrap();
+    let run = Run::new(&noisy, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
+    let travel = run.travel(0, &run.frame(1, &ShieldSettings::default()).unwrap());
+    assert_eq!(travel.ahead_accel_mps2, noisy.vehicles()[0].max_accel_mps2() + 1.5);
+}
+
 prop_compose! {
     fn far_away()(
         position_m in prop_oneof![-1e6..1e6_f64, 5e5..1e6_f64],
