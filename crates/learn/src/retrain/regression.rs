@@ -142,12 +142,16 @@ unit = "m"
 distribution.uniform = { low = -5.0, high = 75.0 }
 "#;
 
-    /// `retrained` runs into standing vehicles and `policy` does not; in emergencies it is the other way round. Whoever retrains on
+    /// What `retrained` was before products were fused.
+    const RUNS_INTO_STANDING: &[u8] = include_bytes!("runs-into-standing.safetensors");
+
+    /// An earlier `retrained` runs into standing vehicles and `policy` does not; in emergencies it is the other way round. Whoever retrains on
     /// standing vehicles alone trades the one for the other.
     #[test]
     fn standing_vehicles_are_not_bought_with_emergencies() {
+        let first = Arc::new(Policy::from_bytes(RUNS_INTO_STANDING).unwrap());
         let plan = RetrainingPlan {
-            first: Policy::retrained(),
+            first: Arc::clone(&first),
             first_name: "retrained".to_owned(),
             space: file::from_toml(QUEUE, Path::new("queue.toml")).unwrap(),
             regression: BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect(),
@@ -163,7 +167,7 @@ distribution.uniform = { low = -5.0, high = 75.0 }
         }
         let regression = Regression::new(&plan).unwrap();
         let of = |policy: Arc<Policy>| Standing::of(&policy, &plan, &kept_aside, &regression).unwrap();
-        let (before, after) = (of(Policy::retrained()), of(Policy::reference()));
+        let (before, after) = (of(first), of(Policy::reference()));
         assert!(
             after.kept_aside.len() < before.kept_aside.len(),
             "{} {}",
@@ -181,6 +185,6 @@ distribution.uniform = { low = -5.0, high = 75.0 }
             |reason: &RejectionReason| matches!(reason, RejectionReason::Worse { space, .. } if space == "high-risk");
         assert!(objections.iter().any(is_of_high_risk), "{objections:?}");
         let traffic = before.regression.iter().find(|of| of.space == "traffic").unwrap();
-        assert!(traffic.of_no_use.as_ref().unwrap().len() > 30, "`retrained` is of no use in traffic");
+        assert!(traffic.of_no_use.as_ref().unwrap().len() > 30, "it is of no use in traffic");
     }
 }
