@@ -4,7 +4,7 @@ use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Reach, Scene, reach,
 use crumple_verify::{Accepted, Assumption, Certificate, Interval, Rejection, check_with};
 use proptest::prelude::*;
 
-use crate::reach::{any_ranges, any_unit, certificate, claim, member, paper, reference, scene};
+use crate::reach::{any_ranges, any_unit, certificate, claim, is_bounded, member, paper, reference, scene};
 use crate::support::closed_loop::{Numbers, simulate_led};
 use crate::support::networks::{any_network, network};
 
@@ -81,27 +81,11 @@ proptest! {
             follower_ttc_s: has_follower.then_some(1.4), stop_at_doubt: false, steps: 400, decision_steps: every,
             ..led(&actor, ranges, limit_mps2)
         };
-        let (reached, tube) = reach_with_tube(&scene);
+        let bounded = reach_with_tube(&scene);
         for (place, habit) in members {
             let start = member(&scene.ranges, place);
-            let (trace, least) = simulate_led(&scene, start, |k| limit_mps2 * habit.share(k));
-            if reached.doubt.is_none() {
-                prop_assert!(least[0] >= reached.gaps_m[0] - 1e-8, "{start:?} {habit:?} {least:?} {reached:?}");
-                let is_behind = !has_follower || least[1] >= reached.gaps_m[1] - 1e-8;
-                prop_assert!(is_behind, "{start:?} {habit:?} {least:?} {reached:?}");
-            }
-            if reached.touches {
-                prop_assert!(least[0] < 1e-8 || least[1] < 1e-8, "{start:?} {habit:?} {least:?}");
-                continue;
-            }
-            let Some(tube) = &tube else { continue };
-            prop_assert_eq!(tube.len(), trace.len());
-            for (decision, (bounds, seen)) in tube.iter().zip(&trace).enumerate() {
-                for (i, (bound, seen)) in bounds.iter().zip(seen).enumerate() {
-                    let inside = bound.low() - 1e-8 <= *seen && *seen <= bound.high() + 1e-8;
-                    prop_assert!(inside, "number {i} at decision {decision}: {seen} not in {bound:?}; {start:?} {habit:?}");
-                }
-            }
+            let run = simulate_led(&scene, start, |k| limit_mps2 * habit.share(k));
+            is_bounded(&scene, &bounded, run, &(start, habit))?;
         }
     }
 

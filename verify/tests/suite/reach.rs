@@ -2,7 +2,11 @@
 
 use crumple_verify::reach::actor::answer;
 use crumple_verify::reach::form::Form;
-use crumple_verify::reach::{Actor, Cell, Dimension, Doubt, Layer, Ranges, Reach, Scene, Step, reach, reach_with_tube};
+use std::fmt::Debug;
+
+use crumple_verify::reach::{
+    Actor, Cell, Dimension, Doubt, Layer, Ranges, Reach, Reached, Scene, Step, Tube, reach, reach_with_tube,
+};
 use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, check, check_with};
 use proptest::prelude::*;
 
@@ -128,6 +132,33 @@ proptest! {
     }
 }
 
+/// A run, as it was observed at each decision and with its smallest gaps, is within the bounds of its scene; `whose` names it.
+pub fn is_bounded(
+    scene: &Scene<'_>,
+    (reached, tube): &(Reached, Option<Tube>),
+    (trace, least): (Vec<[f64; 8]>, [f64; 2]),
+    whose: &impl Debug,
+) -> Result<(), TestCaseError> {
+    if reached.doubt.is_none() {
+        prop_assert!(least[0] >= reached.gaps_m[0] - 1e-8, "{whose:?} {least:?} {reached:?}");
+        let is_behind = scene.follower_ttc_s.is_none() || least[1] >= reached.gaps_m[1] - 1e-8;
+        prop_assert!(is_behind, "{whose:?} {least:?} {reached:?}");
+    }
+    if reached.touches {
+        prop_assert!(least[0] < 1e-8 || least[1] < 1e-8, "{whose:?} {least:?}");
+        return Ok(());
+    }
+    let Some(tube) = tube else { return Ok(()) };
+    prop_assert_eq!(tube.len(), trace.len());
+    for (decision, (bounds, seen)) in tube.iter().zip(&trace).enumerate() {
+        for (i, (bound, seen)) in bounds.iter().zip(seen).enumerate() {
+            let inside = bound.low() - 1e-8 <= *seen && *seen <= bound.high() + 1e-8;
+            prop_assert!(inside, "number {i} at decision {decision}: {seen} not in {bound:?}; {whose:?}");
+        }
+    }
+    Ok(())
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
@@ -144,27 +175,11 @@ proptest! {
             follower_ttc_s: has_follower.then_some(1.4), stop_at_doubt: false, steps: 400, decision_steps: every,
             ..scene(&actor, ranges)
         };
-        let (reached, tube) = reach_with_tube(&scene);
+        let bounded = reach_with_tube(&scene);
         let corner = |i: usize| std::array::from_fn(|j| f64::from(u8::from(i >> j & 1 == 1)));
         for place in places.into_iter().chain([corner(0), corner(255), corner(0b0101_1010)]) {
             let start = member(&ranges, place);
-            let (trace, least) = simulate(&scene, start);
-            if reached.doubt.is_none() {
-                prop_assert!(least[0] >= reached.gaps_m[0] - 1e-8, "{start:?} {least:?} {reached:?}");
-                prop_assert!(!has_follower || least[1] >= reached.gaps_m[1] - 1e-8, "{start:?} {least:?} {reached:?}");
-            }
-            if reached.touches {
-                prop_assert!(least[0] < 1e-8 || least[1] < 1e-8, "{start:?} {least:?}");
-                continue;
-            }
-            let Some(tube) = &tube else { continue };
-            prop_assert_eq!(tube.len(), trace.len());
-            for (decision, (bounds, seen)) in tube.iter().zip(&trace).enumerate() {
-                for (i, (bound, seen)) in bounds.iter().zip(seen).enumerate() {
-                    let inside = bound.low() - 1e-8 <= *seen && *seen <= bound.high() + 1e-8;
-                    prop_assert!(inside, "number {i} at decision {decision}: {seen} not in {bound:?}; {start:?}");
-                }
-            }
+            is_bounded(&scene, &bounded, simulate(&scene, start), &start)?;
         }
     }
 }

@@ -5,7 +5,7 @@ use crumple_verify::reach::{Actor, Each, Input, Layer, Scene, Step};
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
 pub type Start = [f64; 8];
 
-/// The network as it is deployed: single precision, products added up in order.
+/// The network in single precision, products added up in order; each is rounded by itself here, where what is deployed fuses them: bounds cover either.
 pub fn act(actor: &Actor, seen: [f64; 8], is_followed: bool) -> f64 {
     let input = |input: &Input| {
         let sum = input.of.iter().zip(seen).map(|(factor, number)| factor * number).sum::<f64>() + input.constant;
