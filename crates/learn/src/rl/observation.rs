@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::config::ConfigError;
-use crumple_world::policy::{ObservationScaling, STATE};
+use crumple_world::policy::{LONGEST_HISTORY, ObservationScaling, STATE};
 
 /// Which numbers the networks see, each as `(x - offset) / scale`, cut to ±`limit`. What is left out of `inputs` is always 0.
 ///
@@ -157,7 +157,7 @@ impl ObservationConfig {
         let whole = [
             ("environment.observation.limit", self.limit, [0.1, 1000.0]),
             ("environment.observation.empty_gap_m", self.empty_gap_m, [1.0, 1e4]),
-            ("environment.observation.history", f64::from(self.history), [1.0, 64.0]),
+            ("environment.observation.history", f64::from(self.history), [1.0, LONGEST_HISTORY as f64]),
         ];
         whole.into_iter().chain(inputs)
     }

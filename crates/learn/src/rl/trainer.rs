@@ -236,8 +236,7 @@ impl Trainer {
             u64::from(self.config.exploration.random_hold_steps / self.config.environment.decision_steps).max(1);
         let (decisions_before, mut held) = (self.decisions, 0.0);
         let history = self.config.environment.observation.history as usize;
-        let (mut past, mut seen) = (Past::default(), Vec::new());
-        seen.extend_from_slice(past.look_back(history, &episode.state()));
+        let mut seen = Past::default().look_back(history, &episode.state()).to_vec();
         let ending = loop {
             let action = match noise {
                 None => {

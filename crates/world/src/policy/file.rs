@@ -20,7 +20,7 @@ const MOST_BYTES: u64 = 256 << 20;
 const MOST_LAYERS: usize = 16;
 const WIDEST_LAYER: usize = 4096;
 /// Longest history that a network may see, in decisions.
-const LONGEST_HISTORY: usize = 64;
+pub const LONGEST_HISTORY: usize = 64;
 
 /// Why a policy cannot be used.
 #[derive(Debug, thiserror::Error)]

@@ -16,7 +16,7 @@ use std::sync::{Arc, LazyLock};
 
 pub use departure::{Departure, Held};
 pub use elementwise::Elementwise;
-pub use file::PolicyError;
+pub use file::{LONGEST_HISTORY, PolicyError};
 pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE};
 pub(crate) use network::Acting;
 pub use network::{Network, Workspace};
