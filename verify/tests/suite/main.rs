@@ -11,6 +11,7 @@
 mod arch_comp;
 mod avoidable;
 mod certificates;
+mod exact;
 mod form;
 mod format;
 mod interval;

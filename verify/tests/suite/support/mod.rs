@@ -1,6 +1,7 @@
 //! Scenes, and an independent, plain simulation of them.
 
 pub mod closed_loop;
+pub mod exact;
 pub mod mutants;
 pub mod networks;
 

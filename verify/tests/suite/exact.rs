@@ -1,0 +1,143 @@
+//! What the checker says of boxes is true of their members to the last bit, by a derivation that shares nothing with it.
+
+use crumple_verify::reach::{Actor, Cell, Ranges, Scene, Tube, reach_with_tube};
+use crumple_verify::{Certificate, Interval, Statement};
+use proptest::prelude::*;
+
+use crate::reach::{any_ranges, any_unit, member, paper, reference, scene};
+use crate::support::closed_loop::{Numbers, Start, simulate};
+use crate::support::exact::{Exact, TooClose, drive};
+use crate::support::networks::{any_network, network};
+
+/// Errors of what is observed: each the largest there is, to one side or the other, or none.
+fn errors(scene: &Scene<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
+    let largest = scene.observation_error;
+    move |decision| {
+        let mut numbers = Numbers((seed ^ (decision as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
+        numbers.unit();
+        largest.map(|error| error * (numbers.signed() * 1.5).round())
+    }
+}
+
+/// How a leader brakes that may brake at so much: any rate at each step, or all or nothing for a while.
+fn brakes(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
+    move |k| {
+        let held = if seed.is_multiple_of(2) { 1 } else { 37 };
+        let mut numbers = Numbers((seed ^ u64::from(k / held + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
+        numbers.unit();
+        limit_mps2 * if held == 1 { numbers.unit() } else { numbers.unit().round() }
+    }
+}
+
+/// A member of a scene, driven to the end.
+fn driven(scene: &Scene<'_>, start: Start, seed: u64) -> Result<(Vec<[Exact; 8]>, [Exact; 2]), TooClose> {
+    let brake = scene.leader_brakes_at_most_mps2.map(|limit_mps2| brakes(limit_mps2, seed));
+    drive(scene, start, errors(scene, seed), brake.as_ref().map(|brake| brake as &dyn Fn(u32) -> f64))
+}
+
+/// Whether a run is where the bounds have it, with nothing to spare.
+fn is_bounded(
+    tube: Option<&Tube>,
+    gaps_m: Option<[f64; 2]>,
+    (trace, least): &(Vec<[Exact; 8]>, [Exact; 2]),
+) -> Result<(), String> {
+    if let Some(gaps_m) = gaps_m {
+        let (found, [ahead, behind]) = (least.each_ref(), gaps_m);
+        if !found[0].is_at_least(ahead) || !found[1].is_at_least(behind) {
+            return Err(format!("{least:?} below {gaps_m:?}"));
+        }
+    }
+    let Some(tube) = tube else { return Ok(()) };
+    assert_eq!(tube.len(), trace.len());
+    for (decision, (bounds, seen)) in tube.iter().zip(trace).enumerate() {
+        if let Some(i) = (0..8).find(|&i| !seen[i].is_in(bounds[i])) {
+            return Err(format!("number {i} at decision {decision}: {:?} not in {:?}", seen[i], bounds[i]));
+        }
+    }
+    Ok(())
+}
+
+prop_compose! {
+    /// Errors of observation: none, next to none, or centimetres.
+    fn any_errors()(size in prop::sample::select(vec![0.0, 1e-9, 0.02]), shares in prop::array::uniform8(0.0..1.0_f64)) -> [f64; 8] {
+        shares.map(|share| size * share)
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(96))]
+
+    /// Whatever a network does, whatever it is told within the errors, however the leader brakes: everything is inside the bounds at every
+    /// decision, and no gap is below its bound at any half step. Boxes, and single starts, of which bounds are tightest.
+    #[test]
+    fn bounds_hold_to_the_last_bit(
+        ranges in any_ranges(), seed: u64, gain in prop::option::of(0.2..1.2_f64), has_follower: bool, is_point: bool,
+        limit_mps2 in prop::option::of(0.0..6.0_f64), observation_error in any_errors(),
+        every in prop::sample::select(vec![1_u32, 2, 5, 10]), places in prop::collection::vec((any_unit(), any::<u64>()), 4),
+    ) {
+        let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
+        let scene_of = |ranges: Ranges| {
+            let unscripted = Ranges { leader_brake_mps2: Interval::ZERO, onset_steps: Interval::ZERO, ..ranges };
+            let ranges = if limit_mps2.is_some() { unscripted } else { ranges };
+            Scene {
+                follower_ttc_s: has_follower.then_some(1.4), leader_brakes_at_most_mps2: limit_mps2, observation_error,
+                stop_at_doubt: false, steps: 300, decision_steps: every, ..scene(&actor, ranges)
+            }
+        };
+        let whole = scene_of(ranges);
+        let bounds = (!is_point).then(|| reach_with_tube(&whole));
+        for (place, seed) in places {
+            let start = member(&whole.ranges, place);
+            let Ok(run) = driven(&whole, start, seed) else { continue };
+            let mut point = ranges;
+            for (dimension, number) in crumple_verify::reach::Dimension::ALL.into_iter().zip(start) {
+                *point.get_mut(dimension) = Interval::point(number);
+            }
+            let of_point = bounds.is_none().then(|| reach_with_tube(&scene_of(point)));
+            let Some((reached, tube)) = bounds.as_ref().or(of_point.as_ref()) else { continue };
+            let is_clear = run.1[0].is_at_least(0.0) && (!has_follower || run.1[1].is_at_least(0.0));
+            prop_assert!(!(reached.touches && is_clear), "{start:?}");
+            let mut gaps_m = reached.gaps_m;
+            if !has_follower { gaps_m[1] = f64::NEG_INFINITY; }
+            let is_bounded = is_bounded(tube.as_ref(), reached.doubt.is_none().then_some(gaps_m), &run);
+            prop_assert!(is_bounded.is_ok(), "{start:?} {seed}: {is_bounded:?}");
+        }
+    }
+}
+
+/// What is claimed of paper-1 and paper-2: no gap of a member is below the one that is stated, at any half step.
+#[test]
+fn committed_claims_are_true_of_their_members() {
+    let mut numbers = Numbers(77);
+    let actor = Actor::from_bytes(&reference()).unwrap();
+    for name in ["reach-paper-1", "reach-paper-2"] {
+        let path = format!("{}/../corpora/certificates/{name}.json", env!("CARGO_MANIFEST_DIR"));
+        let certificate = Certificate::from_json(&std::fs::read_to_string(path).unwrap()).unwrap();
+        let Statement::Reach(claim) = certificate.statement else { panic!("{name}") };
+        let leaves: Vec<_> = claim.leaves().unwrap().into_iter().filter(|(cell, ..)| *cell == Cell::Verified).collect();
+        for _ in 0..12 {
+            let (_, ranges, _) = leaves[(numbers.unit() * leaves.len() as f64) as usize];
+            let scene = Scene { ranges, ..claim.scene(&actor).unwrap() };
+            let start = member(&ranges, std::array::from_fn(|_| numbers.unit()));
+            let run = driven(&scene, start, numbers.0).unwrap();
+            is_bounded(None, Some([claim.min_gap_m_at_least; 2]), &run).unwrap();
+            // Not idle: another policy would not do.
+            assert!(!run.1[0].min(&run.1[1]).is_at_least(claim.min_gap_m_at_least + 10.0));
+        }
+    }
+}
+
+/// Both simulations of the tests say the same, but for single precision.
+#[test]
+fn two_derivations_agree() {
+    let actor = Actor::from_bytes(&reference()).unwrap();
+    let scene = Scene { observation_error: [0.0; 8], ..scene(&actor, paper(0.5, 0.1)) };
+    for place in [0.0, 0.3, 1.0] {
+        let start = member(&scene.ranges, [place; 8]);
+        let ((exact, _), (plain, _)) = (driven(&scene, start, 1).unwrap(), simulate(&scene, start));
+        for (exact, plain) in exact.iter().zip(plain) {
+            let near = |x: &Exact, plain: f64| x.is_in(Interval::new(plain - 1e-3, plain + 1e-3).unwrap());
+            assert!(exact.iter().zip(plain).all(|(x, plain)| near(x, plain)), "{exact:?} {plain:?}");
+        }
+    }
+}

@@ -1,0 +1,334 @@
+//! The closed loop a second time: numbers between two multiples of 2⁻¹⁹², every operation rounded outward, nothing else.
+//!
+//! No affine forms, no straight lines, no allowances: a run of a single start and one network without rounding, in which the ends of
+//! each number stay some 10⁻⁴⁰ apart. What the checker says of a box must hold of it to the last bit.
+
+use std::ops::{Add, Mul, Neg, Sub};
+
+use crumple_verify::Interval;
+use crumple_verify::reach::{Actor, Each, Input, Layer, Scene, Step};
+use num_bigint::BigInt;
+
+use super::closed_loop::Start;
+
+/// Ends are multiples of 2 to the minus this.
+const BITS: usize = 192;
+
+/// The numbers from one multiple of 2⁻¹⁹² to another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Exact {
+    low: BigInt,
+    high: BigInt,
+}
+
+/// What cannot be told apart, because it is closer than numbers are known.
+#[derive(Debug)]
+pub struct TooClose;
+
+impl From<f64> for Exact {
+    fn from(number: f64) -> Self {
+        assert!(number.is_finite());
+        let bits = number.to_bits();
+        let (exponent, fraction) = ((bits >> 52 & 0x7ff) as i64, bits & ((1 << 52) - 1));
+        let mantissa = BigInt::from(if exponent == 0 { fraction } else { fraction | 1 << 52 });
+        let shift = exponent.max(1) - 1075 + BITS as i64;
+        let signed = if number < 0.0 { -mantissa } else { mantissa };
+        let places = shift.unsigned_abs();
+        if shift >= 0 { Self::point(signed << places) } else { Self::point(signed).shrunk(places as usize) }
+    }
+}
+
+impl Exact {
+    fn point(scaled: BigInt) -> Self {
+        Self { low: scaled.clone(), high: scaled }
+    }
+
+    /// Both ends divided by a power of two, outward.
+    fn shrunk(self, places: usize) -> Self {
+        Self { low: self.low >> places, high: -(-self.high >> places) }
+    }
+
+    pub fn zero() -> Self {
+        Self::point(BigInt::ZERO)
+    }
+
+    pub fn hull(&self, other: &Self) -> Self {
+        Self { low: (&self.low).min(&other.low).clone(), high: (&self.high).max(&other.high).clone() }
+    }
+
+    pub fn min(&self, other: &Self) -> Self {
+        Self { low: (&self.low).min(&other.low).clone(), high: (&self.high).min(&other.high).clone() }
+    }
+
+    fn max(&self, other: &Self) -> Self {
+        Self { low: (&self.low).max(&other.low).clone(), high: (&self.high).max(&other.high).clone() }
+    }
+
+    fn clamp(&self, low: f64, high: f64) -> Self {
+        self.max(&low.into()).min(&high.into())
+    }
+
+    /// Divided by a number that is not 0.
+    pub fn over(&self, by: &Self) -> Self {
+        if by.high < BigInt::ZERO {
+            return (-self.clone()).over(&-by.clone());
+        }
+        assert!(by.low > BigInt::ZERO, "divided by {by:?}");
+        let down = |n: &BigInt, d: &BigInt| {
+            let (n, zero) = (n << BITS, BigInt::ZERO);
+            let whole = &n / d;
+            if n < zero && &whole * d != n { whole - 1 } else { whole }
+        };
+        let ends = |f: &dyn Fn(&BigInt, &BigInt) -> BigInt, n: &BigInt| [f(n, &by.low), f(n, &by.high)];
+        let [a, b] = ends(&down, &self.low);
+        let [c, d] = ends(&|n, d| -down(&-n, d), &self.high);
+        Self { low: a.min(b), high: c.max(d) }
+    }
+
+    /// Whether it is below another number.
+    pub fn is_below(&self, other: &Self) -> Result<bool, TooClose> {
+        if self.high < other.low {
+            Ok(true)
+        } else if self.low >= other.high {
+            Ok(false)
+        } else {
+            Err(TooClose)
+        }
+    }
+
+    /// Whether it is certainly in an interval, no end of which it may go beyond by anything.
+    pub fn is_in(&self, interval: Interval) -> bool {
+        self.is_at_least(interval.low()) && (-self.clone()).is_at_least(-interval.high())
+    }
+
+    /// Whether it is certainly at least so large.
+    pub fn is_at_least(&self, bound: f64) -> bool {
+        bound == f64::NEG_INFINITY || Self::from(bound).high <= self.low
+    }
+
+    fn is_zero(&self) -> bool {
+        *self == Self::zero()
+    }
+
+    /// e to it.
+    fn exp(&self) -> Self {
+        // Of x/2ᵐ, below 1/2, by Taylor's series, in units of 2⁻¹⁹²: x/2ᵐ is off by less than 1, each term by less than 4, and the rest is
+        // less than 1.
+        let at = |end: &BigInt| {
+            let halvings = (end.bits() as usize).saturating_sub(BITS - 1);
+            let x = end >> halvings;
+            let mut term = BigInt::from(1) << BITS;
+            let mut sum = term.clone();
+            for n in 1..40_u32 {
+                term = ((term * &x) >> BITS) / n;
+                sum += &term;
+            }
+            let off = BigInt::from(200);
+            let power = Self { low: &sum - &off, high: sum + off };
+            (0..halvings).fold(power, |power, _| power.clone() * power)
+        };
+        self.at_ends(at)
+    }
+
+    /// What lies between the values of a function that grows.
+    fn at_ends(&self, at: impl Fn(&BigInt) -> Self) -> Self {
+        let low = at(&self.low);
+        if self.low == self.high { low } else { low.hull(&at(&self.high)) }
+    }
+
+    fn tanh(&self) -> Self {
+        let one = || Self::from(1.0);
+        let at = |end: &BigInt| {
+            let end = Self::point(end.clone());
+            if end.low < BigInt::ZERO {
+                // No larger exponential than 1.
+                let e = (end.clone() + end).exp();
+                return (e.clone() - one()).over(&(e + one()));
+            }
+            let e = (-(end.clone() + end)).exp();
+            (one() - e.clone()).over(&(one() + e))
+        };
+        self.at_ends(at)
+    }
+}
+
+impl Add for Exact {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self { low: self.low + other.low, high: self.high + other.high }
+    }
+}
+
+impl Neg for Exact {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self { low: -self.high, high: -self.low }
+    }
+}
+
+impl Sub for Exact {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        self + -other
+    }
+}
+
+impl Mul for Exact {
+    type Output = Self;
+    fn mul(self, other: Self) -> Self {
+        let mut products =
+            [&self.low * &other.low, &self.low * &other.high, &self.high * &other.low, &self.high * &other.high];
+        products.sort();
+        let [low, .., high] = products;
+        Self { low, high }.shrunk(BITS)
+    }
+}
+
+/// What the network wants, in m/s², without any rounding.
+fn wanted(actor: &Actor, seen: &[Exact; 8], is_followed: bool) -> Exact {
+    let input = |input: &Input| {
+        let number = match input.absent.filter(|_| !is_followed) {
+            Some(absent) => absent.into(),
+            None => input
+                .of
+                .iter()
+                .zip(seen)
+                .fold(input.constant.into(), |sum: Exact, (&factor, number)| sum + number.clone() * factor.into()),
+        };
+        (number - input.offset.into()).over(&input.scale.into()).clamp(input.low, input.high)
+    };
+    let answers = actor.steps.iter().fold(actor.inputs.iter().map(input).collect::<Vec<_>>(), done);
+    let wanted = answers[actor.answer].clone() * actor.scale_mps2.into() + actor.offset_mps2.into();
+    let [low, high] = actor.action_mps2;
+    if actor.is_cut { wanted.clamp(low, high) } else { wanted }
+}
+
+fn done(h: Vec<Exact>, step: &Step) -> Vec<Exact> {
+    let each = match step {
+        Step::Linear(Layer { outputs, weights, biases, .. }) => {
+            let of = |o: usize| {
+                let column = weights.iter().skip(o).step_by(*outputs);
+                h.iter()
+                    .zip(column)
+                    .filter(|(h, _)| !h.is_zero())
+                    .fold(biases[o].into(), |sum: Exact, (h, &weight)| sum + h.clone() * weight.into())
+            };
+            return (0..*outputs).map(of).collect();
+        }
+        Step::Each(each) => each,
+    };
+    let one = || Exact::from(1.0);
+    let zero = Exact::zero();
+    let of = |(number, x): (usize, Exact)| {
+        let bent = |below: &dyn Fn(&Exact) -> Exact| {
+            let above = x.max(&zero);
+            match x.is_below(&zero) {
+                Ok(true) => below(&x),
+                Ok(false) => above,
+                Err(TooClose) => above.hull(&below(&x.min(&zero))),
+            }
+        };
+        match each {
+            Each::Relu => bent(&|_| zero.clone()),
+            Each::LeakyRelu(slope) => bent(&|x| x.clone() * (*slope).into()),
+            Each::Elu(alpha) => bent(&|x| (x.exp() - one()) * (*alpha).into()),
+            Each::Tanh => x.tanh(),
+            // 1 / (1 + e⁻ˣ) = (1 + tanh(x/2)) / 2.
+            Each::Sigmoid => ((x * 0.5.into()).tanh() + one()) * 0.5.into(),
+            Each::Add(operands) => x + operands[number].into(),
+            Each::Multiply(operands) => x * operands[number].into(),
+            Each::Divide(operands) => x.over(&operands[number].into()),
+            Each::Clip { low, high } => x.clamp(low[number], high[number]),
+        }
+    };
+    h.into_iter().enumerate().map(of).collect()
+}
+
+/// A vehicle over one step.
+struct Moved {
+    /// Distance within half of the step, and within all of it.
+    covered_m: [Exact; 2],
+    speed_mps: Exact,
+    held_mps2: Exact,
+}
+
+fn moved(speed: &Exact, wanted: &Exact, step: &Exact) -> Result<Moved, TooClose> {
+    let is_idle = speed.is_zero() && !Exact::zero().is_below(wanted)?;
+    let held = if is_idle { Exact::zero() } else { wanted.clone() };
+    let after = |time: Exact| {
+        let end = speed.clone() + held.clone() * time.clone();
+        // Who stops has stopped on v²/(2b), in time.
+        let stops = !held.is_zero() && end.is_below(&Exact::zero())?;
+        let covered = if stops {
+            (speed.clone() * speed.clone()).over(&(held.clone() * (-2.0).into()))
+        } else {
+            (speed.clone() + end.clone()) * time * 0.5.into()
+        };
+        Ok((covered, if stops { Exact::zero() } else { end }))
+    };
+    let (half, _) = after(step.clone() * 0.5.into())?;
+    let (covered, speed_mps) = after(step.clone())?;
+    Ok(Moved { covered_m: [half, covered], speed_mps, held_mps2: held })
+}
+
+/// Everything that is true at each decision, the last instant included, and the smallest gaps at any half step; none where the run goes
+/// through something that is closer than numbers are known. What is observed differs by `error(decision)` from that, and the leader
+/// brakes at `brake(k)` of the script that its start says, or of nothing, over each step.
+pub fn drive(
+    scene: &Scene<'_>,
+    start: Start,
+    error: impl Fn(usize) -> [f64; 8],
+    brake: Option<&dyn Fn(u32) -> f64>,
+) -> Result<(Vec<[Exact; 8]>, [Exact; 2]), TooClose> {
+    let Scene { actor, follower_ttc_s, steps, decision_steps: every, .. } = *scene;
+    let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] = start.map(Exact::from);
+    let step = Exact::from(scene.step_s);
+    let zero = Exact::zero;
+    let (mut a_l, mut a_e, mut a_r, mut wants, mut fired) = (zero(), zero(), zero(), zero(), false);
+    let (mut trace, mut least) = (Vec::new(), [ahead.clone(), behind.clone()]);
+    for k in 0..=steps {
+        let seen = match follower_ttc_s {
+            Some(_) => [&ahead, &behind, &v_l, &v_e, &v_r, &a_l, &a_e, &a_r].map(Exact::clone),
+            None => [
+                ahead.clone(),
+                actor.empty_gap_m.into(),
+                v_l.clone(),
+                v_e.clone(),
+                v_e.clone(),
+                a_l.clone(),
+                a_e.clone(),
+                zero(),
+            ],
+        };
+        if k % every == 0 {
+            let error = error(trace.len());
+            let observed = std::array::from_fn(|i| seen[i].clone() + error[i].into());
+            wants = wanted(actor, &observed, follower_ttc_s.is_some());
+            trace.push(seen);
+        }
+        if let Some(ttc_s) = follower_ttc_s.filter(|_| !fired) {
+            fired = behind.is_below(&((v_r.clone() - v_e.clone()) * ttc_s.into()))?;
+        }
+        let brakes = match brake {
+            Some(brake) => brake(k).into(),
+            // The mean over the step it falls into.
+            None => brake_l.clone() * (Exact::from(f64::from(k) + 1.0) - onset.max(&f64::from(k).into())).max(&zero()),
+        };
+        let leader = moved(&v_l, &-brakes, &step)?;
+        let ego = moved(&v_e, &wants, &step)?;
+        let follower = moved(&v_r, &if fired { -brake_r.clone() } else { zero() }, &step)?;
+        if k < steps {
+            for place in [0, 1] {
+                let [l, e, r] = [&leader, &ego, &follower].map(|moved| moved.covered_m[place].clone());
+                let gaps = [ahead.clone() + l - e.clone(), behind.clone() + e - r];
+                least = std::array::from_fn(|pair| least[pair].min(&gaps[pair]));
+            }
+        }
+        let [covered_l, covered_e, covered_r] = [&leader, &ego, &follower].map(|moved| moved.covered_m[1].clone());
+        ahead = ahead + covered_l - covered_e.clone();
+        behind = behind + covered_e - covered_r;
+        (v_l, v_e, v_r) = (leader.speed_mps, ego.speed_mps, follower.speed_mps);
+        (a_l, a_e, a_r) = (leader.held_mps2, ego.held_mps2, follower.held_mps2);
+    }
+    Ok((trace, least))
+}
