@@ -318,6 +318,10 @@ impl Drive<'_> {
         let ahead = if moves { acts_mps2 } else { acts_mps2.max(Interval::ZERO) };
         closing.extend(follower.map(|follower| (ahead + follower.rate.range()).max(Interval::ZERO)));
         let mut touches = false;
+        // Nobody reverses: the gap to a follower that stands never falls.
+        if follower.is_some_and(|follower| follower.has_stood(k, self.step)) {
+            closing.truncate(1);
+        }
         for (pair, m) in closing.into_iter().enumerate() {
             let least = before[pair].range().min(now.gaps[pair].range());
             let gap_m = (least - m * eighth).low();

@@ -157,7 +157,7 @@ fn attacked(scene: &Scene<'_>, rounds: usize, seed: u64) -> f64 {
 #[test]
 fn verified_boxes_survive_the_worst_leader_that_is_found() {
     let actor = Actor::from_bytes(&reference()).unwrap();
-    for limit_mps2 in [0.05, 0.2, 0.35] {
+    for limit_mps2 in [0.05, 0.2, 0.35, 0.55] {
         let scene = led(&actor, paper(0.1, 0.0), limit_mps2);
         let reached = reach(&scene);
         assert_eq!(reached.doubt, None, "{limit_mps2}");
