@@ -122,10 +122,11 @@ fn table(measured: &Benchmark) -> String {
     let mut text = format!("Chasing Cars, {}, at most {} evaluations\n", measured.method, measured.budget);
     for row in &measured.rows {
         let mean = row.mean_evaluations.map_or("-".to_owned(), |mean| format!("{mean:.1}"));
+        let of_those = if (1..row.seeds).contains(&row.successes) { ", of those that found one" } else { "" };
         // Writing to a string cannot fail.
         let _ = writeln!(
             text,
-            "  {:<4} {:>5} of {:<5} {mean:>8} evaluations to the first that holds at both steps",
+            "  {:<4} {:>5} of {:<5} {mean:>8} evaluations to the first that holds at both steps{of_those}",
             row.spec, row.successes, row.seeds
         );
     }

@@ -149,7 +149,8 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
         (None, ..) if levels.len() == MOST_LEVELS => {
             writeln!(
                 out,
-                "  no failure after {MOST_LEVELS} levels: no estimate; if there are failures, they are very rare"
+                "  no failure after {MOST_LEVELS} levels: no estimate, and no word of how rare failures are: levels may lead past them; \
+                 more --samples may find them"
             )?;
         }
         (None, ..) => {
@@ -201,14 +202,25 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
     if let Some(rate) = &report.exposed {
         out.push_str(&exposed::text(rate));
     }
+    // What any other specification leaves is in no unit that is known here.
+    let contacts = !failure.ends_with("is violated");
     writeln!(
         out,
         "\n  {:>14} {:>13} {:>9} {:>7} {:>11}",
-        "smallest gap", "probability", "share", "step", "acceptance"
+        if contacts { "smallest gap" } else { "robustness" },
+        "probability",
+        "share",
+        "step",
+        "acceptance"
     )?;
     for level in levels {
         let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
-        let gap = if level.step.is_none() { "contact".to_owned() } else { format!("<= {:.3} m", level.margin) };
+        let gap = match (level.step, contacts) {
+            (None, true) => "contact".to_owned(),
+            (None, false) => "failure".to_owned(),
+            (Some(_), true) => format!("<= {:.3} m", level.margin),
+            (Some(_), false) => format!("<= {:.3}", level.margin),
+        };
         writeln!(
             out,
             "  {gap:>14} {:>13.3e} {:>8.1} % {:>6} {:>11}",

@@ -124,7 +124,7 @@ struct Rate {
     /// Where registration, progress and certificate go [default: crumple-rate; of a shard, crumple-rate-shard-I-of-N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on with an interrupted count; with --rare, print the estimate that is there
+    /// Go on with an interrupted count; with --rare, print the estimate that is there, or begin it anew
     #[arg(long)]
     resume: bool,
 }

@@ -360,6 +360,10 @@ fn mistakes_are_said_before_anything_is_written() {
     assert!(falsify(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, "));
     assert!(falsify(&["--space", "none.toml"]).contains("none.toml: No such file"));
     assert!(falsify(&["--spec", "always v1.gap_m >"]).contains("--spec: column 18"));
+    for misspelt in ["no amplificaton", "imposed braking at most 4", "imposed braking at most -4 m/s2"] {
+        let found = falsify(&["--spec", misspelt]);
+        assert!(found.contains("`no amplification`") && found.contains("`no contact`"), "{misspelt}: {found}");
+    }
     let unknown = falsify(&["--spec", "always v7.gap_m > 0"]);
     let expected = "--spec: column 8: there is no signal `v7.gap_m`; there are: v0.position_m";
     assert!(unknown.contains(expected), "{unknown}");

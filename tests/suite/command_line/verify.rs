@@ -169,6 +169,18 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     );
     let text = estimate(&["--resume"]);
     assert!(stdout(&text).contains("no bound and no certificate"), "{}", stdout(&text));
+    assert!(stdout(&text).contains("smallest gap") && stdout(&text).contains(" m "), "{}", stdout(&text));
+    let rule = crumple(
+        folder.path(),
+        &["verify", "rate", "--controller", "idm", "--rare", "--samples", "50", "--repetitions", "5", "--out", "rule"]
+            .into_iter()
+            .chain(["--spec", "imposed braking at most 4 m/s2"])
+            .collect::<Vec<_>>(),
+    );
+    assert_eq!(code(&rule), 0, "{}", stderr(&rule));
+    let said = stdout(&rule);
+    assert!(said.contains("robustness") && said.contains(" failure ") && !said.contains("contact"), "{said}");
+    assert!(!said.contains("smallest gap"), "margins of a rule are no gaps: {said}");
     let fsck = || crumple(folder.path(), &["fsck", "rare"]);
     assert!(code(&fsck()) == 0 && stdout(&fsck()).contains("rare: a rare-failure estimate, complete; 1 of 1 files"));
     std::fs::write(folder.path().join("rare/rare-estimate.json"), written.replace("\"seed\": 4", "\"seed\": 5"))

@@ -41,6 +41,12 @@ pub enum SpecificationError {
     /// It does not parse.
     #[error(transparent)]
     Parse(#[from] ParseError),
+    /// It compares nothing, as a rule misspelt does, and it is no rule.
+    #[error("{formula}; nor is this `{}`, or a rule as {} are", Specification::NO_CONTACT, Conduct::WRITTEN.map(|rule| format!("`{rule}`")).join(", "))]
+    NoRule {
+        /// Why it is no formula.
+        formula: ParseError,
+    },
     /// It cannot be evaluated.
     #[error(transparent)]
     Monitor(#[from] MonitorError),
@@ -171,7 +177,10 @@ impl Specification {
         if let Ok(conduct) = text.parse() {
             return Ok(Self::Conduct(conduct));
         }
-        let formula: Formula = text.parse()?;
+        let formula: Formula = text.parse().map_err(|formula| match text.contains(['<', '>']) {
+            true => SpecificationError::Parse(formula),
+            false => SpecificationError::NoRule { formula },
+        })?;
         let known = motion_signal_names(nominal.vehicles().len());
         if let Some(name) = formula.signal_names().into_iter().find(|name| !known.iter().any(|k| k == name)) {
             let column = signal_column(text, name).unwrap_or(1);
