@@ -29,7 +29,7 @@ enum Problem {
 #[derive(Args)]
 #[command(after_long_help = "\
 Chasing Cars, instance 2 of the ARCH-COMP falsification category: five cars, throttle and brake in 20 pieces of 5 s each, \
-six specifications (published formulas differ; --format json prints those that are meant). A run counts as a success if its counterexample \
+six specifications (published formulas differ; those that are meant are printed below the table). A run counts as a success if its counterexample \
 violates the specification by more than a centimetre at the published step of 0.01 s and at a fifth of it, where the cars look at their \
 guards five times as often, and if an independent replay says so too: a second implementation of the model and a naive monitor.")]
 struct ChasingCars {
@@ -43,7 +43,7 @@ struct ChasingCars {
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
     /// The first seed
-    #[arg(long, value_name = "S", default_value_t = 0)]
+    #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
     /// Folder for the counterexamples, new or empty: one file each, rechecked from it
     #[arg(long, value_name = "DIR")]
@@ -119,16 +119,19 @@ fn keep(measured: &Benchmark, folder: &Path, quiet: bool) -> Result<(), Failure>
 }
 
 fn table(measured: &Benchmark) -> String {
+    // Writing to a string cannot fail.
     let mut text = format!("Chasing Cars, {}, at most {} evaluations\n", measured.method, measured.budget);
     for row in &measured.rows {
         let mean = row.mean_evaluations.map_or("-".to_owned(), |mean| format!("{mean:.1}"));
         let of_those = if (1..row.seeds).contains(&row.successes) { ", of those that found one" } else { "" };
-        // Writing to a string cannot fail.
         let _ = writeln!(
             text,
             "  {:<4} {:>5} of {:<5} {mean:>8} evaluations to the first that holds at both steps{of_those}",
             row.spec, row.successes, row.seeds
         );
+    }
+    for row in &measured.rows {
+        let _ = writeln!(text, "  {:<4} {}", row.spec, row.formula);
     }
     text
 }

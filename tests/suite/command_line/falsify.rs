@@ -75,6 +75,14 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
         assert_eq!(code(&output), exit_code, "{}", stderr(&output));
         assert!(stderr(&output).contains(said) && !stdout(&output).is_empty(), "{}", stderr(&output));
     }
+    // Where nothing was compared, nothing holds.
+    let search =
+        ["falsify", "--controller", "baseline", "--budget", "5", "--out", "alone", "--metamorphic", "larger-gap=1e6"];
+    let alone = crumple(folder.path(), &[&search[..], &["--expect", "nothing"]].concat());
+    assert_eq!(code(&alone), 1);
+    assert!(stderr(&alone).contains("none of 15 evaluations has another scenario"), "{}", stderr(&alone));
+    let told = "NOT COMPARED: of 5 of 5 evaluations there is no scenario with 1000000 m less of a gap ahead at the start (halton)";
+    assert!(stdout(&alone).contains(told), "{}", stdout(&alone));
     let shard = ["falsify", "--controller", "idm", "--shard", "1/2", "--expect", "nothing"];
     assert_eq!(code(&crumple(folder.path(), &shard)), 2);
 }
@@ -368,6 +376,7 @@ fn mistakes_are_said_before_anything_is_written() {
     let expected = "--spec: column 8: there is no signal `v7.gap_m`; there are: v0.position_m";
     assert!(unknown.contains(expected), "{unknown}");
     assert!(falsify(&["--aim", "worst"]).contains("there is no aim `worst`; there are: severest, likeliest, nearest"));
+    assert!(falsify(&["--against", "baseline"]).contains("`baseline` is set against itself"));
     assert!(falsify(&["--method", "best"]).contains("there is no method `best`"));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "only the bad space is there");
 }

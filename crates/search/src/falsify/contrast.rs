@@ -119,6 +119,19 @@ impl Contrast {
         }
     }
 
+    /// Whether it sets a controller against itself in the same scenario.
+    pub(super) fn is_with(&self, own: &NamedController) -> bool {
+        let digest = |controller: &NamedController| controller.policy().map(|policy| policy.digest());
+        match self {
+            Self::Against(other) => {
+                let is_named_alike =
+                    other.name == own.name && other.identity_beside_name() == own.identity_beside_name();
+                is_named_alike && digest(other) == digest(own)
+            }
+            Self::Metamorphic(_) => false,
+        }
+    }
+
     /// What a file says of it.
     pub(super) fn record(&self) -> ContrastRecord {
         match self {

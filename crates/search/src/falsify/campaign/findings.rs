@@ -27,6 +27,13 @@ pub(super) struct Reached {
     /// Evaluations beside which the other controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) other_unanswered: Option<Silent>,
+    /// Evaluations whose robustness has no bound: there is no other scenario to set them against, or nothing to touch.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub(super) unbounded: u64,
+}
+
+fn is_zero(count: &u64) -> bool {
+    *count == 0
 }
 
 /// Evaluations beside which the other controller gave no answer.
@@ -59,6 +66,7 @@ impl Reached {
             coverage: Coverage::new(dimension),
             failing: Vec::new(),
             other_unanswered: None,
+            unbounded: 0,
         }
     }
 
@@ -71,6 +79,8 @@ impl Reached {
                 self.failing.push(evaluated.number);
             }
         }
+        self.unbounded +=
+            u64::from(evaluated.verdict.failed.is_none() && evaluated.verdict.robustness == f64::INFINITY);
         // It is the other's where this one does not fail.
         if evaluated.verdict.failed.is_some() && !evaluated.verdict.is_violation() {
             let silent = self.other_unanswered.get_or_insert_with(|| Silent {
@@ -90,6 +100,7 @@ impl Reached {
         self.failures = self.failures.saturating_add(other.failures);
         self.first = self.first.into_iter().chain(other.first).min();
         self.best = self.best.min(other.best);
+        self.unbounded = self.unbounded.saturating_add(other.unbounded);
         match (&mut self.other_unanswered, other.other_unanswered) {
             (Some(known), Some(other)) => {
                 let runs = known.runs.saturating_add(other.runs);
@@ -111,7 +122,7 @@ impl Reached {
         let is_made = |number: &u64| made.contains(&number.wrapping_sub(1));
         let sampled = if self.method.is_blind() { MOST_POINTS as u64 } else { 0 };
         self.evaluations == made.end - made.start
-            && self.failures <= self.evaluations
+            && self.failures.saturating_add(self.unbounded) <= self.evaluations
             && self
                 .other_unanswered
                 .iter()

@@ -110,6 +110,9 @@ pub enum CampaignError {
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NobodyUnderTest(String),
+    /// A controller is set against itself.
+    #[error("`{0}` is set against itself: what the one fails the other fails as well")]
+    AgainstItself(String),
     /// A controller contradicted itself, or cannot be started any more.
     #[error(transparent)]
     Refused(#[from] RefusedController),

@@ -144,6 +144,9 @@ impl Campaign {
         if !nominal.has_vehicle_under_test() {
             return Err(CampaignError::NobodyUnderTest(self.space.name().to_owned()));
         }
+        if self.contrast.as_ref().is_some_and(|contrast| contrast.is_with(&self.controller)) {
+            return Err(CampaignError::AgainstItself(self.controller.name.clone()));
+        }
         self.judging().at(nominal, 1)?;
         self.none_refused()
     }

@@ -10,6 +10,7 @@ use super::summary::{
     AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, SUMMARY_VERSION, Summary,
 };
 use super::terms::Terms;
+use crate::falsify::ContrastRecord;
 use crate::falsify::counterexample::Counterexample;
 use crumple_world::digest::sha256;
 use crumple_world::sim::Unanswered;
@@ -51,7 +52,7 @@ impl Summary {
                 method: main.map(|reached| reached.coverage.covered()),
                 with_reference_searches: all.covered(),
             },
-            methods: reached.iter().map(MethodSummary::of).collect(),
+            methods: reached.iter().map(|reached| MethodSummary::of(reached, record.contrast.as_ref())).collect(),
             failures: failures
                 .by_frequency()
                 .into_iter()
@@ -66,13 +67,15 @@ impl Summary {
 }
 
 impl MethodSummary {
-    fn of(reached: &Reached) -> Self {
+    fn of(reached: &Reached, contrast: Option<&ContrastRecord>) -> Self {
+        let is_metamorphic = matches!(contrast, Some(ContrastRecord::Metamorphic(_)));
         Self {
             method: reached.method.name().to_owned(),
             evaluations: reached.evaluations,
             first_falsification: reached.first,
             failures: reached.failures,
             best_robustness: finite(reached.best),
+            without_partner: Some(reached.unbounded).filter(|count| is_metamorphic && *count > 0),
             other_unanswered: reached
                 .other_unanswered
                 .as_ref()

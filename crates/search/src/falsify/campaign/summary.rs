@@ -146,6 +146,9 @@ pub struct MethodSummary {
     /// Smallest robustness.
     #[serde(with = "crate::falsify::non_finite::optional")]
     pub best_robustness: Option<f64>,
+    /// Evaluations that `contrast` says nothing of: there is no such other scenario.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub without_partner: Option<u64>,
     /// Evaluations beside which the other controller, or the same one in the other scenario, gave no answer: whatever came of them, they do
     /// not count as failures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -273,6 +276,21 @@ impl Summary {
         Ok(())
     }
 
+    /// How many evaluations there is no other scenario to set against.
+    fn write_alone(&self, out: &mut String) -> std::fmt::Result {
+        let Some(ContrastRecord::Metamorphic(relation)) = &self.contrast else { return Ok(()) };
+        for MethodSummary { method, evaluations, without_partner, .. } in &self.methods {
+            if let Some(alone @ 1..) = without_partner {
+                let partner = relation.describe_partner();
+                writeln!(
+                    out,
+                    "  NOT COMPARED: of {alone} of {evaluations} evaluations there is no scenario {partner} ({method})"
+                )?;
+            }
+        }
+        Ok(())
+    }
+
     fn write(&self, out: &mut String) -> std::fmt::Result {
         writeln!(
             out,
@@ -331,6 +349,7 @@ impl Summary {
                 method.method, method.evaluations, method.failures
             )?;
         }
+        self.write_alone(out)?;
         self.write_silent(out)?;
         if !self.failures.is_empty() {
             writeln!(out, "\n  kinds of failures, and after how many evaluations each method met them first")?;
