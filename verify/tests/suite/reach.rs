@@ -10,7 +10,7 @@ use crumple_verify::reach::{
 use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, check, check_with};
 use proptest::prelude::*;
 
-use crate::support::closed_loop::{Numbers, Start, answers, simulate};
+use crate::support::closed_loop::{Numbers, Start, answers, simulate, simulate_told};
 use crate::support::mutants::mutants;
 use crate::support::networks::{any_network, network};
 
@@ -450,5 +450,53 @@ proptest! {
         let tanh = relax::tanh(value);
         prop_assert!(tanh.low() - 1e-15 <= value.tanh() && value.tanh() <= tanh.high() + 1e-15);
         prop_assert!(tanh.high() - tanh.low() < 1e-11);
+    }
+}
+
+/// How far search gets where nothing is proved: `cargo test -p crumple-verify --release -- --ignored --nocapture worst_errors_at`.
+#[test]
+#[ignore = "takes minutes; for the table of corpora/boxes/README.md"]
+fn worst_errors_at_each_size() {
+    const BLOCK: u32 = 5;
+    let actor = Actor::from_bytes(&reference()).unwrap();
+    // As `cargo run --example filter_errors -- paper-1` prints them.
+    let filter = [0.058374, 0.058374, 0.42603, 0.23632, 0.42603, 1.7211, 0.95469, 1.7211];
+    let mut ranges = paper(0.7, 0.2);
+    (ranges.follower_brake_mps2, ranges.onset_steps) = (between(5.8, 6.2), between(100.0, 150.0));
+    for factor in [0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0] {
+        let scene = scene(&actor, ranges);
+        let mut numbers = Numbers(3);
+        let gap = |place: [f64; 8], signs: &[[f64; 8]]| {
+            let start = member(&ranges, place);
+            let brake = |k: u32| start[5] * (f64::from(k) + 1.0 - start[7].max(f64::from(k))).max(0.0);
+            let error = |decision: u32| {
+                std::array::from_fn(|i| factor * filter[i] * signs[(decision / BLOCK) as usize % signs.len()][i])
+            };
+            let (_, least) = simulate_told(&scene, start, brake, error);
+            least[0].min(least[1])
+        };
+        // Errors that last, first; then each for half a second.
+        let mut best = ([0.5; 8], vec![[1.0; 8]; 30], f64::INFINITY);
+        for pattern in 0..256_u32 {
+            let signs = vec![std::array::from_fn(|i| if pattern >> i & 1 == 1 { 1.0 } else { -1.0 }); 30];
+            let found_m = gap(best.0, &signs);
+            if found_m < best.2 {
+                best = (best.0, signs, found_m);
+            }
+        }
+        let lasting_m = best.2;
+        for round in 0..4000 {
+            let size = 0.999_f64.powi(round % 1000);
+            let place = best.0.map(|at: f64| (at + 0.5 * size * numbers.signed()).clamp(0.0, 1.0));
+            let mut signs = best.1.clone();
+            for _ in 0..1 + (numbers.unit() * 4.0) as usize {
+                signs[(numbers.unit() * 30.0) as usize % 30][(numbers.unit() * 8.0) as usize % 8] *= -1.0;
+            }
+            let found_m = gap(place, &signs);
+            if found_m < best.2 {
+                best = (place, signs, found_m);
+            }
+        }
+        println!("{factor} of six deviations: {lasting_m:.3} m by errors that last, {:.3} m", best.2);
     }
 }

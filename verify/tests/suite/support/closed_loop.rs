@@ -60,6 +60,16 @@ pub fn simulate(scene: &Scene<'_>, start: Start) -> (Vec<[f64; 8]>, [f64; 2]) {
 
 /// The same with a leader that brakes at a rate of its own over each step.
 pub fn simulate_led(scene: &Scene<'_>, start: Start, brake_l: impl Fn(u32) -> f64) -> (Vec<[f64; 8]>, [f64; 2]) {
+    simulate_told(scene, start, brake_l, |_| [0.0; 8])
+}
+
+/// The same, and what is observed is off by an error of its own at each decision.
+pub fn simulate_told(
+    scene: &Scene<'_>,
+    start: Start,
+    brake_l: impl Fn(u32) -> f64,
+    error: impl Fn(u32) -> [f64; 8],
+) -> (Vec<[f64; 8]>, [f64; 2]) {
     let Scene { actor, follower_ttc_s: ttc_s, steps, decision_steps: every, step_s: h, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, _, brake_r, _] = start;
     let (mut a_l, mut a_e, mut a_r, mut wanted, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
@@ -71,7 +81,8 @@ pub fn simulate_led(scene: &Scene<'_>, start: Start, brake_l: impl Fn(u32) -> f6
         };
         if k % every == 0 {
             trace.push(seen);
-            wanted = act(actor, seen, ttc_s.is_some());
+            let error = error(k / every);
+            wanted = act(actor, std::array::from_fn(|i| seen[i] + error[i]), ttc_s.is_some());
         }
         fired |= ttc_s.is_some_and(|ttc_s| behind - ttc_s * (v_r - v_e) < 0.0);
         let held = |v: f64, a: f64| if v == 0.0 && a <= 0.0 { 0.0 } else { a };
