@@ -13,9 +13,8 @@ use crate::support::networks::{any_network, network};
 fn errors(scene: &Scene<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
     let largest = scene.observation_error;
     move |decision| {
-        let mut numbers = Numbers((seed ^ (decision as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
-        numbers.unit();
-        largest.map(|error| error * (numbers.signed() * 1.5).round())
+        let mut numbers = Numbers::at(seed, decision as u32);
+        largest.map(|error| error * (numbers.signed() * 1.5).round().clamp(-1.0, 1.0))
     }
 }
 
@@ -23,8 +22,7 @@ fn errors(scene: &Scene<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
 fn brakes(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
     move |k| {
         let held = if seed.is_multiple_of(2) { 1 } else { 37 };
-        let mut numbers = Numbers((seed ^ u64::from(k / held + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
-        numbers.unit();
+        let mut numbers = Numbers::at(seed, k / held);
         limit_mps2 * if held == 1 { numbers.unit() } else { numbers.unit().round() }
     }
 }

@@ -29,11 +29,7 @@ impl Habit {
         match self {
             Self::Held(share) => *share,
             Self::From(first) => yes(k >= *first),
-            Self::Any(seed) => {
-                let mut numbers = Numbers((seed ^ u64::from(k).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
-                numbers.unit();
-                numbers.unit()
-            }
+            Self::Any(seed) => Numbers::at(*seed, k).unit(),
             Self::Pulses(steps) => yes((k / steps).is_multiple_of(2)),
             Self::Observed { every, is_shown } => yes((k % every == every - 1) == *is_shown),
         }

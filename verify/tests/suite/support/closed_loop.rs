@@ -137,6 +137,13 @@ pub fn answers(steps: &[Step], inputs: Vec<f64>) -> Vec<f64> {
 pub struct Numbers(pub u64);
 
 impl Numbers {
+    /// Those of a place, of which each has others.
+    pub fn at(seed: u64, place: u32) -> Self {
+        let mut numbers = Self((seed ^ (u64::from(place) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
+        numbers.unit();
+        numbers
+    }
+
     /// From 0 to 1.
     pub fn unit(&mut self) -> f64 {
         self.0 ^= self.0 << 13;
