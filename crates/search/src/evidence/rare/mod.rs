@@ -35,6 +35,9 @@ mod folder;
 mod importance;
 mod mixture;
 mod pilot;
+mod progress;
+#[cfg(test)]
+mod progress_tests;
 mod shard;
 #[cfg(test)]
 mod shard_tests;
