@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::simulate::Format;
 use super::{Failure, exposed, interrupt, output, progress};
 use crumple_search::evidence::rare::{
-    Estimate, MOST_LEVELS, MergedEstimate, RareError, RareFolder, RareMethod, RarePlan, RareReport,
+    Estimate, MOST_LEVELS, MergedEstimate, PILOTS, RareError, RareFolder, RareMethod, RarePlan, RareReport,
 };
 use crumple_search::shard::{MissingShards, Shard};
 use crumple_world::quoted::Terminal;
@@ -164,8 +164,9 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
         (None, ..) if levels.len() == MOST_LEVELS => {
             writeln!(
                 out,
-                "  no failure after {MOST_LEVELS} levels: no estimate, and no word of how rare failures are: levels may lead past them; \
-                 more --samples may find them"
+                "  no failure after {MOST_LEVELS} levels, nor by any of {} pilots, each twice as large as the one before: no estimate, and no word of how \
+                 rare failures are: levels may lead past them; more --samples may find them",
+                PILOTS.len()
             )?;
         }
         (None, ..) => {

@@ -13,7 +13,7 @@
 //!
 //! # What the figure is
 //!
-//! A pilot places the levels and sets the steps of the chains. It is then thrown away: the estimate is the mean over
+//! A pilot places the levels and sets the steps of the chains; where it reaches no failure, a larger one does. It is then thrown away: the estimate is the mean over
 //! *repetitions*, independent populations that climb the same levels with the same steps. With levels and chains fixed in
 //! advance the product of the shares is unbiased, however slowly the chains mix (Del Moral, Feynman-Kac formulae, 2004,
 //! theorem 7.4.2; Cérou and others, Sequential Monte Carlo for rare event estimation, 2012), and since repetitions are
@@ -52,7 +52,7 @@ pub use folder::RareFolder;
 pub use importance::Importance;
 pub use pilot::{Pilot, Repetitions};
 pub use shard::{MergedEstimate, RareShard, SHARD_OF_AN_ESTIMATE};
-pub use splitting::{MOST_LEVELS, Problem, Splitting, State};
+pub use splitting::{MOST_LEVELS, PILOTS, Problem, Splitting, State};
 
 /// How much work goes into an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

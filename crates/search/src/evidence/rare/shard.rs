@@ -20,7 +20,7 @@ pub const SHARD_OF_AN_ESTIMATE: &str = "shard of a rare-failure estimate";
 
 const REPETITIONS: &str = "repetitions.json";
 /// The version of these files.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -184,6 +184,36 @@ fn levels_multiply_to_the_estimate_and_end_at_the_failure() {
     assert_eq!(found.repetitions.len(), Effort::default().repetitions);
 }
 
+/// Margins that lead a small population to where nothing fails: a larger pilot keeps the way open that does, and the estimate is as unbiased as with the
+/// first. What the pilots took is counted, and their draws where they are all that is known.
+#[test]
+fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
+    // A wide valley that ends above 0, and a narrow way to the failures, in which margins are larger at first.
+    let astray = |state: &State| {
+        let at = |index: usize| state.normal.get(index).copied().unwrap_or(0.0);
+        let (valley, way) = (0.5 + (2.0 - at(0)).max(0.0), 3.1 - at(1));
+        valley.min(if way < 0.0 { way } else { way + 1.0 })
+    };
+    let (problem, truth) = (Known { dimension: 2, margin: astray }, upper_tail(3.1));
+    let effort = Effort { samples: 100, repetitions: 10 };
+    let (mut found, mut again) = (Vec::new(), 0);
+    for seed in 0..200 {
+        let first = Splitting::of_pilot(&problem, effort, seed, 0, &|_| {}).unwrap();
+        again += usize::from(!first.reaches_failure());
+        let pilot = Pilot::run(&problem, RareMethod::Splitting, effort, seed, &|_| {}).unwrap();
+        let estimate = pilot.estimate(&problem, &|_| {}).unwrap();
+        assert_eq!(estimate.independent_runs, 1100);
+        found.push(estimate.probability.unwrap() / truth);
+    }
+    let mean = found.iter().sum::<f64>() / found.len() as f64;
+    println!("{again} went on, mean {mean:.3}");
+    assert!(again >= 10 && (mean - 1.0).abs() < 0.15, "{again} went on, mean {mean:.3}");
+    let never =
+        Pilot::run(&Known { dimension: 2, margin: |_| 1.0 }, RareMethod::Splitting, effort, 0, &|_| {}).unwrap();
+    let nothing = never.estimate(&problem, &|_| {}).unwrap();
+    assert_eq!((nothing.probability, nothing.independent_runs, nothing.evaluations), (None, 700, 700));
+}
+
 #[test]
 fn what_cannot_fail_is_not_given_a_probability() {
     let never = [|state: &State| 1.0 + state.normal.iter().sum::<f64>().exp(), |_: &State| 1.0, |_: &State| f64::NAN];
