@@ -174,11 +174,16 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
         }
         (Some(probability), Some(variation), Some([low, high])) => {
             writeln!(out, "  probability of a failure {probability:.3e}, coefficient of variation {variation:.2}")?;
-            writeln!(
-                out,
-                "  95 % interval {low:.2e} to {high:.2e}, from the spread of {} repetitions",
-                repetitions.len()
-            )?;
+            // Where the spread of weights leaves nothing below 1.
+            let of_draws = report.method == RareMethod::Importance && *interval_95 == estimate.independent(0.95);
+            let from = match of_draws {
+                true => format!(
+                    "{} failures of the {} draws it began with",
+                    estimate.independent_failures, estimate.independent_runs
+                ),
+                false => format!("the spread of {} repetitions", repetitions.len()),
+            };
+            writeln!(out, "  95 % interval {low:.2e} to {high:.2e}, from {from}")?;
         }
         (Some(_), ..) => {
             writeln!(

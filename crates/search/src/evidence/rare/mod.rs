@@ -107,14 +107,15 @@ pub struct Level {
 /// What splitting found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// The probability of a failure; none if the pilot did not reach it.
+    /// The probability of a failure, at most 1; none if the pilot did not reach it.
     pub probability: Option<f64>,
-    /// Standard deviation of that mean, relative to it; none if it is zero.
+    /// Standard deviation of the mean of the repetitions, relative to it; none if it is zero.
     pub coefficient_of_variation: Option<f64>,
     /// An interval at 95 % for the probability, if there is an estimate above 0: Student's, on a logarithmic scale; Clopper's and
-    /// Pearson's where there is one level, so that runs are only counted.
+    /// Pearson's where there is one level, so that runs are only counted, and of the independent draws where the spread leaves
+    /// nothing below 1.
     pub interval_95: Option<[f64; 2]>,
-    /// What each repetition says. The mean of these is the estimate.
+    /// What each repetition says. The mean of these is the estimate; of weighted draws it may be above 1, where the estimate ends.
     pub repetitions: Vec<f64>,
     /// Runs made, those of the pilot included.
     pub evaluations: u64,

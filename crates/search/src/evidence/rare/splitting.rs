@@ -342,11 +342,11 @@ impl Estimate {
         }
     }
 
-    /// With what independent repetitions say: their mean, and their spread.
+    /// With what independent repetitions say: their mean, and their spread. A mean of weights may be above 1, which no probability is.
     pub(super) fn of_repetitions(self, repetitions: Vec<f64>) -> Self {
-        let probability = mean(&repetitions);
-        let coefficient_of_variation = variation_of_mean(&repetitions, probability);
-        let estimate = Self { probability: Some(probability), coefficient_of_variation, repetitions, ..self };
+        let mean = mean(&repetitions);
+        let coefficient_of_variation = variation_of_mean(&repetitions, mean);
+        let estimate = Self { probability: Some(mean.min(1.0)), coefficient_of_variation, repetitions, ..self };
         Self { interval_95: estimate.interval(0.95), ..estimate }
     }
 
@@ -359,7 +359,12 @@ impl Estimate {
                 let RateInterval { lower, upper } = RateInterval::exact(failures, runs, confidence);
                 Some([lower, upper])
             }
-            None => interval(probability, variation, self.repetitions.len(), confidence),
+            None => {
+                let raw = probability.max(mean(&self.repetitions));
+                let [lower, upper] = interval(raw, variation, self.repetitions.len(), confidence)?;
+                // The spread of weights alone may leave nothing that is a probability.
+                if lower < 1.0 { Some([lower, upper]) } else { self.independent(confidence) }
+            }
         }
     }
 

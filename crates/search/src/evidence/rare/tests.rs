@@ -163,6 +163,25 @@ fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
     }
 }
 
+/// What nearly always fails has weights whose mean is above 1 as often as not; what is stated is a probability all the same.
+#[test]
+fn no_probability_is_above_one() {
+    let nearly_always = |state: &State| -3.0 - state.normal.first().copied().unwrap_or(0.0);
+    let mut above = 0;
+    for seed in 0..12 {
+        let found = estimate_by(RareMethod::Importance, &Known { dimension: 3, margin: nearly_always }, seed);
+        let raw = found.repetitions.iter().sum::<f64>() / found.repetitions.len() as f64;
+        above += usize::from(raw > 1.0);
+        assert_eq!(found.probability, Some(raw.min(1.0)));
+        for confidence in [0.5, 0.95] {
+            let [low, high] = found.interval(confidence).unwrap();
+            assert!(0.0 < low && low < high && high <= 1.0, "{low} to {high}, mean {raw}");
+        }
+        assert!(found.levels.iter().all(|level| level.probability <= 1.0 && level.share <= 1.0));
+    }
+    assert!(above > 0);
+}
+
 #[test]
 fn the_number_of_threads_changes_nothing_and_the_seed_does() {
     let problem = Known { dimension: 4, margin: linear };
