@@ -223,8 +223,7 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
     if let Some(rate) = &report.exposed {
         out.push_str(&exposed::text(rate));
     }
-    // What any other specification leaves is in no unit that is known here.
-    let contacts = !failure.ends_with("is violated");
+    let contacts = report.is_of_contacts();
     writeln!(
         out,
         "\n  {:>14} {:>13} {:>9} {:>7} {:>11}",

@@ -163,6 +163,8 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     );
     let written = std::fs::read_to_string(folder.path().join("rare/rare-estimate.json")).unwrap();
     assert_eq!(written.parse::<Value>().unwrap(), report);
+    let levels = report["levels"].as_array().unwrap();
+    assert!(levels.iter().all(|level| level["robustness"].is_f64() && level["robustness"] == level["smallest_gap_m"]));
     assert_refused(&estimate(&[]), "rare holds a rare-failure estimate already: use --resume");
     assert_refused(
         &estimate(&["--resume", "--estimator", "truth"]),
@@ -182,6 +184,8 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     let said = stdout(&rule);
     assert!(said.contains("robustness") && said.contains(" failure ") && !said.contains("contact"), "{said}");
     assert!(!said.contains("smallest gap"), "margins of a rule are no gaps: {said}");
+    let written = std::fs::read_to_string(folder.path().join("rule/rare-estimate.json")).unwrap();
+    assert!(written.contains("\"robustness\"") && !written.contains("smallest_gap_m"), "{written}");
     let fsck = || crumple(folder.path(), &["fsck", "rare"]);
     assert!(code(&fsck()) == 0 && stdout(&fsck()).contains("rare: a rare-failure estimate, complete; 1 of 1 files"));
     std::fs::write(folder.path().join("rare/rare-estimate.json"), written.replace("\"seed\": 4", "\"seed\": 5"))

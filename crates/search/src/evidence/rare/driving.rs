@@ -232,7 +232,7 @@ impl RarePlan {
             space_sha256: sha256(file::to_toml(&self.space)?),
             failure: match &self.specification {
                 Specification::NoContact => self.controller.failure().to_owned(),
-                other => format!("`{other}` is violated"),
+                other => format!("`{other}` {VIOLATED}"),
             },
             seed: self.seed,
             method: self.method,
@@ -262,6 +262,25 @@ impl RareRecord {
             estimate,
             exposed: None,
         }
+        .with_gaps()
+    }
+}
+
+/// How what counts as a failure ends, where it is another rule than that no vehicles touch.
+const VIOLATED: &str = "is violated";
+
+impl RareReport {
+    /// Whether vehicles that touch are what fails, so that margins are gaps. What any other rule leaves is in no unit that is known here.
+    #[must_use]
+    pub fn is_of_contacts(&self) -> bool {
+        !self.failure.ends_with(VIOLATED)
+    }
+
+    /// Margins are called gaps where they are, and nowhere else.
+    pub(super) fn with_gaps(mut self) -> Self {
+        let is_gap = self.is_of_contacts();
+        self.estimate.levels.iter_mut().for_each(|level| level.smallest_gap_m = is_gap.then_some(level.margin));
+        self
     }
 }
 

@@ -75,7 +75,9 @@ impl RareFolder {
     pub fn kept(&self) -> Result<Option<RareReport>, RareError> {
         let damaged = |error: serde_json::Error| WorkError::damaged(&self.path(), format!("no estimate: {error}"));
         let bytes = self.progress.work().read(ESTIMATE)?;
-        Ok(bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose().map_err(damaged)?)
+        let kept: Option<RareReport> =
+            bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose().map_err(damaged)?;
+        Ok(kept.map(RareReport::with_gaps))
     }
 
     /// Writes the estimate, without what it comes to per hour: that takes resamples, of which anybody may ask for others.

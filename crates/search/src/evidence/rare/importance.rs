@@ -171,7 +171,14 @@ impl Importance {
         let probability = estimate.probability.unwrap_or(0.0);
         let before = estimate.levels.last().map_or(1.0, |level| level.probability);
         let share = if before > 0.0 { (probability / before).min(1.0) } else { 0.0 };
-        estimate.levels.push(Level { margin: 0.0, probability, share, step: None, acceptance: None });
+        estimate.levels.push(Level {
+            margin: 0.0,
+            smallest_gap_m: None,
+            probability,
+            share,
+            step: None,
+            acceptance: None,
+        });
         estimate
     }
 }

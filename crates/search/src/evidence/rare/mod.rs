@@ -90,10 +90,14 @@ impl Default for Effort {
 
 /// A level and what came of it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "WrittenLevel")]
 pub struct Level {
-    /// Runs pass whose margin is at most this, in metres for contacts; the last level is the failure itself, at 0.
-    #[serde(rename = "smallest_gap_m")]
+    /// Runs pass whose margin is at most this: their robustness, in metres for contacts; the last level is the failure itself, at 0.
+    #[serde(rename = "robustness")]
     pub margin: f64,
+    /// Of contacts the same, which is the smallest gap there; none in what does not know what fails.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub smallest_gap_m: Option<f64>,
     /// Probability to get here: mean over the repetitions.
     pub probability: f64,
     /// Share of the runs that passed, of those that were at the level before: mean over the repetitions that were.
@@ -102,6 +106,27 @@ pub struct Level {
     pub step: Option<f64>,
     /// Share of moves that were accepted there.
     pub acceptance: Option<f64>,
+}
+
+/// A level as it is written, or was: margins of all rules were called gaps.
+#[derive(Deserialize)]
+struct WrittenLevel {
+    robustness: Option<f64>,
+    smallest_gap_m: Option<f64>,
+    probability: f64,
+    share: f64,
+    step: Option<f64>,
+    acceptance: Option<f64>,
+}
+
+impl TryFrom<WrittenLevel> for Level {
+    type Error = &'static str;
+
+    fn try_from(written: WrittenLevel) -> Result<Self, &'static str> {
+        let WrittenLevel { robustness, smallest_gap_m, probability, share, step, acceptance } = written;
+        let margin = robustness.or(smallest_gap_m).ok_or("a level has no `robustness`")?;
+        Ok(Self { margin, smallest_gap_m, probability, share, step, acceptance })
+    }
 }
 
 /// What splitting found.

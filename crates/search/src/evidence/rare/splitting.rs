@@ -207,7 +207,14 @@ impl Splitting {
             (step, before) = (stage.step, threshold);
             pilot.stages.push(stage);
             let acceptance = Some(accepted as f64 / proposed.max(1) as f64);
-            pilot.pilot_levels.push(Level { margin: threshold, probability, share, step: Some(step), acceptance });
+            pilot.pilot_levels.push(Level {
+                margin: threshold,
+                smallest_gap_m: None,
+                probability,
+                share,
+                step: Some(step),
+                acceptance,
+            });
         }
         pilot.pilot = climber.evaluations;
         Ok(pilot)
@@ -313,6 +320,7 @@ impl Splitting {
             let [accepted, proposed] = [sum(|seen| seen.accepted), sum(|seen| seen.proposed)];
             Level {
                 margin: stage.threshold,
+                smallest_gap_m: None,
                 probability: mean(&seen.iter().map(|seen| product(seen, index + 1)).collect::<Vec<_>>()),
                 share: mean(&here.iter().map(|seen| seen.share).collect::<Vec<_>>()),
                 step: (!stage.is_last).then_some(stage.step),

@@ -283,3 +283,15 @@ fn splitting_agrees_with_counting_on_the_road() {
     let deviation = (counted / COUNTED as f64 + (climbed * variation).powi(2)).sqrt();
     assert!((climbed - counted).abs() < 4.0 * deviation, "{climbed} and {counted}, deviation {deviation}");
 }
+
+/// An estimate of before the margins of rules had a name of their own is read; what has none is refused.
+#[test]
+fn levels_are_read_as_they_are_and_were_written() {
+    let level = |named: &str| format!("{{{named}\"probability\":0.5,\"share\":0.5,\"step\":null,\"acceptance\":null}}");
+    let read = |named: &str| serde_json::from_str::<Level>(&level(named));
+    assert_eq!(read("\"smallest_gap_m\":1.5,").unwrap().margin, 1.5);
+    let rule = read("\"robustness\":1.5,").unwrap();
+    assert_eq!((rule.margin, rule.smallest_gap_m), (1.5, None));
+    assert_eq!(serde_json::to_string(&rule).unwrap(), level("\"robustness\":1.5,"));
+    assert!(read("").unwrap_err().to_string().contains("no `robustness`"));
+}
