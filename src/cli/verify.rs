@@ -62,7 +62,7 @@ With --rare the probability of a failure too rare to count is estimated by multi
 from level to level of the smallest gap. The levels come from a pilot; the estimate is the mean over independent repetitions, \
 with an interval from their spread. With --rare=importance a law is fitted to where such populations arrive, and runs are drawn from it with \
 exact weights: the same mean, of far fewer runs where failures lie in a few places. That is an estimate and no bound: it gets no certificate, and DIR/rare-estimate.json \
-says so. Nothing of it is kept halfway.
+says so. The pilot and every repetition are kept in DIR as they end; an interrupted estimate goes on with --resume, to the same bytes.
 
 In a space that says in how much driving its episodes were seen (see `crumple fit`), failures are also stated per hour and per 1000 km, \
 each with two intervals: taking the space for the truth, and with the data's own uncertainty, by --resamples of the episodes \
@@ -124,7 +124,7 @@ struct Rate {
     /// Where registration, progress and certificate go [default: crumple-rate; of a shard, crumple-rate-shard-I-of-N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on with an interrupted count; with --rare, print the estimate that is there, or begin it anew
+    /// Go on with an interrupted count or estimate; print one that is complete
     #[arg(long)]
     resume: bool,
 }
@@ -286,6 +286,7 @@ impl Rate {
             },
         };
         let resamples = self.resamples.unwrap_or(80);
+        output::note_beginning(self.resume, &self.out_of(), quiet);
         if let Some(shard) = self.shard {
             return rare::shard(&plan, (shard, resamples), &self.out_of(), self.resume, (self.format, quiet));
         }

@@ -5,10 +5,12 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 use crate::tiny;
 use crumple_learn::retrain::{RetrainingPlan, Settings};
 use crumple_learn::rl::{HeldOut, TrainingConfig, TrainingFolder};
+use crumple_search::evidence::rare::{Effort, RareMethod, RarePlan};
 use crumple_search::evidence::{RateConfig, RatePlan};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign};
@@ -26,9 +28,9 @@ const FLIPS: usize = 8;
 const EVERY: usize = 7;
 
 /// One kind of work: does it in a folder by a seed, or goes on with it; is told how far it is.
-type Working = fn(&Path, u64, &mut dyn FnMut()) -> Result<(), String>;
+type Working = fn(&Path, u64, &mut (dyn FnMut() + Send)) -> Result<(), String>;
 
-fn campaign(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
+fn campaign(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {
     let campaign = Campaign {
         controller: ControllerSpec::named("baseline").unwrap().into(),
         estimator: EstimatorKind::Truth,
@@ -43,7 +45,7 @@ fn campaign(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), Stri
     campaign.run(folder, true, &mut |_| tick()).map(|_| ()).map_err(|error| error.to_string())
 }
 
-fn count(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
+fn count(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {
     let plan = RatePlan::new(RateConfig {
         controllers: (ControllerSpec::named("idm").unwrap().into(), None),
         space: built_in_space("paper").unwrap(),
@@ -56,7 +58,27 @@ fn count(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String>
     plan.register_in(folder, true).map_err(error)?.certificate(&mut |_| tick()).map(|_| ()).map_err(error)
 }
 
-fn training(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
+fn estimate(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {
+    let plan = RarePlan {
+        controller: ControllerSpec::named("match-leader").unwrap().into(),
+        space: built_in_space("paper").unwrap(),
+        estimator: EstimatorKind::Truth,
+        specification: Specification::NoContact,
+        method: RareMethod::Splitting,
+        seed,
+        effort: Effort { samples: 50, repetitions: 10 },
+    };
+    let (error, tick) = (|error: crumple_search::evidence::rare::RareError| error.to_string(), Mutex::new(tick));
+    let done = |_| tick.lock().unwrap_or_else(PoisonError::into_inner)();
+    let mut kept = plan.in_folder(folder, true).map_err(error)?;
+    if kept.kept().map_err(error)?.is_some() {
+        return Ok(());
+    }
+    let pilot = kept.pilot(&plan, &done).map_err(error)?;
+    kept.report(&plan, &pilot, 0, &done).map(|_| ()).map_err(error)
+}
+
+fn training(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {
     let mut config = TrainingConfig::parse(&tiny::forgetful(&tiny::training()), Path::new("tiny")).unwrap();
     config.episodes = 33;
     let error = |error: crumple_learn::rl::TrainingError| error.to_string();
@@ -65,7 +87,7 @@ fn training(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), Stri
     training.train(&held_out, &mut |_| tick()).map(|_| ()).map_err(error)
 }
 
-fn retraining(folder: &Path, seed: u64, tick: &mut dyn FnMut()) -> Result<(), String> {
+fn retraining(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {
     let plan = RetrainingPlan {
         first: Policy::reference(),
         first_name: "policy".to_owned(),
@@ -246,6 +268,12 @@ fn no_damage_is_believed_in_a_count() {
     for stop in [Some(1), None] {
         assert!(attack(count, stop).refused > 20);
     }
+}
+
+#[test]
+fn no_damage_is_believed_in_an_estimate() {
+    assert!(attack(estimate, Some(70)).back > 3);
+    assert!(attack(estimate, None).refused > 10);
 }
 
 #[test]

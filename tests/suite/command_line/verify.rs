@@ -3,7 +3,8 @@
 use crumple_world::scenario::VehicleClass;
 use serde_json::Value;
 
-use super::{assert_refused, code, crumple, folder, names_in, objects, stderr, stdout};
+use super::falsify::assert_same;
+use super::{assert_refused, code, command, crumple, folder, killed_at_random, names_in, objects, stderr, stdout};
 
 #[test]
 fn a_shield_says_when_it_braked_and_what_that_did_to_the_vehicle_behind() {
@@ -162,6 +163,8 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     );
     let written = std::fs::read_to_string(folder.path().join("rare/rare-estimate.json")).unwrap();
     assert_eq!(written.parse::<Value>().unwrap(), report);
+    let levels = report["levels"].as_array().unwrap();
+    assert!(levels.iter().all(|level| level["robustness"].is_f64() && level["robustness"] == level["smallest_gap_m"]));
     assert_refused(&estimate(&[]), "rare holds a rare-failure estimate already: use --resume");
     assert_refused(
         &estimate(&["--resume", "--estimator", "truth"]),
@@ -181,6 +184,8 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     let said = stdout(&rule);
     assert!(said.contains("robustness") && said.contains(" failure ") && !said.contains("contact"), "{said}");
     assert!(!said.contains("smallest gap"), "margins of a rule are no gaps: {said}");
+    let written = std::fs::read_to_string(folder.path().join("rule/rare-estimate.json")).unwrap();
+    assert!(written.contains("\"robustness\"") && !written.contains("smallest_gap_m"), "{written}");
     let fsck = || crumple(folder.path(), &["fsck", "rare"]);
     assert!(code(&fsck()) == 0 && stdout(&fsck()).contains("rare: a rare-failure estimate, complete; 1 of 1 files"));
     std::fs::write(folder.path().join("rare/rare-estimate.json"), written.replace("\"seed\": 4", "\"seed\": 5"))
@@ -189,6 +194,29 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     assert_eq!(code(&fsck()), 1);
     assert_eq!(code(&estimate(&["--runs", "10"])), 2, "either counted or estimated");
     assert_eq!(code(&crumple(folder.path(), &["verify", "rate", "--controller", "idm"])), 2, "--runs is missing");
+}
+
+/// Killed at any moment, an estimate goes on where it was, to the bytes of one that nothing happened to.
+#[test]
+fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
+    for method in ["--rare=splitting", "--rare=importance"] {
+        let folder = folder();
+        let asked =
+            ["verify", "rate", "--controller", "match-leader", method, "--samples", "100", "--repetitions", "12"];
+        let through = command(folder.path(), &[&asked[..], &["--out", "through"]].concat())
+            .env("RAYON_NUM_THREADS", "1")
+            .output()
+            .unwrap();
+        assert_eq!(code(&through), 0, "{}", stderr(&through));
+        let resume = [&asked[..], &["--out", "killed", "--resume"]].concat();
+        let killed = killed_at_random(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
+        assert!(killed >= 2, "killed {killed} times");
+        let other = [&asked[..], &["--out", "killed", "--resume", "--seed", "7"]].concat();
+        assert_refused(&crumple(folder.path(), &other), "the rare-failure estimate there was configured otherwise");
+        let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
+        assert_eq!((code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));
+        assert_same(&folder.path().join("through"), &folder.path().join("killed"));
+    }
 }
 
 /// What programs read says what people read, and names things as `check`, `merge` and `suite run` do.

@@ -32,6 +32,23 @@ const COUNT: Kept = Kept {
     preset: None,
 };
 
+const ESTIMATE: Kept = Kept {
+    arguments: &[
+        "verify",
+        "rate",
+        "--controller",
+        "match-leader",
+        "--rare=importance",
+        "--estimator",
+        "truth",
+        "--samples",
+        "50",
+        "--repetitions",
+        "20",
+    ],
+    preset: None,
+};
+
 const TRAINING: Kept = Kept {
     arguments: &["train", "--preset", "tiny.toml", "--seed", "1", "--episodes", "33"],
     preset: Some(tiny::training),
@@ -203,6 +220,12 @@ fn a_campaign_survives_faults_and_loss_of_power() {
 fn a_count_survives_faults_and_loss_of_power() {
     survives_faults(&COUNT);
     survives_loss_of_power(&COUNT);
+}
+
+#[test]
+fn an_estimate_survives_faults_and_loss_of_power() {
+    survives_faults(&ESTIMATE);
+    survives_loss_of_power(&ESTIMATE);
 }
 
 #[test]

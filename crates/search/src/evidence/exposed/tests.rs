@@ -214,7 +214,14 @@ fn estimates_in_resamples_agree_with_new_runs() {
         evaluations: 0,
         independent_runs: 500,
         independent_failures: 0,
-        levels: vec![Level { margin: 1.0, probability: 1e-3, share: 0.1, step: None, acceptance: None }],
+        levels: vec![Level {
+            margin: 1.0,
+            smallest_gap_m: None,
+            probability: 1e-3,
+            share: 0.1,
+            step: None,
+            acceptance: None,
+        }],
         largest_weight: None,
     };
     let share = |space: &Space, seed: u64| failures(space, seed, 4000).map(|failed| failed as f64 / 4000.0);

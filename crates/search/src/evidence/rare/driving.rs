@@ -177,15 +177,22 @@ impl RarePlan {
     /// [`RareError`] if a run cannot be made.
     pub fn report(&self, pilot: &Pilot, resamples: u32, done: &(dyn Fn(u64) + Sync)) -> Result<RareReport, RareError> {
         let estimate = pilot.estimate(self, done)?;
-        let mut again = |space: &Space, seed: u64| self.again(space, seed, done);
-        let exposed = match self.space.spec().exposure {
-            Some(_) => {
-                let resamples = estimate_again(&self.space, self.seed, resamples, &mut again)?;
-                ExposedRate::of(&self.space, Probability::Estimated(&estimate), resamples.as_ref())
-            }
-            None => None,
-        };
+        let exposed = self.exposed(&estimate, resamples, &mut |space, seed| self.again(space, seed, done))?;
         Ok(RareReport { exposed, ..self.record()?.report(estimate) })
+    }
+
+    /// What an estimate comes to per hour, where the space says in how much driving its episodes were seen. `again` estimates in another space.
+    pub(super) fn exposed(
+        &self,
+        estimate: &Estimate,
+        resamples: u32,
+        again: &mut dyn FnMut(&Space, u64) -> Result<Estimate, RareError>,
+    ) -> Result<Option<ExposedRate>, RareError> {
+        if self.space.spec().exposure.is_none() {
+            return Ok(None);
+        }
+        let resamples = estimate_again(&self.space, self.seed, resamples, again)?;
+        Ok(ExposedRate::of(&self.space, Probability::Estimated(estimate), resamples.as_ref()))
     }
 
     /// The estimates in some of the resamples, as far as spaces could be fitted to them.
@@ -193,20 +200,20 @@ impl RarePlan {
         &self,
         resamples: u32,
         own: Range<u64>,
-        done: &(dyn Fn(u64) + Sync),
+        again: &mut dyn FnMut(&Space, u64) -> Result<Estimate, RareError>,
     ) -> Result<Vec<Estimate>, RareError> {
         if own.is_empty() {
             return Ok(Vec::new());
         }
         let (mut part, none) = (Part::of(own), Estimate::none());
-        let mut again = |space: &Space, seed: u64| part.next(none.clone(), || self.again(space, seed, done));
+        let mut again = |space: &Space, seed: u64| part.next(none.clone(), || again(space, seed));
         // Why nothing can be resampled is said by who puts the parts together.
         let _ = estimate_again(&self.space, self.seed, resamples, &mut again)?;
         Ok(part.found())
     }
 
     /// An estimate in another space, with less effort.
-    fn again(&self, space: &Space, seed: u64, done: &(dyn Fn(u64) + Sync)) -> Result<Estimate, RareError> {
+    pub(super) fn again(&self, space: &Space, seed: u64, done: &(dyn Fn(u64) + Sync)) -> Result<Estimate, RareError> {
         let (controller, specification) = (self.controller.clone(), self.specification.clone());
         let other = Self { controller, space: space.clone(), specification, seed, effort: AGAIN, ..*self };
         other.pilot(done)?.estimate(&other, done)
@@ -225,7 +232,7 @@ impl RarePlan {
             space_sha256: sha256(file::to_toml(&self.space)?),
             failure: match &self.specification {
                 Specification::NoContact => self.controller.failure().to_owned(),
-                other => format!("`{other}` is violated"),
+                other => format!("`{other}` {VIOLATED}"),
             },
             seed: self.seed,
             method: self.method,
@@ -255,6 +262,25 @@ impl RareRecord {
             estimate,
             exposed: None,
         }
+        .with_gaps()
+    }
+}
+
+/// How what counts as a failure ends, where it is another rule than that no vehicles touch.
+const VIOLATED: &str = "is violated";
+
+impl RareReport {
+    /// Whether vehicles that touch are what fails, so that margins are gaps. What any other rule leaves is in no unit that is known here.
+    #[must_use]
+    pub fn is_of_contacts(&self) -> bool {
+        !self.failure.ends_with(VIOLATED)
+    }
+
+    /// Margins are called gaps where they are, and nowhere else.
+    pub(super) fn with_gaps(mut self) -> Self {
+        let is_gap = self.is_of_contacts();
+        self.estimate.levels.iter_mut().for_each(|level| level.smallest_gap_m = is_gap.then_some(level.margin));
+        self
     }
 }
 

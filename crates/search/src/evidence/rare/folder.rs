@@ -1,11 +1,12 @@
-//! An estimate in a folder: `rare-estimate.json`, and `work.json`, which says what it is. Nothing is kept halfway.
+//! An estimate in a folder: `rare-estimate.json`, and `work.json`, which says what it is; until it is finished, `progress.json`.
 
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
 use super::driving::RareRecord;
-use super::{RareError, RarePlan, RareReport};
+use super::progress::Progress;
+use super::{Pilot, RareError, RarePlan, RareReport};
 use crate::work::{Asked, Work, WorkError};
 
 const ESTIMATE: &str = "rare-estimate.json";
@@ -13,11 +14,12 @@ const ESTIMATE: &str = "rare-estimate.json";
 /// A folder for one estimate, in use.
 #[derive(Debug)]
 pub struct RareFolder {
-    work: Work,
+    progress: Progress,
 }
 
 impl RarePlan {
-    /// The folder, if it is this estimate's or nobody's. One that is there is read where `resume` says so, and refused otherwise.
+    /// The folder, if it is this estimate's or nobody's. What is there is gone on with where `resume` says so, and
+    /// refused otherwise.
     ///
     /// # Errors
     /// [`RareError`] if the folder cannot be used, holds something else, or is damaged.
@@ -49,7 +51,8 @@ impl RareRecord {
             resume,
             outputs: &[ESTIMATE],
         };
-        Ok(RareFolder { work: Work::open(folder, asked)? })
+        let work = Work::open(folder, asked)?;
+        Ok(RareFolder { progress: Progress::in_folder(work, self, self.effort.repetitions as u64)? })
     }
 }
 
@@ -57,6 +60,10 @@ impl RareReport {
     /// What is kept of it.
     pub(super) fn kept(&self) -> Self {
         Self { exposed: None, ..self.clone() }
+    }
+
+    fn text(&self) -> Result<String, serde_json::Error> {
+        Ok(serde_json::to_string_pretty(&self.kept())? + "\n")
     }
 }
 
@@ -67,8 +74,10 @@ impl RareFolder {
     /// [`RareError::Work`] if it is damaged.
     pub fn kept(&self) -> Result<Option<RareReport>, RareError> {
         let damaged = |error: serde_json::Error| WorkError::damaged(&self.path(), format!("no estimate: {error}"));
-        let bytes = self.work.read(ESTIMATE)?;
-        Ok(bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose().map_err(damaged)?)
+        let bytes = self.progress.work().read(ESTIMATE)?;
+        let kept: Option<RareReport> =
+            bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose().map_err(damaged)?;
+        Ok(kept.map(RareReport::with_gaps))
     }
 
     /// Writes the estimate, without what it comes to per hour: that takes resamples, of which anybody may ask for others.
@@ -76,13 +85,68 @@ impl RareFolder {
     /// # Errors
     /// [`RareError::Work`] if it cannot be written.
     pub fn keep(&self, report: &RareReport) -> Result<(), RareError> {
-        self.work.write(ESTIMATE, serde_json::to_string_pretty(&report.kept())? + "\n")?;
-        Ok(self.work.finish()?)
+        self.progress.finish(ESTIMATE, report.text()?)
+    }
+
+    /// Whether an estimate is there, and all that is kept of it.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.progress.work().is_complete()
+    }
+
+    /// Places the levels, or what is left of that, and keeps them. `done` hears of every batch of runs.
+    ///
+    /// # Errors
+    /// [`RareError`] if a run cannot be made or a file not written.
+    pub fn pilot(&mut self, plan: &RarePlan, done: &(dyn Fn(u64) + Sync)) -> Result<Pilot, RareError> {
+        self.progress.pilot(plan, done)
+    }
+
+    /// Estimates with the levels of the pilot, as [`RarePlan::report`] does, without what is in the folder already; keeps what it comes to as it
+    /// goes, and in the end the estimate.
+    ///
+    /// # Errors
+    /// [`RareError`] if a run cannot be made or a file not written.
+    pub fn report(
+        &mut self,
+        plan: &RarePlan,
+        pilot: &Pilot,
+        resamples: u32,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<RareReport, RareError> {
+        let all = 0..plan.effort.repetitions as u64;
+        let repeated = self.progress.repeat(plan, pilot, all, done)?;
+        let report = self.exposed(plan, plan.record()?.report(pilot.summary([&repeated])), resamples, done)?;
+        self.keep(&report)?;
+        Ok(report)
+    }
+
+    /// An estimate with what it comes to per hour, where the space says in how much driving its episodes were seen.
+    ///
+    /// # Errors
+    /// [`RareError`] if a run cannot be made or a file not written.
+    pub fn exposed(
+        &mut self,
+        plan: &RarePlan,
+        report: RareReport,
+        resamples: u32,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<RareReport, RareError> {
+        let mut again = self.progress.again(resamples);
+        let exposed =
+            plan.exposed(&report.estimate, resamples, &mut |space, seed| again.next(plan, (space, seed), done))?;
+        Ok(RareReport { exposed, ..report })
+    }
+
+    /// Repetitions that were made already.
+    #[must_use]
+    pub fn kept_repetitions(&self) -> u64 {
+        self.progress.kept_repetitions()
     }
 
     /// Where the estimate goes.
     #[must_use]
     pub fn path(&self) -> PathBuf {
-        self.work.path(ESTIMATE)
+        self.progress.work().path(ESTIMATE)
     }
 }

@@ -11,10 +11,10 @@ use std::ops::Range;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::mixture::{Mixture, Seen};
-use super::splitting::{Climber, new_noise};
-use super::{Estimate, Level, Problem, Splitting, State};
-use crumple_world::random::{Purpose, stream};
+use super::mixture::{Around, Mixture, Seen};
+use super::splitting::{Climber, Sample, new_noise};
+use super::{Effort, Estimate, Level, Problem, Splitting, State};
+use crumple_world::random::{Purpose, Stream, stream};
 
 /// Populations that climb to what the mixture is fitted to, beside one another: several find several ways to fail.
 const POPULATIONS: u64 = 3;
@@ -35,6 +35,29 @@ pub struct Importance {
     fitting: u64,
 }
 
+/// A mixture that is being fitted: all that is left to do follows from it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Fitting {
+    climbed: Splitting,
+    /// The populations that have climbed, until something is fitted to them.
+    arrived: Vec<Arrived>,
+    mixture: Option<Mixture>,
+    /// Rounds by which that is better already.
+    rounds: u64,
+    /// Runs made so far.
+    runs: u64,
+}
+
+/// Where a population went.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Arrived {
+    /// How far out each level is that it reached.
+    levels: Vec<Around>,
+    failures: Vec<Vec<f64>>,
+}
+
 /// What came of one repetition.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -47,37 +70,47 @@ pub struct Weighed {
 }
 
 impl Importance {
-    /// Places levels, climbs them and fits.
+    /// Climbs the levels and fits, or goes on with that. `keep` hears of all that is worth keeping.
     pub(super) fn pilot<P: Problem>(
         problem: &P,
-        climbed: Splitting,
+        mut begun: Fitting,
+        keep: &mut dyn FnMut(&Fitting) -> Result<(), P::Error>,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Self, P::Error> {
-        let (effort, seed) = (climbed.effort(), climbed.seed());
-        if !climbed.reaches_failure() {
-            return Ok(Self { climbed, mixture: None, fitting: 0 });
+        let (effort, seed) = (begun.climbed.effort(), begun.climbed.seed());
+        let stages = begun.climbed.stages().to_vec();
+        if !begun.climbed.reaches_failure() {
+            return Ok(Self { climbed: begun.climbed, mixture: None, fitting: 0 });
         }
-        let mut fitting = 0;
-        let mut seen: Vec<Vec<Seen>> = vec![Vec::new(); climbed.stages().len()];
-        for index in 0..POPULATIONS {
-            let random = stream(seed, Purpose::RareEvents, APART + index);
+        while begun.mixture.is_none() && (begun.arrived.len() as u64) < POPULATIONS {
+            let random = stream(seed, Purpose::RareEvents, APART + begun.arrived.len() as u64);
             let mut climber = Climber::new(problem, effort.samples, random, done);
-            for (level, there) in seen.iter_mut().zip(climber.populations(climbed.stages())?) {
-                level.extend(there.into_iter().map(|(state, _)| Seen { at: state.normal, weight: 1.0 }));
-            }
-            fitting += climber.evaluations;
+            let there = climber.populations(&stages)?;
+            begun.arrived.push(Arrived::of(&there, stages.len()));
+            begun.runs += climber.evaluations;
+            keep(&begun)?;
         }
-        let mut random = stream(seed, Purpose::RareEvents, APART + POPULATIONS);
-        let mut mixture = Mixture::fit(&seen, &mut random);
-        for round in 0..ROUNDS {
-            let Some(known) = &mixture else { break };
+        if begun.mixture.is_none() {
+            let mut random = stream(seed, Purpose::RareEvents, APART + POPULATIONS);
+            begun.mixture = Arrived::fit(&begun.arrived, &mut random);
+            begun.arrived.clear();
+        }
+        for round in begun.rounds..ROUNDS {
+            let Some(known) = &begun.mixture else { break };
             let random = stream(seed, Purpose::RareEvents, APART + POPULATIONS + 1 + round);
             let mut climber = Climber::new(problem, DRAWS * effort.samples, random, done);
             let failed = weighed(&mut climber, known)?;
-            fitting += climber.evaluations;
-            mixture = known.refitted(&failed).or(mixture);
+            begun.runs += climber.evaluations;
+            begun.mixture = known.refitted(&failed).or(begun.mixture);
+            begun.rounds = round + 1;
+            keep(&begun)?;
         }
-        Ok(Self { climbed, mixture, fitting })
+        Ok(Self { climbed: begun.climbed, mixture: begun.mixture, fitting: begun.runs })
+    }
+
+    /// Whether it is of a problem of so many numbers.
+    pub(super) fn is_in(&self, dimension: usize) -> bool {
+        self.mixture.iter().all(|mixture| mixture.is_of(dimension))
     }
 
     /// Whether there is something to draw from.
@@ -138,8 +171,56 @@ impl Importance {
         let probability = estimate.probability.unwrap_or(0.0);
         let before = estimate.levels.last().map_or(1.0, |level| level.probability);
         let share = if before > 0.0 { (probability / before).min(1.0) } else { 0.0 };
-        estimate.levels.push(Level { margin: 0.0, probability, share, step: None, acceptance: None });
+        estimate.levels.push(Level {
+            margin: 0.0,
+            smallest_gap_m: None,
+            probability,
+            share,
+            step: None,
+            acceptance: None,
+        });
         estimate
+    }
+}
+
+impl Fitting {
+    /// Nothing yet, but levels.
+    pub(super) fn of(climbed: Splitting) -> Self {
+        Self { climbed, arrived: Vec::new(), mixture: None, rounds: 0, runs: 0 }
+    }
+
+    /// Whether that effort and that seed could have come to it, in a problem of so many numbers.
+    pub(super) fn may_be(&self, effort: Effort, seed: u64, dimension: usize) -> bool {
+        let is_place = |place: &Vec<f64>| place.len() == dimension;
+        self.climbed.is_of(effort, seed)
+            && self.arrived.len() as u64 <= POPULATIONS
+            && self.rounds <= ROUNDS
+            && self.mixture.iter().all(|mixture| mixture.is_of(dimension))
+            && self.arrived.iter().all(|arrived| arrived.failures.iter().all(is_place))
+    }
+}
+
+impl Arrived {
+    /// Of who is below each of so many `levels`, the last of which are failures; a population that died out reached fewer.
+    fn of(there: &[Vec<Sample>], levels: usize) -> Self {
+        let places = |level: &Vec<Sample>| Around::of(level.iter().map(|(state, _)| state.normal.as_slice()));
+        let failures = there.get(levels.saturating_sub(1)).into_iter().flatten();
+        Self {
+            levels: there.iter().map(places).collect(),
+            failures: failures.map(|(state, _)| state.normal.clone()).collect(),
+        }
+    }
+
+    /// What is fitted to populations that climbed beside one another.
+    fn fit(arrived: &[Self], random: &mut Stream) -> Option<Mixture> {
+        let mut levels: Vec<Around> = Vec::new();
+        for population in arrived {
+            levels.resize(levels.len().max(population.levels.len()), Around::default());
+            levels.iter_mut().zip(&population.levels).for_each(|(level, more)| level.take(more));
+        }
+        let failures = arrived.iter().flat_map(|population| &population.failures);
+        let failures: Vec<Seen> = failures.map(|at| Seen { at: at.clone(), weight: 1.0 }).collect();
+        Mixture::fit(&levels, &failures, random)
     }
 }
 

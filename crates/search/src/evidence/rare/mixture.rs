@@ -42,6 +42,15 @@ struct Part {
     factor: Vec<f64>,
 }
 
+/// How far from the origin places lie that are at some level.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Around {
+    places: u64,
+    /// Sums of products of two coordinates, row by row: of row i as many numbers as i + 1.
+    products: Vec<f64>,
+}
+
 /// A place where a run failed, and what it stands for.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Seen {
@@ -50,10 +59,13 @@ pub(super) struct Seen {
 }
 
 impl Mixture {
-    /// Fitted to the last of these levels, the failures, which is where their density is high; none without any. What they leave open is
-    /// as in the standard law.
-    pub(super) fn fit(levels: &[Vec<Seen>], random: &mut Stream) -> Option<Self> {
-        let failures = levels.last()?;
+    /// Fitted to failures, which is where their density is high, and as wide as the levels on the way to them; none without any, or of
+    /// different dimensions. What they leave open is as in the standard law.
+    pub(super) fn fit(levels: &[Around], failures: &[Seen], random: &mut Stream) -> Option<Self> {
+        let dimension = failures.first()?.at.len();
+        if failures.iter().any(|seen| seen.at.len() != dimension) {
+            return None;
+        }
         let mut centres: Vec<&[f64]> = vec![&drawn_by(failures, |seen| seen.weight, random)?.at];
         while centres.len() < PARTS {
             // The further away from what is covered, the likelier to be another way to fail.
@@ -66,9 +78,9 @@ impl Mixture {
             centres.push(&next.at);
         }
         let share = 1.0 / centres.len() as f64;
-        let standard = DMatrix::identity(failures.first()?.at.len(), failures.first()?.at.len());
+        let standard = DMatrix::identity(dimension, dimension);
         let begin = |centre: &&[f64]| Part::of(share, centre.to_vec(), standard.clone());
-        let mut all_round: Vec<Part> = levels.iter().filter_map(|level| Part::around(level)).collect();
+        let mut all_round: Vec<Part> = levels.iter().filter_map(|level| level.part(dimension)).collect();
         let equal = 1.0 / all_round.len() as f64;
         all_round.iter_mut().for_each(|part| part.share = equal);
         let mut mixture = Self { all_round, parts: centres.iter().filter_map(begin).collect() };
@@ -76,6 +88,13 @@ impl Mixture {
             mixture = mixture.refitted(failures)?;
         }
         Some(mixture)
+    }
+
+    /// Whether it is a law of so many numbers.
+    pub(super) fn is_of(&self, dimension: usize) -> bool {
+        let factors = dimension * (dimension + 1) / 2;
+        let mut parts = self.all_round.iter().chain(&self.parts);
+        parts.all(|part| part.mean.len() == dimension && part.factor.len() == factors)
     }
 
     /// A step of expectation and maximisation.
@@ -143,14 +162,6 @@ impl Part {
         Some(Self { share, mean, factor: rows.filter_map(|place| lower.get(place).copied()).collect() })
     }
 
-    /// As wide in every direction as these are far from the origin; none without any.
-    fn around(all: &[Seen]) -> Option<Self> {
-        let dimension = all.first()?.at.len();
-        let own: Vec<(f64, &Seen)> = all.iter().map(|seen| (seen.weight, seen)).collect();
-        let (seen, moment) = moment(&own, &DVector::zeros(dimension))?;
-        Self::of(1.0, vec![0.0; dimension], with_prior(moment, seen, 1.0))
-    }
-
     /// To places and how far it is responsible for each, of so much in all; none if that is too little.
     fn fitted(own: &[(f64, &Seen)], all: f64) -> Option<Self> {
         let sum: f64 = own.iter().map(|(w, _)| w).sum();
@@ -188,6 +199,42 @@ impl Part {
             Some(mean + own.iter().zip(normal).map(|(factor, z)| factor * z).sum::<f64>())
         };
         self.mean.iter().enumerate().filter_map(place).collect()
+    }
+}
+
+impl Around {
+    /// Of these places.
+    pub(super) fn of<'a>(places: impl IntoIterator<Item = &'a [f64]>) -> Self {
+        let mut around = Self::default();
+        for place in places {
+            let of_row = |(row, x): (usize, &f64)| -> Vec<f64> { place.iter().take(row + 1).map(|y| x * y).collect() };
+            let products = place.iter().enumerate().flat_map(of_row).collect();
+            around.take(&Self { places: 1, products });
+        }
+        around
+    }
+
+    /// Takes in others at the same level.
+    pub(super) fn take(&mut self, other: &Self) {
+        if self.products.len() < other.products.len() {
+            self.products.resize(other.products.len(), 0.0);
+        }
+        self.places = self.places.saturating_add(other.places);
+        self.products.iter_mut().zip(&other.products).for_each(|(sum, product)| *sum += product);
+    }
+
+    /// A law as wide in every direction as they are far from the origin; none without any.
+    fn part(&self, dimension: usize) -> Option<Part> {
+        if self.places == 0 || self.products.len() != dimension * (dimension + 1) / 2 {
+            return None;
+        }
+        let seen = self.places as f64;
+        let at = |row: usize, column: usize| {
+            let (row, column) = (row.max(column), row.min(column));
+            self.products.get(row * (row + 1) / 2 + column).map_or(0.0, |sum| sum / seen)
+        };
+        let moment = DMatrix::from_fn(dimension, dimension, at);
+        Part::of(1.0, vec![0.0; dimension], with_prior(moment, seen, 1.0))
     }
 }
 
@@ -243,11 +290,30 @@ mod tests {
         (0..count).map(|_| Seen { at: at(random), weight: 1.0 }).collect()
     }
 
+    fn fitted(failures: Vec<Seen>, random: &mut Stream) -> Option<Mixture> {
+        Mixture::fit(&[Around::of(failures.iter().map(|seen| seen.at.as_slice()))], &failures, random)
+    }
+
+    /// Whatever they are divided into, places lie as far out.
+    #[test]
+    fn how_far_out_places_lie_can_be_put_together() {
+        let mut random = Stream::seed_from_u64(4);
+        let all = failures(3, 40, &mut random);
+        let around = |some: &[Seen]| Around::of(some.iter().map(|seen| seen.at.as_slice()));
+        let mut divided = around(&all[..13]);
+        divided.take(&around(&[]));
+        divided.take(&around(&all[13..]));
+        assert_eq!(divided.places, 40);
+        let off = divided.products.iter().zip(&around(&all).products).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-10 && divided.products.len() == 6 && divided.part(3).is_some(), "{off}");
+        assert!(divided.part(2).is_none() && Around::default().part(3).is_none());
+    }
+
     /// A proposal is a probability law: draws of it, weighted, come to as much as there is, and no weight is beyond its bound.
     #[test]
     fn weights_have_a_mean_of_one_and_a_bound() {
         let mut random = Stream::seed_from_u64(1);
-        let mixture = Mixture::fit(&[failures(5, 300, &mut random)], &mut random).unwrap();
+        let mixture = fitted(failures(5, 300, &mut random), &mut random).unwrap();
         let weights: Vec<f64> = (0..200_000).map(|_| mixture.weight(&mixture.draw(5, &mut random))).collect();
         let mean = weights.iter().sum::<f64>() / weights.len() as f64;
         assert!((mean - 1.0).abs() < 0.02, "{mean}");
@@ -257,7 +323,7 @@ mod tests {
     #[test]
     fn a_fit_lies_where_failures_are_and_turns_as_they_do() {
         let mut random = Stream::seed_from_u64(2);
-        let mixture = Mixture::fit(&[failures(4, 2000, &mut random)], &mut random).unwrap();
+        let mixture = fitted(failures(4, 2000, &mut random), &mut random).unwrap();
         let drawn: Vec<Vec<f64>> = (0..20_000).map(|_| mixture.draw(4, &mut random)).collect();
         let there = drawn.iter().filter(|at| (at[0] - 4.0 - 0.3 * at[1]).abs() < 0.5).count();
         assert!(there > 13_000, "{there}");
@@ -266,9 +332,12 @@ mod tests {
     #[test]
     fn nothing_is_fitted_to_nothing() {
         let mut random = Stream::seed_from_u64(3);
-        assert_eq!(Mixture::fit(&[], &mut random), None);
-        assert_eq!(Mixture::fit(&[vec![Seen { at: vec![1.0], weight: 0.0 }]], &mut random), None);
-        let one = Mixture::fit(&[vec![Seen { at: vec![1.0, 2.0], weight: 1.0 }]], &mut random).unwrap();
+        assert_eq!(Mixture::fit(&[], &[], &mut random), None);
+        assert_eq!(fitted(vec![Seen { at: vec![1.0], weight: 0.0 }], &mut random), None);
+        let [one, two] = [vec![1.0], vec![1.0, 2.0]].map(|at| Seen { at, weight: 1.0 });
+        assert_eq!(fitted(vec![one, two.clone()], &mut random), None);
+        let one = fitted(vec![two], &mut random).unwrap();
+        assert!(one.is_of(2) && !one.is_of(1));
         assert!(one.weight(&[1.0, 2.0]).is_finite());
     }
 }

@@ -13,7 +13,7 @@
 //!
 //! # What the figure is
 //!
-//! A pilot places the levels and sets the steps of the chains. It is then thrown away: the estimate is the mean over
+//! A pilot places the levels and sets the steps of the chains; where it reaches no failure, a larger one does. It is then thrown away: the estimate is the mean over
 //! *repetitions*, independent populations that climb the same levels with the same steps. With levels and chains fixed in
 //! advance the product of the shares is unbiased, however slowly the chains mix (Del Moral, Feynman-Kac formulae, 2004,
 //! theorem 7.4.2; Cérou and others, Sequential Monte Carlo for rare event estimation, 2012), and since repetitions are
@@ -35,6 +35,9 @@ mod folder;
 mod importance;
 mod mixture;
 mod pilot;
+mod progress;
+#[cfg(test)]
+mod progress_tests;
 mod shard;
 #[cfg(test)]
 mod shard_tests;
@@ -49,7 +52,7 @@ pub use folder::RareFolder;
 pub use importance::Importance;
 pub use pilot::{Pilot, Repetitions};
 pub use shard::{MergedEstimate, RareShard, SHARD_OF_AN_ESTIMATE};
-pub use splitting::{MOST_LEVELS, Problem, Splitting, State};
+pub use splitting::{MOST_LEVELS, PILOTS, Problem, Splitting, State};
 
 /// How much work goes into an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -87,10 +90,14 @@ impl Default for Effort {
 
 /// A level and what came of it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "WrittenLevel")]
 pub struct Level {
-    /// Runs pass whose margin is at most this, in metres for contacts; the last level is the failure itself, at 0.
-    #[serde(rename = "smallest_gap_m")]
+    /// Runs pass whose margin is at most this: their robustness, in metres for contacts; the last level is the failure itself, at 0.
+    #[serde(rename = "robustness")]
     pub margin: f64,
+    /// Of contacts the same, which is the smallest gap there; none in what does not know what fails.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub smallest_gap_m: Option<f64>,
     /// Probability to get here: mean over the repetitions.
     pub probability: f64,
     /// Share of the runs that passed, of those that were at the level before: mean over the repetitions that were.
@@ -101,17 +108,39 @@ pub struct Level {
     pub acceptance: Option<f64>,
 }
 
+/// A level as it is written, or was: margins of all rules were called gaps.
+#[derive(Deserialize)]
+struct WrittenLevel {
+    robustness: Option<f64>,
+    smallest_gap_m: Option<f64>,
+    probability: f64,
+    share: f64,
+    step: Option<f64>,
+    acceptance: Option<f64>,
+}
+
+impl TryFrom<WrittenLevel> for Level {
+    type Error = &'static str;
+
+    fn try_from(written: WrittenLevel) -> Result<Self, &'static str> {
+        let WrittenLevel { robustness, smallest_gap_m, probability, share, step, acceptance } = written;
+        let margin = robustness.or(smallest_gap_m).ok_or("a level has no `robustness`")?;
+        Ok(Self { margin, smallest_gap_m, probability, share, step, acceptance })
+    }
+}
+
 /// What splitting found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// The probability of a failure; none if the pilot did not reach it.
+    /// The probability of a failure, at most 1; none if the pilot did not reach it.
     pub probability: Option<f64>,
-    /// Standard deviation of that mean, relative to it; none if it is zero.
+    /// Standard deviation of the mean of the repetitions, relative to it; none if it is zero.
     pub coefficient_of_variation: Option<f64>,
     /// An interval at 95 % for the probability, if there is an estimate above 0: Student's, on a logarithmic scale; Clopper's and
-    /// Pearson's where there is one level, so that runs are only counted.
+    /// Pearson's where there is one level, so that runs are only counted, and of the independent draws where the spread leaves
+    /// nothing below 1.
     pub interval_95: Option<[f64; 2]>,
-    /// What each repetition says. The mean of these is the estimate.
+    /// What each repetition says. The mean of these is the estimate; of weighted draws it may be above 1, where the estimate ends.
     pub repetitions: Vec<f64>,
     /// Runs made, those of the pilot included.
     pub evaluations: u64,

@@ -4,9 +4,13 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::importance::{Importance, Weighed};
+use super::importance::{Fitting, Importance, Weighed};
 use super::splitting::Repetition;
 use super::{Effort, Estimate, Problem, RareMethod, Splitting};
+
+/// Runs that are made at least before what came of them is kept, where it takes no more than that to make a few repetitions: writing that
+/// down costs milliseconds.
+const RUNS_TO_KEEP: u64 = 500;
 
 /// All that repetitions need to know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -40,11 +44,27 @@ impl Pilot {
         seed: u64,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Self, P::Error> {
-        let climbed = Splitting::pilot(problem, effort, seed, done)?;
-        Ok(match method {
-            RareMethod::Splitting => Self::Splitting(climbed),
-            RareMethod::Importance => Self::Importance(Importance::pilot(problem, climbed, done)?),
-        })
+        Self::go_on(problem, (method, effort, seed), None, &mut |_| Ok(()), done)
+    }
+
+    /// Runs the pilot, or what is left of it where something is being fitted. `keep` hears of all that is worth keeping on the way.
+    pub(super) fn go_on<P: Problem>(
+        problem: &P,
+        (method, effort, seed): (RareMethod, Effort, u64),
+        begun: Option<Fitting>,
+        keep: &mut dyn FnMut(&Fitting) -> Result<(), P::Error>,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<Self, P::Error> {
+        let begun = match (method, begun) {
+            (RareMethod::Splitting, _) => return Ok(Self::Splitting(Splitting::pilot(problem, effort, seed, done)?)),
+            (RareMethod::Importance, Some(begun)) => begun,
+            (RareMethod::Importance, None) => {
+                let begun = Fitting::of(Splitting::pilot(problem, effort, seed, done)?);
+                keep(&begun)?;
+                begun
+            }
+        };
+        Ok(Self::Importance(Importance::pilot(problem, begun, keep, done)?))
     }
 
     /// Whether it reached a failure.
@@ -121,6 +141,22 @@ impl Pilot {
         own == method && self.levels().is_of(effort, seed)
     }
 
+    /// Whether it is of a problem of so many numbers.
+    pub(super) fn is_in(&self, dimension: usize) -> bool {
+        match self {
+            Self::Splitting(_) => true,
+            Self::Importance(proposal) => proposal.is_in(dimension),
+        }
+    }
+
+    /// How many repetitions are made before what came of them is kept: as many as there are threads to make them, and more where one is
+    /// of few runs.
+    pub(super) fn kept_together(&self) -> u64 {
+        let all = self.levels().effort().repetitions as u64;
+        let each = (self.runs_ahead() / all.max(1)).max(1);
+        RUNS_TO_KEEP.div_ceil(each).max(rayon::current_num_threads() as u64)
+    }
+
     fn levels(&self) -> &Splitting {
         match self {
             Self::Splitting(levels) => levels,
@@ -144,6 +180,15 @@ impl Repetitions {
         match self {
             Self::Splitting(some) => some.len() as u64,
             Self::Importance(some) => some.len() as u64,
+        }
+    }
+
+    /// Takes in those that follow; of another method there are none.
+    pub(super) fn append(&mut self, more: Self) {
+        match (self, more) {
+            (Self::Splitting(some), Self::Splitting(more)) => some.extend(more),
+            (Self::Importance(some), Self::Importance(more)) => some.extend(more),
+            _ => {}
         }
     }
 }

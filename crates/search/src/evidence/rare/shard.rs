@@ -1,16 +1,17 @@
 //! Shards of an estimate: some of its repetitions each, and the pilot, which each of them runs, for all that follows depends on it.
 //!
-//! A folder holds `shard.json`, all that decides it, and `repetitions.json`. Nothing of a shard is kept halfway.
+//! A folder holds `shard.json`, all that decides it, and `repetitions.json`; until that is there, `progress.json`.
 
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use super::driving::RareRecord;
+use super::progress::Progress;
 use super::{Estimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
 use crate::evidence::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, estimate_again, own_resamples};
 use crate::shard::{self, MergeError, MissingShards, Parts, SHARD, Shard};
-use crate::work::{Finished, Work, WorkError};
+use crate::work::{Finished, WorkError};
 use crumple_world::digest::sha256;
 use crumple_world::scenario::space::{Space, file};
 
@@ -19,7 +20,7 @@ pub const SHARD_OF_AN_ESTIMATE: &str = "shard of a rare-failure estimate";
 
 const REPETITIONS: &str = "repetitions.json";
 /// The version of these files.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -57,7 +58,7 @@ pub struct RareShard<'a> {
     plan: &'a RarePlan,
     shard: Shard,
     resamples: u32,
-    work: Work,
+    progress: Progress,
 }
 
 impl RarePlan {
@@ -76,7 +77,7 @@ impl RarePlan {
         if estimate.controller_sha256.is_none() {
             return Err(RareError::Unknown(self.controller.name.clone()));
         }
-        shard.range(self.effort.repetitions as u64, WHAT)?;
+        let own = shard.range(self.effort.repetitions as u64, WHAT)?;
         let exposed = match self.space.spec().exposure {
             Some(_) => Some(Exposed { resamples, space_text: file::to_toml(&self.space)? }),
             None => None,
@@ -85,7 +86,8 @@ impl RarePlan {
         let file = ShardFile { version: VERSION, shard, estimate, exposed };
         let configuration = serde_json::to_string_pretty(&file)? + "\n";
         let work = shard::open_shard(folder, SHARD_OF_AN_ESTIMATE, &configuration, REPETITIONS, resume)?;
-        Ok(RareShard { plan: self, shard, resamples, work })
+        let progress = Progress::in_folder(work, &file.estimate, own.end - own.start)?;
+        Ok(RareShard { plan: self, shard, resamples, progress })
     }
 }
 
@@ -95,25 +97,37 @@ impl RareShard<'_> {
     /// Whether it was made before.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.work.is_complete()
+        self.progress.work().is_complete()
     }
 
-    /// Runs its repetitions, with the levels of the pilot, and estimates in its share of the resamples. `done` hears of every batch of runs.
+    /// Places the levels, or what is left of that, and keeps them. `done` hears of every batch of runs.
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written.
-    pub fn repeat(&self, pilot: &Pilot, done: &(dyn Fn(u64) + Sync)) -> Result<(), RareError> {
+    pub fn pilot(&mut self, done: &(dyn Fn(u64) + Sync)) -> Result<Pilot, RareError> {
+        self.progress.pilot(self.plan, done)
+    }
+
+    /// Runs its repetitions, with the levels of the pilot, and estimates in its share of the resamples, without what is in the folder already.
+    /// `done` hears of every batch of runs.
+    ///
+    /// # Errors
+    /// [`RareError`] if a run cannot be made or a file not written.
+    pub fn repeat(&mut self, pilot: &Pilot, done: &(dyn Fn(u64) + Sync)) -> Result<(), RareError> {
         let all = self.plan.effort.repetitions as u64;
         let range = self.shard.range(all, WHAT)?;
         let own = own_resamples(self.resamples, &range, all);
-        let repetitions = pilot.repeat(self.plan, range, done)?;
+        let (plan, resamples) = (self.plan, self.resamples);
+        let repetitions = self.progress.repeat(plan, pilot, range, done)?;
         let resampled = match pilot.reaches_failure() {
-            true => self.plan.resampled(self.resamples, own, done)?,
+            true => {
+                let mut again = self.progress.again(resamples);
+                plan.resampled(resamples, own, &mut |space, seed| again.next(plan, (space, seed), done))?
+            }
             false => Vec::new(),
         };
         let repeated = Repeated { pilot: pilot.clone(), repetitions, resampled };
-        self.work.write(REPETITIONS, serde_json::to_string_pretty(&repeated)? + "\n")?;
-        Ok(self.work.finish()?)
+        self.progress.finish(REPETITIONS, serde_json::to_string_pretty(&repeated)? + "\n")
     }
 }
 

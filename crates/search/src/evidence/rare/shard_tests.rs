@@ -45,7 +45,7 @@ fn put_together(seed: u64) {
     plan.in_folder(&single, false).unwrap().keep(&plan.report(&pilot, 0, &|_| ()).unwrap()).unwrap();
     let made = |index: u32, of: u32| -> PathBuf {
         let folder = root.path().join(format!("{index}-of-{of}"));
-        let part = plan.shard_in_folder((Shard::new(index, of).unwrap(), 0), &folder, true).unwrap();
+        let mut part = plan.shard_in_folder((Shard::new(index, of).unwrap(), 0), &folder, true).unwrap();
         if !part.is_complete() {
             part.repeat(&pilot, &|_| ()).unwrap();
         }
@@ -80,7 +80,7 @@ fn put_together(seed: u64) {
     let overlapping = merged.take(&made(2, 7), &finished(&made(2, 7))).unwrap_err();
     assert!(matches!(overlapping, MergeError::Overlapping { .. }), "{overlapping}");
     let (other, folder) = (self::plan(3), root.path().join("other"));
-    let part = other.shard_in_folder((Shard::new(2, 2).unwrap(), 0), &folder, false).unwrap();
+    let mut part = other.shard_in_folder((Shard::new(2, 2).unwrap(), 0), &folder, false).unwrap();
     part.repeat(&other.pilot(&|_| ()).unwrap(), &|_| ()).unwrap();
     assert!(matches!(merged.take(&folder, &finished(&folder)), Err(MergeError::Foreign { .. })));
     assert!(plan.shard_in_folder((Shard::new(1, 8).unwrap(), 0), &folder, false).is_err());

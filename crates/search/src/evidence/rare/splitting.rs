@@ -14,6 +14,11 @@ use crumple_world::random::{Purpose, Stream, stream};
 
 /// Levels after which the pilot gives up: failures are then rarer than about 10⁻¹².
 pub const MOST_LEVELS: usize = 18;
+/// Populations of pilots, as multiples of that of a repetition: the next one climbs where those before reached no failure. A population that is small
+/// may be led by its levels to where margins are small and nothing fails; one that is larger keeps more ways open.
+pub const PILOTS: [usize; 3] = [1, 2, 4];
+/// Streams of all pilots but the first; those of repetitions are counted from 1.
+const MORE_PILOTS: u64 = 1 << 41;
 /// Share of a population that passes a level.
 const SHARE: f64 = 0.2;
 /// Moves of each run below each level.
@@ -57,9 +62,11 @@ pub struct Splitting {
     effort: Effort,
     seed: u64,
     stages: Vec<Stage>,
-    /// How many runs the pilot took.
+    /// How many runs the pilots took.
     pilot: u64,
-    /// How many of those failed that it began with.
+    /// With how many independent draws they began: where a failure was reached, the first alone.
+    pilot_draws: u64,
+    /// How many of those failed.
     pilot_failures: u64,
     reached: bool,
     /// What the pilot saw, for want of anything better where it does not reach a failure.
@@ -117,7 +124,7 @@ struct Seen {
 }
 
 impl Splitting {
-    /// Runs the pilot. `done` hears of every batch of runs.
+    /// Runs the pilot, and larger ones where it reaches no failure. `done` hears of every batch of runs.
     ///
     /// # Errors
     /// Those of the problem.
@@ -127,14 +134,43 @@ impl Splitting {
         seed: u64,
         done: &(dyn Fn(u64) + Sync),
     ) -> Result<Self, P::Error> {
+        let mut pilot = Self::of_pilot(problem, effort, seed, 0, done)?;
+        let first = (pilot.pilot_draws, pilot.pilot_failures);
+        for attempt in 1..PILOTS.len() {
+            if pilot.reached {
+                break;
+            }
+            let next = Self::of_pilot(problem, effort, seed, attempt, done)?;
+            // Whether there is a next one is not independent of what the draws before came to: with repetitions, those do that there are
+            // in any case.
+            let (draws, failures) = match next.reached {
+                true => first,
+                false => (pilot.pilot_draws + next.pilot_draws, pilot.pilot_failures + next.pilot_failures),
+            };
+            pilot = Self { pilot: pilot.pilot + next.pilot, pilot_draws: draws, pilot_failures: failures, ..next };
+        }
+        Ok(pilot)
+    }
+
+    /// What one of the pilots comes to.
+    pub(super) fn of_pilot<P: Problem>(
+        problem: &P,
+        effort: Effort,
+        seed: u64,
+        attempt: usize,
+        done: &(dyn Fn(u64) + Sync),
+    ) -> Result<Self, P::Error> {
         let effort = effort.at_least();
-        let mut climber = Climber::new(problem, effort.samples, stream(seed, Purpose::RareEvents, 0), done);
+        let samples = effort.samples * PILOTS.get(attempt).copied().unwrap_or(1);
+        let own = if attempt == 0 { 0 } else { MORE_PILOTS + attempt as u64 };
+        let mut climber = Climber::new(problem, samples, stream(seed, Purpose::RareEvents, own), done);
         let mut population = climber.first()?;
-        let pilot_failures = failures(&population);
+        let (pilot_draws, pilot_failures) = (samples as u64, failures(&population));
         let (stages, pilot_levels) = (Vec::new(), Vec::new());
-        let mut pilot = Self { effort, seed, stages, pilot: 0, pilot_failures, reached: false, pilot_levels };
+        let mut pilot =
+            Self { effort, seed, stages, pilot: 0, pilot_draws, pilot_failures, reached: false, pilot_levels };
         let (mut step, mut probability, mut before) = (0.5, 1.0, f64::INFINITY);
-        let passing = (SHARE * effort.samples as f64).ceil() as usize;
+        let passing = (SHARE * samples as f64).ceil() as usize;
         loop {
             if failures(&population) >= passing as u64 {
                 pilot.stages.push(Stage::LAST);
@@ -158,7 +194,7 @@ impl Splitting {
             }
             let mut stage = Stage { threshold, is_last: false, step };
             let survivors: Vec<Sample> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
-            let share = survivors.len() as f64 / effort.samples as f64;
+            let share = survivors.len() as f64 / samples as f64;
             probability *= share;
             population = climber.multiplied(survivors);
             let (mut accepted, mut proposed) = (0, 0);
@@ -171,7 +207,14 @@ impl Splitting {
             (step, before) = (stage.step, threshold);
             pilot.stages.push(stage);
             let acceptance = Some(accepted as f64 / proposed.max(1) as f64);
-            pilot.pilot_levels.push(Level { margin: threshold, probability, share, step: Some(step), acceptance });
+            pilot.pilot_levels.push(Level {
+                margin: threshold,
+                smallest_gap_m: None,
+                probability,
+                share,
+                step: Some(step),
+                acceptance,
+            });
         }
         pilot.pilot = climber.evaluations;
         Ok(pilot)
@@ -209,7 +252,7 @@ impl Splitting {
     pub(super) fn begun(&self) -> Estimate {
         Estimate {
             evaluations: self.pilot,
-            independent_runs: self.effort.samples as u64,
+            independent_runs: self.pilot_draws,
             independent_failures: self.pilot_failures,
             levels: self.pilot_levels.clone(),
             ..Estimate::none()
@@ -277,6 +320,7 @@ impl Splitting {
             let [accepted, proposed] = [sum(|seen| seen.accepted), sum(|seen| seen.proposed)];
             Level {
                 margin: stage.threshold,
+                smallest_gap_m: None,
                 probability: mean(&seen.iter().map(|seen| product(seen, index + 1)).collect::<Vec<_>>()),
                 share: mean(&here.iter().map(|seen| seen.share).collect::<Vec<_>>()),
                 step: (!stage.is_last).then_some(stage.step),
@@ -306,11 +350,11 @@ impl Estimate {
         }
     }
 
-    /// With what independent repetitions say: their mean, and their spread.
+    /// With what independent repetitions say: their mean, and their spread. A mean of weights may be above 1, which no probability is.
     pub(super) fn of_repetitions(self, repetitions: Vec<f64>) -> Self {
-        let probability = mean(&repetitions);
-        let coefficient_of_variation = variation_of_mean(&repetitions, probability);
-        let estimate = Self { probability: Some(probability), coefficient_of_variation, repetitions, ..self };
+        let mean = mean(&repetitions);
+        let coefficient_of_variation = variation_of_mean(&repetitions, mean);
+        let estimate = Self { probability: Some(mean.min(1.0)), coefficient_of_variation, repetitions, ..self };
         Self { interval_95: estimate.interval(0.95), ..estimate }
     }
 
@@ -323,7 +367,12 @@ impl Estimate {
                 let RateInterval { lower, upper } = RateInterval::exact(failures, runs, confidence);
                 Some([lower, upper])
             }
-            None => interval(probability, variation, self.repetitions.len(), confidence),
+            None => {
+                let raw = probability.max(mean(&self.repetitions));
+                let [lower, upper] = interval(raw, variation, self.repetitions.len(), confidence)?;
+                // The spread of weights alone may leave nothing that is a probability.
+                if lower < 1.0 { Some([lower, upper]) } else { self.independent(confidence) }
+            }
         }
     }
 

@@ -1,0 +1,142 @@
+use std::fs;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use proptest::prelude::*;
+
+use super::progress::PROGRESS;
+use super::*;
+use crate::shard::Shard;
+use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::built_in_space;
+
+fn plan(method: RareMethod, seed: u64) -> RarePlan {
+    RarePlan {
+        controller: ControllerSpec::named("match-leader").unwrap().into(),
+        space: built_in_space("paper").unwrap(),
+        estimator: EstimatorKind::Truth,
+        specification: Specification::NoContact,
+        method,
+        seed,
+        effort: Effort { samples: 50, repetitions: 14 },
+    }
+}
+
+fn on<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+}
+
+/// Ends the thread, as somebody who pulls the plug ends the process, after so many runs.
+struct Plug {
+    left: AtomicU64,
+}
+
+impl Plug {
+    fn after(runs: u64) -> Self {
+        Self { left: AtomicU64::new(runs) }
+    }
+
+    fn told(&self, runs: u64) {
+        let before = self.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(runs));
+        assert!(before.is_ok(), "{PULLED}");
+    }
+}
+
+const PULLED: &str = "the plug is pulled";
+
+/// Makes an estimate, or a shard of one, in a folder; says how many runs it took, or that it was interrupted.
+fn made(plan: &RarePlan, shard: Option<Shard>, folder: &Path, plug: u64) -> Option<u64> {
+    let (plug, runs) = (Plug::after(plug), AtomicU64::new(0));
+    let done = |made: u64| {
+        plug.told(made);
+        runs.fetch_add(made, Ordering::SeqCst);
+    };
+    let work = || match shard {
+        Some(shard) => {
+            let mut part = plan.shard_in_folder((shard, 0), folder, true).unwrap();
+            if !part.is_complete() {
+                let pilot = part.pilot(&done).unwrap();
+                part.repeat(&pilot, &done).unwrap();
+            }
+        }
+        None => {
+            let mut kept = plan.in_folder(folder, true).unwrap();
+            if kept.kept().unwrap().is_none() {
+                let pilot = kept.pilot(plan, &done).unwrap();
+                kept.report(plan, &pilot, 0, &done).unwrap();
+            }
+        }
+    };
+    let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
+    ended.ok().map(|()| runs.into_inner())
+}
+
+fn assert_same(one: &Path, other: &Path, name: &str) {
+    for name in [name, "work.json"] {
+        assert!(fs::read(one.join(name)).unwrap() == fs::read(other.join(name)).unwrap(), "{name}");
+    }
+    assert!(!one.join(PROGRESS).exists() && !one.join("previous").exists());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 8, ..ProptestConfig::default() })]
+
+    /// Interrupted wherever it is, again and again, on any number of threads, it ends with the bytes of what nothing happened to.
+    #[test]
+    fn what_is_interrupted_goes_on_to_the_same_bytes(
+        (importance, seed, shard) in (any::<bool>(), 0..20_u64, prop::option::of(1..=2_u32)),
+        interruptions in prop::collection::vec((100..6000_u64, 1..=3_usize), 1..5),
+    ) {
+        let plan = plan(if importance { RareMethod::Importance } else { RareMethod::Splitting }, seed);
+        let shard = shard.map(|index| Shard::new(index, 2).unwrap());
+        let name = if shard.is_some() { "repetitions.json" } else { "rare-estimate.json" };
+        let root = tempfile::tempdir().unwrap();
+        let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
+        let all = on(2, || made(&plan, shard, &through, u64::MAX)).unwrap();
+        let interrupted = |&(runs, threads): &(u64, usize)| on(threads, || made(&plan, shard, &broken, runs)).is_none();
+        let times = interruptions.iter().filter(|one| interrupted(one)).count();
+        let left = on(3, || made(&plan, shard, &broken, u64::MAX)).unwrap();
+        prop_assert!(left <= all && (times > 0 || left == 0), "{left} of {all} after {times} interruptions");
+        assert_same(&through, &broken, name);
+    }
+}
+
+/// Each repetition that has ended is there afterwards, and no run of it is made again.
+#[test]
+fn repetitions_are_kept_as_they_end() {
+    for method in [RareMethod::Splitting, RareMethod::Importance] {
+        let (plan, root) = (plan(method, 1), tempfile::tempdir().unwrap());
+        let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
+        let all = on(1, || made(&plan, None, &through, u64::MAX)).unwrap();
+        assert_eq!(on(1, || made(&plan, None, &broken, all - 1)), None);
+        assert!(plan.in_folder(&broken, true).unwrap().kept_repetitions() >= 4, "{method:?}");
+        let left = on(1, || made(&plan, None, &broken, u64::MAX)).unwrap();
+        assert!(left > 0 && left < all / 3, "{method:?}: {left} of {all}");
+        assert_same(&through, &broken, "rare-estimate.json");
+    }
+}
+
+#[test]
+fn what_is_half_done_is_gone_on_with_by_nothing_else() {
+    let (plan, root) = (plan(RareMethod::Importance, 1), tempfile::tempdir().unwrap());
+    assert_eq!(on(1, || made(&plan, None, root.path(), 3000)), None);
+    assert!(root.path().join(PROGRESS).exists());
+    let error = |plan: &RarePlan, resume| plan.in_folder(root.path(), resume).err().map(|error| error.to_string());
+    assert!(
+        error(&plan, false).unwrap().ends_with("holds a rare-failure estimate already: use --resume, or another --out")
+    );
+    for other in [self::plan(RareMethod::Splitting, 1), self::plan(RareMethod::Importance, 2)] {
+        assert!(error(&other, true).unwrap().ends_with("the rare-failure estimate there was configured otherwise"));
+    }
+    // What was written by somebody else, and work.json told of it.
+    let kept = plan.in_folder(root.path(), true).unwrap();
+    let text = fs::read_to_string(root.path().join(PROGRESS)).unwrap();
+    drop(kept);
+    let path = root.path().join(PROGRESS);
+    fs::write(&path, text.replacen("\"seed\":1", "\"seed\":2", 1)).unwrap();
+    assert!(error(&plan, true).unwrap().contains("progress.json: not as it was written"));
+    fs::write(&path, text).unwrap();
+    assert_eq!(error(&plan, true), None);
+}
