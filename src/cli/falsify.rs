@@ -128,10 +128,12 @@ impl Expectation {
             // What was not judged does not speak for the controller.
             (Self::Nothing, false) => {
                 let alone: u64 = summary.methods.iter().filter_map(|method| method.without_partner).sum();
-                match summary.methods.iter().find_map(|method| method.other_unanswered.as_ref()) {
-                    _ if alone > 0 && alone == evaluations => Err(Failure::Gate(format!(
+                if alone > 0 && alone == evaluations {
+                    return Err(Failure::Gate(format!(
                         "expected nothing, and none of {evaluations} evaluations has another scenario that it could be compared with"
-                    ))),
+                    )));
+                }
+                match summary.methods.iter().find_map(|method| method.other_unanswered.as_ref()) {
                     Some(silent) => Err(Failure::Gate(format!(
                         "expected nothing, and beside some evaluations the other gave no answer, so that they were not judged: {}",
                         silent.because

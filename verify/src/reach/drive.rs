@@ -18,7 +18,8 @@
 //! # Contact
 //! Gaps are compared at decisions. In between g'' ≤ m, the most the vehicle ahead accelerates (at least 0) less the least the one
 //! behind does (at most 0), so g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see [`avoidable`](crate::avoidable). An ego
-//! that still moves at the end has not stopped in between: then "at least 0" is not needed for it.
+//! that still moves at the end has not stopped in between: then "at least 0" is not needed for it. The gap to a follower that
+//! stands never falls, whatever bounds of the ego say, which hold members that reverse.
 //!
 //! # Standstill
 //! Once nobody moves and the actor wants nobody to, every later decision sees what this one saw, and nothing is left to do.

@@ -1,9 +1,10 @@
 //! What the checker says of boxes is true of their members to the last bit, by a derivation that shares nothing with it.
 
-use crumple_verify::reach::{Actor, Cell, Ranges, Scene, Tube, reach_with_tube};
+use crumple_verify::reach::{Actor, Cell, Scene, Tube, reach_with_tube};
 use crumple_verify::{Certificate, Interval, Statement};
 use proptest::prelude::*;
 
+use crate::led::unscripted;
 use crate::reach::{any_ranges, any_unit, member, paper, reference, scene};
 use crate::support::closed_loop::{Numbers, Start, simulate};
 use crate::support::exact::{Exact, TooClose, drive};
@@ -74,24 +75,17 @@ proptest! {
         every in prop::sample::select(vec![1_u32, 2, 5, 10]), places in prop::collection::vec((any_unit(), any::<u64>()), 4),
     ) {
         let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
-        let scene_of = |ranges: Ranges| {
-            let unscripted = Ranges { leader_brake_mps2: Interval::ZERO, onset_steps: Interval::ZERO, ..ranges };
-            let ranges = if limit_mps2.is_some() { unscripted } else { ranges };
-            Scene {
-                follower_ttc_s: has_follower.then_some(1.4), leader_brakes_at_most_mps2: limit_mps2, observation_error,
-                stop_at_doubt: false, steps: 300, decision_steps: every, ..scene(&actor, ranges)
-            }
+        let ranges = if limit_mps2.is_some() { unscripted(ranges) } else { ranges };
+        let whole = Scene {
+            follower_ttc_s: has_follower.then_some(1.4), leader_brakes_at_most_mps2: limit_mps2, observation_error,
+            stop_at_doubt: false, steps: 300, decision_steps: every, ..scene(&actor, ranges)
         };
-        let whole = scene_of(ranges);
         let bounds = (!is_point).then(|| reach_with_tube(&whole));
         for (place, seed) in places {
-            let start = member(&whole.ranges, place);
+            let start = member(&ranges, place);
             let Ok(run) = driven(&whole, start, seed) else { continue };
-            let mut point = ranges;
-            for (dimension, number) in crumple_verify::reach::Dimension::ALL.into_iter().zip(start) {
-                *point.get_mut(dimension) = Interval::point(number);
-            }
-            let of_point = bounds.is_none().then(|| reach_with_tube(&scene_of(point)));
+            let point = || Scene { ranges: ranges.at(&start).unwrap(), ..whole.clone() };
+            let of_point = bounds.is_none().then(|| reach_with_tube(&point()));
             let Some((reached, tube)) = bounds.as_ref().or(of_point.as_ref()) else { continue };
             let is_clear = run.1[0].is_at_least(0.0) && (!has_follower || run.1[1].is_at_least(0.0));
             prop_assert!(!(reached.touches && is_clear), "{start:?}");

@@ -48,7 +48,7 @@ fn any_habit() -> impl Strategy<Value = Habit> {
 }
 
 /// A box of which no script is left.
-fn unscripted(ranges: Ranges) -> Ranges {
+pub fn unscripted(ranges: Ranges) -> Ranges {
     Ranges { leader_brake_mps2: Interval::ZERO, onset_steps: Interval::ZERO, ..ranges }
 }
 

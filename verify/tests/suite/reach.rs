@@ -10,7 +10,7 @@ use crumple_verify::reach::{
 use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, check, check_with};
 use proptest::prelude::*;
 
-use crate::support::closed_loop::{Numbers, Start, answers, simulate, simulate_told};
+use crate::support::closed_loop::{Numbers, Start, answers, scripted, simulate, simulate_told};
 use crate::support::mutants::mutants;
 use crate::support::networks::{any_network, network};
 
@@ -468,11 +468,10 @@ fn worst_errors_at_each_size() {
         let mut numbers = Numbers(3);
         let gap = |place: [f64; 8], signs: &[[f64; 8]]| {
             let start = member(&ranges, place);
-            let brake = |k: u32| start[5] * (f64::from(k) + 1.0 - start[7].max(f64::from(k))).max(0.0);
             let error = |decision: u32| {
                 std::array::from_fn(|i| factor * filter[i] * signs[(decision / BLOCK) as usize % signs.len()][i])
             };
-            let (_, least) = simulate_told(&scene, start, brake, error);
+            let (_, least) = simulate_told(&scene, start, scripted(&start), error);
             least[0].min(least[1])
         };
         // Errors that last, first; then each for half a second.

@@ -54,8 +54,12 @@ fn step(v: f64, a: f64, h: f64) -> (f64, f64) {
 
 /// Everything observed at each decision, the last instant included, and the smallest gaps at any step. Nobody minds contact.
 pub fn simulate(scene: &Scene<'_>, start: Start) -> (Vec<[f64; 8]>, [f64; 2]) {
-    let [.., brake, _, onset] = start;
-    simulate_led(scene, start, |k| brake * (f64::from(k) + 1.0 - onset.max(f64::from(k))).max(0.0))
+    simulate_led(scene, start, scripted(&start))
+}
+
+/// How hard the leader of a start brakes over each step: over the one that its onset falls into, with the mean.
+pub fn scripted(&[.., brake, _, onset]: &Start) -> impl Fn(u32) -> f64 {
+    move |k| brake * (f64::from(k) + 1.0 - onset.max(f64::from(k))).max(0.0)
 }
 
 /// The same with a leader that brakes at a rate of its own over each step.
